@@ -1,0 +1,48 @@
+"""Everything that calib refuses, said so that the reader can mend it.
+
+Every error that calib raises on purpose is a `CalibError`. Its text is one sentence or a few: what was
+given and where, what is allowed, what to do. The command line prints that text alone; a program catches
+the class.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class CalibError(Exception):
+    """Something given to calib cannot be used; the text says what, where and how to mend it."""
+
+
+class UrdfError(CalibError):
+    """A URDF cannot be read, has no such link or joint, or cannot be written back faithfully."""
+
+
+class MeasurementError(CalibError):
+    """A table of measurements cannot be read; the text names the file, the row and the column."""
+
+
+class ModelError(CalibError):
+    """The error model asked for does not exist or does not fit the robot and the measurements."""
+
+
+class SolverError(CalibError):
+    """A solver did not reach a result that can be given out."""
+
+
+class FileError(CalibError):
+    """A file cannot be read or written: it exists already, its folder does not, or it changed."""
+
+
+def choices(names: Iterable[str], limit: int = 12) -> str:
+    """The allowed names as text for a message: at most ``limit`` of them, then how many more.
+
+    Example:
+        >>> choices(["base", "tool0"])
+        "'base', 'tool0'"
+        >>> choices(["a", "b", "c"], limit=2)
+        "'a', 'b' and 1 more"
+    """
+    listed = list(names)
+    text = ", ".join(f"'{name}'" for name in listed[:limit])
+    return text if len(listed) <= limit else f"{text} and {len(listed) - limit} more"
