@@ -1,0 +1,107 @@
+"""Units at the edges: metres and radians inside calib, these units in files and commands."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+from calib.errors import CalibError, choices
+
+Quantity = Literal["length", "angle"]
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit of length or angle: ``value_si = value * to_si``.
+
+    Attributes:
+        symbol: as written in a header, ``"mm"``.
+        quantity: ``"length"`` (SI unit m) or ``"angle"`` (SI unit rad).
+        to_si: what one of this unit is, in m or rad.
+    """
+
+    symbol: str
+    quantity: Quantity
+    to_si: float
+
+
+UNITS: Mapping[str, Unit] = MappingProxyType(
+    {
+        unit.symbol: unit
+        for unit in (
+            Unit("m", "length", 1.0),
+            Unit("mm", "length", 1e-3),
+            Unit("um", "length", 1e-6),
+            Unit("cm", "length", 1e-2),
+            Unit("in", "length", 0.0254),
+            Unit("rad", "angle", 1.0),
+            Unit("deg", "angle", math.pi / 180.0),
+            Unit("mrad", "angle", 1e-3),
+        )
+    }
+)
+
+# Unicode has two signs for micro, the micro sign and the Greek letter.
+_SPELLINGS = {"\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um"}
+
+_HEADER = re.compile(r"(?P<name>.*?)\s*\[(?P<symbol>[^\[\]]*)\]", re.DOTALL)
+
+
+def symbols(quantity: Quantity) -> tuple[str, ...]:
+    """The symbols of the units of one quantity.
+
+    Example:
+        >>> symbols("angle")
+        ('rad', 'deg', 'mrad')
+    """
+    return tuple(unit.symbol for unit in UNITS.values() if unit.quantity == quantity)
+
+
+def find_unit(symbol: str) -> Unit:
+    """The unit with this symbol.
+
+    Raises:
+        CalibError: there is no such unit; the text names those there are.
+    """
+    text = symbol.strip()
+    unit = UNITS.get(_SPELLINGS.get(text, text))
+    if unit is None:
+        message = (
+            f"'{text}' is not a unit that calib knows: a length is in "
+            f"{choices(symbols('length'))}, an angle in {choices(symbols('angle'))}"
+        )
+        raise CalibError(message)
+    return unit
+
+
+def split_header(text: str) -> tuple[str, str | None]:
+    """Split a column header into its name and the text in its last square brackets, if any.
+
+    Example:
+        >>> split_header("force [N]")
+        ('force', 'N')
+    """
+    match = _HEADER.fullmatch(text.strip())
+    if match is None:
+        return text.strip(), None
+    return match["name"].strip(), match["symbol"].strip()
+
+
+def parse_header(text: str) -> tuple[str, Unit | None]:
+    """Split a column header into its name and its unit, None when there are no brackets.
+
+    Raises:
+        CalibError: what stands in the brackets is not a unit.
+
+    Example:
+        >>> parse_header("x [mm]")
+        ('x', Unit(symbol='mm', quantity='length', to_si=0.001))
+        >>> parse_header("set")
+        ('set', None)
+    """
+    name, symbol = split_header(text)
+    return name, None if symbol is None else find_unit(symbol)

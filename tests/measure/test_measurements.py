@@ -1,0 +1,584 @@
+import csv
+import hashlib
+import pickle
+import time
+from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import calib
+from calib.errors import FileError, MeasurementError
+from calib.measure.measurements import Measurements
+
+UR3 = Path(calib.__file__).parent / "data" / "ur3_leica.csv"
+UR3_JOINTS = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+HEADER = "row,set,a [deg],b [deg],x [mm],y [mm],z [mm]"
+ROWS = ("1,estimate,10,20,300,400,500", "2,validate,-30,420.75,301.5,-400,500")
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Writes a table's lines to a file and gives its path."""
+
+    def write(*lines, encoding="utf-8", newline="\n"):
+        path = tmp_path / "data.csv"
+        path.write_bytes((newline.join(lines) + newline).encode(encoding))
+        return path
+
+    return write
+
+
+def refused(path, *, says, **arguments):
+    """The text with which a table is refused; it holds each of the words."""
+    with pytest.raises(MeasurementError) as caught:
+        Measurements.read(path, **arguments)
+    text = str(caught.value)
+    for word in [says] if isinstance(says, str) else says:
+        assert word in text
+    assert "\n" not in text
+    return text
+
+
+def assert_same(one, other, rtol=1e-15):
+    for name in ("joints", "points"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=rtol, atol=0)
+    assert (one.sigma is None) == (other.sigma is None)
+    if one.sigma is not None:
+        np.testing.assert_allclose(one.sigma, other.sigma, rtol=rtol, atol=0)
+    for name in ("joint_names", "sets", "targets", "groups", "rows", "prismatic"):
+        assert getattr(one, name) == getattr(other, name)
+
+
+# The paper's table
+
+
+def test_the_papers_table():
+    m = Measurements.read(UR3, UR3_JOINTS, dict.fromkeys(UR3_JOINTS, "revolute"))
+    with UR3.open() as file:
+        printed = list(csv.reader(file))[1:]
+    numbers = np.array([[float(cell) for cell in line[2:]] for line in printed])
+    assert len(m) == 35
+    assert m.joint_names == UR3_JOINTS
+    np.testing.assert_allclose(m.joints, np.deg2rad(numbers[:, :6]), rtol=1e-15)
+    np.testing.assert_allclose(m.points, numbers[:, 6:] / 1000.0, rtol=1e-15)
+    assert m.joints[9, 5] == pytest.approx(np.deg2rad(420.75), rel=1e-15)
+    assert m.sets == ("estimate",) * 30 + ("validate",) * 5
+    assert m.rows == tuple(range(1, 36))
+    assert m.sigma is None
+    assert (m.targets, m.groups) == (("target",) * 35, ("",) * 35)
+    assert m.source == "ur3_leica.csv"
+    assert m.sha256 == hashlib.sha256(UR3.read_bytes()).hexdigest()
+    assert m.ignored == ()
+    assert_same(Measurements.read(UR3), m, rtol=0)
+
+
+def test_the_example_in_the_documentation(table):
+    page = Path(__file__).parents[2] / "docs" / "data-format.md"
+    example = page.read_text(encoding="utf-8").split("```")[1].strip()
+    m = Measurements.read(table(example), UR3_JOINTS[:3])
+    np.testing.assert_array_equal(m.points, Measurements.read(UR3).points[[0, 1, 30]])
+    assert m.sets == ("estimate", "estimate", "validate")
+
+
+# The value
+
+
+def test_arrays_are_read_only_copies():
+    joints = np.zeros((2, 1))
+    m = Measurements(("a",), joints, [[1, 2, 3], [4, 5, 6]], sigma=[0.1, 0.2])
+    joints[0, 0] = 1.0
+    assert m.joints[0, 0] == 0.0
+    for array in (m.joints, m.points, m.sigma, m.estimation, m.validation, m.joints_for(["a"])):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+    with pytest.raises(FrozenInstanceError):
+        m.source = "other"
+
+
+def test_what_is_not_given_is_filled_in():
+    m = Measurements(("a",), np.zeros((2, 1)), np.ones((2, 3)))
+    assert (m.sets, m.targets) == (("estimate", "estimate"), ("target", "target"))
+    assert (m.groups, m.rows) == (("", ""), (1, 2))
+    assert m.estimation.all()
+    assert not m.validation.any()
+
+
+def test_select_keeps_row_numbers_and_the_rest():
+    m = replace(Measurements.read(UR3), sigma=np.linspace(1e-4, 2e-4, 35))
+    held_back = m.select(m.validation)
+    assert len(held_back) == 5
+    assert held_back.rows == (31, 32, 33, 34, 35)
+    assert held_back.sets == ("validate",) * 5
+    np.testing.assert_array_equal(held_back.points, m.points[30:])
+    np.testing.assert_array_equal(held_back.joints, m.joints[30:])
+    np.testing.assert_array_equal(held_back.sigma, m.sigma[30:])
+    assert held_back.sha256 == m.sha256
+    assert len(held_back.select(held_back.estimation)) == 0
+
+
+@pytest.mark.parametrize("mask", [np.ones(34, bool), np.arange(35), np.ones((35, 1), bool)])
+def test_select_refuses_what_is_no_mask(mask):
+    m = Measurements.read(UR3)
+    with pytest.raises(MeasurementError, match=r"one bool for each of the 35 rows"):
+        m.select(mask)
+
+
+def test_joints_for_another_order():
+    m = Measurements.read(UR3)
+    np.testing.assert_array_equal(
+        m.joints_for(["wrist_3_joint", "elbow_joint"]), m.joints[:, [5, 2]]
+    )
+    assert m.joints_for([]).shape == (35, 0)
+    with pytest.raises(MeasurementError) as caught:
+        m.joints_for(["elbow_joint", "wrist_4_joint"])
+    assert "'wrist_4_joint'" in str(caught.value)
+    assert "'wrist_3_joint'" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"points": np.ones((2, 2))}, "'points' has shape (2, 2) and should have (2, 3)"),
+        ({"points": np.ones(3)}, "'points' has shape (3,)"),
+        ({"joints": np.ones((2, 2))}, "'joints' has shape (2, 2) and should have (2, 1)"),
+        ({"joints": np.ones((3, 1))}, "should have (2, 1)"),
+        ({"sigma": np.ones(3)}, "'sigma' has shape (3,)"),
+        ({"sets": ("estimate",)}, "'sets' has shape (1,)"),
+        ({"rows": (1, 2, 3)}, "'rows' has shape (3,)"),
+        ({"sets": ("estimate", "test")}, "row 2: the set 'test' is neither of 'estimate'"),
+        ({"targets": ("ball", "")}, "row 2: target ''"),
+        ({"groups": ("one", "two\nlines")}, "row 2: target 'target' and group 'two\nlines'"),
+        ({"rows": (7, 7)}, "the row number 7 is there twice"),
+        ({"points": [[0, 0, 1], [0, np.nan, 0]]}, "row 2: 'points' holds nan"),
+        ({"joints": [[np.inf], [0]]}, "row 1: 'joints' holds inf"),
+        ({"sigma": [1e-4, 0.0]}, "row 2: 'sigma' holds 0.0; every value is positive"),
+        ({"joint_names": ("x",)}, "joint names are unique"),
+        ({"joint_names": (" a",)}, "given were ' a'"),
+        ({"joint_names": (), "joints": np.ones((2, 0))}, "no names at all"),
+        ({"joint_names": ("a", "a"), "joints": np.ones((2, 2))}, "given were 'a', 'a'"),
+        ({"prismatic": ("b",)}, "'prismatic' names 'b'; the joints are 'a'"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(change, says):
+    good = {"joint_names": ("a",), "joints": np.ones((2, 1)), "points": np.ones((2, 3))}
+    Measurements(**good)
+    with pytest.raises(MeasurementError) as caught:
+        Measurements(**(good | change))
+    assert says in str(caught.value)
+
+
+# Reading
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_other_separators(table, separator):
+    expected = Measurements.read(table(HEADER, *ROWS))
+    assert expected.sets == ("estimate", "validate")
+    np.testing.assert_allclose(expected.points[1], [0.3015, -0.4, 0.5], rtol=1e-15)
+    lines = [line.replace(",", separator) for line in (HEADER, *ROWS)]
+    assert_same(Measurements.read(table(*lines)), expected, rtol=0)
+
+
+def test_decimal_commas_between_semicolons(table):
+    expected = Measurements.read(table(HEADER, *ROWS))
+    lines = [line.replace(",", ";").replace(".", ",") for line in (HEADER, *ROWS)]
+    assert "420,75" in lines[2]
+    assert_same(Measurements.read(table(*lines)), expected, rtol=0)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ("\ufeff" + HEADER, *ROWS),
+        ("# by a tracker, in May", "", HEADER, ROWS[0], " , ,,", '"# a, b",,', ROWS[1], "\n"),
+        ("row, set, a [deg], b [deg], X [mm], Y[mm], z [ mm ]", *ROWS),
+        (
+            "z [m],y [cm],x [um],b [mrad],a [rad],set,row",
+            "0.5,40,300000,349.06585039886591538473815,0.17453292519943295769,estimate,1",
+            "0.5,-40,301500,7343.47282776614,-0.52359877559829887308,validate,2",
+        ),
+    ],
+)
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
+def test_the_same_table_written_otherwise(table, lines, newline):
+    expected = Measurements.read(table(HEADER, *ROWS), ["a", "b"])
+    assert_same(Measurements.read(table(*lines, newline=newline), ["a", "b"]), expected, rtol=1e-14)
+
+
+def test_optional_columns_and_ignored_ones(table):
+    path = table(
+        "a [deg],target,group,sigma [um],x [mm],y [mm],z [mm],qx,rx [rad],force [N],note,",
+        "10,ball,north,50,300,400,500,0,0.1,3,warm,",
+        "20,cube,,60,300,400,600,0,0.1,,,",
+    )
+    m = Measurements.read(path)
+    assert m.joint_names == ("a",)
+    assert m.targets == ("ball", "cube")
+    assert m.groups == ("north", "")
+    np.testing.assert_allclose(m.sigma, [5e-5, 6e-5], rtol=1e-15)
+    assert m.rows == (1, 2)
+    assert m.sets == ("estimate", "estimate")
+    assert m.ignored == ("qx", "rx [rad]", "force [N]", "note")
+
+
+def test_joints_that_the_robot_lacks_are_ignored(table):
+    m = Measurements.read(table(HEADER, *ROWS), ["b"])
+    assert m.joint_names == ("b",)
+    assert m.ignored == ("a [deg]",)
+
+
+def test_columns_are_renamed_and_given_units(table):
+    path = table("J1,J2 [deg],East [mm],y [mm],z [mm]", "10,20,300,400,500")
+    columns = {"J1": "a [deg]", "J2": "b", "East": "x"}
+    m = Measurements.read(path, ["a", "b"], columns=columns)
+    np.testing.assert_allclose(m.joints, np.deg2rad([[10, 20]]), rtol=1e-15)
+    assert m.points[0, 0] == pytest.approx(0.3)
+    with_unit_in_key = {"J1": "a [deg]", "J2 [deg]": "b [deg]", "East": "x"}
+    assert_same(Measurements.read(path, ["a", "b"], columns=with_unit_in_key), m, rtol=0)
+
+
+def test_prismatic_joints(table):
+    path = table("rail [mm],a [deg],x [mm],y [mm],z [mm]", "1500,20,300,400,500")
+    types = {"rail": "prismatic", "a": "continuous"}
+    for arguments in ((["rail", "a"], types), (["rail", "a"],), (None, types)):
+        m = Measurements.read(path, *arguments)
+        np.testing.assert_allclose(m.joints, [[1.5, np.deg2rad(20)]], rtol=1e-15)
+        assert m.prismatic == ("rail",)
+    assert Measurements.read(path).ignored == ("rail [mm]",)
+
+
+def test_a_large_table_reads_in_time(tmp_path):
+    random = np.random.default_rng(1)
+    count = 100_000
+    path = tmp_path / "large.csv"
+    m = Measurements(
+        UR3_JOINTS, random.uniform(-3, 3, (count, 6)), random.uniform(-1, 1, (count, 3))
+    )
+    m.write(path)
+    start = time.process_time()
+    again = Measurements.read(path)
+    assert time.process_time() - start < 4.0  # 2 s on the machines it is meant for
+    assert_same(again, m)
+
+
+# Writing
+
+
+names = st.text(alphabet="abJ_ 0[].,;'\"#é", min_size=1, max_size=8).filter(
+    lambda text: text == text.strip()
+)
+values = st.floats(-3, 3).filter(lambda value: value == 0 or abs(value) > 1e-300)
+
+
+@given(st.data())
+def test_what_is_written_reads_back(tmp_path_factory, data):
+    joint_names = tuple(data.draw(st.lists(names, min_size=1, max_size=3, unique=True)))
+    count = data.draw(st.integers(1, 4))
+
+    def array(elements, width):
+        row = st.lists(elements, min_size=width, max_size=width)
+        return np.array(data.draw(st.lists(row, min_size=count, max_size=count)))
+
+    def tuples(elements, **more):
+        return tuple(data.draw(st.lists(elements, min_size=count, max_size=count, **more)))
+
+    m = Measurements(
+        joint_names,
+        array(values, len(joint_names)),
+        np.add(array(values, 3), [0, 0, 4]),
+        sets=("estimate", *tuples(st.sampled_from(["estimate", "validate"]))[1:]),
+        sigma=data.draw(st.none() | st.just(np.full(count, 1.3e-4))),
+        targets=tuples(names),
+        groups=tuples(names | st.just("")),
+        rows=tuples(st.integers(-(10**6), 10**6), unique=True),
+        prismatic=tuple(data.draw(st.sets(st.sampled_from(joint_names)))),
+    )
+    path = tmp_path_factory.mktemp("written") / "data.csv"
+    m.write(path)
+    again = Measurements.read(path, joint_names)
+    assert_same(again, replace(m, prismatic=again.prismatic))
+    assert set(again.prismatic) == set(m.prismatic)
+
+
+def test_the_table_written_is_in_degrees_and_millimetres(tmp_path):
+    path = tmp_path / "data.csv"
+    m = Measurements(("a", "rail"), [[np.pi, 0.5]], [[0.1, 0.2, 0.3]], prismatic=("rail",))
+    m.write(path)
+    head, row = path.read_text().splitlines()
+    assert head == "row,set,a [deg],rail [mm],x [mm],y [mm],z [mm]"
+    assert [float(cell) for cell in row.split(",")[2:]] == pytest.approx([180, 500, 100, 200, 300])
+
+
+def test_an_existing_file_is_kept_unless_asked(tmp_path):
+    m = Measurements.read(UR3)
+    path = tmp_path / "data.csv"
+    path.write_text("mine")
+    with pytest.raises(FileError, match="exists already"):
+        m.write(path)
+    assert path.read_text() == "mine"
+    m.write(path, overwrite=True)
+    assert_same(Measurements.read(path), m)
+    assert [file.name for file in tmp_path.iterdir()] == ["data.csv"]
+
+
+def test_a_file_that_cannot_be_written(tmp_path):
+    with pytest.raises(FileError, match="cannot be written"):
+        Measurements.read(UR3).write(tmp_path / "missing" / "data.csv")
+    with pytest.raises(FileError, match="too long"):
+        Measurements.read(UR3).write(tmp_path / ("a" * 300))
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(FileError, match="is a folder"):
+        Measurements.read(UR3).write(tmp_path / "folder", overwrite=True)
+    assert [file.name for file in tmp_path.iterdir()] == ["folder"]
+
+
+def test_measurements_can_be_sent_to_another_process():
+    m = Measurements.read(UR3)
+    assert_same(pickle.loads(pickle.dumps(m)), m, rtol=0)
+
+
+# Refusals: the file
+
+
+def test_files_that_are_no_tables(tmp_path, table):
+    refused(tmp_path / "none.csv", says=["none.csv", "does not exist"])
+    refused(tmp_path, says="is a folder")
+    refused(table(""), says="the file is empty")
+    refused(table("# only a remark", "", ",,"), says="the file is empty")
+    refused(table(HEADER, ",,,,,,"), says=["data.csv", "a header and no rows"])
+    refused(table(HEADER, *ROWS, encoding="utf-16"), says=["line 1", "not UTF-8 text"])
+    refused(table(HEADER, ROWS[0], "2,é", encoding="latin-1"), says=["line 3", "not UTF-8"])
+    refused(table(HEADER, "\0\0"), says="not a text file")
+    refused(table(*ROWS[:1], *ROWS), says="no column of joint angles")
+    refused(table("1,2,3", "4,5,6"), says="the first line holds numbers")
+    refused(table(HEADER, '1,estimate,"10,20'), says=["data.csv", "double quotes"])
+    refused(table("a" * 200_000), says=["data.csv", "not a CSV table"])
+
+
+@given(
+    st.binary(max_size=80)
+    | st.text(alphabet='ax,;\t\n\r"# [deg]m1.-', max_size=80).map(str.encode)
+    | st.text(alphabet='12,;\n\r"#.-enaif_ ', max_size=40).map(
+        lambda text: f"a [deg],x [mm],y [mm],z [mm]\n{text}".encode()
+    )
+)
+def test_any_other_file_is_read_or_refused(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("any") / "data.csv"
+    path.write_bytes(data)
+    try:
+        count, text = len(Measurements.read(path)), ""
+    except MeasurementError as error:
+        count, text = 0, str(error)
+    assert count > 0 or "data.csv" in text
+
+
+def test_a_file_that_is_too_large(table, monkeypatch):
+    path = table(HEADER, *ROWS)
+    monkeypatch.setattr("calib.measure.table.MAX_BYTES", path.stat().st_size)
+    assert len(Measurements.read(path)) == 2
+    monkeypatch.setattr("calib.measure.table.MAX_BYTES", path.stat().st_size - 1)
+    refused(path, says=["data.csv", "larger than", "the most that is read"])
+
+
+def test_a_file_that_cannot_be_read(tmp_path):
+    loop = tmp_path / "loop.csv"
+    loop.symlink_to(loop)
+    refused(loop, says=["loop.csv", "cannot be read"])
+    refused(tmp_path / ("a" * 300), says=["cannot be read", "too long"])
+
+
+# Refusals: the header
+
+
+@pytest.mark.parametrize(
+    ("header", "joint_names", "says"),
+    [
+        ("a,b [deg],x [mm],y [mm],z [mm]", "ab", ["column 'a'", "no unit", "'a [deg]'", "mrad"]),
+        ("a [deg],b [deg],x,y [mm],z [mm]", "ab", ["column 'x'", "no unit", "'x [mm]'"]),
+        ("a [deg],b [deg],x [mm],y [mm],z (mm)", "ab", ["point's 'z'", "'z (mm)'", "'z [mm]'"]),
+        ("a [deg],b [grad],x [mm],y [mm],z [mm]", "ab", ["'b [grad]'", "'grad' is not a unit"]),
+        ("a [deg],b [deg],x [deg],y [mm],z [mm]", "ab", ["'x [deg]'", "not a unit of length"]),
+        ("a [deg],a [rad],x [mm],y [mm],z [mm]", "a", ["two columns", "'a'", "number 2"]),
+        ("a [deg],x [mm],X [m],y [mm],z [mm]", "a", ["two columns", "'x [mm]'", "'X [m]'"]),
+        ("a,x [mm],y [mm],z [mm],q", None, ["no column of joint angles", "'a'"]),
+        ("a [deg],b [deg],c,d,e", None, ["point's 'x', 'y', 'z'", "'a [deg]'", "--columns"]),
+        ("x [deg],y [mm],z [mm],a,b", ["x"], ["cannot be called 'x'", "Rename"]),
+    ],
+)
+def test_headers_that_are_refused(table, header, joint_names, says):
+    refused(table(header, "1,2,3,4,5"), joint_names=joint_names, says=["data.csv", *says])
+
+
+def test_missing_joints_are_named_with_what_is_close(table):
+    path = table("Elbow [deg],sholder_pan_joint [deg],x [mm],y [mm],z [mm]", "1,2,3,4,5")
+    text = refused(
+        path, joint_names=["shoulder_pan_joint", "elbow", "tool"], says="'shoulder_pan_joint', "
+    )
+    assert "Close to 'shoulder_pan_joint': 'sholder_pan_joint'" in text
+    assert "Close to 'elbow': 'Elbow'" in text
+    assert "Close to 'tool'" not in text
+    assert "The columns found: 'Elbow [deg]', " in text
+    assert '--columns "name in the table=name in the URDF"' in text
+
+
+def test_sigma_without_a_unit(table):
+    path = table("a [deg],sigma,x [mm],y [mm],z [mm]", "1,2,3,4,5")
+    refused(path, says=["column 'sigma'", "no unit", "'sigma [mm]'"])
+
+
+def test_the_wrong_kind_of_unit_for_a_joint(table):
+    path = table("a [mm],b [deg],x [mm],y [mm],z [mm]", "1,2,3,4,5")
+    for kind in ("revolute", "continuous"):
+        refused(
+            path,
+            joint_names=["a"],
+            joint_types={"a": kind},
+            says=["'a [mm]'", f"{kind} joint 'a'", "'mm' is not a unit of angle", "'deg'"],
+        )
+    refused(
+        path,
+        joint_names=["b"],
+        joint_types={"b": "prismatic"},
+        says=["'b [deg]'", "prismatic joint 'b'", "'deg' is not a unit of length"],
+    )
+
+
+@pytest.mark.parametrize(
+    ("columns", "says"),
+    [
+        ({"J12": "b"}, ["no column 'J12'", "maps to 'b'", "Close to it: 'J1'", "'a [deg]'"]),
+        ({"a": "b [rad]"}, ["'a [deg]'", "gives it another, 'b [rad]'"]),
+        ({"J1": "b [grad]"}, ["'J1'", "'b [grad]'", "'grad' is not a unit"]),
+        ({"J1": "a [deg]"}, ["two columns are called 'a'", "'J1'", "'a [deg]'"]),
+    ],
+)
+def test_mappings_that_are_refused(table, columns, says):
+    path = table("a [deg],J1,x [mm],y [mm],z [mm]", "1,2,300,400,500")
+    refused(path, columns=columns, says=["data.csv", *says])
+
+
+# Refusals: the cells
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("7,estimate,1,2,3,4", ["has 6 cells, the header has 7", "Fill in"]),
+        ("7,estimate,1,2,3,4,5,6", ["has 8 cells, the header has 7", "decimal comma"]),
+        ("7,test,1,2,3,4,5", ["column 'set'", "'test' is not a set", "'validate'"]),
+        ("7,,1,2,3,4,5", ["column 'set'", "'' is not a set"]),
+        ("7,estimate,1,,3,4,5", ["column 'b [deg]'", "the cell is empty"]),
+        ("7,estimate,1,2,3,nan,5", ["column 'y [mm]'", "'nan' is not a finite number"]),
+        ("7,estimate,1,2,-inf,4,5", ["column 'x [mm]'", "'-inf' is not a finite number"]),
+        ("7,estimate,1e999,2,3,4,5", ["column 'a [deg]'", "'1e999' is not a finite number"]),
+        ("7,estimate,1,2,3,4,5 mm", ["column 'z [mm]'", "'5 mm' is not a number"]),
+        ("7,estimate,1,2,3,4,1_000", ["column 'z [mm]'", "'1_000' is not a number"]),
+        ('7,estimate,1,2,3,4,"5,5"', ["column 'z [mm]'", "decimal comma", "semicolons"]),
+        ("7,estimate,1e308,1e308,3,4,5", ["too large"]),
+    ],
+)
+def test_cells_that_are_refused(table, row, says):
+    path = table(HEADER, "# remark", ROWS[0], row)
+    refused(path, says=["data.csv, line 4 (row 7)", *says])
+
+
+@pytest.mark.parametrize("cell", ["1.0", "one", "", "1_0"])
+def test_row_numbers_that_are_no_integers(table, cell):
+    path = table(HEADER, f"{cell},estimate,1,2,300,4,5")
+    refused(path, says=["line 2", "column 'row'", f"'{cell}' is not a whole number"])
+
+
+def test_row_numbers_given_twice(table):
+    path = table(HEADER, *ROWS, "1,estimate,1,2,300,4,5")
+    refused(path, says=["line 4", "column 'row'", "the row number 1 is also that of line 2"])
+
+
+def test_without_a_row_column_rows_are_counted(table):
+    path = table("", "a [deg],x [mm],y [mm],z [mm]", "1,2,3,4", "", "1,2,3,no")
+    refused(path, says="line 5 (row 2), column 'z [mm]'")
+
+
+def test_a_decimal_comma_between_tabs(table):
+    path = table("a [deg]\tx [mm]\ty [mm]\tz [mm]", "1,5\t200\t300\t400")
+    refused(path, says=["line 2 (row 1), column 'a [deg]'", "'1,5' has a decimal comma"])
+
+
+def test_points_and_commas_in_one_table(table):
+    path = table("a [deg];x [mm];y [mm];z [mm]", "1;200;300;400", "1.5;1,234;300;400")
+    refused(path, says=["decimal point in line 3", "decimal comma in line 3"])
+    path = table("a [deg];x [mm];y [mm];z [mm]", "1;1.234,5;300;400")
+    refused(path, says=["column 'x [mm]'", "'1.234,5' is not a number"])
+
+
+@pytest.mark.parametrize("cell", ["0", "-0.1"])
+def test_sigma_that_is_not_positive(table, cell):
+    path = table("a [deg],sigma [mm],x [mm],y [mm],z [mm]", f"1,{cell},300,4,5")
+    refused(path, says=["line 2 (row 1), column 'sigma [mm]'", f"'{cell}'", "greater than zero"])
+
+
+def test_an_empty_target(table):
+    path = table("a [deg],target,x [mm],y [mm],z [mm]", "1,,300,4,5")
+    refused(path, says=["line 2 (row 1), column 'target'", "empty"])
+
+
+def test_a_table_without_a_row_to_estimate_from(table):
+    path = table(HEADER, ROWS[1])
+    refused(path, says=["column 'set'", "no row is 'estimate'", "all 1"])
+
+
+# Refusals: the wrong unit
+
+
+@pytest.mark.parametrize(
+    ("unit", "point", "says"),
+    [
+        ("m", "-149.02,-207.5,742.6", ["'z [m]'", "742.6 was read as 742.6 m", "'z [mm]'"]),
+        ("mm", "-149020,-207500,742600", ["742600 was read as 742.6 m", "in um", "'z [um]'"]),
+        ("mm", "-0.149,-0.2075,0.7426", ["0.7426 was read as 0.0007426 m", "in m", "'z [m]'"]),
+        ("um", "-149.02,-207.5,742.6", ["742.6 was read as 0.0007426 m", "in mm", "'z [mm]'"]),
+        ("m", "1e9,0,0", ["column 'x [m]'", "Correct the value"]),
+        ("mm", "0,0,0", ["no point is further from the origin than 5 mm", "Correct the value"]),
+    ],
+)
+def test_points_in_the_wrong_unit(table, unit, point, says):
+    path = table(f"a [deg],x [{unit}],y [{unit}],z [{unit}]", f"1,{point}")
+    refused(path, says=["line 2 (row 1), column '", *says])
+
+
+def test_one_point_near_the_origin_is_no_reason(table):
+    m = Measurements.read(table("a [deg],x [mm],y [mm],z [mm]", "1,0,0,0", "1,0,0,50000"))
+    assert m.points[1, 2] == pytest.approx(50)
+
+
+def test_one_point_far_away_is_refused(table):
+    path = table("a [deg],x [mm],y [mm],z [mm]", "1,10,20,300", "1,10,20,300300")
+    refused(path, says=["line 3 (row 2), column 'z [mm]'", "further from the origin than 100 m"])
+
+
+def test_a_prismatic_joint_in_the_wrong_unit(table):
+    path = table("rail [m],x [mm],y [mm],z [mm]", "1500,10,20,300")
+    refused(path, joint_names=["rail"], says=["'rail [m]'", "1500 was read as 1500 m", "[mm]'"])
+
+
+def test_degrees_read_as_radians(table):
+    header = "a [rad],b [rad],x [mm],y [mm],z [mm]"
+    path = table(header, "1,-74.76,10,20,300", "1,6.1,10,20,300", "1,-72,10,20,300")
+    refused(path, says=["column 'b [rad]'", "look like degrees", "'b [deg]'"])
+
+
+def test_a_joint_that_turns_more_than_once(table):
+    header = "a [rad],b [deg],x [mm],y [mm],z [mm]"
+    m = Measurements.read(table(header, "12.5,720,10,20,300", "1,-719,10,20,300", "2,9,1,2,300"))
+    np.testing.assert_allclose(m.joints[:, 0], [12.5, 1, 2])
+    assert m.joints[0, 1] == pytest.approx(4 * np.pi)

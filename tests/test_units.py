@@ -1,0 +1,77 @@
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.errors import CalibError
+from calib.units import UNITS, find_unit, parse_header, split_header, symbols
+
+
+@pytest.mark.parametrize(
+    ("symbol", "quantity", "to_si"),
+    [
+        ("m", "length", 1.0),
+        ("mm", "length", 0.001),
+        ("um", "length", 0.000001),
+        ("cm", "length", 0.01),
+        ("in", "length", 0.0254),
+        ("rad", "angle", 1.0),
+        ("deg", "angle", math.tau / 360.0),
+        ("mrad", "angle", 0.001),
+    ],
+)
+def test_each_unit(symbol, quantity, to_si):
+    unit = find_unit(symbol)
+    assert (unit.symbol, unit.quantity) == (symbol, quantity)
+    assert unit.to_si == pytest.approx(to_si, rel=1e-15)
+
+
+def test_there_are_no_other_units():
+    assert set(UNITS) == {*symbols("length"), *symbols("angle")}
+    assert symbols("length") == ("m", "mm", "um", "cm", "in")
+
+
+@pytest.mark.parametrize("symbol", ["\u00b5m", "\u03bcm", " um "])
+def test_both_signs_for_micro(symbol):
+    assert find_unit(symbol) is UNITS["um"]
+
+
+@pytest.mark.parametrize("symbol", ["", "MM", "degree", "m m", "N"])
+def test_unknown_unit_names_the_allowed_ones(symbol):
+    with pytest.raises(CalibError) as caught:
+        find_unit(symbol)
+    text = str(caught.value)
+    assert f"'{symbol}' is not a unit" in text
+    assert all(f"'{allowed}'" in text for allowed in UNITS)
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "symbol"),
+    [
+        ("x [mm]", "x", "mm"),
+        ("  x[mm]  ", "x", "mm"),
+        ("arm[0] [deg]", "arm[0]", "deg"),
+        ("wrist 1 joint [ rad ]", "wrist 1 joint", "rad"),
+        ("set", "set", None),
+        ("x [mm", "x [mm", None),
+        ("x (mm)", "x (mm)", None),
+        ("force [N]", "force", "N"),
+        ("x []", "x", ""),
+        ("", "", None),
+    ],
+)
+def test_split_header(header, name, symbol):
+    assert split_header(header) == (name, symbol)
+
+
+def test_parse_header():
+    assert parse_header("shoulder_pan_joint [deg]") == ("shoulder_pan_joint", UNITS["deg"])
+    assert parse_header("set") == ("set", None)
+    with pytest.raises(CalibError, match="'N' is not a unit"):
+        parse_header("force [N]")
+
+
+@given(st.text(alphabet="abcJ_0 .:/-", min_size=1).map(str.strip), st.sampled_from(list(UNITS)))
+def test_a_header_that_was_put_together_comes_apart(name, symbol):
+    assert parse_header(f"{name} [{symbol}]") == (name, UNITS[symbol])
