@@ -1,0 +1,231 @@
+"""Estimation: parameters, noise, prior sizes and robust weights, found together.
+
+Registration has put target and frame in place. From there: least squares with wide priors; robust weights whose scale
+is a median, until they settle; then sizes of noise and priors from the data (`calib.identify.variance`) with weights
+that name the outliers, each followed by a new solve from where the last one stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.identify.problem import Problem
+from calib.identify.robust import Limits, cauchy_weights, median_noise, scores
+from calib.identify.solvers import Solution
+from calib.identify.variance import Linearised, Sizes, precision_of, sizes_by_reml
+from calib.measure.cell import Priors
+from calib.model.error_model import ANGLE, LENGTH, ErrorModel
+from calib.model.robot import read_only
+
+Array = NDArray[np.float64]
+
+#: A solver for a problem from a start x, with the problem's system at x where that is known already.
+Solve = Callable[[Problem, Array, "tuple[Array, Array] | None"], Solution]
+
+#: The noise assumed until the data have told theirs [m].
+FIRST_SIGMA = 1e-4
+
+#: Below this the noise is rounding [m].
+_SMALLEST_SIGMA = 1e-11
+
+_ROUNDS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The result of `estimate`.
+
+    Attributes:
+        x: shape (p,), offsets from the registered start [m, rad].
+        problem: The problem in its last form: weights, sigma and prior precision as found.
+        solution: The solver's, all stages one after the other.
+        covariance: shape (p, p), of x.
+        scores: shape (N,), how far each row lies from what the others predict.
+        limits: The scores between which a row loses its weight.
+        freedom: Degrees of freedom left for the noise.
+        noise_factor: Found noise over the one given; 1 unit is the sigma of `Problem` at the start.
+        prior_length: Size of errors in length [m]; None without priors.
+        prior_angle: Size of errors in angle [rad]; None without priors.
+    """
+
+    x: Array
+    problem: Problem
+    solution: Solution
+    covariance: Array
+    scores: Array
+    limits: Limits
+    freedom: float
+    noise_factor: float
+    prior_length: float | None
+    prior_angle: float | None
+
+    @property
+    def outliers(self) -> NDArray[np.bool_]:
+        """Which rows lie beyond the limit, shape (N,)."""
+        return self.scores > self.limits.flagged
+
+
+def estimate(problem: Problem, solve: Solve, *, priors: Priors, robust: bool) -> Estimate:
+    """Estimate the parameters of a problem that has been registered.
+
+    Args:
+        problem: With weights of 1 and the sigma that is known or assumed.
+        solve: The solver.
+        priors: Whether and how large; ``"data"`` finds the sizes.
+        robust: Whether rows may lose their weight; outliers are named either way.
+    """
+    stage = _Stage.first(problem, priors)
+    solution = solve(stage.problem(problem), np.zeros(problem.size), None)
+    if robust:
+        for _ in range(_ROUNDS):
+            before, linear = stage, _Linear.at(problem, solution.x)
+            stage = stage.by_median(problem, linear)
+            solution = linear.resolve(solve, stage.problem(problem), solution)
+            if np.max(np.abs(stage.weights - before.weights)) < 0.02:
+                break
+    for _ in range(_ROUNDS):
+        before, linear = stage, _Linear.at(problem, solution.x)
+        stage = stage.by_likelihood(problem, linear, robust=robust)
+        solution = linear.resolve(solve, stage.problem(problem), solution)
+        if stage.is_like(before):
+            break
+    return _finish(problem, stage, solution)
+
+
+@dataclass(frozen=True, slots=True)
+class _Stage:
+    """Weights, noise and prior sizes at one time of the estimation."""
+
+    priors: Priors
+    families: tuple[NDArray[np.bool_], ...]
+    weights: Array
+    noise: float
+    sizes: tuple[float, ...]
+
+    @classmethod
+    def first(cls, problem: Problem, priors: Priors) -> _Stage:
+        """All rows in full, the noise as given, the priors as wide as they were given."""
+        families, sizes = _families(problem.kinematics.model, priors)
+        return cls(priors, families, np.ones(len(problem.points)), 1.0, sizes)
+
+    def problem(self, problem: Problem) -> Problem:
+        """The problem in this form."""
+        precision = precision_of(self.families, self.sizes, problem.size)
+        return problem.reweighted(self.weights, self.noise * problem.sigma, precision)
+
+    def by_median(self, problem: Problem, linear: _Linear) -> _Stage:
+        """Robust weights against a scale that outliers cannot move, on the linearised problem."""
+        precision = precision_of(self.families, self.sizes, problem.size)
+        weights, noise = self.weights, self.noise
+        for _ in range(4):
+            residual, covariance = linear.solve(weights, noise, precision)
+            unscaled = scores(residual, linear.A, covariance / noise**2, weights)
+            noise = max(median_noise(unscaled), linear.smallest)
+            weights = cauchy_weights(unscaled / noise)
+        return _Stage(self.priors, self.families, weights, noise, self.sizes)
+
+    def by_likelihood(self, problem: Problem, linear: _Linear, *, robust: bool) -> _Stage:
+        """Noise and prior sizes by restricted likelihood, and the weights that go with them."""
+        weights, noise, sizes = self.weights, self.noise, self.sizes
+        for _ in range(2):
+            if robust:
+                weights = linear.weights(weights, noise, precision_of(self.families, sizes, problem.size))
+            data = Linearised.of(linear.A, linear.y, weights)
+            given = self.priors.sizes == "given"
+            found = sizes_by_reml(
+                data,
+                () if given else self.families,
+                Sizes(noise, () if given else sizes),
+                smallest_noise=linear.smallest,
+                known=precision_of(self.families, sizes, problem.size) if given else None,
+            )
+            noise, sizes = found.noise, sizes if given else found.families
+        return _Stage(self.priors, self.families, weights, noise, sizes)
+
+    def is_like(self, other: _Stage) -> bool:
+        """Whether two stages differ by too little to matter."""
+        return bool(
+            np.max(np.abs(self.weights - other.weights)) < 0.02
+            and np.allclose([self.noise, *self.sizes], [other.noise, *other.sizes], rtol=0.01)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Linear:
+    """The problem linearised: y = A x + noise, in units of the rows' sigma; and what that was made of."""
+
+    residual: Array
+    jacobian: Array
+    A: Array
+    y: Array
+    smallest: float
+
+    @classmethod
+    def at(cls, problem: Problem, x: Array) -> _Linear:
+        """At the parameters x."""
+        residual, jacobian = problem.residual_and_jacobian(x)
+        A = jacobian / problem.sigma[:, None, None]
+        y = residual / problem.sigma[:, None] + A @ x
+        return cls(residual, jacobian, A, y, _SMALLEST_SIGMA / float(np.median(problem.sigma)))
+
+    def resolve(self, solve: Solve, problem: Problem, earlier: Solution) -> Solution:
+        """Solve the problem in its new form from where the earlier solution stopped, here."""
+        start = problem.whitened(earlier.x, self.residual, self.jacobian)
+        return solve(problem, earlier.x, start).after(earlier)
+
+    def solve(self, weights: Array, noise: float, precision: Array) -> tuple[Array, Array]:
+        """Residual of the linear fit, shape (N, 3), in units of the rows' sigma, and covariance of x."""
+        x, covariance = Linearised.of(self.A, self.y, weights).posterior(noise, precision)
+        return self.y - self.A @ x, covariance
+
+    def weights(self, weights: Array, noise: float, precision: Array) -> Array:
+        """The weights that the scores of the linear fit ask for."""
+        residual, covariance = self.solve(weights, noise, precision)
+        freedom = _freedom(self.A, weights, covariance, noise)
+        row_scores = scores(residual / noise, self.A / noise, covariance, weights)
+        return Limits.of(len(weights), freedom).weights(row_scores)
+
+
+def _families(model: ErrorModel, priors: Priors) -> tuple[tuple[NDArray[np.bool_], ...], tuple[float, ...]]:
+    """The families that the model has, and the sizes to begin with; none without priors."""
+    if priors.sizes == "off":
+        return (), ()
+    pairs = [(model.family(LENGTH), priors.length), (model.family(ANGLE), priors.angle)]
+    present = [(members, size) for members, size in pairs if np.any(members)]
+    return tuple(m for m, _ in present), tuple(s for _, s in present)
+
+
+def _freedom(A: Array, weights: Array, covariance: Array, noise: float) -> float:
+    """Scalar measurements, by weight, minus the parameters that they had to pay for."""
+    flat = (A * np.sqrt(weights)[:, None, None]).reshape(-1, A.shape[2])
+    used = float(np.sum((flat.T @ flat) * covariance)) / noise**2
+    return float(3.0 * np.sum(weights)) - used
+
+
+def _finish(problem: Problem, stage: _Stage, solution: Solution) -> Estimate:
+    """The estimate at the last stage, with covariance and scores at the solution itself."""
+    final = stage.problem(problem)
+    linear = _Linear.at(problem, solution.x)
+    _, covariance = Linearised.of(linear.A, linear.y, stage.weights).posterior(stage.noise, final.precision)
+    residual = linear.y - linear.A @ solution.x
+    freedom = _freedom(linear.A, stage.weights, covariance, stage.noise)
+    row_scores = scores(residual / stage.noise, linear.A / stage.noise, covariance, stage.weights)
+    model = problem.kinematics.model
+    names = [f for f in (LENGTH, ANGLE) if np.any(model.family(f))] if stage.sizes else []
+    size = dict(zip(names, stage.sizes, strict=True))
+    return Estimate(
+        x=read_only(solution.x),
+        problem=final,
+        solution=solution,
+        covariance=read_only(covariance),
+        scores=read_only(row_scores),
+        limits=Limits.of(len(problem.points), freedom),
+        freedom=freedom,
+        noise_factor=stage.noise,
+        prior_length=size.get(LENGTH),
+        prior_angle=size.get(ANGLE),
+    )

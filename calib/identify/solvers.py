@@ -1,0 +1,277 @@
+"""Least-squares solvers. They see callables and start values, never a robot.
+
+Three of them: the paper's Levenberg-Marquardt as its section 3.3 states it; the default, Levenberg-Marquardt
+with Marquardt's scaling and a damped step solved by QR; and SciPy's ``least_squares``. Each minimises
+E(x) = 1/2 r(x)^T r(x) and keeps a history of its iterations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtrs
+
+from calib.errors import SolverError
+
+Array = NDArray[np.float64]
+
+#: x, shape (p,) -> residual r, shape (m,), and its Jacobian dr/dx, shape (m, p).
+System = Callable[[Array], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, slots=True)
+class Iteration:
+    """One trial step.
+
+    Attributes:
+        cost: E before the step.
+        mu: The damping that the step was computed with.
+        gain: Actual over predicted decrease of E; None where the solver does not tell.
+        step: Length of the step, in the solver's units.
+        accepted: Whether x moved.
+    """
+
+    cost: float
+    mu: float
+    gain: float | None
+    step: float
+    accepted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """Where a solver stopped.
+
+    Attributes:
+        x: shape (p,).
+        cost: E(x).
+        status: ``"converged"`` or ``"stopped"`` (at the limit of iterations).
+        message: Why, in a sentence.
+        evaluations: Number of calls of the system.
+        history: One entry a trial step.
+    """
+
+    x: Array
+    cost: float
+    status: str
+    message: str
+    evaluations: int
+    history: tuple[Iteration, ...]
+
+    @property
+    def iterations(self) -> int:
+        """Number of trial steps."""
+        return len(self.history)
+
+    def after(self, earlier: Solution) -> Solution:
+        """This solution with the iterations of the stage before it put in front."""
+        return replace(
+            self,
+            evaluations=earlier.evaluations + self.evaluations,
+            history=earlier.history + self.history,
+        )
+
+
+def levenberg_marquardt(
+    system: System,
+    x0: Array,
+    *,
+    step_size: Array,
+    start: tuple[Array, Array] | None = None,
+    tolerance: float = 1e-9,
+    step_tolerance: float = 1e-9,
+    iterations: int = 100,
+) -> Solution:
+    """Levenberg-Marquardt with a damped step solved by QR.
+
+    The step minimises |r + J dx|^2 + mu |D dx|^2, solved as the stacked least squares [J; sqrt(mu) D] dx = [-r; 0],
+    never by normal equations; D are the largest column norms seen (J. Moré, 1978). mu follows the gain ratio as in
+    H. B. Nielsen, 1999: a step that raises E is not taken.
+
+    Args:
+        system: Residual and Jacobian.
+        x0: shape (p,), start.
+        step_size: shape (p,), a step of each parameter that is worth talking about, in its unit.
+        start: The system at x0, where it is known already.
+        tolerance: Stop when a step promises to lower E by less than this share.
+        step_tolerance: Stop when a step is shorter than this in units of ``step_size``.
+        iterations: Limit of trial steps.
+
+    Raises:
+        SolverError: The residual at the start is not finite.
+    """
+    x = np.array(x0, dtype=np.float64)
+    r, J = _checked_start(system, x, start)
+    cost, evaluations = 0.5 * float(r @ r), int(start is None)
+    scale = _column_norms(J)
+    R, rhs = _triangle(J, r)
+    mu, raise_by = 1e-6, 2.0
+    history: list[Iteration] = []
+    while len(history) < iterations:
+        # A square of R's size carries all that J and r say, so that each mu costs p^3 and not m p^2.
+        dx = _damped_step(R, rhs, np.sqrt(mu) * scale)
+        predicted = 0.5 * (float(rhs @ rhs) - float(np.sum((rhs - R @ dx) ** 2)))
+        length = float(np.linalg.norm(dx / step_size))
+        if predicted <= tolerance * cost or length <= step_tolerance:
+            message = "The steps no longer change the cost or the parameters."
+            return Solution(x, cost, "converged", message, evaluations, tuple(history))
+        trial = x + dx
+        r_trial, J_trial = system(trial)
+        evaluations += 1
+        cost_trial = 0.5 * float(r_trial @ r_trial)
+        gain = (cost - cost_trial) / predicted if np.isfinite(cost_trial) else -np.inf
+        history.append(Iteration(cost, mu, gain, length, gain > 0))
+        if gain > 0:
+            x, r, J, cost = trial, r_trial, J_trial, cost_trial
+            scale = np.maximum(scale, _column_norms(J))
+            R, rhs = _triangle(J, r)
+            mu *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3) if gain < 0.9 else 0.1
+            mu, raise_by = max(mu, 1e-15), 2.0
+        else:
+            mu, raise_by = mu * raise_by, raise_by * 2.0
+            if mu > 1e12:
+                message = "No step, however short, lowers the cost any further."
+                return Solution(x, cost, "converged", message, evaluations, tuple(history))
+    message = f"The limit of {iterations} iterations was reached before the steps became negligible."
+    return Solution(x, cost, "stopped", message, evaluations, tuple(history))
+
+
+def paper_levenberg_marquardt(
+    system: System,
+    x0: Array,
+    *,
+    mu: float = 0.01,
+    nu: float = 2.5,
+    epsilon: float = 1e-6,
+    iterations: int = 500,
+) -> Solution:
+    """The paper's Levenberg-Marquardt, section 3.3, steps 1 to 9.
+
+    dX = -(J^T J + mu I)^-1 J^T e;  stop when |dX| <= epsilon (|X| + epsilon);
+    gain = 2 (E_(k+1) - E_k) / (dX^T (J^T e - mu dX));  mu / nu where gain > 0, mu nu otherwise.
+
+    Two readings of the printed text are needed for it to work: step 6 goes to the end when the test holds (the two
+    branches are printed the other way round), and a step with gain <= 0 is not taken (taking it makes E grow to
+    1e17). The damped step is solved as stacked least squares, which is the same step in exact arithmetic, because
+    J^T J is singular here.
+
+    Args:
+        system: e(X), shape (m,), and de/dX, shape (m, p), at the *absolute* parameters X in the paper's mm and rad.
+        x0: shape (p,), nominal X.
+        mu: First damping, 0.01 in the paper.
+        nu: Factor of the damping, 2 to 3 in the paper.
+        epsilon: Precision, 1e-6 in the paper.
+        iterations: Limit of trial steps; the paper has none.
+
+    Raises:
+        SolverError: ``nu`` outside 2 to 3, or the error at the start is not finite.
+    """
+    if not 2.0 <= nu <= 3.0:
+        message = f"nu = {nu} was given; the paper's algorithm takes a factor from 2 to 3."
+        raise SolverError(message)
+    x = np.array(x0, dtype=np.float64)
+    e, J = _checked_start(system, x)
+    cost, evaluations = 0.5 * float(e @ e), 1
+    history: list[Iteration] = []
+    while len(history) < iterations:
+        R, rhs = _triangle(J, e)
+        dx = _damped_step(R, rhs, np.full(len(x), np.sqrt(mu)))
+        length = float(np.linalg.norm(dx))
+        if length <= epsilon * (float(np.linalg.norm(x)) + epsilon):
+            message = "The step is shorter than epsilon (|X| + epsilon)."
+            return Solution(x + dx, cost, "converged", message, evaluations, tuple(history))
+        e_trial, J_trial = system(x + dx)
+        evaluations += 1
+        cost_trial = 0.5 * float(e_trial @ e_trial)
+        gain = 2.0 * (cost_trial - cost) / float(dx @ (J.T @ e - mu * dx))
+        history.append(Iteration(cost, mu, gain, length, gain > 0))
+        if gain > 0:
+            x, e, J, cost = x + dx, e_trial, J_trial, cost_trial
+            mu /= nu
+        else:
+            mu *= nu
+    message = f"The limit of {iterations} iterations was reached before the steps became short."
+    return Solution(x, cost, "stopped", message, evaluations, tuple(history))
+
+
+def scipy_least_squares(
+    system: System, x0: Array, *, step_size: Array, iterations: int = 100
+) -> Solution:
+    """SciPy's ``least_squares`` (trust-region reflective, exact SVD steps).
+
+    Args:
+        system: Residual and Jacobian.
+        x0: shape (p,), start.
+        step_size: shape (p,), the scale of each parameter (``x_scale``).
+        iterations: Limit of evaluations.
+
+    Raises:
+        SolverError: The residual at the start is not finite.
+    """
+    from scipy.optimize import least_squares
+
+    _checked_start(system, x0)
+    result = least_squares(
+        lambda x: system(x)[0],
+        x0,
+        jac=lambda x: system(x)[1],
+        x_scale=step_size,
+        ftol=1e-14,
+        xtol=1e-12,
+        gtol=1e-12,
+        max_nfev=iterations,
+    )
+    status = "converged" if result.status > 0 else "stopped"
+    history = (Iteration(float(result.cost), 0.0, None, 0.0, accepted=True),)
+    return Solution(result.x, float(result.cost), status, result.message, int(result.nfev), history)
+
+
+def _checked_start(
+    system: System, x: Array, start: tuple[Array, Array] | None = None
+) -> tuple[Array, Array]:
+    """The system at the start, refused where it is not finite."""
+    r, J = system(x) if start is None else start
+    if not (np.all(np.isfinite(r)) and np.all(np.isfinite(J))):
+        message = (
+            "The residual is not finite at the start. Check the URDF's numbers and the measurements for values that "
+            "are far out."
+        )
+        raise SolverError(message)
+    return r, J
+
+
+def _column_norms(J: Array) -> Array:
+    """The norm of each column; 1 where a column is zero, so that it can be divided by."""
+    norms: Array = np.sqrt(np.einsum("ij,ij->j", J, J))
+    return np.where(norms > 0.0, norms, 1.0)
+
+
+def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
+    """The square triangle of [J, -r]: |J dx + r|^2 = |R dx - rhs|^2 + constant.
+
+    Returns:
+        R, shape (p, p), and rhs, shape (p,).
+    """
+    p = J.shape[1]
+    R = np.linalg.qr(np.column_stack([J, -r]), mode="r")
+    if len(R) < p:
+        R = np.vstack([R, np.zeros((p - len(R), p + 1))])
+    return R[:p, :p], R[:p, p]
+
+
+def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
+    """The dx that minimises |R dx - rhs|^2 + |diag(damping) dx|^2, by QR, shape (p,)."""
+    p = len(rhs)
+    stacked = np.zeros((2 * p, p + 1))
+    stacked[:p, :p], stacked[:p, p] = R, rhs
+    stacked[p + np.arange(p), np.arange(p)] = damping
+    triangle = np.linalg.qr(stacked, mode="r")
+    dx, info = dtrtrs(triangle[:p, :p], triangle[:p, p])
+    if info != 0:
+        message = "The damped step has no unique solution: a parameter has no effect and no damping."
+        raise SolverError(message)
+    result: Array = dx
+    return result

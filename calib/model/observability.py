@@ -1,0 +1,185 @@
+"""What the measured poses can tell apart: rank, named combinations, condition, observability indices.
+
+Everything here takes a Jacobian and gives values; it depends on no random draw. The columns are first
+scaled by declared steps (by default 1 mm and 1 mrad), so that metres and radians can be compared, and so
+that the result does not change with the units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import ModelError
+from calib.model.robot import read_only
+
+#: The steps that make lengths and angles comparable [m, rad]: what arms are typically wrong by.
+STEPS = {"m": 1e-3, "rad": 1e-3}
+
+#: A direction whose effect on the measurements is smaller than this share of the strongest one's cannot be
+#: identified: 1 mm of it moves the measured points by less than the repeatability of any arm.
+_NEGLIGIBLE = 1e-3
+
+#: Shares of a combination below this are left out of its text.
+_NAMED_SHARE = 0.02
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """Parameters that can change together without changing what was measured.
+
+    Attributes:
+        names: The parameters, the strongest first.
+        steps: How much each changes, in its own unit, scaled so that the first changes by its declared step.
+        units: "m" or "rad" of each.
+    """
+
+    names: tuple[str, ...]
+    steps: tuple[float, ...]
+    units: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """In words, such as ``d2 and d4 together (+1 mm, -1 mm)``."""
+        amounts = ", ".join(f"{1e3 * s:+.3g} {'mm' if u == 'm' else 'mrad'}" for s, u in zip(self.steps, self.units, strict=True))
+        if len(self.names) == 1:
+            return f"{self.names[0]} at all"
+        return f"{', '.join(self.names[:-1])} and {self.names[-1]} together ({amounts})"
+
+
+@dataclass(frozen=True, slots=True)
+class Observability:
+    """The result of `analyse`.
+
+    Attributes:
+        columns: Number of parameters.
+        rank: Number of combinations that the measurements determine.
+        condition: Largest over smallest singular value of the determined part.
+        singular_values: shape (columns,), of the scaled Jacobian, descending, [m per declared step].
+        indices: O1 to O5 of the determined part.
+        unidentifiable: One combination for each missing rank.
+        identifiable: shape (columns,), whether a parameter takes part in none of them.
+    """
+
+    columns: int
+    rank: int
+    condition: float
+    singular_values: Array
+    indices: dict[str, float]
+    unidentifiable: tuple[Combination, ...]
+    identifiable: NDArray[np.bool_]
+
+
+def steps(units: Sequence[str]) -> Array:
+    """The declared step of each parameter, shape (p,), by its unit."""
+    return np.array([STEPS[unit] for unit in units])
+
+
+def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Observability:
+    """Rank, combinations and indices of a Jacobian.
+
+    With singular values s_1 >= ... >= s_r of the scaled Jacobian of N rows (J. Hollerbach, A. Nahvi, 1996;
+    Y. Sun, J. Hollerbach, 2008): O1 = (s_1 ... s_r)^(1/r) / sqrt(N), O2 = s_r / s_1, O3 = s_r, O4 = s_r^2 / s_1,
+    O5 = 1 / (1/s_1 + ... + 1/s_r).
+
+    Args:
+        jacobian: shape (rows, p), [m per unit of the parameter].
+        names: p names.
+        units: p units, "m" or "rad".
+
+    Raises:
+        ModelError: The numbers of columns, names and units differ.
+    """
+    if jacobian.ndim != 2 or not jacobian.shape[1] == len(names) == len(units):
+        message = f"A Jacobian of shape {jacobian.shape} does not go with {len(names)} names and {len(units)} units."
+        raise ModelError(message)
+    step = steps(units)
+    p = len(names)
+    if p == 0:
+        return Observability(0, 0, 1.0, read_only([]), {}, (), np.zeros(0, dtype=bool))
+    _, values, V = np.linalg.svd(jacobian * step, full_matrices=True)
+    values = np.concatenate([values, np.zeros(p - len(values))])
+    rank = rank_by_gap(values)
+    null = V[rank:]
+    identifiable = np.linalg.norm(null, axis=0) < _NAMED_SHARE
+    identifiable.setflags(write=False)
+    return Observability(
+        columns=p,
+        rank=rank,
+        condition=float(values[0] / values[rank - 1]) if rank else np.inf,
+        singular_values=read_only(values),
+        indices=_indices(values[:rank], len(jacobian)),
+        unidentifiable=tuple(_combination(row, names, units, step) for row in _echelon(null)),
+        identifiable=identifiable,
+    )
+
+
+def rank_by_gap(values: Array) -> int:
+    """The number of singular values before the widest gap below which all are negligible.
+
+    A gap is the ratio of a value to the one after it; only gaps that end below `_NEGLIGIBLE` of the largest value
+    count, so that a well-conditioned Jacobian has full rank.
+
+    Args:
+        values: shape (p,), descending.
+    """
+    if len(values) == 0 or values[0] == 0.0:
+        return 0
+    relative = np.maximum(values / values[0], 1e-17)
+    ends = np.flatnonzero(relative[1:] < _NEGLIGIBLE)
+    if len(ends) == 0:
+        return len(values)
+    gaps = relative[ends] / relative[ends + 1]
+    return int(ends[np.argmax(gaps)]) + 1
+
+
+def _indices(values: Array, rows: int) -> dict[str, float]:
+    """O1 to O5 of the non-zero singular values."""
+    if len(values) == 0:
+        return {}
+    largest, smallest = float(values[0]), float(values[-1])
+    return {
+        "O1": float(np.exp(np.mean(np.log(values))) / np.sqrt(rows)),
+        "O2": smallest / largest,
+        "O3": smallest,
+        "O4": smallest**2 / largest,
+        "O5": float(1.0 / np.sum(1.0 / values)),
+    }
+
+
+def _echelon(null: Array) -> Array:
+    """A sparse basis of the null space: its reduced row echelon form, each row led by a 1.
+
+    The earliest parameters lead, so that a combination of a robot's parameter with the target is named after the
+    robot's.
+    """
+    rows = null.copy()
+    r, p = rows.shape
+    done = 0
+    for column in range(p):
+        if done == r:
+            break
+        pivot = done + int(np.argmax(np.abs(rows[done:, column])))
+        # A column with little left in it would make a badly conditioned leader: take a later one.
+        if abs(rows[pivot, column]) < 0.05:
+            continue
+        rows[[done, pivot]] = rows[[pivot, done]]
+        rows[done] /= rows[done, column]
+        others = np.arange(r) != done
+        rows[others] -= np.outer(rows[others, column], rows[done])
+        done += 1
+    return rows
+
+
+def _combination(row: Array, names: Sequence[str], units: Sequence[str], step: Array) -> Combination:
+    """One row of the echelon form in words."""
+    chosen = np.flatnonzero(np.abs(row) > _NAMED_SHARE * np.abs(row).max())
+    return Combination(
+        names=tuple(names[k] for k in chosen),
+        steps=tuple(float(row[k] * step[k]) for k in chosen),
+        units=tuple(units[k] for k in chosen),
+    )
