@@ -96,6 +96,21 @@ def estimate(problem: Problem, solve: Solve, *, priors: Priors, robust: bool) ->
     return _finish(problem, stage, solution)
 
 
+def plain_estimate(problem: Problem, solution: Solution) -> Estimate:
+    """The estimate of a solver that knows no priors and no weights: noise from what is left over.
+
+    Args:
+        problem: With weights of 1 and no prior.
+        solution: Where that solver stopped, x in [m, rad].
+    """
+    linear = _Linear.at(problem, solution.x)
+    data = Linearised.of(linear.A, linear.residual / problem.sigma[:, None], problem.weights)
+    freedom = max(data.count - np.linalg.matrix_rank(data.H, hermitian=True), 1.0)
+    noise = max(float(np.sqrt(data.yy / freedom)), linear.smallest)
+    stage = _Stage(Priors("off"), (), problem.weights, noise, ())
+    return _finish(problem, stage, solution)
+
+
 @dataclass(frozen=True, slots=True)
 class _Stage:
     """Weights, noise and prior sizes at one time of the estimation."""
@@ -133,7 +148,9 @@ class _Stage:
         weights, noise, sizes = self.weights, self.noise, self.sizes
         for _ in range(2):
             if robust:
-                weights = linear.weights(weights, noise, precision_of(self.families, sizes, problem.size))
+                weights = linear.weights(
+                    weights, noise, precision_of(self.families, sizes, problem.size)
+                )
             data = Linearised.of(linear.A, linear.y, weights)
             given = self.priors.sizes == "given"
             found = sizes_by_reml(
@@ -190,7 +207,9 @@ class _Linear:
         return Limits.of(len(weights), freedom).weights(row_scores)
 
 
-def _families(model: ErrorModel, priors: Priors) -> tuple[tuple[NDArray[np.bool_], ...], tuple[float, ...]]:
+def _families(
+    model: ErrorModel, priors: Priors
+) -> tuple[tuple[NDArray[np.bool_], ...], tuple[float, ...]]:
     """The families that the model has, and the sizes to begin with; none without priors."""
     if priors.sizes == "off":
         return (), ()
@@ -210,7 +229,9 @@ def _finish(problem: Problem, stage: _Stage, solution: Solution) -> Estimate:
     """The estimate at the last stage, with covariance and scores at the solution itself."""
     final = stage.problem(problem)
     linear = _Linear.at(problem, solution.x)
-    _, covariance = Linearised.of(linear.A, linear.y, stage.weights).posterior(stage.noise, final.precision)
+    _, covariance = Linearised.of(linear.A, linear.y, stage.weights).posterior(
+        stage.noise, final.precision
+    )
     residual = linear.y - linear.A @ solution.x
     freedom = _freedom(linear.A, stage.weights, covariance, stage.noise)
     row_scores = scores(residual / stage.noise, linear.A / stage.noise, covariance, stage.weights)

@@ -91,7 +91,9 @@ def _both(robot: Robot, cell: Cell, joints: Array, poses: Array, points: Array) 
     """Frame and target together: Levenberg-Marquardt from several targets, each with its best frame."""
     model = error_model(robot, "frames", frame=True, target=True)
     size = steps([p.unit for p in model.parameters])
-    corners = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+    corners = np.array(
+        [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+    )
     starts = list(_REACH * corners)
     if cell.target is not None:
         starts.insert(0, cell.target)

@@ -135,7 +135,9 @@ def levenberg_marquardt(
             if mu > 1e12:
                 message = "No step, however short, lowers the cost any further."
                 return Solution(x, cost, "converged", message, evaluations, tuple(history))
-    message = f"The limit of {iterations} iterations was reached before the steps became negligible."
+    message = (
+        f"The limit of {iterations} iterations was reached before the steps became negligible."
+    )
     return Solution(x, cost, "stopped", message, evaluations, tuple(history))
 
 
@@ -256,7 +258,7 @@ def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
         R, shape (p, p), and rhs, shape (p,).
     """
     p = J.shape[1]
-    R = np.linalg.qr(np.column_stack([J, -r]), mode="r")
+    R: Array = np.asarray(np.linalg.qr(np.column_stack([J, -r]), mode="r"))
     if len(R) < p:
         R = np.vstack([R, np.zeros((p - len(R), p + 1))])
     return R[:p, :p], R[:p, p]
@@ -268,10 +270,12 @@ def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
     stacked = np.zeros((2 * p, p + 1))
     stacked[:p, :p], stacked[:p, p] = R, rhs
     stacked[p + np.arange(p), np.arange(p)] = damping
-    triangle = np.linalg.qr(stacked, mode="r")
+    triangle: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
     dx, info = dtrtrs(triangle[:p, :p], triangle[:p, p])
     if info != 0:
-        message = "The damped step has no unique solution: a parameter has no effect and no damping."
+        message = (
+            "The damped step has no unique solution: a parameter has no effect and no damping."
+        )
         raise SolverError(message)
     result: Array = dx
     return result

@@ -84,15 +84,7 @@ class Linearised:
         """
         scale = 1.0 / np.sqrt(np.diag(self.H) / noise**2 + precision + 1e-300)
         M = (self.H / noise**2 + np.diag(precision)) * np.outer(scale, scale)
-        try:
-            root = np.linalg.cholesky(M)
-            if np.min(np.diag(root)) < 1e-6:
-                raise np.linalg.LinAlgError
-            inverse = np.linalg.inv(root)
-            C = inverse.T @ inverse
-        except np.linalg.LinAlgError:
-            C = np.linalg.pinv(M, rcond=1e-13, hermitian=True)
-        C = C * np.outer(scale, scale)
+        C = _inverse(M) * np.outer(scale, scale)
         return C @ (self.g / noise**2), C
 
     def residual_square(self, x: Array) -> float:
@@ -143,12 +135,26 @@ def sizes_by_reml(
     return Sizes(float(values[0]), tuple(float(v) for v in values[1:]))
 
 
-def precision_of(families: tuple[NDArray[np.bool_], ...], sizes: tuple[float, ...], p: int) -> Array:
+def precision_of(
+    families: tuple[NDArray[np.bool_], ...], sizes: tuple[float, ...], p: int
+) -> Array:
     """1 / tau^2 of each parameter, shape (p,); 0 for those of no family."""
     precision = np.zeros(p)
     for members, size in zip(families, sizes, strict=True):
         precision[members] = 1.0 / size**2
     return precision
+
+
+def _inverse(M: Array) -> Array:
+    """The inverse of a positive semidefinite matrix of unit diagonal; its pseudo-inverse where it is singular."""
+    try:
+        root = np.asarray(np.linalg.cholesky(M))
+    except np.linalg.LinAlgError:
+        root = np.zeros_like(M)
+    if np.min(np.diag(root), initial=1.0) > 1e-6:
+        inverse = np.asarray(np.linalg.inv(root))
+        return inverse.T @ inverse
+    return np.asarray(np.linalg.pinv(M, rcond=1e-13, hermitian=True))
 
 
 def _score(
@@ -169,7 +175,9 @@ def _score(
     variance, both = np.diag(C), np.einsum("ij,ji->i", C, HC)
     for i, own in enumerate(indices):
         score[i + 1] = float(np.sum(m[own] ** 2 + variance[own])) / sizes[i] ** 2 - len(own)
-        information[0, i + 1] = information[i + 1, 0] = 2.0 * float(np.sum(both[own])) / sizes[i] ** 2
+        information[0, i + 1] = information[i + 1, 0] = (
+            2.0 * float(np.sum(both[own])) / sizes[i] ** 2
+        )
         for j, others in enumerate(indices):
             block = -C[own[:, None], others] / (sizes[i] * sizes[j])
             if i == j:

@@ -52,7 +52,7 @@ class Priors:
             raise CalibError(message)
         for name, value, unit in (("length", self.length, "m"), ("angle", self.angle, "rad")):
             if not (np.isfinite(value) and value > 0.0):
-                message = f"The prior's {name} is {value} {unit}; it must be a positive number. Use sizes 'off' for none."
+                message = f"The prior's {name} is {value} {unit}; it must be positive. Use sizes 'off' for none."
                 raise CalibError(message)
 
 
@@ -90,7 +90,10 @@ class Cell:
         if self.target is not None:
             object.__setattr__(self, "target", _vector(self.target, "target"))
         elif not self.estimate_target:
-            message = 'The target is said to be known but is not given. Give it (--target "x y z mm") or let it be estimated.'
+            message = (
+                'The target is said to be known but is not given. Give it (--target "x y z mm") or let it be '
+                "estimated."
+            )
             raise CalibError(message)
         if self.T_frame_base is not None:
             object.__setattr__(self, "T_frame_base", _pose(self.T_frame_base))
@@ -139,7 +142,10 @@ def _pose(value: ArrayLike) -> NDArray[np.float64]:
         or np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-6
         or np.linalg.det(T[:3, :3]) < 0
     ):
-        message = f"T_frame_base must be a 4 x 4 pose with a right-handed rotation; given was {np.asarray(value).tolist()}."
+        message = (
+            "T_frame_base must be a 4 x 4 pose with a right-handed rotation; given was "
+            f"{np.asarray(value).tolist()}."
+        )
         raise CalibError(message)
     return read_only(T)
 

@@ -15,6 +15,7 @@ frame where it can be, x_i points as near as possible to x_(i-1) at q = 0, frame
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -134,9 +135,7 @@ def _first_frame(axis: Vector, point: Vector) -> Vector:
     return _frame(origin, axis, _perpendicular(axis, np.array([1.0, 0.0, 0.0])))
 
 
-def _row(
-    frame: Vector, axis: Vector, point: Vector, joint: str, kind: str
-) -> tuple[DHRow, Vector]:
+def _row(frame: Vector, axis: Vector, point: Vector, joint: str, kind: str) -> tuple[DHRow, Vector]:
     """The row from one frame to the axis of the next joint, and the frame there."""
     z, x = frame[:3, 2], frame[:3, 0]
     if _nearly_parallel(z, axis):
@@ -145,18 +144,17 @@ def _row(
         return _hayati_row(frame, axis, origin, x, joint, kind)
     normal = np.cross(z, axis)
     normal /= np.linalg.norm(normal)
-    along = normal @ x
-    if along < -_TOLERANCE:
+    along, between = normal @ x, point - frame[:3, 3]
+    if along < -_TOLERANCE or (along < _TOLERANCE and between @ normal < 0):
         normal = -normal
-    elif along < _TOLERANCE and (point - frame[:3, 3]) @ normal < 0:
-        normal = -normal
-    between = point - frame[:3, 3]
     # Feet of the common normal: frame.origin + d z + a normal = point + s axis.
     d, a, s = np.linalg.solve(np.stack([z, normal, -axis], axis=1), between)
     following = _frame(point + s * axis, axis, normal)
     alpha = np.arctan2(np.cross(z, axis) @ normal, z @ axis)
     theta = np.arctan2(np.cross(x, normal) @ z, x @ normal)
-    row = DHRow(joint, _tidy(a), _tidy(alpha), _tidy(d), _tidy(theta), 0.0, kind == "prismatic", False)
+    row = DHRow(
+        joint, _tidy(a), _tidy(alpha), _tidy(d), _tidy(theta), 0.0, kind == "prismatic", False
+    )
     return row, following
 
 
@@ -165,7 +163,7 @@ def _last_row(frame: Vector, T_base_tip: Vector, joint: str, kind: str) -> tuple
     z, axis = frame[:3, 2], T_base_tip[:3, 2]
     if not _nearly_parallel(z, axis):
         return _row(frame, axis, T_base_tip[:3, 3], joint, kind)
-    along = (T_base_tip[:3, 3] - frame[:3, 3]) @ z
+    along = float((T_base_tip[:3, 3] - frame[:3, 3]) @ z)
     lifted = _frame(frame[:3, 3] + along * z, z, frame[:3, 0])
     row, following = _hayati_row(
         lifted, axis, T_base_tip[:3, 3], T_base_tip[:3, 0], joint, kind, d=along
@@ -196,9 +194,20 @@ def _hayati_row(
     beta = float(np.arcsin(np.clip(axis @ normal, -1.0, 1.0)))
     alpha = float(np.arctan2(-(axis @ y), axis @ z))
     theta = np.arctan2(np.cross(x, normal) @ z, x @ normal)
-    row = DHRow(joint, _tidy(a), _tidy(alpha), _tidy(d), _tidy(theta), _tidy(beta), kind == "prismatic", True)
+    row = DHRow(
+        joint,
+        _tidy(a),
+        _tidy(alpha),
+        _tidy(d),
+        _tidy(theta),
+        _tidy(beta),
+        kind == "prismatic",
+        True,
+    )
     tilted = np.eye(4)
-    tilted[:3, :3] = np.stack([normal, y, z], axis=1) @ (_screw(0, alpha, 0.0) @ _screw(1, beta, 0.0))[:3, :3]
+    tilted[:3, :3] = (
+        np.stack([normal, y, z], axis=1) @ (_screw(0, alpha, 0.0) @ _screw(1, beta, 0.0))[:3, :3]
+    )
     tilted[:3, 3] = frame[:3, 3] + a * normal
     return row, tilted
 
@@ -215,7 +224,8 @@ def _perpendicular(z: Vector, hint: Vector) -> Vector:
         across = np.array([0.0, 1.0, 0.0]) - z * z[1]
     if np.linalg.norm(across) < 1e-6:
         across = np.array([0.0, 0.0, 1.0]) - z * z[2]
-    return across / np.linalg.norm(across)
+    result: Vector = across / np.linalg.norm(across)
+    return result
 
 
 def _frame(origin: Vector, z: Vector, x: Vector) -> Vector:
@@ -238,6 +248,6 @@ def _screw(axis: int, angle: float, length: float) -> Vector:
     return T
 
 
-def _tidy(value: float) -> float:
+def _tidy(value: float | np.floating[Any] | Vector) -> float:
     """A float without the sign of zero."""
     return float(value) + 0.0

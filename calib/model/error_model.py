@@ -116,7 +116,9 @@ class ErrorModel:
         kept = tuple(p for k, p in enumerate(self.parameters) if k not in gone)
         return ErrorModel(self.name, self.places, kept)
 
-    def displacements(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def displacements(
+        self, x: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The displacement of every place, and each parameter's direction there.
 
         Args:
@@ -139,7 +141,9 @@ class ErrorModel:
                 directions[first : first + 6, k] = parameter.direction
                 products[parameter.place] = factor
             else:
-                directions[first : first + 6, k] = later.toActionMatrixInverse() @ parameter.direction
+                directions[first : first + 6, k] = (
+                    later.toActionMatrixInverse() @ parameter.direction
+                )
                 products[parameter.place] = factor * later
         displacements = np.tile(np.eye(4), (len(self.places), 1, 1))
         for k, place in enumerate(self.places):
@@ -228,7 +232,9 @@ def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
                 )
         if not parallel:
             along = read_only(np.concatenate([axis, np.zeros(3)]))
-            parameters.append(Parameter(f"d{number}", "m", robot.joint_names[i], along, LENGTH, row.d))
+            parameters.append(
+                Parameter(f"d{number}", "m", robot.joint_names[i], along, LENGTH, row.d)
+            )
         about = read_only(np.concatenate([np.zeros(3), axis]))
         parameters.append(
             Parameter(f"theta{number}", "rad", robot.joint_names[i], about, ANGLE, row.theta)
@@ -244,7 +250,13 @@ def _hayati_parameters(robot: Robot) -> list[Parameter]:
 def _placement_parameters(robot: Robot) -> list[Parameter]:
     """All six directions of each joint's placement, named ``<joint>.x`` to ``<joint>.rz``."""
     return [
-        Parameter(f"{joint}.{axis}", "m" if k < 3 else "rad", joint, _unit_twist(k), LENGTH if k < 3 else ANGLE)
+        Parameter(
+            f"{joint}.{axis}",
+            "m" if k < 3 else "rad",
+            joint,
+            _unit_twist(k),
+            LENGTH if k < 3 else ANGLE,
+        )
         for joint in robot.joint_names
         for k, axis in enumerate(_TWIST_AXES)
     ]
@@ -283,7 +295,9 @@ def _unit_twist(k: int) -> NDArray[np.float64]:
     return read_only(np.eye(6)[k])
 
 
-def _screw_twists(T: NDArray[np.float64], axis: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _screw_twists(
+    T: NDArray[np.float64], axis: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The twists along and about one axis of frame T, in the frame that T is given in."""
     direction, origin = T[:3, axis], T[:3, 3]
     along = np.concatenate([direction, np.zeros(3)])
@@ -296,5 +310,3 @@ def _rotation_y(angle: float) -> NDArray[np.float64]:
     T = np.eye(4)
     T[:3, :3] = pin.rpy.rpyToMatrix(0.0, angle, 0.0)
     return T
-
-

@@ -147,7 +147,7 @@ class _Displaced:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """a x b along axis 1, shapes (N, 3, k) and (N, 3, 1): `numpy.cross` takes ten times as long for this."""
+    """The product a x b along axis 1, shapes (N, 3, k) and (N, 3, 1): `numpy.cross` takes ten times as long."""
     result = np.empty_like(a)
     result[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
     result[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]

@@ -23,8 +23,14 @@ STEPS = {"m": 1e-3, "rad": 1e-3}
 #: identified: 1 mm of it moves the measured points by less than the repeatability of any arm.
 _NEGLIGIBLE = 1e-3
 
+#: A ratio of neighbouring singular values that is a gap.
+_GAP = 30.0
+
+#: A relative singular value of this size is zero.
+_ROUNDING = 1e-13
+
 #: Shares of a combination below this are left out of its text.
-_NAMED_SHARE = 0.02
+_NAMED_SHARE = 0.05
 
 Array = NDArray[np.float64]
 
@@ -45,7 +51,10 @@ class Combination:
 
     def __str__(self) -> str:
         """In words, such as ``d2 and d4 together (+1 mm, -1 mm)``."""
-        amounts = ", ".join(f"{1e3 * s:+.3g} {'mm' if u == 'm' else 'mrad'}" for s, u in zip(self.steps, self.units, strict=True))
+        amounts = ", ".join(
+            f"{1e3 * s:+.3g} {'mm' if u == 'm' else 'mrad'}"
+            for s, u in zip(self.steps, self.units, strict=True)
+        )
         if len(self.names) == 1:
             return f"{self.names[0]} at all"
         return f"{', '.join(self.names[:-1])} and {self.names[-1]} together ({amounts})"
@@ -119,22 +128,21 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
 
 
 def rank_by_gap(values: Array) -> int:
-    """The number of singular values before the widest gap below which all are negligible.
+    """The number of singular values before the first wide gap that ends below what is negligible.
 
-    A gap is the ratio of a value to the one after it; only gaps that end below `_NEGLIGIBLE` of the largest value
-    count, so that a well-conditioned Jacobian has full rank.
+    A gap is the ratio of a value to the one after it. The first, not the widest one counts: axes that are parallel
+    but for a few mrad leave values far below the noise and yet far above rounding, and they are as good as zero.
 
     Args:
         values: shape (p,), descending.
     """
     if len(values) == 0 or values[0] == 0.0:
         return 0
-    relative = np.maximum(values / values[0], 1e-17)
-    ends = np.flatnonzero(relative[1:] < _NEGLIGIBLE)
-    if len(ends) == 0:
-        return len(values)
-    gaps = relative[ends] / relative[ends + 1]
-    return int(ends[np.argmax(gaps)]) + 1
+    relative = np.maximum(values / values[0], _ROUNDING)
+    wide = (relative[1:] < _NEGLIGIBLE) & (relative[:-1] > _GAP * relative[1:])
+    if np.any(wide):
+        return int(np.argmax(wide)) + 1
+    return int(np.sum(relative > 10.0 * _ROUNDING))
 
 
 def _indices(values: Array, rows: int) -> dict[str, float]:
@@ -157,7 +165,7 @@ def _echelon(null: Array) -> Array:
     The earliest parameters lead, so that a combination of a robot's parameter with the target is named after the
     robot's.
     """
-    rows = null.copy()
+    rows: Array = null.copy()
     r, p = rows.shape
     done = 0
     for column in range(p):
@@ -175,9 +183,11 @@ def _echelon(null: Array) -> Array:
     return rows
 
 
-def _combination(row: Array, names: Sequence[str], units: Sequence[str], step: Array) -> Combination:
+def _combination(
+    row: Array, names: Sequence[str], units: Sequence[str], step: Array
+) -> Combination:
     """One row of the echelon form in words."""
-    chosen = np.flatnonzero(np.abs(row) > _NAMED_SHARE * np.abs(row).max())
+    chosen = [int(k) for k in np.flatnonzero(np.abs(row) > _NAMED_SHARE * np.abs(row).max())]
     return Combination(
         names=tuple(names[k] for k in chosen),
         steps=tuple(float(row[k] * step[k]) for k in chosen),

@@ -94,7 +94,7 @@ class Robot:
         carriers = [joint.name for joint in joints] + ([after_last[0]] if after_last else [None])
         before, after = [], []
         for placement, carrier in zip(placements, carriers, strict=True):
-            origin = np.eye(4) if carrier is None else origin_matrix(by_name[carrier])
+            origin = np.eye(4) if carrier is None else by_name[carrier].T_parent_joint
             is_tip = placement is placements[-1]
             before.append(np.eye(4) if is_tip else placement @ rigid_inverse(origin))
             after.append(rigid_inverse(origin) @ placement if is_tip else np.eye(4))
@@ -190,26 +190,30 @@ class Robot:
         Raises:
             UrdfError: The tip's placement differs but no URDF joint can carry it.
         """
-        changed = np.flatnonzero(np.any(placements != self.placements, axis=(1, 2)))
-        origins: dict[str, NDArray[np.float64]] = {}
-        for i in changed:
-            carrier = self.carriers[i]
-            if carrier is None:
+        for i in np.flatnonzero(np.any(placements != self.placements, axis=(1, 2))):
+            if self.carriers[i] is None:
                 message = (
-                    f"The tip '{self.tip}' of '{self.name}' is moved by its last joint directly: the URDF "
-                    "has no <origin> behind that joint that could hold a correction. Add a fixed joint and a "
-                    "link to the URDF and name that link as --tip."
+                    f"The tip '{self.tip}' of '{self.name}' is moved by its last joint directly: the URDF has no "
+                    "<origin> behind that joint that could hold a correction. Add a fixed joint and a link to the "
+                    "URDF and name that link as --tip."
                 )
                 raise UrdfError(message)
-            origins[carrier] = (
-                rigid_inverse(self._before[i]) @ placements[i] @ rigid_inverse(self._after[i])
-            )
-        return replace(
-            self,
-            urdf=self.urdf.with_origins(origins),
-            placements=read_only(placements),
-            _model=self.chain_model(placements),
-        )
+        moved = replace(self, placements=read_only(placements), _model=self.chain_model(placements))
+        was = self.origins()
+        origins = {
+            name: T for name, T in moved.origins().items() if not np.array_equal(T, was[name])
+        }
+        return replace(moved, urdf=self.urdf.with_origins(origins))
+
+    def origins(self) -> dict[str, NDArray[np.float64]]:
+        """The ``<origin>`` of each URDF joint that carries a placement, shape (4, 4), [m]."""
+        return {
+            carrier: rigid_inverse(self._before[i])
+            @ self.placements[i]
+            @ rigid_inverse(self._after[i])
+            for i, carrier in enumerate(self.carriers)
+            if carrier is not None
+        }
 
 
 def find_urdf(source: str | Path) -> Path:
@@ -238,14 +242,6 @@ def find_urdf(source: str | Path) -> Path:
         f"one of {choices(dict.fromkeys(known), limit=60)}."
     )
     raise UrdfError(message)
-
-
-def origin_matrix(joint: UrdfJoint) -> NDArray[np.float64]:
-    """A URDF joint's ``<origin>`` as a pose, shape (4, 4), [m]: T = (Rz(yaw) Ry(pitch) Rx(roll), xyz)."""
-    T = np.eye(4)
-    T[:3, :3] = pin.rpy.rpyToMatrix(np.asarray(joint.rpy, dtype=np.float64))
-    T[:3, 3] = joint.xyz
-    return T
 
 
 def read_only(values: ArrayLike | Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

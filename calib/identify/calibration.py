@@ -1,0 +1,412 @@
+"""calibrate: a robot and measurements in, a `Calibration` out.
+
+The order of the work: registration of target and measurement frame, estimation, rank and uncertainty, errors on rows
+that the fit did not see, the verdict. `Calibration` is the whole result as immutable values.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.errors import ModelError, choices
+from calib.identify.estimate import FIRST_SIGMA
+from calib.identify.fitting import (
+    Fitted,
+    Progress,
+    Rows,
+    cross_validation,
+    fit,
+    nominal_cell,
+    predict,
+    unseen_scores,
+)
+from calib.identify.solvers import Solution
+from calib.identify.statistics import CrossValidation, Errors, interval_factor
+from calib.identify.verdict import Verdict, verdict
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.error_model import TARGET, ErrorModel
+from calib.model.kinematics import Kinematics
+from calib.model.observability import Observability, analyse
+from calib.model.readback import check_written, random_joint_values
+from calib.model.robot import Robot, read_only, rigid_inverse
+
+Array = NDArray[np.float64]
+
+#: Name of the link that carries the target in a corrected URDF, when asked for.
+TARGET_LINK = "calib_target"
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterEstimate:
+    """One parameter of the result, in its unit (m or rad).
+
+    Attributes:
+        name: Its name.
+        unit: ``"m"`` or ``"rad"``.
+        nominal: The value before; None for a target that was not given.
+        value: The value after.
+        delta: The change; for a target that was not given, from where registration put it.
+        std: Standard deviation of the value.
+        low: Lower end of the 95 % interval of the value.
+        high: Upper end.
+        identifiable: Whether the measurements determine it; otherwise they know it in combinations only.
+    """
+
+    name: str
+    unit: str
+    nominal: float | None
+    value: float
+    delta: float
+    std: float
+    low: float
+    high: float
+    identifiable: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Outlier:
+    """A row that does not belong to the others.
+
+    Attributes:
+        row: The row's number as a person sees it.
+        residual: Norm of measured minus predicted [m].
+        score: How far it lies from what the other rows predict, in standard deviations.
+    """
+
+    row: int
+    residual: float
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """The result of `calibrate`.
+
+    Attributes:
+        nominal: The robot as it came in.
+        robot: The calibrated robot, its URDF corrected.
+        measurements: All rows.
+        cell: As given.
+        T_frame_base: shape (4, 4), pose of the base in the measurement frame, as estimated or given [m].
+        target: shape (3,), the target in the tip, as estimated or given [m].
+        model: The error model.
+        solver: Name of the solver.
+        solution: Where it stopped, with its history.
+        seconds: Time that registration and estimation took.
+        x: shape (p,), offsets from the registered start [m, rad].
+        covariance: shape (p, p), of ``x``.
+        freedom: Degrees of freedom left for the noise.
+        sigma: Estimated standard deviation of one coordinate of a good row (median over rows) [m].
+        prior_length: Size of errors in length that the data showed [m]; None without priors.
+        prior_angle: Size of errors in angle [rad]; None without priors.
+        parameters: One entry for each element of ``x``.
+        residual_nominal: shape (N, 3), measured minus predicted by the nominal robot, all rows [m].
+        residual_calibrated: shape (N, 3), by the calibrated robot [m].
+        scores: shape (N,), of all rows; see `calib.identify.robust`.
+        flag_limit: The score above which a row is flagged.
+        outliers: The estimation rows flagged; they had no weight where the fit was robust.
+        suspects: The validation rows beyond the same limit; they never have a weight.
+        cross_validation: Errors on left-out estimation rows; None where it was not asked for.
+        observability: Rank, and what the measured poses cannot tell apart.
+        verdict: Whether to use the result; None without cross-validation.
+    """
+
+    nominal: Robot
+    robot: Robot
+    measurements: Measurements
+    cell: Cell
+    T_frame_base: Array
+    target: Array
+    model: ErrorModel
+    solver: str
+    solution: Solution
+    seconds: float
+    x: Array
+    covariance: Array
+    freedom: float
+    sigma: float
+    prior_length: float | None
+    prior_angle: float | None
+    parameters: tuple[ParameterEstimate, ...]
+    residual_nominal: Array
+    residual_calibrated: Array
+    scores: Array
+    flag_limit: float
+    outliers: tuple[Outlier, ...]
+    suspects: tuple[Outlier, ...]
+    cross_validation: CrossValidation | None
+    observability: Observability
+    verdict: Verdict | None
+
+    @property
+    def errors(self) -> dict[str, dict[str, Errors]]:
+        """``errors["nominal" | "calibrated"]["estimation" | "validation"]``."""
+        m = self.measurements
+        return {
+            who: {
+                "estimation": Errors.of(residual[m.estimation]),
+                "validation": Errors.of(residual[m.validation]),
+            }
+            for who, residual in (
+                ("nominal", self.residual_nominal),
+                ("calibrated", self.residual_calibrated),
+            )
+        }
+
+    def parameter(self, name: str) -> ParameterEstimate:
+        """One parameter by its exact name.
+
+        Raises:
+            ModelError: No such parameter.
+        """
+        return self.parameters[self.model.index(name)]
+
+    def predict(self, q: ArrayLike) -> Array:
+        """Where the calibrated robot puts the target, in the measurement frame.
+
+        Args:
+            q: shape (N, n) or (n,), joint values in the robot's order, [rad] or [m].
+
+        Returns:
+            shape (N, 3), [m].
+        """
+        poses = self.T_frame_base @ self.robot.poses(q)
+        result: Array = poses[:, :3, :3] @ self.target + poses[:, :3, 3]
+        return result
+
+    def summary(self) -> str:
+        """The result as text, without colours."""
+        from calib.identify.summary import summary
+
+        return summary(self)
+
+    def write_urdf(
+        self, path: str | Path, *, overwrite: bool = False, target_link: bool = False
+    ) -> Path:
+        """Write the corrected URDF, after reading it back with Pinocchio and yourdfpy.
+
+        Args:
+            path: Where to.
+            overwrite: Whether an existing file may be replaced.
+            target_link: Whether to add a link ``calib_target`` at the target, fixed to the tip.
+
+        Raises:
+            UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad.
+            FileError: The file exists, or cannot be written.
+        """
+        q = random_joint_values(self.robot)
+        # Straight from the parameters, by the path that the fit took, not through the corrected robot.
+        in_memory = Kinematics(self.nominal, self.model, np.eye(4), np.eye(4)).poses(self.x, q)
+        displacement, _ = self.model.displacements(self.x)
+        expected = rigid_inverse(displacement[0]) @ in_memory @ rigid_inverse(displacement[-1])
+        check_written(self.robot, expected, q)
+        urdf = self.robot.urdf
+        if target_link:
+            T = np.eye(4)
+            T[:3, 3] = self.target
+            urdf = urdf.with_link(TARGET_LINK, self.robot.tip, T)
+        return urdf.write(path, overwrite=overwrite)
+
+    def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the result as JSON; the keys are documented in docs/result-json.md.
+
+        Raises:
+            FileError: The file exists, or cannot be written.
+        """
+        from calib.identify.result_file import write_result
+
+        return write_result(self, path, overwrite=overwrite)
+
+
+def calibrate(
+    robot: Robot,
+    measurements: Measurements,
+    *,
+    cell: Cell | None = None,
+    model: str | None = None,
+    solver: str = "lm",
+    robust: bool = True,
+    validate: bool = True,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate a robot from measurements of a target on its tip.
+
+    Args:
+        robot: The nominal robot.
+        measurements: Rows of the set ``estimate`` are fitted, those of ``validate`` only predicted.
+        cell: What is known of target, frame, noise and priors; default: the measurements are in the base frame, the
+            target is estimated.
+        model: Name of the parameter set; default the cell's.
+        solver: ``"lm"`` (default), ``"scipy"`` (the same problem by SciPy), or ``"paper"`` (the paper's algorithm,
+            without priors and robust weights).
+        robust: Whether outliers lose their weight; they are named either way.
+        validate: Whether to cross-validate; it takes one fit a row up to 60 rows, ten fits above.
+        progress: Called after each fit of the cross-validation.
+
+    Raises:
+        ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
+        MeasurementError: Too few rows, or columns that the robot needs are missing.
+        SolverError: No finite result.
+    """
+    cell = Cell() if cell is None else cell
+    cell = cell if model is None else replace(cell, model=model)
+    _check_coverage(measurements)
+    every = Rows(
+        measurements.joints_for(robot.joint_names),
+        measurements.points,
+        _row_sigma(measurements, cell),
+    )
+    rows = every.select(measurements.estimation)
+    fit_rows = partial(fit, robot, cell, solver=solver, robust=robust)
+
+    began = time.perf_counter()
+    fitted = fit_rows(rows)
+    seconds = time.perf_counter() - began
+
+    residual_nominal = every.points - predict(robot, nominal_cell(robot, cell, rows), every.joints)
+    residual = every.points - fitted.kinematics.points(fitted.estimate.x, every.joints)
+    result = _assemble(
+        robot, measurements, cell, solver, seconds, fitted, residual_nominal, residual
+    )
+    if not validate:
+        return result
+    flagged = fitted.estimate.outliers
+    validated, baseline = cross_validation(robot, cell, rows, flagged, fit_rows, progress)
+    judgement = verdict(
+        before=baseline,
+        after=validated.errors_without_outliers,
+        unseen=validated.method,
+        validation_before=result.errors["nominal"]["validation"],
+        validation_after=result.errors["calibrated"]["validation"],
+        measured=3 * len(rows),
+        parameters=len(result.model),
+        outliers=len(result.outliers),
+        rows=len(rows),
+        noise=result.sigma,
+    )
+    return replace(result, cross_validation=validated, verdict=judgement)
+
+
+def _check_coverage(measurements: Measurements) -> None:
+    """Refuse tables with several targets or set-ups, which would be fitted as one."""
+    for what, names in (("targets", measurements.targets), ("groups", measurements.groups)):
+        different = sorted(set(names))
+        if len(different) > 1:
+            message = (
+                f"{measurements.source}: the table has {len(different)} {what}: {choices(different)}. One target and "
+                f"one set-up are fitted at a time: split the table by its column '{what[:-1]}'."
+            )
+            raise ModelError(message)
+
+
+def _row_sigma(measurements: Measurements, cell: Cell) -> Array:
+    """The standard deviation of one coordinate of each row as given, or the first guess [m], shape (N,)."""
+    if measurements.sigma is not None:
+        return measurements.sigma
+    return np.full(len(measurements), FIRST_SIGMA if cell.sigma is None else cell.sigma)
+
+
+def _assemble(
+    robot: Robot,
+    measurements: Measurements,
+    cell: Cell,
+    solver: str,
+    seconds: float,
+    fitted: Fitted,
+    residual_nominal: Array,
+    residual: Array,
+) -> Calibration:
+    """Everything that one fit says, as one value; cross-validation and verdict are still to come."""
+    estimated, model = fitted.estimate, fitted.kinematics.model
+    mask, problem = measurements.estimation, estimated.problem
+    _, jacobian = fitted.kinematics.points_jacobian(
+        estimated.x, problem.joints[problem.weights > 0.0]
+    )
+    observability = analyse(
+        jacobian.reshape(-1, len(model)), model.names, [p.unit for p in model.parameters]
+    )
+    every = Rows(
+        measurements.joints_for(robot.joint_names),
+        measurements.points,
+        _row_sigma(measurements, cell),
+    )
+    scores = np.empty(len(mask))
+    scores[mask] = estimated.scores
+    scores[~mask] = unseen_scores(fitted, every.select(~mask))
+    limit = estimated.limits.flagged
+
+    def named(chosen: NDArray[np.bool_]) -> tuple[Outlier, ...]:
+        return tuple(
+            Outlier(measurements.rows[i], float(np.linalg.norm(residual[i])), float(scores[i]))
+            for i in np.flatnonzero(chosen & (scores > limit))
+        )
+
+    T_frame_base, target = fitted.frames()
+    return Calibration(
+        nominal=robot,
+        robot=model.apply(robot, estimated.x),
+        measurements=measurements,
+        cell=cell,
+        T_frame_base=read_only(T_frame_base),
+        target=read_only(target),
+        model=model,
+        solver=solver,
+        solution=estimated.solution,
+        seconds=seconds,
+        x=estimated.x,
+        covariance=estimated.covariance,
+        freedom=estimated.freedom,
+        sigma=float(np.median(problem.sigma)),
+        prior_length=estimated.prior_length,
+        prior_angle=estimated.prior_angle,
+        parameters=_parameters(fitted, cell, observability),
+        residual_nominal=read_only(residual_nominal),
+        residual_calibrated=read_only(residual),
+        scores=read_only(scores),
+        flag_limit=limit,
+        outliers=named(mask),
+        suspects=named(~mask),
+        cross_validation=None,
+        observability=observability,
+        verdict=None,
+    )
+
+
+def _parameters(
+    fitted: Fitted, cell: Cell, observability: Observability
+) -> tuple[ParameterEstimate, ...]:
+    """Nominal, value, interval of each parameter."""
+    x, deviations = fitted.estimate.x, np.sqrt(np.diag(fitted.estimate.covariance))
+    reach = interval_factor(fitted.estimate.freedom)
+    start = fitted.kinematics.T_tip_target[:3, 3]
+    result = []
+    for k, parameter in enumerate(fitted.kinematics.model.parameters):
+        nominal: float | None = parameter.nominal
+        value = parameter.nominal + x[k]
+        delta = x[k]
+        if parameter.place == TARGET:
+            axis = "xyz".index(parameter.name[-1])
+            value = start[axis] + x[k]
+            nominal = None if cell.target is None else float(cell.target[axis])
+            delta = x[k] if nominal is None else value - nominal
+        result.append(
+            ParameterEstimate(
+                name=parameter.name,
+                unit=parameter.unit,
+                nominal=nominal,
+                value=float(value),
+                delta=float(delta),
+                std=float(deviations[k]),
+                low=float(value - reach * deviations[k]),
+                high=float(value + reach * deviations[k]),
+                identifiable=bool(observability.identifiable[k]),
+            )
+        )
+    return tuple(result)

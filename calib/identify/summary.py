@@ -1,0 +1,180 @@
+"""The result as text for a terminal: what to do, how good it is, what was found. At most 100 columns, no colours."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+
+import numpy as np
+
+import calib
+from calib.identify.calibration import Calibration, Outlier
+from calib.identify.statistics import Errors
+
+_WIDTH = 100
+
+#: A target that moved further than this was given wrongly, rather than mounted inexactly [m].
+_TARGET_MOVED = 5e-3
+
+#: A row of the error table has the columns: label, n, max, mean, rms, span x, span y, span z.
+_COLUMNS = "{:<33}{:>5}{:>10}{:>10}{:>10}{:>10}{:>9}{:>9}"
+
+
+def summary(c: Calibration) -> str:
+    """The whole summary of a calibration."""
+    parts = [
+        _heading(c),
+        _verdict(c),
+        _errors(c),
+        _flagged(c),
+        _target(c),
+        _identified(c),
+        _parameters(c),
+        _solver(c),
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _heading(c: Calibration) -> str:
+    """Which robot, which data."""
+    m = c.measurements
+    return _wrap(
+        f"calib {calib.__version__}: robot '{c.nominal.name}', {c.nominal.base} to {c.nominal.tip}, "
+        f"{len(c.nominal.joints)} joints; {m.estimation.sum()} rows to estimate and {m.validation.sum()} to validate "
+        f"from {m.source or 'memory'}"
+    )
+
+
+def _verdict(c: Calibration) -> str:
+    """What to do with the result."""
+    if c.verdict is None:
+        return "Verdict: none, because nothing was cross-validated."
+    return "\n".join([f"Verdict: {c.verdict.use}", *(_wrap(r, "  ") for r in c.verdict.reasons)])
+
+
+def _errors(c: Calibration) -> str:
+    """The error table: before and after, by set, and on left-out rows."""
+    rows = [
+        _COLUMNS.format("Position error [mm]", "rows", "max", "mean", "rms", "span x", "y", "z")
+    ]
+    for name, label in (("estimation", "estimation rows"), ("validation", "validation rows")):
+        for who in ("nominal", "calibrated"):
+            errors = c.errors[who][name]
+            if errors.n:
+                rows.append(error_row(f"{label}, {who}", errors))
+    if c.cross_validation is not None:
+        v = c.cross_validation
+        rows.append(error_row(f"left-out rows ({v.method})", v.errors))
+        if c.outliers:
+            rows.append(error_row("  the same without outliers", v.errors_without_outliers))
+    return "\n".join(rows)
+
+
+def error_row(label: str, errors: Errors) -> str:
+    """One row of the error table, [mm]."""
+    values = [errors.max, errors.mean, errors.rms, *errors.span_axis]
+    return _COLUMNS.format(label, errors.n, *(f"{1e3 * v:.3f}" for v in values))
+
+
+def _flagged(c: Calibration) -> str:
+    """The rows that do not belong to the others."""
+    lines = []
+    if c.outliers:
+        treated = (
+            "left out of the fit" if c.solver != "paper" else "but the paper's solver uses all rows"
+        )
+        lines.append(_wrap(f"Outliers ({treated}): {_list(c.outliers)}"))
+    else:
+        lines.append("Outliers: none.")
+    if c.suspects:
+        lines.append(
+            _wrap(
+                f"Validation rows that the calibrated robot does not explain: {_list(c.suspects)}"
+            )
+        )
+    return "\n".join(lines)
+
+
+def _list(outliers: Iterable[Outlier]) -> str:
+    """Rows with residual and score; the first dozen."""
+    every = list(outliers)
+    text = "; ".join(
+        f"row {o.row} ({1e3 * o.residual:.2f} mm, {o.score:.1f} sigma)" for o in every[:12]
+    )
+    return text + (f"; and {len(every) - 12} more" if len(every) > 12 else "")
+
+
+def _target(c: Calibration) -> str:
+    """Where the target is, and how far from where it was said to be."""
+    place = ", ".join(f"{1e3 * v:.3f}" for v in c.target)
+    if not c.cell.estimate_target:
+        return f"Target: ({place}) mm in {c.nominal.tip}, as given."
+    if c.cell.target is None:
+        return f"Target: found at ({place}) mm in {c.nominal.tip}."
+    moved = float(np.linalg.norm(c.target - c.cell.target))
+    text = f"Target: ({place}) mm in {c.nominal.tip}; it moved {1e3 * moved:.1f} mm from the position given."
+    if moved > _TARGET_MOVED:
+        text += " That is further than mounting explains: check the sign and the order of the numbers given."
+    return _wrap(text)
+
+
+def _identified(c: Calibration) -> str:
+    """Noise, sizes, rank and what the poses cannot tell apart."""
+    o = c.observability
+    lines = [
+        f"Noise: {1e3 * c.sigma:.3f} mm a coordinate, found from what is left over ({c.freedom:.0f} d.o.f.)."
+    ]
+    sizes = [
+        f"{1e3 * size:.3g} {unit}"
+        for size, unit in ((c.prior_length, "mm"), (c.prior_angle, "mrad"))
+        if size is not None
+    ]
+    if sizes:
+        how = "found from the data" if c.cell.priors.sizes == "data" else "as given"
+        lines.append(f"Size of the robot's errors: {' and '.join(sizes)} ({how}).")
+    lines.append(f"Rank: {o.rank} of {o.columns} parameters, condition number {o.condition:.0f}.")
+    if o.unidentifiable:
+        held = ", so the priors share them out" if sizes else ""
+        lines.append(f"These changes move nothing that was measured{held}:")
+        lines += [_wrap(str(u), "  ") for u in o.unidentifiable[:12]]
+        if len(o.unidentifiable) > 12:
+            lines.append(f"  and {len(o.unidentifiable) - 12} more")
+    return "\n".join(lines)
+
+
+def _parameters(c: Calibration) -> str:
+    """All parameters with their 95 % intervals; * where the data know them in combinations only."""
+    width = max(len(p.name) for p in c.parameters) + 2
+    head = f"{'Parameter':<{width}}{'nominal':>12}{'value':>12}{'change':>11}{'95 % +-':>10}"
+    lines = [head]
+    for p in c.parameters:
+        scale, unit = (1e3, "mm") if p.unit == "m" else (np.degrees(1.0), "deg")
+        nominal = "-" if p.nominal is None else _three(scale * p.nominal)
+        half = 0.5 * scale * (p.high - p.low)
+        value, delta = _three(scale * p.value), _three(scale * p.delta, "+")
+        mark = "" if p.identifiable else " *"
+        lines.append(
+            f"{p.name:<{width}}{nominal:>12}{value:>12}{delta:>11}{half:>10.3f} {unit}{mark}"
+        )
+    if not all(p.identifiable for p in c.parameters):
+        lines.append("* known in combination with others only; see above")
+    return "\n".join(lines)
+
+
+def _solver(c: Calibration) -> str:
+    """How the solver fared."""
+    s = c.solution
+    return _wrap(
+        f"Solver '{c.solver}': {s.status} after {s.iterations} iterations, {s.evaluations} evaluations, "
+        f"{1e3 * c.seconds:.0f} ms. {s.message}"
+    )
+
+
+def _three(value: float, sign: str = "-") -> str:
+    """Three digits after the point, and no minus before a zero."""
+    return f"{round(value, 3) + 0.0:{sign}.3f}"
+
+
+def _wrap(text: str, indent: str = "") -> str:
+    """Text broken at 100 columns."""
+    return textwrap.fill(text, _WIDTH, initial_indent=indent, subsequent_indent=indent + "  ")

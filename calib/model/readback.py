@@ -1,0 +1,87 @@
+"""Reading back what was written: a corrected URDF must say what the model in memory says.
+
+Two readers that share no code with the writer: Pinocchio, which the model itself stands on, and yourdfpy.
+"""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import UrdfError
+from calib.model.robot import Robot, rigid_inverse
+from calib.model.urdf import Urdf
+
+#: A pose read back may differ from the model's by this [m and rad].
+TOLERANCE = 1e-9
+
+#: Sets of joint values compared, and the seed they are drawn with: the same every time.
+_POSES, _SEED = 20, 20170401
+
+Array = NDArray[np.float64]
+
+
+def check_written(robot: Robot, expected: Array, q: Array) -> None:
+    """Compare a robot's URDF, read by Pinocchio and by yourdfpy, with poses computed otherwise.
+
+    Args:
+        robot: The robot whose ``urdf`` is to be written.
+        expected: shape (N, 4, 4), T_base_tip of the model in memory [m].
+        q: shape (N, n), joint values [rad or m].
+
+    Raises:
+        UrdfError: A reader disagrees by more than `TOLERANCE`, or cannot read the URDF at all.
+    """
+    again = Urdf.from_bytes(robot.urdf.data, "the corrected URDF")
+    read = Robot.from_urdf(again, robot.base, robot.tip)
+    _compare("Pinocchio", read.poses(q), expected)
+    _compare("yourdfpy", _poses_by_yourdfpy(robot, q), expected)
+
+
+def random_joint_values(robot: Robot, count: int = _POSES, seed: int = _SEED) -> Array:
+    """Joint values inside the limits (within one turn, or one metre, where they are wider or missing), (count, n)."""
+    rng = np.random.default_rng(seed)
+    columns = []
+    for joint in robot.joints:
+        bound = 1.0 if joint.type == "prismatic" else np.pi
+        low = max(-bound, -bound if joint.lower is None else joint.lower)
+        high = min(bound, bound if joint.upper is None else joint.upper)
+        columns.append(rng.uniform(low, high, count) if high > low else np.full(count, low))
+    return np.stack(columns, axis=1)
+
+
+def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
+    """T_base_tip as yourdfpy computes it from the URDF's text, shape (N, 4, 4), [m]."""
+    import yourdfpy
+
+    try:
+        model = yourdfpy.URDF.load(
+            io.BytesIO(robot.urdf.data),
+            build_scene_graph=True,
+            load_meshes=False,
+            load_collision_meshes=False,
+        )
+    except (
+        Exception
+    ) as error:  # whatever a foreign reader raises, the file is not fit to be given out
+        message = f"yourdfpy cannot read the corrected URDF of '{robot.name}', so it is not written: {error}"
+        raise UrdfError(message) from error
+    poses = np.empty((len(q), 4, 4))
+    for i, values in enumerate(q):
+        model.update_cfg(dict(zip(robot.joint_names, values, strict=True)))
+        poses[i] = rigid_inverse(model.get_transform(robot.base)) @ model.get_transform(robot.tip)
+    return poses
+
+
+def _compare(reader: str, poses: Array, expected: Array) -> None:
+    """Refuse poses that differ in position or in any entry of the rotation."""
+    distance = float(np.abs(poses[:, :3, 3] - expected[:, :3, 3]).max())
+    turn = float(np.abs(poses[:, :3, :3] - expected[:, :3, :3]).max())
+    if not (distance <= TOLERANCE and turn <= TOLERANCE):
+        message = (
+            f"The corrected URDF, read back by {reader}, puts the tip {distance:.2e} m and {turn:.2e} rad away from "
+            f"the model in memory; {TOLERANCE:g} is allowed. It is not written. Please report this with the URDF."
+        )
+        raise UrdfError(message)
