@@ -1,5 +1,65 @@
-"""calib: kinematic calibration of robot arms. URDF in, corrected URDF out."""
+"""calib: kinematic calibration of robot arms. URDF in, corrected URDF out.
+
+    robot = calib.Robot.load("robot.urdf", base="base", tip="tool0")
+    data = calib.Measurements.read("data.csv", robot.joint_names)
+    result = calib.calibrate(robot, data)
+    print(result.summary())
+    result.write_urdf("corrected.urdf")
+
+Names are imported when they are first used, so that ``calib --help`` need not load a robotics library.
+"""
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from calib.errors import CalibError
+    from calib.identify.calibration import Calibration, calibrate
+    from calib.identify.evaluation import Evaluation, evaluate
+    from calib.measure.cell import Cell, Priors
+    from calib.measure.measurements import Measurements
+    from calib.model.robot import Robot
+    from calib.show.pictures import show
+
 __version__ = "0.1.0.dev0"
+
+__all__ = [
+    "CalibError",
+    "Calibration",
+    "Cell",
+    "Evaluation",
+    "Measurements",
+    "Priors",
+    "Robot",
+    "calibrate",
+    "evaluate",
+    "show",
+]
+
+_MODULES = {
+    "CalibError": "calib.errors",
+    "Calibration": "calib.identify.calibration",
+    "Cell": "calib.measure.cell",
+    "Evaluation": "calib.identify.evaluation",
+    "Measurements": "calib.measure.measurements",
+    "Priors": "calib.measure.cell",
+    "Robot": "calib.model.robot",
+    "calibrate": "calib.identify.calibration",
+    "evaluate": "calib.identify.evaluation",
+    "show": "calib.show.pictures",
+}
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401  any public name
+    """Import a public name on first use."""
+    if name not in _MODULES:
+        message = f"module 'calib' has no attribute '{name}'"
+        raise AttributeError(message)
+    return getattr(importlib.import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted([*__all__, "__version__"])

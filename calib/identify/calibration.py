@@ -26,6 +26,7 @@ from calib.identify.fitting import (
     predict,
     unseen_scores,
 )
+from calib.identify.setup_check import better_setup
 from calib.identify.solvers import Solution
 from calib.identify.statistics import CrossValidation, Errors, interval_factor
 from calib.identify.verdict import Verdict, verdict
@@ -94,6 +95,8 @@ class Calibration:
         robot: The calibrated robot, its URDF corrected.
         measurements: All rows.
         cell: As given.
+        nominal_cell: The cell with target and frame that the nominal robot's errors are computed with: as given, and
+            registered where they were not.
         T_frame_base: shape (4, 4), pose of the base in the measurement frame, as estimated or given [m].
         target: shape (3,), the target in the tip, as estimated or given [m].
         model: The error model.
@@ -122,6 +125,7 @@ class Calibration:
     robot: Robot
     measurements: Measurements
     cell: Cell
+    nominal_cell: Cell
     T_frame_base: Array
     target: Array
     model: ErrorModel
@@ -270,11 +274,7 @@ def calibrate(
     fitted = fit_rows(rows)
     seconds = time.perf_counter() - began
 
-    residual_nominal = every.points - predict(robot, nominal_cell(robot, cell, rows), every.joints)
-    residual = every.points - fitted.kinematics.points(fitted.estimate.x, every.joints)
-    result = _assemble(
-        robot, measurements, cell, solver, seconds, fitted, residual_nominal, residual
-    )
+    result = _assemble(robot, measurements, cell, solver, seconds, fitted, every)
     if not validate:
         return result
     flagged = fitted.estimate.outliers
@@ -290,6 +290,7 @@ def calibrate(
         outliers=len(result.outliers),
         rows=len(rows),
         noise=result.sigma,
+        hint=better_setup(robot, cell, rows),
     )
     return replace(result, cross_validation=validated, verdict=judgement)
 
@@ -320,8 +321,7 @@ def _assemble(
     solver: str,
     seconds: float,
     fitted: Fitted,
-    residual_nominal: Array,
-    residual: Array,
+    every: Rows,
 ) -> Calibration:
     """Everything that one fit says, as one value; cross-validation and verdict are still to come."""
     estimated, model = fitted.estimate, fitted.kinematics.model
@@ -332,11 +332,8 @@ def _assemble(
     observability = analyse(
         jacobian.reshape(-1, len(model)), model.names, [p.unit for p in model.parameters]
     )
-    every = Rows(
-        measurements.joints_for(robot.joint_names),
-        measurements.points,
-        _row_sigma(measurements, cell),
-    )
+    placed = nominal_cell(robot, cell, every.select(mask))
+    residual = every.points - fitted.kinematics.points(estimated.x, every.joints)
     scores = np.empty(len(mask))
     scores[mask] = estimated.scores
     scores[~mask] = unseen_scores(fitted, every.select(~mask))
@@ -354,6 +351,7 @@ def _assemble(
         robot=model.apply(robot, estimated.x),
         measurements=measurements,
         cell=cell,
+        nominal_cell=placed,
         T_frame_base=read_only(T_frame_base),
         target=read_only(target),
         model=model,
@@ -367,7 +365,7 @@ def _assemble(
         prior_length=estimated.prior_length,
         prior_angle=estimated.prior_angle,
         parameters=_parameters(fitted, cell, observability),
-        residual_nominal=read_only(residual_nominal),
+        residual_nominal=read_only(every.points - predict(robot, placed, every.joints)),
         residual_calibrated=read_only(residual),
         scores=read_only(scores),
         flag_limit=limit,

@@ -165,7 +165,9 @@ def _check_enough(model: ErrorModel, priors: Priors, rows: int) -> None:
 def nominal_cell(robot: Robot, cell: Cell, rows: Rows) -> Cell:
     """Frame and target as given; those that were not given as the nominal robot registers them."""
     asked = replace(
-        cell, estimate_target=cell.target is None, estimate_frame=cell.T_frame_base is None
+        cell,
+        estimate_target=cell.target is None,
+        estimate_frame=cell.estimate_frame and cell.T_frame_base is None,
     )
     return register(robot, asked, rows.joints, rows.points)
 

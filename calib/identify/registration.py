@@ -33,7 +33,7 @@ _ROWS = 200
 def register(robot: Robot, cell: Cell, joints: Array, points: Array) -> Cell:
     """The cell with target and frame where the nominal robot puts them best.
 
-    What the cell does not ask to be estimated stays as given.
+    What the cell does not ask to be estimated stays as given; a known frame that is not given is the base frame.
 
     Args:
         robot: The nominal robot.
@@ -44,6 +44,8 @@ def register(robot: Robot, cell: Cell, joints: Array, points: Array) -> Cell:
     Raises:
         MeasurementError: Too few rows to find what is asked for.
     """
+    if not cell.estimate_frame and cell.T_frame_base is None:
+        cell = replace(cell, T_frame_base=read_only(np.eye(4)))
     unknown = 3 * cell.estimate_target + 6 * cell.estimate_frame
     if not unknown:
         return cell
@@ -56,7 +58,7 @@ def register(robot: Robot, cell: Cell, joints: Array, points: Array) -> Cell:
     chosen = np.unique(np.linspace(0, len(points) - 1, min(len(points), _ROWS)).astype(int))
     poses, seen = robot.poses(joints[chosen]), points[chosen]
     if not cell.estimate_frame:
-        assert cell.T_frame_base is not None  # a known frame is filled in by Cell
+        assert cell.T_frame_base is not None
         return replace(cell, target=_target(cell.T_frame_base @ poses, seen))
     if not cell.estimate_target:
         assert cell.target is not None

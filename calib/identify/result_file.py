@@ -67,9 +67,16 @@ def write_result(calibration: Calibration, path: str | Path, *, overwrite: bool 
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    text = json.dumps(
-        _clean(result_table(calibration)), indent=1, allow_nan=False, ensure_ascii=False
-    )
+    return write_table(result_table(calibration), path, overwrite=overwrite)
+
+
+def write_table(table: Mapping[str, Any], path: str | Path, *, overwrite: bool = False) -> Path:
+    """Write nested tables of plain values and arrays as JSON, missing numbers as null.
+
+    Raises:
+        FileError: The file exists, or cannot be written.
+    """
+    text = json.dumps(_clean(table), indent=1, allow_nan=False, ensure_ascii=False)
     return write_atomically(Path(path), (text + "\n").encode(), overwrite=overwrite)
 
 
@@ -130,7 +137,7 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
             "target_estimated": c.cell.estimate_target,
         },
         "errors": {
-            who: {name: _errors(errors) for name, errors in sets.items()}
+            who: {name: errors_table(errors) for name, errors in sets.items()}
             for who, sets in c.errors.items()
         },
         "cross_validation": _cross_validation(c),
@@ -225,7 +232,7 @@ def _origins(robot: Robot) -> list[dict[str, Any]]:
     ]
 
 
-def _errors(errors: Errors) -> dict[str, Any]:
+def errors_table(errors: Errors) -> dict[str, Any]:
     """Errors of one set of rows."""
     return {
         "n": errors.n,
@@ -246,8 +253,8 @@ def _cross_validation(c: Calibration) -> dict[str, Any] | None:
     return {
         "method": v.method,
         "folds": v.folds,
-        **_errors(v.errors),
-        "without_outliers": _errors(v.errors_without_outliers),
+        **errors_table(v.errors),
+        "without_outliers": errors_table(v.errors_without_outliers),
     }
 
 
@@ -275,7 +282,7 @@ def _numbers(value: Any) -> Array:  # noqa: ANN401
 
 def _clean(value: Any) -> Any:  # noqa: ANN401
     """Arrays as lists, numbers that do not exist as null."""
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: _clean(entry) for key, entry in value.items()}
     if isinstance(value, np.ndarray):
         return _clean(value.tolist())

@@ -54,9 +54,7 @@ def _verdict(c: Calibration) -> str:
 
 def _errors(c: Calibration) -> str:
     """The error table: before and after, by set, and on left-out rows."""
-    rows = [
-        _COLUMNS.format("Position error [mm]", "rows", "max", "mean", "rms", "span x", "y", "z")
-    ]
+    rows = [error_head()]
     for name, label in (("estimation", "estimation rows"), ("validation", "validation rows")):
         for who in ("nominal", "calibrated"):
             errors = c.errors[who][name]
@@ -68,6 +66,11 @@ def _errors(c: Calibration) -> str:
         if c.outliers:
             rows.append(error_row("  the same without outliers", v.errors_without_outliers))
     return "\n".join(rows)
+
+
+def error_head() -> str:
+    """The head of the error table."""
+    return _COLUMNS.format("Position error [mm]", "rows", "max", "mean", "rms", "span x", "y", "z")
 
 
 def error_row(label: str, errors: Errors) -> str:

@@ -153,7 +153,7 @@ def _inverse(M: Array) -> Array:
         root = np.zeros_like(M)
     if np.min(np.diag(root), initial=1.0) > 1e-6:
         inverse = np.asarray(np.linalg.inv(root))
-        return inverse.T @ inverse
+        return np.asarray(inverse.T @ inverse)
     return np.asarray(np.linalg.pinv(M, rcond=1e-13, hermitian=True))
 
 

@@ -43,6 +43,7 @@ def verdict(
     outliers: int,
     rows: int,
     noise: float,
+    hint: str = "",
 ) -> Verdict:
     """Judge a calibration by its errors on rows that it did not see.
 
@@ -58,6 +59,7 @@ def verdict(
         outliers: Number of rows flagged.
         rows: Number of rows.
         noise: Estimated standard deviation of one coordinate [m].
+        hint: What would explain the measurements better, a sentence; empty where nothing was found.
     """
     against: list[str] = []
     careful: list[str] = []
@@ -68,6 +70,8 @@ def verdict(
             "are base and tip the right links, the joint columns in the right order, the measurements in the base "
             "frame (otherwise: --frame estimate)?"
         )
+    if hint:
+        against.append(hint)
     if after.rms >= before.rms:
         against.append(
             f"On rows it did not see ({unseen}) the calibrated robot is no better than the nominal one: "

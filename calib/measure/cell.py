@@ -63,8 +63,8 @@ class Cell:
     Attributes:
         target: shape (3,), position of the target in the tip [m]; None where it is not known.
         estimate_target: Whether the target is estimated with the robot (its start is found from the data).
-        T_frame_base: shape (4, 4), pose of the base in the measurement frame [m]; None where it is not known, and
-            then it is estimated. Measurements in the base frame itself: the identity.
+        T_frame_base: shape (4, 4), pose of the base in the measurement frame [m]; None where it is not given: then it
+            is estimated, or, if it is said to be known, the measurements are in the base frame itself.
         estimate_frame: Whether the measurement frame is estimated.
         sigma: Standard deviation of one measured coordinate [m]; None: found from the data.
         priors: How large the robot's errors are expected to be.
@@ -86,7 +86,7 @@ class Cell:
     tip: str | None = None
 
     def __post_init__(self) -> None:
-        """Check shapes and numbers; fill in the identity for a known frame that was not given."""
+        """Check shapes and numbers."""
         if self.target is not None:
             object.__setattr__(self, "target", _vector(self.target, "target"))
         elif not self.estimate_target:
@@ -97,8 +97,6 @@ class Cell:
             raise CalibError(message)
         if self.T_frame_base is not None:
             object.__setattr__(self, "T_frame_base", _pose(self.T_frame_base))
-        elif not self.estimate_frame:
-            object.__setattr__(self, "T_frame_base", read_only(np.eye(4)))
         if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0.0):
             message = f"The noise sigma is {self.sigma} m; it must be a positive number."
             raise CalibError(message)

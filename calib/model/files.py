@@ -86,6 +86,20 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
     return Path(path)
 
 
+def make_folder(path: str | os.PathLike[str]) -> Path:
+    """Make a folder and those above it; one that exists is left as it is.
+
+    Raises:
+        FileError: A file has that name, or the folder cannot be made.
+    """
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        message = f"{path}: this folder cannot be made: {_reason(error)}. Choose another name."
+        raise FileError(message) from error
+    return Path(path)
+
+
 def _check_target(path: str | os.PathLike[str], target: Path, *, overwrite: bool) -> None:
     """Refuse what can be known before anything is written."""
     if target.is_dir():

@@ -1,0 +1,55 @@
+"""The command line: one thin file a verb, parsing and printing only.
+
+Nothing heavy is imported before a verb runs, so that ``calib --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import typer
+
+from calib.cli.demo import demo
+from calib.cli.evaluate import evaluate
+from calib.cli.fit import fit
+from calib.cli.inspect import inspect
+
+app = typer.Typer(
+    name="calib",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Kinematic calibration of robot arms: URDF in, corrected URDF out.",
+    epilog="Start with:  calib demo     then:  calib fit robot.urdf data.csv -o corrected.urdf",
+)
+app.command()(demo)
+app.command()(fit)
+app.command()(evaluate)
+app.command()(inspect)
+
+
+def _print_version(wanted: bool) -> None:
+    """Print the version and stop."""
+    if wanted:
+        import calib
+
+        typer.echo(f"calib {calib.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(
+        False,
+        "--version",
+        callback=_print_version,
+        is_eager=True,
+        help="Print the version and stop.",
+    ),
+) -> None:
+    """Options before the verb."""
+    del version
+
+
+def main() -> None:
+    """The entry point of the ``calib`` command."""
+    app()

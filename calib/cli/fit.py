@@ -1,0 +1,168 @@
+"""``calib fit``: a URDF and a table in, a corrected URDF out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib.cli.options import (
+    Base,
+    CellFile,
+    Columns,
+    DataFile,
+    Debug,
+    Force,
+    Frame,
+    ModelName,
+    PriorSizes,
+    Quiet,
+    RobotFile,
+    Solver,
+    Target,
+    Tip,
+    reporting,
+)
+
+if TYPE_CHECKING:
+    from calib.identify.calibration import Calibration
+
+_HELP = """Calibrate a robot from measured points.
+
+\b
+Examples:
+  calib fit robot.urdf data.csv -o corrected.urdf
+  calib fit robot.urdf data.csv --base base --tip tool0 --target "70 -70 22.5 mm" \\
+        -o corrected.urdf --json result.json --view view.html
+  calib fit robot.urdf tracker.csv --frame estimate -o corrected.urdf
+  calib fit robot.urdf data.csv --columns "J1=joint_1 [deg]" --columns "X=x [mm]" ...
+
+The table holds one row a pose: a column for each joint, such as "joint_1 [deg]", and the measured point "x [mm]",
+"y [mm]", "z [mm]". An optional column "set" says which rows are for estimation ("estimate") and which for validation
+("validate").
+"""
+
+
+def fit(
+    robot: RobotFile,
+    data: DataFile,
+    base: Base = None,
+    tip: Tip = None,
+    target: Target = None,
+    fix_target: Annotated[
+        bool, typer.Option("--fix-target", help="Keep the target where --target says it is.")
+    ] = False,
+    frame: Frame = None,
+    model: ModelName = None,
+    solver: Annotated[
+        Solver,
+        typer.Option(
+            help="lm: the default. scipy: the same problem by SciPy. paper: the paper's algorithm."
+        ),
+    ] = Solver.lm,
+    priors: Annotated[
+        PriorSizes | None,
+        typer.Option(
+            help="Sizes of the robot's errors: found from the data (data, default), as the cell file or calib's own "
+            "3 mm and 15 mrad say (given), or no priors (off)."
+        ),
+    ] = None,
+    freeze: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PARAMETER", help="Keep a parameter at its nominal value. Can be repeated."
+        ),
+    ] = None,
+    columns: Columns = None,
+    cell: CellFile = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the corrected URDF.")
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option("--json", help="Write the whole result as JSON.")
+    ] = None,
+    view: Annotated[
+        Path | None,
+        typer.Option("--view", help="Write a page that shows both robots, to open in a browser."),
+    ] = None,
+    target_link: Annotated[
+        bool,
+        typer.Option(
+            "--target-link", help="Add a link 'calib_target' at the target to the corrected URDF."
+        ),
+    ] = False,
+    robust: Annotated[bool, typer.Option(help="Give outliers no weight.")] = True,
+    validate: Annotated[
+        bool, typer.Option(help="Cross-validate; without it there is no verdict.")
+    ] = True,
+    force: Force = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """See `_HELP`."""
+    with reporting(debug=debug):
+        from calib.cli.progress import progress_bar
+        from calib.cli.setup import check_outputs, load, read_cell, read_data, say_ignored
+
+        check_outputs([output, json, view], [robot, data, *([cell] if cell else [])], force=force)
+        setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, model=model)
+        setup = replace(
+            setup,
+            estimate_target=setup.estimate_target and not fix_target,
+            frozen=(*setup.frozen, *(freeze or ())),
+            priors=setup.priors if priors is None else replace(setup.priors, sizes=priors.value),
+        )
+        arm = load(robot, setup)
+        table = read_data(data, arm, columns)
+
+        from calib.identify.calibration import calibrate
+
+        with progress_bar("cross-validation", quiet=quiet) as progress:
+            result = calibrate(
+                arm,
+                table,
+                cell=setup,
+                solver=solver.value,
+                robust=robust,
+                validate=validate,
+                progress=progress,
+            )
+        if not quiet:
+            say_ignored(table)
+            typer.echo(result.summary() + "\n")
+        for path in _write(result, output, json, view, target_link=target_link, force=force):
+            if not quiet:
+                typer.echo(f"Written: {path}")
+        if output is None and not quiet:
+            typer.echo("No URDF was written; add -o corrected.urdf to write it.")
+        if output is not None and result.verdict is not None and result.verdict.use == "do not use":
+            typer.echo(
+                f"calib: the verdict on {output} is 'do not use': {result.verdict.reasons[0]}",
+                err=True,
+            )
+
+
+def _write(
+    result: Calibration,
+    output: Path | None,
+    json: Path | None,
+    view: Path | None,
+    *,
+    target_link: bool,
+    force: bool,
+) -> Iterator[Path]:
+    """Write the files asked for, one after the other."""
+    if output is not None:
+        yield result.write_urdf(output, overwrite=force, target_link=target_link)
+    if json is not None:
+        yield result.write_json(json, overwrite=force)
+    if view is not None:
+        from calib.show.pictures import write_page
+
+        yield write_page(result, view, overwrite=force)
+
+
+fit.__doc__ = _HELP

@@ -1,0 +1,163 @@
+"""``calib inspect``: what a robot is made of, and what measurements can tell of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib.cli.options import (
+    Base,
+    CellFile,
+    Columns,
+    Debug,
+    Frame,
+    ModelName,
+    RobotFile,
+    Target,
+    Tip,
+    reporting,
+)
+
+if TYPE_CHECKING:
+    from calib.identify.inspection import Inspection
+    from calib.model.robot import Robot
+
+_HELP = """Show a robot's chain, its DH rows, the parameters of a model and which of them can be identified.
+
+\b
+Examples:
+  calib inspect ur3 --base base --tip tool0
+  calib inspect robot.urdf data.csv --model hayati
+
+With a table, identifiability is that of its poses; without one, of 200 poses spread over the joint limits.
+"""
+
+
+def inspect(
+    robot: RobotFile,
+    data: Annotated[
+        Path | None, typer.Argument(metavar="[DATA]", help="CSV table, to judge its poses.")
+    ] = None,
+    base: Base = None,
+    tip: Tip = None,
+    target: Target = None,
+    frame: Frame = None,
+    model: ModelName = None,
+    columns: Columns = None,
+    cell: CellFile = None,
+    debug: Debug = False,
+) -> None:
+    """See `_HELP`."""
+    with reporting(debug=debug):
+        from calib.cli.setup import load, read_cell, read_data, say_ignored
+        from calib.identify.inspection import inspect as inspect_robot
+
+        setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, model=model)
+        arm = load(robot, setup)
+        table = None if data is None else read_data(data, arm, columns)
+        if table is not None:
+            say_ignored(table)
+        typer.echo(_chain_text(arm))
+        typer.echo("")
+        typer.echo(_dh_text(arm))
+        typer.echo("")
+        typer.echo(_parameters_text(inspect_robot(arm, setup, table)))
+
+
+def _chain_text(robot: Robot) -> str:
+    """The chain's joints with their limits."""
+    import math
+
+    lines = [
+        f"Robot '{robot.name}' ({robot.urdf.source}), chain {robot.base} to {robot.tip}:",
+        f"  {'joint':<32}{'type':<12}{'axis':<24}limits",
+    ]
+    for joint in robot.joints:
+        axis = " ".join(f"{v + 0.0:.4g}" for v in joint.axis)
+        scale, unit = (1e3, "mm") if joint.type == "prismatic" else (math.degrees(1.0), "deg")
+        limits = (
+            "none"
+            if joint.lower is None or joint.upper is None
+            else f"{scale * joint.lower:.1f} to {scale * joint.upper:.1f} {unit}"
+        )
+        lines.append(f"  {joint.name:<32}{joint.type:<12}{axis:<24}{limits}")
+    return "\n".join(lines)
+
+
+def _dh_text(robot: Robot) -> str:
+    """The DH rows."""
+    import math
+
+    from calib.model.dh import dh_table
+
+    def angle(value: float) -> str:
+        return f"{round(math.degrees(value), 4) + 0.0:.4f}"
+
+    def length(value: float) -> str:
+        return f"{round(1e3 * value, 4) + 0.0:.4f}"
+
+    table = dh_table(robot)
+    lines = [
+        "Standard DH rows, T = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta):",
+        f"  {'joint':<32}{'a [mm]':>12}{'alpha [deg]':>13}{'d [mm]':>12}{'theta [deg]':>13}{'beta [deg]':>12}",
+    ]
+    for row in table.rows:
+        beta = angle(row.beta) if row.near_parallel else "-"
+        lines.append(
+            f"  {row.joint:<32}{length(row.a):>12}{angle(row.alpha):>13}{length(row.d):>12}{angle(row.theta):>13}"
+            f"{beta:>12}"
+        )
+    lines.append(
+        "  beta stands only where axes are nearly parallel (Hayati); there d is set to 0 by convention."
+    )
+    for label, T in (("base to DH frame 0", table.T_base_0), ("DH frame n to tip", table.T_n_tip)):
+        lines.append(f"  {label}: {_pose_text(T)}")
+    return "\n".join(lines)
+
+
+def _pose_text(T: object) -> str:
+    """A pose as xyz and rpy, or that there is none."""
+    import numpy as np
+    import pinocchio as pin
+
+    matrix = np.asarray(T)
+    if np.abs(matrix - np.eye(4)).max() < 1e-9:
+        return "identity"
+    xyz = " ".join(f"{v + 0.0:.4f}" for v in np.round(1e3 * matrix[:3, 3], 4))
+    rpy = " ".join(
+        f"{v + 0.0:.4f}" for v in np.round(np.degrees(pin.rpy.matrixToRpy(matrix[:3, :3])), 4)
+    )
+    return f"xyz {xyz} mm, rpy {rpy} deg"
+
+
+def _parameters_text(inspection: Inspection) -> str:
+    """Parameters of the model, and what the poses can tell of them."""
+    import textwrap
+
+    o = inspection.observability
+    lines = [
+        f"Parameters of the model '{inspection.model.name}' ({len(inspection.model)}), * not alone identifiable:"
+    ]
+    names = [
+        name + ("" if alone else " *")
+        for name, alone in zip(inspection.model.names, o.identifiable, strict=True)
+    ]
+    lines.append(textwrap.fill(", ".join(names), 98, initial_indent="  ", subsequent_indent="  "))
+    lines.append("")
+    lines.append(
+        f"Identifiable from {inspection.poses}: rank {o.rank} of {o.columns}, condition {o.condition:.1f}"
+    )
+    lines.append(
+        "  "
+        + ", ".join(f"{name} {value:.3g}" for name, value in o.indices.items())
+        + " (steps of 1 mm, 1 mrad)"
+    )
+    if o.unidentifiable:
+        lines.append("These changes move nothing that is measured:")
+        lines += [f"  {combination}" for combination in o.unidentifiable]
+    return "\n".join(lines)
+
+
+inspect.__doc__ = _HELP

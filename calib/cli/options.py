@@ -1,0 +1,138 @@
+"""Options and arguments that several verbs share, and how errors leave the program."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.errors import CalibError
+
+
+class Knowledge(str, Enum):
+    """Whether something is known or estimated."""
+
+    known = "known"
+    estimate = "estimate"
+
+
+class Model(str, Enum):
+    """The parameter sets."""
+
+    paper = "paper"
+    dh = "dh"
+    hayati = "hayati"
+    placement = "placement"
+    zeros = "zeros"
+    frames = "frames"
+
+
+class Solver(str, Enum):
+    """The solvers."""
+
+    lm = "lm"
+    paper = "paper"
+    scipy = "scipy"
+
+
+class PriorSizes(str, Enum):
+    """Where the sizes of the priors come from."""
+
+    data = "data"
+    given = "given"
+    off = "off"
+
+
+RobotFile = Annotated[
+    str,
+    typer.Argument(
+        metavar="ROBOT", help="URDF file, or a robot of example-robot-data such as 'ur3'."
+    ),
+]
+DataFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="DATA", help="CSV table with units in its header: joint values and measured points."
+    ),
+]
+Base = Annotated[
+    str | None, typer.Option(help="Link in whose frame the chain starts. Default: the URDF's root.")
+]
+Tip = Annotated[
+    str | None,
+    typer.Option(help="Link that the target sits on. Default: the end of the longest chain."),
+]
+Target = Annotated[
+    str | None,
+    typer.Option(
+        metavar='"X Y Z UNIT"',
+        help='Target in the tip, such as "70 -70 22.5 mm"; a start, unless --fix-target. Default: found from the data.',
+    ),
+]
+Frame = Annotated[
+    Knowledge | None,
+    typer.Option(
+        help="'known': the points are in the base frame (default). 'estimate': in any fixed frame, such as the "
+        "tracker's."
+    ),
+]
+ModelName = Annotated[
+    Model | None,
+    typer.Option(
+        "--model",
+        help="Which errors are estimated: a, alpha, d, theta of each DH row (dh, default; paper: the same with a known "
+        "frame); hayati: beta for d between near-parallel axes; placement: all six of each joint; zeros; frames: none.",
+    ),
+]
+Columns = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar='"NAME IN TABLE=NAME IN URDF [UNIT]"',
+        help="Rename a column of the table, and give its unit if it has none. Can be repeated.",
+    ),
+]
+CellFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--cell", help="TOML file with frames, target, noise, priors; options on the line win."
+    ),
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the trace of an error.")]
+
+
+@contextmanager
+def reporting(*, debug: bool) -> Iterator[None]:
+    """Errors as one line on stderr and exit code 1; with ``debug`` the trace before it."""
+    try:
+        yield
+    except CalibError as error:
+        if debug:
+            traceback.print_exc()
+        typer.echo(f"calib: {error}", err=True)
+        raise typer.Exit(1) from error
+    except KeyboardInterrupt as error:
+        typer.echo("calib: interrupted; no file was left half written.", err=True)
+        raise typer.Exit(130) from error
+    except BrokenPipeError as error:
+        # The reader of our output (head, less) has gone: nothing to say to it.
+        sys.stderr.close()
+        raise typer.Exit(0) from error
+    except typer.Exit:
+        raise
+    except Exception as error:
+        if debug:
+            raise
+        typer.echo(
+            f"calib: a fault of calib itself: {type(error).__name__}: {error}. Please report it with the output of the "
+            "same command and --debug.",
+            err=True,
+        )
+        raise typer.Exit(1) from error

@@ -1,0 +1,140 @@
+"""From the words of a command line to robots, measurements and cells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from calib.cli.options import Knowledge, Model
+from calib.errors import CalibError, FileError, choices
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from calib.measure.cell import Cell
+    from calib.measure.measurements import Measurements
+    from calib.model.robot import Robot
+
+
+def read_cell(
+    path: Path | None,
+    *,
+    base: str | None,
+    tip: str | None,
+    target: str | None,
+    frame: Knowledge | None,
+    model: Model | None,
+) -> Cell:
+    """The cell file, if there is one, with what the command line says on top of it."""
+    from calib.measure.cell import Cell
+
+    cell = Cell() if path is None else Cell.read(path)
+    if base is not None:
+        cell = replace(cell, base=base)
+    if tip is not None:
+        cell = replace(cell, tip=tip)
+    if target is not None:
+        cell = replace(cell, target=parse_point(target, "--target"))
+    if frame is not None:
+        cell = replace(cell, estimate_frame=frame is Knowledge.estimate)
+    if model is not None:
+        cell = replace(cell, model=model.value)
+    return cell
+
+
+def load(robot: str, cell: Cell) -> Robot:
+    """The robot's chain between the cell's base and tip."""
+    from calib.model.robot import Robot
+
+    return Robot.load(robot, cell.base, cell.tip)
+
+
+def read_data(path: Path, robot: Robot, columns: Iterable[str] | None) -> Measurements:
+    """The table, its joint columns matched to the chain's joints."""
+    from calib.measure.measurements import Measurements
+
+    return Measurements.read(
+        path,
+        joint_names=robot.joint_names,
+        joint_types=robot.joint_types,
+        columns=parse_columns(columns or []),
+    )
+
+
+def parse_point(text: str, option: str) -> NDArray[np.float64]:
+    """Three numbers and a unit of length, such as ``70 -70 22.5 mm``, in metres.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    from calib.model.robot import read_only
+    from calib.units import find_unit
+
+    words = text.replace(",", " ").split()
+    try:
+        numbers = [float(word) for word in words[:3]]
+    except ValueError:
+        numbers = []
+    if len(words) != 4 or len(numbers) != 3:
+        message = f'{option} was given as "{text}"; it must be three numbers and a unit, such as "70 -70 22.5 mm".'
+        raise CalibError(message)
+    unit = find_unit(words[3])
+    if unit.quantity != "length":
+        message = (
+            f"{option} was given as \"{text}\"; '{words[3]}' is no unit of length. Use m or mm."
+        )
+        raise CalibError(message)
+    return read_only([unit.to_si * number for number in numbers])
+
+
+def parse_columns(pairs: Iterable[str]) -> dict[str, str]:
+    """``--columns`` as a mapping from the table's names to calib's.
+
+    Raises:
+        CalibError: A pair without an equals sign, or a name twice.
+    """
+    mapping: dict[str, str] = {}
+    for pair in pairs:
+        name, equals, wanted = (part.strip() for part in pair.partition("="))
+        if not (name and equals and wanted) or name in mapping:
+            message = (
+                f"--columns was given '{pair}'; it must be 'name in the table=name in the URDF', with a unit in "
+                "brackets behind it if the table has none, and each name once."
+            )
+            raise CalibError(message)
+        mapping[name] = wanted
+    return mapping
+
+
+def check_outputs(
+    outputs: Iterable[Path | None], inputs: Iterable[str | Path], *, force: bool
+) -> None:
+    """Refuse outputs before the work rather than after it: existing files, missing folders, the inputs, one twice.
+
+    Raises:
+        FileError: An output cannot be written.
+    """
+    wanted = [path for path in outputs if path is not None]
+    taken = {Path(path).resolve() for path in inputs}
+    for path in wanted:
+        if path.resolve() in taken:
+            message = f"{path} is an input or another output of this command; choose another name."
+            raise FileError(message)
+        taken.add(path.resolve())
+        if path.exists() and not force:
+            message = f"{path} exists already; add --force or choose another name."
+            raise FileError(message)
+        if not path.parent.is_dir():
+            message = f"{path}: the folder '{path.parent}' does not exist; make it first."
+            raise FileError(message)
+
+
+def say_ignored(measurements: Measurements) -> None:
+    """Name the columns of the table that were not used."""
+    if measurements.ignored:
+        typer.echo(f"Columns not used: {choices(measurements.ignored)}.\n")

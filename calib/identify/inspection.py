@@ -1,0 +1,90 @@
+"""inspect: which parameters of a model can be identified from poses, before anything is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from calib.identify.registration import register
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.error_model import ErrorModel, error_model
+from calib.model.kinematics import Kinematics
+from calib.model.observability import Observability, analyse
+from calib.model.robot import Robot, read_only
+
+#: A target where none is given: off every axis of the tip [m].
+_GENERIC_TARGET = (0.05, 0.07, 0.03)
+
+_POSES = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """What poses can tell.
+
+    Attributes:
+        model: The error model.
+        observability: Rank and combinations at the nominal robot.
+        poses: Which poses, in words.
+    """
+
+    model: ErrorModel
+    observability: Observability
+    poses: str
+
+
+def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) -> Inspection:
+    """Rank of the cell's model at the nominal robot.
+
+    Args:
+        robot: The nominal robot.
+        cell: Model, target and frame; a target that is not given is registered to the measurements, or, without
+            any, taken 50, 70, 30 mm off the tip.
+        measurements: Whose estimation poses to judge; None: 200 poses of a Sobol sequence over the joint limits.
+
+    Raises:
+        ModelError: Unknown parameter set or parameter.
+        MeasurementError: A joint's column is missing, or too few rows.
+    """
+    model = error_model(robot, cell.model, frame=cell.estimate_frame, target=cell.estimate_target)
+    model = model.without(cell.frozen)
+    if measurements is None:
+        joints, words = spread_poses(robot), f"{_POSES} poses spread over the joint limits"
+        if cell.target is None:
+            cell = replace(cell, target=read_only(_GENERIC_TARGET))
+            words += ", target 50, 70, 30 mm off the tip"
+    else:
+        rows = measurements.estimation
+        joints = measurements.joints_for(robot.joint_names)[rows]
+        words = f"the {rows.sum()} estimation rows of {measurements.source}"
+        cell = register(robot, cell, joints, measurements.points[rows])
+    T_tip_target = np.eye(4)
+    T_tip_target[:3, 3] = cell.target
+    T_frame_base = np.eye(4) if cell.T_frame_base is None else cell.T_frame_base
+    kinematics = Kinematics(robot, model, T_frame_base, T_tip_target)
+    _, jacobian = kinematics.points_jacobian(np.zeros(len(model)), joints)
+    units = [p.unit for p in model.parameters]
+    return Inspection(model, analyse(jacobian.reshape(-1, len(model)), model.names, units), words)
+
+
+def spread_poses(robot: Robot, count: int = _POSES) -> NDArray[np.float64]:
+    """Joint values spread evenly over the limits (one turn or one metre where there are none), shape (count, n).
+
+    An unscrambled Sobol sequence: the same for every call.
+    """
+    low = np.empty(len(robot.joints))
+    high = np.empty(len(robot.joints))
+    for i, joint in enumerate(robot.joints):
+        bound = 1.0 if joint.type == "prismatic" else np.pi
+        low[i] = max(-bound, -bound if joint.lower is None else joint.lower)
+        high[i] = min(bound, bound if joint.upper is None else joint.upper)
+    sequence = qmc.Sobol(len(robot.joints), scramble=False)
+    sequence.fast_forward(
+        1
+    )  # the first point of the sequence is the corner where every joint is at its lower limit
+    unit = sequence.random(count)
+    return read_only(low + unit * np.maximum(high - low, 0.0))

@@ -1,0 +1,1 @@
+"""Pictures of a calibration for people; nothing here changes a result."""

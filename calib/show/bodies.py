@@ -1,0 +1,134 @@
+"""A robot's shapes, each where the robot's own forward kinematics put it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib.model.robot import Robot, rigid_inverse
+from calib.show.triangles import Triangles
+from calib.show.visuals import Cylinder, Shape, Sphere, Visual
+
+Array = NDArray[np.float64]
+
+#: Radius of a stick figure's rods, as a part of the robot's size.
+_ROD = 0.018
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A shape at a pose.
+
+    Attributes:
+        link: The link that it belongs to.
+        shape: What is drawn.
+        T_base_shape: shape (4, 4), [m].
+    """
+
+    link: str
+    shape: Shape
+    T_base_shape: Array
+
+    def outline(self) -> Array:
+        """Points in the base frame that the shape lies within or on, shape (K, 3), [m]."""
+        if isinstance(self.shape, Triangles):
+            step = 1 + len(self.shape.vertices) // 400
+            points = self.shape.vertices[::step].astype(np.float64)
+        else:
+            corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
+            points = corners * _extent(self.shape)
+        result: Array = points @ self.T_base_shape[:3, :3].T + self.T_base_shape[:3, 3]
+        return result
+
+
+def link_poses(robot: Robot, q: Array) -> dict[str, Array]:
+    """T_base_link of every link of the URDF: the chain at ``q``, every other joint at zero.
+
+    Args:
+        robot: The robot.
+        q: shape (n,), [rad] or [m].
+
+    Returns:
+        By link, shape (4, 4), [m]; the tip's equals ``robot.poses(q)``.
+    """
+    model = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
+    data = model.createData()
+    configuration = pin.neutral(model)
+    for name, value in zip(robot.joint_names, q, strict=True):
+        joint = model.getJointId(name)
+        first = model.idx_qs[joint]
+        # A continuous joint's configuration is (cos q, sin q).
+        values = [value] if model.nqs[joint] == 1 else [np.cos(value), np.sin(value)]
+        configuration[first : first + len(values)] = values
+    pin.framesForwardKinematics(model, data, configuration)
+    T_base_root = rigid_inverse(robot.T_root_base)
+    poses = {}
+    for link in robot.urdf.links:
+        frame = model.getFrameId(link, pin.FrameType.BODY)
+        poses[link] = T_base_root @ data.oMf[frame].homogeneous
+    return poses
+
+
+def bodies(robot: Robot, q: Array, visuals: Sequence[Visual]) -> tuple[Body, ...]:
+    """The robot's shapes at ``q``.
+
+    A missing visual is drawn as rods from the link's origin to the joints that it carries. Where no visual can be
+    drawn at all, every link is: a stick figure.
+    """
+    poses = link_poses(robot, q)
+    sticks = {visual.link for visual in visuals if visual.shape is None}
+    if not any(visual.shape for visual in visuals):
+        sticks = set(robot.urdf.links)
+    result = [
+        Body(visual.link, visual.shape, poses[visual.link] @ visual.T_link_shape)
+        for visual in visuals
+        if visual.shape is not None and visual.link in poses
+    ]
+    radius = _ROD * _span(np.array([T[:3, 3] for T in poses.values()]))
+    for link in robot.urdf.links:
+        if link in sticks:
+            result += _stick(robot, link, poses, radius)
+    return tuple(result)
+
+
+def _stick(robot: Robot, link: str, poses: dict[str, Array], radius: float) -> list[Body]:
+    """A ball at the link's origin and a rod to the origin of each link that hangs on it."""
+    ball = poses[link]
+    parts = [Body(link, Sphere(1.6 * radius), ball)]
+    for joint in robot.urdf.joints:
+        if joint.parent != link:
+            continue
+        start, end = ball[:3, 3], poses[joint.child][:3, 3]
+        length = float(np.linalg.norm(end - start))
+        if length > 0.1 * radius:
+            parts.append(Body(link, Cylinder(radius, length), rod_pose(start, end)))
+    return parts
+
+
+def rod_pose(start: Array, end: Array) -> Array:
+    """A pose halfway between two points whose z axis points from one to the other, shape (4, 4)."""
+    z = (end - start) / np.linalg.norm(end - start)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    T[:3, 3] = 0.5 * (start + end)
+    return T
+
+
+def _span(points: Array) -> float:
+    """The diagonal of the points' bounding box; 1 mm at least [m]."""
+    return max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-3)
+
+
+def _extent(shape: Shape) -> Array:
+    """The edges of the box about a simple shape, shape (3,), [m]."""
+    if isinstance(shape, Sphere):
+        return np.full(3, 2.0 * shape.radius)
+    if isinstance(shape, Cylinder):
+        return np.array([2.0 * shape.radius, 2.0 * shape.radius, shape.length])
+    return np.array(getattr(shape, "size", (0.0, 0.0, 0.0)), dtype=np.float64)

@@ -1,0 +1,88 @@
+"""From where a scene is seen: the camera that holds all of it in view on a 16:9 screen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Vertical angle of view [deg]: a long lens, so that robots at the side are not distorted.
+_FOV_DEG = 28.0
+
+#: How far the camera looks down [rad].
+_DOWN = np.deg2rad(16.0)
+
+#: The part of the picture for the scene, x and y from -1 to 1; the rest is for text.
+_LOW, _HIGH = np.array([-0.95, -0.66]), np.array([0.95, 0.76])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A camera that looks at a point.
+
+    Attributes:
+        centre: shape (3,), [m], what it looks at.
+        axes: shape (3, 3), rows: right, up, towards the camera.
+        distance: From the centre, [m].
+        radius: Of a sphere about the centre that holds the scene, [m].
+        fov_deg: Vertical angle of view.
+    """
+
+    centre: Array
+    axes: Array
+    distance: float
+    radius: float
+    fov_deg: float = _FOV_DEG
+
+    @property
+    def position(self) -> list[float]:
+        """Where it stands, from the centre, [m]."""
+        result: list[float] = (self.distance * self.axes[2]).tolist()
+        return result
+
+
+def row_direction(points: Array) -> Array:
+    """A horizontal direction to look from in which an arm spreads out, shape (3,), a unit vector.
+
+    Args:
+        points: shape (N, 3), the origins of its links.
+    """
+    flat = points[:, :2] - points[:, :2].mean(axis=0)
+    _, values, axes = np.linalg.svd(flat, full_matrices=True)
+    spread = axes[0] if values[0] > 0 else np.array([0.0, 1.0])
+    # The arm reaches to the right of the picture and a little towards the camera.
+    outward = points[-1, :2] - points[0, :2]
+    x, y = spread if spread @ outward >= 0 else -spread
+    angle = np.arctan2(y, x) - np.deg2rad(68.0)
+    return np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+def look_at(points: Array, back: Array) -> Camera:
+    """The nearest camera in a direction that sees all points where no text stands.
+
+    Args:
+        points: shape (N, 3), [m].
+        back: shape (3,), horizontal unit vector from the scene to the camera.
+    """
+    towards = np.cos(_DOWN) * back + np.sin(_DOWN) * np.array([0.0, 0.0, 1.0])
+    right = np.array([-back[1], back[0], 0.0])
+    axes = np.stack([right, np.cross(towards, right), towards])
+    seen = points @ axes.T
+    half = np.tan(0.5 * np.deg2rad(_FOV_DEG)) * np.array([16.0 / 9.0, 1.0])
+    centre = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    distance = float(np.linalg.norm(np.ptp(seen, axis=0))) / half[1]
+    for _ in range(60):
+        local = seen - centre
+        at = local[:, :2] / (distance - local[:, 2:]) / half
+        low, high = at.min(axis=0), at.max(axis=0)
+        scale = float(np.max((high - low) / (_HIGH - _LOW)))
+        middle = 0.5 * (low + high) - 0.5 * (_LOW + _HIGH)
+        centre[:2] += middle * half * distance
+        nearest = float(local[:, 2].max())
+        distance = nearest + (distance - nearest) * (1.0 + 0.7 * (scale - 1.0))
+    target = centre @ axes
+    radius = float(np.linalg.norm(points - target, axis=1).max())
+    return Camera(target, axes, distance, radius)

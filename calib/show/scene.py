@@ -1,0 +1,348 @@
+"""The picture of a calibration: nominal robot, calibrated robot and both overlaid, in one HTML file.
+
+All lengths are true to scale. Everything is drawn in the base frame, z up, with meshcat; the page holds the viewer
+and the scene, opens from disk and loads nothing from anywhere.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import meshcat
+import numpy as np
+from meshcat import geometry as mc
+from numpy.typing import ArrayLike, NDArray
+
+from calib.errors import ModelError, choices
+from calib.model.files import write_atomically
+from calib.model.robot import Robot, read_only
+from calib.show.bodies import Body, bodies, link_poses, rod_pose
+from calib.show.camera import Camera, look_at, row_direction
+from calib.show.page import COLOURS, SCENE, Spot, html_page, round_length
+from calib.show.triangles import Triangles
+from calib.show.visuals import Box, Cylinder, Shape, read_visuals
+from calib.show.window import KeyLight, PackedGeometry, SceneWindow, ShadowMaterial, without_shadow
+
+Array = NDArray[np.float64]
+
+#: Above this many measured points they are drawn as dots, not as balls.
+_MOST_BALLS = 300
+
+#: Radius of a target's ball and of a measured point's, as a part of the scene's size.
+_BALL, _SMALL_BALL = 0.009, 0.0038
+
+#: three.js turns cylinders about y, URDF about z.
+_Y_TO_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What is shown; values only.
+
+    Attributes:
+        nominal: The robot before calibration.
+        calibrated: The robot after it; the same chain.
+        q: shape (n,), [rad] or [m], the pose shown, in the order of ``nominal.joint_names``.
+        nominal_target: shape (3,), [m], the target in the tip of the nominal robot.
+        calibrated_target: shape (3,), [m], the target in the tip of the calibrated robot.
+        measured: shape (N, 3), [m], measured targets in the base frame; may be empty.
+        index: Which of ``measured`` was measured at ``q``; None if none was.
+        pose_name: What the pose is called, such as ``"row 31, validation"``.
+        title: The page's heading.
+
+    Raises:
+        ModelError: The robots have different joints, or an array has another shape or is not finite.
+    """
+
+    nominal: Robot
+    calibrated: Robot
+    q: Array
+    nominal_target: Array = field(default_factory=lambda: np.zeros(3))
+    calibrated_target: Array = field(default_factory=lambda: np.zeros(3))
+    measured: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    index: int | None = None
+    pose_name: str = ""
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        """Copy the arrays and check that all of it fits together."""
+        if self.nominal.joint_names != self.calibrated.joint_names:
+            message = (
+                f"The nominal robot has the joints {choices(self.nominal.joint_names)}, the calibrated one "
+                f"{choices(self.calibrated.joint_names)}. Show two robots with the same chain."
+            )
+            raise ModelError(message)
+        self._store("q", self.q, (len(self.nominal.joints),))
+        self._store("nominal_target", self.nominal_target, (3,))
+        self._store("calibrated_target", self.calibrated_target, (3,))
+        measured = np.asarray(self.measured, dtype=np.float64)
+        self._store("measured", measured, (len(measured) if measured.ndim else 0, 3))
+        if self.index is not None and not 0 <= self.index < len(self.measured):
+            message = (
+                f"index is {self.index}, and there are {len(self.measured)} measured points; give a number "
+                "from 0 to one less, or None."
+            )
+            raise ModelError(message)
+
+    def _store(self, name: str, values: ArrayLike, shape: tuple[int, ...]) -> None:
+        """Set a field to a read-only copy of finite numbers of a shape."""
+        array = read_only(values)
+        if array.shape != shape or not np.isfinite(array).all():
+            message = f"{name} has shape {array.shape}; finite numbers of shape {shape} are wanted."
+            raise ModelError(message)
+        object.__setattr__(self, name, array)
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A complete HTML page.
+
+    Attributes:
+        html: The file's bytes, UTF-8.
+        warnings: What could not be drawn as the URDF says, a sentence each; the page lists them too.
+    """
+
+    html: bytes = field(repr=False)
+    warnings: tuple[str, ...]
+
+    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the page, whole or not at all.
+
+        Raises:
+            FileError: The file exists and ``overwrite`` is False, or it cannot be written.
+        """
+        return write_atomically(path, self.html, overwrite=overwrite)
+
+
+def write_view(view: View, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+    """Write a view as one HTML file that opens from disk without a network.
+
+    Raises:
+        FileError: The file exists and ``overwrite`` is False, or it cannot be written.
+    """
+    return view_page(view).write(path, overwrite=overwrite)
+
+
+def view_page(view: View) -> Page:
+    """Draw a view.
+
+    Raises:
+        UrdfError: Pinocchio cannot build a model of a URDF.
+    """
+    nominal_visuals, nominal_warnings = read_visuals(view.nominal.urdf)
+    calibrated_visuals, calibrated_warnings = read_visuals(view.calibrated.urdf)
+    warnings = tuple(dict.fromkeys(nominal_warnings + calibrated_warnings))
+    layout = _Layout.of(
+        view,
+        bodies(view.nominal, view.q, nominal_visuals),
+        bodies(view.calibrated, view.q, calibrated_visuals),
+    )
+    window = SceneWindow()
+    root = meshcat.Visualizer.view_into(window, meshcat.path.Path())
+    _draw_surroundings(root, layout)
+    scene = root[SCENE]
+    for group, (offset, shown) in layout.groups.items():
+        scene[group].set_transform(_translation(offset - layout.camera.centre))
+        for who in shown:
+            _draw_robot(scene[group][who], layout, who, over=len(shown) == 2)
+    _draw_measured(scene["both"]["measured"], view, layout)
+    spots = [
+        Spot(group, offset + layout.foot - layout.camera.centre)
+        for group, (offset, _) in layout.groups.items()
+    ]
+    html = html_page(
+        title=view.title or f"{view.nominal.name or 'Robot'}: nominal and calibrated",
+        pose_name=view.pose_name,
+        points=layout.points,
+        spots=spots,
+        grid=layout.grid,
+        warnings=warnings,
+        scene=window.scene(),
+    )
+    return Page(html, warnings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """Where everything goes, in the base frame of the robot in the middle [m]."""
+
+    parts: dict[str, tuple[Body, ...]]
+    stalks: dict[str, tuple[Array, Array]]
+    points: dict[str, Array]
+    groups: dict[str, tuple[Array, tuple[str, ...]]]
+    foot: Array
+    size: float
+    grid: float
+    camera: Camera
+
+    @classmethod
+    def of(cls, view: View, nominal: tuple[Body, ...], calibrated: tuple[Body, ...]) -> _Layout:
+        """Place three groups side by side so that nothing of one reaches into the next."""
+        stalks = {}
+        for who, robot, target in (
+            ("nominal", view.nominal, view.nominal_target),
+            ("calibrated", view.calibrated, view.calibrated_target),
+        ):
+            T_base_tip = robot.poses(view.q)[0]
+            stalks[who] = (T_base_tip[:3, 3], T_base_tip[:3, :3] @ target + T_base_tip[:3, 3])
+        points = {who: stalk[1] for who, stalk in stalks.items()}
+        if view.index is not None:
+            points["measured"] = view.measured[view.index]
+        joints = np.array([T[:3, 3] for T in link_poses(view.nominal, view.q).values()])
+        drawn = [body.outline() for body in (*nominal, *calibrated)]
+        outline = np.concatenate([*drawn, joints, *[point[None] for point in points.values()]])
+        low, high = outline.min(axis=0), outline.max(axis=0)
+        size = max(float(np.linalg.norm(high - low)), 1e-3)
+        back = row_direction(joints)
+        right = np.array([-back[1], back[0], 0.0])
+        along = outline @ right
+        step = (np.ptp(along) + 0.22 * size) * right
+        groups = {
+            "nominal": (-step, ("nominal",)),
+            "both": (0.25 * size * back, ("nominal", "calibrated")),
+            "calibrated": (step, ("calibrated",)),
+        }
+        # A wild measurement must not make the robots small.
+        near_by = np.linalg.norm(view.measured - 0.5 * (low + high), axis=1) < size
+        everything = np.concatenate(
+            [outline + offset for offset, _ in groups.values()]
+            + [view.measured[near_by] + groups["both"][0]]
+        )
+        foot = np.array([*(0.5 * (along.min() + along.max()) * right)[:2], low[2]])
+        near = outline[outline[:, 2] < low[2] + 0.2 * size] @ back
+        foot += near.max() * back * [1, 1, 0]
+        return cls(
+            parts={"nominal": nominal, "calibrated": calibrated},
+            stalks=stalks,
+            points=points,
+            groups=groups,
+            foot=foot,
+            size=size,
+            grid=round_length(size / 7.0),
+            camera=look_at(everything, back),
+        )
+
+
+def _draw_surroundings(root: meshcat.Visualizer, layout: _Layout) -> None:
+    """Camera, lights, background, floor and grid."""
+    camera, size = layout.camera, layout.size
+    root["/Background"].set_property("top_color", [0.985, 0.99, 1.0])
+    root["/Background"].set_property("bottom_color", [0.86, 0.885, 0.915])
+    for name in ("/Grid", "/Axes"):
+        root[name].set_property("visible", False)
+    for light in ("PointLightNegativeX", "PointLightPositiveX"):
+        root[f"/Lights/{light}/<object>"].set_property("visible", False)
+    towards, right = camera.axes[2], camera.axes[0]
+    root["/Lights/AmbientLight/<object>"].set_property("intensity", 0.52)
+    root["/Lights/FillLight/<object>"].set_property("intensity", 0.22)
+    root["/Lights/FillLight/<object>"].set_property(
+        "position", (20 * size * (towards + 1.2 * right)).tolist()
+    )
+    above = np.array([0.0, 0.0, 1.0])
+    key = KeyLight(1.1 * above + 0.55 * towards - 0.55 * right, camera.radius, 0.5)
+    root["/Lights/Key"].set_object(key)
+    lens = mc.PerspectiveCamera(fov=camera.fov_deg, aspect=16 / 9, near=0.02 * size, far=100 * size)
+    root["/Cameras/default/rotated"].set_object(lens)
+    # The camera lives in a frame with y up; its target is the origin.
+    x, y, z = camera.position
+    root["/Cameras/default/rotated/<object>"].set_property("position", [x, z, -y])
+
+    floor = layout.foot[2] - camera.centre[2]
+    reach = 30.0 * size
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * reach
+    plane = mc.TriangularMeshGeometry(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    root["/Floor/shadow"].set_object(mc.Mesh(plane, ShadowMaterial(0.17)))
+    root["/Floor/shadow"].set_transform(_translation([0, 0, floor - 0.002 * size]))
+    lines = _grid_lines(layout.grid, 1.15 * camera.radius)
+    material = mc.LineBasicMaterial(color=0x9AA7B4, opacity=0.42)
+    root["/Floor/grid"].set_object(mc.LineSegments(mc.PointsGeometry(lines.T), material))
+    without_shadow(root["/Floor/grid"])
+    # A line of the grid passes through the base of the robot in the middle.
+    shift = np.remainder(layout.groups["both"][0] - camera.centre, layout.grid)
+    root["/Floor/grid"].set_transform(_translation([shift[0], shift[1], floor - 0.001 * size]))
+
+
+def _draw_robot(scene: meshcat.Visualizer, layout: _Layout, who: str, *, over: bool) -> None:
+    """One robot with its target; translucent if it is the calibrated one laid over the nominal."""
+    material = _material(who, translucent=over and who == "calibrated")
+    for i, body in enumerate(layout.parts[who]):
+        node = scene[f"{i:03d}"]
+        shape, T_shape_mesh = _geometry(body.shape)
+        node.set_object(shape, material)
+        node.set_transform(body.T_base_shape @ T_shape_mesh)
+    ball = _BALL * layout.size
+    tip, target = layout.stalks[who]
+    solid = _material(who)
+    scene["target"].set_object(mc.Sphere(ball), solid)
+    scene["target"].set_transform(_translation(target))
+    length = float(np.linalg.norm(target - tip))
+    if length > ball:
+        rod = Body("", Cylinder(0.3 * ball, length), rod_pose(tip, target))
+        shape, T_shape_mesh = _geometry(rod.shape)
+        scene["stalk"].set_object(shape, solid)
+        scene["stalk"].set_transform(rod.T_base_shape @ T_shape_mesh)
+
+
+def _draw_measured(scene: meshcat.Visualizer, view: View, layout: _Layout) -> None:
+    """The measured points; the one of the pose shown as large as the targets."""
+    if not len(view.measured):
+        return
+    colour = int(COLOURS["measured"][1:], 16)
+    if len(view.measured) <= _MOST_BALLS:
+        small = mc.Sphere(_SMALL_BALL * layout.size)
+        material = mc.MeshPhongMaterial(color=colour, opacity=0.45)
+        for i, point in enumerate(view.measured):
+            if i == view.index:
+                continue
+            scene[f"{i:03d}"].set_object(small, material)
+            without_shadow(scene[f"{i:03d}"])
+            scene[f"{i:03d}"].set_transform(_translation(point))
+    else:
+        dots = view.measured.T.astype(np.float32)
+        rgb = [colour >> 16, colour >> 8 & 255, colour & 255]
+        shade = np.tile(np.array(rgb, dtype=np.float32)[:, None] / 255, len(view.measured))
+        cloud = mc.PointCloud(dots, shade, size=0.6 * _SMALL_BALL * layout.size)
+        scene["dots"].set_object(cloud)
+        without_shadow(scene["dots"])
+    if view.index is not None:
+        scene["here"].set_object(mc.Sphere(_BALL * layout.size), mc.MeshPhongMaterial(color=colour))
+        scene["here"].set_transform(_translation(view.measured[view.index]))
+
+
+def _material(who: str, *, translucent: bool = False) -> mc.MeshPhongMaterial:
+    """The surface of a robot."""
+    kwargs = {"color": int(COLOURS[who][1:], 16), "shininess": 35, "specular": 0x2A2A2A, "side": 2}
+    if translucent:
+        # A little towards the eye, so that surfaces a fraction of a millimetre apart do not flicker.
+        offset = {"polygonOffset": True, "polygonOffsetFactor": -1.0, "polygonOffsetUnits": -4.0}
+        return mc.MeshPhongMaterial(opacity=0.5, **kwargs, **offset)
+    return mc.MeshPhongMaterial(**kwargs)
+
+
+def _geometry(shape: Shape) -> tuple[mc.Geometry, Array]:
+    """The form that meshcat has of a shape, and its pose in the shape."""
+    if isinstance(shape, Triangles):
+        return PackedGeometry(shape), np.eye(4)
+    if isinstance(shape, Box):
+        return mc.Box(list(shape.size)), np.eye(4)
+    if isinstance(shape, Cylinder):
+        return mc.Cylinder(shape.length, shape.radius), _Y_TO_Z
+    return mc.Sphere(shape.radius), np.eye(4)
+
+
+def _translation(offset: ArrayLike) -> Array:
+    """A pose without rotation, shape (4, 4)."""
+    T = np.eye(4)
+    T[:3, 3] = offset
+    return T
+
+
+def _grid_lines(step: float, radius: float) -> Array:
+    """Start and end points of a square grid cut to a disc, shape (2 K, 3), [m]."""
+    at = step * np.arange(-int(radius / step), int(radius / step) + 1)
+    half = np.sqrt(radius**2 - at**2)
+    along_y = [[x, side * h, 0.0] for x, h in zip(at, half, strict=True) for side in (-1, 1)]
+    along_x = [[side * h, y, 0.0] for y, h in zip(at, half, strict=True) for side in (-1, 1)]
+    return np.array(along_y + along_x)
