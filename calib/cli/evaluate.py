@@ -61,7 +61,7 @@ def evaluate(
     with reporting(debug=debug):
         from dataclasses import replace
 
-        from calib.cli.setup import check_outputs, load, read_cell, read_data, say_ignored
+        from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
         from calib.identify.evaluation import evaluate as evaluate_robot
         from calib.identify.result_file import errors_table, read_result, write_table
 
@@ -76,10 +76,9 @@ def evaluate(
                 target=stored.target if target is None else setup.target,
                 T_frame_base=stored.T_frame_base if frame is None else setup.T_frame_base,
             )
-        arm = load(robot, setup)
+        arm, table = load_with_data(robot, setup, data, columns)
         if setup.target is None:
             setup = _with_target_link(arm, setup)
-        table = read_data(data, arm, columns)
         results = {"the URDF as it is": evaluate_robot(arm, table, setup)}
         if stored is not None:
             label = f"with the joint origins of {Path(str(calibration)).name}"

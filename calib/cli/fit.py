@@ -105,7 +105,7 @@ def fit(
     """See `_HELP`."""
     with reporting(debug=debug):
         from calib.cli.progress import progress_bar
-        from calib.cli.setup import check_outputs, load, read_cell, read_data, say_ignored
+        from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
 
         check_outputs([output, json, view], [robot, data, *([cell] if cell else [])], force=force)
         setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, model=model)
@@ -115,8 +115,7 @@ def fit(
             frozen=(*setup.frozen, *(freeze or ())),
             priors=setup.priors if priors is None else replace(setup.priors, sizes=priors.value),
         )
-        arm = load(robot, setup)
-        table = read_data(data, arm, columns)
+        arm, table = load_with_data(robot, setup, data, columns)
 
         from calib.identify.calibration import calibrate
 

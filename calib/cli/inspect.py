@@ -51,13 +51,14 @@ def inspect(
 ) -> None:
     """See `_HELP`."""
     with reporting(debug=debug):
-        from calib.cli.setup import load, read_cell, read_data, say_ignored
+        from calib.cli.setup import load, load_with_data, read_cell, say_ignored
         from calib.identify.inspection import inspect as inspect_robot
 
         setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, model=model)
-        arm = load(robot, setup)
-        table = None if data is None else read_data(data, arm, columns)
-        if table is not None:
+        if data is None:
+            arm, table = load(robot, setup), None
+        else:
+            arm, table = load_with_data(robot, setup, data, columns)
             say_ignored(table)
         typer.echo(_chain_text(arm))
         typer.echo("")

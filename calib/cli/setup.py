@@ -54,16 +54,26 @@ def load(robot: str, cell: Cell) -> Robot:
     return Robot.load(robot, cell.base, cell.tip)
 
 
-def read_data(path: Path, robot: Robot, columns: Iterable[str] | None) -> Measurements:
-    """The table, its joint columns matched to the chain's joints."""
-    from calib.measure.measurements import Measurements
+def load_with_data(
+    robot: str, cell: Cell, data: Path, columns: Iterable[str] | None
+) -> tuple[Robot, Measurements]:
+    """The robot, and the table with its joint columns matched to the chain's joints.
 
-    return Measurements.read(
-        path,
-        joint_names=robot.joint_names,
-        joint_types=robot.joint_types,
-        columns=parse_columns(columns or []),
+    A tip that was not named is the end of the longest chain whose joints all have a column.
+    """
+    from calib.measure.measurements import Measurements
+    from calib.measure.table import Table
+    from calib.model.robot import Robot
+    from calib.units import split_header
+
+    renamed = parse_columns(columns or [])
+    names = {split_header(label)[0] for label in Table.read(data).header}
+    names |= {split_header(wanted)[0] for wanted in renamed.values()}
+    arm = Robot.load(robot, cell.base, cell.tip, measured=names)
+    table = Measurements.read(
+        data, joint_names=arm.joint_names, joint_types=arm.joint_types, columns=renamed
     )
+    return arm, table
 
 
 def parse_point(text: str, option: str) -> NDArray[np.float64]:

@@ -64,14 +64,14 @@ def verdict(
     against: list[str] = []
     careful: list[str] = []
     good: list[str] = []
-    if noise > _ABSURD_NOISE:
+    if hint:
+        against.append(hint)
+    elif noise > _ABSURD_NOISE:
         against.append(
             f"What the model leaves over is {1e3 * noise:.0f} mm a coordinate, which no arm or instrument explains: "
             "are base and tip the right links, the joint columns in the right order, the measurements in the base "
             "frame (otherwise: --frame estimate)?"
         )
-    if hint:
-        against.append(hint)
     if after.rms >= before.rms:
         against.append(
             f"On rows it did not see ({unseen}) the calibrated robot is no better than the nominal one: "

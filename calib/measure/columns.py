@@ -77,10 +77,11 @@ class Layout:
         """
         types = joint_types or {}
         named = _named(table, joint_names or (), columns or {})
-        if joint_names is None:
-            joints = _guess_joints(table, named, types)
-        else:
-            joints = _pick_joints(table, named, joint_names)
+        joints = (
+            _guess_joints(table, named, types)
+            if joint_names is None
+            else _pick_joints(table, named, joint_names)
+        )
         for joint in joints:
             _check_joint_unit(table, joint, types)
         missing = [name for name in ("x", "y", "z") if name not in named]

@@ -12,7 +12,7 @@ URDF joint, so that a corrected robot and a corrected URDF are the same thing.
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -56,13 +56,21 @@ class Robot:
     _model: pin.Model = field(repr=False)
 
     @classmethod
-    def load(cls, source: str | Path, base: str | None = None, tip: str | None = None) -> Robot:
+    def load(
+        cls,
+        source: str | Path,
+        base: str | None = None,
+        tip: str | None = None,
+        measured: Collection[str] | None = None,
+    ) -> Robot:
         """Load a robot from a URDF file, or by its name from example-robot-data.
 
         Args:
             source: Path of a URDF, or a name such as ``"ur3"`` or ``"panda"``.
             base: Link in whose frame the poses are given; default the URDF's root link.
             tip: Link that the chain ends at; default the link with the most moving joints before it.
+            measured: Names of the joints whose values are known; a tip that is not given is then chosen so that the
+                chain has only these, if there is such a link.
 
         Raises:
             UrdfError: No such file, robot, link, or a chain that calib cannot take.
@@ -71,13 +79,19 @@ class Robot:
             >>> Robot.load("ur3", base="base", tip="tool0").joint_names[0]
             'shoulder_pan_joint'
         """
-        return cls.from_urdf(Urdf.read(find_urdf(source)), base, tip)
+        return cls.from_urdf(Urdf.read(find_urdf(source)), base, tip, measured)
 
     @classmethod
-    def from_urdf(cls, urdf: Urdf, base: str | None = None, tip: str | None = None) -> Robot:
+    def from_urdf(
+        cls,
+        urdf: Urdf,
+        base: str | None = None,
+        tip: str | None = None,
+        measured: Collection[str] | None = None,
+    ) -> Robot:
         """The chain from ``base`` to ``tip`` of a URDF that has been read; see `load`."""
         base = urdf.root if base is None else base
-        tip = _farthest_link(urdf, base) if tip is None else tip
+        tip = _farthest_link(urdf, base, measured) if tip is None else tip
         to_base, to_tip = urdf.chain(base, tip)
         by_name = {joint.name: joint for joint in urdf.joints}
         _check_base_is_rigid(urdf, base, tip, [by_name[name] for name in to_base])
@@ -278,24 +292,34 @@ def _link_placement(model: pin.Model, link: str) -> NDArray[np.float64]:
     return result
 
 
-def _farthest_link(urdf: Urdf, base: str) -> str:
-    """The link below ``base`` with the most moving joints before it; a usual tip's name breaks ties."""
-    children: dict[str, list[UrdfJoint]] = {}
-    for joint in urdf.joints:
-        children.setdefault(joint.parent, []).append(joint)
+def _farthest_link(urdf: Urdf, base: str, measured: Collection[str] | None) -> str:
+    """The link with the most moving joints between it and ``base``; a usual tip's name breaks ties.
+
+    Only links that measured joints alone lead to count, if there are any with a moving joint before them.
+    """
     urdf.chain(base, base)  # raises, with the names there are, for a link that does not exist
-    count = {base: 0}
-    reached = [base]
+    above = {joint.child: joint for joint in urdf.joints}
+    start = base
+    while start in above and above[start].type == "fixed":
+        start = above[start].parent
+    below: dict[str, list[UrdfJoint]] = {}
+    for joint in urdf.joints:
+        below.setdefault(joint.parent, []).append(joint)
+    count = {start: 0}
+    reached = [start]
     for link in reached:
-        for joint in children.get(link, []):
-            count[joint.child] = count[link] + (joint.type in _MOVING and joint.mimic is None)
+        for joint in below.get(link, []):
+            moves = joint.type != "fixed"
+            unusable = joint.type not in _MOVING or joint.mimic is not None
+            if moves and (unusable or (measured is not None and joint.name not in measured)):
+                continue
+            count[joint.child] = count[link] + moves
             reached.append(joint.child)
     most = max(count.values())
+    if most == 0 and measured is not None:
+        return _farthest_link(urdf, base, None)
     farthest = [link for link in reached if count[link] == most]
-    for name in _USUAL_TIPS:
-        if name in farthest:
-            return name
-    return farthest[-1]
+    return next((name for name in _USUAL_TIPS if name in farthest), farthest[-1])
 
 
 def _check_base_is_rigid(urdf: Urdf, base: str, tip: str, to_base: list[UrdfJoint]) -> None:

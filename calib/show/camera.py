@@ -16,7 +16,7 @@ _FOV_DEG = 28.0
 _DOWN = np.deg2rad(16.0)
 
 #: The part of the picture for the scene, x and y from -1 to 1; the rest is for text.
-_LOW, _HIGH = np.array([-0.95, -0.66]), np.array([0.95, 0.76])
+_LOW, _HIGH = np.array([-0.95, -0.69]), np.array([0.95, 0.75])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

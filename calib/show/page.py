@@ -176,11 +176,11 @@ def _inset(points: Mapping[str, Array]) -> str:
     low, high = np.min(list(flat.values()), axis=0), np.max(list(flat.values()), axis=0)
     if not np.any(high > low):
         return ""
-    # 200 by 124 units: room for the dots at the edges and the bar below.
-    scale = 1.0 / float(np.max((high - low) / (168.0, 76.0)))
+    # 170 by 92 units: room for the dots at the edges and the bar below.
+    scale = 1.0 / float(np.max((high - low) / (142.0, 50.0)))
     middle = 0.5 * (low + high)
     at = {
-        who: (100.0 + scale * (x - middle[0]), 50.0 - scale * (y - middle[1]))
+        who: (85.0 + scale * (x - middle[0]), 36.0 - scale * (y - middle[1]))
         for who, (x, y) in flat.items()
     }
     pairs = [pair for pair in _PAIRS if pair[0] in at and pair[1] in at]
@@ -193,18 +193,18 @@ def _inset(points: Mapping[str, Array]) -> str:
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{5 if who == "measured" else 7}" fill="var(--{who})"/>'
         for who, (x, y) in at.items()
     ]
-    bar = round_length(90.0 / scale)
+    bar = round_length(80.0 / scale)
     drawing = (
-        f'<svg viewBox="0 0 200 124" role="img" aria-label="The target magnified">{"".join(lines + dots)}'
-        f'<path d="M8 108v6h{scale * bar:.1f}v-6" fill="none" stroke="#5a6875"/>'
-        f'<text x="{16 + scale * bar:.1f}" y="116" font-size="12" fill="#5a6875">{1e3 * bar:g} mm</text></svg>'
+        f'<svg viewBox="0 0 170 92" role="img" aria-label="The target magnified">{"".join(lines + dots)}'
+        f'<path d="M8 78v6h{scale * bar:.1f}v-6" fill="none" stroke="#5a6875"/>'
+        f'<text x="{16 + scale * bar:.1f}" y="88" font-size="12" fill="#5a6875">{1e3 * bar:g} mm</text></svg>'
     )
     rows = [
         f"<tr><td>{one} to {other}</td><td>{_mm(float(np.linalg.norm(points[one] - points[other])))}</td></tr>"
         for one, other in pairs
     ]
     table = f"<table>{''.join(rows)}</table>"
-    return f'<aside class="over"><h2>The target, magnified</h2>{drawing}{table}</aside>'
+    return f'<aside class="over">{drawing}<div><h2>The target, magnified</h2>{table}</div></aside>'
 
 
 def _in_their_plane(points: Mapping[str, Array]) -> dict[str, Array]:

@@ -198,21 +198,21 @@ class _Layout:
         back = row_direction(joints)
         right = np.array([-back[1], back[0], 0.0])
         along = outline @ right
-        step = (np.ptp(along) + 0.22 * size) * right
+        step = max(np.ptp(along) + 0.22 * size, 0.5 * size) * right
         groups = {
             "nominal": (-step, ("nominal",)),
             "both": (0.25 * size * back, ("nominal", "calibrated")),
             "calibrated": (step, ("calibrated",)),
         }
+        foot = np.array([*(0.5 * (along.min() + along.max()) * right)[:2], low[2]])
+        standing = outline[outline[:, 2] < low[2] + 0.2 * size] @ back
+        foot += standing.max() * back
         # A wild measurement must not make the robots small.
         near_by = np.linalg.norm(view.measured - 0.5 * (low + high), axis=1) < size
         everything = np.concatenate(
-            [outline + offset for offset, _ in groups.values()]
+            [np.vstack([outline, foot]) + offset for offset, _ in groups.values()]
             + [view.measured[near_by] + groups["both"][0]]
         )
-        foot = np.array([*(0.5 * (along.min() + along.max()) * right)[:2], low[2]])
-        near = outline[outline[:, 2] < low[2] + 0.2 * size] @ back
-        foot += near.max() * back * [1, 1, 0]
         return cls(
             parts={"nominal": nominal, "calibrated": calibrated},
             stalks=stalks,
