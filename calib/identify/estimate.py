@@ -23,14 +23,14 @@ from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
 
-#: A solver for a problem from a start x, with the problem's system at x where that is known already.
-Solve = Callable[[Problem, Array, "tuple[Array, Array] | None"], Solution]
+#: A solver for a problem from a start x.
+Solve = Callable[[Problem, Array], Solution]
 
 #: The noise assumed until the data have told theirs [m].
 FIRST_SIGMA = 1e-4
 
-#: Below this the noise is rounding [m].
-_SMALLEST_SIGMA = 1e-11
+#: Below this the noise is no instrument's but rounding [m].
+_SMALLEST_SIGMA = 1e-8
 
 _ROUNDS = 12
 
@@ -79,18 +79,18 @@ def estimate(problem: Problem, solve: Solve, *, priors: Priors, robust: bool) ->
         robust: Whether rows may lose their weight; outliers are named either way.
     """
     stage = _Stage.first(problem, priors)
-    solution = solve(stage.problem(problem), np.zeros(problem.size), None)
+    solution = solve(stage.problem(problem), np.zeros(problem.size))
     if robust:
         for _ in range(_ROUNDS):
             before, linear = stage, _Linear.at(problem, solution.x)
             stage = stage.by_median(problem, linear)
-            solution = linear.resolve(solve, stage.problem(problem), solution)
+            solution = solve(stage.problem(problem), solution.x).after(solution)
             if np.max(np.abs(stage.weights - before.weights)) < 0.02:
                 break
     for _ in range(_ROUNDS):
         before, linear = stage, _Linear.at(problem, solution.x)
         stage = stage.by_likelihood(problem, linear, robust=robust)
-        solution = linear.resolve(solve, stage.problem(problem), solution)
+        solution = solve(stage.problem(problem), solution.x).after(solution)
         if stage.is_like(before):
             break
     return _finish(problem, stage, solution)
@@ -104,7 +104,7 @@ def plain_estimate(problem: Problem, solution: Solution) -> Estimate:
         solution: Where that solver stopped, x in [m, rad].
     """
     linear = _Linear.at(problem, solution.x)
-    data = Linearised.of(linear.A, linear.residual / problem.sigma[:, None], problem.weights)
+    data = Linearised.of(linear.A, linear.y - linear.A @ solution.x, problem.weights)
     freedom = max(data.count - np.linalg.matrix_rank(data.H, hermitian=True), 1.0)
     noise = max(float(np.sqrt(data.yy / freedom)), linear.smallest)
     stage = _Stage(Priors("off"), (), problem.weights, noise, ())
@@ -173,10 +173,8 @@ class _Stage:
 
 @dataclass(frozen=True, slots=True)
 class _Linear:
-    """The problem linearised: y = A x + noise, in units of the rows' sigma; and what that was made of."""
+    """The problem linearised: y = A x + noise, in units of the rows' sigma."""
 
-    residual: Array
-    jacobian: Array
     A: Array
     y: Array
     smallest: float
@@ -187,12 +185,7 @@ class _Linear:
         residual, jacobian = problem.residual_and_jacobian(x)
         A = jacobian / problem.sigma[:, None, None]
         y = residual / problem.sigma[:, None] + A @ x
-        return cls(residual, jacobian, A, y, _SMALLEST_SIGMA / float(np.median(problem.sigma)))
-
-    def resolve(self, solve: Solve, problem: Problem, earlier: Solution) -> Solution:
-        """Solve the problem in its new form from where the earlier solution stopped, here."""
-        start = problem.whitened(earlier.x, self.residual, self.jacobian)
-        return solve(problem, earlier.x, start).after(earlier)
+        return cls(A, y, _SMALLEST_SIGMA / float(np.median(problem.sigma)))
 
     def solve(self, weights: Array, noise: float, precision: Array) -> tuple[Array, Array]:
         """Residual of the linear fit, shape (N, 3), in units of the rows' sigma, and covariance of x."""

@@ -8,7 +8,7 @@ is measured minus predicted, whitened by sigma.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ class Problem:
     sigma: Array
     weights: Array
     precision: Array
+    _last: _LastPrediction = field(default_factory=lambda: _LastPrediction(), repr=False)
 
     @property
     def size(self) -> int:
@@ -54,7 +55,7 @@ class Problem:
 
     def residual_and_jacobian(self, x: Array) -> tuple[Array, Array]:
         """Measured minus predicted, shape (N, 3), and the derivative of the *prediction*, shape (N, 3, p)."""
-        predicted, jacobian = self.kinematics.points_jacobian(x, self.joints)
+        predicted, jacobian = self._last.at(x, self.kinematics, self.joints)
         return self.points - predicted, jacobian
 
     def system(self, x: Array) -> tuple[Array, Array]:
@@ -63,10 +64,7 @@ class Problem:
         Returns:
             shape (3 N + priors,) and shape (3 N + priors, p); see the module's equation.
         """
-        return self.whitened(x, *self.residual_and_jacobian(x))
-
-    def whitened(self, x: Array, residual: Array, jacobian: Array) -> tuple[Array, Array]:
-        """What `system` returns, from the residual and Jacobian at x."""
+        residual, jacobian = self.residual_and_jacobian(x)
         whiten = np.sqrt(self.weights) / self.sigma
         held = np.flatnonzero(self.precision)
         root = np.sqrt(self.precision[held])
@@ -92,3 +90,23 @@ class Problem:
         jacobian_mm = 1e3 * jacobian / unit
         e = np.einsum("ij,ij->i", residual_mm, residual_mm)
         return e, -2.0 * np.einsum("ij,ijk->ik", residual_mm, jacobian_mm)
+
+
+class _LastPrediction:
+    """The last prediction, because solvers and the stages between them often ask twice at the same x.
+
+    Weights, noise and priors do not enter it, so that a problem and its reweighted copies share one.
+    """
+
+    __slots__ = ("value", "x")
+
+    def __init__(self) -> None:
+        """Nothing is known yet."""
+        self.x: Array | None = None
+        self.value: tuple[Array, Array] | None = None
+
+    def at(self, x: Array, kinematics: Kinematics, joints: Array) -> tuple[Array, Array]:
+        """The target's positions and their derivative at x."""
+        if self.value is None or self.x is None or not np.array_equal(x, self.x):
+            self.x, self.value = x.copy(), kinematics.points_jacobian(x, joints)
+        return self.value

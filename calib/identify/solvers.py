@@ -80,7 +80,6 @@ def levenberg_marquardt(
     x0: Array,
     *,
     step_size: Array,
-    start: tuple[Array, Array] | None = None,
     tolerance: float = 1e-9,
     step_tolerance: float = 1e-9,
     iterations: int = 100,
@@ -95,7 +94,6 @@ def levenberg_marquardt(
         system: Residual and Jacobian.
         x0: shape (p,), start.
         step_size: shape (p,), a step of each parameter that is worth talking about, in its unit.
-        start: The system at x0, where it is known already.
         tolerance: Stop when a step promises to lower E by less than this share.
         step_tolerance: Stop when a step is shorter than this in units of ``step_size``.
         iterations: Limit of trial steps.
@@ -104,8 +102,8 @@ def levenberg_marquardt(
         SolverError: The residual at the start is not finite.
     """
     x = np.array(x0, dtype=np.float64)
-    r, J = _checked_start(system, x, start)
-    cost, evaluations = 0.5 * float(r @ r), int(start is None)
+    r, J = _checked_start(system, x)
+    cost, evaluations = 0.5 * float(r @ r), 1
     scale = _column_norms(J)
     R, rhs = _triangle(J, r)
     mu, raise_by = 1e-6, 2.0
@@ -231,11 +229,9 @@ def scipy_least_squares(
     return Solution(result.x, float(result.cost), status, result.message, int(result.nfev), history)
 
 
-def _checked_start(
-    system: System, x: Array, start: tuple[Array, Array] | None = None
-) -> tuple[Array, Array]:
+def _checked_start(system: System, x: Array) -> tuple[Array, Array]:
     """The system at the start, refused where it is not finite."""
-    r, J = system(x) if start is None else start
+    r, J = system(x)
     if not (np.all(np.isfinite(r)) and np.all(np.isfinite(J))):
         message = (
             "The residual is not finite at the start. Check the URDF's numbers and the measurements for values that "

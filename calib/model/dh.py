@@ -7,7 +7,8 @@ common normal of such axes may lie kilometres away (S. Hayati, 1983):
     A_i(q_i) = Rz(theta_i + q_i) Tz(d_i) Tx(a_i) Rx(alpha_i) Ry(beta_i)
 
 (a prismatic joint adds q_i to d_i instead). ``beta_i`` is 0 in every row whose axes are not nearly
-parallel, and in exactly parallel ones; a nearly parallel row has ``d_i = 0``. The choices that the
+parallel, and in exactly parallel ones up to rounding; a nearly parallel row has ``d_i = 0``, the last one
+apart: its d reaches to the tip. The choices that the
 convention leaves open are made so that the rows look as a data sheet prints them: frame 0 is the base
 frame where it can be, x_i points as near as possible to x_(i-1) at q = 0, frame n is the tip where it can be.
 """
@@ -27,6 +28,9 @@ NEARLY_PARALLEL_RAD = np.radians(3.0)
 
 _TOLERANCE = 1e-9
 
+#: An offset between nearly parallel axes below this is rounding [m]; what is cut off is missing from the poses.
+_COINCIDENT = 1e-13
+
 Vector = NDArray[np.float64]
 
 
@@ -37,7 +41,8 @@ class DHRow:
     Attributes:
         joint: Name of the joint that the row's q belongs to.
         prismatic: Whether q adds to d instead of theta.
-        near_parallel: Whether the row's two axes are nearly parallel (then Hayati's beta, and d = 0).
+        near_parallel: Whether the row's two axes are nearly parallel (then Hayati's beta, and, but for the last row,
+            d = 0).
     """
 
     joint: str
@@ -142,7 +147,7 @@ def _row(frame: Vector, axis: Vector, point: Vector, joint: str, kind: str) -> t
         # The next origin is where the next axis meets the plane through this one's origin: d = 0.
         origin = point + axis * ((frame[:3, 3] - point) @ z) / (axis @ z)
         return _hayati_row(frame, axis, origin, x, joint, kind)
-    normal = np.cross(z, axis)
+    normal = _cross(z, axis)
     normal /= np.linalg.norm(normal)
     along, between = normal @ x, point - frame[:3, 3]
     if along < -_TOLERANCE or (along < _TOLERANCE and between @ normal < 0):
@@ -150,8 +155,8 @@ def _row(frame: Vector, axis: Vector, point: Vector, joint: str, kind: str) -> t
     # Feet of the common normal: frame.origin + d z + a normal = point + s axis.
     d, a, s = np.linalg.solve(np.stack([z, normal, -axis], axis=1), between)
     following = _frame(point + s * axis, axis, normal)
-    alpha = np.arctan2(np.cross(z, axis) @ normal, z @ axis)
-    theta = np.arctan2(np.cross(x, normal) @ z, x @ normal)
+    alpha = np.arctan2(_cross(z, axis) @ normal, z @ axis)
+    theta = np.arctan2(_cross(x, normal) @ z, x @ normal)
     row = DHRow(
         joint, _tidy(a), _tidy(alpha), _tidy(d), _tidy(theta), 0.0, kind == "prismatic", False
     )
@@ -185,15 +190,18 @@ def _hayati_row(
     offset = origin - frame[:3, 3]
     offset = offset - z * (z @ offset)
     a = float(np.linalg.norm(offset))
-    normal = offset / a if a > _TOLERANCE else _perpendicular(z, x_hint)
-    if a > _TOLERANCE and normal @ x < -_TOLERANCE:
-        a, normal = -a, -normal
-    elif a <= _TOLERANCE:
-        a = 0.0
-    y = np.cross(z, normal)
+    if a > _COINCIDENT:
+        # Of a tiny offset only the direction across z is kept exactly, or the frame is no rotation.
+        normal = _perpendicular(z, offset / a)
+        a = float(offset @ normal)
+        if normal @ x < -_TOLERANCE:
+            a, normal = -a, -normal
+    else:
+        a, normal = 0.0, _perpendicular(z, x_hint)
+    y = _cross(z, normal)
     beta = float(np.arcsin(np.clip(axis @ normal, -1.0, 1.0)))
     alpha = float(np.arctan2(-(axis @ y), axis @ z))
-    theta = np.arctan2(np.cross(x, normal) @ z, x @ normal)
+    theta = np.arctan2(_cross(x, normal) @ z, x @ normal)
     row = DHRow(
         joint,
         _tidy(a),
@@ -214,7 +222,7 @@ def _hayati_row(
 
 def _nearly_parallel(z: Vector, axis: Vector) -> bool:
     """Whether two unit vectors lie within `NEARLY_PARALLEL_RAD` of one line."""
-    return bool(np.linalg.norm(np.cross(z, axis)) < np.sin(NEARLY_PARALLEL_RAD))
+    return bool(np.linalg.norm(_cross(z, axis)) < np.sin(NEARLY_PARALLEL_RAD))
 
 
 def _perpendicular(z: Vector, hint: Vector) -> Vector:
@@ -233,7 +241,7 @@ def _frame(origin: Vector, z: Vector, x: Vector) -> Vector:
     x = x - z * (z @ x)
     x = x / np.linalg.norm(x)
     T = np.eye(4)
-    T[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    T[:3, :3] = np.stack([x, _cross(z, x), z], axis=1)
     T[:3, 3] = origin
     return T
 
@@ -246,6 +254,12 @@ def _screw(axis: int, angle: float, length: float) -> Vector:
     T[i, i], T[i, j], T[j, i], T[j, j] = c, -s, s, c
     T[axis, 3] = length
     return T
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    """The product a x b of two vectors of three: `numpy.cross` is made for stacks and takes ten times as long."""
+    (a0, a1, a2), (b0, b1, b2) = a, b
+    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def _tidy(value: float | np.floating[Any] | Vector) -> float:
