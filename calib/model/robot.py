@@ -28,10 +28,13 @@ _USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
 
 _MOVING = ("revolute", "continuous", "prismatic")
 
+#: What stands before the links' names in the Pinocchio model.
+_LINK = "link:"
+
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """A serial chain of a URDF, immutable: a changed robot is a new one.
+    """A serial chain of a URDF, immutable: a changed robot is a new one. Two are equal when URDF, base and tip are.
 
     Attributes:
         urdf: The URDF that describes this robot; always in step with ``placements``.
@@ -47,13 +50,13 @@ class Robot:
     urdf: Urdf
     base: str
     tip: str
-    joints: tuple[UrdfJoint, ...]
-    placements: NDArray[np.float64]
-    carriers: tuple[str | None, ...]
-    T_root_base: NDArray[np.float64]
-    _before: NDArray[np.float64] = field(repr=False)
-    _after: NDArray[np.float64] = field(repr=False)
-    _model: pin.Model = field(repr=False)
+    joints: tuple[UrdfJoint, ...] = field(compare=False)
+    placements: NDArray[np.float64] = field(compare=False)
+    carriers: tuple[str | None, ...] = field(compare=False)
+    T_root_base: NDArray[np.float64] = field(compare=False)
+    _before: NDArray[np.float64] = field(repr=False, compare=False)
+    _after: NDArray[np.float64] = field(repr=False, compare=False)
+    _model: pin.Model = field(repr=False, compare=False)
 
     @classmethod
     def load(
@@ -280,6 +283,10 @@ def _chain_model(urdf: Urdf, joints: Sequence[UrdfJoint]) -> pin.Model:
     except (ValueError, RuntimeError) as error:
         message = f"{urdf.source}: Pinocchio cannot build a model of this URDF: {error}"
         raise UrdfError(message) from error
+    # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: let links be told apart.
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            frame.name = _LINK + frame.name
     wanted = {joint.name for joint in joints}
     locked = [i for i in range(1, model.njoints) if model.names[i] not in wanted]
     return pin.buildReducedModel(model, locked, pin.neutral(model)) if locked else model
@@ -287,7 +294,7 @@ def _chain_model(urdf: Urdf, joints: Sequence[UrdfJoint]) -> pin.Model:
 
 def _link_placement(model: pin.Model, link: str) -> NDArray[np.float64]:
     """The pose of a link in the joint that moves it (the root, where none does), shape (4, 4)."""
-    frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+    frame = model.frames[model.getFrameId(_LINK + link, pin.FrameType.BODY)]
     result: NDArray[np.float64] = frame.placement.homogeneous
     return result
 
