@@ -128,7 +128,16 @@ class ErrorModel:
             D: shape (len(places), 4, 4); the displaced placement is P D.
             S: shape (6 len(places), p); rows 6 k to 6 k + 5 are the twists at place k, in the local frame of the
             displaced placement, of a unit of each parameter.
+
+        Raises:
+            ModelError: ``x`` has not one entry for each parameter.
         """
+        if np.shape(x) != (len(self.parameters),):
+            message = (
+                f"A parameter vector of shape {np.shape(x)} was given; the model '{self.name}' has "
+                f"{len(self.parameters)} parameters: {choices(self.names)}."
+            )
+            raise ModelError(message)
         products: dict[str, pin.SE3] = {}
         directions = np.zeros((6 * len(self.places), len(self.parameters)))
         row = {place: 6 * k for k, place in enumerate(self.places)}
@@ -152,10 +161,15 @@ class ErrorModel:
         return displacements, directions
 
     def apply(self, robot: Robot, x: NDArray[np.float64]) -> Robot:
-        """The robot with its placements displaced; frame and target are no part of a robot."""
+        """The robot with its placements displaced; frame and target are no part of a robot.
+
+        Raises:
+            ModelError: ``x`` has not one entry for each parameter.
+            UrdfError: No ``<origin>`` of the URDF can hold a displacement.
+        """
+        displacement, _ = self.displacements(x)
         if not np.any(x):
             return robot
-        displacement, _ = self.displacements(x)
         placements = robot.placements.copy()
         for i, place in enumerate((*robot.joint_names, TIP)):
             factor = displacement[self.places.index(place)]
