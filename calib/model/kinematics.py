@@ -50,8 +50,9 @@ class Kinematics:
         state = _Displaced.of(self, x)
         data = state.chain.createData()
         last = state.chain.njoints - 1
-        T_root_last = np.empty((len(q), 4, 4))
-        for i, configuration in enumerate(self.robot.configurations(q)):
+        configurations = self.robot.configurations(q)
+        T_root_last = np.empty((len(configurations), 4, 4))
+        for i, configuration in enumerate(configurations):
             pin.forwardKinematics(state.chain, data, configuration)
             T_root_last[i] = data.oMi[last].homogeneous
         result: Array = state.T_frame_root @ T_root_last @ (state.T_last_tip @ state.T_tip_target)
@@ -75,9 +76,11 @@ class Kinematics:
         last = state.chain.njoints - 1
         placement = pin.SE3(state.T_last_tip @ state.T_tip_target)
         count = 6 * last
-        T_root_last = np.empty((len(q), 4, 4))
-        regressor = np.empty((len(q), 6, count))
-        for i, configuration in enumerate(self.robot.configurations(q)):
+        configurations = self.robot.configurations(q)
+        samples = len(configurations)
+        T_root_last = np.empty((samples, 4, 4))
+        regressor = np.empty((samples, 6, count))
+        for i, configuration in enumerate(configurations):
             # The regressor reads what forwardKinematics left in data; without that call it is silently wrong.
             pin.forwardKinematics(state.chain, data, configuration)
             T_root_last[i] = data.oMi[last].homogeneous
@@ -90,10 +93,11 @@ class Kinematics:
 
         R_frame_root = state.T_frame_root[:3, :3]
         directions = state.directions
-        twists = np.empty((len(q), 6, len(self.model)))
+        twists = np.empty((samples, 6, len(self.model)))
         of_joints = regressor.reshape(-1, count) @ directions[6 : 6 + count]
-        twists[:, :3] = R_frame_root @ of_joints.reshape(len(q), 6, -1)[:, :3]
-        twists[:, 3:] = R_frame_root @ of_joints.reshape(len(q), 6, -1)[:, 3:]
+        of_joints = of_joints.reshape(samples, 6, len(self.model))
+        twists[:, :3] = R_frame_root @ of_joints[:, :3]
+        twists[:, 3:] = R_frame_root @ of_joints[:, 3:]
         point = T_frame_target[:, :3, 3]
         # The measurement frame, the tip and the target are not in Pinocchio's regressor.
         for place, pose in (
