@@ -46,8 +46,10 @@ def random_joint_values(robot: Robot, count: int = _POSES, seed: int = _SEED) ->
     columns = []
     for joint in robot.joints:
         bound = 1.0 if joint.type == "prismatic" else np.pi
-        low = max(-bound, -bound if joint.lower is None else joint.lower)
-        high = min(bound, bound if joint.upper is None else joint.upper)
+        lower = -np.inf if joint.lower is None else joint.lower
+        upper = np.inf if joint.upper is None else joint.upper
+        # Limits that leave the turn or metre out altogether: the one that is nearer to zero.
+        low, high = min(max(-bound, lower), upper), max(min(bound, upper), lower)
         columns.append(rng.uniform(low, high, count) if high > low else np.full(count, low))
     return np.stack(columns, axis=1)
 
@@ -68,6 +70,11 @@ def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
     ) as error:  # whatever a foreign reader raises, the file is not fit to be given out
         message = f"yourdfpy cannot read the corrected URDF of '{robot.name}', so it is not written: {error}"
         raise UrdfError(message) from error
+    # yourdfpy slides by q times the axis as it is written; the axis is a direction, of any length.
+    q = q / [
+        np.linalg.norm(model.joint_map[joint.name].axis) if joint.type == "prismatic" else 1.0
+        for joint in robot.joints
+    ]
     poses = np.empty((len(q), 4, 4))
     for i, values in enumerate(q):
         model.update_cfg(dict(zip(robot.joint_names, values, strict=True)))
