@@ -29,8 +29,11 @@ _GAP = 30.0
 #: A relative singular value of this size is zero.
 _ROUNDING = 1e-13
 
-#: Shares of a combination below this are left out of its text.
-_NAMED_SHARE = 0.05
+#: A parameter with less than this share of a combination's strongest effect is left out of its text.
+_NAMED_EFFECT = 0.02
+
+#: A parameter with less than this share in what cannot be identified counts as identifiable.
+_UNSEEN_SHARE = 0.05
 
 Array = NDArray[np.float64]
 
@@ -40,8 +43,9 @@ class Combination:
     """Parameters that can change together without changing what was measured.
 
     Attributes:
-        names: The parameters, the strongest first.
-        steps: How much each changes, in its own unit, scaled so that the first changes by its declared step.
+        names: The parameters, in the model's order.
+        steps: How much each changes, in its own unit, scaled so that the leading one, as a rule the first, changes
+            by its declared step.
         units: "m" or "rad" of each.
     """
 
@@ -110,11 +114,16 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
     p = len(names)
     if p == 0:
         return Observability(0, 0, 1.0, read_only([]), {}, (), np.zeros(0, dtype=bool))
-    _, values, V = np.linalg.svd(jacobian * step, full_matrices=True)
-    values = np.concatenate([values, np.zeros(p - len(values))])
+    # Rows of zeros, so that there are p singular values and the whole null space; they change nothing.
+    scaled = np.concatenate([jacobian * step, np.zeros((max(p - len(jacobian), 0), p))])
+    _, values, V = np.linalg.svd(scaled, full_matrices=False)
     rank = rank_by_gap(values)
     null = V[rank:]
-    identifiable = np.linalg.norm(null, axis=0) < _NAMED_SHARE
+    effect = np.linalg.norm(scaled, axis=0)
+    combinations = tuple(_combination(row, effect, names, units, step) for row in _echelon(null))
+    named = {name for combination in combinations for name in combination.names}
+    identifiable = np.linalg.norm(null, axis=0) < _UNSEEN_SHARE
+    identifiable &= np.array([name not in named for name in names])
     identifiable.setflags(write=False)
     return Observability(
         columns=p,
@@ -122,7 +131,7 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
         condition=float(values[0] / values[rank - 1]) if rank else np.inf,
         singular_values=read_only(values),
         indices=_indices(values[:rank], len(jacobian)),
-        unidentifiable=tuple(_combination(row, names, units, step) for row in _echelon(null)),
+        unidentifiable=combinations,
         identifiable=identifiable,
     )
 
@@ -168,7 +177,8 @@ def _echelon(null: Array) -> Array:
     rows: Array = null.copy()
     r, p = rows.shape
     done = 0
-    for column in range(p):
+    # Twice, for a row whose only large entry grew in a column that had been passed over.
+    for column in (*range(p), *range(p)):
         if done == r:
             break
         pivot = done + int(np.argmax(np.abs(rows[done:, column])))
@@ -184,10 +194,15 @@ def _echelon(null: Array) -> Array:
 
 
 def _combination(
-    row: Array, names: Sequence[str], units: Sequence[str], step: Array
+    row: Array, effect: Array, names: Sequence[str], units: Sequence[str], step: Array
 ) -> Combination:
-    """One row of the echelon form in words."""
-    chosen = [int(k) for k in np.flatnonzero(np.abs(row) > _NAMED_SHARE * np.abs(row).max())]
+    """One row of the echelon form in words.
+
+    What is left out must not matter, so a parameter's share is that of what it does to the measurements, not of
+    its step; a parameter that does nothing at all still counts, a little.
+    """
+    share = np.abs(row) * np.maximum(effect, 1e-9 * effect.max() or 1.0)
+    chosen = [int(k) for k in np.flatnonzero(share > _NAMED_EFFECT * share.max())]
     return Combination(
         names=tuple(names[k] for k in chosen),
         steps=tuple(float(row[k] * step[k]) for k in chosen),
