@@ -129,14 +129,15 @@ def fit(
                 validate=validate,
                 progress=progress,
             )
+        # Files first: a reader of the text that goes away (head, less) must not cost the results.
+        written = list(_write(result, output, json, view, target_link=target_link, force=force))
         if not quiet:
             say_ignored(table)
             typer.echo(result.summary() + "\n")
-        for path in _write(result, output, json, view, target_link=target_link, force=force):
-            if not quiet:
+            for path in written:
                 typer.echo(f"Written: {path}")
-        if output is None and not quiet:
-            typer.echo("No URDF was written; add -o corrected.urdf to write it.")
+            if output is None:
+                typer.echo("No URDF was written; add -o corrected.urdf to write it.")
         if output is not None and result.verdict is not None and result.verdict.use == "do not use":
             typer.echo(
                 f"calib: the verdict on {output} is 'do not use': {result.verdict.reasons[0]}",

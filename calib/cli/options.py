@@ -125,6 +125,14 @@ def reporting(*, debug: bool) -> Iterator[None]:
         # The reader of our output (head, less) has gone: nothing to say to it.
         sys.stderr.close()
         raise typer.Exit(0) from error
+    except OSError as error:
+        # Files have messages of their own: this is mostly a full disk behind `>`.
+        if debug:
+            traceback.print_exc()
+        where = f"'{error.filename}'" if error.filename else "the printed text"
+        reason = error.strerror or type(error).__name__
+        typer.echo(f"calib: {where} cannot be read or written: {reason}.", err=True)
+        raise typer.Exit(1) from error
     except typer.Exit:
         raise
     except Exception as error:

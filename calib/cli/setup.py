@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -83,23 +84,23 @@ def parse_point(text: str, option: str) -> NDArray[np.float64]:
         CalibError: Anything else.
     """
     from calib.model.robot import read_only
-    from calib.units import find_unit
+    from calib.units import UNITS, symbols
 
     words = text.replace(",", " ").split()
     try:
         numbers = [float(word) for word in words[:3]]
     except ValueError:
         numbers = []
-    if len(words) != 4 or len(numbers) != 3:
+    if len(words) != 4 or len(numbers) != 3 or not all(map(math.isfinite, numbers)):
         message = f'{option} was given as "{text}"; it must be three numbers and a unit, such as "70 -70 22.5 mm".'
         raise CalibError(message)
-    unit = find_unit(words[3])
-    if unit.quantity != "length":
+    if words[3] not in symbols("length"):
         message = (
-            f"{option} was given as \"{text}\"; '{words[3]}' is no unit of length. Use m or mm."
+            f"{option} was given as \"{text}\"; '{words[3]}' is no unit of length. Choose one of "
+            f"{choices(symbols('length'))}."
         )
         raise CalibError(message)
-    return read_only([unit.to_si * number for number in numbers])
+    return read_only([UNITS[words[3]].to_si * number for number in numbers])
 
 
 def parse_columns(pairs: Iterable[str]) -> dict[str, str]:
@@ -130,17 +131,24 @@ def check_outputs(
         FileError: An output cannot be written.
     """
     wanted = [path for path in outputs if path is not None]
-    taken = {Path(path).resolve() for path in inputs}
+    taken = {Path(path).resolve(): "an input" for path in inputs}
     for path in wanted:
-        if path.resolve() in taken:
-            message = f"{path} is an input or another output of this command; choose another name."
+        resolved = path.resolve()
+        if resolved in taken:
+            message = f"{path} is also {taken[resolved]} of this command; choose another name."
             raise FileError(message)
-        taken.add(path.resolve())
+        taken[resolved] = "another output"
+        if path.is_dir():
+            message = f"{path} is a folder; name a file inside it."
+            raise FileError(message)
         if path.exists() and not force:
             message = f"{path} exists already; add --force or choose another name."
             raise FileError(message)
         if not path.parent.is_dir():
-            message = f"{path}: the folder '{path.parent}' does not exist; make it first."
+            home = " Here '~' does not stand for your home folder; write it out." * (
+                path.parts[0].startswith("~")
+            )
+            message = f"{path}: the folder '{path.parent}' does not exist; make it first.{home}"
             raise FileError(message)
 
 
