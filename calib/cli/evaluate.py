@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,9 +22,11 @@ from calib.cli.options import (
     Tip,
     reporting,
 )
+from calib.errors import CalibError
 
 if TYPE_CHECKING:
     from calib.identify.evaluation import Evaluation
+    from calib.identify.result_file import StoredResult
     from calib.measure.cell import Cell
     from calib.model.robot import Robot
 
@@ -35,8 +38,8 @@ Examples:
   calib evaluate robot.urdf fresh.csv --base base --tip tool0 --target "70 -70 22.5 mm"
 
 With --calibration, target and measurement frame are those of that result, and the robot is evaluated twice: as its
-URDF is, and with the result's joint origins. Without it, what is not given is registered to the rows: the target, and
-with --frame estimate the frame.
+URDF is, and with the result's joint origins. Without it, what is not given is registered to the rows: the target
+(unless the URDF has the link that 'calib fit --target-link' adds), and with --frame estimate the frame.
 """
 
 
@@ -63,12 +66,14 @@ def evaluate(
 
         from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
         from calib.identify.evaluation import evaluate as evaluate_robot
-        from calib.identify.result_file import errors_table, read_result, write_table
+        from calib.identify.evaluation import hint
+        from calib.identify.result_file import evaluation_table, read_result, write_table
 
         check_outputs([json], [robot, data, *(p for p in (cell, calibration) if p)], force=force)
         setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, model=None)
         stored = None if calibration is None else read_result(calibration)
         if stored is not None:
+            _check_chain(setup, stored, str(calibration))
             setup = replace(
                 setup,
                 base=setup.base or stored.base,
@@ -77,23 +82,42 @@ def evaluate(
                 T_frame_base=stored.T_frame_base if frame is None else setup.T_frame_base,
             )
         arm, table = load_with_data(robot, setup, data, columns)
+        source = "as given" if stored is None or target is not None else "as the result has it"
         if setup.target is None:
-            setup = _with_target_link(arm, setup)
-        results = {"the URDF as it is": evaluate_robot(arm, table, setup)}
-        if stored is not None:
-            label = f"with the joint origins of {Path(str(calibration)).name}"
-            results[label] = evaluate_robot(stored.corrected(arm), table, setup)
-        if not quiet:
-            say_ignored(table)
-            typer.echo(_text(results))
-        if json is not None:
-            errors = {
-                label: {name: errors_table(e) for name, e in result.errors.items()}
-                for label, result in results.items()
-            }
-            written = write_table({"errors": errors}, json, overwrite=force)
-            if not quiet:
-                typer.echo(f"\nWritten: {written}")
+            setup, source = (
+                _with_target_link(arm, setup),
+                "as the URDF's link 'calib_target' has it",
+            )
+        as_it_is = evaluate_robot(arm, table, setup)
+        corrected = None if stored is None else evaluate_robot(stored.corrected(arm), table, setup)
+        written = (
+            None
+            if json is None
+            else write_table(evaluation_table(as_it_is, corrected), json, overwrite=force)
+        )
+        if quiet:
+            return
+        say_ignored(table)
+        results = {"the URDF as it is": as_it_is}
+        if corrected is not None:
+            results[f"with the joint origins of {Path(str(calibration)).name}"] = corrected
+        typer.echo(_text(results, source))
+        advice = "" if stored is not None else hint(as_it_is, setup)
+        if advice:
+            typer.echo("\n" + textwrap.fill(advice, 100, break_on_hyphens=False))
+        if written is not None:
+            typer.echo(f"\nWritten: {written}")
+
+
+def _check_chain(cell: Cell, stored: StoredResult, name: str) -> None:
+    """Refuse another base or tip than the result's: its frame and its target would mean something else."""
+    for option, given, wanted in (("base", cell.base, stored.base), ("tip", cell.tip, stored.tip)):
+        if given is not None and given != wanted:
+            message = (
+                f"{name} is the result for --{option} {wanted}, and '{given}' was given; leave out --{option}, or "
+                f"--calibration."
+            )
+            raise CalibError(message)
 
 
 def _with_target_link(robot: Robot, cell: Cell) -> Cell:
@@ -101,7 +125,9 @@ def _with_target_link(robot: Robot, cell: Cell) -> Cell:
     from calib.identify.calibration import TARGET_LINK
     from calib.model.robot import Robot as RobotClass
 
-    if TARGET_LINK not in robot.urdf.links or robot.tip == TARGET_LINK:
+    if robot.tip == TARGET_LINK:
+        return cell.with_target((0.0, 0.0, 0.0), estimate=cell.estimate_target)
+    if TARGET_LINK not in robot.urdf.links:
         return cell
     with_link = RobotClass.from_urdf(robot.urdf, robot.base, TARGET_LINK)
     if with_link.joint_names != robot.joint_names:
@@ -111,19 +137,19 @@ def _with_target_link(robot: Robot, cell: Cell) -> Cell:
     return cell.with_target(point, estimate=cell.estimate_target)
 
 
-def _text(results: dict[str, Evaluation]) -> str:
-    """The errors of each robot as a table."""
+def _text(results: dict[str, Evaluation], source: str) -> str:
+    """The errors of each robot as a table; ``source`` says where the target is from, if it was not registered."""
     from calib.identify.summary import error_head, error_row
 
     first = next(iter(results.values()))
     place = ", ".join(f"{1e3 * v:.3f}" for v in first.target)
-    how = "registered to the rows" if "target" in first.registered else "as given"
-    lines = [f"Target at ({place}) mm in {first.robot.tip}, {how}."]
+    how = "registered to the rows" if "target" in first.registered else source
+    lines = [textwrap.fill(f"Target at ({place}) mm in {first.robot.tip}, {how}.", 100)]
     if "frame" in first.registered:
         lines.append("Measurement frame: registered to the rows.")
     lines += ["", error_head()]
     for label, result in results.items():
-        lines.append(f"{label}:")
+        lines.append(textwrap.shorten(label, 99, placeholder="...") + ":")
         for name, errors in result.errors.items():
             if errors.n and not (
                 name == "all"

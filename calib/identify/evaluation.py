@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.fitting import Rows, nominal_cell, predict
+from calib.identify.setup_check import better_setup
 from calib.identify.statistics import Errors
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
@@ -64,10 +65,7 @@ def evaluate(robot: Robot, measurements: Measurements, cell: Cell | None = None)
     """
     cell = Cell() if cell is None else cell
     joints = measurements.joints_for(robot.joint_names)
-    every = Rows(joints, measurements.points, np.ones(len(measurements)))
-    chosen = measurements.estimation
-    rows = every.select(chosen) if np.any(chosen) else every
-    placed = nominal_cell(robot, cell, rows)
+    placed = nominal_cell(robot, cell, _rows(robot, measurements))
     assert placed.T_frame_base is not None  # registration leaves neither out
     assert placed.target is not None
     frame_is_open = cell.estimate_frame and cell.T_frame_base is None
@@ -80,3 +78,21 @@ def evaluate(robot: Robot, measurements: Measurements, cell: Cell | None = None)
         registered=tuple(name for name, missing in unknown if missing),
         residual=read_only(measurements.points - predict(robot, placed, joints)),
     )
+
+
+def hint(evaluation: Evaluation, cell: Cell) -> str:
+    """A sentence that names a set-up which explains the rows far better, or nothing.
+
+    Args:
+        evaluation: Of a robot.
+        cell: The cell that it was evaluated with.
+    """
+    return better_setup(evaluation.robot, cell, _rows(evaluation.robot, evaluation.measurements))
+
+
+def _rows(robot: Robot, measurements: Measurements) -> Rows:
+    """The rows that what is unknown is registered to: the estimation rows, or all where there are none."""
+    joints = measurements.joints_for(robot.joint_names)
+    every = Rows(joints, measurements.points, np.ones(len(measurements)))
+    chosen = measurements.estimation
+    return every.select(chosen) if np.any(chosen) else every

@@ -23,13 +23,16 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.errors import FileError
 from calib.identify.calibration import Calibration, Outlier
+from calib.identify.evaluation import Evaluation
 from calib.identify.statistics import Errors
 from calib.model.files import read_bytes, write_atomically
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
+#: The layout of a result, and of what `calib evaluate --json` writes; a word, so that one is not taken for the other.
 SCHEMA = 1
+EVALUATION_SCHEMA = "evaluation 1"
 
 _LARGEST_BYTES = 500_000_000
 
@@ -208,6 +211,31 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
         ],
         "inputs": {
             "urdf": {"name": c.nominal.urdf.source, "sha256": c.nominal.urdf.sha256},
+            "measurements": {"name": m.source, "sha256": m.sha256, "rows": len(m)},
+        },
+        "versions": versions(),
+    }
+
+
+def evaluation_table(as_it_is: Evaluation, corrected: Evaluation | None = None) -> dict[str, Any]:
+    """What `calib evaluate` found, as nested tables: the robot as its URDF is, and with a result's joint origins."""
+    e, m = as_it_is, as_it_is.measurements
+    results = {"urdf": e} if corrected is None else {"urdf": e, "calibration": corrected}
+    return {
+        "schema": EVALUATION_SCHEMA,
+        "robot": {"name": e.robot.name, "base": e.robot.base, "tip": e.robot.tip},
+        "frames": {
+            "frame_base_xyz_m": e.T_frame_base[:3, 3],
+            "frame_base_rpy_rad": pin.rpy.matrixToRpy(e.T_frame_base[:3, :3]),
+            "target_m": e.target,
+            "registered": list(e.registered),
+        },
+        "errors": {
+            who: {name: errors_table(errors) for name, errors in result.errors.items()}
+            for who, result in results.items()
+        },
+        "inputs": {
+            "urdf": {"name": e.robot.urdf.source, "sha256": e.robot.urdf.sha256},
             "measurements": {"name": m.source, "sha256": m.sha256, "rows": len(m)},
         },
         "versions": versions(),

@@ -36,22 +36,20 @@ def better_setup(robot: Robot, cell: Cell, rows: Rows) -> str:
     given = _rms(robot, asked, rows)
     if given < _PLAUSIBLE:
         return ""
-    candidates = [
-        (_rms(Robot.from_urdf(robot.urdf, link, robot.tip), asked, rows), f"with --base {link}")
-        for link in _standing_links(robot)
-    ]
+    # Score, error, words. A frame of its own always fits a little better: it must do more than that.
+    candidates = []
+    for link in _standing_links(robot):
+        error = _rms(Robot.from_urdf(robot.urdf, link, robot.tip), asked, rows)
+        candidates.append((error, error, f"--base {link}"))
     if len(rows) >= 4:
-        free = replace(asked, estimate_frame=True)
-        # A frame of its own always fits a little better: it must do more than that.
-        candidates.append((2.0 * _rms(robot, free, rows), "with --frame estimate"))
-    best, words = min(candidates, default=(np.inf, ""))
-    if best > _FAR_BETTER * given:
+        error = _rms(robot, replace(asked, estimate_frame=True), rows)
+        candidates.append((2.0 * error, error, "--frame estimate"))
+    score, error, option = min(candidates, default=(np.inf, np.inf, ""))
+    if score > _FAR_BETTER * given:
         return ""
     return (
-        f"The points do not seem to be in the frame of '{robot.base}', where the nominal robot is {1e3 * given:.0f} mm "
-        f"rms off: {words} it is only a few mm. Try that."
-        if best < _PLAUSIBLE
-        else f"{words.capitalize()} the nominal robot fits far better than in the frame of '{robot.base}'."
+        f"The points do not seem to be in the frame of '{robot.base}': the nominal robot is {1e3 * given:.0f} mm rms "
+        f"off there, and {1e3 * error:.1f} mm with {option}. Try that."
     )
 
 
