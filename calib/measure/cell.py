@@ -7,6 +7,7 @@ which parameters are estimated. All of it can stand in a TOML file, ``--cell cel
 from __future__ import annotations
 
 import difflib
+import math
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -91,8 +92,8 @@ class Cell:
             object.__setattr__(self, "target", _vector(self.target, "target"))
         elif not self.estimate_target:
             message = (
-                'The target is said to be known but is not given. Give it (--target "x y z mm") or let it be '
-                "estimated."
+                'The target is said to be known but is not given. Give it (--target "x y z mm", or target_mm in the '
+                "cell file) or let it be estimated."
             )
             raise CalibError(message)
         if self.T_frame_base is not None:
@@ -100,6 +101,12 @@ class Cell:
         if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0.0):
             message = f"The noise sigma is {self.sigma} m; it must be a positive number."
             raise CalibError(message)
+        if isinstance(self.frozen, str):
+            message = (
+                f"The frozen parameters are a tuple of names; the text '{self.frozen}' was given."
+            )
+            raise CalibError(message)
+        object.__setattr__(self, "frozen", tuple(self.frozen))
 
     @classmethod
     def read(cls, path: str | Path) -> Cell:
@@ -124,45 +131,54 @@ class Cell:
 
 def _vector(value: ArrayLike, name: str) -> NDArray[np.float64]:
     """Three finite numbers."""
-    vector = np.asarray(value, dtype=np.float64)
-    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        message = f"The {name} must be three finite numbers x y z; {value!r} was given."
+    vector = _floats(value)
+    if vector is None or vector.shape != (3,) or not np.all(np.isfinite(vector)):
+        given = value.tolist() if isinstance(value, np.ndarray) else value
+        message = f"The {name} must be three finite numbers x, y, z [m]; {given!r} was given."
         raise CalibError(message)
     return read_only(vector)
 
 
 def _pose(value: ArrayLike) -> NDArray[np.float64]:
     """A pose: an orthonormal right-handed rotation and a translation."""
-    T = np.asarray(value, dtype=np.float64)
-    good = T.shape == (4, 4) and np.all(np.isfinite(T)) and np.array_equal(T[3], [0, 0, 0, 1])
+    T = _floats(value)
     if (
-        not good
+        T is None
+        or T.shape != (4, 4)
+        or not np.all(np.isfinite(T))
+        or not np.array_equal(T[3], [0, 0, 0, 1])
         or np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-6
         or np.linalg.det(T[:3, :3]) < 0
     ):
-        message = (
-            "T_frame_base must be a 4 x 4 pose with a right-handed rotation; given was "
-            f"{np.asarray(value).tolist()}."
-        )
+        given = value.tolist() if isinstance(value, np.ndarray) else value
+        message = f"T_frame_base must be a 4 x 4 pose with a right-handed rotation [m]; {given!r} was given."
         raise CalibError(message)
     return read_only(T)
 
 
-#: The keys of a cell file, each with the kind of its value.
+def _floats(value: ArrayLike) -> NDArray[np.float64] | None:
+    """An array of numbers, or None where the value is none."""
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+
+
+#: The keys of a cell file, each with what its value must be.
 _KEYS: dict[str, str] = {
-    "base": "text",
-    "tip": "text",
-    "model": "text",
-    "freeze": "names",
-    "target": "known or estimate",
+    "base": "a name in quotes",
+    "tip": "a name in quotes",
+    "model": "a name in quotes",
+    "freeze": "a list of names",
+    "target": "'known' or 'estimate'",
     "target_mm": "three numbers",
-    "frame": "known or estimate",
+    "frame": "'known' or 'estimate'",
     "frame_xyz_mm": "three numbers",
     "frame_rpy_deg": "three numbers",
-    "sigma_mm": "number",
-    "priors": "data, given or off",
-    "prior_length_mm": "number",
-    "prior_angle_mrad": "number",
+    "sigma_mm": "a positive number",
+    "priors": "'data', 'given' or 'off'",
+    "prior_length_mm": "a positive number",
+    "prior_angle_mrad": "a positive number",
 }
 
 
@@ -212,14 +228,14 @@ def _fits(value: Any, kind: str) -> bool:  # noqa: ANN401  TOML values are of an
     """Whether a TOML value is of the kind that its key wants."""
 
     def is_number(v: Any) -> bool:  # noqa: ANN401
-        return isinstance(v, (int, float)) and not isinstance(v, bool)
+        return isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v)
 
-    if kind == "number":
-        return is_number(value)
+    if kind == "a positive number":
+        return is_number(value) and value > 0
     if kind == "three numbers":
         return isinstance(value, list) and len(value) == 3 and all(is_number(v) for v in value)
-    if kind == "names":
+    if kind == "a list of names":
         return isinstance(value, list) and all(isinstance(v, str) for v in value)
-    if kind == "text":
+    if kind == "a name in quotes":
         return isinstance(value, str)
-    return value in kind.replace(" or ", ", ").split(", ")
+    return isinstance(value, str) and f"'{value}'" in kind
