@@ -83,8 +83,13 @@ def _chain_text(robot: Robot) -> str:
             if joint.lower is None or joint.upper is None
             else f"{scale * joint.lower:.1f} to {scale * joint.upper:.1f} {unit}"
         )
-        lines.append(f"  {joint.name:<32}{joint.type:<12}{axis:<24}{limits}")
+        lines += _row(joint.name, f"{joint.type:<12}{axis:<24}{limits}")
     return "\n".join(lines)
+
+
+def _row(name: str, cells: str) -> list[str]:
+    """A row of a table that begins with a joint's name; a long name gets a line of its own."""
+    return [f"  {name:<32}{cells}"] if len(name) < 32 else [f"  {name}", f"  {'':<32}{cells}"]
 
 
 def _dh_text(robot: Robot) -> str:
@@ -106,9 +111,9 @@ def _dh_text(robot: Robot) -> str:
     ]
     for row in table.rows:
         beta = angle(row.beta) if row.near_parallel else "-"
-        lines.append(
-            f"  {row.joint:<32}{length(row.a):>12}{angle(row.alpha):>13}{length(row.d):>12}{angle(row.theta):>13}"
-            f"{beta:>12}"
+        lines += _row(
+            row.joint,
+            f"{length(row.a):>12}{angle(row.alpha):>13}{length(row.d):>12}{angle(row.theta):>13}{beta:>12}",
         )
     lines.append(
         "  beta stands only where axes are nearly parallel (Hayati); there d is set to 0 by convention."
@@ -135,30 +140,39 @@ def _pose_text(T: object) -> str:
 
 def _parameters_text(inspection: Inspection) -> str:
     """Parameters of the model, and what the poses can tell of them."""
-    import textwrap
-
     o = inspection.observability
-    lines = [
-        f"Parameters of the model '{inspection.model.name}' ({len(inspection.model)}), * not alone identifiable:"
-    ]
     names = [
-        name + ("" if alone else " *")
+        name + ("" if alone else "*")
         for name, alone in zip(inspection.model.names, o.identifiable, strict=True)
     ]
-    lines.append(textwrap.fill(", ".join(names), 98, initial_indent="  ", subsequent_indent="  "))
-    lines.append("")
-    lines.append(
-        f"Identifiable from {inspection.poses}: rank {o.rank} of {o.columns}, condition {o.condition:.1f}"
-    )
-    lines.append(
-        "  "
-        + ", ".join(f"{name} {value:.3g}" for name, value in o.indices.items())
-        + " (steps of 1 mm, 1 mrad)"
-    )
+    marked = "" if all(o.identifiable) else ", * known in combination with others only"
+    indices = ", ".join(f"{name} {value:.3g}" for name, value in o.indices.items())
+    lines = [
+        f"Parameters of the model '{inspection.model.name}' ({len(inspection.model)}{marked}):",
+        _wrap(", ".join(names), "  "),
+        "",
+        _wrap(
+            f"Identifiable from {inspection.poses}: rank {o.rank} of {o.columns}, condition {o.condition:.1f}"
+        ),
+        _wrap(f"Observability indices: {indices} (in steps of 1 mm, 1 mrad)"),
+    ]
     if o.unidentifiable:
         lines.append("These changes move nothing that is measured:")
-        lines += [f"  {combination}" for combination in o.unidentifiable]
+        lines += [_wrap(str(combination), "  ") for combination in o.unidentifiable]
     return "\n".join(lines)
+
+
+def _wrap(text: str, indent: str = "") -> str:
+    """Text broken at 100 columns."""
+    import textwrap
+
+    return textwrap.fill(
+        text,
+        100,
+        initial_indent=indent,
+        subsequent_indent=indent or "  ",
+        break_on_hyphens=False,
+    )
 
 
 inspect.__doc__ = _HELP

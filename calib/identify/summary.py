@@ -16,8 +16,11 @@ _WIDTH = 100
 #: A target that moved further than this was given wrongly, rather than mounted inexactly [m].
 _TARGET_MOVED = 5e-3
 
+#: A parameter with a longer name gets a line for its name alone.
+_LONGEST_NAME = 46
+
 #: A row of the error table has the columns: label, n, max, mean, rms, span x, span y, span z.
-_COLUMNS = "{:<33}{:>5}{:>10}{:>10}{:>10}{:>10}{:>9}{:>9}"
+_COLUMNS = "{:<33}{:>5}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}"
 
 
 def summary(c: Calibration) -> str:
@@ -83,10 +86,7 @@ def _flagged(c: Calibration) -> str:
     """The rows that do not belong to the others."""
     lines = []
     if c.outliers:
-        treated = (
-            "left out of the fit" if c.solver != "paper" else "but the paper's solver uses all rows"
-        )
-        lines.append(_wrap(f"Outliers ({treated}): {_list(c.outliers)}"))
+        lines.append(_wrap(f"Outliers: {_list(c.outliers)}"))
     else:
         lines.append("Outliers: none.")
     if c.suspects:
@@ -111,9 +111,9 @@ def _target(c: Calibration) -> str:
     """Where the target is, and how far from where it was said to be."""
     place = ", ".join(f"{1e3 * v:.3f}" for v in c.target)
     if not c.cell.estimate_target:
-        return f"Target: ({place}) mm in {c.nominal.tip}, as given."
+        return _wrap(f"Target: ({place}) mm in {c.nominal.tip}, as given.")
     if c.cell.target is None:
-        return f"Target: found at ({place}) mm in {c.nominal.tip}."
+        return _wrap(f"Target: found at ({place}) mm in {c.nominal.tip}.")
     moved = float(np.linalg.norm(c.target - c.cell.target))
     text = f"Target: ({place}) mm in {c.nominal.tip}; it moved {1e3 * moved:.1f} mm from the position given."
     if moved > _TARGET_MOVED:
@@ -147,17 +147,20 @@ def _identified(c: Calibration) -> str:
 
 def _parameters(c: Calibration) -> str:
     """All parameters with their 95 % intervals; * where the data know them in combinations only."""
-    width = max(len(p.name) for p in c.parameters) + 2
-    head = f"{'Parameter':<{width}}{'nominal':>12}{'value':>12}{'change':>11}{'95 % +-':>10}"
-    lines = [head]
+    width = min(max(len(p.name) for p in c.parameters), _LONGEST_NAME) + 2
+    lines = [f"{'Parameter':<{width}}{'nominal':>12}{'value':>12}{'change':>11}{'95 % +-':>10}"]
     for p in c.parameters:
         scale, unit = (1e3, "mm") if p.unit == "m" else (np.degrees(1.0), "deg")
         nominal = "-" if p.nominal is None else _three(scale * p.nominal)
         half = 0.5 * scale * (p.high - p.low)
         value, delta = _three(scale * p.value), _three(scale * p.delta, "+")
         mark = "" if p.identifiable else " *"
+        name = p.name
+        if len(name) > _LONGEST_NAME:
+            lines.append(_wrap(name))
+            name = ""
         lines.append(
-            f"{p.name:<{width}}{nominal:>12}{value:>12}{delta:>11}{half:>10.3f} {unit}{mark}"
+            f"{name:<{width}}{nominal:>12}{value:>12}{delta:>11}{half:>10.3f} {unit}{mark}"
         )
     if not all(p.identifiable for p in c.parameters):
         lines.append("* known in combination with others only; see above")
@@ -180,4 +183,10 @@ def _three(value: float, sign: str = "-") -> str:
 
 def _wrap(text: str, indent: str = "") -> str:
     """Text broken at 100 columns."""
-    return textwrap.fill(text, _WIDTH, initial_indent=indent, subsequent_indent=indent + "  ")
+    return textwrap.fill(
+        text,
+        _WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + "  ",
+        break_on_hyphens=False,
+    )
