@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,9 @@ Array = NDArray[np.float64]
 
 #: Radius of a stick figure's rods, as a part of the robot's size.
 _ROD = 0.018
+
+#: The 26 directions to a cube's corners, edges and faces.
+_DIRECTIONS = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,10 +38,15 @@ class Body:
     T_base_shape: Array
 
     def outline(self) -> Array:
-        """Points in the base frame that the shape lies within or on, shape (K, 3), [m]."""
+        """Points of the shape in the base frame, the outermost among them, shape (K, 3), [m].
+
+        A simple shape has the corners of its box instead.
+        """
         if isinstance(self.shape, Triangles):
-            step = 1 + len(self.shape.vertices) // 400
-            points = self.shape.vertices[::step].astype(np.float64)
+            vertices = self.shape.vertices.astype(np.float64)
+            outermost = np.argmax(vertices @ (_DIRECTIONS @ self.T_base_shape[:3, :3]).T, axis=0)
+            step = 1 + len(vertices) // 200
+            points = np.concatenate([vertices[outermost], vertices[::step]])
         else:
             corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
             points = corners * _extent(self.shape)

@@ -146,11 +146,11 @@ def _label(spot: Spot) -> str:
 def _legend(points: Mapping[str, Array], grid: float) -> str:
     """The colours and what the picture is."""
     keys = [
-        ("nominal", "", "nominal robot and target"),
-        ("calibrated", "", "calibrated robot and target"),
+        ("nominal", "", "nominal"),
+        ("calibrated", "", "calibrated"),
     ]
     if "measured" in points:
-        keys.append(("measured", "dot", "measured target, small at other poses"))
+        keys.append(("measured", "dot", "measured target; small: at other poses"))
     items = [
         f'<label class="key"><input type="checkbox" checked data-show="{_NODES[who]}">'
         f'<i class="{kind}" style="background: var(--{who})"></i>{text}</label>'

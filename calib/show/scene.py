@@ -22,7 +22,7 @@ from calib.show.bodies import Body, bodies, link_poses, rod_pose
 from calib.show.camera import Camera, look_at, row_direction
 from calib.show.page import COLOURS, SCENE, Spot, html_page, round_length
 from calib.show.triangles import Triangles
-from calib.show.visuals import Box, Cylinder, Shape, read_visuals
+from calib.show.visuals import Box, Cylinder, Shape, read_visuals, same_visuals
 from calib.show.window import KeyLight, PackedGeometry, SceneWindow, ShadowMaterial, without_shadow
 
 Array = NDArray[np.float64]
@@ -131,9 +131,11 @@ def view_page(view: View) -> Page:
     Raises:
         UrdfError: Pinocchio cannot build a model of a URDF.
     """
-    nominal_visuals, nominal_warnings = read_visuals(view.nominal.urdf)
-    calibrated_visuals, calibrated_warnings = read_visuals(view.calibrated.urdf)
-    warnings = tuple(dict.fromkeys(nominal_warnings + calibrated_warnings))
+    nominal_visuals, warnings = read_visuals(view.nominal.urdf)
+    calibrated_visuals = nominal_visuals
+    if not same_visuals(view.nominal.urdf, view.calibrated.urdf):
+        calibrated_visuals, more = read_visuals(view.calibrated.urdf)
+        warnings = tuple(dict.fromkeys(warnings + more))
     layout = _Layout.of(
         view,
         bodies(view.nominal, view.q, nominal_visuals),

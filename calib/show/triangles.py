@@ -39,8 +39,8 @@ class Triangles:
 def shaded(vertices: Array, faces: NDArray[np.int64]) -> Triangles:
     """A mesh with normals that are smooth except across creases.
 
-    The normal at a corner is the mean, weighted by area, of the faces at its vertex that are turned by less than
-    `CREASE` against its own face. A vertex on a crease is doubled.
+    The normal at a corner is the mean, weighted by the angle there, of the faces at its vertex that are
+    turned by less than `CREASE` against its own face. A vertex on a crease is doubled.
 
     Args:
         vertices: shape (V, 3), [m]; equal ones are welded.
@@ -48,11 +48,13 @@ def shaded(vertices: Array, faces: NDArray[np.int64]) -> Triangles:
     """
     vertices, faces = _welded(vertices, faces)
     sides = vertices[faces[:, 1:]] - vertices[faces[:, :1]]
-    weighted = np.cross(sides[:, 0], sides[:, 1])
-    length = np.linalg.norm(weighted, axis=1)
-    faces, weighted, length = faces[length > 0], weighted[length > 0], length[length > 0]
-    normals = _corner_normals(faces, weighted, weighted / length[:, None])
-    packed = np.rint(127.0 * normals).astype(np.int8)
+    across = np.cross(sides[:, 0], sides[:, 1])
+    length = np.linalg.norm(across, axis=1)
+    flat = length == 0
+    faces, across, length = faces[~flat], across[~flat], length[~flat]
+    normals = _corner_normals(faces, across / length[:, None], _angles(vertices[faces]))
+    # Halves such as 127 cos(60 deg) go up whatever the rounding before, so that equal normals stay equal.
+    packed = np.floor(127.0 * normals + 0.50001).astype(np.int8)
 
     # A vertex for each different normal at it: four bytes of position, three of normal in one key.
     key = (faces.ravel().astype(np.int64) << 24) | (
@@ -115,7 +117,7 @@ def _without_slivers(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     return kept
 
 
-def _corner_normals(faces: NDArray[np.int64], weighted: Array, unit: Array) -> Array:
+def _corner_normals(faces: NDArray[np.int64], unit: Array, angles: Array) -> Array:
     """The normal at each corner, shape (F, 3, 3), unit vectors."""
     of_corner = np.repeat(np.arange(len(faces)), 3)
     order = np.argsort(faces.ravel(), kind="stable")
@@ -130,8 +132,9 @@ def _corner_normals(faces: NDArray[np.int64], weighted: Array, unit: Array) -> A
     other = np.repeat(np.repeat(start, degree), partners) + offset
     alike = np.einsum("ij,ij->i", unit[face[one]], unit[face[other]]) > np.cos(CREASE)
     one, other = one[alike], other[alike]
+    weighted = angles.ravel()[order][:, None] * unit[face]
     sums: Array = np.stack(
-        [np.bincount(one, weighted[face[other], k], minlength=len(face)) for k in range(3)], axis=1
+        [np.bincount(one, weighted[other, k], minlength=len(face)) for k in range(3)], axis=1
     )
     sums += (
         1e-9 * weighted[face]
@@ -139,4 +142,14 @@ def _corner_normals(faces: NDArray[np.int64], weighted: Array, unit: Array) -> A
     normals = np.empty_like(sums)
     normals[order] = sums / np.linalg.norm(sums, axis=1, keepdims=True)
     result: Array = normals.reshape(-1, 3, 3)
+    return result
+
+
+def _angles(corners: Array) -> Array:
+    """The angle at each corner of each triangle, shape (F, 3), [rad]; corners has the shape (F, 3, 3)."""
+    forward = np.roll(corners, -1, axis=1) - corners
+    forward /= np.linalg.norm(forward, axis=2, keepdims=True)
+    backward = -np.roll(forward, 1, axis=1)
+    cosine = np.einsum("fij,fij->fi", forward, backward)
+    result: Array = np.arccos(np.clip(cosine, -1.0, 1.0))
     return result

@@ -108,6 +108,18 @@ def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
     return tuple(visuals), tuple(warnings)
 
 
+def same_visuals(one: Urdf, other: Urdf) -> bool:
+    """Whether two URDFs show the same links with the same shapes; their joints may differ."""
+
+    def listed(urdf: Urdf) -> list[tuple[str, list[float], str, list[tuple[str, str]]]]:
+        return [
+            (link, T.ravel().tolist(), shape.tag, sorted(shape.items()))
+            for link, T, shape in _visual_elements(urdf)
+        ]
+
+    return mesh_folders(one) == mesh_folders(other) and listed(one) == listed(other)
+
+
 def mesh_folders(urdf: Urdf) -> tuple[Path, ...]:
     """The folders in which ``package://`` and relative mesh names are looked for, each once.
 

@@ -1,0 +1,101 @@
+"""A real robot, one that was calibrated to the paper's size of errors, and a view of both."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib import data
+from calib.measure.measurements import Measurements
+from calib.model.error_model import error_model
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf
+from calib.show.scene import View, view_page
+
+#: A gantry with a turning wrist: prismatic and continuous joints, no visuals, its base not at the root.
+GANTRY = """<robot name="gantry">
+  <link name="floor"/><link name="rail"/><link name="bridge"/><link name="carriage"/><link name="hand"/>
+  <link name="tip"/>
+  <joint name="mount" type="fixed">
+    <parent link="floor"/><child link="rail"/><origin xyz="1 2 3" rpy="0.1 0.2 0.3"/>
+  </joint>
+  <joint name="x" type="prismatic">
+    <parent link="rail"/><child link="bridge"/><origin xyz="0 0 0.5"/><axis xyz="1 0 0"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/>
+  </joint>
+  <joint name="y" type="prismatic">
+    <parent link="bridge"/><child link="carriage"/><origin xyz="0.3 0.1 0"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/>
+  </joint>
+  <joint name="c" type="continuous">
+    <parent link="carriage"/><child link="hand"/><origin xyz="0 0.2 0.4"/><axis xyz="0 0 1"/>
+  </joint>
+  <joint name="flange" type="fixed">
+    <parent link="hand"/><child link="tip"/><origin xyz="0.2 0 0"/>
+  </joint>
+</robot>
+"""
+
+
+def disturbed(robot: Robot, scale: float = 1.0) -> Robot:
+    """The robot with some 2 mm and 4 mrad at each joint."""
+    model = error_model(robot, "placement", target=False)
+    sigma = np.array([2e-3 if p.unit == "m" else 4e-3 for p in model.parameters])
+    x = np.random.default_rng(7).normal(size=len(model)) * sigma
+    return model.apply(robot, scale * x)
+
+
+@pytest.fixture(scope="session")
+def ur3():
+    return Robot.load(data.paper_urdf(), base="base", tip="tool0")
+
+
+@pytest.fixture(scope="session")
+def panda():
+    return Robot.load("panda", tip="panda_hand")
+
+
+@pytest.fixture(scope="session")
+def gantry():
+    return Robot.from_urdf(Urdf.from_bytes(GANTRY.encode(), "gantry.urdf"), "rail", "tip")
+
+
+@pytest.fixture(scope="session")
+def disturb():
+    return disturbed
+
+
+@pytest.fixture(scope="session")
+def ur3_view(ur3):
+    m = Measurements.read(data.paper_measurements(), ur3.joint_names, ur3.joint_types)
+    target = np.array(data.PAPER_TARGET)
+    q = m.joints_for(ur3.joint_names)
+    return View(
+        ur3, disturbed(ur3, 0.5), q[30], target, target, m.points, 30, "row 31 (validation)"
+    )
+
+
+@pytest.fixture(scope="session")
+def ur3_page(ur3_view):
+    return view_page(ur3_view)
+
+
+@pytest.fixture
+def with_mesh(tmp_path: Path):
+    """A URDF of one joint whose first link shows a mesh of that name; read from ``tmp_path/robot``."""
+
+    def make(filename: str, visual: str = "") -> Urdf:
+        text = f"""<robot name="r">
+          <link name="a">
+            <visual><geometry><mesh filename="{filename}" scale="2 2 2"/></geometry></visual>{visual}
+          </link>
+          <link name="b"><visual><geometry><box size="0.1 0.2 0.3"/></geometry></visual></link>
+          <joint name="j" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0 0 1"/>
+            <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+        </robot>"""
+        folder = tmp_path / "robot"
+        folder.mkdir(exist_ok=True)
+        (folder / "r.urdf").write_text(text, encoding="utf-8")
+        return Urdf.read(folder / "r.urdf")
+
+    return make
