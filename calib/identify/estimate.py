@@ -32,6 +32,12 @@ FIRST_SIGMA = 1e-4
 #: Below this the noise is no instrument's but rounding [m].
 _SMALLEST_SIGMA = 1e-8
 
+#: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
+_NOISE_SPREAD = float(np.log(10.0))
+
+#: With fewer degrees of freedom no row can be told from the others, and all keep their weight.
+_FEWEST_FREEDOM = 6.0
+
 _ROUNDS = 12
 
 
@@ -80,6 +86,11 @@ def estimate(problem: Problem, solve: Solve, *, priors: Priors, robust: bool) ->
     """
     stage = _Stage.first(problem, priors)
     solution = solve(stage.problem(problem), np.zeros(problem.size))
+    precision = stage.problem(problem).precision
+    robust = (
+        robust
+        and _Linear.at(problem, solution.x).freedom(stage.weights, 1.0, precision) > _FEWEST_FREEDOM
+    )
     if robust:
         for _ in range(_ROUNDS):
             before, linear = stage, _Linear.at(problem, solution.x)
@@ -158,6 +169,7 @@ class _Stage:
                 () if given else self.families,
                 Sizes(noise, () if given else sizes),
                 smallest_noise=linear.smallest,
+                noise_spread=_NOISE_SPREAD,
                 known=precision_of(self.families, sizes, problem.size) if given else None,
             )
             noise, sizes = found.noise, sizes if given else found.families
@@ -192,10 +204,18 @@ class _Linear:
         x, covariance = Linearised.of(self.A, self.y, weights).posterior(noise, precision)
         return self.y - self.A @ x, covariance
 
+    def freedom(self, weights: Array, noise: float, precision: Array) -> float:
+        """Scalar measurements, by weight, minus the parameters that they have to pay for."""
+        data = Linearised.of(self.A, self.y, weights)
+        _, covariance = data.posterior(noise, precision)
+        return data.count - float(np.sum(data.H * covariance)) / noise**2
+
     def weights(self, weights: Array, noise: float, precision: Array) -> Array:
         """The weights that the scores of the linear fit ask for."""
         residual, covariance = self.solve(weights, noise, precision)
-        freedom = _freedom(self.A, weights, covariance, noise)
+        freedom = self.freedom(weights, noise, precision)
+        if freedom <= _FEWEST_FREEDOM:
+            return np.ones(len(weights))
         row_scores = scores(residual / noise, self.A / noise, covariance, weights)
         return Limits.of(len(weights), freedom).weights(row_scores)
 
@@ -211,13 +231,6 @@ def _families(
     return tuple(m for m, _ in present), tuple(s for _, s in present)
 
 
-def _freedom(A: Array, weights: Array, covariance: Array, noise: float) -> float:
-    """Scalar measurements, by weight, minus the parameters that they had to pay for."""
-    flat = (A * np.sqrt(weights)[:, None, None]).reshape(-1, A.shape[2])
-    used = float(np.sum((flat.T @ flat) * covariance)) / noise**2
-    return float(3.0 * np.sum(weights)) - used
-
-
 def _finish(problem: Problem, stage: _Stage, solution: Solution) -> Estimate:
     """The estimate at the last stage, with covariance and scores at the solution itself."""
     final = stage.problem(problem)
@@ -226,7 +239,7 @@ def _finish(problem: Problem, stage: _Stage, solution: Solution) -> Estimate:
         stage.noise, final.precision
     )
     residual = linear.y - linear.A @ solution.x
-    freedom = _freedom(linear.A, stage.weights, covariance, stage.noise)
+    freedom = linear.freedom(stage.weights, stage.noise, final.precision)
     row_scores = scores(residual / stage.noise, linear.A / stage.noise, covariance, stage.weights)
     model = problem.kinematics.model
     names = [f for f in (LENGTH, ANGLE) if np.any(model.family(f))] if stage.sizes else []

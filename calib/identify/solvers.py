@@ -80,7 +80,7 @@ def levenberg_marquardt(
     x0: Array,
     *,
     step_size: Array,
-    tolerance: float = 1e-9,
+    tolerance: float = 1e-12,
     step_tolerance: float = 1e-9,
     iterations: int = 100,
 ) -> Solution:
@@ -106,7 +106,7 @@ def levenberg_marquardt(
     cost, evaluations = 0.5 * float(r @ r), 1
     scale = _column_norms(J)
     R, rhs = _triangle(J, r)
-    mu, raise_by = 1e-6, 2.0
+    mu, raise_by = 1e-8, 2.0
     history: list[Iteration] = []
     while len(history) < iterations:
         # A square of R's size carries all that J and r say, so that each mu costs p^3 and not m p^2.

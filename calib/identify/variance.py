@@ -98,6 +98,7 @@ def sizes_by_reml(
     start: Sizes,
     *,
     smallest_noise: float,
+    noise_spread: float = np.inf,
     known: Array | None = None,
     iterations: int = 30,
 ) -> Sizes:
@@ -108,6 +109,8 @@ def sizes_by_reml(
         families: For each family which parameters belong to it, shape (p,).
         start: Where to begin.
         smallest_noise: Lower bound of sigma.
+        noise_spread: How far sigma may be from 1, as the standard deviation of a normal prior on log sigma. It decides
+            where rows are too few to tell noise from error, and is not felt where they are not.
         known: shape (p,), precision of priors whose sizes are given and stay.
         iterations: Limit; a few are enough from a good start.
     """
@@ -118,6 +121,8 @@ def sizes_by_reml(
     logs = np.clip(logs, lowest, highest)
     for _ in range(iterations):
         score, information = _score(data, families, known, logs)
+        score[0] -= logs[0] / noise_spread**2
+        information[0, 0] += 1.0 / noise_spread**2
         # A family at its lower bound with a score that points below it stays there.
         free = ~((logs <= lowest) & (score < 0)) & ~((logs >= highest) & (score > 0))
         if not np.any(free):

@@ -1,0 +1,85 @@
+"""Scores and weights against their definitions and their distribution."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
+
+from calib.identify.robust import Limits, cauchy_weights, median_noise, scores
+
+
+def linear_rows(rng, n=25, p=12, noise=0.3):
+    A = rng.normal(size=(n, 3, p))
+    x = rng.normal(size=p)
+    return A, A @ x + noise * rng.normal(size=(n, 3)), noise
+
+
+def fit_rows(A, y, weights):
+    root = np.sqrt(weights)[:, None]
+    flat = (A * root[:, :, None]).reshape(-1, A.shape[2])
+    x = np.linalg.lstsq(flat, (y * root).ravel())[0]
+    return x, np.linalg.inv(flat.T @ flat)
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.4, 0.0])
+def test_the_score_is_the_deleted_residual_over_its_covariance(weight):
+    """Against the fit that really leaves the row out."""
+    A, y, noise = linear_rows(np.random.default_rng(0))
+    weights = np.ones(len(A))
+    weights[4] = weight
+    x, inverse = fit_rows(A, y, weights)
+    found = scores((y - A @ x) / noise, A / noise, inverse * noise**2, weights)
+    for row in (4, 9):
+        left = np.arange(len(A)) != row
+        x_left, inverse_left = fit_rows(A[left], y[left], weights[left])
+        deleted = y[row] - A[row] @ x_left
+        covariance = noise**2 * (np.eye(3) + A[row] @ inverse_left @ A[row].T)
+        assert found[row] == pytest.approx(np.sqrt(deleted @ np.linalg.solve(covariance, deleted)))
+
+
+def test_scores_of_clean_rows_follow_chi_square_whatever_their_leverage():
+    rng = np.random.default_rng(1)
+    squares = []
+    for _ in range(200):
+        A, y, noise = linear_rows(rng)
+        x, inverse = fit_rows(A, y, np.ones(len(A)))
+        row_scores = scores((y - A @ x) / noise, A / noise, inverse * noise**2, np.ones(len(A)))
+        squares.append(row_scores**2)
+    flat = np.concatenate(squares)
+    for probability in (0.5, 0.9, 0.99):
+        assert np.mean(flat < chi2.ppf(probability, 3)) == pytest.approx(probability, abs=0.015)
+
+
+def test_median_noise_does_not_see_outliers():
+    rng = np.random.default_rng(2)
+    clean = np.linalg.norm(rng.normal(size=(20000, 3)), axis=1)
+    assert median_noise(2.5 * clean) == pytest.approx(2.5, rel=0.02)
+    spoilt = 2.5 * clean
+    spoilt[:2000] = 1e6
+    assert median_noise(spoilt) < 3.0
+
+
+def test_limits_are_quantiles_of_f_and_keep_the_false_alarm_for_the_whole_table():
+    limits = Limits.of(30, 60.0)
+    assert f_distribution.sf(limits.flagged**2 / 3, 3, 60) == pytest.approx(0.01 / 30)
+    assert f_distribution.sf(limits.full**2 / 3, 3, 60) == pytest.approx(0.01)
+    assert Limits.of(1000, 60.0).flagged > limits.flagged
+    assert Limits.of(30, 3.0).flagged > limits.flagged
+
+
+def test_weights_fall_from_one_to_zero_between_the_limits():
+    limits = Limits.of(30, 60.0)
+    grid = np.linspace(0, 2 * limits.flagged, 400)
+    weights = limits.weights(grid)
+    assert np.all(weights[grid <= limits.full] == 1.0)
+    assert np.all(weights[grid >= limits.flagged] == 0.0)
+    assert np.all(np.diff(weights) <= 0.0)
+
+
+def test_cauchy_weights_are_never_zero():
+    weights = cauchy_weights(np.array([0.0, 3.4, 1e4]))
+    assert weights[0] == 1.0
+    assert weights[1] == pytest.approx(0.5)
+    assert 0.0 < weights[2] < 1e-6

@@ -1,0 +1,90 @@
+"""Errors against the paper's own tables, folds, intervals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.identify.statistics import Errors, cross_validate, folds, interval_factor
+
+# The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].
+BEFORE = np.array(
+    [
+        [0.83, -2.71, -0.88],
+        [-0.91, 0.89, 0.08],
+        [-0.96, -0.56, -1.04],
+        [3.12, -0.97, -1.28],
+        [3.39, 1.09, 0.16],
+    ]
+)
+AFTER = np.array(
+    [
+        [-1.10, 0.44, 0.39],
+        [-1.46, 0.99, 0.90],
+        [-0.93, -0.16, -0.39],
+        [1.02, 1.37, 0.69],
+        [-0.58, 1.43, 1.06],
+    ]
+)
+
+
+@pytest.mark.parametrize(
+    ("residual", "table5", "span"),
+    [
+        (BEFORE, (3.5645, 2.5678, 2.7485), (4.35, 3.80, 1.44)),
+        (AFTER, (1.8721, 1.5926, 1.6382), (2.48, 1.59, 1.45)),
+    ],
+)
+def test_the_papers_table_5_follows_from_its_table_4(residual, table5, span):
+    """Table 4 is printed to 0.01 mm; one maximum of Table 5 is that of its last row, not the largest."""
+    errors = Errors.of(residual)
+    assert errors.n == 5
+    assert errors.mean == pytest.approx(table5[1], abs=0.006)
+    assert errors.rms == pytest.approx(table5[2], abs=0.006)
+    np.testing.assert_allclose(errors.span_axis, span, atol=0.011)
+
+
+def test_the_printed_maximum_after_calibration_is_not_the_largest_of_table_4():
+    assert Errors.of(AFTER).max == pytest.approx(1.9803, abs=0.01)
+    assert Errors.of(BEFORE).max == pytest.approx(3.5645, abs=0.01)
+
+
+def test_errors_by_axis_by_hand():
+    errors = Errors.of(np.array([[1.0, 0.0, 2.0], [-1.0, 3.0, 2.0]]))
+    np.testing.assert_allclose(errors.mean_axis, [0.0, 1.5, 2.0])
+    np.testing.assert_allclose(errors.rms_axis, [1.0, np.sqrt(4.5), 2.0])
+    np.testing.assert_allclose(errors.span_axis, [2.0, 3.0, 0.0])
+    assert errors.max == pytest.approx(np.sqrt(14))
+    assert not errors.mean_axis.flags.writeable
+
+
+def test_no_rows_have_no_errors():
+    errors = Errors.of(np.zeros((0, 3)))
+    assert errors.n == 0
+    assert np.isnan(errors.max)
+    assert np.isnan(errors.rms)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 30, 60, 61, 1000])
+def test_each_row_is_left_out_once(rows):
+    method, masks = folds(rows)
+    assert method == ("leave-one-out" if rows <= 60 else "10-fold")
+    assert len(masks) == (rows if rows <= 60 else 10)
+    np.testing.assert_array_equal(np.sum(masks, axis=0), np.ones(rows))
+
+
+def test_cross_validation_puts_errors_back_in_their_rows():
+    values = np.arange(90.0).reshape(30, 3)
+    flagged = np.arange(30) == 7
+    result = cross_validate(30, flagged, lambda mask: values[mask])
+    np.testing.assert_array_equal(result.residual, values)
+    assert result.errors.n == 30
+    assert result.errors_without_outliers.n == 29
+    assert result.errors_without_outliers.max == pytest.approx(np.linalg.norm(values[29]))
+
+
+@pytest.mark.parametrize(
+    ("freedom", "factor"), [(1.0, 12.706), (10.0, 2.228), (63.0, 1.998), (1e9, 1.960)]
+)
+def test_interval_factor_is_students(freedom, factor):
+    assert interval_factor(freedom) == pytest.approx(factor, abs=1e-3)
