@@ -20,7 +20,7 @@ _TARGET_MOVED = 5e-3
 _LONGEST_NAME = 46
 
 #: A row of the error table has the columns: label, n, max, mean, rms, span x, span y, span z.
-_COLUMNS = "{:<33}{:>5}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}"
+_COLUMNS = "{:<33}{:>5} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9}"
 
 
 def summary(c: Calibration) -> str:

@@ -1,0 +1,126 @@
+"""The usual mistakes, made on the paper's data: calib names the one that was made, and no other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.data import PAPER_TARGET, paper_urdf
+from calib.identify.calibration import calibrate
+from calib.identify.evaluation import evaluate, hint
+from calib.identify.fitting import Rows
+from calib.identify.setup_check import better_setup
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.robot import Robot, read_only
+from calib.model.urdf import Urdf
+
+TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+
+
+def rows_of(table: Measurements, count: int = 30) -> Rows:
+    return Rows(table.joints[:count], table.points[:count], np.full(count, 1e-4))
+
+
+def moved(rows: Rows, R: np.ndarray, p: tuple[float, float, float]) -> Rows:
+    return replace(rows, points=read_only(rows.points @ R.T + np.array(p)))
+
+
+def test_nothing_is_said_of_a_set_up_that_fits(ur3: Robot, table: Measurements):
+    assert better_setup(ur3, Cell(), rows_of(table)) == ""
+    assert better_setup(ur3, Cell(target=read_only(PAPER_TARGET)), rows_of(table)) == ""
+
+
+def test_a_wrong_base_is_named_with_both_errors(table: Measurements):
+    world = Robot.load(paper_urdf(), tip="tool0")
+    said = better_setup(world, Cell(), rows_of(table))
+    assert said == (
+        "The points do not seem to be in the frame of 'world': the nominal robot is 529 mm rms off there, and "
+        "2.3 mm with --base base. Try that."
+    )
+
+
+def test_a_target_with_the_wrong_sign_is_not_taken_for_a_wrong_base(
+    ur3: Robot, table: Measurements
+):
+    wrong = Cell(target=read_only([0.07, -0.07, 0.02252]))
+    assert better_setup(ur3, wrong, rows_of(table)) == ""
+    fixed = replace(wrong, estimate_target=False)
+    assert better_setup(ur3, fixed, rows_of(table)) == ""
+
+
+def test_a_trackers_frame_is_recognised(ur3: Robot, table: Measurements):
+    rows = moved(rows_of(table), TURN, (2.0, 1.0, -0.5))
+    said = better_setup(ur3, Cell(), rows)
+    assert said.startswith("The points do not seem to be in the frame of 'base': the nominal ")
+    assert said.endswith(" and 1.4 mm with --frame estimate. Try that.")
+    assert better_setup(ur3, Cell(), rows_of(replace_points(table, rows), 3)) == ""
+
+
+def replace_points(table: Measurements, rows: Rows) -> Measurements:
+    return replace(table, points=read_only([*rows.points, *table.points[len(rows) :]]))
+
+
+def test_nothing_is_said_where_the_frame_is_estimated_or_given(ur3: Robot, table: Measurements):
+    rows = moved(rows_of(table), TURN, (2.0, 1.0, -0.5))
+    assert better_setup(ur3, Cell(estimate_frame=True), rows) == ""
+    assert better_setup(ur3, Cell(T_frame_base=read_only(np.eye(4))), rows) == ""
+
+
+def test_nothing_is_said_where_nothing_fits(ur3: Robot, table: Measurements):
+    rng = np.random.default_rng(3)
+    rows = replace(rows_of(table), joints=read_only(rng.uniform(-3, 3, (30, 6))))
+    assert better_setup(ur3, Cell(), rows) == ""
+
+
+def test_a_link_keeps_the_letters_of_its_name(table: Measurements):
+    data = paper_urdf().read_bytes().replace(b'"base"', b'"Robot_BASE"')
+    robot = Robot.from_urdf(Urdf.from_bytes(data, "r.urdf"), "base_link", "tool0")
+    said = better_setup(robot, Cell(), rows_of(table))
+    assert "in the frame of 'base_link'" in said
+    assert "with --base Robot_BASE." in said
+
+
+def test_links_that_move_are_no_bases(serial_chain: Callable[[], Robot]):
+    robot = serial_chain()
+    rng = np.random.default_rng(1)
+    q = rng.uniform(-2, 2, (20, 3))
+    poses = robot.poses(q)
+    points = poses[:, :3, :3] @ [0.1, 0.05, 0.02] + poses[:, :3, 3]
+    rows = moved(Rows(read_only(q), read_only(points), np.ones(20)), np.eye(3), (1.0, 0.0, 0.0))
+    said = better_setup(robot, Cell(), rows)
+    assert said.endswith(" and 0.0 mm with --base stand. Try that.")
+
+
+@pytest.fixture
+def serial_chain() -> Callable[[], Robot]:
+    def build() -> Robot:
+        joints = [
+            ("turn", "fixed", "stand", "foot", "1 0 0", "1 0 0"),
+            ("j1", "revolute", "foot", "l1", "0 0 0.2", "0 0 1"),
+            ("j2", "revolute", "l1", "l2", "0.1 0 0", "0 1 0"),
+            ("j3", "revolute", "l2", "l3", "0.4 0.1 0", "1 0 0"),
+        ]
+        links = "".join(f'<link name="{n}"/>' for n in ("stand", "foot", "l1", "l2", "l3"))
+        text = f'<robot name="r">{links}' + "".join(
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{xyz}"/><axis xyz="{axis}"/>'
+            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+            for name, kind, parent, child, xyz, axis in joints
+        )
+        urdf = Urdf.from_bytes((text + "</robot>").encode(), "chain.urdf")
+        return Robot.from_urdf(urdf, "foot", "l3")
+
+    return build
+
+
+def test_the_verdict_and_the_evaluation_say_it_too(table: Measurements):
+    world = Robot.load(paper_urdf(), tip="tool0")
+    judged = calibrate(world, table, model="zeros").verdict
+    assert judged is not None
+    assert judged.use == "do not use"
+    assert "with --base base. Try that." in judged.reasons[0]
+    assert hint(evaluate(world, table), Cell()) == judged.reasons[0]

@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.data import PAPER_TARGET_AS_PRINTED, paper_urdf
+from calib.identify.calibration import Calibration, calibrate
+from calib.identify.statistics import Errors
+from calib.identify.summary import error_head, error_row
+from calib.measure.cell import Cell, Priors
+from calib.measure.measurements import Measurements
+from calib.model.robot import Robot, read_only
+from calib.model.urdf import Urdf
+
+
+@pytest.fixture(scope="module")
+def text(default_result: Calibration) -> str:
+    return default_result.summary()
+
+
+def numbers_of(text: str, label: str) -> list[float]:
+    """The numbers behind a label at the beginning of a line."""
+    (line,) = [line for line in text.splitlines() if line.startswith(label + " ")]
+    return [float(word) for word in re.findall(r"(?<!\S)[+-]?\d+\.?\d*(?!\S)", line[len(label) :])]
+
+
+def test_the_sections_in_their_order(text: str):
+    starts = [
+        f"calib {calib.__version__}: robot 'ur3', base to tool0, 6 joints; 30 rows to estimate and 5 to validate",
+        "\nVerdict: use\n",
+        "\nPosition error [mm] ",
+        "\nOutliers: row 11 (",
+        "\nTarget: (",
+        "\nNoise: ",
+        "\nSize of the robot's errors: ",
+        "\nRank: 21 of 27 parameters, condition number ",
+        "\nThese changes move nothing that was measured, so the priors share them out:\n",
+        "\nParameter ",
+        "\n* known in combination with others only; see above\n",
+        "\nSolver 'lm': converged after ",
+    ]
+    places = [text.index(start) for start in starts]
+    assert places == sorted(places)
+
+
+def test_the_text_is_plain(text: str):
+    assert max(map(len, text.splitlines())) <= 100
+    assert text.isprintable() or set(text) - set(filter(str.isprintable, text)) == {"\n"}
+    assert all(line == line.rstrip() for line in text.splitlines())
+    assert "nan" not in text
+    assert "-0.000" not in text.replace("+-", "")
+
+
+def test_the_errors_are_those_of_the_result(text: str, default_result: Calibration):
+    for who, sets in default_result.errors.items():
+        for name, errors in sets.items():
+            shown = numbers_of(text, f"{name} rows, {who}")
+            wanted = [errors.max, errors.mean, errors.rms, *errors.span_axis]
+            assert shown[0] == errors.n
+            np.testing.assert_allclose(shown[1:], 1e3 * np.array(wanted), atol=5.001e-4)
+    assert default_result.cross_validation is not None
+    left_out = numbers_of(text, "left-out rows (leave-one-out)")
+    assert left_out[3] == pytest.approx(1e3 * default_result.cross_validation.errors.rms, abs=5e-4)
+    without = numbers_of(text, "  the same without outliers")
+    assert without[0] == 30 - len(default_result.outliers)
+
+
+def test_the_parameters_are_those_of_the_result(text: str, default_result: Calibration):
+    for p in default_result.parameters:
+        scale, unit = (1e3, "mm") if p.unit == "m" else (np.degrees(1.0), "deg")
+        (line,) = [line for line in text.splitlines() if line.startswith(p.name + " ")]
+        assert (" *" in line) == (not p.identifiable)
+        assert f" {unit}" in line
+        shown = numbers_of(text, p.name)
+        assert p.nominal is not None
+        half = 0.5 * (p.high - p.low)
+        wanted = scale * np.array([p.nominal, p.value, p.delta, half])
+        np.testing.assert_allclose(shown, wanted, atol=5.001e-4)
+
+
+def test_target_found_given_moved_and_kept(ur3: Robot, table: Measurements):
+    def said(cell: Cell) -> str:
+        whole = " ".join(calibrate(ur3, table, cell=cell, validate=False).summary().split())
+        return whole[whole.index("Target: ") : whole.index("Noise: ")].strip()
+
+    assert said(Cell()).startswith("Target: found at (-70.2")
+    printed = read_only(PAPER_TARGET_AS_PRINTED)
+    moved = said(Cell(target=printed))
+    assert "it moved 198.3 mm from the position given. That is further than mounting" in moved
+    assert moved.endswith("check the sign and the order of the numbers given.")
+    kept = said(Cell(target=printed, estimate_target=False, model="frames", estimate_frame=True))
+    assert kept == "Target: (69.970, -70.200, 22.520) mm in tool0, as given."
+
+
+def test_a_result_without_validation_and_priors(ur3: Robot, table: Measurements):
+    bare = calibrate(
+        ur3,
+        table.select(table.estimation),
+        cell=Cell(priors=Priors("off"), model="zeros"),
+        validate=False,
+    )
+    text = bare.summary()
+    assert "\nVerdict: none, because nothing was cross-validated.\n" in text
+    assert "validation rows" not in text
+    assert "left-out" not in text
+    assert "Size of the robot's errors" not in text
+    assert re.search(r"\ntarget_x +- +-?\d", text)
+
+
+def test_priors_as_given(ur3: Robot, table: Measurements):
+    text = calibrate(ur3, table, cell=Cell(priors=Priors("given")), validate=False).summary()
+    assert "Size of the robot's errors: 3 mm and 15 mrad (as given)." in text
+
+
+def test_outliers_are_listed_up_to_a_dozen(default_result: Calibration):
+    one = default_result.outliers[0]
+    many = tuple(replace(one, row=row) for row in range(101, 116))
+    text = replace(default_result, outliers=many, suspects=(one,)).summary()
+    assert "row 112 (" in text
+    assert "row 113 (" not in text
+    assert "and 3 more" in text
+    assert f"Validation rows that the calibrated robot does not explain: row {one.row} (" in text
+    assert max(map(len, text.splitlines())) <= 100
+    assert "\nOutliers: none.\n" in replace(default_result, outliers=()).summary()
+
+
+@pytest.mark.parametrize("model", ["dh", "placement"])
+def test_long_names_stay_within_100_columns(table: Measurements, model: str):
+    long = "the_joint_of_the_left_arm_of_the_second_robot_of_the_cell_number_"
+    data = paper_urdf().read_bytes()
+    for i, name in enumerate(table.joint_names):
+        data = data.replace(f'"{name}"'.encode(), f'"{long}{i}"'.encode())
+    data = data.replace(b'"tool0"', f'"{"flange-" * 20}"'.encode())
+    robot = Robot.from_urdf(Urdf.from_bytes(data, "r.urdf"), "base", "flange-" * 20)
+    named = replace(table, joint_names=robot.joint_names, source="table-of-" * 15 + ".csv")
+    result = calibrate(robot, named, cell=Cell(model=model, estimate_frame=True), validate=False)
+    text = result.summary()
+    assert max(map(len, text.splitlines())) <= 100
+    if model == "placement":
+        at = text.splitlines().index(f"{long}2.rx")
+        assert len(numbers_of("x" + text.splitlines()[at + 1], "x")) == 4
+
+
+def test_a_table_in_memory_has_no_name(ur3: Robot, table: Measurements):
+    text = calibrate(ur3, replace(table, source=""), validate=False, model="zeros").summary()
+    assert "to validate from memory" in " ".join(text.split())
+
+
+def test_the_error_table_keeps_its_columns_for_large_errors():
+    large = Errors.of(np.array([[12.0, -34.0, 56.0], [-69.0, 40.0, 1.0]]))
+    row = error_row("estimation rows, calibrated", large)
+    assert len(row) == len(error_head()) <= 100
+    larger = error_row("estimation rows, calibrated", Errors.of(100.0 * np.eye(3)))
+    for line in (row, larger):
+        assert len(line.split()) == 10
+    assert float(row.split()[-1]) == 55000.0
+    assert float(larger.split()[-1]) == 100000.0
