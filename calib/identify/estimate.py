@@ -86,11 +86,8 @@ def estimate(problem: Problem, solve: Solve, *, priors: Priors, robust: bool) ->
     """
     stage = _Stage.first(problem, priors)
     solution = solve(stage.problem(problem), np.zeros(problem.size))
-    precision = stage.problem(problem).precision
-    robust = (
-        robust
-        and _Linear.at(problem, solution.x).freedom(stage.weights, 1.0, precision) > _FEWEST_FREEDOM
-    )
+    *_, freedom = _Linear.at(problem, solution.x).fit(stage.weights, 1.0, stage.precision(problem))
+    robust = robust and freedom > _FEWEST_FREEDOM
     if robust:
         for _ in range(_ROUNDS):
             before, linear = stage, _Linear.at(problem, solution.x)
@@ -140,15 +137,18 @@ class _Stage:
 
     def problem(self, problem: Problem) -> Problem:
         """The problem in this form."""
-        precision = precision_of(self.families, self.sizes, problem.size)
-        return problem.reweighted(self.weights, self.noise * problem.sigma, precision)
+        return problem.reweighted(self.weights, self.noise * problem.sigma, self.precision(problem))
+
+    def precision(self, problem: Problem) -> Array:
+        """1 / tau^2 of each parameter, shape (p,)."""
+        return precision_of(self.families, self.sizes, problem.size)
 
     def by_median(self, problem: Problem, linear: _Linear) -> _Stage:
         """Robust weights against a scale that outliers cannot move, on the linearised problem."""
-        precision = precision_of(self.families, self.sizes, problem.size)
+        precision = self.precision(problem)
         weights, noise = self.weights, self.noise
         for _ in range(4):
-            residual, covariance = linear.solve(weights, noise, precision)
+            residual, covariance, _ = linear.fit(weights, noise, precision)
             unscaled = scores(residual, linear.A, covariance / noise**2, weights)
             noise = max(median_noise(unscaled), linear.smallest)
             weights = cauchy_weights(unscaled / noise)
@@ -199,21 +199,21 @@ class _Linear:
         y = residual / problem.sigma[:, None] + A @ x
         return cls(A, y, _SMALLEST_SIGMA / float(np.median(problem.sigma)))
 
-    def solve(self, weights: Array, noise: float, precision: Array) -> tuple[Array, Array]:
-        """Residual of the linear fit, shape (N, 3), in units of the rows' sigma, and covariance of x."""
-        x, covariance = Linearised.of(self.A, self.y, weights).posterior(noise, precision)
-        return self.y - self.A @ x, covariance
+    def fit(self, weights: Array, noise: float, precision: Array) -> tuple[Array, Array, float]:
+        """The linear fit with these weights, noise and priors.
 
-    def freedom(self, weights: Array, noise: float, precision: Array) -> float:
-        """Scalar measurements, by weight, minus the parameters that they have to pay for."""
+        Returns:
+            The residual, shape (N, 3), in units of the rows' sigma; the covariance of x, shape (p, p); and the degrees
+            of freedom: scalar measurements, by weight, minus the parameters that they have to pay for.
+        """
         data = Linearised.of(self.A, self.y, weights)
-        _, covariance = data.posterior(noise, precision)
-        return data.count - float(np.sum(data.H * covariance)) / noise**2
+        x, covariance = data.posterior(noise, precision)
+        freedom = data.count - float(np.sum(data.H * covariance)) / noise**2
+        return self.y - self.A @ x, covariance, freedom
 
     def weights(self, weights: Array, noise: float, precision: Array) -> Array:
         """The weights that the scores of the linear fit ask for."""
-        residual, covariance = self.solve(weights, noise, precision)
-        freedom = self.freedom(weights, noise, precision)
+        residual, covariance, freedom = self.fit(weights, noise, precision)
         if freedom <= _FEWEST_FREEDOM:
             return np.ones(len(weights))
         row_scores = scores(residual / noise, self.A / noise, covariance, weights)
@@ -235,11 +235,8 @@ def _finish(problem: Problem, stage: _Stage, solution: Solution) -> Estimate:
     """The estimate at the last stage, with covariance and scores at the solution itself."""
     final = stage.problem(problem)
     linear = _Linear.at(problem, solution.x)
-    _, covariance = Linearised.of(linear.A, linear.y, stage.weights).posterior(
-        stage.noise, final.precision
-    )
+    _, covariance, freedom = linear.fit(stage.weights, stage.noise, final.precision)
     residual = linear.y - linear.A @ solution.x
-    freedom = linear.freedom(stage.weights, stage.noise, final.precision)
     row_scores = scores(residual / stage.noise, linear.A / stage.noise, covariance, stage.weights)
     model = problem.kinematics.model
     names = [f for f in (LENGTH, ANGLE) if np.any(model.family(f))] if stage.sizes else []

@@ -1,0 +1,30 @@
+"""Write urdf/ur3_calibrated.urdf, the corrected robot of the demo, anew.
+
+    .venv/bin/python scripts/update_demo.py
+
+A test compares the file with what the demo computes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
+from calib.identify.calibration import calibrate
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.robot import Robot, read_only
+
+
+def main() -> None:
+    """Calibrate as the demo does and write the URDF beside the nominal one."""
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0")
+    table = Measurements.read(paper_measurements(), robot.joint_names, robot.joint_types)
+    cell = Cell(target=read_only(PAPER_TARGET), model="paper")
+    result = calibrate(robot, table, cell=cell, validate=False)
+    path = result.write_urdf(paper_urdf().with_name("ur3_calibrated.urdf"), overwrite=True)
+    print(f"Written: {path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""README and docs say what is so: their figures by the commands that make them, their code by running it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def demo_output(tmp_path_factory) -> str:
+    out = tmp_path_factory.mktemp("demo") / "results"
+    program = Path(sys.executable).with_name("calib")
+    done = subprocess.run(
+        [program, "demo", "--out", out], capture_output=True, text=True, check=True
+    )
+    return done.stdout
+
+
+def test_every_line_of_the_printed_demo_is_printed(demo_output):
+    (shown,) = blocks("text")
+    lines = [line for line in shown.splitlines() if line]
+    assert len(lines) > 15
+    printed = demo_output.splitlines()
+    for line in lines:
+        assert line in printed
+
+
+def test_the_python_example_runs(tmp_path, monkeypatch, capsys):
+    (code,) = blocks("python")
+    assert len([line for line in code.splitlines() if line and not line.startswith("import")]) == 5
+    (tmp_path / "urdf").symlink_to(ROOT / "urdf")
+    (tmp_path / "calib").mkdir()
+    (tmp_path / "calib" / "data").symlink_to(ROOT / "calib" / "data")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "README.md", "exec"), {})
+    assert "from 2.7" in capsys.readouterr().out
+    assert (tmp_path / "ur3_corrected.urdf").is_file()
+
+
+def test_the_example_table_reads(tmp_path):
+    from calib.measure.measurements import Measurements
+
+    (table,) = blocks("csv")
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join(line.strip() for line in table.splitlines()), encoding="utf-8")
+    data = Measurements.read(path, ["joint_1", "joint_2", "joint_3"])
+    assert data.sets == ("estimate", "validate")
+
+
+def test_the_two_commands_stand_at_the_top():
+    first = blocks("sh")[0]
+    assert re.findall(r"^make \w+", first, flags=re.MULTILINE) == ["make demo", "make test"]
+    assert README.index("make demo") < 600
+    targets = (ROOT / "Makefile").read_text()
+    for name in ("demo", "test", "lint"):
+        assert re.search(rf"^{name}:", targets, flags=re.MULTILINE)
+    assert [
+        line for line in (ROOT / ".ci" / "run").read_text().splitlines() if line.startswith("make")
+    ] == [
+        "make lint",
+        "make demo",
+        "make test",
+    ]
+
+
+@pytest.mark.parametrize(
+    "page", ["README.md", *sorted(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))]
+)
+def test_links_lead_somewhere(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for target in re.findall(r"\]\((?!https?://)([^)#]+)", text):
+        assert ((ROOT / page).parent / target).exists(), target
+
+
+def test_the_table_of_the_paper_page_is_that_of_its_script():
+    done = subprocess.run(
+        [sys.executable, ROOT / "scripts" / "paper_study.py"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8").splitlines()
+    rows = [line for line in done.stdout.splitlines() if line.startswith("|")]
+    assert len(rows) == 13
+    for row in rows:
+        assert row in page
