@@ -163,6 +163,10 @@ class ErrorModel:
     def apply(self, robot: Robot, x: NDArray[np.float64]) -> Robot:
         """The robot with its placements displaced; frame and target are no part of a robot.
 
+        Args:
+            robot: The nominal robot.
+            x: shape (p,), [m] and [rad].
+
         Raises:
             ModelError: ``x`` has not one entry for each parameter.
             UrdfError: No ``<origin>`` of the URDF can hold a displacement.

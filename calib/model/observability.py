@@ -199,10 +199,13 @@ def _combination(
     """One row of the echelon form in words.
 
     What is left out must not matter, so a parameter's share is that of what it does to the measurements, not of
-    its step; a parameter that does nothing at all still counts, a little.
+    its step. The leading parameter is named even if it does nothing at all; then what the others do beside it is
+    rounding, not part of a combination.
     """
-    share = np.abs(row) * np.maximum(effect, 1e-9 * effect.max() or 1.0)
-    chosen = [int(k) for k in np.flatnonzero(share > _NAMED_EFFECT * share.max())]
+    size = np.abs(row)
+    share = size * effect
+    least = _NAMED_EFFECT * max(share.max(), _NEGLIGIBLE * size.max() * effect.max())
+    chosen = [int(k) for k in np.flatnonzero((share > least) | (size == size.max()))]
     return Combination(
         names=tuple(names[k] for k in chosen),
         steps=tuple(float(row[k] * step[k]) for k in chosen),

@@ -262,7 +262,7 @@ def find_urdf(source: str | Path) -> Path:
 
 
 def read_only(values: ArrayLike | Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """A copy of the values as a float64 array that cannot be written to."""
+    """A copy of the values as a float64 array of the same shape that cannot be written to."""
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
