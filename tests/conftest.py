@@ -1,0 +1,66 @@
+"""What several tests share: real robots, the paper's table, and small URDFs written on the spot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+import calib.data
+from calib.measure.measurements import Measurements
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf
+
+JointSpec = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
+
+
+@pytest.fixture(scope="session")
+def ur3() -> Robot:
+    """The paper's UR3, `base` to `tool0`."""
+    return Robot.load(calib.data.paper_urdf(), base="base", tip="tool0")
+
+
+@pytest.fixture(scope="session")
+def panda() -> Robot:
+    """The arm of the Panda, seven revolute joints."""
+    return Robot.load("panda", base="panda_link0", tip="panda_link8")
+
+
+@pytest.fixture(scope="session")
+def paper_table() -> Measurements:
+    """The paper's Table 2."""
+    return Measurements.read(calib.data.paper_measurements())
+
+
+@pytest.fixture(scope="session")
+def serial_urdf() -> Callable[..., Urdf]:
+    """A function that writes the URDF of a serial chain, links ``l0`` to ``ln`` and, if wanted, ``tip``."""
+    return _serial_urdf
+
+
+def _serial_urdf(
+    joints: Sequence[JointSpec],
+    tip: tuple[Sequence[float], Sequence[float]] | None = ((0.1, 0.02, 0.05), (0.1, 0.2, 0.3)),
+    extra: str = "",
+) -> Urdf:
+    """Joints ``j1`` to ``jn`` as (type, xyz, rpy, axis), then a fixed joint to the tip."""
+    lines = ['<robot name="serial">', '<link name="l0"/>']
+    for i, (kind, xyz, rpy, axis) in enumerate(joints, start=1):
+        lines += [
+            f'<link name="l{i}"/>',
+            f'<joint name="j{i}" type="{kind}"><parent link="l{i - 1}"/><child link="l{i}"/>',
+            f'<origin xyz="{_text(xyz)}" rpy="{_text(rpy)}"/><axis xyz="{_text(axis)}"/>',
+            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>',
+        ]
+    if tip is not None:
+        lines += [
+            '<link name="tip"/>',
+            f'<joint name="jtip" type="fixed"><parent link="l{len(joints)}"/><child link="tip"/>',
+            f'<origin xyz="{_text(tip[0])}" rpy="{_text(tip[1])}"/></joint>',
+        ]
+    return Urdf.from_bytes("\n".join([*lines, extra, "</robot>", ""]).encode(), "serial.urdf")
+
+
+def _text(values: Sequence[float]) -> str:
+    return " ".join(repr(float(v)) for v in np.asarray(values))

@@ -1,0 +1,359 @@
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib.data import PAPER_TARGET
+from calib.errors import ModelError, UrdfError
+from calib.model.dh import DHTable, dh_table, zero_poses
+from calib.model.error_model import (
+    ANGLE,
+    FRAME,
+    LENGTH,
+    MODELS,
+    TARGET,
+    TIP,
+    ErrorModel,
+    Parameter,
+    error_model,
+)
+from calib.model.kinematics import Kinematics
+from calib.model.robot import Robot
+
+PAPER_NAMES = (
+    *(f"{kind}{row}" for row in range(1, 7) for kind in ("a", "alpha", "d", "theta")),
+    *(f"target_{axis}" for axis in "xyz"),
+)
+
+
+def paper_matrix(theta: float, d: float, a: float, alpha: float) -> np.ndarray:
+    """The paper's A_i, written out."""
+    ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    return np.array(
+        [
+            [ct, -st * ca, st * sa, a * ct],
+            [st, ct * ca, -ct * sa, a * st],
+            [0, sa, ca, d],
+            [0, 0, 0, 1],
+        ]
+    )
+
+
+def rotation_y(beta: float) -> np.ndarray:
+    return pin.SE3(pin.exp3(np.array([0.0, beta, 0.0])), np.zeros(3)).homogeneous
+
+
+def pose_of_rows(table: DHTable, q: np.ndarray, offsets: dict[str, float]) -> np.ndarray:
+    """T_base_tip from the rows with offsets added, by the paper's matrices and Hayati's Ry."""
+    T = table.T_base_0
+    for i, row in enumerate(table.rows, start=1):
+        turn, slide = (0.0, q[i - 1]) if row.prismatic else (q[i - 1], 0.0)
+        T = T @ paper_matrix(
+            row.theta + turn + offsets.get(f"theta{i}", 0.0),
+            row.d + slide + offsets.get(f"d{i}", 0.0),
+            row.a + offsets.get(f"a{i}", 0.0),
+            row.alpha + offsets.get(f"alpha{i}", 0.0),
+        )
+        T = T @ rotation_y(row.beta + offsets.get(f"beta{i}", 0.0))
+    return T @ table.T_n_tip
+
+
+def offsets_of(model: ErrorModel, seed: int = 0) -> np.ndarray:
+    """Large offsets, up to 1 cm and 0.1 rad."""
+    size = [0.01 if p.unit == "m" else 0.1 for p in model.parameters]
+    return np.random.default_rng(seed).uniform(-1, 1, len(model)) * size
+
+
+def tilted(robot: Robot, seed: int = 1) -> Robot:
+    """A robot whose axes are all off by some mrad, as a real one's are."""
+    model = error_model(robot, "placement", target=False)
+    return model.apply(robot, np.random.default_rng(seed).normal(0, 3e-3, len(model)))
+
+
+# The sets
+
+
+def test_the_paper_s_27_parameters(ur3):
+    model = error_model(ur3, "paper")
+    assert model.names == PAPER_NAMES
+    assert len(model) == 27
+    units = {p.name: p.unit for p in model.parameters}
+    assert {units[f"{k}{i}"] for k in ("a", "d") for i in range(1, 7)} == {"m"}
+    assert {units[f"{k}{i}"] for k in ("alpha", "theta") for i in range(1, 7)} == {"rad"}
+    assert [p.family for p in model.parameters[-3:]] == [TARGET] * 3
+    nominal = {p.name: p.nominal for p in model.parameters}
+    np.testing.assert_allclose((nominal["a2"], nominal["d4"]), (-0.24365, 0.11235), atol=1e-9)
+
+
+def test_paper_and_dh_are_the_same_offsets(ur3):
+    paper, dh = (error_model(ur3, name) for name in ("paper", "dh"))
+    assert (paper.name, dh.name) == ("paper", "dh")
+    for one, other in zip(paper.parameters, dh.parameters, strict=True):
+        assert (one.name, one.place) == (other.name, other.place)
+        np.testing.assert_array_equal(one.direction, other.direction)
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [("dh", 24), ("hayati", 24), ("placement", 36), ("zeros", 6), ("frames", 0)],
+)
+@pytest.mark.parametrize("frame", [False, True])
+@pytest.mark.parametrize("target", [False, True])
+def test_the_sizes_of_the_sets(ur3, name, count, frame, target):
+    model = error_model(ur3, name, frame=frame, target=target)
+    assert len(model) == count + 6 * frame + 3 * target
+    assert model.family(FRAME).sum() == 6 * frame
+    assert model.family(TARGET).sum() == 3 * target
+    assert model.family(LENGTH).sum() + model.family(ANGLE).sum() == count
+    assert model.places == (FRAME, *ur3.joint_names, TIP, TARGET)
+
+
+def test_frame_and_target_names_and_directions(ur3):
+    model = error_model(ur3, "frames", frame=True)
+    axes = ("x", "y", "z", "rx", "ry", "rz")
+    assert model.names == tuple(f"frame_{a}" for a in axes) + tuple(f"target_{a}" for a in "xyz")
+    stacked = np.array([p.direction for p in model.parameters])
+    np.testing.assert_array_equal(stacked, np.vstack([np.eye(6), np.eye(6)[:3]]))
+    assert [p.unit for p in model.parameters] == ["m"] * 3 + ["rad"] * 3 + ["m"] * 3
+
+
+def test_hayati_has_beta_in_place_of_d_where_axes_are_parallel(ur3):
+    dh, hayati = (set(error_model(ur3, name).names) for name in ("dh", "hayati"))
+    assert dh - hayati == {"d2", "d3"}
+    assert hayati - dh == {"beta2", "beta3"}
+
+
+def test_placement_names(ur3):
+    model = error_model(ur3, "placement", target=False)
+    assert model.names[:6] == tuple(
+        f"shoulder_pan_joint.{a}" for a in ("x", "y", "z", "rx", "ry", "rz")
+    )
+    np.testing.assert_array_equal(
+        np.array([p.direction for p in model.parameters[6:12]]), np.eye(6)
+    )
+    assert {p.place for p in model.parameters[6:12]} == {"shoulder_lift_joint"}
+
+
+def test_zeros_turn_revolute_and_move_prismatic_joints():
+    robot = Robot.load("panda")
+    parameters = error_model(robot, "zeros", target=False).parameters
+    assert parameters[0].name == "panda_joint1.zero"
+    assert [p.unit for p in parameters] == ["rad"] * 7 + ["m"]
+    assert parameters[-1].family == LENGTH
+    q = np.random.default_rng(0).uniform(-1, 1, (3, 8))
+    x = np.array([0.1] * 7 + [0.01])
+    moved = error_model(robot, "zeros", target=False).apply(robot, x)
+    np.testing.assert_allclose(moved.poses(q), robot.poses(q + x), atol=1e-14)
+
+
+def test_arrays_are_read_only(ur3):
+    for name in MODELS:
+        for parameter in error_model(ur3, name, frame=name != "paper").parameters:
+            assert not parameter.direction.flags.writeable
+
+
+# Exactness: a DH offset is a displacement of a placement, and no approximation
+
+
+@pytest.mark.parametrize("name", ["dh", "hayati"])
+@pytest.mark.parametrize("which", ["ur3", "panda"])
+@pytest.mark.parametrize("tilt", [False, True])
+def test_offsets_equal_the_paper_s_matrices(request, which, name, tilt):
+    robot = request.getfixturevalue(which)
+    robot = tilted(robot) if tilt else robot
+    model, table = error_model(robot, name, target=False), dh_table(robot)
+    q = np.random.default_rng(2).uniform(-np.pi, np.pi, (5, len(robot.joints)))
+    for seed in range(5):
+        x = offsets_of(model, seed)
+        poses = model.apply(robot, x).poses(q)
+        for values, pose in zip(q, poses, strict=True):
+            expected = pose_of_rows(table, values, dict(zip(model.names, x, strict=True)))
+            np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("k", range(24))
+def test_each_offset_alone_equals_its_entry_in_the_matrices(ur3, k):
+    model, table = error_model(ur3, "dh", target=False), dh_table(ur3)
+    x = np.zeros(24)
+    x[k] = 0.01 if model.parameters[k].unit == "m" else 0.1
+    q = np.random.default_rng(k).uniform(-np.pi, np.pi, 6)
+    expected = pose_of_rows(table, q, {model.names[k]: x[k]})
+    np.testing.assert_allclose(model.apply(ur3, x).poses(q)[0], expected, rtol=0, atol=1e-13)
+
+
+def test_betas_turn_the_next_axis_as_hayati_s_ry(ur3):
+    robot = tilted(ur3)
+    model, table = error_model(robot, "hayati", target=False), dh_table(robot)
+    assert {n for n in model.names if n.startswith("beta")} == {"beta2", "beta3"}
+    assert all(abs(table.rows[i].beta) > 1e-4 for i in (1, 2))
+    q = np.random.default_rng(4).uniform(-np.pi, np.pi, 6)
+    for name in ("beta2", "beta3"):
+        x = np.zeros(len(model))
+        x[model.index(name)] = 0.1
+        expected = pose_of_rows(table, q, {name: 0.1})
+        np.testing.assert_allclose(model.apply(robot, x).poses(q)[0], expected, atol=1e-13)
+
+
+def test_offsets_of_a_prismatic_chain(serial_urdf):
+    robot = Robot.from_urdf(
+        serial_urdf(
+            [
+                ("revolute", (0, 0, 0.3), (0.1, 0, 0), (0, 0, 1)),
+                ("prismatic", (0.2, 0, 0), (0, 1.2, 0), (0, 1, 1)),
+                ("continuous", (0, 0.1, 0.2), (1.0, 0, 0.3), (1, 0, 0)),
+            ]
+        )
+    )
+    model, table = error_model(robot, "dh", target=False), dh_table(robot)
+    x, q = offsets_of(model), np.array([0.3, -0.2, 2.0])
+    expected = pose_of_rows(table, q, dict(zip(model.names, x, strict=True)))
+    np.testing.assert_allclose(model.apply(robot, x).poses(q)[0], expected, rtol=0, atol=1e-13)
+
+
+def test_placements_are_displaced_on_the_right_in_order(ur3):
+    model = error_model(ur3, "placement", target=False)
+    x = offsets_of(model)
+    moved = model.apply(ur3, x)
+    for i in range(6):
+        D = np.eye(4)
+        for k in range(6 * i, 6 * i + 6):
+            D = D @ pin.exp6(np.eye(6)[k % 6] * x[k]).homogeneous
+        np.testing.assert_allclose(moved.placements[i], ur3.placements[i] @ D, atol=1e-15)
+    np.testing.assert_array_equal(moved.placements[6], ur3.placements[6])
+
+
+# apply
+
+
+@pytest.mark.parametrize("name", ["dh", "hayati", "placement", "zeros"])
+def test_apply_and_kinematics_agree(ur3, name):
+    model = error_model(ur3, name, target=True)
+    x = offsets_of(model)
+    x[model.family(TARGET)] = 0
+    T_tip_target = np.eye(4)
+    T_tip_target[:3, 3] = PAPER_TARGET
+    q = np.random.default_rng(0).uniform(-3, 3, (4, 6))
+    poses = Kinematics(ur3, model, np.eye(4), T_tip_target).poses(x, q)
+    np.testing.assert_allclose(poses, model.apply(ur3, x).poses(q) @ T_tip_target, atol=1e-14)
+
+
+def test_apply_leaves_frame_and_target_out(ur3):
+    model = error_model(ur3, "frames", frame=True)
+    assert model.apply(ur3, np.full(9, 0.01)).urdf.data == ur3.urdf.data
+
+
+def test_no_displacement_is_the_same_robot(ur3):
+    model = error_model(ur3, "dh")
+    assert model.apply(ur3, np.zeros(len(model))) is ur3
+
+
+@pytest.mark.parametrize("size", [0, 26, 28])
+def test_a_parameter_vector_of_the_wrong_length_is_refused(ur3, size):
+    model = error_model(ur3, "paper")
+    with pytest.raises(ModelError, match=rf"shape \({size},\).*'paper' has 27 parameters: 'a1'"):
+        model.apply(ur3, np.zeros(size))
+    with pytest.raises(ModelError, match="27 parameters"):
+        model.displacements(np.zeros((27, 1)))
+
+
+def test_a_tip_that_carries_no_correction_drops_the_last_a_and_alpha():
+    robot = Robot.load("ur3", base="base", tip="wrist_3_link")
+    assert robot.carriers[-1] is None
+    names = error_model(robot, "dh", target=False).names
+    whole = error_model(Robot.load("ur3", base="base", tip="tool0"), "dh", target=False).names
+    assert set(whole) - set(names) == {"a6", "alpha6"}
+    model = error_model(robot, "dh", target=False)
+    x, q = offsets_of(model), np.random.default_rng(0).uniform(-3, 3, 6)
+    expected = pose_of_rows(dh_table(robot), q, dict(zip(model.names, x, strict=True)))
+    np.testing.assert_allclose(model.apply(robot, x).poses(q)[0], expected, rtol=0, atol=1e-13)
+
+
+def test_a_displaced_tip_without_a_carrier_is_refused():
+    robot = Robot.load("ur3", base="base", tip="wrist_3_link")
+    tip = Parameter("tip_x", "m", TIP, np.eye(6)[0], LENGTH)
+    model = ErrorModel("mine", (FRAME, *robot.joint_names, TIP, TARGET), (tip,))
+    with pytest.raises(UrdfError, match="moved by its last joint directly"):
+        model.apply(robot, np.array([0.001]))
+
+
+def test_the_directions_are_those_of_the_displaced_placement(ur3):
+    # dP'/dx_k = P' S_k, against the difference of the displacements themselves
+    model = error_model(ur3, "dh", frame=True)
+    x, h = offsets_of(model), 1e-5
+    D, S = model.displacements(x)
+    for k in range(len(model)):
+        step = h * np.eye(len(model))[k]
+        plus, minus = model.displacements(x + step)[0], model.displacements(x - step)[0]
+        for i in range(len(model.places)):
+            derivative = np.linalg.inv(D[i]) @ (plus[i] - minus[i]) / (2 * h)
+            expected = np.zeros((4, 4))
+            twist = S[6 * i : 6 * i + 6, k]
+            expected[:3, :3], expected[:3, 3] = pin.skew(twist[3:]), twist[:3]
+            np.testing.assert_allclose(derivative, expected, atol=1e-9)
+
+
+# Freezing, and what is refused
+
+
+def test_without_freezes_parameters(ur3):
+    model = error_model(ur3, "paper")
+    less = model.without(["d2", "target_x"])
+    assert less.names == tuple(n for n in PAPER_NAMES if n not in ("d2", "target_x"))
+    assert less.places == model.places
+    assert model.without([]).names == model.names
+    x = offsets_of(model)
+    x[[model.index("d2"), model.index("target_x")]] = 0
+    kept = x[[model.index(name) for name in less.names]]
+    np.testing.assert_allclose(
+        less.apply(ur3, kept).placements, model.apply(ur3, x).placements, rtol=0, atol=1e-16
+    )
+
+
+def test_index(ur3):
+    assert error_model(ur3, "paper").index("theta1") == 3
+
+
+def test_an_unknown_parameter_lists_those_there_are(ur3):
+    with pytest.raises(
+        ModelError, match=r"'paper' has no parameter 'd7'; it has 'a1', .*'target_z'"
+    ):
+        error_model(ur3, "paper").without(["d7"])
+
+
+def test_an_unknown_set_lists_those_there_are(ur3):
+    with pytest.raises(
+        ModelError,
+        match=r"no parameter set 'dhh'\. Choose one of "
+        "'paper', 'dh', 'hayati', 'placement', 'zeros', 'frames'",
+    ):
+        error_model(ur3, "dhh")
+
+
+def test_the_paper_knows_its_frame(ur3):
+    with pytest.raises(ModelError, match=r"knows the measurement frame.*choose --model dh"):
+        error_model(ur3, "paper", frame=True)
+
+
+def test_a_name_twice_is_refused(ur3):
+    places = (FRAME, *ur3.joint_names, TIP, TARGET)
+    same = Parameter("gain", "m", TIP, np.eye(6)[0], LENGTH)
+    with pytest.raises(ModelError, match="'gain' appear twice in the model 'mine'"):
+        ErrorModel("mine", places, (same, same))
+
+
+def test_an_unknown_place_lists_the_places(ur3):
+    places = (FRAME, *ur3.joint_names, TIP, TARGET)
+    lost = Parameter("x", "m", "elbow", np.eye(6)[0], LENGTH)
+    with pytest.raises(ModelError, match=r"no places 'elbow'; it has 'frame', .*'elbow_joint'"):
+        ErrorModel("mine", places, (lost,))
+
+
+def test_directions_of_d_and_theta_follow_the_joint_s_axis(panda):
+    # d moves along, theta turns about the axis in the base at q = 0
+    model, (poses, _) = error_model(panda, "dh", target=False), zero_poses(panda)
+    for i, (pose, joint) in enumerate(zip(poses, panda.joints, strict=True), start=1):
+        axis = pose[:3, :3] @ joint.axis
+        d, theta = (model.parameters[model.index(f"{k}{i}")] for k in ("d", "theta"))
+        np.testing.assert_allclose(pose[:3, :3] @ d.direction[:3], axis, atol=1e-15)
+        np.testing.assert_allclose(pose[:3, :3] @ theta.direction[3:], axis, atol=1e-15)

@@ -1,0 +1,376 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib.data import PAPER_TARGET
+from calib.errors import ModelError
+from calib.model.error_model import (
+    ANGLE,
+    FRAME,
+    LENGTH,
+    TARGET,
+    TIP,
+    ErrorModel,
+    Parameter,
+    error_model,
+)
+from calib.model.kinematics import Kinematics
+from calib.model.observability import Observability, analyse, rank_by_gap, steps
+from calib.model.robot import Robot
+
+ON_AXIS_6 = (0.0, 0.0, 0.05)
+
+PAPER_COMBINATIONS = (
+    "d2 and d4 together (+1 mm, -1 mm)",
+    "d3 and d4 together (+1 mm, -1 mm)",
+    "a6 and target_x together (+1 mm, -1 mm)",
+    "alpha6, target_y and target_z together (+1 mrad, +0.0225 mm, -0.0702 mm)",
+    "d6 and target_z together (+1 mm, -1 mm)",
+    "theta6, target_x and target_y together (+1 mrad, +0.0702 mm, +0.07 mm)",
+)
+
+
+def at_target(robot: Robot, model: ErrorModel, target=PAPER_TARGET) -> Kinematics:
+    T_tip_target = np.eye(4)
+    T_tip_target[:3, 3] = target
+    return Kinematics(robot, model, np.eye(4), T_tip_target)
+
+
+def jacobian_of(
+    robot: Robot, model: ErrorModel, q: np.ndarray, target=PAPER_TARGET, pose: bool = False
+) -> np.ndarray:
+    _, twists = at_target(robot, model, target).twists(np.zeros(len(model)), q)
+    return (twists if pose else twists[:, :3]).reshape(-1, len(model))
+
+
+def analysed(jacobian: np.ndarray, model: ErrorModel) -> Observability:
+    return analyse(jacobian, model.names, [p.unit for p in model.parameters])
+
+
+def vector(model: ErrorModel, combination) -> np.ndarray:
+    x = np.zeros(len(model))
+    for name, step in zip(combination.names, combination.steps, strict=True):
+        x[model.index(name)] = step
+    return x
+
+
+def random_q(n: int = 6, count: int = 100) -> np.ndarray:
+    return np.random.default_rng(0).uniform(-np.pi, np.pi, (count, n))
+
+
+def all_placements(robot: Robot) -> ErrorModel:
+    """Six directions of each joint's placement and of the tip: 42 columns for six joints."""
+    tip = tuple(
+        Parameter(
+            f"tip.{k}", "m" if k < 3 else "rad", TIP, np.eye(6)[k], LENGTH if k < 3 else ANGLE
+        )
+        for k in range(6)
+    )
+    placements = error_model(robot, "placement", target=False).parameters
+    return ErrorModel("all", (FRAME, *robot.joint_names, TIP, TARGET), placements + tip)
+
+
+def tilted(robot: Robot, angle: float) -> Robot:
+    model = error_model(robot, "placement", target=False)
+    x = np.random.default_rng(1).normal(0, angle, len(model))
+    return model.apply(robot, x)
+
+
+# Golden ranks
+
+
+@pytest.mark.parametrize(
+    ("target", "pose", "rank"),
+    [(PAPER_TARGET, False, 27), (ON_AXIS_6, False, 25), (PAPER_TARGET, True, 30)],
+)
+def test_the_ranks_of_42_placement_columns(ur3, target, pose, rank):
+    model = all_placements(ur3)
+    result = analysed(jacobian_of(ur3, model, random_q(), target, pose), model)
+    assert (result.columns, result.rank) == (42, rank)
+    assert len(result.unidentifiable) == 42 - rank
+
+
+@pytest.mark.parametrize(
+    ("name", "frame", "columns", "rank"),
+    [
+        ("paper", False, 27, 21),
+        ("dh", True, 33, 25),
+        ("hayati", False, 27, 23),
+        ("hayati", True, 33, 27),
+        ("placement", False, 39, 27),
+        ("placement", True, 45, 27),
+        ("zeros", False, 9, 8),
+        ("zeros", True, 15, 13),
+        ("frames", True, 9, 9),
+    ],
+)
+def test_the_ranks_of_the_sets(ur3, name, frame, columns, rank):
+    # docs/parameters.md states these.
+    model = error_model(ur3, name, frame=frame)
+    result = analysed(jacobian_of(ur3, model, random_q()), model)
+    assert (result.columns, result.rank) == (columns, rank)
+
+
+def test_the_panda_s_ranks(panda):
+    for name, columns, rank in (("dh", 31, 27), ("hayati", 31, 27), ("placement", 45, 31)):
+        model = error_model(panda, name)
+        result = analysed(jacobian_of(panda, model, random_q(7)), model)
+        assert (result.columns, result.rank) == (columns, rank)
+
+
+# The paper's table
+
+
+def test_the_paper_s_27_columns_on_its_30_rows(ur3, paper_table):
+    model = error_model(ur3, "paper")
+    q = paper_table.joints[paper_table.estimation]
+    assert len(q) == 30
+    result = analysed(jacobian_of(ur3, model, q), model)
+    assert result.rank == 21
+    assert tuple(str(c) for c in result.unidentifiable) == PAPER_COMBINATIONS
+    taking_part = {name for c in result.unidentifiable for name in c.names}
+    for name, alone in zip(model.names, result.identifiable, strict=True):
+        assert alone == (name not in taking_part), name
+    assert result.identifiable.sum() == 27 - 10
+    np.testing.assert_allclose(
+        result.condition, result.singular_values[0] / result.singular_values[20]
+    )
+
+
+@pytest.mark.parametrize("angle", [1e-6, 1e-5, 1e-4, 1e-3, 3e-3])
+def test_nearly_parallel_axes_do_not_raise_the_rank(ur3, paper_table, angle):
+    # Singular values far below the noise but far above rounding must not count.
+    robot = tilted(ur3, angle)
+    model = error_model(robot, "paper")
+    result = analysed(jacobian_of(robot, model, paper_table.joints[:30]), model)
+    assert result.rank == 21
+    assert result.singular_values[21] > 0
+    assert [str(c) for c in result.unidentifiable[:2]] == list(PAPER_COMBINATIONS[:2])
+    betas = error_model(robot, "hayati")
+    assert analysed(jacobian_of(robot, betas, paper_table.joints[:30]), betas).rank == 23
+
+
+@pytest.mark.parametrize("name", ["paper", "hayati", "placement", "zeros"])
+@pytest.mark.parametrize("target", [PAPER_TARGET, ON_AXIS_6])
+def test_combinations_leave_the_points_where_they_are(ur3, name, target):
+    model = error_model(ur3, name, frame=name != "paper")
+    jacobian = jacobian_of(ur3, model, random_q(), target)
+    result = analysed(jacobian, model)
+    assert result.unidentifiable
+    vectors = np.array([vector(model, c) for c in result.unidentifiable])
+    # 1 mm or 1 mrad of each moves no point by more than rounding, to first order
+    assert np.abs(jacobian @ vectors.T).max() < 1e-15
+    # and they say different things
+    assert np.linalg.matrix_rank(vectors / np.abs(vectors).max()) == len(vectors)
+
+
+def test_lengths_that_cancel_do_so_at_any_size(ur3, paper_table):
+    model = error_model(ur3, "paper")
+    q = paper_table.joints
+    kinematics = at_target(ur3, model)
+    result = analysed(jacobian_of(ur3, model, q), model)
+    straight = [c for c in result.unidentifiable if set(c.units) == {"m"}]
+    assert len(straight) == 4
+    for combination in straight:
+        x = 50 * vector(model, combination)
+        assert np.abs(x).max() == pytest.approx(0.05)
+        np.testing.assert_allclose(
+            kinematics.points(x, q), kinematics.points(0 * x, q), rtol=0, atol=1e-13
+        )
+
+
+def test_combinations_of_a_tilted_robot_hide_what_is_left_out(ur3):
+    robot = tilted(ur3, 3e-3)
+    model = error_model(robot, "paper")
+    jacobian = jacobian_of(robot, model, random_q())
+    for combination in analysed(jacobian, model).unidentifiable:
+        # a step of 1 mm or 1 mrad of the leading parameter moves no point by more than 2 % of 1 mm
+        assert np.abs(jacobian @ vector(model, combination)).max() < 2e-5
+
+
+def test_a_parameter_without_any_effect(ur3):
+    model = error_model(ur3, "placement", target=False)
+    result = analysed(jacobian_of(ur3, model, random_q(), ON_AXIS_6), model)
+    assert "wrist_3_joint.ry at all" in [str(c) for c in result.unidentifiable]
+
+
+# Indices and invariances
+
+
+def known(values: tuple[float, ...], rows: int = 12) -> np.ndarray:
+    """A Jacobian whose scaled singular values are these."""
+    rng = np.random.default_rng(7)
+    p = len(values)
+    U = np.linalg.qr(rng.normal(size=(rows, p)))[0]
+    V = np.linalg.qr(rng.normal(size=(p, p)))[0]
+    return U @ np.diag(values) @ V.T / 1e-3
+
+
+def test_the_five_indices():
+    result = analyse(known((4.0, 2.0, 1.0)), "abc", ["m", "rad", "m"])
+    np.testing.assert_allclose(result.singular_values, (4, 2, 1), rtol=1e-13)
+    assert result.indices == pytest.approx(
+        {
+            "O1": 8 ** (1 / 3) / 12**0.5,
+            "O2": 1 / 4,
+            "O3": 1,
+            "O4": 1 / 4,
+            "O5": 1 / (1 / 4 + 1 / 2 + 1),
+        }
+    )
+    assert result.condition == pytest.approx(4)
+    assert (result.rank, result.unidentifiable) == (3, ())
+    assert result.identifiable.all()
+
+
+def test_the_indices_are_those_of_the_determined_part():
+    result = analyse(known((4.0, 2.0, 0.0)), "abc", ["m"] * 3)
+    assert result.rank == 2
+    assert result.indices["O3"] == pytest.approx(2)
+    assert result.indices["O1"] == pytest.approx(8**0.5 / 12**0.5)
+    assert result.condition == pytest.approx(2)
+
+
+def test_o1_does_not_grow_with_repetition():
+    once = known((4.0, 2.0, 1.0))
+    twice = analyse(np.vstack([once, once]), "abc", ["m"] * 3)
+    assert twice.indices["O1"] == pytest.approx(analyse(once, "abc", ["m"] * 3).indices["O1"])
+
+
+def test_the_unit_of_the_measurements_changes_nothing(ur3, paper_table):
+    model = error_model(ur3, "paper")
+    in_m = jacobian_of(ur3, model, paper_table.joints)
+    a, b = analysed(in_m, model), analysed(1000 * in_m, model)
+    assert a.rank == b.rank
+    assert [str(c) for c in a.unidentifiable] == [str(c) for c in b.unidentifiable]
+    np.testing.assert_allclose(b.singular_values[:21], 1000 * a.singular_values[:21], rtol=1e-12)
+    np.testing.assert_allclose(a.condition, b.condition)
+    np.testing.assert_array_equal(a.identifiable, b.identifiable)
+
+
+def test_turned_coordinates_and_another_order_of_rows_change_nothing(ur3, paper_table):
+    model = error_model(ur3, "paper")
+    jacobian = jacobian_of(ur3, model, paper_table.joints)
+    Q = np.linalg.qr(np.random.default_rng(0).normal(size=(105, 105)))[0]
+    a, b = analysed(jacobian, model), analysed(Q @ jacobian, model)
+    np.testing.assert_allclose(a.singular_values[:21], b.singular_values[:21], rtol=1e-10)
+    assert [str(c) for c in a.unidentifiable] == [str(c) for c in b.unidentifiable]
+
+
+def test_the_result_is_the_same_every_time(ur3, paper_table):
+    model = error_model(ur3, "paper")
+    jacobian = jacobian_of(ur3, model, paper_table.joints)
+    a, b = analysed(jacobian, model), analysed(jacobian.copy(), model)
+    np.testing.assert_array_equal(a.singular_values, b.singular_values)
+    assert a.unidentifiable == b.unidentifiable
+    assert a.indices == b.indices
+
+
+def test_arrays_are_read_only():
+    result = analyse(known((4.0, 2.0, 0.0)), "abc", ["m"] * 3)
+    assert not result.singular_values.flags.writeable
+    assert not result.identifiable.flags.writeable
+
+
+# Few rows, none, wrong sizes
+
+
+@pytest.mark.parametrize("poses", [1, 3, 8])
+def test_fewer_rows_than_parameters(ur3, paper_table, poses):
+    model = error_model(ur3, "paper")
+    jacobian = jacobian_of(ur3, model, paper_table.joints[:poses])
+    result = analysed(jacobian, model)
+    assert result.rank <= 3 * poses
+    assert result.singular_values.shape == (27,)
+    assert len(result.unidentifiable) == 27 - result.rank
+    for combination in result.unidentifiable:
+        v = vector(model, combination)
+        strongest = np.linalg.norm(jacobian * v, axis=0).max()
+        assert np.linalg.norm(jacobian @ v) <= 0.02 * 27 * strongest + 1e-15
+
+
+def test_many_rows_take_little_memory():
+    # The singular vectors of 60 000 rows would take 29 GB.
+    jacobian = np.tile(known((4.0, 2.0, 1.0)), (5000, 1))
+    assert analyse(jacobian, "abc", ["m"] * 3).rank == 3
+
+
+def test_no_parameters():
+    result = analyse(np.zeros((6, 0)), [], [])
+    assert (result.columns, result.rank, result.unidentifiable) == (0, 0, ())
+
+
+def test_no_rows_and_zeros_determine_nothing():
+    for jacobian in (np.zeros((0, 2)), np.zeros((6, 2))):
+        result = analyse(jacobian, ["a", "b"], ["m", "rad"])
+        assert (result.rank, result.indices, result.condition) == (0, {}, np.inf)
+        assert [str(c) for c in result.unidentifiable] == ["a at all", "b at all"]
+        assert not result.identifiable.any()
+
+
+@pytest.mark.parametrize(
+    ("jacobian", "names", "units"),
+    [
+        (np.zeros((6, 3)), "ab", ["m", "m"]),
+        (np.zeros((6, 2)), "ab", ["m"]),
+        (np.zeros((6, 2)), "abc", ["m", "m"]),
+        (np.zeros(2), "ab", ["m", "m"]),
+        (np.zeros((2, 3, 2)), "ab", ["m", "m"]),
+    ],
+)
+def test_wrong_sizes_are_refused(jacobian, names, units):
+    with pytest.raises(ModelError, match=r"A Jacobian of shape \(.*\) does not go with \d names"):
+        analyse(jacobian, names, units)
+
+
+def test_steps_are_a_millimetre_and_a_milliradian():
+    np.testing.assert_array_equal(steps(["m", "rad"]), [1e-3, 1e-3])
+
+
+# The rank of a spectrum
+
+
+@pytest.mark.parametrize(
+    ("values", "rank"),
+    [
+        ([], 0),
+        ([0, 0, 0], 0),
+        ([3], 1),
+        ([1, 0.5, 0.1], 3),
+        (np.logspace(0, -10, 31), 31),  # decays without a gap: all of it
+        ([1, 0.5, 1e-15], 2),  # rounding
+        ([1, 0.1, 1e-5, 1e-16], 2),  # two gaps: the first
+        ([1, 0.1, 1e-5, 9e-6, 1e-16, 1e-17], 2),
+        ([1, 0.02, 2e-4], 2),  # a hundredfold gap, below what is negligible
+        ([1, 0.01, 5e-3], 3),  # as wide, but above
+        ([1, 2e-3, 2e-4, 2e-5], 4),  # tenfold steps are no gap
+        ([1, 0, 0], 1),
+        ([1e-9, 5e-10, 1e-24], 2),  # relative to the largest
+    ],
+)
+def test_rank_by_gap(values, rank):
+    assert rank_by_gap(np.asarray(values, dtype=float)) == rank
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 10), st.integers(1, 10))
+def test_combinations_span_what_any_jacobian_cannot_see(seed, p, rank):
+    rng = np.random.default_rng(seed)
+    rank = min(rank, p)
+    jacobian = rng.normal(size=(30, rank)) @ rng.normal(size=(rank, p))
+    names = [f"p{k}" for k in range(p)]
+    result = analyse(jacobian, names, ["m"] * p)
+    if result.rank != rank:  # drawn close to a lower rank
+        assert result.condition < 1e13
+        return
+    assert len(result.unidentifiable) == p - rank
+    for combination in result.unidentifiable:
+        v = np.zeros(p)
+        for name, step in zip(combination.names, combination.steps, strict=True):
+            v[names.index(name)] = step
+        effects = np.linalg.norm(jacobian * v, axis=0)
+        assert np.linalg.norm(jacobian @ v) <= 0.02 * p * effects.max() + 1e-12
+        assert 1e-3 in np.abs(v)  # the leading one changes by its step

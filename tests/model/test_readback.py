@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib.errors import UrdfError
+from calib.model.readback import TOLERANCE, check_written, random_joint_values
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf
+
+
+def corrected(robot: Robot, size: float = 5e-3) -> Robot:
+    rng = np.random.default_rng(2)
+    moved = [T @ pin.exp6(rng.normal(0, size, 6)).homogeneous for T in robot.placements]
+    return robot.with_placements(np.array(moved))
+
+
+@pytest.mark.parametrize(
+    ("name", "tip"),
+    [
+        ("ur3", "tool0"),
+        ("panda", "panda_link8"),
+        ("kinova", "j2s6s200_end_effector"),
+        ("pr2", "l_gripper_tool_frame"),
+        ("baxter", "left_gripper"),
+        ("b1-z1", "gripperMover"),
+    ],
+)
+def test_a_corrected_robot_passes(name, tip):
+    robot = Robot.load(name, tip=tip)
+    if robot.carriers[-1] is not None:
+        robot = corrected(robot)
+    q = random_joint_values(robot)
+    check_written(robot, robot.poses(q), q)
+
+
+@pytest.mark.parametrize("axis", [(0, 0.5, 2), (0, 0, -3), (0.1, 0, 0)])
+@pytest.mark.parametrize("kind", ["prismatic", "revolute", "continuous"])
+def test_axes_of_any_length_pass(serial_urdf, kind, axis):
+    joints = [(kind, (0.1, 0.2, 0.3), (0.3, 1.5, 0.1), axis)] * 2
+    robot = corrected(Robot.from_urdf(serial_urdf(joints)))
+    q = random_joint_values(robot)
+    check_written(robot, robot.poses(q), q)
+
+
+@pytest.mark.parametrize("joint", ["shoulder_pan_joint", "wrist_3_link-tool0_fixed_joint"])
+@pytest.mark.parametrize("twist", [(2e-9, 0, 0, 0, 0, 0), (0, 0, 0, 0, 2e-8, 0)])
+def test_an_origin_that_was_tampered_with_is_refused(ur3, joint, twist):
+    origin = ur3.urdf.joint(joint).T_parent_joint @ pin.exp6(np.array(twist)).homogeneous
+    tampered = dataclasses.replace(ur3, urdf=ur3.urdf.with_origins({joint: origin}))
+    q = random_joint_values(ur3)
+    with pytest.raises(
+        UrdfError, match=r"read back by Pinocchio, puts the tip .* rad away.*1e-09 is allowed"
+    ):
+        check_written(tampered, ur3.poses(q), q)
+
+
+def test_an_error_within_the_tolerance_passes(ur3):
+    q = random_joint_values(ur3)
+    expected = ur3.poses(q)
+    expected[:, 0, 3] += 0.9 * TOLERANCE
+    check_written(ur3, expected, q)
+
+
+def test_poses_that_are_no_numbers_are_refused(ur3):
+    q = random_joint_values(ur3)
+    with pytest.raises(UrdfError, match="nan m"):
+        check_written(ur3, np.full((len(q), 4, 4), np.nan), q)
+
+
+def test_a_urdf_that_yourdfpy_cannot_read_is_refused(serial_urdf):
+    # Pinocchio does not look at the axis of a fixed joint; yourdfpy wants numbers there.
+    fixed = (
+        '<link name="d"/><joint name="f" type="fixed"><parent link="l0"/><child link="d"/>'
+        '<axis xyz="none"/></joint>'
+    )
+    joints = [("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1))]
+    robot = Robot.from_urdf(serial_urdf(joints, extra=fixed))
+    q = random_joint_values(robot)
+    with pytest.raises(
+        UrdfError, match="yourdfpy cannot read the corrected URDF of 'serial', so it is"
+    ):
+        check_written(robot, robot.poses(q), q)
+
+
+def limits(kind: str, limit: str) -> Robot:
+    text = (
+        '<robot name="r"><link name="a"/><link name="b"/>'
+        f'<joint name="j" type="{kind}"><parent link="a"/><child link="b"/>{limit}</joint></robot>'
+    )
+    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "limit", "low", "high"),
+    [
+        ("revolute", '<limit lower="-0.5" upper="1.5" effort="1" velocity="1"/>', -0.5, 1.5),
+        ("revolute", '<limit lower="-6.3" upper="6.3" effort="1" velocity="1"/>', -np.pi, np.pi),
+        ("revolute", '<limit effort="1" velocity="1"/>', -np.pi, np.pi),
+        ("continuous", "", -np.pi, np.pi),
+        ("prismatic", '<limit lower="-0.1" upper="5" effort="1" velocity="1"/>', -0.1, 1.0),
+        ("prismatic", '<limit lower="-9" upper="9" effort="1" velocity="1"/>', -1.0, 1.0),
+    ],
+)
+def test_random_joint_values_fill_the_limits(kind, limit, low, high):
+    q = random_joint_values(limits(kind, limit), 500)
+    assert q.shape == (500, 1)
+    assert low <= q.min() < low + 0.05 * (high - low)
+    assert high - 0.05 * (high - low) < q.max() <= high
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(4, 5), (-5, -4), (2, 2), (-7, -7)])
+def test_random_joint_values_stay_inside_limits_beyond_a_turn(lower, upper):
+    limit = f'<limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/>'
+    q = random_joint_values(limits("revolute", limit))
+    assert (q >= lower).all()
+    assert (q <= upper).all()
+
+
+def test_random_joint_values_are_the_same_every_time(ur3):
+    np.testing.assert_array_equal(random_joint_values(ur3), random_joint_values(ur3))
+    assert not np.array_equal(random_joint_values(ur3), random_joint_values(ur3, seed=1))

@@ -1,0 +1,154 @@
+"""The names that users may rely on, and what is said about them."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import calib
+
+CALIB = Path(calib.__file__).parent
+
+#: A name that leaves this list breaks programs that use it.
+NAMES = [
+    "CalibError",
+    "Calibration",
+    "Cell",
+    "Evaluation",
+    "Measurements",
+    "Priors",
+    "Robot",
+    "calibrate",
+    "evaluate",
+    "show",
+]
+
+#: The core handles nothing but arrays, and so must say their shapes.
+WITH_ARRAYS = sorted((CALIB / "model").glob("*.py"))
+
+
+def test_the_public_names():
+    assert calib.__all__ == NAMES
+    assert dir(calib) == sorted([*NAMES, "__version__"])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_public_name_can_be_imported_and_says_what_it_is(name):
+    thing = getattr(calib, name)
+    assert thing.__name__.removeprefix("calib.") == name
+    assert inspect.getdoc(thing)
+    if inspect.isclass(thing) and not issubclass(thing, Exception):
+        for key, member in vars(thing).items():
+            is_member = callable(member) or isinstance(
+                member, (property, classmethod, staticmethod)
+            )
+            if is_member and not key.startswith("_"):
+                assert inspect.getdoc(getattr(thing, key)), f"{name}.{key}"
+
+
+def test_types_checkers_see_the_same_names():
+    # The imports under TYPE_CHECKING and the table of modules are written by hand, both.
+    tree = ast.parse((CALIB / "__init__.py").read_text(encoding="utf-8"))
+    seen = {
+        alias.name: node.module
+        for branch in tree.body
+        if isinstance(branch, ast.If)
+        for node in branch.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert sorted(seen) == NAMES
+    for name, module in seen.items():
+        thing = getattr(importlib.import_module(module), name)
+        assert thing.__name__ == name
+        if name != "show":
+            assert thing is getattr(calib, name)
+
+
+def test_show_stays_a_function():
+    # calib/show is a folder too, and importing from a folder sets calib's attribute of that name.
+    code = "import calib; calib.show; calib.show.__name__; assert callable(calib.show), calib.show"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=CALIB.parent)
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'calib' has no attribute 'calibrat'"):
+        calib.calibrat  # noqa: B018
+
+
+def test_import_calib_alone_loads_nothing_heavy():
+    code = (
+        "import sys, calib; calib.__version__; "
+        "heavy = {'numpy', 'scipy', 'pinocchio', 'meshcat', 'yourdfpy', 'trimesh', 'rich', 'typer'}; "
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=CALIB.parent
+    )
+    assert run.stdout.strip() == "[]"
+
+
+def public(tree: ast.AST) -> list[tuple[str, ast.AST, str]]:
+    """Public functions, classes and their public methods: name, node, docstring of the class around it."""
+    found: list[tuple[str, ast.AST, str]] = []
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
+            found.append((node.name, node, ""))
+            if isinstance(node, ast.ClassDef):
+                around = ast.get_docstring(node) or ""
+                found += [(f"{node.name}.{n}", inner, around) for n, inner, _ in public(node)]
+    return found
+
+
+@pytest.mark.parametrize(
+    "path", sorted(CALIB.rglob("*.py")), ids=lambda p: str(p.relative_to(CALIB))
+)
+def test_everything_public_has_a_docstring(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    assert ast.get_docstring(tree)
+    for name, node, _ in public(tree):
+        assert ast.get_docstring(node), name
+
+
+@pytest.mark.parametrize("path", WITH_ARRAYS, ids=lambda p: str(p.relative_to(CALIB)))
+def test_arrays_come_with_their_shape(path):
+    for name, node, around in public(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef):
+            hints = [a.annotation for a in node.args.args + node.args.kwonlyargs] + [node.returns]
+        else:
+            hints = [n.annotation for n in node.body if isinstance(n, ast.AnnAssign)]
+        text = " ".join(ast.unparse(hint) for hint in hints if hint is not None)
+        if "Array" in text:
+            said = (ast.get_docstring(node) or "") + around
+            assert "shape" in said or re.search(r"\(\w+, ?\w*\)", said), name
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "said"),
+    [
+        ("calib.model.robot", None, "T_base_tip(q) = T_root_base^-1  P_1 J_1(q_1)"),
+        (
+            "calib.model.dh",
+            None,
+            "A_i(q_i) = Rz(theta_i + q_i) Tz(d_i) Tx(a_i) Rx(alpha_i) Ry(beta_i)",
+        ),
+        ("calib.model.error_model", None, "P' = P exp(xi_1 x_1) exp(xi_2 x_2) ..."),
+        ("calib.model.kinematics", None, "T_frame_target(x, q) = F D_F  T_base_tip(x, q)  T D_T"),
+        ("calib.model.robot", "Robot", "[m]"),
+        ("calib.model.dh", "DHRow", "lengths [m], angles [rad]"),
+        ("calib.model.kinematics", "Kinematics", "[m]"),
+        ("calib.model.observability", "analyse", "O1 = (s_1 ... s_r)^(1/r) / sqrt(N)"),
+        ("calib.model.readback", "check_written", "[rad or m]"),
+    ],
+)
+def test_equations_and_units_are_stated(module, name, said):
+    loaded = importlib.import_module(module)
+    text = inspect.getdoc(loaded if name is None else getattr(loaded, name)) or ""
+    assert said in text
