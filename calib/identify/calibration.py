@@ -205,18 +205,18 @@ class Calibration:
             UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad.
             FileError: The file exists, or cannot be written.
         """
-        q = random_joint_values(self.robot)
+        robot = self.robot
+        if target_link:
+            T = np.eye(4)
+            T[:3, 3] = self.target
+            robot = replace(robot, urdf=robot.urdf.with_link(TARGET_LINK, robot.tip, T))
+        q = random_joint_values(robot)
         # Straight from the parameters, by the path that the fit took, not through the corrected robot.
         in_memory = Kinematics(self.nominal, self.model, np.eye(4), np.eye(4)).poses(self.x, q)
         displacement, _ = self.model.displacements(self.x)
         expected = rigid_inverse(displacement[0]) @ in_memory @ rigid_inverse(displacement[-1])
-        check_written(self.robot, expected, q)
-        urdf = self.robot.urdf
-        if target_link:
-            T = np.eye(4)
-            T[:3, 3] = self.target
-            urdf = urdf.with_link(TARGET_LINK, self.robot.tip, T)
-        return urdf.write(path, overwrite=overwrite)
+        check_written(robot, expected, q)
+        return robot.urdf.write(path, overwrite=overwrite)
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the result as JSON; the keys are documented in docs/result-json.md.

@@ -6,6 +6,9 @@ Two readers that share no code with the writer: Pinocchio, which the model itsel
 from __future__ import annotations
 
 import io
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,15 +62,15 @@ def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
     import yourdfpy
 
     try:
-        model = yourdfpy.URDF.load(
-            io.BytesIO(robot.urdf.data),
-            build_scene_graph=True,
-            load_meshes=False,
-            load_collision_meshes=False,
-        )
-    except (
-        Exception
-    ) as error:  # whatever a foreign reader raises, the file is not fit to be given out
+        with _quiet("yourdfpy.urdf"):
+            model = yourdfpy.URDF.load(
+                io.BytesIO(robot.urdf.data),
+                build_scene_graph=True,
+                load_meshes=False,
+                load_collision_meshes=False,
+            )
+    # Whatever a foreign reader raises, the file is not fit to be given out.
+    except Exception as error:
         message = f"yourdfpy cannot read the corrected URDF of '{robot.name}', so it is not written: {error}"
         raise UrdfError(message) from error
     # yourdfpy slides by q times the axis as it is written; the axis is a direction, of any length.
@@ -80,6 +83,18 @@ def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
         model.update_cfg(dict(zip(robot.joint_names, values, strict=True)))
         poses[i] = rigid_inverse(model.get_transform(robot.base)) @ model.get_transform(robot.tip)
     return poses
+
+
+@contextmanager
+def _quiet(name: str) -> Iterator[None]:
+    """Keep a reader's warnings about the rest of the robot, mimic joints for one, out of the user's terminal."""
+    logger = logging.getLogger(name)
+    before = logger.disabled
+    logger.disabled = True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 def _compare(reader: str, poses: Array, expected: Array) -> None:
