@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -374,3 +377,18 @@ def test_combinations_span_what_any_jacobian_cannot_see(seed, p, rank):
         effects = np.linalg.norm(jacobian * v, axis=0)
         assert np.linalg.norm(jacobian @ v) <= 0.02 * p * effects.max() + 1e-12
         assert 1e-3 in np.abs(v)  # the leading one changes by its step
+
+
+# The documents
+
+
+def test_the_document_states_these_ranks_and_combinations(ur3):
+    text = (Path(__file__).parents[2] / "docs" / "parameters.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (known|estimated) \| (\d+) \| (\d+) \|$", text, re.MULTILINE)
+    assert len(rows) == 9
+    for name, frame, columns, rank in rows:
+        model = error_model(ur3, name, frame=frame == "estimated")
+        result = analysed(jacobian_of(ur3, model, random_q()), model)
+        assert (result.columns, result.rank) == (int(columns), int(rank))
+    for combination in PAPER_COMBINATIONS:
+        assert f"    {combination}\n" in text
