@@ -52,4 +52,4 @@ def _options(
 
 def main() -> None:
     """The entry point of the ``calib`` command."""
-    app()
+    app(prog_name="calib")

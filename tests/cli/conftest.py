@@ -1,0 +1,128 @@
+"""The real program in a process of its own, and the examples of docs/command-line.md run once for all tests."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from calib.cli import main
+from calib.data import paper_measurements, paper_urdf
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+_INSTALLED = Path(sys.executable).with_name("calib")
+PROGRAM = (
+    [str(_INSTALLED)]
+    if _INSTALLED.is_file()
+    else [sys.executable, "-c", "from calib.cli import main; main()"]
+)
+
+Run = Callable[..., "Done"]
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a call of the program left: its exit code and what it printed."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def lines(self) -> list[str]:
+        return self.out.splitlines()
+
+
+def calib(folder: Path, *words: str | Path) -> Done:
+    """Run ``calib`` with these words in this folder."""
+    done = subprocess.run(
+        [*PROGRAM, *map(str, words)],
+        cwd=folder,
+        capture_output=True,
+        encoding="utf-8",
+        timeout=120,
+        check=False,
+    )
+    return Done(done.returncode, done.stdout, done.stderr)
+
+
+def fill(folder: Path) -> Path:
+    """The files that a user begins with: the paper's UR3, its table, and the example of docs/cell.md."""
+    shutil.copy(paper_urdf(), folder / "robot.urdf")
+    shutil.copy(paper_measurements(), folder / "data.csv")
+    text = (DOCS / "cell.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    (folder / "cell.toml").write_text(example, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def shop(tmp_path: Path) -> Path:
+    """A folder of its own with robot.urdf, data.csv and cell.toml."""
+    return fill(tmp_path)
+
+
+@dataclass(frozen=True)
+class Examples:
+    """The folder in which the examples ran, and what each of them left, by the call as it stands in the text."""
+
+    folder: Path
+    done: dict[str, Done]
+
+    def starting(self, words: str) -> Done:
+        """The first example that begins with these words."""
+        return next(done for call, done in self.done.items() if call.startswith(words))
+
+
+@pytest.fixture(scope="session")
+def examples(tmp_path_factory: pytest.TempPathFactory) -> Examples:
+    """Every example of docs/command-line.md, run in the order of the text in one folder."""
+    folder = fill(tmp_path_factory.mktemp("examples"))
+    text = (DOCS / "command-line.md").read_text(encoding="utf-8")
+    calls = [
+        line
+        for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+        for line in block.splitlines()
+    ]
+    done = {}
+    for call in calls:
+        program, *words = shlex.split(call)
+        assert program == "calib"
+        done[call] = calib(folder, *words)
+    return Examples(folder, done)
+
+
+@pytest.fixture(scope="session")
+def run() -> Run:
+    """`calib`: a function of a folder and the words of a call."""
+    return calib
+
+
+@pytest.fixture(scope="session")
+def program() -> list[str]:
+    """How the program is started, for tests that start it themselves."""
+    return PROGRAM
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """The same within this process: a tenth of the time, for the many calls that differ in one word."""
+
+    def within(folder: Path, *words: str | Path) -> Done:
+        monkeypatch.chdir(folder)
+        monkeypatch.setattr(sys, "argv", ["calib", *map(str, words)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        printed = capsys.readouterr()
+        return Done(int(stopped.value.code or 0), printed.out, printed.err)
+
+    return within

@@ -1,0 +1,286 @@
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+AS_PRINTED = "69.97 -70.20 22.52 mm"
+
+
+def load(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def values(result: Any) -> dict[str, float]:
+    return {p["name"]: p["value"] for p in result["parameters"]}
+
+
+@pytest.fixture(scope="module")
+def reference(examples) -> Any:
+    return load(examples.folder / "result.json")
+
+
+def test_it_says_what_it_found_and_what_it_wrote(examples):
+    done = examples.starting("calib fit robot.urdf data.csv --base base --tip tool0")
+    assert (done.code, done.err) == (0, "")
+    assert "\nVerdict: use\n" in done.out
+    assert done.lines[-3:] == [
+        "Written: corrected.urdf",
+        "Written: result.json",
+        "Written: view.html",
+    ]
+    for name in ("corrected.urdf", "result.json", "view.html"):
+        assert (examples.folder / name).stat().st_size > 5_000
+    assert b"calib_target" not in (examples.folder / "corrected.urdf").read_bytes()
+    assert b"calib_target" in (examples.folder / "target.urdf").read_bytes()
+
+
+def test_without_output_it_says_so(examples):
+    done = examples.starting("calib fit robot.urdf data.csv --frame estimate")
+    assert done.lines[-1] == "No URDF was written; add -o corrected.urdf to write it."
+    assert "Verdict: none, because nothing was cross-validated." in done.out
+    assert re.search(r"^frame_rz +0\.000 ", done.out, re.MULTILINE)
+
+
+def test_the_corrected_urdf_differs_in_origins_alone(examples):
+    before = (examples.folder / "robot.urdf").read_text(encoding="utf-8").splitlines()
+    after = (examples.folder / "corrected.urdf").read_text(encoding="utf-8").splitlines()
+    changed = [a for b, a in zip(before, after, strict=True) if a != b]
+    assert 6 <= len(changed) <= 7
+    assert all("<origin" in line for line in changed)
+
+
+def test_the_cell_file_and_freeze_on_the_line(examples):
+    done = examples.starting("calib fit robot.urdf data.csv --cell cell.toml")
+    assert (done.code, done.out, done.err) == (0, "", "")
+    result = load(examples.folder / "frozen.json")
+    assert result["model"] == {"set": "dh", "frozen": ["d2", "d3"], "candidates": []}
+    assert not {"d2", "d3"} & values(result).keys()
+    assert result["frames"]["target_given_m"] == pytest.approx([-0.07, 0.07, 0.0225])
+
+
+def test_the_target_with_the_printed_sign_leads_to_the_same_result(run, shop, reference):
+    done = run(
+        shop, "fit", "robot.urdf", "data.csv", "--base", "base", "--target", AS_PRINTED,
+        "-o", "c.urdf", "--json", "r.json", "--target-link",
+    )  # fmt: skip
+    assert (done.code, done.err) == (0, "")
+    said = " ".join(done.out.split())
+    assert "it moved 198.3 mm from the position given. That is further than mounting" in said
+    assert "check the sign and the order of the numbers given." in said
+    result = load(shop / "r.json")
+    assert values(result) == pytest.approx(values(reference), abs=1e-7)
+    assert result["errors"]["calibrated"]["validation"]["rms_m"] < 0.0003
+
+    # The link carries the target: evaluate finds it, and says the same as the fit.
+    for words in (["--tip", "tool0"], ["--tip", "calib_target"], []):
+        done = run(
+            shop, "evaluate", "c.urdf", "data.csv", "--base", "base", *words,
+            "--json", "e.json", "--force",
+        )  # fmt: skip
+        assert (done.code, done.err) == (0, "")
+        assert "the URDF's link 'calib_target' has it." in " ".join(done.out.split())
+        same_errors(load(shop / "e.json")["errors"]["urdf"], result)
+
+
+def same_errors(evaluated: Any, result: Any) -> None:
+    for rows in ("estimation", "validation"):
+        for key, value in result["errors"]["calibrated"][rows].items():
+            assert evaluated[rows][key] == pytest.approx(value, abs=1e-9, rel=0)
+
+
+def test_a_wrong_base_is_named_and_the_file_is_written_with_a_warning(run, shop):
+    done = run(shop, "fit", "robot.urdf", "data.csv", "-o", "c.urdf", "--model", "zeros")
+    assert done.code == 0
+    assert "\nVerdict: do not use\n" in done.out
+    assert "with --base base. Try that." in " ".join(done.out.split())
+    assert (shop / "c.urdf").is_file()
+    assert done.err.startswith(
+        "calib: the verdict on c.urdf is 'do not use': The points do not seem to be in the frame of 'world'"
+    )
+    assert done.err.count("\n") == 1
+
+
+def quick(call, folder: Path, *words: str, base: str = "base") -> Any:
+    """A fit without cross-validation; its result."""
+    done = call(
+        folder, "fit", "robot.urdf", "data.csv", "--base", base, "--no-validate", "--quiet",
+        "--json", "q.json", *words,
+    )  # fmt: skip
+    assert (done.code, done.out, done.err) == (0, "", "")
+    return load(folder / "q.json")
+
+
+@pytest.mark.parametrize(
+    ("model", "count", "has"),
+    [
+        ("paper", 27, "alpha1"),
+        ("hayati", 28, "beta2"),
+        ("placement", 39, "elbow_joint.rx"),
+        ("zeros", 9, "elbow_joint.zero"),
+        ("frames", 3, "target_x"),
+    ],
+)
+def test_every_model(call, shop, reference, model: str, count: int, has: str):
+    result = quick(call, shop, "--model", model)
+    assert result["model"]["set"] == model
+    assert result["cross_validation"] is result["verdict"] is None
+    found = values(result)
+    assert abs(len(found) - count) <= 1  # whether the last row's own beta is counted is the model's
+    assert has in found
+    if model == "paper":
+        assert found == pytest.approx(values(reference), abs=1e-9)
+    rms = result["errors"]["calibrated"]["validation"]["rms_m"]
+    assert rms < {"zeros": 2e-3, "frames": 4e-3}.get(model, 3.5e-4)
+
+
+@pytest.mark.parametrize(
+    ("words", "largest_rms"),
+    [
+        (("--solver", "scipy"), 3e-4),
+        (("--solver", "paper"), 1e-3),
+        (("--priors", "given"), 3.5e-4),
+        (("--priors", "off"), 3.5e-4),
+        (("--no-robust",), 3.5e-4),
+    ],
+)
+def test_solvers_priors_and_weights(call, shop, reference, words: tuple[str, ...], largest_rms):
+    result = quick(call, shop, *words)
+    assert result["errors"]["calibrated"]["validation"]["rms_m"] < largest_rms
+    if words[-1] != "paper":
+        assert 11 in [outlier["row"] for outlier in result["outliers"]]
+    noise = result["noise"]
+    if words[-1] in ("off", "paper"):
+        assert noise["prior_length_m"] is noise["prior_angle_rad"] is None
+    if words[-1] == "given":
+        assert (noise["prior_length_m"], noise["prior_angle_rad"]) == (0.003, 0.015)
+    if words[-1] == "scipy":
+        assert result["solver"]["name"] == "scipy"
+        assert values(result) == pytest.approx(values(reference), abs=1e-5)
+    if words[-1] == "--no-robust":
+        assert noise["sigma_m"] > 1.5 * reference["noise"]["sigma_m"]
+
+
+def test_a_target_that_is_fixed(call, shop):
+    result = quick(call, shop, "--target", "-0.07, 0.0702, 0.0225 m", "--fix-target")
+    assert result["frames"]["target_m"] == [-0.07, 0.0702, 0.0225]
+    assert result["frames"]["target_estimated"] is False
+    assert "target_x" not in values(result)
+
+
+def test_names_units_line_ends_and_file_names_as_they_come(run, shop, reference):
+    """A table as a robot's log gives it: Windows line ends, a byte order mark, columns of its own, odd file names."""
+    header, *rows = (shop / "data.csv").read_text(encoding="utf-8").splitlines()
+    joints = [name for name in header.split(",") if name.endswith("[deg]")]
+    names = header.replace(" [mm]", " mm")
+    for k, name in enumerate(joints, 1):
+        names = names.replace(name, f"J{k}")
+    text = "\r\n".join(["# Messung von Hand", names + ",Bemerkung", *[r + ",ü" for r in rows], ""])
+    (shop / "meß werte µ.csv").write_bytes(text.encode("utf-8-sig"))
+    (shop / "mein roboter é.urdf").write_bytes((shop / "robot.urdf").read_bytes())
+    (shop / "neue dateien").mkdir()
+    columns = [f"--columns=J{k}={name}" for k, name in enumerate(joints, 1)]
+    columns += [f"--columns={c} mm={c} [mm]" for c in "xyz"]
+    done = run(
+        shop, "fit", "mein roboter é.urdf", "meß werte µ.csv", "--base", "base", *columns,
+        "-o", "neue dateien/korrigiert ü.urdf", "--json", "neue dateien/r.json", "--no-validate",
+    )  # fmt: skip
+    assert (done.code, done.err) == (0, "")
+    assert done.lines[0] == "Columns not used: 'Bemerkung'."
+    assert "Written: neue dateien/korrigiert ü.urdf" in done.lines
+    result = load(shop / "neue dateien" / "r.json")
+    assert values(result) == pytest.approx(values(reference), abs=1e-12)
+    assert result["inputs"]["measurements"]["name"] == "meß werte µ.csv"
+    (urdf,) = (shop / "neue dateien").glob("*.urdf")
+    assert b"<robot" in urdf.read_bytes()
+
+
+def test_every_way_that_an_output_is_refused_before_the_work(call, shop):
+    before = {path: path.read_bytes() for path in shop.iterdir()}
+    (shop / "folder").mkdir()
+    calls = {
+        ("-o", "robot.urdf"): "robot.urdf is also an input of this command; choose another name.",
+        ("-o", "robot.urdf", "--force"): "robot.urdf is also an input of this command;",
+        ("--json", "folder/../data.csv", "--force"): "data.csv is also an input of this command;",
+        ("-o", "a", "--view", "a"): "a is also another output of this command;",
+        ("-o", "cell.toml"): "cell.toml exists already; add --force or choose another name.",
+        ("-o", "folder", "--force"): "folder is a folder; name a file inside it.",
+        ("-o", "none/c.urdf"): "none/c.urdf: the folder 'none' does not exist; make it first.",
+        ("--json=~/r.json",): "'~' does not exist; make it first. Here '~' does not stand for your home",
+        ("-o", "n" * 300): "File name too long",
+    }  # fmt: skip
+    for words, said in calls.items():
+        done = call(shop, "fit", "robot.urdf", "data.csv", *words)
+        assert (done.code, done.out) == (1, ""), words
+        assert done.err.startswith("calib: "), words
+        assert said in done.err
+        assert done.err.count("\n") == 1
+    (shop / "folder").rmdir()
+    assert {path: path.read_bytes() for path in shop.iterdir()} == before
+
+
+def test_force_overwrites(call, shop):
+    (shop / "q.json").write_text("old", encoding="utf-8")
+    assert quick(call, shop, "--force", "--model", "zeros")["model"]["set"] == "zeros"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("none.urdf", "data.csv"), "URDF 'none.urdf' does not exist; check the name and"),
+        (("~/robot.urdf", "data.csv"), "URDF '~/robot.urdf' does not exist; check the name"),
+        (("none", "data.csv"), "'none' is neither a file here nor a robot of example-robot-data"),
+        (("robot.urdf", "none.csv"), "The table 'none.csv' does not exist; check the name and"),
+        (("data.csv", "robot.urdf"), "data.csv is not XML"),
+        (("robot.urdf", "data.csv", "--base", "bass"), "no link 'bass' (did you mean 'base'?)"),
+        (("robot.urdf", "data.csv", "--tip", "hand"), "robot.urdf has no link 'hand'. Its links"),
+        (("robot.urdf", "data.csv", "--cell", "no.toml"), "cell file 'no.toml' does not exist"),
+        (("robot.urdf", "data.csv", "--fix-target"), "The target is said to be known but is not"),
+        (("robot.urdf", "data.csv", "--target", "1 2 3"), 'given as "1 2 3"; it must be three num'),
+        (("robot.urdf", "data.csv", "--target", "1 2 3 kg"), "'kg' is no unit of length. Choose"),
+        (("robot.urdf", "data.csv", "--freeze", "d9"), "The model 'dh' has no parameter 'd9'; it"),
+        (("robot.urdf", "data.csv", "--columns", "J1"), "--columns was given 'J1'; it must be"),
+        (("robot.urdf", "data.csv", "--columns", "J=x"), "there is no column 'J', which --columns"),
+        (("panda", "data.csv"), "data.csv: no column for the joints 'panda_joint1', "),
+        (
+            ("robot.urdf", "data.csv", "--model", "paper", "--frame", "estimate"),
+            "The parameter set 'paper' knows the measurement frame",
+        ),
+        (
+            ("robot.urdf", "data.csv", "--model=frames", "--target=1 2 3 mm", "--fix-target"),
+            "The model 'frames' leaves nothing to estimate",
+        ),
+    ],
+)
+def test_errors_are_one_line(call, shop, words: tuple[str, ...], said: str):
+    done = call(shop, "fit", *words, "-o", "c.urdf")
+    assert (done.code, done.out) == (1, "")
+    assert done.err.startswith("calib: ")
+    assert said in done.err
+    assert done.err.count("\n") == 1
+    assert not (shop / "c.urdf").exists()
+
+
+def test_debug_shows_the_trace_before_the_line(run, shop):
+    done = run(shop, "fit", "robot.urdf", "none.csv", "--debug")
+    assert done.code == 1
+    assert done.err.startswith("Traceback (most recent call last):\n")
+    assert done.err.splitlines()[-1].startswith("calib: The table 'none.csv' does not exist")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/dev/full is Linux's")
+def test_a_full_disk_behind_the_text_does_not_cost_the_files(shop, program):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*program, "fit", "robot.urdf", "data.csv", "--no-validate", "-o", "c.urdf"],
+            cwd=shop, stdout=full, stderr=subprocess.PIPE, encoding="utf-8", check=False,
+        )  # fmt: skip
+    assert done.returncode == 1
+    said = "calib: the printed text cannot be read or written: No space left on device.\n"
+    assert done.stderr == said
+    assert (shop / "c.urdf").is_file()
