@@ -234,6 +234,19 @@ def test_nearly_parallel_axes_put_nothing_far_away(serial_urdf, joints, xyz):
     assert max(abs(row.a) for row in table.rows[:-1]) <= 1.1 * reach(robot)
 
 
+@pytest.mark.parametrize("offset", [0.0, 1e-14, 1e-12, 1e-10, 2e-9, 1e-6])
+def test_axes_that_almost_coincide(serial_urdf, offset):
+    axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14)
+    across = np.cross(axis, [0.3, -0.8, 0.1])
+    joints = [
+        ("revolute", (0.1, 0.2, 0.3), (0, 0, 0), axis),
+        ("revolute", 0.4 * axis + offset * across, (0, 0, 0), axis),
+        ("prismatic", -0.7 * axis + offset * across, (0, 0, 0), axis),
+        ("revolute", (0.3, 0, 0.1), (0, 0, 0), (0, 0, 1)),
+    ]
+    assert_rows_equal_kinematics(Robot.from_urdf(serial_urdf(joints)), 1e-12)
+
+
 def test_the_standard_convention_would_have_gone_kilometres_away(serial_urdf):
     tilt = 1e-6
     urdf = serial_urdf(
