@@ -5,6 +5,9 @@ Nothing heavy is imported before a verb runs, so that ``calib --help`` answers a
 
 from __future__ import annotations
 
+import io
+import sys
+
 import typer
 
 from calib.cli.demo import demo
@@ -52,4 +55,8 @@ def _options(
 
 def main() -> None:
     """The entry point of the ``calib`` command."""
+    for stream in (sys.stdout, sys.stderr):
+        # A name that the terminal's encoding lacks is printed as an escape, not refused.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     app(prog_name="calib")

@@ -66,7 +66,9 @@ Base = Annotated[
 ]
 Tip = Annotated[
     str | None,
-    typer.Option(help="Link that the target sits on. Default: the end of the longest chain."),
+    typer.Option(
+        help="Link that the target sits on. Default: the end of the longest chain whose joints are in the table."
+    ),
 ]
 Target = Annotated[
     str | None,

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, choices
 from calib.identify.estimate import FIRST_SIGMA
+from calib.identify.findings import Outlier, ParameterEstimate, parameter_estimates
 from calib.identify.fitting import (
     Fitted,
     Progress,
@@ -28,11 +29,11 @@ from calib.identify.fitting import (
 )
 from calib.identify.setup_check import better_setup
 from calib.identify.solvers import Solution
-from calib.identify.statistics import CrossValidation, Errors, interval_factor
+from calib.identify.statistics import CrossValidation, Errors
 from calib.identify.verdict import Verdict, verdict
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.model.error_model import TARGET, ErrorModel
+from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
 from calib.model.readback import check_written, random_joint_values
@@ -42,48 +43,6 @@ Array = NDArray[np.float64]
 
 #: Name of the link that carries the target in a corrected URDF, when asked for.
 TARGET_LINK = "calib_target"
-
-
-@dataclass(frozen=True, slots=True)
-class ParameterEstimate:
-    """One parameter of the result, in its unit (m or rad).
-
-    Attributes:
-        name: Its name.
-        unit: ``"m"`` or ``"rad"``.
-        nominal: The value before; None for a target that was not given.
-        value: The value after.
-        delta: The change; for a target that was not given, from where registration put it.
-        std: Standard deviation of the value.
-        low: Lower end of the 95 % interval of the value.
-        high: Upper end.
-        identifiable: Whether the measurements determine it; otherwise they know it in combinations only.
-    """
-
-    name: str
-    unit: str
-    nominal: float | None
-    value: float
-    delta: float
-    std: float
-    low: float
-    high: float
-    identifiable: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Outlier:
-    """A row that does not belong to the others.
-
-    Attributes:
-        row: The row's number as a person sees it.
-        residual: Norm of measured minus predicted [m].
-        score: How far it lies from what the other rows predict, in standard deviations.
-    """
-
-    row: int
-    residual: float
-    score: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +72,9 @@ class Calibration:
         residual_nominal: shape (N, 3), measured minus predicted by the nominal robot, all rows [m].
         residual_calibrated: shape (N, 3), by the calibrated robot [m].
         scores: shape (N,), of all rows; see `calib.identify.robust`.
+        weights: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows.
         flag_limit: The score above which a row is flagged.
-        outliers: The estimation rows flagged; they had no weight where the fit was robust.
+        outliers: The estimation rows flagged; they have no weight where the fit was robust.
         suspects: The validation rows beyond the same limit; they never have a weight.
         cross_validation: Errors on left-out estimation rows; None where it was not asked for.
         observability: Rank, and what the measured poses cannot tell apart.
@@ -142,6 +102,7 @@ class Calibration:
     residual_nominal: Array
     residual_calibrated: Array
     scores: Array
+    weights: Array
     flag_limit: float
     outliers: tuple[Outlier, ...]
     suspects: tuple[Outlier, ...]
@@ -334,7 +295,8 @@ def _assemble(
     )
     placed = nominal_cell(robot, cell, every.select(mask))
     residual = every.points - fitted.kinematics.points(estimated.x, every.joints)
-    scores = np.empty(len(mask))
+    scores, weights = np.empty(len(mask)), np.zeros(len(mask))
+    weights[mask] = problem.weights
     scores[mask] = estimated.scores
     scores[~mask] = unseen_scores(fitted, every.select(~mask))
     limit = estimated.limits.flagged
@@ -364,10 +326,11 @@ def _assemble(
         sigma=float(np.median(problem.sigma)),
         prior_length=estimated.prior_length,
         prior_angle=estimated.prior_angle,
-        parameters=_parameters(fitted, cell, observability),
+        parameters=parameter_estimates(fitted, cell, observability),
         residual_nominal=read_only(every.points - predict(robot, placed, every.joints)),
         residual_calibrated=read_only(residual),
         scores=read_only(scores),
+        weights=read_only(weights),
         flag_limit=limit,
         outliers=named(mask),
         suspects=named(~mask),
@@ -375,36 +338,3 @@ def _assemble(
         observability=observability,
         verdict=None,
     )
-
-
-def _parameters(
-    fitted: Fitted, cell: Cell, observability: Observability
-) -> tuple[ParameterEstimate, ...]:
-    """Nominal, value, interval of each parameter."""
-    x, deviations = fitted.estimate.x, np.sqrt(np.diag(fitted.estimate.covariance))
-    reach = interval_factor(fitted.estimate.freedom)
-    start = fitted.kinematics.T_tip_target[:3, 3]
-    result = []
-    for k, parameter in enumerate(fitted.kinematics.model.parameters):
-        nominal: float | None = parameter.nominal
-        value = parameter.nominal + x[k]
-        delta = x[k]
-        if parameter.place == TARGET:
-            axis = "xyz".index(parameter.name[-1])
-            value = start[axis] + x[k]
-            nominal = None if cell.target is None else float(cell.target[axis])
-            delta = x[k] if nominal is None else value - nominal
-        result.append(
-            ParameterEstimate(
-                name=parameter.name,
-                unit=parameter.unit,
-                nominal=nominal,
-                value=float(value),
-                delta=float(delta),
-                std=float(deviations[k]),
-                low=float(value - reach * deviations[k]),
-                high=float(value + reach * deviations[k]),
-                identifiable=bool(observability.identifiable[k]),
-            )
-        )
-    return tuple(result)

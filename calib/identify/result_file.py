@@ -22,8 +22,9 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.errors import FileError
-from calib.identify.calibration import Calibration, Outlier
+from calib.identify.calibration import Calibration
 from calib.identify.evaluation import Evaluation
+from calib.identify.findings import Outlier
 from calib.identify.statistics import Errors
 from calib.model.files import read_bytes, write_atomically
 from calib.model.robot import Robot, read_only
@@ -206,6 +207,7 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
                 "residual_nominal_m": c.residual_nominal[i],
                 "residual_calibrated_m": c.residual_calibrated[i],
                 "score": c.scores[i],
+                "weight": c.weights[i],
             }
             for i, row in enumerate(m.rows)
         ],

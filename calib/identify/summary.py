@@ -6,9 +6,11 @@ import textwrap
 from collections.abc import Iterable
 
 import numpy as np
+import pinocchio as pin
 
 import calib
-from calib.identify.calibration import Calibration, Outlier
+from calib.identify.calibration import Calibration
+from calib.identify.findings import Outlier
 from calib.identify.statistics import Errors
 
 _WIDTH = 100
@@ -18,6 +20,9 @@ _TARGET_MOVED = 5e-3
 
 #: A parameter with a longer name gets a line for its name alone.
 _LONGEST_NAME = 46
+
+#: More validation rows than this are not listed one by one.
+_MOST_ROWS = 12
 
 #: A row of the error table has the columns: label, n, max, mean, rms, span x, span y, span z.
 _COLUMNS = "{:<33}{:>5} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9}"
@@ -29,8 +34,10 @@ def summary(c: Calibration) -> str:
         _heading(c),
         _verdict(c),
         _errors(c),
+        _validation_rows(c),
         _flagged(c),
         _target(c),
+        _frame(c),
         _identified(c),
         _parameters(c),
         _solver(c),
@@ -82,11 +89,37 @@ def error_row(label: str, errors: Errors) -> str:
     return _COLUMNS.format(label, errors.n, *(f"{1e3 * v:.3f}" for v in values))
 
 
+def _validation_rows(c: Calibration) -> str:
+    """Errors of single validation rows by axis, before and after, as in the paper's Table 4; only if they are few."""
+    m = c.measurements
+    chosen = np.flatnonzero(m.validation)
+    if not 0 < len(chosen) <= _MOST_ROWS:
+        return ""
+    columns = "{:<18}" + "{:>9}" * 4 + "   " + "{:>9}" * 4
+    lines = [
+        columns.format(
+            "Validation rows", "before dx", "dy", "dz", "norm", "after dx", "dy", "dz", "norm"
+        )
+    ]
+    for i in chosen:
+        values = [
+            _three(1e3 * float(value))
+            for residual in (c.residual_nominal[i], c.residual_calibrated[i])
+            for value in (*residual, np.linalg.norm(residual))
+        ]
+        lines.append(columns.format(f"  row {m.rows[i]} [mm]", *values))
+    return "\n".join(lines)
+
+
 def _flagged(c: Calibration) -> str:
     """The rows that do not belong to the others."""
     lines = []
     if c.outliers:
-        lines.append(_wrap(f"Outliers: {_list(c.outliers)}"))
+        unused = all(c.weights[c.measurements.rows.index(o.row)] == 0.0 for o in c.outliers)
+        treated = (
+            "they have no weight in the fit" if unused else "they keep their weight in this fit"
+        )
+        lines.append(_wrap(f"Outliers ({treated}): {_list(c.outliers)}"))
     else:
         lines.append("Outliers: none.")
     if c.suspects:
@@ -119,6 +152,17 @@ def _target(c: Calibration) -> str:
     if moved > _TARGET_MOVED:
         text += " That is further than mounting explains: check the sign and the order of the numbers given."
     return _wrap(text)
+
+
+def _frame(c: Calibration) -> str:
+    """Where the base stands in the measurement frame, if that was estimated."""
+    if not c.cell.estimate_frame:
+        return ""
+    xyz = ", ".join(_three(1e3 * float(v)) for v in c.T_frame_base[:3, 3])
+    rpy = ", ".join(
+        _three(float(v)) for v in np.degrees(pin.rpy.matrixToRpy(c.T_frame_base[:3, :3]))
+    )
+    return f"Measurement frame: {c.nominal.base} found at ({xyz}) mm, rpy ({rpy}) deg in it."
 
 
 def _identified(c: Calibration) -> str:
