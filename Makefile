@@ -14,7 +14,8 @@ demo: $(STAMP)
 	$(BIN)/calib demo --out demo --force
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n auto
+	@# One thread a worker: the matrices are small, and workers that each start a thread a core stand in each other's way.
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -48,12 +48,13 @@ _MODULES = {
     "Robot": "calib.model.robot",
     "calibrate": "calib.identify.calibration",
     "evaluate": "calib.identify.evaluation",
-    "show": "calib.show.pictures",
 }
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401  any public name
     """Import a public name on first use."""
+    if name == "show":
+        return importlib.import_module("calib.show")  # a folder that can be called
     if name not in _MODULES:
         message = f"module 'calib' has no attribute '{name}'"
         raise AttributeError(message)

@@ -14,6 +14,7 @@ from calib.measure.measurements import Measurements
 from calib.model.error_model import ErrorModel, error_model
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
+from calib.model.readback import joint_range
 from calib.model.robot import Robot, read_only
 
 #: A target where none is given: off every axis of the tip [m].
@@ -76,15 +77,10 @@ def spread_poses(robot: Robot, count: int = _POSES) -> NDArray[np.float64]:
 
     An unscrambled Sobol sequence: the same for every call.
     """
-    low = np.empty(len(robot.joints))
-    high = np.empty(len(robot.joints))
-    for i, joint in enumerate(robot.joints):
-        bound = 1.0 if joint.type == "prismatic" else np.pi
-        low[i] = max(-bound, -bound if joint.lower is None else joint.lower)
-        high[i] = min(bound, bound if joint.upper is None else joint.upper)
+    low, high = np.array([joint_range(joint) for joint in robot.joints]).T
     sequence = qmc.Sobol(len(robot.joints), scramble=False)
     sequence.fast_forward(
         1
     )  # the first point of the sequence is the corner where every joint is at its lower limit
     unit = sequence.random(count)
-    return read_only(low + unit * np.maximum(high - low, 0.0))
+    return read_only(low + unit * (high - low))

@@ -95,7 +95,7 @@ def _validation_rows(c: Calibration) -> str:
     chosen = np.flatnonzero(m.validation)
     if not 0 < len(chosen) <= _MOST_ROWS:
         return ""
-    columns = "{:<18}" + "{:>9}" * 4 + "   " + "{:>9}" * 4
+    columns = "{:<18}" + " {:>8}" * 4 + "   " + " {:>8}" * 4
     lines = [
         columns.format(
             "Validation rows", "before dx", "dy", "dz", "norm", "after dx", "dy", "dz", "norm"
@@ -115,7 +115,8 @@ def _flagged(c: Calibration) -> str:
     """The rows that do not belong to the others."""
     lines = []
     if c.outliers:
-        unused = all(c.weights[c.measurements.rows.index(o.row)] == 0.0 for o in c.outliers)
+        weights = dict(zip(c.measurements.rows, c.weights, strict=True))
+        unused = not any(weights.get(o.row) for o in c.outliers)
         treated = (
             "they have no weight in the fit" if unused else "they keep their weight in this fit"
         )
@@ -162,7 +163,7 @@ def _frame(c: Calibration) -> str:
     rpy = ", ".join(
         _three(float(v)) for v in np.degrees(pin.rpy.matrixToRpy(c.T_frame_base[:3, :3]))
     )
-    return f"Measurement frame: {c.nominal.base} found at ({xyz}) mm, rpy ({rpy}) deg in it."
+    return _wrap(f"Measurement frame: {c.nominal.base} found at ({xyz}) mm, rpy ({rpy}) deg in it.")
 
 
 def _identified(c: Calibration) -> str:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib.errors import UrdfError
 from calib.model.robot import Robot, rigid_inverse
-from calib.model.urdf import Urdf
+from calib.model.urdf import Urdf, UrdfJoint
 
 #: A pose read back may differ from the model's by this [m and rad].
 TOLERANCE = 1e-9
@@ -45,16 +45,19 @@ def check_written(robot: Robot, expected: Array, q: Array) -> None:
 
 def random_joint_values(robot: Robot, count: int = _POSES, seed: int = _SEED) -> Array:
     """Joint values inside the limits (within one turn, or one metre, where they are wider or missing), (count, n)."""
-    rng = np.random.default_rng(seed)
-    columns = []
-    for joint in robot.joints:
-        bound = 1.0 if joint.type == "prismatic" else np.pi
-        lower = -np.inf if joint.lower is None else joint.lower
-        upper = np.inf if joint.upper is None else joint.upper
-        # Limits that leave the turn or metre out altogether: the one that is nearer to zero.
-        low, high = min(max(-bound, lower), upper), max(min(bound, upper), lower)
-        columns.append(rng.uniform(low, high, count) if high > low else np.full(count, low))
-    return np.stack(columns, axis=1)
+    low, high = np.array([joint_range(joint) for joint in robot.joints]).T
+    share: Array = np.random.default_rng(seed).uniform(size=(count, len(low)))
+    return np.asarray(low + (high - low) * share)
+
+
+def joint_range(joint: UrdfJoint) -> tuple[float, float]:
+    """The part of a joint's limits within one turn or one metre of zero, [rad] or [m]."""
+    bound = 1.0 if joint.type == "prismatic" else np.pi
+    lower = -np.inf if joint.lower is None else joint.lower
+    upper = np.inf if joint.upper is None else joint.upper
+    # Limits that leave the turn or metre out altogether: the one that is nearer to zero.
+    low, high = min(max(-bound, lower), upper), max(min(bound, upper), lower)
+    return low, max(low, high)
 
 
 def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:

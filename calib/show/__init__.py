@@ -1,1 +1,28 @@
-"""Pictures of a calibration for people; nothing here changes a result."""
+"""Pictures of a calibration for people; nothing here changes a result.
+
+The folder's module can be called: ``calib.show(result)`` opens the picture. Python binds the name ``calib.show`` to
+this module as soon as anything in it is imported, so a function of that name would not last.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calib.identify.calibration import Calibration
+
+
+class _Show(ModuleType):
+    """A module that shows a calibration when it is called."""
+
+    def __call__(self, calibration: Calibration) -> Path:
+        """Open the picture of a calibration in the browser; see `calib.show.pictures.show`."""
+        from calib.show.pictures import show
+
+        return show(calibration)
+
+
+sys.modules[__name__].__class__ = _Show

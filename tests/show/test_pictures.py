@@ -1,0 +1,66 @@
+"""Which pose of a calibration is shown, and where the page goes."""
+
+from __future__ import annotations
+
+import webbrowser
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
+from calib.identify.calibration import calibrate
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.robot import Robot, read_only
+from calib.show.pictures import view_of, write_page
+
+
+@pytest.fixture(scope="module")
+def result():
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0")
+    table = Measurements.read(paper_measurements(), robot.joint_names, robot.joint_types)
+    return calibrate(robot, table, cell=Cell(target=read_only(PAPER_TARGET)), validate=False)
+
+
+def test_the_pose_is_the_validation_row_where_the_nominal_robot_is_furthest_off(result):
+    view = view_of(result)
+    assert view.pose_name == "row 35 (validation)"
+    np.testing.assert_array_equal(view.q, result.measurements.joints[34])
+    np.testing.assert_allclose(view.nominal_target, PAPER_TARGET)
+    np.testing.assert_array_equal(view.calibrated_target, result.target)
+
+
+def test_without_validation_rows_an_outlier_is_not_shown(result):
+    every = replace(result.measurements, sets=("estimate",) * 35)
+    worst = np.array(result.residual_nominal)
+    worst[10] *= 100.0  # row 11, the outlier
+    view = view_of(replace(result, measurements=every, residual_nominal=worst))
+    assert view.pose_name.endswith("(estimation)")
+    assert view.index != 10
+
+
+def test_measured_points_are_shown_in_the_base_frame(result):
+    T = np.eye(4)
+    T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    T[:3, 3] = [2.0, -1.0, 0.4]
+    moved = replace(result.measurements, points=result.measurements.points @ T[:3, :3].T + T[:3, 3])
+    view = view_of(replace(result, measurements=moved, T_frame_base=T))
+    np.testing.assert_allclose(view.measured, result.measurements.points, atol=1e-12)
+
+
+def test_the_page_names_the_row_and_both_errors(result, tmp_path):
+    text = write_page(result, tmp_path / "view.html").read_text(encoding="utf-8")
+    assert "row 35 (validation)" in text
+    assert "3.61" in text
+    assert "0.27" in text
+
+
+def test_show_opens_the_page_in_the_browser(result, monkeypatch):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    page = calib.show(result)
+    assert opened == [Path(page).as_uri()]
+    assert page.is_file()
