@@ -178,6 +178,16 @@ def test_ctrl_c_leaves_no_file(program, shop: Path, long_work: list[str]):
     assert set(shop.iterdir()) == before
 
 
+def test_names_that_the_terminal_cannot_show(program, shop: Path):
+    (shop / "data.csv").rename(shop / "測量.csv")
+    done = subprocess.run(
+        [*program, "evaluate", "robot.urdf", "測量.csv", "--json", "誤差.json"],
+        cwd=shop, capture_output=True, check=False, env={**os.environ, "PYTHONIOENCODING": "latin-1"},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout.endswith(b"Written: \\u8aa4\\u5dee.json\n")
+
+
 def test_a_terminal_sees_progress_and_a_pipe_does_not(program, shop: Path):
     terminal, theirs = pty.openpty()
     process = subprocess.Popen(

@@ -33,7 +33,8 @@ def test_the_sections_in_their_order(text: str):
         f"calib {calib.__version__}: robot 'ur3', base to tool0, 6 joints; 30 rows to estimate and 5 to validate",
         "\nVerdict: use\n",
         "\nPosition error [mm] ",
-        "\nOutliers: row 11 (",
+        "\nValidation rows ",
+        "\nOutliers (they have no weight in the fit): row 11 (",
         "\nTarget: (",
         "\nNoise: ",
         "\nSize of the robot's errors: ",
@@ -82,10 +83,30 @@ def test_the_parameters_are_those_of_the_result(text: str, default_result: Calib
         np.testing.assert_allclose(shown, wanted, atol=5.001e-4)
 
 
+def test_validation_rows_by_axis(text: str, default_result: Calibration):
+    shown = [numbers_of(text, f"  row {row} [mm]") for row in range(31, 36)]
+    before, after = default_result.residual_nominal[30:], default_result.residual_calibrated[30:]
+    wanted = [
+        [*b, np.linalg.norm(b), *a, np.linalg.norm(a)] for b, a in zip(before, after, strict=True)
+    ]
+    np.testing.assert_allclose(shown, 1e3 * np.array(wanted), atol=5.001e-4)
+    many = replace(default_result.measurements, sets=("estimate",) * 20 + ("validate",) * 15)
+    assert "  row 31 [mm]" not in replace(default_result, measurements=many).summary()
+
+
+def test_where_the_base_stands_in_the_trackers_frame(ur3: Robot, table: Measurements):
+    result = calibrate(ur3, table, cell=Cell(estimate_frame=True), validate=False)
+    x, y, z = 1e3 * result.T_frame_base[:3, 3]
+    said = " ".join(result.summary().split())
+    assert f"Measurement frame: base found at ({x:.3f}, {y:.3f}, {z:.3f}) mm, rpy (" in said
+
+
 def test_target_found_given_moved_and_kept(ur3: Robot, table: Measurements):
     def said(cell: Cell) -> str:
         whole = " ".join(calibrate(ur3, table, cell=cell, validate=False).summary().split())
-        return whole[whole.index("Target: ") : whole.index("Noise: ")].strip()
+        end = re.search(r"Measurement frame: |Noise: ", whole)
+        assert end is not None
+        return whole[whole.index("Target: ") : end.start()].strip()
 
     assert said(Cell()).startswith("Target: found at (-70.2")
     printed = read_only(PAPER_TARGET_AS_PRINTED)
@@ -118,11 +139,12 @@ def test_priors_as_given(ur3: Robot, table: Measurements):
 
 def test_outliers_are_listed_up_to_a_dozen(default_result: Calibration):
     one = default_result.outliers[0]
-    many = tuple(replace(one, row=row) for row in range(101, 116))
+    many = tuple(replace(one, row=row) for row in range(11, 26))
     text = replace(default_result, outliers=many, suspects=(one,)).summary()
-    assert "row 112 (" in text
-    assert "row 113 (" not in text
+    assert "row 22 (" in text
+    assert "row 23 (" not in text
     assert "and 3 more" in text
+    assert "Outliers (they keep their weight in this fit): row 11 (" in text
     assert f"Validation rows that the calibrated robot does not explain: row {one.row} (" in text
     assert max(map(len, text.splitlines())) <= 100
     assert "\nOutliers: none.\n" in replace(default_result, outliers=()).summary()
@@ -135,7 +157,8 @@ def test_long_names_stay_within_100_columns(table: Measurements, model: str):
     for i, name in enumerate(table.joint_names):
         data = data.replace(f'"{name}"'.encode(), f'"{long}{i}"'.encode())
     data = data.replace(b'"tool0"', f'"{"flange-" * 20}"'.encode())
-    robot = Robot.from_urdf(Urdf.from_bytes(data, "r.urdf"), "base", "flange-" * 20)
+    data = data.replace(b'"base"', f'"{"foot-" * 20}"'.encode())
+    robot = Robot.from_urdf(Urdf.from_bytes(data, "r.urdf"), "foot-" * 20, "flange-" * 20)
     named = replace(table, joint_names=robot.joint_names, source="table-of-" * 15 + ".csv")
     result = calibrate(robot, named, cell=Cell(model=model, estimate_frame=True), validate=False)
     text = result.summary()
