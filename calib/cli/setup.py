@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -86,7 +87,8 @@ def parse_point(text: str, option: str) -> NDArray[np.float64]:
     from calib.model.robot import read_only
     from calib.units import UNITS, symbols
 
-    words = text.replace(",", " ").split()
+    # "22.5mm" is as clear as "22.5 mm".
+    words = re.sub(r"(?<=[\d.])(?=[a-z]+\s*$)", " ", text.replace(",", " ")).split()
     try:
         numbers = [float(word) for word in words[:3]]
     except ValueError:

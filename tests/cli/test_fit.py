@@ -167,7 +167,7 @@ def test_solvers_priors_and_weights(call, shop, reference, words: tuple[str, ...
 
 
 def test_a_target_that_is_fixed(call, shop):
-    result = quick(call, shop, "--target", "-0.07, 0.0702, 0.0225 m", "--fix-target")
+    result = quick(call, shop, "--target", "-0.07, 0.0702, 0.0225m", "--fix-target")
     assert result["frames"]["target_m"] == [-0.07, 0.0702, 0.0225]
     assert result["frames"]["target_estimated"] is False
     assert "target_x" not in values(result)

@@ -151,7 +151,9 @@ def test_the_urdf_changes_in_origins_of_the_chain_only(default_result, ur3, tmp_
     path = default_result.write_urdf(tmp_path / "corrected.urdf")
     before, after = ur3.urdf.data.decode().splitlines(), path.read_text().splitlines()
     changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
-    assert len(changed) == 6  # nothing is left for the tip: a6 and alpha6 cannot be told from the target
+    assert (
+        len(changed) == 6
+    )  # nothing is left for the tip: a6 and alpha6 cannot be told from the target
     assert all("<origin" in a and "<origin" in b for a, b in changed)
 
 

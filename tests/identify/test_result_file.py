@@ -148,6 +148,7 @@ def test_the_values_are_those_of_the_calibration(
         [row["residual_calibrated_m"] for row in result_json["rows"]], c.residual_calibrated
     )
     assert [row["row"] for row in result_json["rows"]] == list(range(1, 36))
+    assert [row["weight"] for row in result_json["rows"]] == c.weights.tolist()
     assert [row["set"] for row in result_json["rows"]] == ["estimate"] * 30 + ["validate"] * 5
     assert c.verdict is not None
     assert result_json["verdict"] == {"use": c.verdict.use, "reasons": list(c.verdict.reasons)}

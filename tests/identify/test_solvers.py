@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -131,7 +133,7 @@ def test_the_cost_never_rises_and_the_history_tells_it():
         paper_levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0])),
     ):
         costs = [entry.cost for entry in solution.history]
-        assert all(later <= earlier for earlier, later in zip(costs, costs[1:], strict=False))
+        assert all(later <= earlier for earlier, later in pairwise(costs))
         assert costs[0] == pytest.approx(0.5 * (4.4**2 + 2.2**2))
         assert solution.cost <= costs[-1]
         assert solution.iterations == len(costs)
@@ -142,7 +144,7 @@ def test_papers_damping_follows_the_gain():
     solution = paper_levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0]), mu=0.01, nu=2.5)
     assert solution.history[0].mu == 0.01
     assert {entry.accepted for entry in solution.history} == {True, False}
-    for entry, following in zip(solution.history, solution.history[1:], strict=False):
+    for entry, following in pairwise(solution.history):
         assert entry.accepted == (entry.gain > 0)
         factor = 1 / 2.5 if entry.gain > 0 else 2.5
         assert following.mu == pytest.approx(entry.mu * factor)
@@ -173,7 +175,7 @@ def test_papers_factor_outside_two_to_three_is_refused(nu):
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_residual_that_is_not_finite_is_refused(name):
     with pytest.raises(SolverError, match="not finite at the start"):
-        SOLVERS[name](lambda x: (np.array([np.nan, 0.0]), np.eye(2)), np.ones(2))
+        SOLVERS[name](lambda x: (np.nan * x, np.eye(2)), np.ones(2))
 
 
 def test_a_trial_that_is_not_finite_is_not_taken():
