@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import ModelError, choices
+from calib.errors import UrdfError
 from calib.identify.estimate import FIRST_SIGMA
 from calib.identify.findings import Outlier, ParameterEstimate, parameter_estimates
 from calib.identify.fitting import (
     Fitted,
     Progress,
     Rows,
+    check_one_setup,
     cross_validation,
     fit,
     nominal_cell,
@@ -30,7 +31,7 @@ from calib.identify.fitting import (
 from calib.identify.setup_check import better_setup
 from calib.identify.solvers import Solution
 from calib.identify.statistics import CrossValidation, Errors
-from calib.identify.verdict import Verdict, verdict
+from calib.identify.verdict import NO, Evidence, Verdict, verdict
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import ErrorModel
@@ -38,6 +39,7 @@ from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
 from calib.model.readback import check_written, random_joint_values
 from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.model.urdf import Urdf
 
 Array = NDArray[np.float64]
 
@@ -77,8 +79,10 @@ class Calibration:
         outliers: The estimation rows flagged; they have no weight where the fit was robust.
         suspects: The validation rows beyond the same limit; they never have a weight.
         cross_validation: Errors on left-out estimation rows; None where it was not asked for.
+        nominal_cross_validation: The same of the nominal robot, with target (and frame, if it is estimated) fitted to
+            the other rows.
         observability: Rank, and what the measured poses cannot tell apart.
-        verdict: Whether to use the result; None without cross-validation.
+        verdict: Whether to use the result; None without cross-validation, unless the set-up is plainly wrong.
     """
 
     nominal: Robot
@@ -107,6 +111,7 @@ class Calibration:
     outliers: tuple[Outlier, ...]
     suspects: tuple[Outlier, ...]
     cross_validation: CrossValidation | None
+    nominal_cross_validation: CrossValidation | None
     observability: Observability
     verdict: Verdict | None
 
@@ -170,7 +175,7 @@ class Calibration:
         if target_link:
             T = np.eye(4)
             T[:3, 3] = self.target
-            robot = replace(robot, urdf=robot.urdf.with_link(TARGET_LINK, robot.tip, T))
+            robot = replace(robot, urdf=_with_target_link(robot, T))
         q = random_joint_values(robot)
         # Straight from the parameters, by the path that the fit took, not through the corrected robot.
         in_memory = Kinematics(self.nominal, self.model, np.eye(4), np.eye(4)).poses(self.x, q)
@@ -222,7 +227,7 @@ def calibrate(
     """
     cell = Cell() if cell is None else cell
     cell = cell if model is None else replace(cell, model=model)
-    _check_coverage(measurements)
+    check_one_setup(measurements)
     every = Rows(
         measurements.joints_for(robot.joint_names),
         measurements.points,
@@ -236,36 +241,41 @@ def calibrate(
     seconds = time.perf_counter() - began
 
     result = _assemble(robot, measurements, cell, solver, seconds, fitted, every)
+    hint = better_setup(robot, cell, rows)
     if not validate:
-        return result
+        return replace(result, verdict=Verdict(NO, (hint,))) if hint else result
     flagged = fitted.estimate.outliers
-    validated, baseline = cross_validation(robot, cell, rows, flagged, fit_rows, progress)
-    judgement = verdict(
-        before=baseline,
-        after=validated.errors_without_outliers,
-        unseen=validated.method,
-        validation_before=result.errors["nominal"]["validation"],
-        validation_after=result.errors["calibrated"]["validation"],
-        measured=3 * len(rows),
+    of_nominal, of_calibrated = cross_validation(robot, cell, rows, flagged, fit_rows, progress)
+    evidence = Evidence(
+        nominal=of_nominal,
+        calibrated=of_calibrated,
+        outliers=flagged,
+        validation_nominal=result.errors["nominal"]["validation"],
+        validation_calibrated=result.errors["calibrated"]["validation"],
         parameters=len(result.model),
-        outliers=len(result.outliers),
-        rows=len(rows),
         noise=result.sigma,
-        hint=better_setup(robot, cell, rows),
+        hint=hint,
     )
-    return replace(result, cross_validation=validated, verdict=judgement)
+    return replace(
+        result,
+        cross_validation=of_calibrated,
+        nominal_cross_validation=of_nominal,
+        verdict=verdict(evidence),
+    )
 
 
-def _check_coverage(measurements: Measurements) -> None:
-    """Refuse tables with several targets or set-ups, which would be fitted as one."""
-    for what, names in (("targets", measurements.targets), ("groups", measurements.groups)):
-        different = sorted(set(names))
-        if len(different) > 1:
-            message = (
-                f"{measurements.source}: the table has {len(different)} {what}: {choices(different)}. One target and "
-                f"one set-up are fitted at a time: split the table by its column '{what[:-1]}'."
-            )
-            raise ModelError(message)
+def _with_target_link(robot: Robot, T_tip_target: Array) -> Urdf:
+    """The robot's URDF with a link at the target; one that an earlier calibration added is moved there."""
+    if TARGET_LINK not in robot.urdf.links:
+        return robot.urdf.with_link(TARGET_LINK, robot.tip, T_tip_target)
+    joint = next(joint for joint in robot.urdf.joints if joint.child == TARGET_LINK)
+    if joint.parent != robot.tip or joint.type != "fixed":
+        message = (
+            f"The URDF has a link '{TARGET_LINK}' already, and it is not fixed to the tip '{robot.tip}' but hangs on "
+            f"'{joint.parent}' by a joint of type '{joint.type}'. Rename it, or do without the target link."
+        )
+        raise UrdfError(message)
+    return robot.urdf.with_origins({joint.name: T_tip_target})
 
 
 def _row_sigma(measurements: Measurements, cell: Cell) -> Array:
@@ -335,6 +345,7 @@ def _assemble(
         outliers=named(mask),
         suspects=named(~mask),
         cross_validation=None,
+        nominal_cross_validation=None,
         observability=observability,
         verdict=None,
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.fitting import Rows, nominal_cell, predict
+from calib.identify.fitting import Rows, check_one_setup, nominal_cell, predict
 from calib.identify.setup_check import better_setup
 from calib.identify.statistics import Errors
 from calib.measure.cell import Cell
@@ -64,6 +64,7 @@ def evaluate(robot: Robot, measurements: Measurements, cell: Cell | None = None)
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
     """
     cell = Cell() if cell is None else cell
+    check_one_setup(measurements)
     joints = measurements.joints_for(robot.joint_names)
     placed = nominal_cell(robot, cell, _rows(robot, measurements))
     assert placed.T_frame_base is not None  # registration leaves neither out
@@ -92,6 +93,7 @@ def hint(evaluation: Evaluation, cell: Cell) -> str:
 
 def _rows(robot: Robot, measurements: Measurements) -> Rows:
     """The rows that what is unknown is registered to: the estimation rows, or all where there are none."""
+    check_one_setup(measurements)
     joints = measurements.joints_for(robot.joint_names)
     every = Rows(joints, measurements.points, np.ones(len(measurements)))
     chosen = measurements.estimation

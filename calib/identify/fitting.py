@@ -23,8 +23,9 @@ from calib.identify.solvers import (
     paper_levenberg_marquardt,
     scipy_least_squares,
 )
-from calib.identify.statistics import CrossValidation, Errors, Mask, cross_validate, folds
+from calib.identify.statistics import CrossValidation, Mask, cross_validate, folds
 from calib.measure.cell import Cell, Priors
+from calib.measure.measurements import Measurements
 from calib.model.error_model import ErrorModel, error_model
 from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
@@ -161,6 +162,22 @@ def _check_enough(model: ErrorModel, priors: Priors, rows: int) -> None:
         raise ModelError(message)
 
 
+def check_one_setup(measurements: Measurements) -> None:
+    """Refuse tables with several targets or set-ups, which would be taken for one.
+
+    Raises:
+        ModelError: The columns ``target`` or ``group`` have more than one value.
+    """
+    for what, names in (("targets", measurements.targets), ("groups", measurements.groups)):
+        different = sorted(set(names))
+        if len(different) > 1:
+            message = (
+                f"{measurements.source}: the table has {len(different)} {what}: {choices(different)}. One target and "
+                f"one set-up are fitted at a time: split the table by its column '{what[:-1]}'."
+            )
+            raise ModelError(message)
+
+
 def nominal_cell(robot: Robot, cell: Cell, rows: Rows) -> Cell:
     """Frame and target as given; those that were not given as the nominal robot registers them."""
     asked = replace(
@@ -203,8 +220,8 @@ def cross_validation(
     flagged: Mask,
     fit_rows: Callable[[Rows], Fitted],
     progress: Progress | None = None,
-) -> tuple[CrossValidation, Errors]:
-    """Cross-validation of the calibrated robot, and errors of the nominal one under the same treatment.
+) -> tuple[CrossValidation, CrossValidation]:
+    """Cross-validation of the nominal robot and of the calibrated one, under the same treatment.
 
     The nominal robot gets frame and target registered to the rows that are not left out and not flagged, so that the
     two differ by the calibration alone.
@@ -216,7 +233,16 @@ def cross_validation(
         flagged: shape (N,), outliers of the fit to all rows.
         fit_rows: Fits some rows from the beginning.
         progress: Called after each fit.
+
+    Raises:
+        MeasurementError: Too few rows to leave any out.
     """
+    if len(rows) < 2:
+        message = (
+            f"{len(rows)} row cannot be cross-validated: none is left to fit. Measure more poses, or ask for a fit "
+            "without validation (--no-validate)."
+        )
+        raise MeasurementError(message)
     in_all = len(folds(len(rows))[1])
     done = 0
 
@@ -237,6 +263,5 @@ def cross_validation(
         registered = register(robot, cell, kept.joints, kept.points)
         return rows.points[mask] - predict(robot, registered, rows.joints[mask])
 
-    calibrated = cross_validate(len(rows), flagged, left_out)
     nominal = cross_validate(len(rows), flagged, left_out_nominal)
-    return calibrated, nominal.errors_without_outliers
+    return nominal, cross_validate(len(rows), flagged, left_out)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from calib.identify.fitting import check_one_setup
 from calib.identify.registration import register
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
@@ -59,6 +60,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
             cell = replace(cell, target=read_only(_GENERIC_TARGET))
             words += ", target 50, 70, 30 mm off the tip"
     else:
+        check_one_setup(measurements)
         rows = measurements.estimation
         joints = measurements.joints_for(robot.joint_names)[rows]
         words = f"the {rows.sum()} estimation rows of {measurements.source}"

@@ -277,14 +277,18 @@ def errors_table(errors: Errors) -> dict[str, Any]:
 
 def _cross_validation(c: Calibration) -> dict[str, Any] | None:
     """Errors on left-out rows; those of the flagged ones included at the top, left out below."""
-    if c.cross_validation is None:
+    if c.cross_validation is None or c.nominal_cross_validation is None:
         return None
-    v = c.cross_validation
+    v, nominal = c.cross_validation, c.nominal_cross_validation
     return {
         "method": v.method,
         "folds": v.folds,
         **errors_table(v.errors),
         "without_outliers": errors_table(v.errors_without_outliers),
+        "nominal": {
+            **errors_table(nominal.errors),
+            "without_outliers": errors_table(nominal.errors_without_outliers),
+        },
     }
 
 

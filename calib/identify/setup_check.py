@@ -1,8 +1,14 @@
-"""Whether another set-up explains the measurements far better: the usual mistakes, looked for instead of guessed at."""
+"""Whether another set-up explains the measurements far better: the usual mistakes, looked for instead of guessed at.
+
+A nominal arm is wrong by millimetres. Where it is off by centimetres the cause is another: a wrong base link, points in
+another frame, a joint with the sign or the zero of another convention, two columns swapped. Each of these is tried on
+the nominal robot, with the target registered anew, and the best is named.
+"""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -13,44 +19,95 @@ from calib.measure.cell import Cell
 from calib.model.robot import Robot
 
 #: Nominal errors below this need no other explanation than an uncalibrated arm [m].
-_PLAUSIBLE = 0.02
+PLAUSIBLE = 0.02
 
 #: Another set-up must lower the nominal robot's error to this share to be named.
 _FAR_BETTER = 0.2
 
+#: Joints up to which every combination of turned signs is tried.
+_MOST_SIGNS = 7
+
+#: Rows that are looked at; more would not tell more.
+_ROWS = 60
+
+#: The zeros that conventions differ by [deg].
+_TURNS_DEG = (90.0, -90.0, 180.0)
+
 
 def better_setup(robot: Robot, cell: Cell, rows: Rows) -> str:
     """A sentence that names the set-up which explains the rows far better than the one given, or nothing.
-
-    The nominal robot is registered to the rows with every link that stands still as base, and with a measurement
-    frame that is estimated.
 
     Args:
         robot: The nominal robot.
         cell: The set-up as given.
         rows: The estimation rows.
     """
-    if cell.estimate_frame or cell.T_frame_base is not None:
-        return ""
+    chosen = np.zeros(len(rows), dtype=bool)
+    chosen[np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(int)] = True
+    rows = rows.select(chosen)
     asked = replace(cell, estimate_target=True)
     given = _rms(robot, asked, rows)
-    if given < _PLAUSIBLE:
+    if given < PLAUSIBLE:
         return ""
-    # Score, error, words. A frame of its own always fits a little better: it must do more than that.
-    candidates = []
-    for link in _standing_links(robot):
-        error = _rms(Robot.from_urdf(robot.urdf, link, robot.tip), asked, rows)
-        candidates.append((error, error, f"--base {link}"))
-    if len(rows) >= 4:
-        error = _rms(robot, replace(asked, estimate_frame=True), rows)
-        candidates.append((2.0 * error, error, "--frame estimate"))
-    score, error, option = min(candidates, default=(np.inf, np.inf, ""))
+    tried = [*_other_frames(robot, asked, rows), *_other_columns(robot, asked, rows)]
+    score, error, words = min(tried, default=(np.inf, np.inf, ""))
     if score > _FAR_BETTER * given:
         return ""
     return (
-        f"The points do not seem to be in the frame of '{robot.base}': the nominal robot is {1e3 * given:.0f} mm rms "
-        f"off there, and {1e3 * error:.1f} mm with {option}. Try that."
+        f"The nominal robot is {1e3 * given:.0f} mm rms off, which no uncalibrated arm is, and only "
+        f"{1e3 * error:.1f} mm {words}."
     )
+
+
+def _other_frames(robot: Robot, cell: Cell, rows: Rows) -> Iterator[tuple[float, float, str]]:
+    """Score, error and words for the points in another frame."""
+    if cell.estimate_frame or cell.T_frame_base is not None:
+        return
+    for link in _standing_links(robot):
+        error = _rms(Robot.from_urdf(robot.urdf, link, robot.tip), cell, rows)
+        yield error, error, f"if the points are in the frame of '{link}': try --base {link}"
+    if len(rows) >= 4:
+        error = _rms(robot, replace(cell, estimate_frame=True), rows)
+        # A frame of its own always fits a little better: it must do more than that.
+        yield 2.0 * error, error, "if the points are in a frame of their own: try --frame estimate"
+
+
+def _other_columns(robot: Robot, cell: Cell, rows: Rows) -> Iterator[tuple[float, float, str]]:
+    """Score, error and words for joints of another convention, and for swapped columns."""
+    names, n = robot.joint_names, len(robot.joints)
+    # A frame that is estimated too makes a trial a hundred times dearer: then one joint at a time.
+    most = n if n <= _MOST_SIGNS and not cell.estimate_frame else 1
+    for count in range(1, most + 1):
+        for turned in itertools.combinations(range(n), count):
+            joints = rows.joints.copy()
+            joints[:, turned] *= -1.0
+            error = _rms(robot, cell, replace(rows, joints=joints))
+            listed = " and ".join(f"'{names[i]}'" for i in turned)
+            yield (
+                (1.0 + 0.2 * count) * error,
+                error,
+                f"if {listed} turn the other way: check the signs",
+            )
+    for i, degrees in itertools.product(range(n), _TURNS_DEG):
+        if robot.joints[i].type != "prismatic":
+            joints = rows.joints.copy()
+            joints[:, i] += np.radians(degrees)
+            error = _rms(robot, cell, replace(rows, joints=joints))
+            yield (
+                1.2 * error,
+                error,
+                f"if {degrees:g} deg are added to '{names[i]}': check its zero",
+            )
+    for i, j in itertools.combinations(range(n), 2):
+        joints = rows.joints.copy()
+        joints[:, [i, j]] = joints[:, [j, i]]
+        error = _rms(robot, cell, replace(rows, joints=joints))
+        yield 1.2 * error, error, f"if the columns '{names[i]}' and '{names[j]}' are swapped"
+    for i, j in itertools.combinations(range(3), 2):
+        points = rows.points.copy()
+        points[:, [i, j]] = points[:, [j, i]]
+        error = _rms(robot, cell, replace(rows, points=points))
+        yield 1.2 * error, error, f"if the columns {'xyz'[i]} and {'xyz'[j]} are swapped"
 
 
 def _standing_links(robot: Robot) -> list[str]:

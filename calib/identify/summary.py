@@ -21,6 +21,9 @@ _TARGET_MOVED = 5e-3
 #: A parameter with a longer name gets a line for its name alone.
 _LONGEST_NAME = 46
 
+#: A size of errors below this says that there are none [m or rad].
+_NOTHING = 2e-6
+
 #: More validation rows than this are not listed one by one.
 _MOST_ROWS = 12
 
@@ -70,11 +73,13 @@ def _errors(c: Calibration) -> str:
             errors = c.errors[who][name]
             if errors.n:
                 rows.append(error_row(f"{label}, {who}", errors))
-    if c.cross_validation is not None:
-        v = c.cross_validation
-        rows.append(error_row(f"left-out rows ({v.method})", v.errors))
+    if c.cross_validation is None or c.nominal_cross_validation is None:
+        return "\n".join(rows)
+    for who, v in (("nominal", c.nominal_cross_validation), ("calibrated", c.cross_validation)):
+        rows.append(error_row(f"left-out rows*, {who}", v.errors))
         if c.outliers:
             rows.append(error_row("  the same without outliers", v.errors_without_outliers))
+    rows.append(f"* {c.cross_validation.method}: each row predicted from the others alone")
     return "\n".join(rows)
 
 
@@ -173,8 +178,8 @@ def _identified(c: Calibration) -> str:
         f"Noise: {1e3 * c.sigma:.3f} mm a coordinate, found from what is left over ({c.freedom:.0f} d.o.f.)."
     ]
     sizes = [
-        f"{1e3 * size:.3g} {unit}"
-        for size, unit in ((c.prior_length, "mm"), (c.prior_angle, "mrad"))
+        f"{1e3 * size:.3g} {unit}" if size > _NOTHING else f"too small to be seen in {what}"
+        for size, unit, what in ((c.prior_length, "mm", "length"), (c.prior_angle, "mrad", "angle"))
         if size is not None
     ]
     if sizes:

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calib.identify.statistics import Errors
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.identify.statistics import CrossValidation, Errors
 
 USE, CARE, NO = "use", "use with care", "do not use"
 
-#: Scalar measurements left over for each parameter that is estimated, below which a fit is fragile.
-_FEW = 1.0
+#: Scalar measurements for each parameter that is estimated, below which a fit leans on its priors.
+_FEW = 2.0
 
 #: A share of flagged rows above this is no accident.
 _MANY_OUTLIERS = 0.15
 
 #: Noise above this is no measuring instrument's: the set-up is wrong [m].
 _ABSURD_NOISE = 0.02
+
+#: A nominal robot that is off by more than this is more than uncalibrated [m].
+_ANOTHER_ROBOT = 0.02
+
+#: A mean gain of fewer standard errors than this may be chance.
+_CHANCE = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,84 +33,136 @@ class Verdict:
 
     Attributes:
         use: ``"use"``, ``"use with care"`` or ``"do not use"``.
-        reasons: Sentences.
+        reasons: Sentences, the weightiest first.
     """
 
     use: str
     reasons: tuple[str, ...]
 
 
-def verdict(
-    *,
-    before: Errors,
-    after: Errors,
-    unseen: str,
-    validation_before: Errors,
-    validation_after: Errors,
-    measured: int,
-    parameters: int,
-    outliers: int,
-    rows: int,
-    noise: float,
-    hint: str = "",
-) -> Verdict:
-    """Judge a calibration by its errors on rows that it did not see.
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What the verdict is based on.
 
-    Args:
-        before: Errors of the nominal robot on left-out rows, frame and target fitted to the others as for the
-            calibrated one, outliers aside.
-        after: Errors of the calibrated robot on the same rows.
-        unseen: How those rows were left out, for the text.
-        validation_before: Errors of the nominal robot on the validation rows; n = 0 where there are none.
-        validation_after: Errors of the calibrated robot there.
-        measured: Number of scalar measurements.
+    Attributes:
+        nominal: Cross-validation of the nominal robot, frame and target fitted as for the calibrated one.
+        calibrated: Cross-validation of the calibrated robot.
+        outliers: shape (N,), the rows flagged by the fit to all of them.
+        validation_nominal: Errors of the nominal robot on the validation rows; n = 0 where there are none.
+        validation_calibrated: Errors of the calibrated robot there.
         parameters: Number of parameters.
-        outliers: Number of rows flagged.
-        rows: Number of rows.
         noise: Estimated standard deviation of one coordinate [m].
         hint: What would explain the measurements better, a sentence; empty where nothing was found.
     """
-    against: list[str] = []
-    careful: list[str] = []
-    good: list[str] = []
-    if hint:
-        against.append(hint)
-    elif noise > _ABSURD_NOISE:
-        against.append(
-            f"What the model leaves over is {1e3 * noise:.0f} mm a coordinate, which no arm or instrument explains: "
-            "are base and tip the right links, the joint columns in the right order, the measurements in the base "
-            "frame (otherwise: --frame estimate)?"
-        )
-    if after.rms >= before.rms:
-        against.append(
-            f"On rows it did not see ({unseen}) the calibrated robot is no better than the nominal one: "
+
+    nominal: CrossValidation
+    calibrated: CrossValidation
+    outliers: NDArray[np.bool_]
+    validation_nominal: Errors
+    validation_calibrated: Errors
+    parameters: int
+    noise: float
+    hint: str = ""
+
+
+def verdict(evidence: Evidence) -> Verdict:
+    """Judge a calibration by its errors on rows that it did not see."""
+    against = [*_wrong_setup(evidence), *_no_better(evidence)]
+    careful = _doubts(evidence)
+    use = NO if against else CARE if careful else USE
+    return Verdict(use, (*against, *careful, *_gains(evidence)))
+
+
+def _wrong_setup(e: Evidence) -> list[str]:
+    """Errors that no arm has."""
+    if e.hint:
+        return [e.hint]
+    if e.noise > _ABSURD_NOISE:
+        return [
+            f"What the model leaves over is {1e3 * e.noise:.0f} mm a coordinate, which no arm or instrument explains: "
+            "are base and tip the right links, the joint columns in the right order and with the right signs, the "
+            "measurements in the base frame (otherwise: --frame estimate)?"
+        ]
+    return []
+
+
+def _no_better(e: Evidence) -> list[str]:
+    """Unseen rows that the calibrated robot does not meet better."""
+    reasons = []
+    before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
+    if _gain_in_errors(e) <= 0.0:
+        reasons.append(
+            f"On rows it did not see ({e.calibrated.method}) the calibrated robot is no better than the nominal one: "
             f"{_mm(after.rms)} against {_mm(before.rms)} mm rms."
         )
-    else:
-        good.append(
-            f"On rows it did not see ({unseen}, outliers aside) the error falls from {_mm(before.rms)} to "
-            f"{_mm(after.rms)} mm rms."
+    if e.validation_calibrated.n and e.validation_calibrated.rms >= e.validation_nominal.rms:
+        reasons.append(
+            f"On the {e.validation_calibrated.n} validation rows the error does not fall: from "
+            f"{_mm(e.validation_nominal.rms)} to {_mm(e.validation_calibrated.rms)} mm rms."
         )
-    if validation_after.n:
-        change = f"from {_mm(validation_before.rms)} to {_mm(validation_after.rms)} mm rms"
-        if validation_after.rms >= validation_before.rms:
-            against.append(
-                f"On the {validation_after.n} validation rows the error does not fall: {change}."
-            )
-        else:
-            good.append(f"On the {validation_after.n} validation rows it falls {change}.")
-    if measured < (1.0 + _FEW) * parameters:
-        careful.append(
-            f"{measured} measured coordinates for {parameters} parameters are few: the result leans on the priors. "
+    return reasons
+
+
+def _doubts(e: Evidence) -> list[str]:
+    """What makes a result that helps a fragile one."""
+    reasons = []
+    rows = len(e.outliers)
+    if 0.0 < _gain_in_errors(e) < _CHANCE:
+        reasons.append(
+            f"The gain on unseen rows is within what chance gives: {_gain_in_errors(e):.1f} standard errors. The "
+            "nominal robot may be as good."
+        )
+    if e.nominal.errors_without_outliers.rms > _ANOTHER_ROBOT and not e.hint:
+        reasons.append(
+            f"The nominal robot is {1e3 * e.nominal.errors_without_outliers.rms:.0f} mm rms off, which is more than an "
+            "uncalibrated arm is: is it the right URDF?"
+        )
+    if 3 * rows < _FEW * e.parameters:
+        reasons.append(
+            f"{3 * rows} measured coordinates for {e.parameters} parameters are few: the result leans on the priors. "
             "Measure more poses."
         )
-    if outliers > _MANY_OUTLIERS * rows:
-        careful.append(
-            f"{outliers} of {rows} rows are flagged as outliers: too many to be accidents. Look at them before using "
+    flagged = int(np.sum(e.outliers))
+    if flagged > _MANY_OUTLIERS * rows:
+        reasons.append(
+            f"{flagged} of {rows} rows are flagged as outliers: too many to be accidents. Look at them before using "
             "the result."
         )
-    use = NO if against else CARE if careful else USE
-    return Verdict(use, (*against, *careful, *good))
+    return reasons
+
+
+def _gains(e: Evidence) -> list[str]:
+    """What the calibration buys, where it does."""
+    reasons = []
+    before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
+    if _gain_in_errors(e) > 0.0:
+        aside = ", outliers aside" if np.any(e.outliers) else ""
+        reasons.append(
+            f"On rows it did not see ({e.calibrated.method}{aside}) the error falls from {_mm(before.rms)} to "
+            f"{_mm(after.rms)} mm rms."
+        )
+    before, after = e.validation_nominal, e.validation_calibrated
+    if after.n and after.rms < before.rms:
+        reasons.append(
+            f"On the {after.n} validation rows it falls from {_mm(before.rms)} to {_mm(after.rms)} mm rms."
+        )
+    return reasons
+
+
+def _gain_in_errors(e: Evidence) -> float:
+    """Mean fall of the squared error on left-out rows, outliers aside, in standard errors of that mean.
+
+    Paired by rows, so that a pose that is hard for both robots does not blur the comparison; 0 where nothing changes.
+    """
+    squares = [np.sum(v.residual[~e.outliers] ** 2, axis=1) for v in (e.nominal, e.calibrated)]
+    fall = squares[0] - squares[1]
+    mean = float(np.mean(fall)) if len(fall) else 0.0
+    # Below a thousandth of the error itself a difference is rounding of the solver.
+    if abs(mean) < 1e-6 * float(np.mean(squares[0])):
+        return 0.0
+    if len(fall) < 2:
+        return float(np.sign(mean))
+    return mean / max(float(np.std(fall, ddof=1)) / float(np.sqrt(len(fall))), 1e-30)
 
 
 def _mm(length: float) -> str:

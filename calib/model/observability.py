@@ -29,6 +29,9 @@ _GAP = 30.0
 #: A relative singular value of this size is zero.
 _ROUNDING = 1e-13
 
+#: Longer combinations than this are not written out: too few poses, and no one reads them.
+_MOST_NAMES = 6
+
 #: A parameter with less than this share of a combination's strongest effect is left out of its text.
 _NAMED_EFFECT = 0.02
 
@@ -61,6 +64,8 @@ class Combination:
         )
         if len(self.names) == 1:
             return f"{self.names[0]} at all"
+        if len(self.names) > _MOST_NAMES:
+            return f"{', '.join(self.names[:_MOST_NAMES])} and {len(self.names) - _MOST_NAMES} more together"
         return f"{', '.join(self.names[:-1])} and {self.names[-1]} together ({amounts})"
 
 

@@ -64,10 +64,16 @@ def test_the_errors_are_those_of_the_result(text: str, default_result: Calibrati
             assert shown[0] == errors.n
             np.testing.assert_allclose(shown[1:], 1e3 * np.array(wanted), atol=5.001e-4)
     assert default_result.cross_validation is not None
-    left_out = numbers_of(text, "left-out rows (leave-one-out)")
-    assert left_out[3] == pytest.approx(1e3 * default_result.cross_validation.errors.rms, abs=5e-4)
-    without = numbers_of(text, "  the same without outliers")
-    assert without[0] == 30 - len(default_result.outliers)
+    assert default_result.nominal_cross_validation is not None
+    for who, validated in (
+        ("nominal", default_result.nominal_cross_validation),
+        ("calibrated", default_result.cross_validation),
+    ):
+        shown = numbers_of(text, f"left-out rows*, {who}")
+        assert shown[3] == pytest.approx(1e3 * validated.errors.rms, abs=5e-4)
+    kept = 30 - len(default_result.outliers)
+    assert len(re.findall(rf"^  the same without outliers +{kept} ", text, flags=re.MULTILINE)) == 2
+    assert "\n* leave-one-out: each row predicted from the others alone\n" in text
 
 
 def test_the_parameters_are_those_of_the_result(text: str, default_result: Calibration):

@@ -2,66 +2,105 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calib.identify.statistics import Errors
-from calib.identify.verdict import verdict
+from calib.identify.statistics import CrossValidation, Errors
+from calib.identify.verdict import Evidence, verdict
+
+ROWS = 30
 
 
-def errors(rms: float, n: int = 30) -> Errors:
+def validated(size: float, seed: int = 0, spread: float = 0.3) -> CrossValidation:
+    """Left-out residuals of an rms near ``size``."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(ROWS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    residual = directions * size * (1.0 + spread * rng.normal(size=(ROWS, 1)))
+    return CrossValidation(
+        "leave-one-out", ROWS, residual, Errors.of(residual), Errors.of(residual)
+    )
+
+
+def errors(rms: float, n: int = 5) -> Errors:
     return Errors.of(np.full((n, 3), rms / np.sqrt(3)))
 
 
-GOOD = {
-    "before": errors(2.5e-3),
-    "after": errors(0.2e-3),
-    "unseen": "leave-one-out",
-    "validation_before": errors(2.7e-3, 5),
-    "validation_after": errors(0.25e-3, 5),
-    "measured": 90,
-    "parameters": 27,
-    "outliers": 2,
-    "rows": 30,
-    "noise": 1e-4,
-}
+GOOD = Evidence(
+    nominal=validated(2.5e-3),
+    calibrated=validated(0.2e-3, 1),
+    outliers=np.arange(ROWS) < 2,
+    validation_nominal=errors(2.7e-3),
+    validation_calibrated=errors(0.25e-3),
+    parameters=27,
+    noise=1e-4,
+)
 
 
 def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
-    result = verdict(**GOOD)
+    result = verdict(GOOD)
     assert result.use == "use"
-    assert "from 2.500 to 0.200 mm rms" in result.reasons[0]
+    before, after = (1e3 * v.errors_without_outliers.rms for v in (GOOD.nominal, GOOD.calibrated))
+    assert (
+        f"outliers aside) the error falls from {before:.3f} to {after:.3f} mm rms"
+        in result.reasons[0]
+    )
     assert "5 validation rows it falls from 2.700 to 0.250 mm rms" in result.reasons[1]
 
 
 @pytest.mark.parametrize(
     ("change", "use", "reason"),
     [
+        ({"calibrated": validated(2.9e-3, 1)}, "do not use", "no better than the nominal one: 2."),
+        ({"calibrated": GOOD.nominal}, "do not use", "no better than the nominal one"),
         (
-            {"after": errors(2.6e-3)},
-            "do not use",
-            "no better than the nominal one: 2.600 against 2.500 mm",
-        ),
-        (
-            {"validation_after": errors(3e-3, 5)},
+            {"validation_calibrated": errors(3e-3)},
             "do not use",
             "validation rows the error does not fall",
         ),
         ({"noise": 0.05}, "do not use", "50 mm a coordinate"),
         ({"noise": 0.05, "hint": "Try --base base."}, "do not use", "Try --base base."),
-        ({"measured": 45}, "use with care", "45 measured coordinates for 27 parameters are few"),
-        ({"outliers": 6}, "use with care", "6 of 30 rows are flagged"),
+        ({"hint": "Check the signs."}, "do not use", "Check the signs."),
+        ({"nominal": validated(0.21e-3, 2)}, "use with care", "within what chance gives"),
+        ({"nominal": validated(0.26)}, "use with care", "is it the right URDF?"),
+        ({"parameters": 60}, "use with care", "90 measured coordinates for 60 parameters are few"),
+        ({"outliers": np.arange(ROWS) < 6}, "use with care", "6 of 30 rows are flagged"),
     ],
 )
 def test_each_doubt_is_said_first(change, use, reason):
-    result = verdict(**(GOOD | change))
+    result = verdict(replace(GOOD, **change))
     assert result.use == use
     assert reason in result.reasons[0]
 
 
+def test_a_gain_is_said_even_where_there_are_doubts():
+    result = verdict(replace(GOOD, parameters=60))
+    assert any("the error falls from" in reason for reason in result.reasons[1:])
+
+
+def test_outliers_do_not_decide():
+    worse = np.array(GOOD.calibrated.residual)
+    worse[:2] += 1.0
+    after = replace(GOOD.calibrated, residual=worse)
+    assert verdict(replace(GOOD, calibrated=after)).use == "use"
+
+
 def test_without_validation_rows_nothing_is_said_of_them():
-    result = verdict(
-        **(GOOD | {"validation_before": errors(1, 0), "validation_after": errors(1, 0)})
-    )
+    nothing = errors(1.0, 0)
+    result = verdict(replace(GOOD, validation_nominal=nothing, validation_calibrated=nothing))
     assert result.use == "use"
     assert not any("validation rows" in reason for reason in result.reasons)
+
+
+def test_chance_alone_is_seldom_taken_for_a_gain():
+    """Two robots of the same quality, the second by luck a little better or worse: 'use' is rare."""
+    used = sum(
+        verdict(
+            replace(GOOD, nominal=validated(1e-3, 2 * i), calibrated=validated(1e-3, 2 * i + 1))
+        ).use
+        == "use"
+        for i in range(300)
+    )
+    assert used < 0.06 * 300
