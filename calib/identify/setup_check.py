@@ -83,11 +83,8 @@ def _other_columns(robot: Robot, cell: Cell, rows: Rows) -> Iterator[tuple[float
             joints[:, turned] *= -1.0
             error = _rms(robot, cell, replace(rows, joints=joints))
             listed = " and ".join(f"'{names[i]}'" for i in turned)
-            yield (
-                (1.0 + 0.2 * count) * error,
-                error,
-                f"if {listed} turn the other way: check the signs",
-            )
+            words = f"if {listed} turn{'s' if count == 1 else ''} the other way: check the signs"
+            yield (1.0 + 0.2 * count) * error, error, words
     for i, degrees in itertools.product(range(n), _TURNS_DEG):
         if robot.joints[i].type != "prismatic":
             joints = rows.joints.copy()

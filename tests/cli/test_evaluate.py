@@ -73,7 +73,9 @@ def test_a_target_as_given_and_registered(call, examples, folder: Path):
 def test_a_wrong_base_is_named(call, folder: Path):
     done = call(folder, "evaluate", "robot.urdf", "data.csv")
     assert done.code == 0
-    assert "and 2.3 mm with --base base. Try that." in " ".join(done.out.split())
+    assert "only 2.3 mm if the points are in the frame of 'base': try --base base." in " ".join(
+        done.out.split()
+    )
 
 
 def test_another_base_than_the_results_is_refused(call, folder: Path):

@@ -98,10 +98,10 @@ def test_a_wrong_base_is_named_and_the_file_is_written_with_a_warning(run, shop)
     done = run(shop, "fit", "robot.urdf", "data.csv", "-o", "c.urdf", "--model", "zeros")
     assert done.code == 0
     assert "\nVerdict: do not use\n" in done.out
-    assert "with --base base. Try that." in " ".join(done.out.split())
+    assert "the points are in the frame of 'base': try --base base." in " ".join(done.out.split())
     assert (shop / "c.urdf").is_file()
     assert done.err.startswith(
-        "calib: the verdict on c.urdf is 'do not use': The points do not seem to be in the frame of 'world'"
+        "calib: the verdict on c.urdf is 'do not use': The nominal robot is 529 mm rms off"
     )
     assert done.err.count("\n") == 1
 
