@@ -8,17 +8,15 @@ are.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
-from calib.identify.problem import Problem
 from calib.identify.solvers import levenberg_marquardt
 from calib.measure.cell import Cell
-from calib.model.error_model import FRAME, TARGET, error_model
-from calib.model.kinematics import Kinematics
-from calib.model.observability import steps
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
@@ -63,7 +61,7 @@ def register(robot: Robot, cell: Cell, joints: Array, points: Array) -> Cell:
     if not cell.estimate_target:
         assert cell.target is not None
         return replace(cell, T_frame_base=_frame(poses, cell.target, seen))
-    return _both(robot, cell, joints[chosen], poses, seen)
+    return _both(cell, poses, seen)
 
 
 def _asked(cell: Cell) -> str:
@@ -89,32 +87,63 @@ def _frame(T_base_tip: Array, target: Array, points: Array) -> Array:
     return read_only(T)
 
 
-def _both(robot: Robot, cell: Cell, joints: Array, poses: Array, points: Array) -> Cell:
+def _both(cell: Cell, poses: Array, points: Array) -> Cell:
     """Frame and target together: Levenberg-Marquardt from several targets, each with its best frame."""
-    model = error_model(robot, "frames", frame=True, target=True)
-    size = steps([p.unit for p in model.parameters])
     corners = np.array(
         [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
     )
     starts = list(_REACH * corners)
     if cell.target is not None:
         starts.insert(0, cell.target)
-    best: tuple[float, Cell] | None = None
+    best: tuple[float, Array, Array] | None = None
     for start in starts:
-        T_frame_base, T_tip_target = _frame(poses, start, points), np.eye(4)
-        T_tip_target[:3, 3] = start
-        kinematics = Kinematics(robot, model, T_frame_base, T_tip_target)
-        sigma, ones = np.full(len(points), 1e-3), np.ones(len(points))
-        problem = Problem(kinematics, joints, points, sigma, ones, np.zeros(len(model)))
-        solution = levenberg_marquardt(problem.system, np.zeros(len(model)), step_size=size)
+        T_frame_base = _frame(poses, start, points)
+        system = partial(_both_system, T_frame_base, start, poses, points)
+        solution = levenberg_marquardt(system, np.zeros(9), step_size=np.full(9, 1e-3))
         if best is None or solution.cost < best[0]:
-            displacement, _ = model.displacements(solution.x)
-            at_frame, at_target = model.places.index(FRAME), model.places.index(TARGET)
-            found = replace(
-                cell,
-                T_frame_base=read_only(T_frame_base @ displacement[at_frame]),
-                target=read_only((T_tip_target @ displacement[at_target])[:3, 3]),
-            )
-            best = (solution.cost, found)
+            best = (solution.cost, *_displaced(T_frame_base, start, solution.x))
     assert best is not None
-    return best[1]
+    return replace(cell, T_frame_base=read_only(best[1]), target=read_only(best[2]))
+
+
+def _both_system(
+    T_frame_base: Array, target: Array, poses: Array, points: Array, x: Array
+) -> tuple[Array, Array]:
+    """Residual m_i - R_f (R_i t + p_i) - p_f [m] and its derivative.
+
+    Args:
+        T_frame_base: shape (4, 4), where x begins [m].
+        target: shape (3,), likewise.
+        poses: shape (N, 4, 4), T_base_tip.
+        points: shape (N, 3).
+        x: shape (9,), shift of the base [m], rotation vector of the base in its own frame [rad], change of the
+            target [m].
+
+    Returns:
+        shapes (3 N,) and (3 N, 9).
+    """
+    T, t = _displaced(T_frame_base, target, x)
+    in_base = poses[:, :3, :3] @ t + poses[:, :3, 3]
+    R = T[:3, :3]
+    J = np.empty((len(points), 3, 9))
+    J[:, :, :3] = -np.eye(3)
+    # d(exp(w) b) = -exp(w) [b]x Jexp(w) dw, for each row's point b in the base.
+    J[:, :, 3:6] = R @ _skew(in_base) @ pin.Jexp3(x[3:6])
+    J[:, :, 6:] = -R @ poses[:, :3, :3]
+    residual = points - in_base @ R.T - T[:3, 3]
+    return residual.ravel(), J.reshape(-1, 9)
+
+
+def _displaced(T_frame_base: Array, target: Array, x: Array) -> tuple[Array, Array]:
+    """Frame and target at x, shapes (4, 4) and (3,)."""
+    T = T_frame_base.copy()
+    T[:3, :3] = T_frame_base[:3, :3] @ pin.exp3(x[3:6])
+    T[:3, 3] += x[:3]
+    return T, target + x[6:]
+
+
+def _skew(v: Array) -> Array:
+    """The matrices of the cross products, [v]x w = v x w, shape (N, 3, 3)."""
+    result = np.zeros((len(v), 3, 3))
+    result[:, 0, 1], result[:, 0, 2], result[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    return np.asarray(result - result.transpose(0, 2, 1))

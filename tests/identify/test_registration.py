@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.errors import MeasurementError
-from calib.identify.registration import register
+from calib.identify.registration import _both_system, register
 from calib.measure.cell import Cell
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
@@ -107,3 +107,18 @@ def test_noise_and_one_gross_row_leave_a_start_that_is_good_enough(ur3):
     points[7] += 0.05
     cell = register(ur3, Cell(estimate_frame=True), q, points)
     assert np.linalg.norm(cell.target - target) < 5e-3
+
+
+def test_the_derivative_in_frame_and_target_against_differences(ur3):
+    rng = np.random.default_rng(4)
+    T, target = tracker_frame(rng), rng.uniform(-0.2, 0.2, 3)
+    poses = ur3.poses(random_joint_values(ur3, 5))
+    points = rng.uniform(-1, 1, (5, 3))
+    x = 0.4 * rng.normal(size=9)
+    _, J = _both_system(T, target, poses, points, x)
+    for k in range(9):
+        step = np.zeros(9)
+        step[k] = 1e-5
+        ahead, _ = _both_system(T, target, poses, points, x + step)
+        behind, _ = _both_system(T, target, poses, points, x - step)
+        np.testing.assert_allclose(J[:, k], (ahead - behind) / 2e-5, atol=1e-8)
