@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from calib.errors import FileError
-from calib.model.files import read_bytes, write_atomically
+from calib.model.files import make_folder, read_bytes, write_atomically
 
 
 def names(folder: Path) -> list[str]:
@@ -95,7 +95,7 @@ def test_refuses_places_where_no_file_can_stand(tmp_path: Path, overwrite: bool)
         write_atomically(tmp_path / "missing" / "a.urdf", b"", overwrite=overwrite)
     with pytest.raises(FileError, match="cannot be written: File name too long; choose another"):
         write_atomically(tmp_path / ("n" * 300), b"", overwrite=overwrite)
-    with pytest.raises(FileError, match="embedded null byte"):
+    with pytest.raises(FileError, match="embedded null"):
         write_atomically("a\0b", b"", overwrite=overwrite)
     assert names(tmp_path) == []
 
@@ -161,3 +161,19 @@ def test_of_many_writers_at_once_one_succeeds(tmp_path: Path):
         thread.join()
     assert won == [path.read_bytes()]
     assert names(tmp_path) == ["a.urdf"]
+
+
+def test_makes_a_folder_and_those_above_it_and_leaves_one_that_is_there(tmp_path: Path):
+    folder = make_folder(tmp_path / "a" / "b")
+    (folder / "kept").write_bytes(b"1")
+    assert make_folder(folder) == folder
+    assert names(folder) == ["kept"]
+
+
+def test_a_file_in_the_way_of_a_folder_is_named(tmp_path: Path):
+    (tmp_path / "a").write_bytes(b"")
+    for path in (tmp_path / "a", tmp_path / "a" / "b"):
+        with pytest.raises(
+            FileError, match=f"{path}: this folder cannot be made: .*Choose another name"
+        ):
+            make_folder(path)
