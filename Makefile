@@ -3,7 +3,9 @@
 # make lint   ruff and mypy
 # Each makes its own .venv; all they need is Python 3.10 or newer and make.
 
-PYTHON ?= python3
+# The first Python that is new enough, if none is named.
+PYTHON ?= $(or $(shell for p in python3 python3.13 python3.12 python3.11 python3.10; do \
+  $$p -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null && echo $$p && break; done),python3)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
