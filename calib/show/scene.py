@@ -7,7 +7,7 @@ and the scene, opens from disk and loads nothing from anywhere.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import meshcat
@@ -51,6 +51,8 @@ class View:
         index: Which of ``measured`` was measured at ``q``; None if none was.
         pose_name: What the pose is called, such as ``"row 31, validation"``.
         title: The page's heading.
+        T_base_nominal: shape (4, 4), [m], where the nominal robot stands in the calibrated one's base frame: the two
+            find the measurement frame a little differently.
 
     Raises:
         ModelError: The robots have different joints, or an array has another shape or is not finite.
@@ -65,6 +67,7 @@ class View:
     index: int | None = None
     pose_name: str = ""
     title: str = ""
+    T_base_nominal: Array = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
         """Copy the arrays and check that all of it fits together."""
@@ -77,6 +80,7 @@ class View:
         self._store("q", self.q, (len(self.nominal.joints),))
         self._store("nominal_target", self.nominal_target, (3,))
         self._store("calibrated_target", self.calibrated_target, (3,))
+        self._store("T_base_nominal", self.T_base_nominal, (4, 4))
         measured = np.asarray(self.measured, dtype=np.float64)
         self._store("measured", measured, (len(measured) if measured.ndim else 0, 3))
         if self.index is not None and not 0 <= self.index < len(self.measured):
@@ -138,7 +142,10 @@ def view_page(view: View) -> Page:
         warnings = tuple(dict.fromkeys(warnings + more))
     layout = _Layout.of(
         view,
-        bodies(view.nominal, view.q, nominal_visuals),
+        tuple(
+            replace(body, T_base_shape=view.T_base_nominal @ body.T_base_shape)
+            for body in bodies(view.nominal, view.q, nominal_visuals)
+        ),
         bodies(view.calibrated, view.q, calibrated_visuals),
     )
     window = SceneWindow()
@@ -183,11 +190,11 @@ class _Layout:
     def of(cls, view: View, nominal: tuple[Body, ...], calibrated: tuple[Body, ...]) -> _Layout:
         """Place three groups side by side so that nothing of one reaches into the next."""
         stalks = {}
-        for who, robot, target in (
-            ("nominal", view.nominal, view.nominal_target),
-            ("calibrated", view.calibrated, view.calibrated_target),
+        for who, robot, target, T_base_robot in (
+            ("nominal", view.nominal, view.nominal_target, view.T_base_nominal),
+            ("calibrated", view.calibrated, view.calibrated_target, np.eye(4)),
         ):
-            T_base_tip = robot.poses(view.q)[0]
+            T_base_tip = T_base_robot @ robot.poses(view.q)[0]
             stalks[who] = (T_base_tip[:3, 3], T_base_tip[:3, :3] @ target + T_base_tip[:3, 3])
         points = {who: stalk[1] for who, stalk in stalks.items()}
         if view.index is not None:

@@ -64,3 +64,20 @@ def test_show_opens_the_page_in_the_browser(result, monkeypatch):
     page = calib.show(result)
     assert opened == [Path(page).as_uri()]
     assert page.is_file()
+
+
+def test_errors_in_the_picture_are_those_of_the_tables_when_the_frame_is_found(tmp_path):
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0")
+    table = Measurements.read(paper_measurements(), robot.joint_names, robot.joint_types)
+    found = calibrate(robot, table, cell=Cell(estimate_frame=True), validate=False)
+    view = view_of(found)
+    row = view.index
+    tip = view.T_base_nominal @ view.nominal.poses(view.q)[0]
+    nominal = tip[:3, :3] @ view.nominal_target + tip[:3, 3]
+    off = float(np.linalg.norm(found.residual_nominal[row]))
+    assert np.linalg.norm(view.measured[row] - nominal) == pytest.approx(off, abs=1e-12)
+    # Each of the two finds the tracker elsewhere: without that, the number would be another.
+    elsewhere = robot.poses(view.q)[0] @ np.array([*view.nominal_target, 1.0])
+    assert abs(np.linalg.norm(view.measured[row] - elsewhere[:3]) - off) > 1e-4
+    text = write_page(found, tmp_path / "view.html").read_text(encoding="utf-8")
+    assert f"nominal <b>{1e3 * off:.2f} mm</b>" in text
