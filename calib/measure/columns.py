@@ -80,7 +80,7 @@ class Layout:
         joints = (
             _guess_joints(table, named, types)
             if joint_names is None
-            else _pick_joints(table, named, joint_names)
+            else _pick_joints(table, named, joint_names, types)
         )
         for joint in joints:
             _check_joint_unit(table, joint, types)
@@ -184,7 +184,10 @@ def _guess_joints(
 
 
 def _pick_joints(
-    table: Table, named: Mapping[str, Column], joint_names: Sequence[str]
+    table: Table,
+    named: Mapping[str, Column],
+    joint_names: Sequence[str],
+    types: Mapping[str, str],
 ) -> tuple[Column, ...]:
     """The columns of the joints asked for, in that order."""
     clash = [name for name in joint_names if name.casefold() in RESERVED]
@@ -198,12 +201,15 @@ def _pick_joints(
     if not missing:
         return tuple(named[name] for name in joint_names)
     free = [n for n in named if n not in joint_names and n not in (*RESERVED, *ORIENTATION)]
-    close = {name: _close(name, free) for name in missing}
+    # One each where many are missing: the line stays short enough to read.
+    close = {name: _close(name, free)[: 3 if len(missing) < 3 else 1] for name in missing}
     hint = "".join(f" Close to '{n}': {choices(names)}." for n, names in close.items() if names)
+    unit = "mm" if types.get(missing[0]) == "prismatic" else "deg"
+    header = f"{missing[0]} [{unit}]"
     message = (
         f"{table.source}: no column for the joints {choices(missing)}. {_found(table)}{hint} "
-        f"The header of such a column is '{missing[0]} [deg]'; another name is mapped by "
-        '--columns "name in the table=name in the URDF".'
+        f"The header of such a column is '{header}'; another name is mapped by "
+        f'--columns "name in the table={header}".'
     )
     raise MeasurementError(message)
 

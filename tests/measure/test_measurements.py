@@ -429,7 +429,25 @@ def test_missing_joints_are_named_with_what_is_close(table):
     assert "Close to 'elbow': 'Elbow'" in text
     assert "Close to 'tool'" not in text
     assert "The columns found: 'Elbow [deg]', " in text
-    assert '--columns "name in the table=name in the URDF"' in text
+    assert '--columns "name in the table=shoulder_pan_joint [deg]"' in text
+
+
+def test_a_missing_prismatic_joint_is_asked_for_in_a_length(table):
+    path = table("a [deg],x [mm],y [mm],z [mm]", "1,2,3,4")
+    text = refused(
+        path,
+        joint_names=["lift", "a"],
+        joint_types={"lift": "prismatic", "a": "revolute"},
+        says="no column for the joints 'lift'",
+    )
+    assert "is 'lift [mm]'; another name" in text
+    assert '--columns "name in the table=lift [mm]"' in text
+
+
+def test_many_missing_joints_have_one_close_name_each(table):
+    path = table("j1_deg,j2_deg,j3_deg,x [mm],y [mm],z [mm]", "1,2,3,4,5,6")
+    text = refused(path, joint_names=["j1_a", "j2_a", "j3_a"], says="no column for the joints")
+    assert "Close to 'j1_a': 'j1_deg'. Close to 'j2_a': 'j2_deg'." in text
 
 
 def test_sigma_without_a_unit(table):
