@@ -1,7 +1,10 @@
 """Pictures of a calibration for people; nothing here changes a result.
 
-The folder's module can be called: ``calib.show(result)`` opens the picture. Python binds the name ``calib.show`` to
-this module as soon as anything in it is imported, so a function of that name would not last.
+``calib.show(result)`` opens the picture of a calibration in the browser and returns the page's path, in a temporary
+folder. ``calib.show.pictures.write_page(result, "view.html")`` keeps the page.
+
+The folder's module can be called, for Python binds the name ``calib.show`` to this module as soon as anything in it is
+imported, so a function of that name would not last.
 """
 
 from __future__ import annotations
