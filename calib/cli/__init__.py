@@ -6,6 +6,7 @@ Nothing heavy is imported before a verb runs, so that ``calib --help`` answers a
 from __future__ import annotations
 
 import io
+import os
 import sys
 
 import typer
@@ -55,6 +56,9 @@ def _options(
 
 def main() -> None:
     """The entry point of the ``calib`` command."""
+    # The matrices are small: more threads gain nothing, and on a busy machine their waiting for each other takes ten
+    # times as long as the work. NumPy reads this when it is imported, after this line; who sets it keeps it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         # A name that the terminal's encoding lacks is printed as an escape, not refused.
         if isinstance(stream, io.TextIOWrapper):

@@ -54,6 +54,27 @@ def test_inspect_loads_no_viewer(shop: Path):
     assert not {"meshcat", "yourdfpy"} & set(found)
 
 
+@pytest.mark.parametrize(("given", "used"), [(None, "1"), ("3", "3")])
+def test_one_thread_for_small_matrices_unless_asked_otherwise(
+    tmp_path: Path, given: str | None, used: str
+):
+    script = (
+        "import atexit, os, sys\n"
+        "atexit.register(lambda: print(os.environ['OPENBLAS_NUM_THREADS']))\n"
+        "from calib.cli import main\n"
+        "assert 'numpy' not in sys.modules\n"
+        "main()"
+    )
+    name = "OPENBLAS_NUM_THREADS"
+    surroundings = {key: value for key, value in os.environ.items() if key != name}
+    surroundings |= {} if given is None else {name: given}
+    done = subprocess.run(
+        [sys.executable, "-c", script, "--version"],
+        cwd=tmp_path, env=surroundings, capture_output=True, encoding="utf-8", check=True,
+    )  # fmt: skip
+    assert done.stdout.splitlines()[-1] == used
+
+
 def test_a_wrong_call_of_the_program_itself(run, tmp_path: Path):
     done = run(tmp_path, "fat")
     assert (done.code, done.out) == (2, "")
