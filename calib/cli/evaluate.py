@@ -97,7 +97,7 @@ def evaluate(
         )
         if quiet:
             return
-        say_ignored(table)
+        say_ignored(table, arm)
         results = {"the URDF as it is": as_it_is}
         if corrected is not None:
             results[f"with the joint origins of {Path(str(calibration)).name}"] = corrected

@@ -132,7 +132,7 @@ def fit(
         # Files first: a reader of the text that goes away (head, less) must not cost the results.
         written = list(_write(result, output, json, view, target_link=target_link, force=force))
         if not quiet:
-            say_ignored(table)
+            say_ignored(table, arm)
             typer.echo(result.summary() + "\n")
             for path in written:
                 typer.echo(f"Written: {path}")

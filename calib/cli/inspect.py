@@ -59,7 +59,7 @@ def inspect(
             arm, table = load(robot, setup), None
         else:
             arm, table = load_with_data(robot, setup, data, columns)
-            say_ignored(table)
+            say_ignored(table, arm)
         typer.echo(_chain_text(arm))
         typer.echo("")
         typer.echo(_dh_text(arm))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -154,7 +155,20 @@ def check_outputs(
             raise FileError(message)
 
 
-def say_ignored(measurements: Measurements) -> None:
-    """Name the columns of the table that were not used."""
-    if measurements.ignored:
-        typer.echo(f"Columns not used: {choices(measurements.ignored)}.\n")
+def say_ignored(measurements: Measurements, robot: Robot) -> None:
+    """Name the columns of the table that were not used; a joint among them hints at a wrong base or tip."""
+    from calib.units import split_header
+
+    if not measurements.ignored:
+        return
+    text = f"Columns not used: {choices(measurements.ignored)}."
+    moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
+    names = [split_header(label)[0] for label in measurements.ignored]
+    outside = [name for name in names if name in moving]
+    if outside:
+        text += (
+            f" Of the robot's joints, {choices(outside)} "
+            f"{'is' if len(outside) == 1 else 'are'} not between '{robot.base}' and '{robot.tip}' "
+            "(--base, --tip)."
+        )
+    typer.echo(textwrap.fill(text, 100, break_on_hyphens=False, break_long_words=False) + "\n")

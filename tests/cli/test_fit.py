@@ -284,3 +284,24 @@ def test_a_full_disk_behind_the_text_does_not_cost_the_files(shop, program):
     said = "calib: the printed text cannot be read or written: No space left on device.\n"
     assert done.stderr == said
     assert (shop / "c.urdf").is_file()
+
+
+def test_an_unused_column_that_is_a_joint_hints_at_base_and_tip(call, shop):
+    done = call(
+        shop,
+        "fit",
+        "robot.urdf",
+        "data.csv",
+        "--base",
+        "base",
+        "--tip",
+        "wrist_2_link",
+        "--no-validate",
+    )
+    assert done.code == 0
+    text = " ".join(done.out.split("\n\n")[0].split())
+    assert text == (
+        "Columns not used: 'wrist_3_joint [deg]'. Of the robot's joints, 'wrist_3_joint' is not between "
+        "'base' and 'wrist_2_link' (--base, --tip)."
+    )
+    assert max(map(len, done.out.splitlines())) <= 100
