@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import UrdfError
+from calib.errors import ModelError, UrdfError
 from calib.identify.estimate import FIRST_SIGMA
 from calib.identify.findings import Outlier, ParameterEstimate, parameter_estimates
 from calib.identify.fitting import (
@@ -28,13 +28,14 @@ from calib.identify.fitting import (
     predict,
     unseen_scores,
 )
+from calib.identify.robust import Limits
 from calib.identify.setup_check import better_setup
 from calib.identify.solvers import Solution
 from calib.identify.statistics import CrossValidation, Errors
 from calib.identify.verdict import NO, Evidence, Verdict, verdict
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.model.error_model import ErrorModel
+from calib.model.error_model import ANGLE, LENGTH, ErrorModel
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
 from calib.model.readback import check_written, random_joint_values
@@ -47,7 +48,7 @@ Array = NDArray[np.float64]
 TARGET_LINK = "calib_target"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """The result of `calibrate`.
 
@@ -77,7 +78,7 @@ class Calibration:
         weights: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows.
         flag_limit: The score above which a row is flagged.
         outliers: The estimation rows flagged; they have no weight where the fit was robust.
-        suspects: The validation rows beyond the same limit; they never have a weight.
+        suspects: The validation rows beyond such a limit, for their number; they never have a weight.
         cross_validation: Errors on left-out estimation rows; None where it was not asked for.
         nominal_cross_validation: The same of the nominal robot, with target (and frame, if it is estimated) fitted to
             the other rows.
@@ -147,9 +148,8 @@ class Calibration:
         Returns:
             shape (N, 3), [m].
         """
-        poses = self.T_frame_base @ self.robot.poses(q)
-        result: Array = poses[:, :3, :3] @ self.target + poses[:, :3, 3]
-        return result
+        found = replace(self.cell, target=self.target, T_frame_base=self.T_frame_base)
+        return predict(self.robot, found, np.atleast_2d(np.asarray(q, dtype=np.float64)))
 
     def summary(self) -> str:
         """The result as text, without colours."""
@@ -225,6 +225,13 @@ def calibrate(
         MeasurementError: Too few rows, or columns that the robot needs are missing.
         SolverError: No finite result.
     """
+    for thing, kind in ((robot, Robot), (measurements, Measurements)):
+        if not isinstance(thing, kind):
+            message = (
+                f"calibrate takes a {kind.__name__}; {thing!r} was given. Read it with calib.Robot.load(...) or "
+                "calib.Measurements.read(...)."
+            )
+            raise ModelError(message)
     cell = Cell() if cell is None else cell
     cell = cell if model is None else replace(cell, model=model)
     check_one_setup(measurements)
@@ -253,6 +260,7 @@ def calibrate(
         validation_nominal=result.errors["nominal"]["validation"],
         validation_calibrated=result.errors["calibrated"]["validation"],
         parameters=len(result.model),
+        largest=_largest_change(result),
         noise=result.sigma,
         hint=hint,
     )
@@ -262,6 +270,16 @@ def calibrate(
         nominal_cross_validation=of_nominal,
         verdict=verdict(evidence),
     )
+
+
+def _largest_change(result: Calibration) -> float:
+    """The largest change of a parameter of the robot itself [m or rad]."""
+    own = [
+        abs(x)
+        for x, p in zip(result.x, result.model.parameters, strict=True)
+        if p.family in (LENGTH, ANGLE)
+    ]
+    return float(max(own, default=0.0))
 
 
 def _with_target_link(robot: Robot, T_tip_target: Array) -> Urdf:
@@ -311,10 +329,13 @@ def _assemble(
     scores[~mask] = unseen_scores(fitted, every.select(~mask))
     limit = estimated.limits.flagged
 
-    def named(chosen: NDArray[np.bool_]) -> tuple[Outlier, ...]:
+    # Each set has a limit of its own, because each has its own number of chances for a false alarm.
+    suspect = Limits.of(int(np.sum(~mask)), estimated.freedom).flagged
+
+    def named(chosen: NDArray[np.bool_], beyond: float) -> tuple[Outlier, ...]:
         return tuple(
             Outlier(measurements.rows[i], float(np.linalg.norm(residual[i])), float(scores[i]))
-            for i in np.flatnonzero(chosen & (scores > limit))
+            for i in np.flatnonzero(chosen & (scores > beyond))
         )
 
     T_frame_base, target = fitted.frames()
@@ -342,8 +363,8 @@ def _assemble(
         scores=read_only(scores),
         weights=read_only(weights),
         flag_limit=limit,
-        outliers=named(mask),
-        suspects=named(~mask),
+        outliers=named(mask, limit),
+        suspects=named(~mask, suspect),
         cross_validation=None,
         nominal_cross_validation=None,
         observability=observability,

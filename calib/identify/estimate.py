@@ -8,7 +8,7 @@ that name the outliers, each followed by a new solve from where the last one sto
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ Solve = Callable[[Problem, Array], Solution]
 FIRST_SIGMA = 1e-4
 
 #: Below this the noise is no instrument's but rounding [m].
-_SMALLEST_SIGMA = 1e-8
+_SMALLEST_SIGMA = 1e-7
 
 #: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
 _NOISE_SPREAD = float(np.log(10.0))
@@ -38,10 +38,16 @@ _NOISE_SPREAD = float(np.log(10.0))
 #: With fewer degrees of freedom no row can be told from the others, and all keep their weight.
 _FEWEST_FREEDOM = 6.0
 
+#: Without priors this holds what no measurement determines: far wider than an arm's errors [m and rad].
+_LEASH = 1.0
+
+#: Covariance of the minimum of summed fourth powers over that of summed squares, for normal noise in 3-D.
+_FOURTH_POWERS = 1.4
+
 _ROUNDS = 12
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """The result of `estimate`.
 
@@ -105,7 +111,11 @@ def estimate(problem: Problem, solve: Solve, *, priors: Priors, robust: bool) ->
 
 
 def plain_estimate(problem: Problem, solution: Solution) -> Estimate:
-    """The estimate of a solver that knows no priors and no weights: noise from what is left over.
+    """The estimate of the paper's solver, which knows no priors and no weights: noise from what is left over.
+
+    It minimises the sum of |r_i|^4. For normal noise in three coordinates that spreads the parameters by 7/5 of least
+    squares' covariance: the second derivative is 10 sigma^2 J^T J in the mean and the gradient's covariance
+    140 sigma^6 J^T J; so the squares left over are sigma^2 (3 N - 3/5 rank) in the mean.
 
     Args:
         problem: With weights of 1 and no prior.
@@ -113,13 +123,15 @@ def plain_estimate(problem: Problem, solution: Solution) -> Estimate:
     """
     linear = _Linear.at(problem, solution.x)
     data = Linearised.of(linear.A, linear.y - linear.A @ solution.x, problem.weights)
-    freedom = max(data.count - np.linalg.matrix_rank(data.H, hermitian=True), 1.0)
-    noise = max(float(np.sqrt(data.yy / freedom)), linear.smallest)
-    stage = _Stage(Priors("off"), (), problem.weights, noise, ())
-    return _finish(problem, stage, solution)
+    rank = np.linalg.matrix_rank(data.H, hermitian=True)
+    # Both figures for normal noise: see the docstring.
+    noise = float(np.sqrt(data.yy / max(data.count - (2.0 - _FOURTH_POWERS) * rank, 1.0)))
+    first = _Stage.first(problem, Priors("off"))
+    stage = replace(first, noise=max(noise, linear.smallest))
+    return _finish(problem, stage, solution, spread=_FOURTH_POWERS)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Stage:
     """Weights, noise and prior sizes at one time of the estimation."""
 
@@ -134,6 +146,11 @@ class _Stage:
         """All rows in full, the noise as given, the priors as wide as they were given."""
         families, sizes = _families(problem.kinematics.model, priors)
         return cls(priors, families, np.ones(len(problem.points)), 1.0, sizes)
+
+    @property
+    def adapts(self) -> bool:
+        """Whether the sizes of the priors are found from the data."""
+        return self.priors.sizes == "data"
 
     def problem(self, problem: Problem) -> Problem:
         """The problem in this form."""
@@ -163,16 +180,15 @@ class _Stage:
                     weights, noise, precision_of(self.families, sizes, problem.size)
                 )
             data = Linearised.of(linear.A, linear.y, weights)
-            given = self.priors.sizes == "given"
             found = sizes_by_reml(
                 data,
-                () if given else self.families,
-                Sizes(noise, () if given else sizes),
+                self.families if self.adapts else (),
+                Sizes(noise, sizes if self.adapts else ()),
                 smallest_noise=linear.smallest,
                 noise_spread=_NOISE_SPREAD,
-                known=precision_of(self.families, sizes, problem.size) if given else None,
+                known=None if self.adapts else self.precision(problem),
             )
-            noise, sizes = found.noise, sizes if given else found.families
+            noise, sizes = found.noise, found.families if self.adapts else sizes
         return _Stage(self.priors, self.families, weights, noise, sizes)
 
     def is_like(self, other: _Stage) -> bool:
@@ -183,7 +199,7 @@ class _Stage:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Linear:
     """The problem linearised: y = A x + noise, in units of the rows' sigma."""
 
@@ -223,28 +239,32 @@ class _Linear:
 def _families(
     model: ErrorModel, priors: Priors
 ) -> tuple[tuple[NDArray[np.bool_], ...], tuple[float, ...]]:
-    """The families that the model has, and the sizes to begin with; none without priors."""
-    if priors.sizes == "off":
-        return (), ()
-    pairs = [(model.family(LENGTH), priors.length), (model.family(ANGLE), priors.angle)]
+    """The families that the model has, and the sizes to begin with: the leash without priors."""
+    length, angle = (_LEASH, _LEASH) if priors.sizes == "off" else (priors.length, priors.angle)
+    pairs = [(model.family(LENGTH), length), (model.family(ANGLE), angle)]
     present = [(members, size) for members, size in pairs if np.any(members)]
     return tuple(m for m, _ in present), tuple(s for _, s in present)
 
 
-def _finish(problem: Problem, stage: _Stage, solution: Solution) -> Estimate:
-    """The estimate at the last stage, with covariance and scores at the solution itself."""
+def _finish(problem: Problem, stage: _Stage, solution: Solution, spread: float = 1.0) -> Estimate:
+    """The estimate at the last stage, with covariance and scores at the solution itself.
+
+    ``spread`` is the covariance that the solver's estimator has, over that of least squares.
+    """
     final = stage.problem(problem)
     linear = _Linear.at(problem, solution.x)
-    _, covariance, freedom = linear.fit(stage.weights, stage.noise, final.precision)
+    deviation = float(np.sqrt(spread)) * stage.noise
+    _, covariance, freedom = linear.fit(stage.weights, deviation, final.precision)
     residual = linear.y - linear.A @ solution.x
     row_scores = scores(residual / stage.noise, linear.A / stage.noise, covariance, stage.weights)
     model = problem.kinematics.model
-    names = [f for f in (LENGTH, ANGLE) if np.any(model.family(f))] if stage.sizes else []
-    size = dict(zip(names, stage.sizes, strict=True))
+    names = [f for f in (LENGTH, ANGLE) if np.any(model.family(f))]
+    size = {} if stage.priors.sizes == "off" else dict(zip(names, stage.sizes, strict=True))
+    x = read_only(solution.x)
     return Estimate(
-        x=read_only(solution.x),
+        x=x,
         problem=final,
-        solution=solution,
+        solution=replace(solution, x=x),
         covariance=read_only(covariance),
         scores=read_only(row_scores),
         limits=Limits.of(len(problem.points), freedom),

@@ -17,7 +17,7 @@ from calib.model.robot import Robot, read_only
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
     """Errors of a robot as it is.
 

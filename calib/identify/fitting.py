@@ -23,7 +23,7 @@ from calib.identify.solvers import (
     paper_levenberg_marquardt,
     scipy_least_squares,
 )
-from calib.identify.statistics import CrossValidation, Mask, cross_validate, folds
+from calib.identify.statistics import CrossValidation, Mask, cross_validate, folds, same_poses
 from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements
 from calib.model.error_model import ErrorModel, error_model
@@ -36,11 +36,15 @@ Array = NDArray[np.float64]
 #: Called with the number of fits done and of fits in all.
 Progress = Callable[[int, int], None]
 
+#: A row that is this many median distances off does not take part in a nominal robot's registration.
+_GROSS = 5.0
+_GROSS_ROUNDS = 5
+
 #: The solvers' names.
 SOLVERS = ("lm", "paper", "scipy")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Rows:
     """The rows of one fit as arrays.
 
@@ -63,7 +67,7 @@ class Rows:
         return len(self.points)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
     """One fit: the registered start and the estimate from there."""
 
@@ -105,7 +109,7 @@ def fit(robot: Robot, cell: Cell, rows: Rows, *, solver: str, robust: bool) -> F
         rows.points,
     )
     model = error_model(robot, cell.model, frame=cell.estimate_frame, target=cell.estimate_target)
-    model = model.without(cell.frozen)
+    model = model.without(robot_parameters(cell.frozen))
     _check_enough(model, cell.priors, len(rows))
     assert started.T_frame_base is not None  # registration leaves neither out
     assert started.target is not None
@@ -148,6 +152,22 @@ def _solve_as_the_paper(problem: Problem, cell: Cell) -> Solution:
     return replace(solution, x=solution.x / unit - nominal)
 
 
+def robot_parameters(frozen: tuple[str, ...]) -> tuple[str, ...]:
+    """The frozen names, refused where they are of target or frame, which registration places as a whole.
+
+    Raises:
+        ModelError: A coordinate of target or frame is among them.
+    """
+    placed = [name for name in frozen if name.startswith(("target_", "frame_"))]
+    if placed:
+        message = (
+            f"{choices(placed)} cannot be frozen one by one: target and frame are known or estimated as a whole. Use "
+            "--fix-target or --frame known, or target and frame in the cell file."
+        )
+        raise ModelError(message)
+    return frozen
+
+
 def _check_enough(model: ErrorModel, priors: Priors, rows: int) -> None:
     """Refuse fewer numbers than parameters where no prior holds the rest."""
     count = len(model)
@@ -185,7 +205,29 @@ def nominal_cell(robot: Robot, cell: Cell, rows: Rows) -> Cell:
         estimate_target=cell.target is None,
         estimate_frame=cell.estimate_frame and cell.T_frame_base is None,
     )
-    return register(robot, asked, rows.joints, rows.points)
+    return register_without_gross(robot, asked, rows)
+
+
+def register_without_gross(robot: Robot, cell: Cell, rows: Rows) -> Cell:
+    """The cell registered to a nominal robot, without the rows that lie far from the others.
+
+    One gross row would move target and frame, and with them the errors of the nominal robot on every other row.
+
+    Args:
+        robot: The nominal robot.
+        cell: What is known.
+        rows: The rows.
+    """
+    kept = np.ones(len(rows), dtype=bool)
+    registered = register(robot, cell, rows.joints, rows.points)
+    for _ in range(_GROSS_ROUNDS):
+        distance = np.linalg.norm(rows.points - predict(robot, registered, rows.joints), axis=1)
+        near = distance <= _GROSS * np.median(distance)
+        if np.array_equal(near, kept) or np.sum(near) < 0.6 * len(rows):
+            break
+        kept = near
+        registered = register(robot, cell, rows.joints[kept], rows.points[kept])
+    return registered
 
 
 def predict(robot: Robot, cell: Cell, joints: Array) -> Array:
@@ -223,7 +265,7 @@ def cross_validation(
 ) -> tuple[CrossValidation, CrossValidation]:
     """Cross-validation of the nominal robot and of the calibrated one, under the same treatment.
 
-    The nominal robot gets frame and target registered to the rows that are not left out and not flagged, so that the
+    The nominal robot gets frame and target registered to the rows that are not left out, gross ones aside, so that the
     two differ by the calibration alone.
 
     Args:
@@ -237,31 +279,37 @@ def cross_validation(
     Raises:
         MeasurementError: Too few rows to leave any out.
     """
-    if len(rows) < 2:
+    poses = same_poses(rows.joints)
+    masks = folds(poses)[1]
+    if len(masks) < 2:
         message = (
-            f"{len(rows)} row cannot be cross-validated: none is left to fit. Measure more poses, or ask for a fit "
-            "without validation (--no-validate)."
+            f"{len(rows)} row{'s' * (len(rows) > 1)} of one pose cannot be cross-validated: none is left to fit. "
+            "Measure more poses, or ask for a fit without validation (--no-validate)."
         )
         raise MeasurementError(message)
-    in_all = len(folds(len(rows))[1])
     done = 0
 
     def left_out(mask: Mask) -> Array:
         nonlocal done
-        fold = fit_rows(rows.select(~mask))
+        try:
+            fold = fit_rows(rows.select(~mask))
+        except MeasurementError as error:
+            message = (
+                f"Cross-validation leaves out {mask.sum()} of {len(rows)} rows at a time, and the others are too few: "
+                f"{error} Or do without validation (--no-validate)."
+            )
+            raise MeasurementError(message) from error
         done += 1
         if progress is not None:
-            progress(done, in_all)
+            progress(done, len(masks))
         result: Array = rows.points[mask] - fold.kinematics.points(
             fold.estimate.x, rows.joints[mask]
         )
         return result
 
     def left_out_nominal(mask: Mask) -> Array:
-        clean = ~mask & ~flagged
-        kept = rows.select(clean if clean.sum() > 3 else ~mask)
-        registered = register(robot, cell, kept.joints, kept.points)
+        registered = register_without_gross(robot, cell, rows.select(~mask))
         return rows.points[mask] - predict(robot, registered, rows.joints[mask])
 
-    nominal = cross_validate(len(rows), flagged, left_out_nominal)
-    return nominal, cross_validate(len(rows), flagged, left_out)
+    calibrated = cross_validate(poses, flagged, left_out)
+    return cross_validate(poses, flagged, left_out_nominal), calibrated

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from calib.identify.fitting import check_one_setup
+from calib.identify.fitting import check_one_setup, robot_parameters
 from calib.identify.registration import register
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
@@ -53,7 +53,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
         MeasurementError: A joint's column is missing, or too few rows.
     """
     model = error_model(robot, cell.model, frame=cell.estimate_frame, target=cell.estimate_target)
-    model = model.without(cell.frozen)
+    model = model.without(robot_parameters(cell.frozen))
     if measurements is None:
         joints, words = spread_poses(robot), f"{_POSES} poses spread over the joint limits"
         if cell.target is None:

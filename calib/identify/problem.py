@@ -18,7 +18,7 @@ from calib.model.kinematics import Kinematics
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Problem:
     """A calibration as numbers.
 

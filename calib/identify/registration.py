@@ -22,7 +22,7 @@ from calib.model.robot import Robot, read_only
 Array = NDArray[np.float64]
 
 #: Distances from the tip at which a target is looked for when nothing is known of it [m].
-_REACH = 0.15
+_REACHES = (0.15, 0.7)
 
 #: Rows used to find a start; more do not make it better.
 _ROWS = 200
@@ -89,10 +89,8 @@ def _frame(T_base_tip: Array, target: Array, points: Array) -> Array:
 
 def _both(cell: Cell, poses: Array, points: Array) -> Cell:
     """Frame and target together: Levenberg-Marquardt from several targets, each with its best frame."""
-    corners = np.array(
-        [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
-    )
-    starts = list(_REACH * corners)
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    starts = [np.zeros(3), *(reach * axis for reach in _REACHES for axis in axes)]
     if cell.target is not None:
         starts.insert(0, cell.target)
     best: tuple[float, Array, Array] | None = None

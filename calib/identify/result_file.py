@@ -38,7 +38,7 @@ EVALUATION_SCHEMA = "evaluation 1"
 _LARGEST_BYTES = 500_000_000
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class StoredResult:
     """What a result file says of robot and set-up.
 

@@ -28,7 +28,7 @@ class Iteration:
 
     Attributes:
         cost: E before the step.
-        mu: The damping that the step was computed with.
+        mu: The damping that the step was computed with; 0 for SciPy, which has a trust region instead.
         gain: Actual over predicted decrease of E; None where the solver does not tell.
         step: Length of the step, in the solver's units.
         accepted: Whether x moved.
@@ -41,7 +41,7 @@ class Iteration:
     accepted: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """Where a solver stopped.
 
@@ -180,12 +180,12 @@ def paper_levenberg_marquardt(
         R, rhs = _triangle(J, e)
         dx = _damped_step(R, rhs, np.full(len(x), np.sqrt(mu)))
         length = float(np.linalg.norm(dx))
-        if length <= epsilon * (float(np.linalg.norm(x)) + epsilon):
-            message = "The step is shorter than epsilon (|X| + epsilon)."
-            return Solution(x + dx, cost, "converged", message, evaluations, tuple(history))
         e_trial, J_trial = system(x + dx)
         evaluations += 1
         cost_trial = 0.5 * float(e_trial @ e_trial)
+        if length <= epsilon * (float(np.linalg.norm(x)) + epsilon):
+            message = "The step is shorter than epsilon (|X| + epsilon)."
+            return Solution(x + dx, cost_trial, "converged", message, evaluations, tuple(history))
         gain = 2.0 * (cost_trial - cost) / float(dx @ (J.T @ e - mu * dx))
         history.append(Iteration(cost, mu, gain, length, gain > 0))
         if gain > 0:
@@ -213,9 +213,25 @@ def scipy_least_squares(
     """
     from scipy.optimize import least_squares
 
-    _checked_start(system, x0)
+    r, _ = _checked_start(system, x0)
+    best = 0.5 * float(r @ r)
+    history: list[Iteration] = []
+    at = np.array(x0, dtype=np.float64)
+
+    def residual(x: Array) -> Array:
+        """The residual, with an entry in the history for each x that is new."""
+        nonlocal best, at
+        value, _ = system(x)
+        if not np.array_equal(x, at):
+            cost = 0.5 * float(value @ value)
+            step = float(np.linalg.norm((x - at) / step_size))
+            history.append(Iteration(best, 0.0, None, step, cost < best))
+            if cost < best:
+                best, at = cost, x.copy()
+        return value
+
     result = least_squares(
-        lambda x: system(x)[0],
+        residual,
         x0,
         jac=lambda x: system(x)[1],
         x_scale=step_size,
@@ -225,8 +241,9 @@ def scipy_least_squares(
         max_nfev=iterations,
     )
     status = "converged" if result.status > 0 else "stopped"
-    history = (Iteration(float(result.cost), 0.0, None, 0.0, accepted=True),)
-    return Solution(result.x, float(result.cost), status, result.message, int(result.nfev), history)
+    return Solution(
+        result.x, float(result.cost), status, result.message, int(result.nfev), tuple(history)
+    )
 
 
 def _checked_start(system: System, x: Array) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.special import stdtrit
 
 from calib.model.robot import read_only
@@ -14,12 +15,15 @@ from calib.model.robot import read_only
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Up to this number of rows each row is left out in turn; above it, a tenth of the rows at a time.
+#: Rows whose joint values differ by less than this are repeats of a pose [rad or m].
+_SAME_POSE = 1e-3
+
+#: Up to this number of poses each is left out in turn; above it, a tenth of them at a time.
 _LEAVE_ONE_OUT = 60
 _FOLDS = 10
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Errors:
     """Position errors of a set of rows, as in the paper's Tables 4 and 5.
 
@@ -65,13 +69,14 @@ class Errors:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class CrossValidation:
     """Errors on rows that the fit did not see.
 
     Attributes:
-        method: ``"leave-one-out"`` or ``"10-fold"``.
+        method: ``"leave-one-out"``, ``"leave-one-pose-out"`` where poses were repeated, or ``"10-fold"``.
         folds: Number of fits.
+        poses: shape (N,), the pose of each row, see `same_poses`.
         residual: shape (N, 3), measured minus predicted by the fit that had not seen the row [m].
         errors: Of all rows.
         errors_without_outliers: Of the rows that the fit to all rows did not flag.
@@ -79,44 +84,67 @@ class CrossValidation:
 
     method: str
     folds: int
+    poses: NDArray[np.int_]
     residual: Array
     errors: Errors
     errors_without_outliers: Errors
 
 
-def folds(rows: int) -> tuple[str, tuple[Mask, ...]]:
-    """Which rows are left out together: one each, or every tenth where there are many.
+def same_poses(joints: Array) -> NDArray[np.int_]:
+    """Which pose each row was measured at: repeats of a pose get the same number, from 0 on.
 
     Args:
-        rows: Number of rows.
+        joints: shape (N, n), [rad] or [m]; rows within `_SAME_POSE` of another in every joint are repeats of it.
 
     Returns:
-        The method's name and the masks of the rows left out, each of shape (rows,).
+        shape (N,).
     """
-    index = np.arange(rows)
-    if rows <= _LEAVE_ONE_OUT:
-        return "leave-one-out", tuple(index == i for i in range(rows))
-    return f"{_FOLDS}-fold", tuple(index % _FOLDS == k for k in range(_FOLDS))
+    labels = np.full(len(joints), -1)
+    count = 0
+    near = cKDTree(joints).query_ball_point(joints, _SAME_POSE, p=np.inf)
+    for i, neighbours in enumerate(near):
+        if labels[i] < 0:
+            repeats = np.array(neighbours)
+            labels[repeats[labels[repeats] < 0]] = count
+            count += 1
+    return labels
+
+
+def folds(poses: NDArray[np.int_]) -> tuple[str, tuple[Mask, ...]]:
+    """Which rows are left out together: all of one pose, or of every tenth pose where there are many.
+
+    Args:
+        poses: shape (N,), see `same_poses`.
+
+    Returns:
+        The method's name and the masks of the rows left out, each of shape (N,).
+    """
+    count = int(poses.max()) + 1 if len(poses) else 0
+    if count <= _LEAVE_ONE_OUT:
+        method = "leave-one-out" if count == len(poses) else "leave-one-pose-out"
+        return method, tuple(poses == i for i in range(count))
+    return f"{_FOLDS}-fold", tuple(poses % _FOLDS == k for k in range(_FOLDS))
 
 
 def cross_validate(
-    rows: int, outliers: Mask, predict_left_out: Callable[[Mask], Array]
+    poses: NDArray[np.int_], outliers: Mask, predict_left_out: Callable[[Mask], Array]
 ) -> CrossValidation:
     """Fit without some rows, look at the error there, and go on until each row was left out once.
 
     Args:
-        rows: Number of rows.
-        outliers: shape (rows,), the rows flagged by the fit to all of them.
+        poses: shape (N,), the pose of each row; repeats are left out together.
+        outliers: shape (N,), the rows flagged by the fit to all of them.
         predict_left_out: Takes the mask of the rows left out, fits the others from the beginning, and gives measured
             minus predicted of the rows left out, shape (sum of the mask, 3), [m].
     """
-    method, left_out = folds(rows)
-    residual = np.empty((rows, 3))
+    method, left_out = folds(poses)
+    residual = np.empty((len(poses), 3))
     for mask in left_out:
         residual[mask] = predict_left_out(mask)
     return CrossValidation(
         method=method,
         folds=len(left_out),
+        poses=poses,
         residual=read_only(residual),
         errors=Errors.of(residual),
         errors_without_outliers=Errors.of(residual[~outliers]),

@@ -41,7 +41,7 @@ class Sizes:
     families: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
     """Weighted normal equations of the linearised measurements: all that the likelihood needs.
 

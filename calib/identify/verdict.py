@@ -23,6 +23,12 @@ _ABSURD_NOISE = 0.02
 #: A nominal robot that is off by more than this is more than uncalibrated [m].
 _ANOTHER_ROBOT = 0.02
 
+#: A change of a parameter beyond this is no error of an arm [m or rad].
+_TOO_FAR = 0.1
+
+#: Relative differences below this are rounding of the solver.
+_ROUNDING = 1e-6
+
 #: A mean gain of fewer standard errors than this may be chance.
 _CHANCE = 2.0
 
@@ -40,7 +46,7 @@ class Verdict:
     reasons: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """What the verdict is based on.
 
@@ -51,6 +57,7 @@ class Evidence:
         validation_nominal: Errors of the nominal robot on the validation rows; n = 0 where there are none.
         validation_calibrated: Errors of the calibrated robot there.
         parameters: Number of parameters.
+        largest: Largest change of a parameter of the robot [m or rad].
         noise: Estimated standard deviation of one coordinate [m].
         hint: What would explain the measurements better, a sentence; empty where nothing was found.
     """
@@ -61,6 +68,7 @@ class Evidence:
     validation_nominal: Errors
     validation_calibrated: Errors
     parameters: int
+    largest: float
     noise: float
     hint: str = ""
 
@@ -95,7 +103,8 @@ def _no_better(e: Evidence) -> list[str]:
             f"On rows it did not see ({e.calibrated.method}) the calibrated robot is no better than the nominal one: "
             f"{_mm(after.rms)} against {_mm(before.rms)} mm rms."
         )
-    if e.validation_calibrated.n and e.validation_calibrated.rms >= e.validation_nominal.rms:
+    worse = e.validation_calibrated.rms >= (1.0 - _ROUNDING) * e.validation_nominal.rms
+    if e.validation_calibrated.n and worse:
         reasons.append(
             f"On the {e.validation_calibrated.n} validation rows the error does not fall: from "
             f"{_mm(e.validation_nominal.rms)} to {_mm(e.validation_calibrated.rms)} mm rms."
@@ -117,10 +126,16 @@ def _doubts(e: Evidence) -> list[str]:
             f"The nominal robot is {1e3 * e.nominal.errors_without_outliers.rms:.0f} mm rms off, which is more than an "
             "uncalibrated arm is: is it the right URDF?"
         )
-    if 3 * rows < _FEW * e.parameters:
+    poses = int(e.nominal.poses.max(initial=-1)) + 1
+    if 3 * poses < _FEW * e.parameters:
         reasons.append(
-            f"{3 * rows} measured coordinates for {e.parameters} parameters are few: the result leans on the priors. "
-            "Measure more poses."
+            f"{poses} poses with 3 coordinates each for {e.parameters} parameters are few: the result leans on the "
+            "priors. Measure more poses."
+        )
+    if e.largest > _TOO_FAR:
+        reasons.append(
+            f"A parameter has moved by {1e3 * e.largest:.0f} mm or mrad, which is no error of an arm: the measurements "
+            "do not hold it. Keep the priors on, or choose a smaller model."
         )
     flagged = int(np.sum(e.outliers))
     if flagged > _MANY_OUTLIERS * rows:
@@ -142,7 +157,7 @@ def _gains(e: Evidence) -> list[str]:
             f"{_mm(after.rms)} mm rms."
         )
     before, after = e.validation_nominal, e.validation_calibrated
-    if after.n and after.rms < before.rms:
+    if after.n and after.rms < (1.0 - _ROUNDING) * before.rms:
         reasons.append(
             f"On the {after.n} validation rows it falls from {_mm(before.rms)} to {_mm(after.rms)} mm rms."
         )
@@ -152,17 +167,26 @@ def _gains(e: Evidence) -> list[str]:
 def _gain_in_errors(e: Evidence) -> float:
     """Mean fall of the squared error on left-out rows, outliers aside, in standard errors of that mean.
 
-    Paired by rows, so that a pose that is hard for both robots does not blur the comparison; 0 where nothing changes.
+    Paired by poses, so that one that is hard for both robots does not blur the comparison, and repeats do not count as
+    evidence of their own; 0 where nothing changes.
     """
-    squares = [np.sum(v.residual[~e.outliers] ** 2, axis=1) for v in (e.nominal, e.calibrated)]
+    squares = [_mean_by_pose(v, e.outliers) for v in (e.nominal, e.calibrated)]
     fall = squares[0] - squares[1]
     mean = float(np.mean(fall)) if len(fall) else 0.0
-    # Below a thousandth of the error itself a difference is rounding of the solver.
-    if abs(mean) < 1e-6 * float(np.mean(squares[0])):
+    if abs(mean) < _ROUNDING * float(np.mean(squares[0])):
         return 0.0
     if len(fall) < 2:
         return float(np.sign(mean))
     return mean / max(float(np.std(fall, ddof=1)) / float(np.sqrt(len(fall))), 1e-30)
+
+
+def _mean_by_pose(v: CrossValidation, outliers: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """The mean squared error of each pose that has rows which are no outliers [m^2]."""
+    good = ~outliers
+    _, poses = np.unique(v.poses[good], return_inverse=True)
+    squares = np.sum(v.residual[good] ** 2, axis=1)
+    result: NDArray[np.float64] = np.bincount(poses, squares) / np.maximum(np.bincount(poses), 1)
+    return result
 
 
 def _mm(length: float) -> str:

@@ -31,13 +31,19 @@ else:
 PRIOR_SIZES = ("data", "given", "off")
 
 
+def _is_positive(value: object) -> bool:
+    """Whether a value is a positive finite number."""
+    return isinstance(value, (int, float, np.number)) and bool(np.isfinite(value) and value > 0)
+
+
 @dataclass(frozen=True, slots=True)
 class Priors:
     """How large a robot's errors are expected to be: zero-mean normal distributions.
 
     Attributes:
         sizes: ``"data"``: the sizes are found from the measurements, starting at the two below; ``"given"``: they are
-            the two below; ``"off"``: none, plain least squares.
+            the two below; ``"off"``: none, plain least squares, but for a leash of 1 m and 1 rad on what no
+            measurement determines.
         length: Standard deviation of an error in length [m].
         angle: Standard deviation of an error in angle [rad].
     """
@@ -52,12 +58,12 @@ class Priors:
             message = f"Priors of the kind '{self.sizes}' were asked for; choose one of {choices(PRIOR_SIZES)}."
             raise CalibError(message)
         for name, value, unit in (("length", self.length, "m"), ("angle", self.angle, "rad")):
-            if not (np.isfinite(value) and value > 0.0):
+            if not _is_positive(value):
                 message = f"The prior's {name} is {value} {unit}; it must be positive. Use sizes 'off' for none."
                 raise CalibError(message)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Cell:
     """The set-up of a calibration.
 
@@ -87,7 +93,16 @@ class Cell:
     tip: str | None = None
 
     def __post_init__(self) -> None:
-        """Check shapes and numbers."""
+        """Check kinds, shapes and numbers."""
+        for name, kind in (
+            ("estimate_target", bool),
+            ("estimate_frame", bool),
+            ("priors", Priors),
+            ("model", str),
+        ):
+            if not isinstance(getattr(self, name), kind):
+                message = f"A cell's {name} must be of type {kind.__name__}; {getattr(self, name)!r} was given."
+                raise CalibError(message)
         if self.target is not None:
             object.__setattr__(self, "target", _vector(self.target, "target"))
         elif not self.estimate_target:
@@ -98,13 +113,12 @@ class Cell:
             raise CalibError(message)
         if self.T_frame_base is not None:
             object.__setattr__(self, "T_frame_base", _pose(self.T_frame_base))
-        if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0.0):
+        if self.sigma is not None and not _is_positive(self.sigma):
             message = f"The noise sigma is {self.sigma} m; it must be a positive number."
             raise CalibError(message)
-        if isinstance(self.frozen, str):
-            message = (
-                f"The frozen parameters are a tuple of names; the text '{self.frozen}' was given."
-            )
+        names = self.frozen
+        if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) for name in names):
+            message = f"The frozen parameters are a tuple of names; {names!r} was given."
             raise CalibError(message)
         object.__setattr__(self, "frozen", tuple(self.frozen))
 

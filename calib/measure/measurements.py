@@ -20,7 +20,7 @@ from calib.model.files import write_atomically
 from calib.units import UNITS
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
     """N rows: the joint values of the robot and the target position that was measured there.
 

@@ -60,7 +60,7 @@ class DHRow:
         return _screw(2, theta, d) @ _screw(0, self.alpha, self.a) @ _screw(1, self.beta, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class DHTable:
     """The DH rows of a chain, with the constant poses before the first and after the last.
 

@@ -34,7 +34,7 @@ LENGTH, ANGLE = "length", "angle"
 _TWIST_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Parameter:
     """One error: a direction at a place.
 
@@ -56,7 +56,7 @@ class Parameter:
     nominal: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ErrorModel:
     """A named list of parameters for one chain.
 

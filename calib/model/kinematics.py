@@ -21,7 +21,7 @@ from calib.model.robot import Robot, rigid_inverse
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Kinematics:
     """A robot under an error model, seen at a target from a measurement frame.
 
@@ -122,7 +122,7 @@ class Kinematics:
         return poses[:, :3, 3], twists[:, :3]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Displaced:
     """The placements at one x, in the form that both passes need."""
 

@@ -69,7 +69,7 @@ class Combination:
         return f"{', '.join(self.names[:-1])} and {self.names[-1]} together ({amounts})"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Observability:
     """The result of `analyse`.
 

@@ -179,6 +179,13 @@ class Robot:
                 f"'{self.tip}' has {len(self.joints)} joints: {choices(self.joint_names)}."
             )
             raise ModelError(message)
+        if not np.all(np.isfinite(values)):
+            row, joint = np.argwhere(~np.isfinite(values))[0]
+            message = (
+                f"Joint values must be finite numbers; that of '{self.joints[joint].name}' in row {row + 1} is "
+                f"{values[row, joint]}."
+            )
+            raise ModelError(message)
         if self._model.nq == len(self.joints):
             return values
         columns: list[NDArray[np.float64]] = []

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.identify.statistics import Errors, cross_validate, folds, interval_factor
+from calib.identify.statistics import (
+    Errors,
+    cross_validate,
+    folds,
+    interval_factor,
+    same_poses,
+)
 
 # The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].
 BEFORE = np.array(
@@ -67,16 +73,44 @@ def test_no_rows_have_no_errors():
 
 @pytest.mark.parametrize("rows", [1, 2, 30, 60, 61, 1000])
 def test_each_row_is_left_out_once(rows):
-    method, masks = folds(rows)
+    method, masks = folds(np.arange(rows))
     assert method == ("leave-one-out" if rows <= 60 else "10-fold")
     assert len(masks) == (rows if rows <= 60 else 10)
     np.testing.assert_array_equal(np.sum(masks, axis=0), np.ones(rows))
 
 
+def test_repeats_of_a_pose_are_left_out_together():
+    rng = np.random.default_rng(0)
+    poses = rng.uniform(-3, 3, (12, 6))
+    order = rng.permutation(np.repeat(np.arange(12), 5))
+    labels = same_poses(poses[order] + 1e-4 * rng.uniform(-1, 1, (60, 6)))
+    assert labels[0] == 0
+    assert labels.max() == 11
+    for pose in range(12):
+        assert len(set(labels[order == pose])) == 1
+    method, masks = folds(labels)
+    assert method == "leave-one-pose-out"
+    assert [mask.sum() for mask in masks] == [5] * 12
+
+
+def test_many_repeated_poses_stay_together_in_ten_folds():
+    labels = np.tile(np.arange(70), 3)
+    method, masks = folds(labels)
+    assert method == "10-fold"
+    for mask in masks:
+        assert set(labels[mask]).isdisjoint(labels[~mask])
+
+
+def test_different_poses_are_not_taken_for_repeats():
+    step = np.zeros((5, 6))
+    step[:, 3] = 2e-3 * np.arange(5)
+    np.testing.assert_array_equal(same_poses(step), np.arange(5))
+
+
 def test_cross_validation_puts_errors_back_in_their_rows():
     values = np.arange(90.0).reshape(30, 3)
     flagged = np.arange(30) == 7
-    result = cross_validate(30, flagged, lambda mask: values[mask])
+    result = cross_validate(np.arange(30), flagged, lambda mask: values[mask])
     np.testing.assert_array_equal(result.residual, values)
     assert result.errors.n == 30
     assert result.errors_without_outliers.n == 29

@@ -19,9 +19,8 @@ def validated(size: float, seed: int = 0, spread: float = 0.3) -> CrossValidatio
     directions = rng.normal(size=(ROWS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     residual = directions * size * (1.0 + spread * rng.normal(size=(ROWS, 1)))
-    return CrossValidation(
-        "leave-one-out", ROWS, residual, Errors.of(residual), Errors.of(residual)
-    )
+    errors = Errors.of(residual)
+    return CrossValidation("leave-one-out", ROWS, np.arange(ROWS), residual, errors, errors)
 
 
 def errors(rms: float, n: int = 5) -> Errors:
@@ -35,6 +34,7 @@ GOOD = Evidence(
     validation_nominal=errors(2.7e-3),
     validation_calibrated=errors(0.25e-3),
     parameters=27,
+    largest=5e-3,
     noise=1e-4,
 )
 
@@ -65,7 +65,12 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ({"hint": "Check the signs."}, "do not use", "Check the signs."),
         ({"nominal": validated(0.21e-3, 2)}, "use with care", "within what chance gives"),
         ({"nominal": validated(0.26)}, "use with care", "is it the right URDF?"),
-        ({"parameters": 60}, "use with care", "90 measured coordinates for 60 parameters are few"),
+        (
+            {"parameters": 60},
+            "use with care",
+            "30 poses with 3 coordinates each for 60 parameters are few",
+        ),
+        ({"largest": 4.6}, "use with care", "has moved by 4600 mm or mrad"),
         ({"outliers": np.arange(ROWS) < 6}, "use with care", "6 of 30 rows are flagged"),
     ],
 )
@@ -92,6 +97,24 @@ def test_without_validation_rows_nothing_is_said_of_them():
     result = verdict(replace(GOOD, validation_nominal=nothing, validation_calibrated=nothing))
     assert result.use == "use"
     assert not any("validation rows" in reason for reason in result.reasons)
+
+
+def test_repeats_are_no_evidence_of_their_own():
+    """Ten repeats of three poses: a gain on two of them, as large as it is, says little."""
+    poses = np.repeat(np.arange(3), 10)
+    before, after = np.full((30, 3), 1e-3), np.full((30, 3), 1e-3)
+    before[:20] *= 3.0
+
+    def of(residual: np.ndarray, poses: np.ndarray) -> CrossValidation:
+        errors = Errors.of(residual)
+        return CrossValidation("leave-one-pose-out", 3, poses, residual, errors, errors)
+
+    few = replace(GOOD, outliers=np.zeros(30, dtype=bool), parameters=3)
+    rows = np.arange(30)
+    taken_singly = replace(few, nominal=of(before, rows), calibrated=of(after, rows))
+    together = replace(few, nominal=of(before, poses), calibrated=of(after, poses))
+    assert verdict(taken_singly).use == "use"
+    assert verdict(together).use == "use with care"
 
 
 def test_chance_alone_is_seldom_taken_for_a_gain():
