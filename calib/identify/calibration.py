@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, UrdfError
 from calib.identify.estimate import FIRST_SIGMA
+from calib.identify.evidence import largest_change, still_joints, validation_errors
 from calib.identify.findings import Outlier, ParameterEstimate, parameter_estimates
 from calib.identify.fitting import (
     Fitted,
@@ -24,6 +25,7 @@ from calib.identify.fitting import (
     check_one_setup,
     cross_validation,
     fit,
+    larger_model,
     nominal_cell,
     predict,
     unseen_scores,
@@ -35,14 +37,17 @@ from calib.identify.statistics import CrossValidation, Errors
 from calib.identify.verdict import NO, Evidence, Verdict, verdict
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.model.error_model import ANGLE, LENGTH, ErrorModel
+from calib.model.error_model import ErrorModel
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
-from calib.model.readback import check_written, random_joint_values
+from calib.model.readback import check_written, random_joint_values, spread_poses
 from calib.model.robot import Robot, read_only, rigid_inverse
 from calib.model.urdf import Urdf
 
 Array = NDArray[np.float64]
+
+#: Poses over which expected errors are averaged; more do not change them.
+_MOST_EXPECTED = 1000
 
 #: Name of the link that carries the target in a corrected URDF, when asked for.
 TARGET_LINK = "calib_target"
@@ -82,6 +87,9 @@ class Calibration:
         cross_validation: Errors on left-out estimation rows; None where it was not asked for.
         nominal_cross_validation: The same of the nominal robot, with target (and frame, if it is estimated) fitted to
             the other rows.
+        expected_measured: Standard deviation of the predicted point at the measured poses, rms [m]; from the
+            covariance, so it knows nothing of errors that the model lacks.
+        expected_everywhere: The same over joint values spread over the limits [m].
         observability: Rank, and what the measured poses cannot tell apart.
         verdict: Whether to use the result; None without cross-validation, unless the set-up is plainly wrong.
     """
@@ -113,8 +121,15 @@ class Calibration:
     suspects: tuple[Outlier, ...]
     cross_validation: CrossValidation | None
     nominal_cross_validation: CrossValidation | None
+    expected_measured: float
+    expected_everywhere: float
     observability: Observability
     verdict: Verdict | None
+
+    def __repr__(self) -> str:
+        """In one line; `summary` has the rest."""
+        verdict = "no verdict" if self.verdict is None else self.verdict.use
+        return f"Calibration({self.nominal!r}, {len(self.measurements)} rows, {verdict})"
 
     @property
     def errors(self) -> dict[str, dict[str, Errors]]:
@@ -212,8 +227,9 @@ def calibrate(
         robot: The nominal robot.
         measurements: Rows of the set ``estimate`` are fitted, those of ``validate`` only predicted.
         cell: What is known of target, frame, noise and priors; default: the measurements are in the base frame, the
-            target is estimated.
-        model: Name of the parameter set; default the cell's.
+            target is estimated. Measurements in a tracker's own frame: ``Cell(estimate_frame=True)``.
+        model: Name of the parameter set, ``"dh"``, ``"paper"``, ``"hayati"``, ``"placement"``, ``"zeros"`` or
+            ``"frames"``; default the cell's, ``"dh"``. See docs/parameters.md.
         solver: ``"lm"`` (default), ``"scipy"`` (the same problem by SciPy), or ``"paper"`` (the paper's algorithm,
             without priors and robust weights).
         robust: Whether outliers lose their weight; they are named either way.
@@ -253,14 +269,24 @@ def calibrate(
         return replace(result, verdict=Verdict(NO, (hint,))) if hint else result
     flagged = fitted.estimate.outliers
     of_nominal, of_calibrated = cross_validation(robot, cell, rows, flagged, fit_rows, progress)
+    suspects = {o.row for o in result.suspects}
+    before, after, aside = validation_errors(
+        measurements.validation,
+        np.array([row in suspects for row in measurements.rows]),
+        result.residual_nominal,
+        result.residual_calibrated,
+    )
     evidence = Evidence(
         nominal=of_nominal,
         calibrated=of_calibrated,
         outliers=flagged,
-        validation_nominal=result.errors["nominal"]["validation"],
-        validation_calibrated=result.errors["calibrated"]["validation"],
+        validation_nominal=before,
+        validation_calibrated=after,
+        validation_aside=aside,
+        still=still_joints(robot, rows.joints),
+        larger=larger_model(robot, cell, rows, fitted) if solver != "paper" else "",
         parameters=len(result.model),
-        largest=_largest_change(result),
+        largest=largest_change(result.model, result.x),
         noise=result.sigma,
         hint=hint,
     )
@@ -272,14 +298,11 @@ def calibrate(
     )
 
 
-def _largest_change(result: Calibration) -> float:
-    """The largest change of a parameter of the robot itself [m or rad]."""
-    own = [
-        abs(x)
-        for x, p in zip(result.x, result.model.parameters, strict=True)
-        if p.family in (LENGTH, ANGLE)
-    ]
-    return float(max(own, default=0.0))
+def _expected(fitted: Fitted, joints: Array) -> float:
+    """Predicted standard deviation of the target's position, rms over poses [m]."""
+    _, jacobian = fitted.kinematics.points_jacobian(fitted.estimate.x, joints[:_MOST_EXPECTED])
+    spread = np.einsum("nij,jk,nik->n", jacobian, fitted.estimate.covariance, jacobian)
+    return float(np.sqrt(np.mean(spread)))
 
 
 def _with_target_link(robot: Robot, T_tip_target: Array) -> Urdf:
@@ -367,6 +390,8 @@ def _assemble(
         suspects=named(~mask, suspect),
         cross_validation=None,
         nominal_cross_validation=None,
+        expected_measured=_expected(fitted, problem.joints),
+        expected_everywhere=_expected(fitted, spread_poses(robot)),
         observability=observability,
         verdict=None,
     )

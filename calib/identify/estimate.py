@@ -18,7 +18,7 @@ from calib.identify.robust import Limits, cauchy_weights, median_noise, scores
 from calib.identify.solvers import Solution
 from calib.identify.variance import Linearised, Sizes, precision_of, sizes_by_reml
 from calib.measure.cell import Priors
-from calib.model.error_model import ANGLE, LENGTH, ErrorModel
+from calib.model.error_model import ANGLE, FRAME, LENGTH, TARGET, ErrorModel
 from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
@@ -40,6 +40,13 @@ _FEWEST_FREEDOM = 6.0
 
 #: Without priors this holds what no measurement determines: far wider than an arm's errors [m and rad].
 _LEASH = 1.0
+
+#: Target and frame stay within this of where registration put them, unless the data say otherwise: far more than
+#: registration is off by, and a hold where nothing tells them from each other [m and rad].
+_PLACED = 1.0
+
+#: A change below this is none: the hold above leaves traces of that size on what takes part with the target [m, rad].
+_NOTHING = 1e-8
 
 #: Covariance of the minimum of summed fourth powers over that of summed squares, for normal noise in 3-D.
 _FOURTH_POWERS = 1.4
@@ -158,7 +165,8 @@ class _Stage:
 
     def precision(self, problem: Problem) -> Array:
         """1 / tau^2 of each parameter, shape (p,)."""
-        return precision_of(self.families, self.sizes, problem.size)
+        own = precision_of(self.families, self.sizes, problem.size)
+        return own + _placed_precision(problem.kinematics.model)
 
     def by_median(self, problem: Problem, linear: _Linear) -> _Stage:
         """Robust weights against a scale that outliers cannot move, on the linearised problem."""
@@ -174,11 +182,11 @@ class _Stage:
     def by_likelihood(self, problem: Problem, linear: _Linear, *, robust: bool) -> _Stage:
         """Noise and prior sizes by restricted likelihood, and the weights that go with them."""
         weights, noise, sizes = self.weights, self.noise, self.sizes
+        placed = _placed_precision(problem.kinematics.model)
         for _ in range(2):
             if robust:
-                weights = linear.weights(
-                    weights, noise, precision_of(self.families, sizes, problem.size)
-                )
+                stage = replace(self, sizes=sizes)
+                weights = linear.weights(weights, noise, stage.precision(problem))
             data = Linearised.of(linear.A, linear.y, weights)
             found = sizes_by_reml(
                 data,
@@ -186,7 +194,7 @@ class _Stage:
                 Sizes(noise, sizes if self.adapts else ()),
                 smallest_noise=linear.smallest,
                 noise_spread=_NOISE_SPREAD,
-                known=None if self.adapts else self.precision(problem),
+                known=placed if self.adapts else self.precision(problem),
             )
             noise, sizes = found.noise, found.families if self.adapts else sizes
         return _Stage(self.priors, self.families, weights, noise, sizes)
@@ -246,6 +254,12 @@ def _families(
     return tuple(m for m, _ in present), tuple(s for _, s in present)
 
 
+def _placed_precision(model: ErrorModel) -> Array:
+    """The hold on target and frame, 1 / tau^2 for theirs and 0 for the robot's parameters, shape (p,)."""
+    placed = model.family(FRAME) | model.family(TARGET)
+    return np.where(placed, 1.0 / _PLACED**2, 0.0)
+
+
 def _finish(problem: Problem, stage: _Stage, solution: Solution, spread: float = 1.0) -> Estimate:
     """The estimate at the last stage, with covariance and scores at the solution itself.
 
@@ -253,14 +267,19 @@ def _finish(problem: Problem, stage: _Stage, solution: Solution, spread: float =
     """
     final = stage.problem(problem)
     linear = _Linear.at(problem, solution.x)
+    _, of_least_squares, freedom = linear.fit(stage.weights, stage.noise, final.precision)
     deviation = float(np.sqrt(spread)) * stage.noise
-    _, covariance, freedom = linear.fit(stage.weights, deviation, final.precision)
+    _, covariance, _ = linear.fit(stage.weights, deviation, final.precision)
     residual = linear.y - linear.A @ solution.x
-    row_scores = scores(residual / stage.noise, linear.A / stage.noise, covariance, stage.weights)
+    A = linear.A / stage.noise
+    row_scores = scores(residual / stage.noise, A, of_least_squares, stage.weights)
     model = problem.kinematics.model
     names = [f for f in (LENGTH, ANGLE) if np.any(model.family(f))]
     size = {} if stage.priors.sizes == "off" else dict(zip(names, stage.sizes, strict=True))
-    x = read_only(solution.x)
+    # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
+    held = stage.priors.sizes != "off"
+    own = held & (model.family(LENGTH) | model.family(ANGLE))
+    x = read_only(np.where(own & (np.abs(solution.x) < _NOTHING), 0.0, solution.x))
     return Estimate(
         x=x,
         problem=final,

@@ -36,6 +36,9 @@ Array = NDArray[np.float64]
 #: Called with the number of fits done and of fits in all.
 Progress = Callable[[int, int], None]
 
+#: A model that leaves this share of the noise explains what the other one lacks.
+_FAR_LESS = 0.6
+
 #: A row that is this many median distances off does not take part in a nominal robot's registration.
 _GROSS = 5.0
 _GROSS_ROUNDS = 5
@@ -196,6 +199,29 @@ def check_one_setup(measurements: Measurements) -> None:
                 f"one set-up are fitted at a time: split the table by its column '{what[:-1]}'."
             )
             raise ModelError(message)
+
+
+def larger_model(robot: Robot, cell: Cell, rows: Rows, fitted: Fitted) -> str:
+    """What the full placements would leave over, a sentence, if it is far less than this fit leaves; else nothing.
+
+    Args:
+        robot: The nominal robot.
+        cell: What is known.
+        rows: The rows of the fit.
+        fitted: The fit.
+    """
+    if cell.model == "placement" or 3 * len(rows) < 2 * (6 * len(robot.joints) + 3):
+        return ""
+    full = replace(cell, model="placement", frozen=())
+    other = fit(robot, full, rows, solver="lm", robust=True).estimate
+    noise, less = fitted.estimate.noise_factor, other.noise_factor
+    if less > _FAR_LESS * noise:
+        return ""
+    unit = 1e3 * float(np.median(rows.sigma))
+    return (
+        f"The model '{cell.model}' leaves {unit * noise:.3f} mm a coordinate, all placements would leave "
+        f"{unit * less:.3f} mm: the robot has errors that this model lacks. Try --model placement."
+    )
 
 
 def nominal_cell(robot: Robot, cell: Cell, rows: Rows) -> Cell:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from calib.identify.fitting import check_one_setup, robot_parameters
 from calib.identify.registration import register
@@ -15,13 +13,11 @@ from calib.measure.measurements import Measurements
 from calib.model.error_model import ErrorModel, error_model
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
-from calib.model.readback import joint_range
+from calib.model.readback import spread_poses
 from calib.model.robot import Robot, read_only
 
 #: A target where none is given: off every axis of the tip [m].
 _GENERIC_TARGET = (0.05, 0.07, 0.03)
-
-_POSES = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +51,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     model = error_model(robot, cell.model, frame=cell.estimate_frame, target=cell.estimate_target)
     model = model.without(robot_parameters(cell.frozen))
     if measurements is None:
-        joints, words = spread_poses(robot), f"{_POSES} poses spread over the joint limits"
+        joints, words = spread_poses(robot), "200 poses spread over the joint limits"
         if cell.target is None:
             cell = replace(cell, target=read_only(_GENERIC_TARGET))
             words += ", target 50, 70, 30 mm off the tip"
@@ -72,17 +68,3 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     _, jacobian = kinematics.points_jacobian(np.zeros(len(model)), joints)
     units = [p.unit for p in model.parameters]
     return Inspection(model, analyse(jacobian.reshape(-1, len(model)), model.names, units), words)
-
-
-def spread_poses(robot: Robot, count: int = _POSES) -> NDArray[np.float64]:
-    """Joint values spread evenly over the limits (one turn or one metre where there are none), shape (count, n).
-
-    An unscrambled Sobol sequence: the same for every call.
-    """
-    low, high = np.array([joint_range(joint) for joint in robot.joints]).T
-    sequence = qmc.Sobol(len(robot.joints), scramble=False)
-    sequence.fast_forward(
-        1
-    )  # the first point of the sequence is the corner where every joint is at its lower limit
-    unit = sequence.random(count)
-    return read_only(low + unit * (high - low))

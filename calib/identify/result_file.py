@@ -168,6 +168,10 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
         "covariance": c.covariance,
         "outliers": [_outlier(o) for o in c.outliers],
         "suspects": [_outlier(o) for o in c.suspects],
+        "expected": {
+            "measured_rms_m": c.expected_measured,
+            "everywhere_rms_m": c.expected_everywhere,
+        },
         "observability": {
             "rank": c.observability.rank,
             "columns": c.observability.columns,

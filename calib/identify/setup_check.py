@@ -24,11 +24,22 @@ PLAUSIBLE = 0.02
 #: Another set-up must lower the nominal robot's error to this share to be named.
 _FAR_BETTER = 0.2
 
+#: A nominal robot that is still further off is not explained [m].
+_EXPLAINED = 0.05
+
 #: Joints up to which every combination of turned signs is tried.
 _MOST_SIGNS = 7
 
 #: Rows that are looked at; more would not tell more.
 _ROWS = 60
+
+#: Factors between units of length that are taken for each other.
+_LENGTHS = (
+    (25.4, "inches under [mm]"),
+    (1.0 / 25.4, "mm under [in]"),
+    (1e3, "metres under [mm]"),
+    (1e-3, "mm under [m]"),
+)
 
 #: The zeros that conventions differ by [deg].
 _TURNS_DEG = (90.0, -90.0, 180.0)
@@ -46,17 +57,45 @@ def better_setup(robot: Robot, cell: Cell, rows: Rows) -> str:
     chosen[np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(int)] = True
     rows = rows.select(chosen)
     asked = replace(cell, estimate_target=True)
-    given = _rms(robot, asked, rows)
+    given = _rms(robot, cell, rows)
     if given < PLAUSIBLE:
         return ""
-    tried = [*_other_frames(robot, asked, rows), *_other_columns(robot, asked, rows)]
+    tried = [
+        *_other_target(robot, cell, rows),
+        *_other_frames(robot, asked, rows),
+        *_other_columns(robot, asked, rows),
+        *_other_units(robot, asked, rows),
+    ]
     score, error, words = min(tried, default=(np.inf, np.inf, ""))
-    if score > _FAR_BETTER * given:
+    if score > _FAR_BETTER * given or error > _EXPLAINED:
         return ""
     return (
         f"The nominal robot is {1e3 * given:.0f} mm rms off, which no uncalibrated arm is, and only "
         f"{1e3 * error:.1f} mm {words}."
     )
+
+
+def _other_target(robot: Robot, cell: Cell, rows: Rows) -> Iterator[tuple[float, float, str]]:
+    """Score, error and words for a target that is not where it is said to be."""
+    if not cell.estimate_target:
+        error = _rms(robot, replace(cell, estimate_target=True), rows)
+        yield error, error, "if the target is found from the data: leave out --fix-target"
+
+
+def _other_units(robot: Robot, cell: Cell, rows: Rows) -> Iterator[tuple[float, float, str]]:
+    """Score, error and words for numbers that stand under another unit than their own."""
+    for factor, words in _LENGTHS:
+        error = _rms(robot, cell, replace(rows, points=factor * rows.points))
+        yield 1.2 * error, error, f"if the points are {words}: check the unit in the header"
+    turning = np.array([joint.type != "prismatic" for joint in robot.joints])
+    for factor, words in (
+        (np.degrees(1.0), "radians under [deg]"),
+        (np.radians(1.0), "degrees under [rad]"),
+    ):
+        error = _rms(
+            robot, cell, replace(rows, joints=np.where(turning, factor, 1.0) * rows.joints)
+        )
+        yield 1.2 * error, error, f"if the joint values are {words}: check the unit in the header"
 
 
 def _other_frames(robot: Robot, cell: Cell, rows: Rows) -> Iterator[tuple[float, float, str]]:

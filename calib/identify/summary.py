@@ -12,6 +12,7 @@ import calib
 from calib.identify.calibration import Calibration
 from calib.identify.findings import Outlier
 from calib.identify.statistics import Errors
+from calib.model.error_model import FRAME
 
 _WIDTH = 100
 
@@ -20,6 +21,15 @@ _TARGET_MOVED = 5e-3
 
 #: A parameter with a longer name gets a line for its name alone.
 _LONGEST_NAME = 46
+
+#: What is left out at a time.
+_LEFT_OUT = {
+    "leave-one-out": "each row predicted from the others alone",
+    "leave-one-pose-out": "each pose, repeats and all, predicted from the others alone",
+}
+
+#: Degrees of freedom from which on the noise is that of the rows.
+_TELLING = 6.0
 
 #: A size of errors below this says that there are none [m or rad].
 _NOTHING = 2e-6
@@ -79,7 +89,10 @@ def _errors(c: Calibration) -> str:
         rows.append(error_row(f"left-out rows*, {who}", v.errors))
         if c.outliers:
             rows.append(error_row("  the same without outliers", v.errors_without_outliers))
-    rows.append(f"* {c.cross_validation.method}: each row predicted from the others alone")
+    method = c.cross_validation.method
+    rows.append(
+        f"* {method}: {_LEFT_OUT.get(method, 'a tenth of the poses at a time, predicted from the others')}"
+    )
     return "\n".join(rows)
 
 
@@ -147,35 +160,59 @@ def _list(outliers: Iterable[Outlier]) -> str:
 
 
 def _target(c: Calibration) -> str:
-    """Where the target is, and how far from where it was said to be."""
-    place = ", ".join(f"{1e3 * v:.3f}" for v in c.target)
+    """Where the target is, how sure that is, and how far from where it was said to be."""
+    place = ", ".join(_three(1e3 * float(v)) for v in c.target)
     if not c.cell.estimate_target:
         return _wrap(f"Target: ({place}) mm in {c.nominal.tip}, as given.")
+    sure = _half_widths(c, [f"target_{axis}" for axis in "xyz"], 1e3)
     if c.cell.target is None:
-        return _wrap(f"Target: found at ({place}) mm in {c.nominal.tip}.")
+        return _wrap(f"Target: found at ({place}) mm in {c.nominal.tip}, 95 % +- ({sure}) mm.")
     moved = float(np.linalg.norm(c.target - c.cell.target))
-    text = f"Target: ({place}) mm in {c.nominal.tip}; it moved {1e3 * moved:.1f} mm from the position given."
+    text = (
+        f"Target: ({place}) mm in {c.nominal.tip}, 95 % +- ({sure}) mm; it moved {1e3 * moved:.1f} mm from the "
+        "position given."
+    )
     if moved > _TARGET_MOVED:
         text += " That is further than mounting explains: check the sign and the order of the numbers given."
     return _wrap(text)
 
 
 def _frame(c: Calibration) -> str:
-    """Where the base stands in the measurement frame, if that was estimated."""
+    """Where the base stands in the measurement frame, if that was estimated, and how sure that is."""
     if not c.cell.estimate_frame:
         return ""
     xyz = ", ".join(_three(1e3 * float(v)) for v in c.T_frame_base[:3, 3])
     rpy = ", ".join(
         _three(float(v)) for v in np.degrees(pin.rpy.matrixToRpy(c.T_frame_base[:3, :3]))
     )
-    return _wrap(f"Measurement frame: {c.nominal.base} found at ({xyz}) mm, rpy ({rpy}) deg in it.")
+    shift = _half_widths(c, [f"frame_{axis}" for axis in "xyz"], 1e3)
+    turn = _half_widths(c, [f"frame_r{axis}" for axis in "xyz"], float(np.degrees(1.0)))
+    return _wrap(
+        f"Measurement frame: {c.nominal.base} found at ({xyz}) mm, rpy ({rpy}) deg in it; 95 % +- ({shift}) mm and "
+        f"({turn}) deg along and about the axes of {c.nominal.base}."
+    )
+
+
+def _half_widths(c: Calibration, names: list[str], scale: float) -> str:
+    """Half the 95 % intervals of some parameters."""
+    chosen = [c.parameter(name) for name in names]
+    return ", ".join(f"{0.5 * scale * (p.high - p.low):.3g}" for p in chosen)
 
 
 def _identified(c: Calibration) -> str:
     """Noise, sizes, rank and what the poses cannot tell apart."""
     o = c.observability
+    found = (
+        f"found from what is left over ({c.freedom:.0f} d.o.f.)"
+        if c.freedom >= _TELLING
+        else "mostly assumed: too few rows to tell"
+    )
     lines = [
-        f"Noise: {1e3 * c.sigma:.3f} mm a coordinate, found from what is left over ({c.freedom:.0f} d.o.f.)."
+        f"Noise: {1e3 * c.sigma:.3f} mm a coordinate, {found}.",
+        _wrap(
+            f"Expected error, if the model is complete: {1e3 * c.expected_measured:.3f} mm rms at the measured poses, "
+            f"{1e3 * c.expected_everywhere:.3f} mm over the joint limits."
+        ),
     ]
     sizes = [
         f"{1e3 * size:.3g} {unit}" if size > _NOTHING else f"too small to be seen in {what}"
@@ -196,23 +233,30 @@ def _identified(c: Calibration) -> str:
 
 
 def _parameters(c: Calibration) -> str:
-    """All parameters with their 95 % intervals; * where the data know them in combinations only."""
-    width = min(max(len(p.name) for p in c.parameters), _LONGEST_NAME) + 2
+    """The parameters with their 95 % intervals; * where the data know them in combinations only.
+
+    The frame's stand above as a pose: its parameters count from where registration put it.
+    """
+    shown = [p for p, m in zip(c.parameters, c.model.parameters, strict=True) if m.place != FRAME]
+    if not shown:
+        return ""
+    width = min(max(len(p.name) for p in shown), _LONGEST_NAME) + 2
     lines = [f"{'Parameter':<{width}}{'nominal':>12}{'value':>12}{'change':>11}{'95 % +-':>10}"]
-    for p in c.parameters:
+    for p in shown:
         scale, unit = (1e3, "mm") if p.unit == "m" else (np.degrees(1.0), "deg")
         nominal = "-" if p.nominal is None else _three(scale * p.nominal)
         half = 0.5 * scale * (p.high - p.low)
-        value, delta = _three(scale * p.value), _three(scale * p.delta, "+")
+        value = _three(scale * p.value)
+        delta = "-" if p.nominal is None else _three(scale * p.delta, "+")
         mark = "" if p.identifiable else " *"
         name = p.name
         if len(name) > _LONGEST_NAME:
             lines.append(_wrap(name))
             name = ""
         lines.append(
-            f"{name:<{width}}{nominal:>12}{value:>12}{delta:>11}{half:>10.3f} {unit}{mark}"
+            f"{name:<{width}}{nominal:>12}{value:>12}{delta:>11}{half:>10.3g} {unit}{mark}"
         )
-    if not all(p.identifiable for p in c.parameters):
+    if not all(p.identifiable for p in shown):
         lines.append("* known in combination with others only; see above")
     return "\n".join(lines)
 

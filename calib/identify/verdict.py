@@ -23,6 +23,9 @@ _ABSURD_NOISE = 0.02
 #: A nominal robot that is off by more than this is more than uncalibrated [m].
 _ANOTHER_ROBOT = 0.02
 
+#: A nominal error below this many standard deviations of a coordinate is that of a robot that is right.
+_AT_THE_NOISE = 2.5
+
 #: A change of a parameter beyond this is no error of an arm [m or rad].
 _TOO_FAR = 0.1
 
@@ -56,6 +59,9 @@ class Evidence:
         outliers: shape (N,), the rows flagged by the fit to all of them.
         validation_nominal: Errors of the nominal robot on the validation rows; n = 0 where there are none.
         validation_calibrated: Errors of the calibrated robot there.
+        validation_aside: Number of validation rows left out of the two as accidents.
+        still: Joints that hardly moved, in words.
+        larger: What a larger model would leave over, a sentence; empty where it is not far less.
         parameters: Number of parameters.
         largest: Largest change of a parameter of the robot [m or rad].
         noise: Estimated standard deviation of one coordinate [m].
@@ -67,6 +73,9 @@ class Evidence:
     outliers: NDArray[np.bool_]
     validation_nominal: Errors
     validation_calibrated: Errors
+    validation_aside: int
+    still: tuple[str, ...]
+    larger: str
     parameters: int
     largest: float
     noise: float
@@ -98,7 +107,23 @@ def _no_better(e: Evidence) -> list[str]:
     """Unseen rows that the calibrated robot does not meet better."""
     reasons = []
     before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
-    if _gain_in_errors(e) <= 0.0:
+    gain, poses = _gain_in_errors(e), _poses(e)
+    few = 3 * poses < _FEW * e.parameters
+    if gain < _CHANCE and before.rms < _AT_THE_NOISE * e.noise:
+        reasons.append(
+            f"Nothing to gain: the robot as it is meets these points to {_mm(before.rms)} mm rms on unseen rows, which "
+            "is about their noise. Keep its URDF."
+        )
+    elif after.rms > _ABSURD_NOISE and not e.hint:
+        reasons.append(
+            f"On rows it did not see ({e.calibrated.method}) the calibrated robot is {1e3 * after.rms:.0f} mm rms off."
+        )
+    elif 0.0 < gain < _CHANCE and few:
+        reasons.append(
+            f"{poses} poses for {e.parameters} parameters are too few to show a gain: on unseen rows {_mm(before.rms)} "
+            f"against {_mm(after.rms)} mm rms, {gain:.1f} standard errors. Measure more poses."
+        )
+    elif gain <= 0.0:
         reasons.append(
             f"On rows it did not see ({e.calibrated.method}) the calibrated robot is no better than the nominal one: "
             f"{_mm(after.rms)} against {_mm(before.rms)} mm rms."
@@ -126,12 +151,19 @@ def _doubts(e: Evidence) -> list[str]:
             f"The nominal robot is {1e3 * e.nominal.errors_without_outliers.rms:.0f} mm rms off, which is more than an "
             "uncalibrated arm is: is it the right URDF?"
         )
-    poses = int(e.nominal.poses.max(initial=-1)) + 1
+    poses = _poses(e)
     if 3 * poses < _FEW * e.parameters:
         reasons.append(
             f"{poses} poses with 3 coordinates each for {e.parameters} parameters are few: the result leans on the "
             "priors. Measure more poses."
         )
+    if e.still:
+        reasons.append(
+            f"Hardly moved over these rows: {', '.join(e.still)}. The result holds near these positions only; measure "
+            "poses that move every joint."
+        )
+    if e.larger:
+        reasons.append(e.larger)
     if e.largest > _TOO_FAR:
         reasons.append(
             f"A parameter has moved by {1e3 * e.largest:.0f} mm or mrad, which is no error of an arm: the measurements "
@@ -158,8 +190,9 @@ def _gains(e: Evidence) -> list[str]:
         )
     before, after = e.validation_nominal, e.validation_calibrated
     if after.n and after.rms < (1.0 - _ROUNDING) * before.rms:
+        aside = f" ({e.validation_aside} more aside)" if e.validation_aside else ""
         reasons.append(
-            f"On the {after.n} validation rows it falls from {_mm(before.rms)} to {_mm(after.rms)} mm rms."
+            f"On the {after.n} validation rows{aside} it falls from {_mm(before.rms)} to {_mm(after.rms)} mm rms."
         )
     return reasons
 
@@ -178,6 +211,11 @@ def _gain_in_errors(e: Evidence) -> float:
     if len(fall) < 2:
         return float(np.sign(mean))
     return mean / max(float(np.std(fall, ddof=1)) / float(np.sqrt(len(fall))), 1e-30)
+
+
+def _poses(e: Evidence) -> int:
+    """Number of different poses."""
+    return int(e.nominal.poses.max(initial=-1)) + 1
 
 
 def _mean_by_pose(v: CrossValidation, outliers: NDArray[np.bool_]) -> NDArray[np.float64]:

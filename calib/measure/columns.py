@@ -190,7 +190,7 @@ def _pick_joints(
     types: Mapping[str, str],
 ) -> tuple[Column, ...]:
     """The columns of the joints asked for, in that order."""
-    clash = [name for name in joint_names if name.casefold() in RESERVED]
+    clash = [name for name in joint_names if name in RESERVED]
     if clash:
         message = (
             f"{table.source}: a joint cannot be called {choices(clash)}, which is the name of "

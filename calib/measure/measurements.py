@@ -115,6 +115,11 @@ class Measurements:
             prismatic=layout.prismatic,
         )
 
+    def __repr__(self) -> str:
+        """In one line, such as ``Measurements(35 rows of 6 joints from ur3_leica.csv)``."""
+        where = f" from {self.source}" if self.source else ""
+        return f"Measurements({len(self)} rows of {len(self.joint_names)} joints{where})"
+
     def __len__(self) -> int:
         """The number of rows, N."""
         return len(self.points)
@@ -233,7 +238,7 @@ def _check_names(m: Measurements) -> None:
     """Refuse names and words that a table cannot hold or that mean nothing."""
     source = m.source or "Measurements"
     names = m.joint_names
-    bad = [n for n in names if n.casefold() in RESERVED or not _is_name(n) or names.count(n) > 1]
+    bad = [n for n in names if n in RESERVED or not _is_name(n) or names.count(n) > 1]
     if bad or not names:
         message = (
             f"{source}: joint names are unique, on one line, without blanks around them, and none "

@@ -31,6 +31,9 @@ FRAME, TIP, TARGET = "frame", "tip", "target"
 #: The families of parameters, which share the size of their prior; frame and target have none.
 LENGTH, ANGLE = "length", "angle"
 
+#: A placement that is displaced by less than this stays as it is, and so does its <origin> [m, rad].
+_UNMOVED = 1e-12
+
 _TWIST_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -177,7 +180,7 @@ class ErrorModel:
         placements = robot.placements.copy()
         for i, place in enumerate((*robot.joint_names, TIP)):
             factor = displacement[self.places.index(place)]
-            if not np.array_equal(factor, np.eye(4)):
+            if np.abs(factor - np.eye(4)).max() > _UNMOVED:
                 placements[i] = placements[i] @ factor
         return robot.with_placements(placements)
 

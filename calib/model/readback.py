@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import UrdfError
-from calib.model.robot import Robot, rigid_inverse
+from calib.model.robot import Robot, read_only, rigid_inverse
 from calib.model.urdf import Urdf, UrdfJoint
 
 #: A pose read back may differ from the model's by this [m and rad].
@@ -48,6 +48,22 @@ def random_joint_values(robot: Robot, count: int = _POSES, seed: int = _SEED) ->
     low, high = np.array([joint_range(joint) for joint in robot.joints]).T
     share: Array = np.random.default_rng(seed).uniform(size=(count, len(low)))
     return np.asarray(low + (high - low) * share)
+
+
+def spread_poses(robot: Robot, count: int = 200) -> NDArray[np.float64]:
+    """Joint values spread evenly over the limits (one turn or one metre where there are none), shape (count, n).
+
+    An unscrambled Sobol sequence: the same for every call.
+    """
+    low, high = np.array([joint_range(joint) for joint in robot.joints]).T
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(len(robot.joints), scramble=False)
+    sequence.fast_forward(
+        1
+    )  # the first point of the sequence is the corner where every joint is at its lower limit
+    unit = sequence.random(count)
+    return read_only(low + unit * (high - low))
 
 
 def joint_range(joint: UrdfJoint) -> tuple[float, float]:

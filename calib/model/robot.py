@@ -128,6 +128,10 @@ class Robot:
             _model=model,
         )
 
+    def __repr__(self) -> str:
+        """In one line, such as ``Robot('ur3', base to tool0, 6 joints)``."""
+        return f"Robot('{self.name}', {self.base} to {self.tip}, {len(self.joints)} joints)"
+
     @property
     def name(self) -> str:
         """The robot's name in the URDF."""

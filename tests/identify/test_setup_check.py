@@ -49,7 +49,10 @@ def test_a_target_with_the_wrong_sign_is_not_taken_for_a_wrong_base(
     wrong = Cell(target=read_only([0.07, -0.07, 0.02252]))
     assert better_setup(ur3, wrong, rows_of(table)) == ""
     fixed = replace(wrong, estimate_target=False)
-    assert better_setup(ur3, fixed, rows_of(table)) == ""
+    said = better_setup(ur3, fixed, rows_of(table))
+    assert said.endswith(
+        "only 2.3 mm if the target is found from the data: leave out --fix-target."
+    )
 
 
 def test_a_trackers_frame_is_recognised(ur3: Robot, table: Measurements):
@@ -158,6 +161,18 @@ def swap_joints(q, _):
     q[:, [1, 2]] = q[:, [2, 1]]
 
 
+def inches(_, p):
+    p /= 25.4
+
+
+def metres(_, p):
+    p /= 1000
+
+
+def degrees_as_radians(q, _):
+    q *= np.degrees(1.0)
+
+
 def swap_coordinates(_, p):
     p[:, [0, 1]] = p[:, [1, 0]]
 
@@ -175,6 +190,9 @@ def swap_coordinates(_, p):
         (shift_by_half, "if 180 deg are added to 'wrist_1_joint': check its zero"),
         (swap_joints, "if the columns 'shoulder_lift_joint' and 'elbow_joint' are swapped"),
         (swap_coordinates, "if the columns x and y are swapped"),
+        (inches, "if the points are inches under [mm]: check the unit"),
+        (metres, "if the points are metres under [mm]: check the unit"),
+        (degrees_as_radians, "if the joint values are degrees under [rad]: check the unit"),
     ],
 )
 def test_each_usual_mistake_is_named(ur3: Robot, table: Measurements, mistake, words: str):

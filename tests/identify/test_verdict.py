@@ -33,6 +33,9 @@ GOOD = Evidence(
     outliers=np.arange(ROWS) < 2,
     validation_nominal=errors(2.7e-3),
     validation_calibrated=errors(0.25e-3),
+    validation_aside=0,
+    still=(),
+    larger="",
     parameters=27,
     largest=5e-3,
     noise=1e-4,
@@ -63,12 +66,41 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         ({"noise": 0.05}, "do not use", "50 mm a coordinate"),
         ({"noise": 0.05, "hint": "Try --base base."}, "do not use", "Try --base base."),
         ({"hint": "Check the signs."}, "do not use", "Check the signs."),
-        ({"nominal": validated(0.21e-3, 2)}, "use with care", "within what chance gives"),
+        (
+            {"nominal": validated(0.61e-3, 2), "calibrated": validated(0.59e-3, 1)},
+            "use with care",
+            "within what chance gives",
+        ),
         ({"nominal": validated(0.26)}, "use with care", "is it the right URDF?"),
         (
             {"parameters": 60},
             "use with care",
             "30 poses with 3 coordinates each for 60 parameters are few",
+        ),
+        (
+            {"still": ("'elbow_joint' (3 deg)",)},
+            "use with care",
+            "Hardly moved over these rows: 'elbow_joint' (3 deg)",
+        ),
+        ({"larger": "Try --model placement."}, "use with care", "Try --model placement."),
+        (
+            {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)},
+            "do not use",
+            "Nothing to gain: the robot",
+        ),
+        (
+            {"nominal": validated(0.5), "calibrated": validated(0.05, 3)},
+            "do not use",
+            "the calibrated robot is 5",
+        ),
+        (
+            {
+                "nominal": validated(0.6e-3, 2),
+                "calibrated": validated(0.58e-3, 5),
+                "parameters": 60,
+            },
+            "do not use",
+            "are too few to show a gain",
         ),
         ({"largest": 4.6}, "use with care", "has moved by 4600 mm or mrad"),
         ({"outliers": np.arange(ROWS) < 6}, "use with care", "6 of 30 rows are flagged"),
@@ -90,6 +122,11 @@ def test_outliers_do_not_decide():
     worse[:2] += 1.0
     after = replace(GOOD.calibrated, residual=worse)
     assert verdict(replace(GOOD, calibrated=after)).use == "use"
+
+
+def test_validation_rows_set_aside_are_counted():
+    reasons = verdict(replace(GOOD, validation_aside=1)).reasons
+    assert any("5 validation rows (1 more aside) it falls" in reason for reason in reasons)
 
 
 def test_without_validation_rows_nothing_is_said_of_them():
