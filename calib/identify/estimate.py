@@ -23,8 +23,11 @@ from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
 
-#: A solver for a problem from a start x.
-Solve = Callable[[Problem, Array], Solution]
+#: A solver for a problem, from a start x, until steps are shorter than a tolerance in steps of 1 mm and 1 mrad.
+Solve = Callable[[Problem, Array, float], Solution]
+
+#: Tolerance between stages, whose weights and sizes change far more, and of the last solve.
+_ROUGH, _FINE = 1e-2, 1e-9
 
 #: The noise assumed until the data have told theirs [m].
 FIRST_SIGMA = 1e-4
@@ -98,22 +101,23 @@ def estimate(problem: Problem, solve: Solve, *, priors: Priors, robust: bool) ->
         robust: Whether rows may lose their weight; outliers are named either way.
     """
     stage = _Stage.first(problem, priors)
-    solution = solve(stage.problem(problem), np.zeros(problem.size))
+    solution = solve(stage.problem(problem), np.zeros(problem.size), _ROUGH)
     *_, freedom = _Linear.at(problem, solution.x).fit(stage.weights, 1.0, stage.precision(problem))
     robust = robust and freedom > _FEWEST_FREEDOM
     if robust:
         for _ in range(_ROUNDS):
             before, linear = stage, _Linear.at(problem, solution.x)
             stage = stage.by_median(problem, linear)
-            solution = solve(stage.problem(problem), solution.x).after(solution)
+            solution = solve(stage.problem(problem), solution.x, _ROUGH).after(solution)
             if np.max(np.abs(stage.weights - before.weights)) < 0.02:
                 break
     for _ in range(_ROUNDS):
         before, linear = stage, _Linear.at(problem, solution.x)
         stage = stage.by_likelihood(problem, linear, robust=robust)
-        solution = solve(stage.problem(problem), solution.x).after(solution)
+        solution = solve(stage.problem(problem), solution.x, _ROUGH).after(solution)
         if stage.is_like(before):
             break
+    solution = solve(stage.problem(problem), solution.x, _FINE).after(solution)
     return _finish(problem, stage, solution)
 
 
@@ -172,7 +176,7 @@ class _Stage:
         """Robust weights against a scale that outliers cannot move, on the linearised problem."""
         precision = self.precision(problem)
         weights, noise = self.weights, self.noise
-        for _ in range(4):
+        for _ in range(3):
             residual, covariance, _ = linear.fit(weights, noise, precision)
             unscaled = scores(residual, linear.A, covariance / noise**2, weights)
             noise = max(median_noise(unscaled), linear.smallest)

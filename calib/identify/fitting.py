@@ -135,9 +135,10 @@ def fit(robot: Robot, cell: Cell, rows: Rows, *, solver: str, robust: bool) -> F
 def _solver(name: str, size: Array) -> Solve:
     """A solver by its name, with each parameter's step."""
 
-    def solve(problem: Problem, x: Array) -> Solution:
-        solver = scipy_least_squares if name == "scipy" else levenberg_marquardt
-        return solver(problem.system, x, step_size=size)
+    def solve(problem: Problem, x: Array, tolerance: float) -> Solution:
+        if name == "scipy":
+            return scipy_least_squares(problem.system, x, step_size=size)
+        return levenberg_marquardt(problem.system, x, step_size=size, step_tolerance=tolerance)
 
     return solve
 
