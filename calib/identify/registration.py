@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 #: Distances from the tip at which a target is looked for when nothing is known of it [m].
 _REACHES = (0.15, 0.7)
 
+#: Of all starts so many are refined, those that fit best with the frame that suits them.
+_REFINED = 5
+
 #: Rows used to find a start; more do not make it better.
 _ROWS = 200
 
@@ -93,9 +96,14 @@ def _both(cell: Cell, poses: Array, points: Array) -> Cell:
     starts = [np.zeros(3), *(reach * axis for reach in _REACHES for axis in axes)]
     if cell.target is not None:
         starts.insert(0, cell.target)
+
+    def misfit(framed: tuple[Array, Array]) -> float:
+        residual, _ = _both_system(framed[0], framed[1], poses, points, np.zeros(9))
+        return float(residual @ residual)
+
+    framed = sorted(((_frame(poses, start, points), start) for start in starts), key=misfit)
     best: tuple[float, Array, Array] | None = None
-    for start in starts:
-        T_frame_base = _frame(poses, start, points)
+    for T_frame_base, start in framed[:_REFINED]:
         system = partial(_both_system, T_frame_base, start, poses, points)
         solution = levenberg_marquardt(system, np.zeros(9), step_size=np.full(9, 1e-3))
         if best is None or solution.cost < best[0]:
