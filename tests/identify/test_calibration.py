@@ -403,3 +403,36 @@ def test_things_of_another_kind_are_refused(ur3, table, arguments, text):
     robot, data = arguments
     with pytest.raises(ModelError, match=text):
         calibrate(ur3 if robot is None else robot, table if data is None else data)
+
+
+def test_a_target_link_of_an_earlier_calibration_is_moved(table, default_result, tmp_path):
+    first = default_result.write_urdf(tmp_path / "first.urdf", target_link=True)
+    again = calibrate(Robot.load(first, base="base", tip="tool0"), table, validate=False)
+    second = again.write_urdf(tmp_path / "second.urdf", target_link=True)
+    q = np.random.default_rng(0).uniform(-3, 3, (5, 6))
+    with_link = Robot.load(second, base="base", tip="calib_target")
+    np.testing.assert_allclose(with_link.poses(q)[:, :3, 3], again.predict(q), atol=1e-9)
+    assert second.read_text().count('"calib_target"') == 2  # the link, and the joint's child
+
+
+def test_a_target_link_elsewhere_is_not_touched(ur3, table, tmp_path):
+    urdf = ur3.urdf.with_link("calib_target", "wrist_1_link", np.eye(4))
+    robot = Robot.from_urdf(urdf, "base", "tool0")
+    result = calibrate(robot, table, validate=False)
+    with pytest.raises(
+        UrdfError, match=r"has a link 'calib_target' already.*hangs on 'wrist_1_link'"
+    ):
+        result.write_urdf(tmp_path / "corrected.urdf", target_link=True)
+
+
+def test_changes_of_nothing_leave_the_origin_alone(virtual):
+    """A joint that is right already keeps its <origin> to the letter where the data say so exactly."""
+    robot = virtual.kinematics.robot
+    result = calibrate(robot, _points_of(virtual, np.zeros(27)), model="frames", validate=False)
+    assert result.robot.urdf.data == robot.urdf.data
+
+
+def _points_of(virtual, x) -> Measurements:
+    rows = virtual.rows(np.random.default_rng(27), x, 20, 0.0)
+    names = virtual.kinematics.robot.joint_names
+    return Measurements(joint_names=names, joints=rows.joints, points=rows.points)

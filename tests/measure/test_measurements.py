@@ -600,3 +600,13 @@ def test_a_joint_that_turns_more_than_once(table):
     m = Measurements.read(table(header, "12.5,720,10,20,300", "1,-719,10,20,300", "2,9,1,2,300"))
     np.testing.assert_allclose(m.joints[:, 0], [12.5, 1, 2])
     assert m.joints[0, 1] == pytest.approx(4 * np.pi)
+
+
+def test_joints_may_be_called_by_a_capital_letter(tmp_path: Path):
+    """Gantries have joints X, Y, Z; the measured point has the small letters."""
+    path = tmp_path / "gantry.csv"
+    path.write_text("X [mm],Y [mm],x [mm],y [mm],z [mm]\n10,20,110,120,130\n11,22,111,122,133\n")
+    kinds = {"X": "prismatic", "Y": "prismatic"}
+    table = Measurements.read(path, ["X", "Y"], kinds)
+    np.testing.assert_allclose(table.joints, [[0.010, 0.020], [0.011, 0.022]])
+    np.testing.assert_allclose(table.points[0], [0.110, 0.120, 0.130])
