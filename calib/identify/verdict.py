@@ -84,8 +84,12 @@ class Evidence:
 
 def verdict(evidence: Evidence) -> Verdict:
     """Judge a calibration by its errors on rows that it did not see."""
-    against = [*_wrong_setup(evidence), *_no_better(evidence)]
-    careful = _doubts(evidence)
+    wrong = _wrong_setup(evidence)
+    if wrong:
+        # Nothing else that is said of such a fit means anything.
+        return Verdict(NO, tuple(wrong))
+    against = _no_better(evidence)
+    careful = [*([] if against else _weak_evidence(evidence)), *_oddities(evidence)]
     use = NO if against else CARE if careful else USE
     return Verdict(use, (*against, *careful, *_gains(evidence)))
 
@@ -114,7 +118,7 @@ def _no_better(e: Evidence) -> list[str]:
             f"Nothing to gain: the robot as it is meets these points to {_mm(before.rms)} mm rms on unseen rows, which "
             "is about their noise. Keep its URDF."
         )
-    elif after.rms > _ABSURD_NOISE and not e.hint:
+    elif after.rms > _ABSURD_NOISE:
         reasons.append(
             f"On rows it did not see ({e.calibrated.method}) the calibrated robot is {1e3 * after.rms:.0f} mm rms off."
         )
@@ -137,25 +141,30 @@ def _no_better(e: Evidence) -> list[str]:
     return reasons
 
 
-def _doubts(e: Evidence) -> list[str]:
-    """What makes a result that helps a fragile one."""
+def _weak_evidence(e: Evidence) -> list[str]:
+    """A gain that may be chance, or that few poses show."""
     reasons = []
-    rows = len(e.outliers)
     if 0.0 < _gain_in_errors(e) < _CHANCE:
         reasons.append(
             f"The gain on unseen rows is within what chance gives: {_gain_in_errors(e):.1f} standard errors. The "
             "nominal robot may be as good."
-        )
-    if e.nominal.errors_without_outliers.rms > _ANOTHER_ROBOT and not e.hint:
-        reasons.append(
-            f"The nominal robot is {1e3 * e.nominal.errors_without_outliers.rms:.0f} mm rms off, which is more than an "
-            "uncalibrated arm is: is it the right URDF?"
         )
     poses = _poses(e)
     if 3 * poses < _FEW * e.parameters:
         reasons.append(
             f"{poses} poses with 3 coordinates each for {e.parameters} parameters are few: the result leans on the "
             "priors. Measure more poses."
+        )
+    return reasons
+
+
+def _oddities(e: Evidence) -> list[str]:
+    """What should not be in a calibration that helps."""
+    reasons = []
+    if e.nominal.errors_without_outliers.rms > _ANOTHER_ROBOT:
+        reasons.append(
+            f"The nominal robot is {1e3 * e.nominal.errors_without_outliers.rms:.0f} mm rms off, which is more than an "
+            "uncalibrated arm is: is it the right URDF?"
         )
     if e.still:
         reasons.append(
@@ -169,7 +178,7 @@ def _doubts(e: Evidence) -> list[str]:
             f"A parameter has moved by {1e3 * e.largest:.0f} mm or mrad, which is no error of an arm: the measurements "
             "do not hold it. Keep the priors on, or choose a smaller model."
         )
-    flagged = int(np.sum(e.outliers))
+    flagged, rows = int(np.sum(e.outliers)), len(e.outliers)
     if flagged > _MANY_OUTLIERS * rows:
         reasons.append(
             f"{flagged} of {rows} rows are flagged as outliers: too many to be accidents. Look at them before using "
