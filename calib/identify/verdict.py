@@ -113,7 +113,8 @@ def _no_better(e: Evidence) -> list[str]:
     before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
     gain, poses = _gain_in_errors(e), _poses(e)
     few = 3 * poses < _FEW * e.parameters
-    if gain < _CHANCE and before.rms < _AT_THE_NOISE * e.noise:
+    # What a model leaves over is noise only if a larger one does not leave far less.
+    if gain < _CHANCE and before.rms < _AT_THE_NOISE * e.noise and not e.larger:
         reasons.append(
             f"Nothing to gain: the robot as it is meets these points to {_mm(before.rms)} mm rms on unseen rows, which "
             "is about their noise. Keep its URDF."

@@ -164,3 +164,16 @@ def test_chance_alone_is_seldom_taken_for_a_gain():
         for i in range(300)
     )
     assert used < 0.06 * 300
+
+
+def test_a_model_that_explains_nothing_does_not_make_the_robot_right():
+    same = validated(2.5e-3)
+    change = {"nominal": same, "calibrated": same, "noise": 1.5e-3}
+    assert "Nothing to gain" in verdict(replace(GOOD, **change)).reasons[0]
+    larger = verdict(replace(GOOD, **change, larger="Try --model placement."))
+    assert "no better than the nominal one" in larger.reasons[0]
+
+
+def test_a_wrong_set_up_is_all_that_is_said():
+    result = verdict(replace(GOOD, hint="Check the signs.", still=("'j1' (0 deg)",), parameters=60))
+    assert result.reasons == ("Check the signs.",)
