@@ -245,7 +245,9 @@ class _Linear:
         if freedom <= _FEWEST_FREEDOM:
             return np.ones(len(weights))
         row_scores = scores(residual / noise, self.A / noise, covariance, weights)
-        return Limits.of(len(weights), freedom).weights(row_scores)
+        found = Limits.of(len(weights), freedom).weights(row_scores)
+        # Half of the rows cannot be outliers of the other half: then it is the noise that is taken too small.
+        return found if np.sum(found) > 0.5 * len(found) else np.ones(len(found))
 
 
 def _families(

@@ -224,3 +224,18 @@ def test_with_an_unknown_frame_too(virtual, model):
     q = virtual.unseen()
     truth = virtual.kinematics.points(x, q) @ T[:3, :3].T + T[:3, 3]
     assert rms(result.kinematics.points(result.estimate.x, q) - truth) < 5e-5
+
+
+@pytest.mark.parametrize("solver", ["lm", "scipy"])
+@pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-7, 1e-6])
+def test_noise_below_any_instruments_does_not_take_every_row_for_an_outlier(
+    virtual, paper_cell, solver, noise
+):
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        x = virtual.offsets(rng, 1e-3, 5e-3)
+        data = virtual.rows(rng, x, 15, noise)
+        for priors in (OFF, Priors()):
+            result = fitted(virtual, replace(paper_cell, priors=priors), data, solver=solver)
+            assert result.estimate.problem.weights.sum() > 7
+            assert rms(error_at(virtual, result, x, virtual.unseen())) < 1e-5 + 20 * noise
