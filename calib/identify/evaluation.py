@@ -64,7 +64,6 @@ def evaluate(robot: Robot, measurements: Measurements, cell: Cell | None = None)
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
     """
     cell = Cell() if cell is None else cell
-    check_one_setup(measurements)
     joints = measurements.joints_for(robot.joint_names)
     placed = nominal_cell(robot, cell, _rows(robot, measurements))
     assert placed.T_frame_base is not None  # registration leaves neither out

@@ -68,7 +68,7 @@ class Measurements:
         fill(self, "sets", tuple(self.sets) or (SETS[0],) * count)
         fill(self, "targets", tuple(self.targets) or (DEFAULT_TARGET,) * count)
         fill(self, "groups", tuple(self.groups) or ("",) * count)
-        fill(self, "rows", tuple(int(row) for row in self.rows) or tuple(range(1, count + 1)))
+        fill(self, "rows", tuple(self.rows) or tuple(range(1, count + 1)))
         fill(self, "ignored", tuple(self.ignored))
         fill(self, "prismatic", tuple(self.prismatic))
         _check_shapes(self)
@@ -269,6 +269,12 @@ def _is_name(text: str) -> bool:
 def _check_values(m: Measurements) -> None:
     """Refuse numbers that are not finite, a sigma not above zero, a row number given twice."""
     source = m.source or "Measurements"
+    broken = [row for row in m.rows if not isinstance(row, (int, np.integer))]
+    if broken:
+        message = (
+            f"{source}: the row number {broken[0]!r} is no integer; row numbers are whole numbers"
+        )
+        raise MeasurementError(message)
     if len(set(m.rows)) < len(m.rows):
         twice = Counter(m.rows).most_common(1)[0][0]
         message = f"{source}: the row number {twice} is there twice; row numbers are unique"

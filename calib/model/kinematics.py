@@ -16,7 +16,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.model.error_model import FRAME, TARGET, TIP, ErrorModel
-from calib.model.robot import Robot, rigid_inverse
+from calib.model.robot import Robot, last_joint_poses, rigid_inverse
 
 Array = NDArray[np.float64]
 
@@ -48,13 +48,7 @@ class Kinematics:
             shape (N, 4, 4), [m].
         """
         state = _Displaced.of(self, x)
-        data = state.chain.createData()
-        last = state.chain.njoints - 1
-        configurations = self.robot.configurations(q)
-        T_root_last = np.empty((len(configurations), 4, 4))
-        for i, configuration in enumerate(configurations):
-            pin.forwardKinematics(state.chain, data, configuration)
-            T_root_last[i] = data.oMi[last].homogeneous
+        T_root_last = last_joint_poses(state.chain, self.robot.configurations(q))
         result: Array = state.T_frame_root @ T_root_last @ (state.T_last_tip @ state.T_tip_target)
         return result
 

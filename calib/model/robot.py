@@ -156,13 +156,7 @@ class Robot:
         Returns:
             shape (N, 4, 4), [m].
         """
-        configurations = self.configurations(q)
-        model, data = self._model, self._model.createData()
-        last = model.njoints - 1
-        T_root_last = np.empty((len(configurations), 4, 4))
-        for i, configuration in enumerate(configurations):
-            pin.forwardKinematics(model, data, configuration)
-            T_root_last[i] = data.oMi[last].homogeneous
+        T_root_last = last_joint_poses(self._model, self.configurations(q))
         result: NDArray[np.float64] = (
             rigid_inverse(self.T_root_base) @ T_root_last @ self.placements[-1]
         )
@@ -270,6 +264,21 @@ def find_urdf(source: str | Path) -> Path:
         f"one of {choices(dict.fromkeys(known), limit=60)}."
     )
     raise UrdfError(message)
+
+
+def last_joint_poses(model: pin.Model, configurations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The pose of a chain's last joint in its root, shape (N, 4, 4), [m].
+
+    Args:
+        model: The chain, see `Robot.chain_model`.
+        configurations: shape (N, nq), see `Robot.configurations`.
+    """
+    data, last = model.createData(), model.njoints - 1
+    T_root_last = np.empty((len(configurations), 4, 4))
+    for i, configuration in enumerate(configurations):
+        pin.forwardKinematics(model, data, configuration)
+        T_root_last[i] = data.oMi[last].homogeneous
+    return T_root_last
 
 
 def read_only(values: ArrayLike | Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -610,3 +610,10 @@ def test_joints_may_be_called_by_a_capital_letter(tmp_path: Path):
     table = Measurements.read(path, ["X", "Y"], kinds)
     np.testing.assert_allclose(table.joints, [[0.010, 0.020], [0.011, 0.022]])
     np.testing.assert_allclose(table.points[0], [0.110, 0.120, 0.130])
+
+
+def test_row_numbers_are_whole_and_not_made_so():
+    with pytest.raises(MeasurementError, match=r"the row number 1\.2 is no integer"):
+        Measurements(
+            joint_names=("a",), joints=np.zeros((2, 1)), points=np.ones((2, 3)), rows=(1.2, 2)
+        )

@@ -4,6 +4,7 @@ import os
 import resource
 import stat
 import sys
+import tempfile
 import threading
 from pathlib import Path
 
@@ -115,14 +116,20 @@ def test_a_folder_that_takes_no_files(overwrite: bool):
         write_atomically("/proc/calib.urdf", b"", overwrite=overwrite)
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_without_permission(tmp_path: Path):
-    tmp_path.chmod(0o500)
-    try:
-        with pytest.raises(FileError, match="cannot be written: Permission denied"):
-            write_atomically(tmp_path / "a.urdf", b"", overwrite=False)
-    finally:
-        tmp_path.chmod(0o700)
+def test_a_folder_without_permission():
+    root = os.geteuid() == 0
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o555)
+        if root:  # root may write everywhere: become nobody for the attempt
+            os.seteuid(65534)
+        try:
+            with pytest.raises(FileError, match="cannot be written: Permission denied"):
+                write_atomically(Path(folder) / "a.urdf", b"", overwrite=False)
+        finally:
+            if root:
+                os.seteuid(0)
+            Path(folder).chmod(0o700)
+        assert names(Path(folder)) == []
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
