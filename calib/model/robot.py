@@ -6,13 +6,15 @@ pose of joint i in the frame of the joint before it, and the pose of the tip in 
     T_base_tip(q) = T_root_base^-1  P_1 J_1(q_1)  P_2 J_2(q_2) ... P_n J_n(q_n)  P_tip
 
 Every correction is a change of these placements, and each placement is carried by the ``<origin>`` of one
-URDF joint, so that a corrected robot and a corrected URDF are the same thing.
+URDF joint, so that a corrected robot and a corrected URDF are the same thing. The joints may lie on both sides of the
+link where the branches to base and tip part, see `calib.model.chain`; and they may be fewer columns than joints, where
+some mimic others or are held, see `calib.model.coupling`.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,43 +22,36 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import ModelError, UrdfError, choices
+from calib.errors import UrdfError, choices
+from calib.model.chain import Chain, last_joint_poses, read_only, rigid_inverse
+from calib.model.coupling import Coupling, all_values, checked_held
+from calib.model.tips import farthest_link
 from calib.model.urdf import Urdf, UrdfJoint
 
-#: Names of a tip, in the order of preference, where several links lie equally far out.
-_USUAL_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link")
+__all__ = ["Robot", "find_urdf", "last_joint_poses", "read_only", "rigid_inverse"]
 
-_MOVING = ("revolute", "continuous", "prismatic")
-
-#: What stands before the links' names in the Pinocchio model.
-_LINK = "link:"
+#: A placement that no <origin> holds may differ by rounding [m; rotation matrices: 1].
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """A serial chain of a URDF, immutable: a changed robot is a new one. Two are equal when URDF, base and tip are.
+    """A chain of a URDF, immutable: a changed robot is a new one.
+
+    Two are equal when URDF, base, tip and held joints are.
 
     Attributes:
         urdf: The URDF that describes this robot; always in step with ``placements``.
         base: Link in whose frame poses are given.
         tip: Link whose pose is given.
-        joints: The chain's moving joints, base to tip, n of them.
-        placements: shape (n + 1, 4, 4), [m]; see the module's text. The last one is the tip's.
-        carriers: For each placement the URDF joint whose ``<origin>`` holds it; None for the tip of a
-            chain that ends with a moving joint.
-        T_root_base: shape (4, 4), [m], pose of the base in the URDF's root link.
     """
 
     urdf: Urdf
     base: str
     tip: str
-    joints: tuple[UrdfJoint, ...] = field(compare=False)
-    placements: NDArray[np.float64] = field(compare=False)
-    carriers: tuple[str | None, ...] = field(compare=False)
-    T_root_base: NDArray[np.float64] = field(compare=False)
-    _before: NDArray[np.float64] = field(repr=False, compare=False)
-    _after: NDArray[np.float64] = field(repr=False, compare=False)
-    _model: pin.Model = field(repr=False, compare=False)
+    _held: tuple[tuple[str, float], ...] = field(repr=False)
+    _chain: Chain = field(repr=False, compare=False)
+    _coupling: Coupling = field(repr=False, compare=False)
 
     @classmethod
     def load(
@@ -65,6 +60,7 @@ class Robot:
         base: str | None = None,
         tip: str | None = None,
         measured: Collection[str] | None = None,
+        held: Mapping[str, float] | None = None,
     ) -> Robot:
         """Load a robot from a URDF file, or by its name from example-robot-data.
 
@@ -74,15 +70,17 @@ class Robot:
             tip: Link that the chain ends at; default the link with the most moving joints before it.
             measured: Names of the joints whose values are known; a tip that is not given is then chosen so that the
                 chain has only these, if there is such a link.
+            held: Values [rad or m] of joints that stay where they are, so that no column of q is theirs. Joints
+                beside the chain may be among them; they matter for gravity only, and are at zero if not named.
 
         Raises:
-            UrdfError: No such file, robot, link, or a chain that calib cannot take.
+            UrdfError: No such file, robot, link or joint, or a chain that calib cannot take.
 
         Example:
             >>> Robot.load("ur3", base="base", tip="tool0").joint_names[0]
             'shoulder_pan_joint'
         """
-        return cls.from_urdf(Urdf.read(find_urdf(source)), base, tip, measured)
+        return cls.from_urdf(Urdf.read(find_urdf(source)), base, tip, measured, held)
 
     @classmethod
     def from_urdf(
@@ -91,42 +89,14 @@ class Robot:
         base: str | None = None,
         tip: str | None = None,
         measured: Collection[str] | None = None,
+        held: Mapping[str, float] | None = None,
     ) -> Robot:
         """The chain from ``base`` to ``tip`` of a URDF that has been read; see `load`."""
+        kept = checked_held(urdf, held)
         base = urdf.root if base is None else base
-        tip = _farthest_link(urdf, base, measured) if tip is None else tip
-        to_base, to_tip = urdf.chain(base, tip)
-        by_name = {joint.name: joint for joint in urdf.joints}
-        _check_base_is_rigid(urdf, base, tip, [by_name[name] for name in to_base])
-        joints = tuple(by_name[name] for name in to_tip if by_name[name].type != "fixed")
-        _check_moving(urdf, base, tip, joints)
-
-        model = _chain_model(urdf, joints)
-        T_root_base = _link_placement(model, base)
-        placements = [model.jointPlacements[i + 1].homogeneous for i in range(len(joints))]
-        placements.append(_link_placement(model, tip))
-
-        names = list(to_tip)
-        after_last = names[names.index(joints[-1].name) + 1 :]
-        carriers = [joint.name for joint in joints] + ([after_last[0]] if after_last else [None])
-        before, after = [], []
-        for placement, carrier in zip(placements, carriers, strict=True):
-            origin = np.eye(4) if carrier is None else by_name[carrier].T_parent_joint
-            is_tip = placement is placements[-1]
-            before.append(np.eye(4) if is_tip else placement @ rigid_inverse(origin))
-            after.append(rigid_inverse(origin) @ placement if is_tip else np.eye(4))
-        return cls(
-            urdf=urdf,
-            base=base,
-            tip=tip,
-            joints=joints,
-            placements=read_only(placements),
-            carriers=tuple(carriers),
-            T_root_base=read_only(T_root_base),
-            _before=read_only(before),
-            _after=read_only(after),
-            _model=model,
-        )
+        tip = farthest_link(urdf, base, measured, dict(kept)) if tip is None else tip
+        chain = Chain.of(urdf, base, tip)
+        return cls(urdf, base, tip, kept, chain, Coupling.of(urdf, chain.joints, dict(kept)))
 
     def __repr__(self) -> str:
         """In one line, such as ``Robot('ur3', base to tool0, 6 joints)``."""
@@ -138,59 +108,113 @@ class Robot:
         return self.urdf.name
 
     @property
+    def joints(self) -> tuple[UrdfJoint, ...]:
+        """The chain's moving joints, base to tip, n of them; mimic and held joints are among them.
+
+        A joint on the base's side of a chain of two branches has its axis turned round, so that the chain is a serial
+        one from base to tip; its value is the URDF's.
+        """
+        return self._chain.joints
+
+    @property
+    def placements(self) -> NDArray[np.float64]:
+        """Array of shape (n + 1, 4, 4), [m], read-only; see the module's text. The last one is the tip's."""
+        return self._chain.placements
+
+    @property
+    def carriers(self) -> tuple[str | None, ...]:
+        """For each placement the URDF joint whose ``<origin>`` holds it.
+
+        None for the tip of a chain that ends with a moving joint, and for the base of one that starts with a joint
+        that moves the base itself.
+        """
+        return self._chain.carriers
+
+    @property
+    def T_root_base(self) -> NDArray[np.float64]:
+        """Pose of the base, shape (4, 4), [m], in the frame that the chain starts in.
+
+        That is the URDF's root, joints above the base at zero; or the base itself, where joints of the chain move it.
+        """
+        return self._chain.T_root_base
+
+    @property
+    def inputs(self) -> tuple[UrdfJoint, ...]:
+        """The joint of each column of q, m of them; a driver that lies outside the chain is among them."""
+        return self._coupling.inputs
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
-        """The names of the moving joints, base to tip."""
-        return tuple(joint.name for joint in self.joints)
+        """The names of the measured joints, the columns of q, in the order in which the chain needs them."""
+        return tuple(joint.name for joint in self.inputs)
 
     @property
     def joint_types(self) -> dict[str, str]:
-        """For each moving joint its URDF type: revolute, continuous or prismatic."""
-        return {joint.name: joint.type for joint in self.joints}
+        """For each column of q its joint's URDF type: revolute, continuous or prismatic."""
+        return {joint.name: joint.type for joint in self.inputs}
+
+    @property
+    def coupling(self) -> NDArray[np.float64]:
+        """A of q_chain = A q + b, shape (n, m): how the joints of the chain follow the columns of q."""
+        return self._coupling.matrix
+
+    @property
+    def held(self) -> dict[str, float]:
+        """The values of joints that stay where they are [rad or m], a new dictionary each time."""
+        return dict(self._held)
 
     def poses(self, q: ArrayLike) -> NDArray[np.float64]:
         """T_base_tip at joint values.
 
         Args:
-            q: shape (N, n) or (n,), [rad] or [m], in the order of ``joint_names``.
+            q: shape (N, m) or (m,), [rad] or [m], in the order of ``joint_names``.
 
         Returns:
             shape (N, 4, 4), [m].
+
+        Raises:
+            ModelError: ``q`` has not one column for each of ``joint_names``, or a value is not finite.
         """
-        T_root_last = last_joint_poses(self._model, self.configurations(q))
+        configurations = self.configurations(self.chain_values(q))
+        T_root_last = last_joint_poses(self._chain.model, configurations)
         result: NDArray[np.float64] = (
             rigid_inverse(self.T_root_base) @ T_root_last @ self.placements[-1]
         )
         return result
 
-    def configurations(self, q: ArrayLike) -> NDArray[np.float64]:
-        """Joint values as Pinocchio's configuration vectors, shape (N, nq).
+    def chain_values(self, q: ArrayLike) -> NDArray[np.float64]:
+        """The values of ``joints``, q_chain = A q + b, shape (N, n), [rad] or [m].
 
-        A ``continuous`` joint has the two entries (cos q, sin q) there.
+        Args:
+            q: shape (N, m) or (m,), [rad] or [m], in the order of ``joint_names``.
 
         Raises:
-            ModelError: ``q`` has not one column for each joint.
+            ModelError: ``q`` has not one column for each of ``joint_names``, or a value is not finite.
         """
-        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        if values.ndim != 2 or values.shape[1] != len(self.joints):
-            message = (
-                f"Joint values of shape {np.shape(q)} were given; the chain '{self.base}' to "
-                f"'{self.tip}' has {len(self.joints)} joints: {choices(self.joint_names)}."
-            )
-            raise ModelError(message)
-        if not np.all(np.isfinite(values)):
-            row, joint = np.argwhere(~np.isfinite(values))[0]
-            message = (
-                f"Joint values must be finite numbers; that of '{self.joints[joint].name}' in row {row + 1} is "
-                f"{values[row, joint]}."
-            )
-            raise ModelError(message)
-        if self._model.nq == len(self.joints):
-            return values
-        columns: list[NDArray[np.float64]] = []
-        for i, size in enumerate(self._model.nqs[1:]):
-            value = values[:, i]
-            columns += [value] if size == 1 else [np.cos(value), np.sin(value)]
-        return np.stack(columns, axis=1)
+        return self._coupling.values(q, f"the chain '{self.base}' to '{self.tip}'")
+
+    def urdf_values(self, q: ArrayLike) -> dict[str, NDArray[np.float64]]:
+        """The value of every joint of the URDF with one coordinate, by name, shape (N,), [rad] or [m].
+
+        Joints that are neither held nor follow a column are at zero.
+
+        Args:
+            q: shape (N, m) or (m,), [rad] or [m], in the order of ``joint_names``.
+        """
+        count = len(self.chain_values(q))  # checks shape and numbers
+        columns = np.reshape(np.asarray(q, dtype=np.float64), (count, -1)).T
+        named = dict(zip(self.joint_names, columns, strict=True))
+        return all_values(self.urdf, named, self.held, count)
+
+    def configurations(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values of the chain's joints as Pinocchio's configuration vectors, shape (N, nq).
+
+        A ``continuous`` joint may have the two entries (cos q, sin q) there.
+
+        Args:
+            values: shape (N, n), [rad] or [m], see `chain_values`.
+        """
+        return self._chain.configurations(values)
 
     def chain_model(self, placements: NDArray[np.float64]) -> pin.Model:
         """A Pinocchio model of the chain with other joint placements, a copy of its own.
@@ -198,10 +222,7 @@ class Robot:
         Args:
             placements: shape (n, 4, 4) or (n + 1, 4, 4), [m]; a tip's placement is not part of it.
         """
-        model = self._model.copy()
-        for i in range(len(self.joints)):
-            model.jointPlacements[i + 1] = pin.SE3(placements[i, :3, :3], placements[i, :3, 3])
-        return model
+        return self._chain.model_at(placements)
 
     def with_placements(self, placements: NDArray[np.float64]) -> Robot:
         """A new robot with these placements, its URDF's ``<origin>`` elements changed to match.
@@ -210,32 +231,38 @@ class Robot:
             placements: shape (n + 1, 4, 4), [m].
 
         Raises:
-            UrdfError: The tip's placement differs but no URDF joint can carry it.
+            UrdfError: A placement differs but no URDF joint can carry it: the tip's, or that of a moving base.
         """
-        for i in np.flatnonzero(np.any(placements != self.placements, axis=(1, 2))):
-            if self.carriers[i] is None:
-                message = (
-                    f"The tip '{self.tip}' of '{self.name}' is moved by its last joint directly: the URDF has no "
-                    "<origin> behind that joint that could hold a correction. Add a fixed joint and a link to the "
-                    "URDF and name that link as --tip."
-                )
-                raise UrdfError(message)
-        moved = replace(self, placements=read_only(placements), _model=self.chain_model(placements))
+        placements = np.array(placements, dtype=np.float64)
+        for i, carrier in enumerate(self.carriers):
+            if carrier is None:
+                if np.abs(placements[i] - self.placements[i]).max() > _ROUNDING:
+                    raise UrdfError(self._no_carrier(at_base=i == 0))
+                placements[i] = self.placements[i]
+        chain = self._chain.at(placements)
         was = self.origins()
         origins = {
-            name: T for name, T in moved.origins().items() if not np.array_equal(T, was[name])
+            name: T for name, T in chain.origins().items() if not np.array_equal(T, was[name])
         }
-        return replace(moved, urdf=self.urdf.with_origins(origins))
+        return replace(self, urdf=self.urdf.with_origins(origins), _chain=chain)
 
     def origins(self) -> dict[str, NDArray[np.float64]]:
         """The ``<origin>`` of each URDF joint that carries a placement, shape (4, 4), [m]."""
-        return {
-            carrier: rigid_inverse(self._before[i])
-            @ self.placements[i]
-            @ rigid_inverse(self._after[i])
-            for i, carrier in enumerate(self.carriers)
-            if carrier is not None
-        }
+        return self._chain.origins()
+
+    def _no_carrier(self, *, at_base: bool) -> str:
+        """Why an end of the chain can hold no correction, and what to do."""
+        if at_base:
+            return (
+                f"The base '{self.base}' of '{self.name}' is moved by the chain's first joint directly: the URDF has "
+                "no <origin> between them that could hold a correction. Choose a base link that is fixed to it, or "
+                "add a fixed joint and a link to the URDF and name that link as --base."
+            )
+        return (
+            f"The tip '{self.tip}' of '{self.name}' is moved by its last joint directly: the URDF has no "
+            "<origin> behind that joint that could hold a correction. Add a fixed joint and a link to the "
+            "URDF and name that link as --tip."
+        )
 
 
 def find_urdf(source: str | Path) -> Path:
@@ -264,121 +291,3 @@ def find_urdf(source: str | Path) -> Path:
         f"one of {choices(dict.fromkeys(known), limit=60)}."
     )
     raise UrdfError(message)
-
-
-def last_joint_poses(model: pin.Model, configurations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The pose of a chain's last joint in its root, shape (N, 4, 4), [m].
-
-    Args:
-        model: The chain, see `Robot.chain_model`.
-        configurations: shape (N, nq), see `Robot.configurations`.
-    """
-    data, last = model.createData(), model.njoints - 1
-    T_root_last = np.empty((len(configurations), 4, 4))
-    for i, configuration in enumerate(configurations):
-        pin.forwardKinematics(model, data, configuration)
-        T_root_last[i] = data.oMi[last].homogeneous
-    return T_root_last
-
-
-def read_only(values: ArrayLike | Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """A copy of the values as a float64 array of the same shape that cannot be written to."""
-    array = np.array(values, dtype=np.float64)
-    array.setflags(write=False)
-    return array
-
-
-def rigid_inverse(T: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The inverse of a pose, shape (4, 4): (R^T, -R^T p)."""
-    result = np.eye(4)
-    result[:3, :3] = T[:3, :3].T
-    result[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return result
-
-
-def _chain_model(urdf: Urdf, joints: Sequence[UrdfJoint]) -> pin.Model:
-    """The Pinocchio model of the URDF with every joint but the chain's locked at zero."""
-    try:
-        model = pin.buildModelFromXML(urdf.data.decode(urdf.encoding))
-    except (ValueError, RuntimeError) as error:
-        message = f"{urdf.source}: Pinocchio cannot build a model of this URDF: {error}"
-        raise UrdfError(message) from error
-    # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: let links be told apart.
-    for frame in model.frames:
-        if frame.type == pin.FrameType.BODY:
-            frame.name = _LINK + frame.name
-    wanted = {joint.name for joint in joints}
-    locked = [i for i in range(1, model.njoints) if model.names[i] not in wanted]
-    return pin.buildReducedModel(model, locked, pin.neutral(model)) if locked else model
-
-
-def _link_placement(model: pin.Model, link: str) -> NDArray[np.float64]:
-    """The pose of a link in the joint that moves it (the root, where none does), shape (4, 4)."""
-    frame = model.frames[model.getFrameId(_LINK + link, pin.FrameType.BODY)]
-    result: NDArray[np.float64] = frame.placement.homogeneous
-    return result
-
-
-def _farthest_link(urdf: Urdf, base: str, measured: Collection[str] | None) -> str:
-    """The link with the most moving joints between it and ``base``; a usual tip's name breaks ties.
-
-    Only links that measured joints alone lead to count, if there are any with a moving joint before them.
-    """
-    urdf.chain(base, base)  # raises, with the names there are, for a link that does not exist
-    above = {joint.child: joint for joint in urdf.joints}
-    start = base
-    while start in above and above[start].type == "fixed":
-        start = above[start].parent
-    below: dict[str, list[UrdfJoint]] = {}
-    for joint in urdf.joints:
-        below.setdefault(joint.parent, []).append(joint)
-    count = {start: 0}
-    reached = [start]
-    for link in reached:
-        for joint in below.get(link, []):
-            moves = joint.type != "fixed"
-            unusable = joint.type not in _MOVING or joint.mimic is not None
-            if moves and (unusable or (measured is not None and joint.name not in measured)):
-                continue
-            count[joint.child] = count[link] + moves
-            reached.append(joint.child)
-    most = max(count.values())
-    if most == 0 and measured is not None:
-        return _farthest_link(urdf, base, None)
-    farthest = [link for link in reached if count[link] == most]
-    return next((name for name in _USUAL_TIPS if name in farthest), farthest[-1])
-
-
-def _check_base_is_rigid(urdf: Urdf, base: str, tip: str, to_base: list[UrdfJoint]) -> None:
-    """Refuse a base that itself moves against the link where the two branches part."""
-    moving = [joint.name for joint in to_base if joint.type != "fixed"]
-    if moving:
-        message = (
-            f"{urdf.source}: between '{tip}' and the base '{base}' the moving joints {choices(moving)} lie on the "
-            f"base's side; only a base that is rigidly connected to the chain's root is supported. Choose "
-            f"'{urdf.root}' or another link before these joints as --base."
-        )
-        raise UrdfError(message)
-
-
-def _check_moving(urdf: Urdf, base: str, tip: str, joints: tuple[UrdfJoint, ...]) -> None:
-    """Refuse a chain without joints, and joints with more than one coordinate or none of their own."""
-    if not joints:
-        message = (
-            f"{urdf.source}: no joint moves between the base '{base}' and the tip '{tip}'. Name two links with "
-            f"the arm between them by --base and --tip; the links are {choices(urdf.links)}."
-        )
-        raise UrdfError(message)
-    for joint in joints:
-        if joint.type not in _MOVING:
-            message = (
-                f"{urdf.source}: joint '{joint.name}' between '{base}' and '{tip}' is of type '{joint.type}'; a "
-                f"chain may hold {choices(_MOVING)} and 'fixed' joints. Choose --base and --tip on one side of it."
-            )
-            raise UrdfError(message)
-        if joint.mimic is not None:
-            message = (
-                f"{urdf.source}: joint '{joint.name}' between '{base}' and '{tip}' mimics '{joint.mimic}'; chains "
-                "with mimic joints are not supported. Choose --base and --tip on one side of it."
-            )
-            raise UrdfError(message)

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 import pinocchio as pin
@@ -41,6 +42,8 @@ class UrdfJoint:
         mimic: Name of the joint that drives this one, as stated, or None.
         lower: Lower limit [rad or m]; None where none is stated or the type has none.
         upper: Upper limit [rad or m]; None where none is stated or the type has none.
+        mimic_multiplier: What the value of the joint ``mimic`` is multiplied by, 1 where none is stated.
+        mimic_offset: What is then added [rad or m], 0 where none is stated.
     """
 
     name: str
@@ -53,6 +56,8 @@ class UrdfJoint:
     mimic: str | None
     lower: float | None
     upper: float | None
+    mimic_multiplier: float = 1.0
+    mimic_offset: float = 0.0
 
     @property
     def T_parent_joint(self) -> FloatArray:
@@ -133,8 +138,10 @@ def _joint(document: Document, element: Element) -> UrdfJoint:
         rpy=_vector(document, origin, "rpy", name),
         axis=_axis(document, axis, name),
         mimic=_wanted(document, element, "mimic", "joint") if mimic else None,
-        lower=_limit(document, limit, "lower", name),
-        upper=_limit(document, limit, "upper", name),
+        lower=_number(document, limit, "lower", name),
+        upper=_number(document, limit, "upper", name),
+        mimic_multiplier=_number(document, mimic, "multiplier", name, 1.0),
+        mimic_offset=_number(document, mimic, "offset", name, 0.0),
     )
 
 
@@ -223,10 +230,18 @@ def _axis(document: Document, part: Element | None, joint: str) -> FloatArray:
     return axis
 
 
-def _limit(document: Document, part: Element | None, key: str, joint: str) -> float | None:
-    """A joint limit, None if none is stated."""
+@overload
+def _number(document: Document, part: Element | None, key: str, joint: str) -> float | None: ...
+@overload
+def _number(
+    document: Document, part: Element | None, key: str, joint: str, default: float
+) -> float: ...
+def _number(
+    document: Document, part: Element | None, key: str, joint: str, default: float | None = None
+) -> float | None:
+    """The number of an attribute, or the default if it is absent."""
     if part is None or key not in part.attributes:
-        return None
+        return default
     return float(_numbers(document, part, key, 1, joint)[0])
 
 

@@ -1,0 +1,286 @@
+"""The geometry of a chain: its placements, in path order, and the ``<origin>`` that holds each of them.
+
+The path from base to tip may climb from the base to the link where the branches part, and then descend to the tip.
+A joint of the base's side is walked from its child link to its parent, so that its motion and its origin O turn round:
+
+    (O J(axis, q))^-1 = J(-axis, q) O^-1
+
+With its axis turned round it is a joint like any other, at the same q, and the whole path is one serial chain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from calib.errors import UrdfError, choices
+from calib.model.urdf import Urdf, UrdfJoint
+
+Array = NDArray[np.float64]
+
+MOVING = ("revolute", "continuous", "prismatic")
+"""The types of joints that a chain may move by."""
+
+#: What stands before the links' names in the Pinocchio model.
+_LINK = "link:"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """The path between two links as a serial chain of n moving joints.
+
+    Attributes:
+        joints: The moving joints, base to tip; those of the base's side with their axis turned round.
+        placements: shape (n + 1, 4, 4), [m]: of each joint in the one before it, of the tip in the last joint.
+        carriers: For each placement the URDF joint whose ``<origin>`` holds it, or None.
+        T_root_base: shape (4, 4), [m], pose of the base in the frame that the first placement is given in.
+        before: shape (n + 1, 4, 4), [m]: a placement is before @ origin @ after, or before @ origin^-1 @ after.
+        after: shape (n + 1, 4, 4), [m].
+        inverted: For each placement whether the origin stands inverted in it.
+        model: The Pinocchio model of the joints.
+    """
+
+    joints: tuple[UrdfJoint, ...]
+    placements: Array
+    carriers: tuple[str | None, ...]
+    T_root_base: Array
+    before: Array
+    after: Array
+    inverted: tuple[bool, ...]
+    model: pin.Model
+
+    @classmethod
+    def of(cls, urdf: Urdf, base: str, tip: str) -> Chain:
+        """The chain between two links of a URDF.
+
+        Raises:
+            UrdfError: No such link, no moving joint between them, or one with more than one coordinate; or
+                Pinocchio cannot build a model of the URDF.
+        """
+        path = _path(urdf, base, tip)
+        moving = [i for i, step in enumerate(path) if step.joint.type != "fixed"]
+        _check_moving(urdf, base, tip, [path[i].joint for i in moving])
+        joints = tuple(path[i].path_joint for i in moving)
+        full = full_model(urdf)
+        if path[moving[0]].up:
+            model, T_root_base, placements = _of_two_branches(path, moving)
+        else:
+            model, T_root_base, placements = _of_one_branch(full, joints, base, tip)
+
+        carried = [_carrier(path, moving, k) for k in range(len(moving) + 1)]
+        before, after = [], []
+        for placement, carrier in zip(placements, carried, strict=True):
+            factor = np.eye(4) if carrier is None else path[carrier.step].origin
+            last = carrier is None or carrier.last
+            before.append(placement @ rigid_inverse(factor) if last else np.eye(4))
+            after.append(np.eye(4) if last else rigid_inverse(factor) @ placement)
+        return cls(
+            joints=joints,
+            placements=read_only(placements),
+            carriers=tuple(None if c is None else path[c.step].joint.name for c in carried),
+            T_root_base=read_only(T_root_base),
+            before=read_only(before),
+            after=read_only(after),
+            inverted=tuple(c is not None and path[c.step].up for c in carried),
+            model=model,
+        )
+
+    def model_at(self, placements: Array) -> pin.Model:
+        """A copy of the Pinocchio model with other joint placements, shape (n or n + 1, 4, 4), [m]."""
+        model = self.model.copy()
+        for i in range(len(self.joints)):
+            model.jointPlacements[i + 1] = pin.SE3(placements[i, :3, :3], placements[i, :3, 3])
+        return model
+
+    def at(self, placements: Array) -> Chain:
+        """The chain with other placements, shape (n + 1, 4, 4), [m]."""
+        return replace(self, placements=read_only(placements), model=self.model_at(placements))
+
+    def origins(self) -> dict[str, Array]:
+        """The ``<origin>`` of each URDF joint that carries a placement, shape (4, 4), [m]."""
+        origins = {}
+        for i, carrier in enumerate(self.carriers):
+            if carrier is not None:
+                before, after = rigid_inverse(self.before[i]), rigid_inverse(self.after[i])
+                factor = before @ self.placements[i] @ after
+                origins[carrier] = rigid_inverse(factor) if self.inverted[i] else factor
+        return origins
+
+    def configurations(self, values: Array) -> Array:
+        """Values of the chain's joints, shape (N, n), as Pinocchio's configuration vectors, shape (N, nq).
+
+        A ``continuous`` joint may have the two entries (cos q, sin q) there.
+        """
+        if self.model.nq == len(self.joints):
+            return values
+        columns: list[Array] = []
+        for i, size in enumerate(self.model.nqs[1:]):
+            value = values[:, i]
+            columns += [value] if size == 1 else [np.cos(value), np.sin(value)]
+        return np.stack(columns, axis=1)
+
+
+def last_joint_poses(model: pin.Model, configurations: Array) -> Array:
+    """The pose of a chain's last joint in its root, shape (N, 4, 4), [m].
+
+    Args:
+        model: The chain, see `Chain.model_at`.
+        configurations: shape (N, nq), see `Chain.configurations`.
+    """
+    data, last = model.createData(), model.njoints - 1
+    T_root_last = np.empty((len(configurations), 4, 4))
+    for i, configuration in enumerate(configurations):
+        pin.forwardKinematics(model, data, configuration)
+        T_root_last[i] = data.oMi[last].homogeneous
+    return T_root_last
+
+
+def read_only(values: ArrayLike | Sequence[Array]) -> Array:
+    """A copy of the values as a float64 array of the same shape that cannot be written to."""
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+def rigid_inverse(T: Array) -> Array:
+    """The inverse of a pose, shape (4, 4): (R^T, -R^T p)."""
+    result = np.eye(4)
+    result[:3, :3] = T[:3, :3].T
+    result[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return result
+
+
+def full_model(urdf: Urdf) -> pin.Model:
+    """The Pinocchio model of all of a URDF, mimic joints free; links are found by `link_frame`.
+
+    Raises:
+        UrdfError: Pinocchio cannot build it.
+    """
+    try:
+        model = pin.buildModelFromXML(urdf.data.decode(urdf.encoding))
+    except (ValueError, RuntimeError) as error:
+        message = f"{urdf.source}: Pinocchio cannot build a model of this URDF: {error}"
+        raise UrdfError(message) from error
+    # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: let links be told apart.
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            frame.name = _LINK + frame.name
+    return model
+
+
+def link_frame(model: pin.Model, link: str) -> int:
+    """The index of a link's frame in a `full_model`, or in one that was reduced from it."""
+    return int(model.getFrameId(_LINK + link, pin.FrameType.BODY))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """A joint of the path, fixed ones included; ``up`` where it is walked from its child to its parent."""
+
+    joint: UrdfJoint
+    up: bool
+
+    @property
+    def origin(self) -> Array:
+        """The factor that the joint's origin is in the path, shape (4, 4), [m]."""
+        T = self.joint.T_parent_joint
+        return rigid_inverse(T) if self.up else T
+
+    @property
+    def path_joint(self) -> UrdfJoint:
+        """The joint with its axis in the sense of the path."""
+        if not self.up:
+            return self.joint
+        return replace(self.joint, axis=read_only(-self.joint.axis + 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class _Carrier:
+    """Which step's origin holds a placement, and whether as its last factor or as its first."""
+
+    step: int
+    last: bool
+
+
+def _path(urdf: Urdf, base: str, tip: str) -> list[_Step]:
+    """All joints from base to tip: up to the link where the branches part, and down from there."""
+    by_name = {joint.name: joint for joint in urdf.joints}
+    to_base, to_tip = urdf.chain(base, tip)
+    up = [_Step(by_name[name], up=True) for name in reversed(to_base)]
+    return up + [_Step(by_name[name], up=False) for name in to_tip]
+
+
+def _carrier(path: list[_Step], moving: list[int], k: int) -> _Carrier | None:
+    """The origin that holds placement k, None where there is none.
+
+    That of the moving joint on either side, if its origin lies there; at the ends of the chain else that of the
+    fixed joint next to the moving one, so that all that is mounted behind it moves along.
+    """
+    n = len(moving)
+    if k < n and not path[moving[k]].up:
+        return _Carrier(moving[k], last=True)
+    if k > 0 and path[moving[k - 1]].up:
+        return _Carrier(moving[k - 1], last=False)
+    if k == 0:
+        return _Carrier(moving[0] - 1, last=True) if moving[0] > 0 else None
+    return _Carrier(moving[-1] + 1, last=False) if moving[-1] + 1 < len(path) else None
+
+
+def _of_one_branch(
+    full: pin.Model, joints: Sequence[UrdfJoint], base: str, tip: str
+) -> tuple[pin.Model, Array, list[Array]]:
+    """Model, T_root_base and placements of a base that no joint moves against the chain's root.
+
+    The chain starts in the URDF's root; every joint that is not on the path is locked at zero.
+    """
+    wanted = {joint.name for joint in joints}
+    locked = [i for i in range(1, full.njoints) if full.names[i] not in wanted]
+    model = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else full
+    placements = [model.jointPlacements[i + 1].homogeneous for i in range(len(joints))]
+    placements.append(model.frames[link_frame(model, tip)].placement.homogeneous)
+    T_root_base = model.frames[link_frame(model, base)].placement.homogeneous
+    return model, T_root_base, placements
+
+
+def _of_two_branches(path: list[_Step], moving: list[int]) -> tuple[pin.Model, Array, list[Array]]:
+    """Model, T_root_base and placements of a base with moving joints on its side: the chain starts in the base."""
+    placements = []
+    T = np.eye(4)
+    for i, step in enumerate(path):
+        if i not in moving:
+            T = T @ step.origin
+        elif step.up:  # it moves first, its origin comes behind it
+            placements.append(T)
+            T = step.origin
+        else:
+            placements.append(T @ step.origin)
+            T = np.eye(4)
+    placements.append(T)
+    model = pin.Model()
+    for last, (i, placement) in enumerate(zip(moving, placements[:-1], strict=True)):
+        joint = path[i].path_joint
+        slides = joint.type == "prismatic"
+        kind = pin.JointModelPrismaticUnaligned if slides else pin.JointModelRevoluteUnaligned
+        model.addJoint(last, kind(np.array(joint.axis)), pin.SE3(placement), joint.name)
+    return model, np.eye(4), placements
+
+
+def _check_moving(urdf: Urdf, base: str, tip: str, joints: Sequence[UrdfJoint]) -> None:
+    """Refuse a chain without joints, and joints with more than one coordinate."""
+    if not joints:
+        message = (
+            f"{urdf.source}: no joint moves between the base '{base}' and the tip '{tip}'. Name two links with "
+            f"the arm between them by --base and --tip; the links are {choices(urdf.links)}."
+        )
+        raise UrdfError(message)
+    for joint in joints:
+        if joint.type not in MOVING:
+            message = (
+                f"{urdf.source}: joint '{joint.name}' between '{base}' and '{tip}' is of type '{joint.type}'; a "
+                f"chain may hold {choices(MOVING)} and 'fixed' joints. Choose --base and --tip on one side of it."
+            )
+            raise UrdfError(message)
