@@ -1,4 +1,4 @@
-"""Units at the edges: metres and radians inside calib, these units in files and commands."""
+"""Units at the edges: SI inside calib (m, rad, Nm, N), these units in files and commands."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from typing import Literal
 
 from calib.errors import CalibError, choices
 
-Quantity = Literal["length", "angle"]
+Quantity = Literal["length", "angle", "torque", "force"]
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit of length or angle: ``value_si = value * to_si``.
+    """A unit of one quantity: ``value_si = value * to_si``.
 
     Attributes:
         symbol: as written in a header, ``"mm"``.
-        quantity: ``"length"`` (SI unit m) or ``"angle"`` (SI unit rad).
-        to_si: what one of this unit is, in m or rad.
+        quantity: ``"length"`` (SI unit m), ``"angle"`` (rad), ``"torque"`` (Nm) or ``"force"`` (N).
+        to_si: what one of this unit is, in the SI unit.
     """
 
     symbol: str
@@ -41,12 +41,18 @@ UNITS: Mapping[str, Unit] = MappingProxyType(
             Unit("rad", "angle", 1.0),
             Unit("deg", "angle", math.pi / 180.0),
             Unit("mrad", "angle", 1e-3),
+            Unit("Nm", "torque", 1.0),
+            Unit("N", "force", 1.0),
         )
     }
 )
 
-# Unicode has two signs for micro, the micro sign and the Greek letter.
-_SPELLINGS = {"\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um"}
+# Unicode has two signs for micro, the micro sign and the Greek letter; a product has many.
+_SPELLINGS = {
+    "\N{MICRO SIGN}m": "um",
+    "\N{GREEK SMALL LETTER MU}m": "um",
+    **{f"N{sign}m": "Nm" for sign in (" ", ".", "*", "\N{MIDDLE DOT}", "\N{DOT OPERATOR}")},
+}
 
 _HEADER = re.compile(r"(?P<name>.*?)\s*\[(?P<symbol>[^\[\]]*)\]", re.DOTALL)
 
@@ -72,7 +78,8 @@ def find_unit(symbol: str) -> Unit:
     if unit is None:
         message = (
             f"'{text}' is not a unit that calib knows: a length is in "
-            f"{choices(symbols('length'))}, an angle in {choices(symbols('angle'))}"
+            f"{choices(symbols('length'))}, an angle in {choices(symbols('angle'))}, a torque in "
+            f"{choices(symbols('torque'))}, a force in {choices(symbols('force'))}"
         )
         raise CalibError(message)
     return unit
@@ -82,8 +89,8 @@ def split_header(text: str) -> tuple[str, str | None]:
     """Split a column header into its name and the text in its last square brackets, if any.
 
     Example:
-        >>> split_header("force [N]")
-        ('force', 'N')
+        >>> split_header("load [kg]")
+        ('load', 'kg')
     """
     match = _HEADER.fullmatch(text.strip())
     if match is None:

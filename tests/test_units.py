@@ -19,6 +19,8 @@ from calib.units import UNITS, find_unit, parse_header, split_header, symbols
         ("rad", "angle", 1.0),
         ("deg", "angle", math.tau / 360.0),
         ("mrad", "angle", 0.001),
+        ("Nm", "torque", 1.0),
+        ("N", "force", 1.0),
     ],
 )
 def test_each_unit(symbol, quantity, to_si):
@@ -28,7 +30,8 @@ def test_each_unit(symbol, quantity, to_si):
 
 
 def test_there_are_no_other_units():
-    assert set(UNITS) == {*symbols("length"), *symbols("angle")}
+    quantities = ("length", "angle", "torque", "force")
+    assert set(UNITS) == {symbol for quantity in quantities for symbol in symbols(quantity)}
     assert symbols("length") == ("m", "mm", "um", "cm", "in")
 
 
@@ -37,7 +40,12 @@ def test_both_signs_for_micro(symbol):
     assert find_unit(symbol) is UNITS["um"]
 
 
-@pytest.mark.parametrize("symbol", ["", "MM", "degree", "m m", "N"])
+@pytest.mark.parametrize("symbol", ["Nm", "N m", "N.m", "N*m", "N\u00b7m", "N\u22c5m"])
+def test_a_torque_is_written_in_many_ways(symbol):
+    assert find_unit(symbol) is UNITS["Nm"]
+
+
+@pytest.mark.parametrize("symbol", ["", "MM", "degree", "m m", "kg"])
 def test_unknown_unit_names_the_allowed_ones(symbol):
     with pytest.raises(CalibError) as caught:
         find_unit(symbol)
@@ -68,8 +76,8 @@ def test_split_header(header, name, symbol):
 def test_parse_header():
     assert parse_header("shoulder_pan_joint [deg]") == ("shoulder_pan_joint", UNITS["deg"])
     assert parse_header("set") == ("set", None)
-    with pytest.raises(CalibError, match="'N' is not a unit"):
-        parse_header("force [N]")
+    with pytest.raises(CalibError, match="'kg' is not a unit"):
+        parse_header("load [kg]")
 
 
 @given(st.text(alphabet="abcJ_0 .:/-", min_size=1).map(str.strip), st.sampled_from(list(UNITS)))

@@ -1,4 +1,4 @@
-"""Which column of a table of measurements is what: joints, the point's coordinates, words."""
+"""The columns of a table by name and unit: what its header says, and what ``--columns`` makes of it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from calib.errors import CalibError, MeasurementError, choices
-from calib.measure.table import Table
+from calib.measure.table import Row, Table
 from calib.units import Quantity, Unit, find_unit, parse_header, split_header, symbols
 
-WORDS: tuple[str, ...] = ("row", "set", "target", "group")
-RESERVED = (*WORDS, "sigma", "x", "y", "z")
-ORIENTATION = ("rx", "ry", "rz", "qx", "qy", "qz", "qw")
+POINT = ("x", "y", "z")
+QUATERNION = ("qx", "qy", "qz", "qw")
+ROTATION_VECTOR = ("rx", "ry", "rz")
+ORIENTATION = (*ROTATION_VECTOR, *QUATERNION)
+WORDS = ("row", "set", "kind", "target", "group", "pair", "point")
+RESERVED = (*WORDS, "sigma", "sigma_angle", "distance", *POINT)
+
+#: What stands behind a joint's name in the header of its torque.
+TORQUE = ".torque"
+
+#: The name that a column is mapped to so that it is not read.
+IGNORE = "-"
+
+_COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm", "force": "N"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,96 +44,54 @@ class Column:
     unit: Unit | None
     fault: str = ""
 
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """Which column of a table is what.
-
-    Attributes:
-        words: the columns ``row``, ``set``, ``target`` and ``group`` that there are, by name.
-        joints: the joint columns, in the order asked for; else in that of the table.
-        points: the columns x, y, z.
-        sigma: None without such a column.
-        ignored: the headers of the columns that were not used.
-    """
-
-    words: Mapping[str, Column]
-    joints: tuple[Column, ...]
-    points: tuple[Column, ...]
-    sigma: Column | None
-    ignored: tuple[str, ...]
-
     @property
-    def numbers(self) -> tuple[Column, ...]:
-        """The columns of numbers with a unit: joints, x, y, z, and sigma when there is one."""
-        return (*self.joints, *self.points, *(() if self.sigma is None else (self.sigma,)))
-
-    @property
-    def prismatic(self) -> tuple[str, ...]:
-        """The names of the joint columns in a unit of length."""
-        return tuple(c.name for c in self.joints if c.unit and c.unit.quantity == "length")
-
-    @classmethod
-    def find(
-        cls,
-        table: Table,
-        joint_names: Sequence[str] | None = None,
-        joint_types: Mapping[str, str] | None = None,
-        columns: Mapping[str, str] | None = None,
-    ) -> Layout:
-        """Find the columns; the arguments are those of `Measurements.read`.
-
-        Raises:
-            MeasurementError: a column is missing, there twice, without a unit or in a wrong one.
-        """
-        types = joint_types or {}
-        named = _named(table, joint_names or (), columns or {})
-        joints = (
-            _guess_joints(table, named, types)
-            if joint_names is None
-            else _pick_joints(table, named, joint_names, types)
-        )
-        for joint in joints:
-            _check_joint_unit(table, joint, types)
-        missing = [name for name in ("x", "y", "z") if name not in named]
-        if missing:
-            message = (
-                f"{table.source}: no column for the measured point's {choices(missing)}. "
-                f"{_found(table)} The header of such a column is '{missing[0]} [mm]'; another name "
-                f'is mapped by --columns "name in the table={missing[0]}".'
-            )
-            raise MeasurementError(message)
-        points = tuple(_with_unit(table, named[name], "length") for name in ("x", "y", "z"))
-        sigma = _with_unit(table, named["sigma"], "length") if "sigma" in named else None
-        words = {name: named[name] for name in WORDS if name in named}
-        used = {c.index for c in (*words.values(), *joints, *points, *((sigma,) if sigma else ()))}
-        ignored = tuple(label for i, label in enumerate(table.header) if label and i not in used)
-        return cls(words, joints, points, sigma, ignored)
+    def to_si(self) -> float:
+        """What a value is multiplied by; 1 for numbers without a unit, those of a quaternion."""
+        return 1.0 if self.unit is None else self.unit.to_si
 
 
-def _named(
+def name_columns(
     table: Table, joint_names: Sequence[str], columns: Mapping[str, str]
-) -> dict[str, Column]:
-    """The columns by the name calib uses for them; each name once."""
+) -> tuple[dict[str, Column], tuple[Column, ...]]:
+    """The columns by the name calib uses for them, each name once; and all that are called ``group``.
+
+    Args:
+        table: with its header.
+        joint_names: names that are taken as they are, even if they mean something else.
+        columns: names of the table to names of calib; `IGNORE` leaves a column out.
+
+    Raises:
+        MeasurementError: a name of ``columns`` is not there, or two columns have one name.
+    """
     found = [_column(index, label) for index, label in enumerate(table.header) if label]
+    mapped: set[int] = set()
     for key, wanted in columns.items():
         hits = [i for i, column in enumerate(found) if key.strip() in (column.name, column.label)]
         if not hits:
-            close = _close(key, [column.name for column in found])
+            close = close_names(key, [column.name for column in found])
             hint = f" Close to it: {choices(close)}." if close else ""
             message = (
                 f"{table.source}: there is no column '{key}', which --columns maps to '{wanted}'."
-                f"{hint} {_found(table)}"
+                f"{hint} {list_columns(table)}"
             )
             raise MeasurementError(message)
         for i in hits:
             found[i] = _renamed(table, found[i], wanted)
+            mapped.add(found[i].index)
     named: dict[str, Column] = {}
+    groups: list[Column] = []
     for column in found:
+        if column.name == IGNORE and column.index in mapped:
+            continue
         plain = column.name.casefold()
         reserved = plain in (*RESERVED, *ORIENTATION) and column.name not in joint_names
         name = plain if reserved else column.name
+        if name == "group":
+            groups.append(column)
         if name in named:
+            # Columns that only happen to be called 'group' were hardly meant to be joined.
+            if name == "group" and any(c.index in mapped for c in groups):
+                continue
             first = named[name]
             message = (
                 f"{table.source}: two columns are called '{name}': number {first.index + 1} "
@@ -131,7 +100,7 @@ def _named(
             )
             raise MeasurementError(message)
         named[name] = replace(column, name=name)
-    return named
+    return named, tuple(groups)
 
 
 def _column(index: int, label: str) -> Column:
@@ -163,71 +132,24 @@ def _renamed(table: Table, column: Column, wanted: str) -> Column:
     return replace(column, name=name, unit=unit, fault="")
 
 
-def _guess_joints(
-    table: Table, named: Mapping[str, Column], types: Mapping[str, str]
-) -> tuple[Column, ...]:
-    """The joint columns when no names were given: those in angles, and known prismatic ones."""
-    joints = tuple(
-        column
-        for name, column in named.items()
-        if name not in (*RESERVED, *ORIENTATION)
-        and column.unit is not None
-        and (column.unit.quantity == "angle" or name in types)
-    )
-    if not joints:
-        message = (
-            f"{table.source}: no column of joint angles. {_found(table)} The header of such a "
-            "column is the joint's name and a unit of angle, 'elbow_joint [deg]'."
-        )
-        raise MeasurementError(message)
-    return joints
+def with_unit(
+    table: Table, column: Column, quantity: Quantity, what: str = "", common: str = ""
+) -> Column:
+    """The column, which must be in a unit of this quantity.
 
+    Args:
+        table: for the message.
+        column: as found.
+        quantity: what it measures.
+        what: in a few words, for the message.
+        common: the unit to propose, where it is not the quantity's usual one.
 
-def _pick_joints(
-    table: Table,
-    named: Mapping[str, Column],
-    joint_names: Sequence[str],
-    types: Mapping[str, str],
-) -> tuple[Column, ...]:
-    """The columns of the joints asked for, in that order."""
-    clash = [name for name in joint_names if name in RESERVED]
-    if clash:
-        message = (
-            f"{table.source}: a joint cannot be called {choices(clash)}, which is the name of "
-            "another column of the table. Rename the joint in the URDF."
-        )
-        raise MeasurementError(message)
-    missing = [name for name in joint_names if name not in named]
-    if not missing:
-        return tuple(named[name] for name in joint_names)
-    free = [n for n in named if n not in joint_names and n not in (*RESERVED, *ORIENTATION)]
-    # One each where many are missing: the line stays short enough to read.
-    close = {name: _close(name, free)[: 3 if len(missing) < 3 else 1] for name in missing}
-    hint = "".join(f" Close to '{n}': {choices(names)}." for n, names in close.items() if names)
-    unit = "mm" if types.get(missing[0]) == "prismatic" else "deg"
-    header = f"{missing[0]} [{unit}]"
-    message = (
-        f"{table.source}: no column for the joints {choices(missing)}. {_found(table)}{hint} "
-        f"The header of such a column is '{header}'; another name is mapped by "
-        f'--columns "name in the table={header}".'
-    )
-    raise MeasurementError(message)
-
-
-def _check_joint_unit(table: Table, column: Column, types: Mapping[str, str]) -> None:
-    """Refuse a joint column without a unit, or in a unit that is not of the joint's kind."""
-    kind = types.get(column.name)
-    quantity: Quantity = "length" if kind == "prismatic" else "angle"
-    if kind is not None or column.unit is None:
-        _with_unit(table, column, quantity, f"{kind or 'revolute'} joint '{column.name}'")
-
-
-def _with_unit(table: Table, column: Column, quantity: Quantity, what: str = "") -> Column:
-    """The column, which must be in a unit of this quantity."""
+    Raises:
+        MeasurementError: it has no unit, or one of another quantity.
+    """
     if column.unit is not None and column.unit.quantity == quantity:
         return column
-    allowed = symbols(quantity)
-    common = "mm" if quantity == "length" else "deg"
+    common = common or _COMMON[quantity]
     where = f"{table.source}, column '{column.label}'" + (f" ({what})" if what else "")
     written = split_header(column.label)[0]
     if column.unit is not None:
@@ -239,16 +161,52 @@ def _with_unit(table: Table, column: Column, quantity: Quantity, what: str = "")
             f"Write the unit into the header, '{written} [{common}]', or give it with "
             f'--columns "{written}={column.name} [{common}]"'
         )
-    message = f"{where}: {what_is}. {fix}; allowed are {choices(allowed)}."
+    message = f"{where}: {what_is}. {fix}; allowed are {choices(symbols(quantity))}."
     raise MeasurementError(message)
 
 
-def _found(table: Table) -> str:
+def list_columns(table: Table) -> str:
     """The sentence that lists a table's columns."""
     return f"The columns found: {choices((label for label in table.header if label), limit=30)}."
 
 
-def _close(name: str, candidates: Sequence[str]) -> list[str]:
+def close_names(name: str, candidates: Sequence[str]) -> list[str]:
     """The candidates spelt most like a name, small and capital letters alike."""
     plain = {candidate.casefold(): candidate for candidate in candidates}
     return [plain[hit] for hit in difflib.get_close_matches(name.casefold(), plain, n=3)]
+
+
+def place(table: Table, row: Row, numbers: Column | None, column: Column | None = None) -> str:
+    """Where a cell stands, as a person sees it: file, line, row number, column.
+
+    Args:
+        table: the file.
+        row: the line.
+        numbers: the column ``row``, if there is one.
+        column: the cell's column; None for the whole row.
+    """
+    number = str(row.ordinal)
+    if numbers is not None and numbers.index < len(row.cells):
+        number = row.cells[numbers.index] or number
+    text = f"{table.source}, line {row.line} (row {number})"
+    return text if column is None else f"{text}, column '{column.label}'"
+
+
+def check_cells(table: Table, row: Row, numbers: Column | None) -> None:
+    """Refuse a row that has not as many cells as the header.
+
+    Raises:
+        MeasurementError: with the place and both counts.
+    """
+    count, wanted = len(row.cells), len(table.header)
+    if count == wanted:
+        return
+    fix = "Fill in what is missing."
+    if count > wanted:
+        fix = "Remove what is too much."
+        if table.separator == ",":
+            fix += " If the numbers have a decimal comma, separate the columns by semicolons."
+    message = (
+        f"{place(table, row, numbers)}: the row has {count} cells, the header has {wanted}. {fix}"
+    )
+    raise MeasurementError(message)

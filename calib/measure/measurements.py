@@ -1,10 +1,10 @@
-"""Measurements: joint values and the target positions measured with them; CSV in and out."""
+"""Measurements: joint values and what was measured of the target there; CSV in and out."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections import Counter
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,30 +13,58 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import MeasurementError, choices
-from calib.measure.columns import RESERVED, Layout
+from calib.measure.checks import (
+    check_names,
+    check_shapes,
+    check_values,
+    check_whole,
+    share_distances,
+    two_rows,
+)
+from calib.measure.columns import POINT, QUATERNION, TORQUE
+from calib.measure.kinds import DEFAULT_TARGET, KINDS, LENGTHS, POSITIONS, SETS
+from calib.measure.layout import Layout
+from calib.measure.orientation import to_quaternions
 from calib.measure.table import Table
-from calib.measure.values import DEFAULT_TARGET, SETS, Values
+from calib.measure.values import Values
 from calib.model.files import write_atomically
 from calib.units import UNITS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
-    """N rows: the joint values of the robot and the target position that was measured there.
+    """N rows: the joint values of the robot and what was measured of the target there.
+
+    What a row measures is its kind, one of `KINDS`:
+
+    - ``point``: the position of the target. ``pose``: its position and orientation.
+    - ``distance``: its distance to an anchor, one point for each group.
+    - ``pair``: the distance between the targets of the two rows that share a word.
+    - ``fixed``: nothing; the target sits at one unknown point for each group.
+    - ``plane``: nothing; the target touches one unknown plane for each group.
+
+    What a row's kind does not measure is NaN, whatever was given; an array of which nothing is left is None.
 
     Attributes:
         joint_names: the order of the columns of ``joints``.
         joints: joint values, shape (N, n), [rad] or, for ``prismatic`` joints, [m]. Read-only.
         points: measured target positions in the measurement frame, shape (N, 3), [m]. Read-only.
         sets: ``"estimate"`` or ``"validate"`` per row; all ``"estimate"`` when not given.
-        sigma: standard deviation of one coordinate, shape (N,), [m], read-only; or None.
+        sigma: standard deviation of one coordinate or length, shape (N,), [m], read-only; or None.
         targets: the target's name per row; ``"target"`` when not given.
         groups: the set-up's name per row; ``""`` when not given.
         rows: the row numbers a person sees, unique; 1 to N when not given.
         source: the file's name, for messages.
-        sha256: of the file's bytes; ``""`` when not from a file.
+        sha256: of the file's bytes, of two files one after the other; ``""`` when not from a file.
         ignored: the headers of the table's columns that were not used.
         prismatic: the names of those joints whose values are lengths.
+        kinds: the kind per row; all ``"point"`` when not given.
+        rotations: measured R_frame_target, shape (N, 3, 3), read-only; None without poses.
+        distances: measured distances, shape (N,), [m], read-only; None without. Both rows of a pair have it.
+        sigma_angle: standard deviation of an orientation about one axis, shape (N,), [rad], read-only; or None.
+        pairs: the word that two rows of the kind ``pair`` share; ``""`` in other rows.
+        torques: torques (forces) that the drives put on the joints, positive along the axis, shape (N, n),
+            [Nm] ([N]), read-only; NaN for joints without; or None.
 
     Raises:
         MeasurementError: a shape, a value or a word does not fit.
@@ -54,16 +82,20 @@ class Measurements:
     sha256: str = ""
     ignored: tuple[str, ...] = ()
     prismatic: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
+    rotations: NDArray[np.float64] | None = None
+    distances: NDArray[np.float64] | None = None
+    sigma_angle: NDArray[np.float64] | None = None
+    pairs: tuple[str, ...] = ()
+    torques: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
         fill = object.__setattr__
-        joints, points = _read_only(self.joints), _read_only(self.points)
-        fill(self, "joints", joints)
-        fill(self, "points", points)
-        if self.sigma is not None:
-            fill(self, "sigma", _read_only(self.sigma))
-        count = len(points) if points.ndim else 0
+        for name in ("joints", "points", *_ARRAYS):
+            values = getattr(self, name)
+            fill(self, name, None if values is None else _read_only(values))
+        count = len(self.points) if self.points.ndim else 0
         fill(self, "joint_names", tuple(self.joint_names))
         fill(self, "sets", tuple(self.sets) or (SETS[0],) * count)
         fill(self, "targets", tuple(self.targets) or (DEFAULT_TARGET,) * count)
@@ -71,9 +103,28 @@ class Measurements:
         fill(self, "rows", tuple(self.rows) or tuple(range(1, count + 1)))
         fill(self, "ignored", tuple(self.ignored))
         fill(self, "prismatic", tuple(self.prismatic))
-        _check_shapes(self)
-        _check_names(self)
-        _check_values(self)
+        fill(self, "kinds", tuple(self.kinds) or (KINDS[0],) * count)
+        fill(self, "pairs", tuple(self.pairs) or ("",) * count)
+        check_shapes(self)
+        check_names(self)
+        for name, kinds in _MEASURED_BY.items():
+            fill(self, name, self._only(getattr(self, name), *kinds))
+        pairs = zip(self.kinds, self.pairs, strict=True)
+        fill(self, "pairs", tuple(word if kind == "pair" else "" for kind, word in pairs))
+        shared = share_distances(self)
+        fill(self, "distances", None if shared is None else _read_only(shared))
+        check_values(self)
+
+    def _only(self, values: NDArray[np.float64] | None, *kinds: str) -> NDArray[np.float64] | None:
+        """The values with NaN in the rows of other kinds; of an optional array None when no row is left."""
+        rows = self.of_kind(*kinds)
+        if values is None or rows.all():
+            return values
+        if not rows.any() and values is not self.points:
+            return None
+        kept = values.copy()
+        kept[~rows] = np.nan
+        return _read_only(kept)
 
     @classmethod
     def read(
@@ -82,6 +133,7 @@ class Measurements:
         joint_names: Sequence[str] | None = None,
         joint_types: Mapping[str, str] | None = None,
         columns: Mapping[str, str] | None = None,
+        kind: str | None = None,
     ) -> Measurements:
         """Read a table with units in its header; docs/data-format.md describes it.
 
@@ -92,16 +144,19 @@ class Measurements:
             joint_types: a joint's URDF type by its name; a ``"prismatic"`` joint is in a unit of
                 length, any other in one of angle.
             columns: names of the table to names of calib, ``{"J1": "shoulder_pan_joint"}``; with
-                a unit, ``{"J1": "shoulder_pan_joint [deg]"}``, for a column that has none.
+                a unit, ``{"J1": "shoulder_pan_joint [deg]"}``, for a column that has none; ``"-"``
+                leaves a column out; several columns may be mapped to ``"group"``.
+            kind: the kind of all rows; None takes it from a column ``kind``, else from the columns
+                that there are.
 
         Raises:
             MeasurementError: the table cannot be read; the text names the file, row and column.
         """
         table = Table.read(path)
-        layout = Layout.find(table, joint_names, joint_types, columns)
+        layout = Layout.find(table, joint_names, joint_types, columns, kind)
         values = Values.read(table, layout)
-        return cls(
-            joint_names=tuple(column.name for column in layout.joints),
+        measurements = cls(
+            joint_names=layout.joint_names,
             joints=values.joints,
             points=values.points,
             sets=values.sets,
@@ -113,7 +168,15 @@ class Measurements:
             sha256=table.sha256,
             ignored=layout.ignored,
             prismatic=layout.prismatic,
+            kinds=values.kinds,
+            rotations=values.rotations,
+            distances=values.distances,
+            sigma_angle=values.sigma_angle,
+            pairs=values.pairs,
+            torques=values.torques,
         )
+        check_whole(measurements)
+        return measurements
 
     def __repr__(self) -> str:
         """In one line, such as ``Measurements(35 rows of 6 joints from ur3_leica.csv)``."""
@@ -127,21 +190,28 @@ class Measurements:
     @property
     def estimation(self) -> NDArray[np.bool_]:
         """True for the rows to estimate from, shape (N,), read-only."""
-        return self._in_set("estimate")
+        return _mask(self.sets, "estimate")
 
     @property
     def validation(self) -> NDArray[np.bool_]:
         """True for the rows held back to validate with, shape (N,), read-only."""
-        return self._in_set("validate")
+        return _mask(self.sets, "validate")
 
-    def _in_set(self, name: str) -> NDArray[np.bool_]:
-        """True for the rows of one set, read-only."""
-        mask = np.array([word == name for word in self.sets], dtype=np.bool_)
-        mask.setflags(write=False)
-        return mask
+    def of_kind(self, *kinds: str) -> NDArray[np.bool_]:
+        """True for the rows of these kinds, shape (N,), read-only."""
+        return _mask(self.kinds, *kinds)
+
+    @property
+    def pair_rows(self) -> NDArray[np.intp]:
+        """The two rows of each pair, from 0, shape (P, 2), read-only; pairs that have lost a row are left out."""
+        rows = np.array(list(two_rows(self).values()), dtype=np.intp).reshape(-1, 2)
+        rows.setflags(write=False)
+        return rows
 
     def select(self, mask: ArrayLike) -> Measurements:
         """The rows where ``mask``, of shape (N,) and bool, is True; they keep their row numbers.
+
+        A pair may lose one of its rows.
 
         Raises:
             MeasurementError: the mask has another shape or type.
@@ -154,15 +224,30 @@ class Measurements:
             )
             raise MeasurementError(message)
         index = np.flatnonzero(chosen).tolist()
+
+        def words(values: Sequence[str]) -> tuple[str, ...]:
+            """The chosen of some words."""
+            return tuple(values[i] for i in index)
+
+        def numbers(values: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+            """The chosen of some numbers."""
+            return None if values is None else values[index]
+
         return replace(
             self,
             joints=self.joints[index],
             points=self.points[index],
-            sets=tuple(self.sets[i] for i in index),
-            sigma=None if self.sigma is None else self.sigma[index],
-            targets=tuple(self.targets[i] for i in index),
-            groups=tuple(self.groups[i] for i in index),
+            sets=words(self.sets),
+            sigma=numbers(self.sigma),
+            targets=words(self.targets),
+            groups=words(self.groups),
             rows=tuple(self.rows[i] for i in index),
+            kinds=words(self.kinds),
+            rotations=numbers(self.rotations),
+            distances=numbers(self.distances),
+            sigma_angle=numbers(self.sigma_angle),
+            pairs=words(self.pairs),
+            torques=numbers(self.torques),
         )
 
     def joints_for(self, names: Sequence[str]) -> NDArray[np.float64]:
@@ -171,6 +256,19 @@ class Measurements:
         Raises:
             MeasurementError: there is no such joint in the table.
         """
+        return _read_only(self.joints[:, self._index(names)])
+
+    def torques_for(self, names: Sequence[str]) -> NDArray[np.float64] | None:
+        """The torques of these joints in this order, shape (N, len(names)), [Nm] or [N]; None without any.
+
+        Raises:
+            MeasurementError: there is no such joint in the table.
+        """
+        index = self._index(names)
+        return None if self.torques is None else _read_only(self.torques[:, index])
+
+    def _index(self, names: Sequence[str]) -> list[int]:
+        """Where these joints stand among ``joint_names``."""
         missing = [name for name in names if name not in self.joint_names]
         if missing:
             message = (
@@ -178,7 +276,7 @@ class Measurements:
                 f"The joints there are: {choices(self.joint_names, limit=30)}."
             )
             raise MeasurementError(message)
-        return _read_only(self.joints[:, [self.joint_names.index(name) for name in names]])
+        return [self.joint_names.index(name) for name in names]
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a CSV table in degrees and millimetres that `read` gives back to 1e-15, relative.
@@ -186,24 +284,65 @@ class Measurements:
         Raises:
             FileError: the file exists and ``overwrite`` is False, or it cannot be written.
         """
-        angle, length = UNITS["deg"], UNITS["mm"]
-        units = [length if name in self.prismatic else angle for name in self.joint_names]
-        columns: dict[str, Sequence[object]] = {"row": self.rows, "set": self.sets}
-        if any(target != DEFAULT_TARGET for target in self.targets):
-            columns["target"] = self.targets
-        if any(self.groups):
-            columns["group"] = self.groups
-        for name, unit, values in zip(self.joint_names, units, self.joints.T, strict=True):
-            columns[f"{name} [{unit.symbol}]"] = (values / unit.to_si).tolist()
-        for name, values in zip("xyz", self.points.T, strict=True):
-            columns[f"{name} [{length.symbol}]"] = (values / length.to_si).tolist()
-        if self.sigma is not None:
-            columns[f"sigma [{length.symbol}]"] = (self.sigma / length.to_si).tolist()
+        columns = {**self._word_columns(), **self._number_columns()}
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*columns.values(), strict=True))  # csv writes a float as its repr
         write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
+
+    def _word_columns(self) -> dict[str, Sequence[object]]:
+        """The columns of words that are needed, by their header."""
+        columns: dict[str, Sequence[object]] = {"row": self.rows, "set": self.sets}
+        if len(set(self.kinds)) > 1 or not set(self.kinds) <= {*POSITIONS, *LENGTHS}:
+            columns["kind"] = self.kinds
+        if any(target != DEFAULT_TARGET for target in self.targets):
+            columns["target"] = self.targets
+        if any(self.groups):
+            columns["group"] = self.groups
+        if any(self.pairs):
+            columns["pair"] = self.pairs
+        return columns
+
+    def _number_columns(self) -> dict[str, Sequence[object]]:
+        """The columns of numbers that are needed, by their header."""
+        found: list[tuple[str, str, NDArray[np.float64]]] = []  # name, unit, values
+        for i, name in enumerate(self.joint_names):
+            sliding = name in self.prismatic
+            found.append((name, "mm" if sliding else "deg", self.joints[:, i]))
+            if self.torques is not None and np.isfinite(self.torques[:, i]).all():
+                found.append((name + TORQUE, "N" if sliding else "Nm", self.torques[:, i]))
+        if self.of_kind(*POSITIONS).any() or not len(self):
+            found += [(name, "mm", self.points[:, i]) for i, name in enumerate(POINT)]
+        if self.rotations is not None:
+            turned = to_quaternions(self.rotations)
+            found += [(name, "", turned[:, i]) for i, name in enumerate(QUATERNION)]
+        for name, unit, values in (
+            ("distance", "mm", self.distances),
+            ("sigma", "mm", self.sigma),
+            ("sigma_angle", "deg", self.sigma_angle),
+        ):
+            if values is not None:
+                found.append((name, unit, values))
+        return dict(_written(*column) for column in found)
+
+
+_ARRAYS = ("sigma", "rotations", "distances", "sigma_angle", "torques")
+
+# Which kinds of rows have a number here; in others it is NaN.
+_MEASURED_BY: Mapping[str, tuple[str, ...]] = {
+    "points": POSITIONS,
+    "rotations": ("pose",),
+    "distances": LENGTHS,
+    "sigma_angle": ("pose",),
+}
+
+
+def _written(name: str, unit: str, values: NDArray[np.float64]) -> tuple[str, list[float | str]]:
+    """The header and the cells of a column of numbers; cells are empty where nothing was measured."""
+    numbers = (values / UNITS[unit].to_si if unit else values).tolist()
+    cells = ["" if math.isnan(number) else number for number in numbers]
+    return (f"{name} [{unit}]" if unit else name), cells
 
 
 def _read_only(values: ArrayLike) -> NDArray[np.float64]:
@@ -213,81 +352,8 @@ def _read_only(values: ArrayLike) -> NDArray[np.float64]:
     return array_
 
 
-def _check_shapes(m: Measurements) -> None:
-    """Refuse arrays and tuples that do not have one entry a row."""
-    shapes = {"points": m.points.shape, "joints": m.joints.shape}
-    count = m.points.shape[0] if m.points.ndim else 0
-    wanted: dict[str, tuple[int, ...]] = {
-        "points": (count, 3),
-        "joints": (count, len(m.joint_names)),
-    }
-    if m.sigma is not None:
-        shapes["sigma"], wanted["sigma"] = m.sigma.shape, (count,)
-    for name in ("sets", "targets", "groups", "rows"):
-        shapes[name], wanted[name] = (len(getattr(m, name)),), (count,)
-    for name, shape in shapes.items():
-        if shape != wanted[name]:
-            message = (
-                f"Measurements: '{name}' has shape {shape} and should have {wanted[name]}: "
-                f"{count} rows of points, {len(m.joint_names)} joint names"
-            )
-            raise MeasurementError(message)
-
-
-def _check_names(m: Measurements) -> None:
-    """Refuse names and words that a table cannot hold or that mean nothing."""
-    source = m.source or "Measurements"
-    names = m.joint_names
-    bad = [n for n in names if n in RESERVED or not _is_name(n) or names.count(n) > 1]
-    if bad or not names:
-        message = (
-            f"{source}: joint names are unique, on one line, without blanks around them, and none "
-            f"of {choices(RESERVED)}; given were {choices(bad or ['no names at all'])}"
-        )
-        raise MeasurementError(message)
-    strange = [name for name in m.prismatic if name not in names]
-    if strange:
-        message = f"{source}: 'prismatic' names {choices(strange)}; the joints are {choices(names)}"
-        raise MeasurementError(message)
-    for row, word, target, group in zip(m.rows, m.sets, m.targets, m.groups, strict=True):
-        if word not in SETS:
-            message = f"{source}, row {row}: the set '{word}' is neither of {choices(SETS)}"
-            raise MeasurementError(message)
-        if not _is_name(target) or not (group == "" or _is_name(group)):
-            message = (
-                f"{source}, row {row}: target '{target}' and group '{group}' are names on one "
-                "line, without blanks around them; only the group may be empty"
-            )
-            raise MeasurementError(message)
-
-
-def _is_name(text: str) -> bool:
-    """Whether a text is one line and not empty, without blanks around it."""
-    return text != "" and text == text.strip() and len(text.splitlines()) == 1
-
-
-def _check_values(m: Measurements) -> None:
-    """Refuse numbers that are not finite, a sigma not above zero, a row number given twice."""
-    source = m.source or "Measurements"
-    broken = [row for row in m.rows if not isinstance(row, (int, np.integer))]
-    if broken:
-        message = (
-            f"{source}: the row number {broken[0]!r} is no integer; row numbers are whole numbers"
-        )
-        raise MeasurementError(message)
-    if len(set(m.rows)) < len(m.rows):
-        twice = Counter(m.rows).most_common(1)[0][0]
-        message = f"{source}: the row number {twice} is there twice; row numbers are unique"
-        raise MeasurementError(message)
-    for name, values in (("joints", m.joints), ("points", m.points), ("sigma", m.sigma)):
-        if values is None:
-            continue
-        wrong = ~np.isfinite(values) if name != "sigma" else ~(np.isfinite(values) & (values > 0.0))
-        if wrong.any():
-            at = np.argwhere(wrong)[0]
-            what = "positive and finite" if name == "sigma" else "finite"
-            message = (
-                f"{source}, row {m.rows[at[0]]}: '{name}' holds {values[tuple(at)]}; "
-                f"every value is {what}"
-            )
-            raise MeasurementError(message)
+def _mask(words: Sequence[str], *wanted: str) -> NDArray[np.bool_]:
+    """True where a word is one of those wanted, read-only."""
+    mask = np.array([word in wanted for word in words], dtype=np.bool_)
+    mask.setflags(write=False)
+    return mask

@@ -1,10 +1,11 @@
-"""The cells of a table into numbers in SI units; values in the wrong unit are refused."""
+"""The cells of a table into numbers in SI units."""
 
 from __future__ import annotations
 
 import math
 import re
 from array import array
+from collections.abc import Callable
 from dataclasses import dataclass
 from operator import itemgetter
 
@@ -12,31 +13,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, choices
-from calib.measure.columns import Column, Layout
+from calib.measure.columns import Column, check_cells, place
+from calib.measure.kinds import DEFAULT_TARGET, POSITIONS, SETS
+from calib.measure.layout import Layout
+from calib.measure.orientation import to_matrices, wrong_length
 from calib.measure.table import Row, Table
-from calib.units import UNITS, Unit
-
-SETS = ("estimate", "validate")
-DEFAULT_TARGET = "target"
-
-# The points of a robot cell lie between these distances from the origin of any frame in use.
-FAR_M = 100.0
-NEAR_M = 5e-3
-# Half of a column beyond this many radians: hardly any joint turns so far, and degrees mostly do.
-TURNS_RAD = 7.0
+from calib.measure.wrong_units import WrongUnits
+from calib.units import split_header
 
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """What the rows of a table hold; the attributes are those of `Measurements`."""
+    """What the rows of a table hold; the attributes are those of `Measurements`.
+
+    ``names`` are the words of the column ``point``, "" without one.
+    """
 
     joints: NDArray[np.float64]
     points: NDArray[np.float64]
-    sigma: NDArray[np.float64] | None
     sets: tuple[str, ...]
+    sigma: NDArray[np.float64] | None
     targets: tuple[str, ...]
     groups: tuple[str, ...]
     rows: tuple[int, ...]
+    kinds: tuple[str, ...]
+    rotations: NDArray[np.float64] | None
+    distances: NDArray[np.float64] | None
+    sigma_angle: NDArray[np.float64] | None
+    pairs: tuple[str, ...]
+    torques: NDArray[np.float64] | None
+    names: tuple[str, ...]
 
     @classmethod
     def read(cls, table: Table, layout: Layout) -> Values:
@@ -46,26 +52,25 @@ class Values:
             MeasurementError: a row, a cell or a column's values cannot be used, or no row is
                 ``estimate``.
         """
-        pick = itemgetter(*(column.index for column in layout.numbers))
+        reader = _Reader(table, layout)
         numbers, lines = array("d"), array("q")
         numbered: dict[int, int] = {}  # row number: line
-        words: dict[str, list[str]] = {"set": [], "target": [], "group": []}
-        signs: dict[str, int] = {}  # decimal sign: the first line that has it
+        kinds: list[str] = []
+        words: dict[str, list[str]] = {name: [] for name in reader.words}
         for row in table.rows():
-            _check_cells(table, layout, row)
-            texts = pick(row.cells)
-            numbers.extend(_numbers(table, layout, row, texts))
-            if table.separator == ";":
-                _note_signs(table, signs, row.line, "".join(texts))
-            number = _row_number(table, layout, row, numbered)
+            check_cells(table, row, layout.words.get("row"))
+            kind = reader.kind(row)
+            kinds.append(kind)
+            numbers.extend(reader.numbers(row, kind))
+            number = reader.row_number(row, numbered)
             numbered[number] = row.line
             lines.append(row.line)
             for name, values in words.items():
-                values.append(_word(table, layout, row, name))
+                values.append(reader.word(row, name, kind))
         if not lines:
             message = f"{table.source}: the table has a header and no rows below it"
             raise MeasurementError(message)
-        if "estimate" not in words["set"]:
+        if "set" in words and "estimate" not in words["set"]:
             message = (
                 f"{table.source}, column '{layout.words['set'].label}': no row is 'estimate', all "
                 f"{len(lines)} are 'validate'. Mark those to estimate from, or remove the column."
@@ -73,80 +78,218 @@ class Values:
             raise MeasurementError(message)
         grid = np.array(numbers, dtype=np.float64).reshape(len(lines), -1)
         rows = tuple(numbered)
-        check = _Check(table, layout, grid, tuple(lines), rows)
-        check.angles()
-        check.lengths()
-        si = grid * np.array([_unit(column).to_si for column in layout.numbers])
-        n = len(layout.joints)
+        _check_quaternions(table, layout, grid, tuple(lines), rows)
+        WrongUnits(table.source, layout, grid, tuple(lines), rows).check()
+        si = grid * np.array([column.to_si for column in layout.numbers])
+
+        def block(name: str) -> NDArray[np.float64] | None:
+            """One column of numbers, shape (N,), if it is there."""
+            at = layout.span(name)
+            return si[:, at[0]] if at else None
+
+        def word(name: str) -> tuple[str, ...]:
+            """The words of one column, or what stands for them without it."""
+            return tuple(words.get(name) or [_DEFAULTS[name]] * len(lines))
+
+        points, orientation = layout.span("points"), layout.span("orientation")
         return cls(
-            joints=si[:, :n],
-            points=si[:, n : n + 3],
-            sigma=None if layout.sigma is None else si[:, n + 3],
-            sets=tuple(words["set"]),
-            targets=tuple(words["target"]),
-            groups=tuple(words["group"]),
+            joints=si[:, layout.span("joints")],
+            points=si[:, points] if points else np.full((len(si), 3), np.nan),
+            sets=word("set"),
+            sigma=block("sigma"),
+            targets=word("target"),
+            groups=word("group"),
             rows=rows,
+            kinds=tuple(kinds),
+            rotations=to_matrices(si[:, orientation]) if orientation else None,
+            distances=block("distance"),
+            sigma_angle=block("sigma_angle"),
+            pairs=word("pair"),
+            torques=_torques(layout, si),
+            names=word("point"),
         )
 
 
-def _unit(column: Column) -> Unit:
-    """The unit of a column of numbers, which `Layout.find` has made sure of."""
-    assert column.unit is not None
-    return column.unit
+_DEFAULTS = {"set": SETS[0], "target": DEFAULT_TARGET, "group": "", "pair": "", "point": ""}
+
+_MUST: dict[str, str] = {
+    "target": "Name the target, or remove the column when there is only one.",
+    "pair": "The two rows of a measured distance share a word here.",
+    "point": "Name the point of the file of points that was measured here.",
+}
 
 
-def _place(table: Table, layout: Layout, row: Row, column: Column | None = None) -> str:
-    """Where a cell stands, as a person sees it: file, line, row number, column."""
-    number = str(row.ordinal)
-    if "row" in layout.words and layout.words["row"].index < len(row.cells):
-        number = row.cells[layout.words["row"].index] or number
-    text = f"{table.source}, line {row.line} (row {number})"
-    return text if column is None else f"{text}, column '{column.label}'"
+class _Reader:
+    """Reads one row after the other, with what has to be remembered between them."""
 
+    __slots__ = ("_groups", "_layout", "_picks", "_signs", "_table", "words")
 
-def _check_cells(table: Table, layout: Layout, row: Row) -> None:
-    """Refuse a row that has not as many cells as the header."""
-    count, wanted = len(row.cells), len(table.header)
-    if count == wanted:
-        return
-    fix = "Fill in what is missing."
-    if count > wanted:
-        fix = "Remove what is too much."
-        if table.separator == ",":
-            fix += " If the numbers have a decimal comma, separate the columns by semicolons."
-    message = (
-        f"{_place(table, layout, row)}: the row has {count} cells, the header has {wanted}. {fix}"
-    )
-    raise MeasurementError(message)
+    def __init__(self, table: Table, layout: Layout) -> None:
+        """Prepare for the kinds of rows that there are."""
+        self._table, self._layout = table, layout
+        self._picks = {kind: _Pick.of(layout, layout.used_by(kind)) for kind in layout.kinds}
+        if "pair" in layout.kinds:
+            distance = layout.span("distance")
+            rest = [i for i in layout.used_by("pair") if i not in distance]
+            self._picks["other of a pair"] = _Pick.of(layout, rest)
+        there = {*layout.words, *(["group"] if layout.groups else [])}
+        self.words = tuple(name for name in _DEFAULTS if name in there)
+        self._signs: dict[str, int] = {}  # decimal sign: the first line that has it
+        self._groups: dict[str, tuple[str, ...]] = {}
 
+    def place(self, row: Row, column: Column | None = None) -> str:
+        """Where a cell stands."""
+        return place(self._table, row, self._layout.words.get("row"), column)
 
-def _numbers(table: Table, layout: Layout, row: Row, texts: tuple[str, ...]) -> list[float]:
-    """The numbers of one row, in the order of ``layout.numbers``."""
-    if table.separator == ";" and any("," in text for text in texts):
-        plain = tuple(text.replace(",", ".") for text in texts)
-    else:
-        plain = texts
-    try:
-        values = [float(text) for text in plain]
-    except ValueError:
-        values = []
-    # float() takes 1_000, which no table means; a sum is finite only if all its terms are.
-    if values and math.isfinite(sum(values)) and "_" not in "".join(plain):
-        if layout.sigma is None or values[-1] > 0.0:
+    def numbers(self, row: Row, kind: str) -> list[float]:
+        """The numbers of one row, in the order of ``layout.numbers``; NaN where its kind has none."""
+        pick = self._picks[kind]
+        if kind == "pair" and row.cells[pick.columns[pick.distance].index] == "":
+            pick = self._picks["other of a pair"]
+        texts = pick.cells(row.cells)
+        values = self._convert(row, pick.columns, texts)
+        if self._table.separator == ";":
+            self._note_signs(row.line, "".join(texts))
+        if pick.places is None:
             return values
-        what = f"sigma is '{texts[-1]}'; a standard deviation is greater than zero"
-        column = layout.sigma
-    else:
-        column, what = _bad_number(table, layout, texts, plain)
-    message = f"{_place(table, layout, row, column)}: {what}"
-    raise MeasurementError(message)
+        wide = [math.nan] * pick.width
+        for i, value in zip(pick.places, values, strict=True):
+            wide[i] = value
+        return wide
+
+    def _convert(
+        self, row: Row, columns: tuple[Column, ...], texts: tuple[str, ...]
+    ) -> list[float]:
+        """Finite numbers of texts."""
+        if self._table.separator == ";" and any("," in text for text in texts):
+            plain = tuple(text.replace(",", ".") for text in texts)
+        else:
+            plain = texts
+        try:
+            values = [float(text) for text in plain]
+        except ValueError:
+            values = []
+        # float() takes 1_000, which no table means; a sum is finite only if all its terms are.
+        if values and math.isfinite(sum(values)) and "_" not in "".join(plain):
+            return values
+        column, what = _bad_number(self._table, columns, texts, plain)
+        message = f"{self.place(row, column)}: {what}"
+        raise MeasurementError(message)
+
+    def _note_signs(self, line: int, text: str) -> None:
+        """Refuse decimal points beside decimal commas: one of them may separate thousands."""
+        for sign in ".,":
+            if sign in text:
+                self._signs.setdefault(sign, line)
+        if len(self._signs) == 2:
+            message = (
+                f"{self._table.source}: numbers have a decimal point in line {self._signs['.']} and "
+                f"a decimal comma in line {self._signs[',']}. Write all in one way, without a sign "
+                "between thousands."
+            )
+            raise MeasurementError(message)
+
+    def row_number(self, row: Row, numbered: dict[int, int]) -> int:
+        """The number of the row a person sees; ``numbered`` holds those before it, with their lines."""
+        column = self._layout.words.get("row")
+        if column is None:
+            return row.ordinal
+        text = row.cells[column.index]
+        where = f"{self._table.source}, line {row.line}, column '{column.label}'"
+        if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
+            message = (
+                f"{where}: '{text}' is not a whole number. Number the rows, or remove the column."
+            )
+            raise MeasurementError(message)
+        number = int(text)
+        if number in numbered:
+            message = (
+                f"{where}: the row number {number} is also that of line {numbered[number]}. Each "
+                "row has its own."
+            )
+            raise MeasurementError(message)
+        return number
+
+    def kind(self, row: Row) -> str:
+        """The kind of a row, which `Layout.find` has looked at."""
+        column = self._layout.words.get("kind")
+        return self._layout.kinds[0] if column is None else row.cells[column.index]
+
+    def word(self, row: Row, name: str, kind: str) -> str:
+        """A word of a row; "" where its kind has no such word."""
+        if name == "group":
+            return self._group(row)
+        if (name == "pair" and kind != "pair") or (name == "point" and kind not in POSITIONS):
+            return ""
+        column = self._layout.words[name]
+        text = row.cells[column.index]
+        if name == "set" and text not in SETS:
+            message = (
+                f"{self.place(row, column)}: '{text}' is not a set; allowed are {choices(SETS)}. If "
+                "the column means something else, "
+                f'--columns "{split_header(column.label)[0]}=-" leaves it out.'
+            )
+            raise MeasurementError(message)
+        if name in _MUST and not text:
+            message = f"{self.place(row, column)}: the cell is empty. {_MUST[name]}"
+            raise MeasurementError(message)
+        return text
+
+    def _group(self, row: Row) -> str:
+        """The name of the set-up of a row, of one column or of several."""
+        columns = self._layout.groups
+        if len(columns) < 2:
+            return row.cells[columns[0].index] if columns else ""
+        words = tuple(row.cells[column.index] for column in columns)
+        name = "/".join(words)
+        if self._groups.setdefault(name, words) != words:
+            message = (
+                f"{self.place(row)}: the words {choices(words)} make the same group '{name}' as "
+                f"{choices(self._groups[name])}. Write words without '/' in these columns."
+            )
+            raise MeasurementError(message)
+        return name
+
+
+@dataclass(frozen=True, slots=True)
+class _Pick:
+    """The number columns that rows of one kind use.
+
+    Attributes:
+        columns: those used.
+        cells: gives their texts out of a row's cells.
+        places: where they stand among all number columns; None when all are used.
+        width: the number of all number columns.
+        distance: the position of the distance among ``columns``; -1 when it is not there.
+    """
+
+    columns: tuple[Column, ...]
+    cells: Callable[[list[str]], tuple[str, ...]]
+    places: list[int] | None
+    width: int
+    distance: int
+
+    @classmethod
+    def of(cls, layout: Layout, used: list[int]) -> _Pick:
+        """The columns ``used`` among ``layout.numbers``."""
+        every = layout.numbers
+        columns = tuple(every[i] for i in used)
+        get = itemgetter(*(column.index for column in columns))
+        distance = layout.span("distance")
+        return cls(
+            columns,
+            get if len(columns) > 1 else lambda cells: (get(cells),),
+            None if len(used) == len(every) else used,
+            len(every),
+            used.index(distance[0]) if distance and distance[0] in used else -1,
+        )
 
 
 def _bad_number(
-    table: Table, layout: Layout, texts: tuple[str, ...], plain: tuple[str, ...]
+    table: Table, columns: tuple[Column, ...], texts: tuple[str, ...], plain: tuple[str, ...]
 ) -> tuple[Column, str]:
     """The first column of a row that does not hold a finite number, and what is wrong with it."""
-    for column, text, candidate in zip(layout.numbers, texts, plain, strict=True):
+    for column, text, candidate in zip(columns, texts, plain, strict=True):
         if text == "":
             return column, "the cell is empty. Fill in the number, or remove the row."
         try:
@@ -164,130 +307,34 @@ def _bad_number(
                 "semicolons: then decimal commas are read."
             )
         return column, f"'{text}' is not a number. Write it as 123.45; the unit is in the header."
-    return layout.numbers[0], "the numbers of the row are too large"
+    return columns[0], "the numbers of the row are too large"
 
 
-def _note_signs(table: Table, signs: dict[str, int], line: int, text: str) -> None:
-    """Refuse decimal points beside decimal commas: one of them may separate thousands."""
-    for sign in ".,":
-        if sign in text:
-            signs.setdefault(sign, line)
-    if len(signs) == 2:
+def _check_quaternions(
+    table: Table,
+    layout: Layout,
+    grid: NDArray[np.float64],
+    lines: tuple[int, ...],
+    rows: tuple[int, ...],
+) -> None:
+    """Refuse quaternions that have not length one."""
+    at = layout.span("orientation")
+    wrong = wrong_length(grid[:, at]) if len(at) == 4 else None
+    if wrong:
+        i, length = wrong
         message = (
-            f"{table.source}: numbers have a decimal point in line {signs['.']} and a decimal "
-            f"comma in line {signs[',']}. Write all in one way, without a sign between thousands."
+            f"{table.source}, line {lines[i]} (row {rows[i]}), columns qx, qy, qz, qw: the quaternion "
+            f"has the length {length:.6g}; that of an orientation is 1. Correct it, or leave the "
+            "orientation out with --kind point."
         )
         raise MeasurementError(message)
 
 
-def _row_number(table: Table, layout: Layout, row: Row, numbered: dict[int, int]) -> int:
-    """The number of the row a person sees; ``numbered`` holds those before it, with their lines."""
-    column = layout.words.get("row")
-    if column is None:
-        return row.ordinal
-    text = row.cells[column.index]
-    if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
-        message = (
-            f"{table.source}, line {row.line}, column '{column.label}': '{text}' is not a whole "
-            "number. Number the rows, or remove the column."
-        )
-        raise MeasurementError(message)
-    number = int(text)
-    if number in numbered:
-        message = (
-            f"{table.source}, line {row.line}, column '{column.label}': the row number {number} is "
-            f"also that of line {numbered[number]}. Each row has its own."
-        )
-        raise MeasurementError(message)
-    return number
-
-
-def _word(table: Table, layout: Layout, row: Row, name: str) -> str:
-    """The set, target or group of a row."""
-    column = layout.words.get(name)
-    if column is None:
-        return {"set": SETS[0], "target": DEFAULT_TARGET, "group": ""}[name]
-    text = row.cells[column.index]
-    if name == "set" and text not in SETS:
-        place = _place(table, layout, row, column)
-        message = f"{place}: '{text}' is not a set; allowed are {choices(SETS)}"
-        raise MeasurementError(message)
-    if name == "target" and not text:
-        message = (
-            f"{_place(table, layout, row, column)}: the cell is empty. Name the target, or remove "
-            "the column when there is only one."
-        )
-        raise MeasurementError(message)
-    return text
-
-
-@dataclass(frozen=True, slots=True)
-class _Check:
-    """Looks at the numbers as read, shape (N, columns), for values that belong to another unit."""
-
-    table: Table
-    layout: Layout
-    grid: NDArray[np.float64]
-    lines: tuple[int, ...]
-    rows: tuple[int, ...]
-
-    def angles(self) -> None:
-        """Refuse a column in radians that looks like degrees."""
-        for i, column in enumerate(self.layout.joints):
-            if _unit(column).symbol != "rad":
-                continue
-            median = float(np.median(np.abs(self.grid[:, i])))
-            if median > TURNS_RAD:
-                message = (
-                    f"{self.table.source}, column '{column.label}': half of the values are beyond "
-                    f"{median:.4g} rad, more than a turn; they look like degrees. If they are, "
-                    f"write '{column.name} [deg]' into the header."
-                )
-                raise MeasurementError(message)
-
-    def lengths(self) -> None:
-        """Refuse points, or values of a prismatic joint, that are too far away or all too near."""
-        n = len(self.layout.joints)
-        for i, column in enumerate(self.layout.joints):
-            if _unit(column).quantity == "length":
-                self._far([i])
-        self._far([n, n + 1, n + 2])
-        self._near([n, n + 1, n + 2])
-
-    def _metres(self, columns: list[int]) -> NDArray[np.float64]:
-        """Columns of lengths in metres, shape (N, len(columns))."""
-        to_si = np.array([_unit(self.layout.numbers[i]).to_si for i in columns])
-        return np.asarray(self.grid[:, columns] * to_si)
-
-    def _far(self, columns: list[int]) -> None:
-        """Refuse a row further from the origin than any robot cell is wide."""
-        distance = np.linalg.norm(self._metres(columns), axis=1)
-        worst = int(np.argmax(distance))
-        if distance[worst] > FAR_M:
-            largest = columns[int(np.argmax(np.abs(self._metres(columns)[worst])))]
-            self._refuse(worst, largest, f"further from the origin than {FAR_M:g} m")
-
-    def _near(self, columns: list[int]) -> None:
-        """Refuse points that all lie nearer to the origin than a robot moves."""
-        metres = self._metres(columns)
-        farthest = int(np.argmax(np.linalg.norm(metres, axis=1)))
-        largest = columns[int(np.argmax(np.abs(metres[farthest])))]
-        in_metres = _unit(self.layout.numbers[largest]).symbol == "m"  # no unit is larger
-        if np.linalg.norm(metres[farthest]) < NEAR_M and not in_metres:
-            what = f"and no point is further from the origin than {NEAR_M * 1e3:g} mm"
-            self._refuse(farthest, largest, what)
-
-    def _refuse(self, i: int, j: int, what: str) -> None:
-        """Say what was read and which unit would make sense of it."""
-        column = self.layout.numbers[j]
-        value = float(self.grid[i, j])
-        fits = [u for u in ("mm", "m", "um") if 0.01 <= abs(value) * UNITS[u].to_si <= 20.0]
-        fix = "Correct the value."
-        if fits and fits[0] != _unit(column).symbol:
-            fix = f"If it is in {fits[0]}, write '{column.name} [{fits[0]}]' into the header."
-        place = f"{self.table.source}, line {self.lines[i]} (row {self.rows[i]})"
-        message = (
-            f"{place}, column '{column.label}': "
-            f"{value:.10g} was read as {value * _unit(column).to_si:.6g} m, {what}. {fix}"
-        )
-        raise MeasurementError(message)
+def _torques(layout: Layout, si: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """The torques of all joints, shape (N, n), NaN for a joint without a column; None without any."""
+    at = layout.span("torques")
+    if not at:
+        return None
+    torques = np.full((len(si), len(layout.blocks["joints"])), np.nan)
+    torques[:, list(layout.torque_joints)] = si[:, at]
+    return torques
