@@ -10,7 +10,7 @@ With its axis turned round it is a joint like any other, at the same q, and the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,6 +41,7 @@ class Chain:
         before: shape (n + 1, 4, 4), [m]: a placement is before @ origin @ after, or before @ origin^-1 @ after.
         after: shape (n + 1, 4, 4), [m].
         inverted: For each placement whether the origin stands inverted in it.
+        base_moves: Whether joints lie on the base's side; the first placement is then given in the base.
         model: The Pinocchio model of the joints.
     """
 
@@ -51,6 +52,7 @@ class Chain:
     before: Array
     after: Array
     inverted: tuple[bool, ...]
+    base_moves: bool
     model: pin.Model
 
     @classmethod
@@ -66,7 +68,8 @@ class Chain:
         _check_moving(urdf, base, tip, [path[i].joint for i in moving])
         joints = tuple(path[i].path_joint for i in moving)
         full = full_model(urdf)
-        if path[moving[0]].up:
+        base_moves = path[moving[0]].up
+        if base_moves:
             model, T_root_base, placements = _of_two_branches(path, moving)
         else:
             model, T_root_base, placements = _of_one_branch(full, joints, base, tip)
@@ -86,6 +89,7 @@ class Chain:
             before=read_only(before),
             after=read_only(after),
             inverted=tuple(c is not None and path[c.step].up for c in carried),
+            base_moves=base_moves,
             model=model,
         )
 
@@ -170,6 +174,25 @@ def full_model(urdf: Urdf) -> pin.Model:
         if frame.type == pin.FrameType.BODY:
             frame.name = _LINK + frame.name
     return model
+
+
+def full_configurations(model: pin.Model, values: Mapping[str, Array]) -> Array:
+    """Pinocchio's configurations of a whole URDF, other joints neutral, shape (N, nq).
+
+    Args:
+        model: See `full_model`.
+        values: Of joints with one coordinate, by name, shape (N,) each, see `Robot.urdf_values`.
+    """
+    count = max((len(value) for value in values.values()), default=0)
+    result = np.tile(pin.neutral(model), (count, 1))
+    for name, value in values.items():
+        joint = model.getJointId(name)
+        first = model.idx_qs[joint]
+        if model.nqs[joint] == 1:
+            result[:, first] = value
+        else:  # a continuous joint's configuration is (cos q, sin q)
+            result[:, first], result[:, first + 1] = np.cos(value), np.sin(value)
+    return result
 
 
 def link_frame(model: pin.Model, link: str) -> int:

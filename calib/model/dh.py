@@ -1,4 +1,4 @@
-"""DH rows out of any chain, and the DH offsets' directions for the error model.
+"""DH rows out of any chain, the DH offsets' directions for the error model, and placements out of rows again.
 
 Standard (distal) convention, with Hayati's beta where consecutive axes are nearly parallel, because the
 common normal of such axes may lie kilometres away (S. Hayati, 1983):
@@ -11,6 +11,13 @@ parallel, and in exactly parallel ones up to rounding; a nearly parallel row has
 apart: its d reaches to the tip. The choices that the
 convention leaves open are made so that the rows look as a data sheet prints them: frame 0 is the base
 frame where it can be, x_i points as near as possible to x_(i-1) at q = 0, frame n is the tip where it can be.
+
+A row says where the next axis is, not where along and about it the URDF puts the joint's frame. In DH frame i - 1,
+whose z is the axis of joint i, that frame is G_i, and so the rows give the placements P:
+
+    G_i = Tz(s_i) Rz(phi_i) R_axis,   P_(i+1) = G_i^-1 A_i(0) G_(i+1)
+
+with any fixed rotation R_axis that turns the joint's axis into z, and the two numbers s_i and phi_i from the URDF.
 """
 
 from __future__ import annotations
@@ -21,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib.errors import ModelError, choices
 from calib.model.robot import Robot, read_only, rigid_inverse
 
 #: Axes closer to parallel than this get a Hayati row [rad]; a real arm's parallel axes differ by a few mrad.
@@ -78,7 +86,7 @@ class DHTable:
         """T_base_tip at one set of joint values, from the rows alone, shape (4, 4), [m].
 
         Args:
-            q: shape (n,), [rad] or [m].
+            q: shape (n,), [rad] or [m], one for each row, see `Robot.chain_values`.
         """
         T = self.T_base_0
         for row, value in zip(self.rows, np.asarray(q, dtype=np.float64), strict=True):
@@ -111,6 +119,45 @@ def dh_table(robot: Robot) -> DHTable:
     return DHTable(tuple(rows), read_only(T_base_0), read_only(T_n_tip))
 
 
+def dh_placements(table: DHTable, robot: Robot) -> Vector:
+    """The placements of a robot whose geometry is that of the rows: DH offsets back into a URDF.
+
+    The joints' frames stand along and about their axes as the robot's do, which no row says. The result, in
+    `Robot.with_placements`, is a robot whose poses are those of `DHTable.pose`.
+
+    Args:
+        table: Rows of this robot, `dh_table(robot)`, or the same with other numbers in them.
+        robot: The robot; its own table gives its own placements up to rounding.
+
+    Returns:
+        shape (n + 1, 4, 4), [m].
+
+    Raises:
+        ModelError: The rows are not those of the robot's joints.
+    """
+    joints = tuple((joint.name, joint.type == "prismatic") for joint in robot.joints)
+    rows = tuple((row.joint, row.prismatic) for row in table.rows)
+    if rows != joints:
+        message = (
+            f"The DH rows are of the joints {choices(name for name, _ in rows)}, those of the robot '{robot.name}' "
+            f"from '{robot.base}' to '{robot.tip}' are {choices(name for name, _ in joints)}, each turning or "
+            "sliding alike. Give rows that dh_table made of the same chain."
+        )
+        raise ModelError(message)
+    own = dh_table(robot)
+    placements = []
+    T = robot.T_root_base @ table.T_base_0
+    F = own.T_base_0
+    for own_row, row, joint, T_base_joint in zip(
+        own.rows, table.rows, robot.joints, zero_poses(robot)[0], strict=True
+    ):
+        G = _joint_in_row(rigid_inverse(F) @ T_base_joint, np.asarray(joint.axis))
+        placements.append(T @ G)
+        T, F = rigid_inverse(G) @ row.matrix(), F @ own_row.matrix()
+    placements.append(T @ table.T_n_tip)
+    return read_only(placements)
+
+
 def zero_poses(robot: Robot) -> tuple[list[Vector], Vector]:
     """The joints' frames and the tip's at q = 0: n poses T_base_joint and T_base_tip, (4, 4), [m]."""
     T = rigid_inverse(robot.T_root_base)
@@ -132,6 +179,15 @@ def dh_frames(table: DHTable) -> list[Vector]:
         T = T @ row.matrix()
         frames.append(T @ _screw(1, -row.beta, 0.0))
     return frames
+
+
+def _joint_in_row(T: Vector, axis: Vector) -> Vector:
+    """The pose Tz(s) Rz(phi) R_axis that is nearest to T: a joint's frame in the DH frame on its axis."""
+    R_axis = _frame(np.zeros(3), axis, _perpendicular(axis, np.array([1.0, 0.0, 0.0]))).T
+    turned = T[:3, :3] @ R_axis[:3, :3].T
+    phi = np.arctan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
+    result: Vector = _screw(2, float(phi), float(T[2, 3])) @ R_axis
+    return result
 
 
 def _first_frame(axis: Vector, point: Vector) -> Vector:

@@ -32,38 +32,56 @@ def check_written(robot: Robot, expected: Array, q: Array) -> None:
     Args:
         robot: The robot whose ``urdf`` is to be written.
         expected: shape (N, 4, 4), T_base_tip of the model in memory [m].
-        q: shape (N, n), joint values [rad or m].
+        q: shape (N, m), joint values [rad or m] in the order of ``robot.joint_names``.
 
     Raises:
         UrdfError: A reader disagrees by more than `TOLERANCE`, or cannot read the URDF at all.
     """
     again = Urdf.from_bytes(robot.urdf.data, "the corrected URDF")
-    read = Robot.from_urdf(again, robot.base, robot.tip)
+    read = Robot.from_urdf(again, robot.base, robot.tip, held=robot.held)
     _compare("Pinocchio", read.poses(q), expected)
     _compare("yourdfpy", _poses_by_yourdfpy(robot, q), expected)
 
 
 def random_joint_values(robot: Robot, count: int = _POSES, seed: int = _SEED) -> Array:
-    """Joint values inside the limits (within one turn, or one metre, where they are wider or missing), (count, n)."""
-    low, high = np.array([joint_range(joint) for joint in robot.joints]).T
+    """Joint values inside the limits (within one turn, or one metre, where they are wider or missing), (count, m)."""
+    low, high = column_ranges(robot).T
     share: Array = np.random.default_rng(seed).uniform(size=(count, len(low)))
     return np.asarray(low + (high - low) * share)
 
 
 def spread_poses(robot: Robot, count: int = 200) -> NDArray[np.float64]:
-    """Joint values spread evenly over the limits (one turn or one metre where there are none), shape (count, n).
+    """Joint values spread evenly over the limits (one turn or one metre where there are none), shape (count, m).
 
     An unscrambled Sobol sequence: the same for every call.
     """
-    low, high = np.array([joint_range(joint) for joint in robot.joints]).T
+    low, high = column_ranges(robot).T
     from scipy.stats import qmc
 
-    sequence = qmc.Sobol(len(robot.joints), scramble=False)
-    sequence.fast_forward(
-        1
-    )  # the first point of the sequence is the corner where every joint is at its lower limit
+    sequence = qmc.Sobol(len(low), scramble=False)
+    # The first point of the sequence is the corner where every joint is at its lower limit.
+    sequence.fast_forward(1)
     unit = sequence.random(count)
     return read_only(low + unit * (high - low))
+
+
+def column_ranges(robot: Robot) -> NDArray[np.float64]:
+    """Lowest and highest value of each column of q, shape (m, 2), [rad] or [m].
+
+    Those of `joint_range`, narrowed so that joints of the chain that mimic the column's stay inside their limits too,
+    where both can be had.
+    """
+    ranges = np.array([joint_range(joint) for joint in robot.inputs])
+    offset = robot.chain_values(np.zeros(len(ranges)))[0]
+    for row, joint, at_zero in zip(robot.coupling, robot.joints, offset, strict=True):
+        for column in np.flatnonzero(row):
+            if joint.name != robot.joint_names[column]:
+                ends = (np.array(joint_range(joint)) - at_zero) / row[column]
+                low = max(ranges[column, 0], ends.min())
+                high = min(ranges[column, 1], ends.max())
+                if low < high:
+                    ranges[column] = low, high
+    return read_only(ranges)
 
 
 def joint_range(joint: UrdfJoint) -> tuple[float, float]:
@@ -82,24 +100,29 @@ def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
 
     try:
         with _quiet("yourdfpy.urdf"):
-            model = yourdfpy.URDF.load(
+            parsed = yourdfpy.URDF.load(
                 io.BytesIO(robot.urdf.data),
-                build_scene_graph=True,
+                build_scene_graph=False,
                 load_meshes=False,
                 load_collision_meshes=False,
-            )
+            ).robot
+            # Every joint of the chain is given its value, and yourdfpy takes none for one that mimics another.
+            for joint in parsed.joints:
+                joint.mimic = None
+            model = yourdfpy.URDF(parsed, load_meshes=False, load_collision_meshes=False)
     # Whatever a foreign reader raises, the file is not fit to be given out.
     except Exception as error:
         message = f"yourdfpy cannot read the corrected URDF of '{robot.name}', so it is not written: {error}"
         raise UrdfError(message) from error
+    names = [joint.name for joint in robot.joints]
     # yourdfpy slides by q times the axis as it is written; the axis is a direction, of any length.
-    q = q / [
+    values = robot.chain_values(q) / [
         np.linalg.norm(model.joint_map[joint.name].axis) if joint.type == "prismatic" else 1.0
         for joint in robot.joints
     ]
-    poses = np.empty((len(q), 4, 4))
-    for i, values in enumerate(q):
-        model.update_cfg(dict(zip(robot.joint_names, values, strict=True)))
+    poses = np.empty((len(values), 4, 4))
+    for i, row in enumerate(values):
+        model.update_cfg(dict(zip(names, row, strict=True)))
         poses[i] = rigid_inverse(model.get_transform(robot.base)) @ model.get_transform(robot.tip)
     return poses
 

@@ -139,6 +139,11 @@ class Robot:
         return self._chain.T_root_base
 
     @property
+    def base_moves(self) -> bool:
+        """Whether joints of the chain lie on the base's side, so that they move the base in the URDF's root."""
+        return self._chain.base_moves
+
+    @property
     def inputs(self) -> tuple[UrdfJoint, ...]:
         """The joint of each column of q, m of them; a driver that lies outside the chain is among them."""
         return self._coupling.inputs

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib.model.chain import full_configurations, full_model, link_frame
 from calib.model.robot import Robot, rigid_inverse
 from calib.show.triangles import Triangles
 from calib.show.visuals import Cylinder, Shape, Sphere, Visual
@@ -55,31 +56,22 @@ class Body:
 
 
 def link_poses(robot: Robot, q: Array) -> dict[str, Array]:
-    """T_base_link of every link of the URDF: the chain at ``q``, every other joint at zero.
+    """T_base_link of every link of the URDF, each joint where `Robot.urdf_values` says.
 
     Args:
         robot: The robot.
-        q: shape (n,), [rad] or [m].
+        q: shape (m,), [rad] or [m], in the order of ``robot.joint_names``.
 
     Returns:
         By link, shape (4, 4), [m]; the tip's equals ``robot.poses(q)``.
     """
-    model = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
+    model = full_model(robot.urdf)
     data = model.createData()
-    configuration = pin.neutral(model)
-    for name, value in zip(robot.joint_names, q, strict=True):
-        joint = model.getJointId(name)
-        first = model.idx_qs[joint]
-        # A continuous joint's configuration is (cos q, sin q).
-        values = [value] if model.nqs[joint] == 1 else [np.cos(value), np.sin(value)]
-        configuration[first : first + len(values)] = values
+    configuration = full_configurations(model, robot.urdf_values(q))[0]
     pin.framesForwardKinematics(model, data, configuration)
-    T_base_root = rigid_inverse(robot.T_root_base)
-    poses = {}
-    for link in robot.urdf.links:
-        frame = model.getFrameId(link, pin.FrameType.BODY)
-        poses[link] = T_base_root @ data.oMf[frame].homogeneous
-    return poses
+    T_root_link = {link: data.oMf[link_frame(model, link)].homogeneous for link in robot.urdf.links}
+    T_base_root = rigid_inverse(T_root_link[robot.base])
+    return {link: T_base_root @ T for link, T in T_root_link.items()}
 
 
 def bodies(robot: Robot, q: Array, visuals: Sequence[Visual]) -> tuple[Body, ...]:

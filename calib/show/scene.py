@@ -1,12 +1,14 @@
 """The picture of a calibration: nominal robot, calibrated robot and both overlaid, in one HTML file.
 
-All lengths are true to scale. Everything is drawn in the base frame, z up, with meshcat; the page holds the viewer
-and the scene, opens from disk and loads nothing from anywhere.
+All lengths are true to scale. Everything is drawn in the base frame, z up, with meshcat; where joints move the base
+itself, as they do a camera's, it is turned so that the robot stands upright. The page holds the viewer and the scene,
+opens from disk and loads nothing from anywhere.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -22,7 +24,7 @@ from calib.show.bodies import Body, bodies, link_poses, rod_pose
 from calib.show.camera import Camera, look_at, row_direction
 from calib.show.page import COLOURS, SCENE, Spot, html_page, round_length
 from calib.show.triangles import Triangles
-from calib.show.visuals import Box, Cylinder, Shape, read_visuals, same_visuals
+from calib.show.visuals import Box, Cylinder, Shape, Visual, read_visuals, same_visuals
 from calib.show.window import KeyLight, PackedGeometry, SceneWindow, ShadowMaterial, without_shadow
 
 Array = NDArray[np.float64]
@@ -44,7 +46,7 @@ class View:
     Attributes:
         nominal: The robot before calibration.
         calibrated: The robot after it; the same chain.
-        q: shape (n,), [rad] or [m], the pose shown, in the order of ``nominal.joint_names``.
+        q: shape (m,), [rad] or [m], the pose shown, in the order of ``nominal.joint_names``.
         nominal_target: shape (3,), [m], the target in the tip of the nominal robot.
         calibrated_target: shape (3,), [m], the target in the tip of the calibrated robot.
         measured: shape (N, 3), [m], measured targets in the base frame; may be empty.
@@ -77,7 +79,7 @@ class View:
                 f"{choices(self.calibrated.joint_names)}. Show two robots with the same chain."
             )
             raise ModelError(message)
-        self._store("q", self.q, (len(self.nominal.joints),))
+        self._store("q", self.q, (len(self.nominal.joint_names),))
         self._store("nominal_target", self.nominal_target, (3,))
         self._store("calibrated_target", self.calibrated_target, (3,))
         self._store("T_base_nominal", self.T_base_nominal, (4, 4))
@@ -140,14 +142,7 @@ def view_page(view: View) -> Page:
     if not same_visuals(view.nominal.urdf, view.calibrated.urdf):
         calibrated_visuals, more = read_visuals(view.calibrated.urdf)
         warnings = tuple(dict.fromkeys(warnings + more))
-    layout = _Layout.of(
-        view,
-        tuple(
-            replace(body, T_base_shape=view.T_base_nominal @ body.T_base_shape)
-            for body in bodies(view.nominal, view.q, nominal_visuals)
-        ),
-        bodies(view.calibrated, view.q, calibrated_visuals),
-    )
+    layout = _Layout.of(view, nominal_visuals, calibrated_visuals)
     window = SceneWindow()
     root = meshcat.Visualizer.view_into(window, meshcat.path.Path())
     _draw_surroundings(root, layout)
@@ -156,7 +151,7 @@ def view_page(view: View) -> Page:
         scene[group].set_transform(_translation(offset - layout.camera.centre))
         for who in shown:
             _draw_robot(scene[group][who], layout, who, over=len(shown) == 2)
-    _draw_measured(scene["both"]["measured"], view, layout)
+    _draw_measured(scene["both"]["measured"], view.index, layout)
     spots = [
         Spot(group, offset + layout.foot - layout.camera.centre)
         for group, (offset, _) in layout.groups.items()
@@ -175,11 +170,12 @@ def view_page(view: View) -> Page:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Layout:
-    """Where everything goes, in the base frame of the robot in the middle [m]."""
+    """Where everything goes, in the base frame of the robot in the middle, turned upright [m]."""
 
     parts: dict[str, tuple[Body, ...]]
     stalks: dict[str, tuple[Array, Array]]
     points: dict[str, Array]
+    measured: Array
     groups: dict[str, tuple[Array, tuple[str, ...]]]
     foot: Array
     size: float
@@ -187,20 +183,36 @@ class _Layout:
     camera: Camera
 
     @classmethod
-    def of(cls, view: View, nominal: tuple[Body, ...], calibrated: tuple[Body, ...]) -> _Layout:
+    def of(
+        cls, view: View, nominal_visuals: Sequence[Visual], calibrated_visuals: Sequence[Visual]
+    ) -> _Layout:
         """Place three groups side by side so that nothing of one reaches into the next."""
-        stalks = {}
-        for who, robot, target, T_base_robot in (
-            ("nominal", view.nominal, view.nominal_target, view.T_base_nominal),
-            ("calibrated", view.calibrated, view.calibrated_target, np.eye(4)),
-        ):
-            T_base_tip = T_base_robot @ robot.poses(view.q)[0]
-            stalks[who] = (T_base_tip[:3, 3], T_base_tip[:3, :3] @ target + T_base_tip[:3, 3])
+        upright = _upright(view.nominal, view.q)
+        shown = (
+            (
+                "nominal",
+                view.nominal,
+                nominal_visuals,
+                view.nominal_target,
+                upright @ view.T_base_nominal,
+            ),
+            ("calibrated", view.calibrated, calibrated_visuals, view.calibrated_target, upright),
+        )
+        stalks, parts = {}, {}
+        for who, robot, visuals, target, T_robot in shown:
+            T_tip = T_robot @ robot.poses(view.q)[0]
+            stalks[who] = (T_tip[:3, 3], T_tip[:3, :3] @ target + T_tip[:3, 3])
+            parts[who] = tuple(
+                replace(body, T_base_shape=T_robot @ body.T_base_shape)
+                for body in bodies(robot, view.q, visuals)
+            )
         points = {who: stalk[1] for who, stalk in stalks.items()}
+        measured = view.measured @ upright[:3, :3].T
         if view.index is not None:
-            points["measured"] = view.measured[view.index]
-        joints = np.array([T[:3, 3] for T in link_poses(view.nominal, view.q).values()])
-        drawn = [body.outline() for body in (*nominal, *calibrated)]
+            points["measured"] = measured[view.index]
+        links = link_poses(view.nominal, view.q).values()
+        joints = np.array([upright[:3, :3] @ T[:3, 3] for T in links])
+        drawn = [body.outline() for who in parts for body in parts[who]]
         outline = np.concatenate([*drawn, joints, *[point[None] for point in points.values()]])
         low, high = outline.min(axis=0), outline.max(axis=0)
         size = max(float(np.linalg.norm(high - low)), 1e-3)
@@ -217,21 +229,30 @@ class _Layout:
         standing = outline[outline[:, 2] < low[2] + 0.2 * size] @ back
         foot += standing.max() * back
         # A wild measurement must not make the robots small.
-        near_by = np.linalg.norm(view.measured - 0.5 * (low + high), axis=1) < size
+        near_by = np.linalg.norm(measured - 0.5 * (low + high), axis=1) < size
         everything = np.concatenate(
             [np.vstack([outline, foot]) + offset for offset, _ in groups.values()]
-            + [view.measured[near_by] + groups["both"][0]]
+            + [measured[near_by] + groups["both"][0]]
         )
         return cls(
-            parts={"nominal": nominal, "calibrated": calibrated},
+            parts=parts,
             stalks=stalks,
             points=points,
+            measured=measured,
             groups=groups,
             foot=foot,
             size=size,
             grid=round_length(size / 7.0),
             camera=look_at(everything, back),
         )
+
+
+def _upright(robot: Robot, q: Array) -> Array:
+    """How the base frame is turned so that the root's z is up, shape (4, 4); not at all where the base stands still."""
+    T = np.eye(4)
+    if robot.base_moves:
+        T[:3, :3] = link_poses(robot, q)[robot.urdf.root][:3, :3].T
+    return T
 
 
 def _draw_surroundings(root: meshcat.Visualizer, layout: _Layout) -> None:
@@ -294,30 +315,30 @@ def _draw_robot(scene: meshcat.Visualizer, layout: _Layout, who: str, *, over: b
         scene["stalk"].set_transform(rod.T_base_shape @ T_shape_mesh)
 
 
-def _draw_measured(scene: meshcat.Visualizer, view: View, layout: _Layout) -> None:
+def _draw_measured(scene: meshcat.Visualizer, index: int | None, layout: _Layout) -> None:
     """The measured points; the one of the pose shown as large as the targets."""
-    if not len(view.measured):
+    if not len(layout.measured):
         return
     colour = int(COLOURS["measured"][1:], 16)
-    if len(view.measured) <= _MOST_BALLS:
+    if len(layout.measured) <= _MOST_BALLS:
         small = mc.Sphere(_SMALL_BALL * layout.size)
         material = mc.MeshPhongMaterial(color=colour, opacity=0.45)
-        for i, point in enumerate(view.measured):
-            if i == view.index:
+        for i, point in enumerate(layout.measured):
+            if i == index:
                 continue
             scene[f"{i:03d}"].set_object(small, material)
             without_shadow(scene[f"{i:03d}"])
             scene[f"{i:03d}"].set_transform(_translation(point))
     else:
-        dots = view.measured.T.astype(np.float32)
+        dots = layout.measured.T.astype(np.float32)
         rgb = [colour >> 16, colour >> 8 & 255, colour & 255]
-        shade = np.tile(np.array(rgb, dtype=np.float32)[:, None] / 255, len(view.measured))
+        shade = np.tile(np.array(rgb, dtype=np.float32)[:, None] / 255, len(layout.measured))
         cloud = mc.PointCloud(dots, shade, size=0.6 * _SMALL_BALL * layout.size)
         scene["dots"].set_object(cloud)
         without_shadow(scene["dots"])
-    if view.index is not None:
+    if index is not None:
         scene["here"].set_object(mc.Sphere(_BALL * layout.size), mc.MeshPhongMaterial(color=colour))
-        scene["here"].set_transform(_translation(view.measured[view.index]))
+        scene["here"].set_transform(_translation(layout.measured[index]))
 
 
 def _material(who: str, *, translucent: bool = False) -> mc.MeshPhongMaterial:
