@@ -25,6 +25,7 @@ from calib.measure.columns import POINT, QUATERNION, TORQUE
 from calib.measure.kinds import DEFAULT_TARGET, KINDS, LENGTHS, POSITIONS, SETS
 from calib.measure.layout import Layout
 from calib.measure.orientation import to_quaternions
+from calib.measure.points_file import Points, match_points, read_points
 from calib.measure.table import Table
 from calib.measure.values import Values
 from calib.model.files import write_atomically
@@ -55,7 +56,7 @@ class Measurements:
         groups: the set-up's name per row; ``""`` when not given.
         rows: the row numbers a person sees, unique; 1 to N when not given.
         source: the file's name, for messages.
-        sha256: of the file's bytes, of two files one after the other; ``""`` when not from a file.
+        sha256: of the file's bytes, ``"... + ..."`` of two files; ``""`` when not from a file.
         ignored: the headers of the table's columns that were not used.
         prismatic: the names of those joints whose values are lengths.
         kinds: the kind per row; all ``"point"`` when not given.
@@ -134,6 +135,8 @@ class Measurements:
         joint_types: Mapping[str, str] | None = None,
         columns: Mapping[str, str] | None = None,
         kind: str | None = None,
+        points: str | Path | None = None,
+        points_unit: str | None = None,
     ) -> Measurements:
         """Read a table with units in its header; docs/data-format.md describes it.
 
@@ -148,24 +151,34 @@ class Measurements:
                 leaves a column out; several columns may be mapped to ``"group"``.
             kind: the kind of all rows; None takes it from a column ``kind``, else from the columns
                 that there are.
+            points: a list of measured points, such as laser tracker programs write, see `read_points`: the
+                table's column ``point`` names the point of each row; without one they are in its order.
+            points_unit: the unit of that list, where it names none.
 
         Raises:
             MeasurementError: the table cannot be read; the text names the file, row and column.
         """
+        elsewhere = None if points is None else read_points(points, points_unit)
         table = Table.read(path)
-        layout = Layout.find(table, joint_names, joint_types, columns, kind)
+        layout = Layout.find(
+            table, joint_names, joint_types, columns, kind, points_elsewhere=elsewhere is not None
+        )
         values = Values.read(table, layout)
+        positions, source, sha256 = values.points, table.source, table.sha256
+        if elsewhere is not None:
+            positions = _located(elsewhere, table, layout, values)
+            source, sha256 = f"{source} + {elsewhere.source}", f"{sha256} + {elsewhere.sha256}"
         measurements = cls(
             joint_names=layout.joint_names,
             joints=values.joints,
-            points=values.points,
+            points=positions,
             sets=values.sets,
             sigma=values.sigma,
             targets=values.targets,
             groups=values.groups,
             rows=values.rows,
-            source=table.source,
-            sha256=table.sha256,
+            source=source,
+            sha256=sha256,
             ignored=layout.ignored,
             prismatic=layout.prismatic,
             kinds=values.kinds,
@@ -343,6 +356,17 @@ def _written(name: str, unit: str, values: NDArray[np.float64]) -> tuple[str, li
     numbers = (values / UNITS[unit].to_si if unit else values).tolist()
     cells = ["" if math.isnan(number) else number for number in numbers]
     return (f"{name} [{unit}]" if unit else name), cells
+
+
+def _located(
+    elsewhere: Points, table: Table, layout: Layout, values: Values
+) -> NDArray[np.float64]:
+    """The points of a file of points in the rows that they belong to, shape (N, 3), [m]; NaN in others."""
+    at = [i for i, kind in enumerate(values.kinds) if kind in POSITIONS]
+    names = [values.names[i] for i in at] if "point" in layout.words else None
+    positions = np.full((len(values.kinds), 3), np.nan)
+    positions[at] = match_points(elsewhere, table.source, [values.rows[i] for i in at], names)
+    return positions
 
 
 def _read_only(values: ArrayLike) -> NDArray[np.float64]:
