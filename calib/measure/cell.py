@@ -1,84 +1,82 @@
 """Cell: what stands around the robot while it is measured, and what of it is known.
 
-The measurement frame, the target on the tip, the instrument's noise, how large errors are expected to be, and
-which parameters are estimated. All of it can stand in a TOML file, ``--cell cell.toml``; see docs/cell.md.
+The measurement frames, the targets on the tip, the instrument's noise, how large errors are expected to be, what the
+tip carries, and which parameters are estimated. All of it can stand in a TOML file, ``--cell cell.toml``; see
+docs/cell.md.
 """
 
 from __future__ import annotations
 
-import difflib
-import math
-import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
-from calib.errors import CalibError, FileError, choices
-from calib.model.files import read_bytes
+from calib.errors import CalibError, choices
+from calib.measure import cell_parts as parts
+from calib.measure.cell_file import read_cell_file
+from calib.measure.cell_parts import PRIOR_SIZES, GroupDistance, Priors
 from calib.model.robot import read_only
+from calib.model.torques import Payload
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+__all__ = ["DIRECTIONS", "PRIOR_SIZES", "REPEATS", "Cell", "GroupDistance", "Priors"]
 
-#: What `Priors.sizes` may be.
-PRIOR_SIZES = ("data", "given", "off")
+#: The directions in which a measurement frame can be unknown, `Cell.frame_directions`.
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+
+#: What `Cell.repeats` may be.
+REPEATS = ("weighted", "average", "independent")
+
+_PRIORS = Priors()
+
+#: Standard gravity, downwards along z of the URDF's root [m/s^2].
+_GRAVITY = read_only((0.0, 0.0, -9.81))
 
 
-def _is_positive(value: object) -> bool:
-    """Whether a value is a positive finite number."""
-    return isinstance(value, (int, float, np.number)) and bool(np.isfinite(value) and value > 0)
-
-
-@dataclass(frozen=True, slots=True)
-class Priors:
-    """How large a robot's errors are expected to be: zero-mean normal distributions.
-
-    Attributes:
-        sizes: ``"data"``: the sizes are found from the measurements, starting at the two below; ``"given"``: they are
-            the two below; ``"off"``: none, plain least squares, but for a leash of 1 m and 1 rad on what no
-            measurement determines.
-        length: Standard deviation of an error in length [m].
-        angle: Standard deviation of an error in angle [rad].
-    """
-
-    sizes: str = "data"
-    length: float = 3e-3
-    angle: float = 15e-3
-
-    def __post_init__(self) -> None:
-        """Refuse an unknown word and sizes that are no standard deviations."""
-        if self.sizes not in PRIOR_SIZES:
-            message = f"Priors of the kind '{self.sizes}' were asked for; choose one of {choices(PRIOR_SIZES)}."
-            raise CalibError(message)
-        for name, value, unit in (("length", self.length, "m"), ("angle", self.angle, "rad")):
-            if not _is_positive(value):
-                message = f"The prior's {name} is {value} {unit}; it must be positive. Use sizes 'off' for none."
-                raise CalibError(message)
+def _none() -> Mapping[str, Any]:
+    """A mapping without entries that cannot be written to."""
+    return MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cell:
     """The set-up of a calibration.
 
+    Parameters are named as `calib inspect` prints them. A change is what is added to a parameter's nominal value, in
+    its unit: [m], [rad], [rad/Nm], [m/N], or [rad/rad] for a gain.
+
     Attributes:
         target: shape (3,), position of the target in the tip [m]; None where it is not known.
-        estimate_target: Whether the target is estimated with the robot (its start is found from the data).
+        estimate_target: Whether the targets are estimated with the robot (their start is found from the data).
         T_frame_base: shape (4, 4), pose of the base in the measurement frame [m]; None where it is not given: then it
             is estimated, or, if it is said to be known, the measurements are in the base frame itself.
-        estimate_frame: Whether the measurement frame is estimated.
-        sigma: Standard deviation of one measured coordinate [m]; None: found from the data.
+        estimate_frame: Whether the measurement frames are estimated.
+        sigma: Standard deviation of one measured coordinate or length [m]; None: found from the data.
         priors: How large the robot's errors are expected to be.
-        model: Name of the parameter set.
+        model: What is estimated of the robot: a parameter set such as ``"dh"``, and families of errors behind it,
+            ``"dh+gain+compliance"``.
         frozen: Names of parameters that stay at their nominal values.
         base: Base link; None: left to the command line or the URDF.
         tip: Tip link, likewise.
+        targets: Positions, shape (3,) each, of targets by name [m]; they win over ``target``.
+        target_rotation: shape (3, 3), R_tip_target, orientation of the targets in the tip; None where it is not known.
+        frames: Poses T_frame_base, shape (4, 4) each, by group [m]; they win over ``T_frame_base``.
+        frame_directions: Which of `DIRECTIONS`, the axes of the base, are estimated where frames are.
+        sigma_angle: Standard deviation of one measured angle [rad]; None: found from the data.
+        kind: Kind of all measurements; None: as the table says.
+        ties: Parameters that follow others, ``x_name = factor * x_other``: for each name the other's and the factor.
+        bounds: The least and the largest change of parameters by name; they contain 0.
+        parameter_priors: Standard deviations of the changes of single parameters; they win over ``priors``.
+        payload: What the tip carries; None: nothing.
+        gravity: shape (3,), acceleration of gravity in the URDF's root frame [m/s^2].
+        distances: Known distances between the fixed points of groups.
+        repeats: How rows of one pose count: ``"weighted"``: as the noise between them and the one they share say;
+            ``"average"``: as one row; ``"independent"``: each for itself.
+        held: Values of joints that have no column in the table [rad] or [m].
     """
 
     target: NDArray[np.float64] | None = None
@@ -86,41 +84,54 @@ class Cell:
     T_frame_base: NDArray[np.float64] | None = None
     estimate_frame: bool = False
     sigma: float | None = None
-    priors: Priors = Priors()
+    priors: Priors = _PRIORS
     model: str = "dh"
     frozen: tuple[str, ...] = ()
     base: str | None = None
     tip: str | None = None
+    targets: Mapping[str, NDArray[np.float64]] = field(default_factory=_none)
+    target_rotation: NDArray[np.float64] | None = None
+    frames: Mapping[str, NDArray[np.float64]] = field(default_factory=_none)
+    frame_directions: tuple[str, ...] = DIRECTIONS
+    sigma_angle: float | None = None
+    kind: str | None = None
+    ties: Mapping[str, tuple[str, float]] = field(default_factory=_none)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=_none)
+    parameter_priors: Mapping[str, float] = field(default_factory=_none)
+    payload: Payload | None = None
+    gravity: NDArray[np.float64] = field(default_factory=lambda: _GRAVITY)
+    distances: tuple[GroupDistance, ...] = ()
+    repeats: str = "weighted"
+    held: Mapping[str, float] = field(default_factory=_none)
 
     def __post_init__(self) -> None:
-        """Check kinds, shapes and numbers."""
+        """Check kinds, shapes and numbers; keep read-only copies."""
         for name, kind in (
             ("estimate_target", bool),
             ("estimate_frame", bool),
             ("priors", Priors),
             ("model", str),
+            ("payload", (Payload, type(None))),
+            ("kind", (str, type(None))),
+            ("base", (str, type(None))),
+            ("tip", (str, type(None))),
         ):
             if not isinstance(getattr(self, name), kind):
-                message = f"A cell's {name} must be of type {kind.__name__}; {getattr(self, name)!r} was given."
+                wanted = kind[0] if isinstance(kind, tuple) else kind
+                message = f"A cell's {name} must be of type {wanted.__name__}; {getattr(self, name)!r} was given."
                 raise CalibError(message)
-        if self.target is not None:
-            object.__setattr__(self, "target", _vector(self.target, "target"))
-        elif not self.estimate_target:
-            message = (
-                'The target is said to be known but is not given. Give it (--target "x y z mm", or target_mm in the '
-                "cell file) or let it be estimated."
-            )
-            raise CalibError(message)
-        if self.T_frame_base is not None:
-            object.__setattr__(self, "T_frame_base", _pose(self.T_frame_base))
-        if self.sigma is not None and not _is_positive(self.sigma):
-            message = f"The noise sigma is {self.sigma} m; it must be a positive number."
-            raise CalibError(message)
-        names = self.frozen
-        if not isinstance(names, (tuple, list)) or not all(isinstance(name, str) for name in names):
-            message = f"The frozen parameters are a tuple of names; {names!r} was given."
-            raise CalibError(message)
-        object.__setattr__(self, "frozen", tuple(self.frozen))
+        for name, value in (
+            *_places(self).items(),
+            *_numbers(self).items(),
+            *_parameters(self).items(),
+        ):
+            object.__setattr__(self, name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To another process and back: read-only mappings travel as dicts, and are checked again there."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        plain = {k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in values.items()}
+        return _cell, (plain,)
 
     @classmethod
     def read(cls, path: str | Path) -> Cell:
@@ -130,126 +141,102 @@ class Cell:
             FileError: The file cannot be read.
             CalibError: It is not TOML, has an unknown key, or a value of the wrong kind.
         """
-        data = read_bytes(Path(path), "cell file", 1_000_000)
+        values = read_cell_file(path)
         try:
-            table = tomllib.loads(data.decode("utf-8-sig"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            message = f"{path}: this is not a TOML file: {error}"
-            raise FileError(message) from error
-        return _from_table(table, str(path))
+            return cls(**values)
+        except CalibError as error:
+            message = f"{path}: {error}"
+            raise CalibError(message) from error
 
     def with_target(self, target: ArrayLike, *, estimate: bool = True) -> Cell:
-        """The cell with this target [m]."""
+        """The cell with this target [m], shape (3,)."""
         return replace(self, target=read_only(np.asarray(target)), estimate_target=estimate)
 
 
-def _vector(value: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Three finite numbers."""
-    vector = _floats(value)
-    if vector is None or vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        given = value.tolist() if isinstance(value, np.ndarray) else value
-        message = f"The {name} must be three finite numbers x, y, z [m]; {given!r} was given."
-        raise CalibError(message)
-    return read_only(vector)
+def _cell(values: dict[str, Any]) -> Cell:
+    """A cell from its values by name, see `Cell.__reduce__`."""
+    return Cell(**values)
 
 
-def _pose(value: ArrayLike) -> NDArray[np.float64]:
-    """A pose: an orthonormal right-handed rotation and a translation."""
-    T = _floats(value)
-    if (
-        T is None
-        or T.shape != (4, 4)
-        or not np.all(np.isfinite(T))
-        or not np.array_equal(T[3], [0, 0, 0, 1])
-        or np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-6
-        or np.linalg.det(T[:3, :3]) < 0
-    ):
-        given = value.tolist() if isinstance(value, np.ndarray) else value
-        message = f"T_frame_base must be a 4 x 4 pose with a right-handed rotation [m]; {given!r} was given."
-        raise CalibError(message)
-    return read_only(T)
-
-
-def _floats(value: ArrayLike) -> NDArray[np.float64] | None:
-    """An array of numbers, or None where the value is none."""
-    try:
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
-
-
-#: The keys of a cell file, each with what its value must be.
-_KEYS: dict[str, str] = {
-    "base": "a name in quotes",
-    "tip": "a name in quotes",
-    "model": "a name in quotes",
-    "freeze": "a list of names",
-    "target": "'known' or 'estimate'",
-    "target_mm": "three numbers",
-    "frame": "'known' or 'estimate'",
-    "frame_xyz_mm": "three numbers",
-    "frame_rpy_deg": "three numbers",
-    "sigma_mm": "a positive number",
-    "priors": "'data', 'given' or 'off'",
-    "prior_length_mm": "a positive number",
-    "prior_angle_mrad": "a positive number",
-}
-
-
-def _from_table(table: Mapping[str, Any], source: str) -> Cell:
-    """The cell that a TOML table describes."""
-    for key, value in table.items():
-        if key not in _KEYS:
-            close = difflib.get_close_matches(key, _KEYS, n=1)
-            hint = f" Did you mean '{close[0]}'?" if close else ""
-            message = f"{source}: unknown key '{key}'.{hint} A cell file may have {choices(_KEYS, limit=40)}."
-            raise CalibError(message)
-        if not _fits(value, _KEYS[key]):
-            message = f"{source}: '{key}' is {value!r}; it must be {_KEYS[key]}."
-            raise CalibError(message)
-    default = Priors()
-    frame = None
-    if "frame_xyz_mm" in table or "frame_rpy_deg" in table:
-        frame = np.eye(4)
-        angles = np.radians(table.get("frame_rpy_deg", [0.0, 0.0, 0.0]))
-        frame[:3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
-        frame[:3, 3] = np.asarray(table.get("frame_xyz_mm", [0.0, 0.0, 0.0])) / 1e3
-    try:
-        return Cell(
-            target=read_only(np.asarray(table["target_mm"]) / 1e3)
-            if "target_mm" in table
-            else None,
-            estimate_target=table.get("target", "estimate") == "estimate",
-            T_frame_base=frame,
-            estimate_frame=table.get("frame", "known") == "estimate",
-            sigma=table["sigma_mm"] / 1e3 if "sigma_mm" in table else None,
-            priors=Priors(
-                sizes=table.get("priors", default.sizes),
-                length=table.get("prior_length_mm", 1e3 * default.length) / 1e3,
-                angle=table.get("prior_angle_mrad", 1e3 * default.angle) / 1e3,
-            ),
-            model=table.get("model", "dh"),
-            frozen=tuple(table.get("freeze", ())),
-            base=table.get("base"),
-            tip=table.get("tip"),
+def _places(cell: Cell) -> dict[str, Any]:
+    """Targets and frames, checked."""
+    target, frame, turned = cell.target, cell.T_frame_base, cell.target_rotation
+    targets, frames = parts.by_name(cell.targets, "targets"), parts.by_name(cell.frames, "frames")
+    if target is None and not targets and not cell.estimate_target:
+        message = (
+            'The target is said to be known but is not given. Give it (--target "x y z mm", or target_mm in the '
+            "cell file) or let it be estimated."
         )
-    except CalibError as error:
-        message = f"{source}: {error}"
-        raise CalibError(message) from error
+        raise CalibError(message)
+    directions = parts.words(cell.frame_directions, "frame's directions")
+    wrong = [d for d in directions if d not in DIRECTIONS or directions.count(d) > 1]
+    if wrong or not directions:
+        given = f"{choices(dict.fromkeys(wrong))} was given" if wrong else "none was given"
+        message = f"The frame's directions are some of {choices(DIRECTIONS)}, each once; {given}."
+        raise CalibError(message)
+    return {
+        "target": None if target is None else parts.vector(target, "target"),
+        "T_frame_base": None if frame is None else parts.pose(frame, "T_frame_base"),
+        "target_rotation": (
+            None if turned is None else parts.rotation(turned, "target's orientation")
+        ),
+        "targets": MappingProxyType(
+            {k: parts.vector(v, f"target '{k}'") for k, v in targets.items()}
+        ),
+        "frames": MappingProxyType(
+            {k: parts.pose(v, f"The frame of '{k}'") for k, v in frames.items()}
+        ),
+        "frame_directions": tuple(d for d in DIRECTIONS if d in directions),
+    }
 
 
-def _fits(value: Any, kind: str) -> bool:  # noqa: ANN401  TOML values are of any kind
-    """Whether a TOML value is of the kind that its key wants."""
+def _numbers(cell: Cell) -> dict[str, Any]:
+    """Noise, gravity, distances, repeats and held joints, checked."""
+    for name, what, unit in (("sigma", "sigma", "m"), ("sigma_angle", "sigma of angles", "rad")):
+        value = getattr(cell, name)
+        if value is not None and not parts.is_positive(value):
+            message = f"The noise {what} is {value} {unit}; it must be a positive number."
+            raise CalibError(message)
+    if cell.repeats not in REPEATS:
+        message = f"Repeats were asked for as {cell.repeats!r}; choose one of {choices(REPEATS)}."
+        raise CalibError(message)
+    distances = cell.distances
+    if not isinstance(distances, (tuple, list)) or not all(
+        isinstance(d, GroupDistance) for d in distances
+    ):
+        message = f"The distances are a tuple of GroupDistance; {distances!r} was given."
+        raise CalibError(message)
+    held = parts.by_name(cell.held, "held joints")
+    for name, value in held.items():
+        if not parts.is_number(value):
+            message = (
+                f"The joint '{name}' is held at {value!r}; it must be a finite number, in rad or m."
+            )
+            raise CalibError(message)
+    return {
+        "gravity": parts.vector(cell.gravity, "gravity", "m/s^2"),
+        "distances": tuple(distances),
+        "held": MappingProxyType({name: float(value) for name, value in held.items()}),
+    }
 
-    def is_number(v: Any) -> bool:  # noqa: ANN401
-        return isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v)
 
-    if kind == "a positive number":
-        return is_number(value) and value > 0
-    if kind == "three numbers":
-        return isinstance(value, list) and len(value) == 3 and all(is_number(v) for v in value)
-    if kind == "a list of names":
-        return isinstance(value, list) and all(isinstance(v, str) for v in value)
-    if kind == "a name in quotes":
-        return isinstance(value, str)
-    return isinstance(value, str) and f"'{value}'" in kind
+def _parameters(cell: Cell) -> dict[str, Any]:
+    """What is said of single parameters, checked."""
+    frozen = parts.words(cell.frozen, "frozen parameters")
+    ties, bounds = parts.ties(cell.ties, frozen), parts.bounds(cell.bounds)
+    priors = parts.by_name(cell.parameter_priors, "priors of single parameters")
+    for name, value in priors.items():
+        if not parts.is_positive(value):
+            message = f"The prior of '{name}' is {value!r}; it must be a positive number. Freeze it to keep it."
+            raise CalibError(message)
+    for name in ties:
+        for what, given in (("bounds", bounds), ("a prior", priors)):
+            if name in given:
+                message = f"'{name}' has {what} and is tied to '{ties[name][0]}'; give {what} to that one."
+                raise CalibError(message)
+    return {
+        "frozen": frozen,
+        "ties": ties,
+        "bounds": bounds,
+        "parameter_priors": MappingProxyType({k: float(v) for k, v in priors.items()}),
+    }

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import CalibError, FileError
-from calib.measure import cell as cell_module
+from calib.measure.cell_file import KEYS
 from calib.measure.cell import Cell, Priors
 
 DOC = Path(__file__).parents[2] / "docs" / "cell.md"
@@ -222,4 +222,4 @@ def test_the_documents_example_is_read(tmp_path: Path):
 
 def test_the_document_has_every_key_and_no_other():
     documented = re.findall(r"^\| `(\w+)` \|", DOC.read_text(encoding="utf-8"), re.MULTILINE)
-    assert sorted(documented) == sorted(cell_module._KEYS)
+    assert sorted(documented) == sorted(KEYS)

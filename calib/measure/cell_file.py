@@ -1,0 +1,350 @@
+"""The cell file: TOML with units in its keys or beside its numbers, into the values of a `calib.measure.cell.Cell`."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.errors import CalibError, FileError, choices
+from calib.measure.cell_parts import GroupDistance, Priors, is_number, is_positive
+from calib.measure.quantities import (
+    ANGLE,
+    COMPLIANCE,
+    LENGTH,
+    NUMBER,
+    parse_joint_value,
+    parse_quantity,
+)
+from calib.model.files import read_bytes
+from calib.model.torques import Payload
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+_NAME = "a name in quotes"
+_POSITIVE = "a positive number"
+_THREE = "three numbers"
+_TABLE = "a table"
+
+#: The keys of a cell file, each with what its value must be.
+KEYS: dict[str, str] = {
+    "base": _NAME,
+    "tip": _NAME,
+    "model": _NAME,
+    "kind": _NAME,
+    "repeats": "'weighted', 'average' or 'independent'",
+    "freeze": "a list of names",
+    "target": "'known' or 'estimate'",
+    "target_mm": _THREE,
+    "target_rpy_deg": _THREE,
+    "frame": '\'known\', \'estimate\' or a list of directions such as ["x", "y", "rz"]',
+    "frame_xyz_mm": _THREE,
+    "frame_rpy_deg": _THREE,
+    "sigma_mm": _POSITIVE,
+    "sigma_angle_deg": _POSITIVE,
+    "priors": "'data', 'given' or 'off'",
+    "prior_length_mm": _POSITIVE,
+    "prior_angle_mrad": _POSITIVE,
+    "prior_zero_mrad": _POSITIVE,
+    "prior_gain": _POSITIVE,
+    "prior_eccentricity_mrad": _POSITIVE,
+    "prior_compliance_rad_per_Nm": _POSITIVE,
+    "gravity_m_per_s2": _THREE,
+    "targets_mm": _TABLE,
+    "frames": _TABLE,
+    "ties": _TABLE,
+    "bounds": _TABLE,
+    "parameter_priors": _TABLE,
+    "payload": _TABLE,
+    "held": _TABLE,
+    "distances": "a list of tables, each headed [[distances]]",
+}
+
+#: The keys of the tables whose keys are not names that the user chose; those marked with True must be there.
+_INNER: dict[str, dict[str, tuple[str, bool]]] = {
+    "frames": {"xyz_mm": (_THREE, False), "rpy_deg": (_THREE, False)},
+    "payload": {"mass_kg": ("a number", True), "com_mm": (_THREE, False)},
+    "distances": {
+        "first": (_NAME, True),
+        "second": (_NAME, True),
+        "length_mm": (_POSITIVE, True),
+        "sigma_mm": (_POSITIVE, True),
+    },
+}
+
+#: Keys of the sizes of priors, the attribute of each and what one of its unit is in SI.
+_PRIORS = {
+    "prior_length_mm": ("length", 1e-3),
+    "prior_angle_mrad": ("angle", 1e-3),
+    "prior_zero_mrad": ("zero", 1e-3),
+    "prior_gain": ("gain", 1.0),
+    "prior_eccentricity_mrad": ("eccentricity", 1e-3),
+    "prior_compliance_rad_per_Nm": ("compliance", 1.0),
+}
+
+_EXAMPLES = {LENGTH: '"0.5 mm"', ANGLE: '"1 mrad"', NUMBER: "1e-3", COMPLIANCE: '"1e-5 rad/Nm"'}
+
+#: How parameters are named, and what they are; see docs/parameters.md. The first that fits is taken.
+_PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    (r"[ad]\d+|(frame|target)_[xyz](\[.*\])?|.*\.[xyz]", (LENGTH,)),
+    (r"(alpha|beta|theta)\d+|(frame|target)_r[xyz](\[.*\])?|.*\.(r[xyz]|sin|cos)", (ANGLE,)),
+    (r".*\.zero", (LENGTH, ANGLE)),
+    (r".*\.gain", (NUMBER,)),
+    (r".*\.compliance", (COMPLIANCE,)),
+)
+
+
+def read_cell_file(path: str | Path) -> dict[str, Any]:
+    """The values that a cell file gives, by the names of a cell's attributes, in SI units.
+
+    Raises:
+        FileError: The file cannot be read or is not TOML.
+        CalibError: It has an unknown key, or a value of the wrong kind.
+    """
+    data = read_bytes(Path(path), "cell file", 1_000_000)
+    try:
+        table = tomllib.loads(data.decode("utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        message = f"{path}: this is not a TOML file: {error}"
+        raise FileError(message) from error
+    try:
+        _check_keys(table)
+        return _values(table)
+    except CalibError as error:
+        message = f"{path}: {error}"
+        raise CalibError(message) from error
+
+
+def _check_keys(table: Mapping[str, Any]) -> None:
+    """Refuse unknown keys and values of the wrong kind."""
+    for key, value in table.items():
+        if key not in KEYS:
+            message = f"unknown key '{key}'.{_close(key, KEYS)} A cell file may have {choices(KEYS, limit=40)}."
+            raise CalibError(message)
+        if not _fits(value, KEYS[key]):
+            message = f"'{key}' is {value!r}; it must be {KEYS[key]}."
+            raise CalibError(message)
+        if KEYS[key] == _TABLE and key != "payload":
+            # TOML's own trap: what stands below a [table] belongs to it.
+            strayed = [name for name in value if name in KEYS]
+            if strayed:
+                message = (
+                    f"'{strayed[0]}' stands in the table [{key}]; the cell's own keys must stand above the first line "
+                    "in brackets."
+                )
+                raise CalibError(message)
+    _check_inner("[payload]", table.get("payload"), "payload")
+    for group, frame in table.get("frames", {}).items():
+        if not isinstance(frame, dict):
+            message = f"'{group}' in [frames] is {frame!r}; write a table [frames.{group}] with xyz_mm and rpy_deg."
+            raise CalibError(message)
+        _check_inner(f"[frames.{group}]", frame, "frames")
+    for k, distance in enumerate(table.get("distances", [])):
+        _check_inner(f"[[distances]] number {k + 1}", distance, "distances")
+
+
+def _check_inner(where: str, table: Mapping[str, Any] | None, kind: str) -> None:
+    """The same for a table inside the file."""
+    if table is None:
+        return
+    allowed = _INNER[kind]
+    for key, value in table.items():
+        if key not in allowed:
+            above = (
+                " The cell's own keys must stand above the first line in brackets."
+                if key in KEYS
+                else _close(key, allowed)
+            )
+            message = f"{where} has an unknown key '{key}'.{above} It may have {choices(allowed)}."
+            raise CalibError(message)
+        if not _fits(value, allowed[key][0]):
+            message = f"'{key}' in {where} is {value!r}; it must be {allowed[key][0]}."
+            raise CalibError(message)
+    missing = [key for key, (_, needed) in allowed.items() if needed and key not in table]
+    if missing:
+        message = f"{where} lacks {choices(missing)}."
+        raise CalibError(message)
+
+
+def _close(key: str, allowed: Mapping[str, Any]) -> str:
+    """The allowed key that is spelt most like an unknown one, as a question."""
+    close = difflib.get_close_matches(key, allowed, n=1)
+    return f" Did you mean '{close[0]}'?" if close else ""
+
+
+def _values(table: Mapping[str, Any]) -> dict[str, Any]:
+    """The cell's values that a checked table gives; what it leaves out is left out here."""
+    frame = table.get("frame", "known")
+    values: dict[str, Any] = {
+        "estimate_target": table.get("target", "estimate") == "estimate",
+        "estimate_frame": frame != "known",
+        "priors": _priors(table),
+    }
+    if isinstance(frame, list):
+        values["frame_directions"] = tuple(frame)
+    if "frame_xyz_mm" in table or "frame_rpy_deg" in table:
+        values["T_frame_base"] = _pose(table.get("frame_xyz_mm"), table.get("frame_rpy_deg"))
+    for key in ("base", "tip", "model", "kind", "repeats"):
+        if key in table:
+            values[key] = table[key]
+    convert: dict[str, tuple[str, Callable[[Any], Any]]] = {
+        "freeze": ("frozen", tuple),
+        "target_mm": ("target", _metres),
+        "target_rpy_deg": ("target_rotation", _rotation),
+        "sigma_mm": ("sigma", lambda v: v / 1e3),
+        "sigma_angle_deg": ("sigma_angle", np.radians),
+        "gravity_m_per_s2": ("gravity", np.asarray),
+        "targets_mm": ("targets", _targets),
+        "frames": ("frames", _frames),
+        "ties": ("ties", _ties),
+        "bounds": ("bounds", _bounds),
+        "parameter_priors": ("parameter_priors", _parameter_priors),
+        "held": ("held", _held),
+        "payload": ("payload", _payload),
+        "distances": ("distances", _distances),
+    }
+    for key, (name, function) in convert.items():
+        if key in table:
+            values[name] = function(table[key])
+    return values
+
+
+def _priors(table: Mapping[str, Any]) -> Priors:
+    """The sizes of priors."""
+    sizes = {name: table[key] * unit for key, (name, unit) in _PRIORS.items() if key in table}
+    return Priors(sizes=table.get("priors", "data"), **sizes)
+
+
+def _metres(value: list[float]) -> NDArray[np.float64]:
+    """Three numbers in mm, shape (3,), [m]."""
+    return np.asarray(value, dtype=np.float64) / 1e3
+
+
+def _rotation(rpy: list[float]) -> NDArray[np.float64]:
+    """Roll, pitch, yaw about fixed axes [deg] as a matrix, shape (3, 3)."""
+    return np.asarray(Rotation.from_euler("xyz", np.radians(rpy)).as_matrix())
+
+
+def _pose(xyz: list[float] | None, rpy: list[float] | None) -> NDArray[np.float64]:
+    """A pose, shape (4, 4), from [mm] and [deg]; what is left out is zero."""
+    T = np.eye(4)
+    T[:3, :3] = np.eye(3) if rpy is None else _rotation(rpy)
+    T[:3, 3] = 0.0 if xyz is None else _metres(xyz)
+    return T
+
+
+def _targets(table: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
+    """Positions of targets by name, shape (3,) each [m]."""
+    for name, value in table.items():
+        if not _fits(value, _THREE):
+            message = f"the target '{name}' in [targets_mm] is {value!r}; it must be {_THREE} [mm]."
+            raise CalibError(message)
+    return {name: _metres(value) for name, value in table.items()}
+
+
+def _frames(table: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
+    """Poses of the base by group, shape (4, 4) each [m]."""
+    return {name: _pose(value.get("xyz_mm"), value.get("rpy_deg")) for name, value in table.items()}
+
+
+def _ties(table: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
+    """Parameters that follow others; a name alone has the factor 1."""
+    result = {}
+    for name, value in table.items():
+        pair = (value, 1.0) if isinstance(value, str) else value
+        if not (
+            isinstance(pair, (list, tuple))
+            and len(pair) == 2
+            and isinstance(pair[0], str)
+            and is_number(pair[1])
+        ):
+            message = (
+                f"the tie of '{name}' in [ties] is {value!r}; it must be another parameter's name, or that and a "
+                'factor, ["a2", -1].'
+            )
+            raise CalibError(message)
+        result[name] = (pair[0], float(pair[1]))
+    return result
+
+
+def _change(name: str, value: object, where: str) -> float:
+    """The change of a parameter in SI units; its name tells what it can be."""
+    allowed = next((kinds for pattern, kinds in _PARAMETERS if re.fullmatch(pattern, name)), ())
+    examples = " or ".join(_EXAMPLES[kind] for kind in (allowed or _EXAMPLES))
+    try:
+        number, kind = parse_quantity(value)
+    except CalibError as error:
+        message = f"'{name}' in {where}: {error}. Write {examples}."
+        raise CalibError(message) from error
+    if kind not in (allowed or _EXAMPLES):
+        message = f"'{name}' in {where} is {value!r}, which is {kind}; write {examples}."
+        raise CalibError(message)
+    return number
+
+
+def _bounds(table: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """The least and the largest change of parameters; one value is both ways."""
+    result = {}
+    for name, value in table.items():
+        if isinstance(value, list):
+            if len(value) != 2:
+                message = f"'{name}' in [bounds] is {value!r}; it must be one value, or the least and the largest."
+                raise CalibError(message)
+            low, high = (_change(name, one, "[bounds]") for one in value)
+        else:
+            high = _change(name, value, "[bounds]")
+            low = -high
+        result[name] = (low, high)
+    return result
+
+
+def _parameter_priors(table: Mapping[str, Any]) -> dict[str, float]:
+    """Standard deviations of single parameters."""
+    return {name: _change(name, value, "[parameter_priors]") for name, value in table.items()}
+
+
+def _held(table: Mapping[str, Any]) -> dict[str, float]:
+    """Values of held joints [rad] or [m]."""
+    return {name: parse_joint_value(value, f"'{name}' in [held]") for name, value in table.items()}
+
+
+def _payload(table: Mapping[str, Any]) -> Payload:
+    """What the tip carries."""
+    return Payload(mass=float(table["mass_kg"]), com=_metres(table.get("com_mm", [0, 0, 0])))
+
+
+def _distances(tables: list[Mapping[str, Any]]) -> tuple[GroupDistance, ...]:
+    """Known distances between groups."""
+    return tuple(
+        GroupDistance(t["first"], t["second"], t["length_mm"] / 1e3, t["sigma_mm"] / 1e3)
+        for t in tables
+    )
+
+
+def _fits(value: Any, kind: str) -> bool:  # noqa: ANN401  TOML values are of any kind
+    """Whether a TOML value is of the kind that its key wants."""
+    if kind == "a number":
+        return is_number(value)
+    if kind == _POSITIVE:
+        return is_positive(value)
+    if kind == _THREE:
+        return isinstance(value, list) and len(value) == 3 and all(is_number(v) for v in value)
+    if kind == _TABLE:
+        return isinstance(value, dict)
+    if kind == KEYS["distances"]:
+        return isinstance(value, list) and all(isinstance(v, dict) for v in value)
+    if isinstance(value, list):
+        return all(isinstance(v, str) for v in value) and "list of" in kind
+    if kind == _NAME:
+        return isinstance(value, str)
+    return isinstance(value, str) and f"'{value}'" in kind
