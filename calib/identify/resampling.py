@@ -1,0 +1,169 @@
+"""Uncertainty without a formula: the bootstrap's rows, and intervals from the profile of the cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import fdtri, gammaincinv
+
+from calib.errors import CalibError
+
+Integers = NDArray[np.int_]
+
+#: Steps are doubled this many times before an end of the interval counts as open: about 1000 standard deviations.
+_DOUBLINGS = 10
+
+#: A cost that is lower than at the estimate by this share of the rise asked for makes its place the estimate.
+_LOWER = 1e-3
+
+#: How often that may happen.
+_RESTARTS = 10
+
+#: An end of the interval is found to this share of its distance from the estimate.
+_TOLERANCE = 1e-4
+
+
+def bootstrap_indices(
+    blocks: NDArray[np.generic], count: int, seed: int, *, strata: NDArray[np.generic] | None = None
+) -> Integers:
+    """How often each row is drawn in each bootstrap sample, whole blocks at a time.
+
+    As many blocks are drawn as there are, with replacement.
+
+    Args:
+        blocks: shape (N,), label of what is drawn together: the pose where it was repeated, or the set-up.
+        count: Number of samples.
+        seed: The samples are the same for the same seed.
+        strata: shape (N,), labels within which blocks are drawn apart, so that every set-up stays in every sample;
+            None: all together.
+
+    Returns:
+        shape (count, N), how often each row counts.
+
+    Example:
+        >>> bootstrap_indices(np.array([0, 0, 1, 2]), count=2, seed=1).shape
+        (2, 4)
+    """
+    rng = np.random.default_rng(seed)
+    _, label = np.unique(blocks, return_inverse=True)
+    stratum = np.zeros_like(label) if strata is None else np.unique(strata, return_inverse=True)[1]
+    result = np.zeros((count, len(label)), dtype=np.int_)
+    for s in range(int(stratum.max(initial=-1)) + 1):
+        rows = np.flatnonzero(stratum == s)
+        _, block = np.unique(label[rows], return_inverse=True)
+        number = int(block.max()) + 1
+        draws = rng.multinomial(number, np.full(number, 1.0 / number), size=count)
+        result[:, rows] = draws[:, block]
+    result.setflags(write=False)
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """An interval from the profile of the cost.
+
+    Attributes:
+        low: Lower end; minus infinity where the cost does not rise enough.
+        high: Upper end; infinity where the cost does not rise enough.
+        level: Probability that the interval holds the true value.
+    """
+
+    low: float
+    high: float
+    level: float
+
+
+def profile(
+    cost_at: Callable[[float], float],
+    value: float,
+    std: float,
+    level: float = 0.95,
+    *,
+    freedom: float = np.inf,
+) -> Profile:
+    """The interval of a parameter where the cost, minimised over the others, is not too high.
+
+    cost(x) - cost(estimate) <= quantile of chi^2(1), or of F(1, freedom) where the noise was estimated.
+
+    Args:
+        cost_at: The cost, minus twice the logarithm of the likelihood, with the parameter held at a value and the
+            others fitted; for an estimated noise, squares over its variance. What is not finite counts as too high.
+        value: The estimate, where the cost is least.
+        std: Its standard deviation, roughly; the first step.
+        level: Probability that the interval holds the true value.
+        freedom: Degrees of freedom of the noise's estimate; infinite where the noise is known.
+
+    Raises:
+        CalibError: the level is not between 0 and 1, or the estimate or its standard deviation is no such number.
+
+    Example:
+        >>> p = profile(lambda x: ((x - 1.0) / 0.5) ** 2, value=1.0, std=0.5)
+        >>> round(p.low, 3), round(p.high, 3)
+        (0.02, 1.98)
+    """
+    _check(value, std, level)
+    rise = _rise(level, freedom)
+    for _ in range(_RESTARTS):
+        least = cost_at(value)
+        low, lower_at = _end(cost_at, value, -std, least, rise)
+        high, upper_at = (
+            (np.nan, None) if lower_at is not None else _end(cost_at, value, std, least, rise)
+        )
+        better = lower_at if lower_at is not None else upper_at
+        if better is None:
+            return Profile(low, high, level)
+        value = better
+    message = (
+        f"The cost is lower elsewhere however far one goes, at last at {value:g}: the estimate is not where the cost "
+        "is least. Fit until it converges first."
+    )
+    raise CalibError(message)
+
+
+def _end(
+    cost_at: Callable[[float], float], value: float, step: float, least: float, rise: float
+) -> tuple[float, float | None]:
+    """An end of the interval, or a place where the cost is lower than at the estimate."""
+
+    def above(x: float) -> float:
+        """The cost over the limit; finite, for the root finder."""
+        over = cost_at(x) - least - rise
+        return float(min(over, 1e6 * rise)) if np.isfinite(over) else 1e6 * rise
+
+    inner, reach = value, step * float(np.sqrt(rise))
+    for _ in range(_DOUBLINGS + 1):
+        outer = value + reach
+        over = above(outer)
+        if over >= 0.0:
+            tolerance = _TOLERANCE * abs(outer - value)
+            return float(brentq(above, inner, outer, xtol=tolerance)), None
+        if over < -(1.0 + _LOWER) * rise:
+            return np.nan, outer
+        inner, reach = outer, 2.0 * reach
+    return float(np.copysign(np.inf, step)), None
+
+
+def _rise(level: float, freedom: float) -> float:
+    """How much the cost may rise within the interval."""
+    if np.isinf(freedom):
+        return float(2.0 * gammaincinv(0.5, level))
+    return float(fdtri(1.0, max(freedom, 1.0), level))
+
+
+def _check(value: float, std: float, level: float) -> None:
+    """Refuse what has no profile."""
+    if not 0.0 < level < 1.0:
+        message = (
+            f"The level of an interval is {level:g}; it must lie between 0 and 1, such as 0.95"
+        )
+        raise CalibError(message)
+    if not (np.isfinite(value) and np.isfinite(std) and std > 0.0):
+        message = (
+            f"A profile starts at an estimate with its standard deviation, not at {value:g} with {std:g}: the "
+            "parameter may not be identifiable. Profile one that is, or give a step of a likely size"
+        )
+        raise CalibError(message)
