@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +16,15 @@ from calib.measure.columns import close_names
 from calib.measure.points_text import Line, PointsText, decode, has_point, is_number, split
 from calib.measure.wrong_units import FAR_M, NEAR_M, better_unit, farthest
 from calib.model.files import read_bytes
-from calib.units import Unit, find_unit, split_header, symbols
+from calib.units import Unit, find_unit, symbols
 
 MAX_BYTES = 500_000_000
 
 #: Between collection, group and point.
 PARTS = "::"
+
+# Behind the name of a column.
+_UNIT = re.compile(r"\s*[\[(].*")
 
 # What the column of names is called in a header; the first two stand before the point's own.
 _NAMES = (
@@ -134,9 +138,9 @@ def match_points(
         i = points.find(name)
         if i is None:
             close = close_names(name, [*points.names, *map(_last, points.names)])
-            hint = f" Close to it: {choices(close)}." if close else ""
+            hint = f"Close to it: {choices(close)}" if close else f"It has {choices(points.names)}"
             message = (
-                f"{source}, row {row}: {points.source} has no point '{name}'.{hint} Correct the "
+                f"{source}, row {row}: {points.source} has no point '{name}'. {hint}. Correct the "
                 "name, or remove the row."
             )
             raise MeasurementError(message)
@@ -174,9 +178,10 @@ def _find_columns(text: PointsText, source: str) -> tuple[tuple[str, ...], tuple
 def _heading(text: PointsText) -> list[str]:
     """The names of the columns, small, from the last header with x, y and z; none without one."""
     for remark in reversed(text.headings):
-        cells = [split_header(cell)[0].casefold() for cell in split(remark, text.separator)]
+        cells = [_UNIT.sub("", cell).casefold() for cell in split(remark, text.separator)]
         # Between blanks a column's name may be of two words: then the header says nothing of places.
-        fits = text.separator != " " or all(len(line.cells) == len(cells) for line in text.lines)
+        widths = [len(line.cells) for line in text.lines]
+        fits = max(widths) <= len(cells) and (text.separator != " " or min(widths) == len(cells))
         if fits and all(cells.count(axis) == 1 for axis in "xyz"):
             return cells
     return []
