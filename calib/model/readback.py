@@ -38,8 +38,7 @@ def check_written(robot: Robot, expected: Array, q: Array) -> None:
         UrdfError: A reader disagrees by more than `TOLERANCE`, or cannot read the URDF at all.
     """
     again = Urdf.from_bytes(robot.urdf.data, "the corrected URDF")
-    read = Robot.from_urdf(again, robot.base, robot.tip, held=robot.held)
-    _compare("Pinocchio", read.poses(q), expected)
+    _compare("Pinocchio", robot.rebuilt(again).poses(q), expected)
     _compare("yourdfpy", _poses_by_yourdfpy(robot, q), expected)
 
 

@@ -98,6 +98,21 @@ class Robot:
         chain = Chain.of(urdf, base, tip)
         return cls(urdf, base, tip, kept, chain, Coupling.of(urdf, chain.joints, dict(kept)))
 
+    def rebuilt(
+        self, urdf: Urdf | None = None, base: str | None = None, tip: str | None = None
+    ) -> Robot:
+        """The robot read anew from another URDF or between other links, what is held and not named kept.
+
+        Raises:
+            UrdfError: As for `load`.
+        """
+        return Robot.from_urdf(
+            self.urdf if urdf is None else urdf,
+            self.base if base is None else base,
+            self.tip if tip is None else tip,
+            held=self.held,
+        )
+
     def __repr__(self) -> str:
         """In one line, such as ``Robot('ur3', base to tool0, 6 joints)``."""
         return f"Robot('{self.name}', {self.base} to {self.tip}, {len(self.joints)} joints)"

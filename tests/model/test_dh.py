@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.errors import CalibError
-from calib.model.dh import DHRow, DHTable, dh_frames, dh_table, zero_poses
+from calib.errors import CalibError, ModelError
+from calib.model.dh import DHRow, DHTable, dh_frames, dh_placements, dh_table, zero_poses
 from calib.model.robot import Robot
+from calib.model.urdf import Urdf
 
 PI = np.pi
 FILES = sorted(
@@ -42,9 +44,11 @@ def columns(table: DHTable) -> dict[str, list[float]]:
 
 def assert_rows_equal_kinematics(robot: Robot, tolerance: float = 1e-12) -> DHTable:
     table = dh_table(robot)
-    q = np.random.default_rng(11).uniform(-3, 3, (4, len(robot.joints)))
-    for values, pose in zip(q, robot.poses(q), strict=True):
+    q = np.random.default_rng(11).uniform(-3, 3, (4, len(robot.joint_names)))
+    for values, pose in zip(robot.chain_values(q), robot.poses(q), strict=True):
         np.testing.assert_allclose(table.pose(values), pose, rtol=0, atol=tolerance)
+    rebuilt = dh_placements(table, robot)
+    np.testing.assert_allclose(rebuilt, robot.placements, rtol=0, atol=tolerance)
     return table
 
 
@@ -259,6 +263,122 @@ def test_the_standard_convention_would_have_gone_kilometres_away(serial_urdf):
     # The axes meet 300 km below; Hayati's row stays where the arm is.
     assert 0.3 / tilt > 2e5
     np.testing.assert_allclose((row.d, row.a, row.beta), (0, 0.3, tilt), atol=1e-12)
+
+
+# Two branches, mimic joints
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "tip"),
+    [
+        ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link"),
+        ("pr2", "r_gripper_tool_frame", "l_gripper_tool_frame"),
+        ("pr2", "head_plate_frame", "r_gripper_l_finger_tip_link"),
+        ("baxter", "right_gripper", "left_gripper"),
+        ("panda", "panda_link0", "panda_rightfinger"),
+        ("ur3", "tool0", "base"),
+        ("kinova", "j2s6s200_end_effector", "j2s6s200_link_base"),
+    ],
+)
+def test_rows_of_two_branches_and_of_mimic_joints(name, base, tip):
+    robot = Robot.load(name, base, tip)
+    table = assert_rows_equal_kinematics(robot)
+    assert [row.joint for row in table.rows] == [joint.name for joint in robot.joints]
+
+
+def test_the_ur3_turned_round_has_the_same_lengths():
+    there = columns(dh_table(Robot.load("ur3", base="base", tip="tool0")))
+    back = columns(dh_table(Robot.load("ur3", base="tool0", tip="base")))
+    lengths = [sorted(np.round(np.abs(table["a"] + table["d"]), 9)) for table in (there, back)]
+    assert lengths[0] == lengths[1]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [path for path in FILES if path.name not in REFUSED],
+    ids=lambda p: f"{p.parents[1].name}/{p.name}",
+)
+def test_rows_between_any_two_links(path):
+    urdf = Urdf.read(path)
+    pairs = np.random.default_rng(len(urdf.data)).choice(urdf.links, (4, 2))
+    for base, tip in pairs:
+        try:
+            robot = Robot.from_urdf(urdf, str(base), str(tip))
+        except CalibError:  # nothing moves between them; what is refused is tested in test_chain.py
+            continue
+        assert_rows_equal_kinematics(robot)
+
+
+# Rows back into placements
+
+
+def perturbed(table: DHTable, seed: int = 4) -> DHTable:
+    rng = np.random.default_rng(seed)
+
+    def moved(row: DHRow) -> DHRow:
+        keys = ("a", "alpha", "d", "theta", "beta")
+        return replace(row, **{key: getattr(row, key) + rng.normal(0, 5e-3) for key in keys})
+
+    return replace(table, rows=tuple(moved(row) for row in table.rows))
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "tip"),
+    [
+        ("ur3", "base", "tool0"),
+        ("ur3", "tool0", "base"),
+        ("panda", "panda_link0", "panda_link8"),
+        ("kinova", None, "j2s6s200_end_effector"),
+        ("tiago_no_hand", None, "wrist_ft_tool_link"),
+        ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link"),
+    ],
+)
+def test_dh_offsets_become_a_urdf(name, base, tip):
+    robot = Robot.load(name, base, tip)
+    table = perturbed(dh_table(robot))
+    new = robot.with_placements(dh_placements(table, robot))
+    again = robot.rebuilt(Urdf.from_bytes(new.urdf.data, "again.urdf"))
+    q = np.random.default_rng(1).uniform(-3, 3, (5, len(robot.joint_names)))
+    for values, pose, moved in zip(q, again.poses(q), robot.poses(q), strict=True):
+        np.testing.assert_allclose(table.pose(values), pose, rtol=0, atol=1e-12)
+        assert np.abs(pose - moved).max() > 1e-4
+
+
+def test_one_row_s_offset_changes_one_or_two_placements(ur3):
+    table = dh_table(ur3)
+    rows = list(table.rows)
+    rows[2] = replace(rows[2], a=rows[2].a + 1e-3)
+    moved = dh_placements(replace(table, rows=tuple(rows)), ur3) - ur3.placements
+    assert [i for i in range(7) if np.abs(moved[i]).max() > 1e-12] == [3]
+    np.testing.assert_allclose(np.linalg.norm(moved[3, :3, 3]), 1e-3, atol=1e-15)
+
+
+def test_rows_of_a_corrected_robot_are_its_own(ur3, panda):
+    """The corrected robot's rows, with its frames chosen anew, move the nominal robot to where it is."""
+    for robot in (ur3, panda):
+        moved = robot.with_placements(dh_placements(perturbed(dh_table(robot)), robot))
+        other = robot.with_placements(dh_placements(dh_table(moved), robot))
+        q = np.random.default_rng(1).uniform(-3, 3, (5, len(robot.joints)))
+        np.testing.assert_allclose(other.poses(q), moved.poses(q), rtol=0, atol=1e-12)
+
+
+def test_the_placements_are_read_only(ur3):
+    with pytest.raises(ValueError, match="read-only"):
+        dh_placements(dh_table(ur3), ur3)[0, 0, 0] = 0
+
+
+@pytest.mark.parametrize("fault", ["joints", "count", "sliding"])
+def test_rows_of_another_chain_are_refused(ur3, panda, fault):
+    table = dh_table(ur3)
+    rows = {
+        "joints": dh_table(panda).rows,
+        "count": table.rows[:-1],
+        "sliding": (replace(table.rows[0], prismatic=True), *table.rows[1:]),
+    }
+    with pytest.raises(
+        ModelError, match=r"rows are of the joints '.*robot 'ur3' from 'base' to 't"
+    ):
+        dh_placements(replace(table, rows=rows[fault]), ur3)
 
 
 # The frames

@@ -7,15 +7,24 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import UrdfError
-from calib.model.readback import TOLERANCE, check_written, random_joint_values
+from calib.model.readback import (
+    TOLERANCE,
+    check_written,
+    column_ranges,
+    random_joint_values,
+    spread_poses,
+)
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 
 
 def corrected(robot: Robot, size: float = 5e-3) -> Robot:
     rng = np.random.default_rng(2)
-    moved = [T @ pin.exp6(rng.normal(0, size, 6)).homogeneous for T in robot.placements]
-    return robot.with_placements(np.array(moved))
+    moved = robot.placements.copy()
+    for i, carrier in enumerate(robot.carriers):
+        if carrier is not None:
+            moved[i] = moved[i] @ pin.exp6(rng.normal(0, size, 6)).homogeneous
+    return robot.with_placements(moved)
 
 
 @pytest.mark.parametrize(
@@ -30,10 +39,47 @@ def corrected(robot: Robot, size: float = 5e-3) -> Robot:
     ],
 )
 def test_a_corrected_robot_passes(name, tip):
-    robot = Robot.load(name, tip=tip)
-    if robot.carriers[-1] is not None:
-        robot = corrected(robot)
+    robot = corrected(Robot.load(name, tip=tip))
     q = random_joint_values(robot)
+    check_written(robot, robot.poses(q), q)
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "tip", "held"),
+    [
+        ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link", {}),
+        ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link", {"head_1_joint": 0.3}),
+        ("tiago_no_hand", None, "wrist_ft_tool_link", {"torso_lift_joint": 0.2}),
+        ("baxter", "right_gripper", "left_gripper", {}),
+        ("ur3", "tool0", "base", {"elbow_joint": -1.0}),
+        ("panda", "panda_link0", "panda_rightfinger", {}),
+        ("panda", "panda_leftfinger", "panda_rightfinger", {}),
+        ("panda", "panda_link0", "panda_rightfinger", {"panda_finger_joint1": 0.02}),
+        ("pr2", "head_plate_frame", "r_gripper_l_finger_tip_link", {}),
+        ("tiago_pro", "head_2_link", "gripper_right_fingertip_left_link", {}),
+    ],
+)
+def test_columns_that_move_several_joints_and_a_base_that_moves_pass(name, base, tip, held):
+    robot = Robot.load(name, base, tip, held=held)
+    q = random_joint_values(robot)
+    new = corrected(robot)
+    check_written(new, new.poses(q), q)
+    with pytest.raises(UrdfError, match=r"read back by Pinocchio, puts the tip .* It is not writt"):
+        check_written(new, robot.poses(q), q)
+
+
+def test_a_mimic_of_a_mimic_passes():
+    text = '<robot name="r">' + "".join(f'<link name="{link}"/>' for link in "abcd")
+    limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+    for i, (parent, child) in enumerate(("ab", "bc", "cd")):
+        mimic = f'<mimic joint="j{i - 1}" multiplier="-0.5" offset="0.1"/>' if i else ""
+        text += (
+            f'<joint name="j{i}" type="prismatic"><parent link="{parent}"/><child link="{child}"/>'
+            f'<axis xyz="0 {i + 1} 1"/>{limit}{mimic}</joint>'
+        )
+    robot = corrected(Robot.from_urdf(Urdf.from_bytes(f"{text}</robot>".encode(), "r"), tip="d"))
+    q = random_joint_values(robot)
+    assert q.shape == (20, 1)
     check_written(robot, robot.poses(q), q)
 
 
@@ -123,3 +169,48 @@ def test_random_joint_values_stay_inside_limits_beyond_a_turn(lower, upper):
 def test_random_joint_values_are_the_same_every_time(ur3):
     np.testing.assert_array_equal(random_joint_values(ur3), random_joint_values(ur3))
     assert not np.array_equal(random_joint_values(ur3), random_joint_values(ur3, seed=1))
+
+
+# Columns that move several joints
+
+
+def mimic_pair(lower: float, upper: float, numbers: str) -> Robot:
+    limit = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
+    text = (
+        '<robot name="r"><link name="a"/><link name="b"/><link name="c"/>'
+        '<joint name="1" type="revolute"><parent link="a"/><child link="b"/>'
+        f"{limit.format(-1, 2)}</joint>"
+        '<joint name="2" type="revolute"><parent link="b"/><child link="c"/>'
+        f'{limit.format(lower, upper)}<mimic joint="1" {numbers}/></joint></robot>'
+    )
+    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"), tip="c")
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "numbers", "expected"),
+    [
+        (-3, 3, "", (-1, 2)),
+        (-0.5, 3, "", (-0.5, 2)),
+        (-0.5, 0.25, 'multiplier="0.5"', (-1, 0.5)),
+        (-0.5, 1, 'multiplier="-1"', (-1, 0.5)),
+        (-0.5, 1, 'offset="0.5"', (-1, 0.5)),
+        (2.5, 3, "", (-1, 2)),  # the two cannot both be had: the column's own stay
+    ],
+)
+def test_a_column_keeps_within_the_limits_of_its_followers(lower, upper, numbers, expected):
+    robot = mimic_pair(lower, upper, numbers)
+    np.testing.assert_allclose(column_ranges(robot), [expected])
+    for q in (random_joint_values(robot), spread_poses(robot)):
+        assert q.min() >= expected[0]
+        assert q.max() <= expected[1]
+
+
+def test_values_are_drawn_for_columns():
+    robot = Robot.load("panda", "panda_link0", "panda_rightfinger", held={"panda_joint2": 0.1})
+    assert random_joint_values(robot, 7).shape == (7, 7)
+    q = spread_poses(robot, 64)
+    assert q.shape == (64, 7)
+    assert not q.flags.writeable
+    low, high = column_ranges(robot).T
+    assert ((q >= low) & (q <= high)).all()
+    np.testing.assert_allclose((low[-1], high[-1]), (0.0, 0.04))

@@ -42,7 +42,7 @@ def load(links: str, *joints: str, base: str | None = None, tip: str | None = No
 
 
 def random_q(robot: Robot, count: int = 5) -> np.ndarray:
-    return np.random.default_rng(3).uniform(-1, 1, (count, len(robot.joints)))
+    return np.random.default_rng(3).uniform(-1, 1, (count, len(robot.joint_names)))
 
 
 def by_pinocchio(robot: Robot, q: np.ndarray) -> np.ndarray:
@@ -180,22 +180,6 @@ def test_joints_of_more_coordinates_are_never_in_a_default_chain(kind):
 # Refused chains
 
 
-def test_a_base_that_moves_is_refused():
-    with pytest.raises(
-        UrdfError, match=r"'ee_link' and the base 'forearm_link'.*'elbow_joint'.*'world'"
-    ):
-        # the tip lies on another branch than the base
-        load(
-            "world forearm_link ee_link",
-            joint("elbow_joint", "world", "forearm_link"),
-            joint("2", "world", "ee_link"),
-            base="forearm_link",
-            tip="ee_link",
-        )
-    with pytest.raises(UrdfError, match="moving joints 'shoulder_pan_joint'"):
-        Robot.load("ur3", base="tool0", tip="base")
-
-
 def test_no_joint_between_is_refused_and_lists_the_links():
     with pytest.raises(UrdfError, match=r"no joint moves between .*'ee_link'.*'tool0'.*'world'"):
         Robot.load("ur3", base="ee_link", tip="tool0")
@@ -207,12 +191,6 @@ def test_no_joint_between_is_refused_and_lists_the_links():
 def test_a_joint_of_more_coordinates_is_refused(kind):
     with pytest.raises(UrdfError, match=rf"joint '2' between 'a' and 'c' is of type '{kind}'"):
         load("a b c", joint("1", "a", "b"), joint("2", "b", "c", kind), tip="c")
-
-
-def test_a_mimic_joint_is_refused():
-    mimic = joint("2", "b", "c", inside='<mimic joint="1"/>')
-    with pytest.raises(UrdfError, match=r"joint '2' between 'a' and 'c' mimics '1'"):
-        load("a b c", joint("1", "a", "b"), mimic, tip="c")
 
 
 # Poses
@@ -298,11 +276,78 @@ def test_joints_beside_the_chain_are_locked():
     assert all("left" in name for name in robot.joint_names)
 
 
+# Columns, held joints
+
+
+def test_the_columns_of_an_ordinary_robot_are_its_joints(panda):
+    q = random_q(panda)
+    assert panda.joint_names == tuple(joint.name for joint in panda.joints)
+    assert panda.inputs == panda.joints
+    np.testing.assert_array_equal(panda.coupling, np.eye(7))
+    np.testing.assert_array_equal(panda.chain_values(q), q)
+    np.testing.assert_array_equal(panda.configurations(panda.chain_values(q)), q)
+    assert (panda.held, panda.base_moves) == ({}, False)
+
+
+def test_a_held_joint_has_no_column(panda):
+    held = Robot.load("panda", "panda_link0", "panda_link8", held={"panda_joint4": -0.7})
+    assert held.joint_names == tuple(f"panda_joint{i}" for i in (1, 2, 3, 5, 6, 7))
+    assert [joint.name for joint in held.joints] == list(panda.joint_names)
+    q = random_q(held)
+    full = np.insert(q, 3, -0.7, axis=1)
+    np.testing.assert_allclose(held.chain_values(q), full, atol=1e-15)
+    np.testing.assert_allclose(held.poses(q), panda.poses(full), atol=1e-15)
+    with pytest.raises(ModelError, match=r"shape \(5, 7\) were given; .* has 6 joints"):
+        held.poses(full)
+    assert held.held == {"panda_joint4": -0.7}
+
+
+def test_held_joints_tell_robots_apart(panda):
+    ends = ("panda", "panda_link0", "panda_link8")
+    held = {"panda_joint1": 0.1, "panda_joint2": 0.2}
+    one, other = Robot.load(*ends, held=held), Robot.load(*ends, held=dict(reversed(held.items())))
+    assert one == other
+    assert hash(one) == hash(other)
+    assert one != panda
+    assert one != Robot.load(*ends, held=held | {"panda_joint2": 0.3})
+
+
+def test_the_default_tip_behind_held_joints():
+    arm = [f"arm_{i}_joint" for i in range(1, 8)]
+    # The torso is not among the measured joints; held, it leads on to the arm.
+    robot = Robot.load("tiago_no_hand", measured=arm, held={"torso_lift_joint": 0.2})
+    assert robot.joint_names == tuple(arm)
+    assert robot.joints[0].name == "torso_lift_joint"
+
+
+def test_rebuilt_keeps_what_is_not_named():
+    robot = Robot.load("panda", "panda_link0", "panda_link8", held={"panda_joint4": -0.7})
+    assert robot.rebuilt() == robot
+    assert robot.rebuilt(tip="panda_hand").held == robot.held
+    moved = displaced(robot)
+    assert robot.rebuilt(moved.urdf) == moved
+    np.testing.assert_allclose(robot.rebuilt(moved.urdf).placements, moved.placements, atol=1e-12)
+    assert robot.rebuilt(base="panda_link2").joint_names == robot.joint_names[2:]
+
+
+def test_urdf_values_are_of_every_joint():
+    robot = Robot.load("baxter", tip="left_gripper", held={"head_pan": 0.3, "left_w2": -0.1})
+    q = random_q(robot)
+    values = robot.urdf_values(q)
+    moving = [j.name for j in robot.urdf.joints if j.type in ("revolute", "prismatic")]
+    assert list(values) == moving
+    for name, column in zip(robot.joint_names, q.T, strict=True):
+        np.testing.assert_array_equal(values[name], column)
+    np.testing.assert_array_equal(values["head_pan"], np.full(5, 0.3))
+    np.testing.assert_array_equal(values["left_w2"], np.full(5, -0.1))
+    np.testing.assert_array_equal(values["right_s0"], np.zeros(5))
+
+
 # Immutability
 
 
 def test_arrays_cannot_be_written_to(ur3):
-    for array in (ur3.placements, ur3.T_root_base):
+    for array in (ur3.placements, ur3.T_root_base, ur3.coupling):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -411,6 +456,13 @@ def test_a_tip_without_a_fixed_joint_behind_it_takes_no_correction():
     assert len(displaced(robot, (0, 1)).joints) == 2
     with pytest.raises(UrdfError, match=r"tip 'c' of 'r' is moved by its last joint.*Add a fixed"):
         displaced(robot, (2,))
+
+
+def test_rounding_at_an_end_that_holds_no_correction_is_none():
+    robot = load("a b c", joint("1", "a", "b"), joint("2", "b", "c"))
+    placements = robot.placements.copy()
+    placements[2, :3, 3] += 1e-13
+    assert np.array_equal(robot.with_placements(placements).placements[2], robot.placements[2])
 
 
 def test_fixed_joints_within_the_chain_keep_their_origins():

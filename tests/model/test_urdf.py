@@ -116,6 +116,7 @@ def test_absent_parts_have_the_defaults_of_urdf():
         np.testing.assert_array_equal(array, wanted)
         assert not array.flags.writeable
     assert (j.lower, j.upper, j.mimic) == (None, None, None)
+    assert (j.mimic_multiplier, j.mimic_offset) == (1.0, 0.0)
 
 
 def test_numbers_in_every_form_of_xml():
@@ -127,6 +128,13 @@ def test_numbers_in_every_form_of_xml():
     np.testing.assert_array_equal(j.xyz, [1, 0, 0])
     np.testing.assert_allclose(j.axis, [0.6, 0, 0.8], atol=1e-16)
     assert (j.lower, j.upper, j.mimic) == (-1.0, 2.5, "k")
+    assert (j.mimic_multiplier, j.mimic_offset) == (1.0, 0.0)
+
+
+def test_how_a_joint_mimics_another():
+    more = '<mimic joint="k" offset=" -1e-1 " multiplier="-.5"/>'
+    j = parse(robot(joint(more=more), joint("k", "b", "c"), links="abc")).joints[0]
+    assert (j.mimic, j.mimic_multiplier, j.mimic_offset) == ("k", -0.5, -0.1)
 
 
 def test_limits_and_axes_of_types_that_have_none_are_not_read():
@@ -242,6 +250,14 @@ REFUSED = {
     ),
     "empty parent": (robot(joint(parent="")), """joint 'j' lacks <parent link="...">"""),
     "empty mimic": (robot(joint(more="<mimic/>")), """joint 'j' lacks <mimic joint="...">"""),
+    "mimic by a word": (
+        robot(joint(more='<mimic joint="k" multiplier="half"/>')),
+        "joint 'j': multiplier of <mimic> is 'half', a finite number wanted",
+    ),
+    "mimic offset by two": (
+        robot(joint(more='<mimic joint="k" offset="1 2"/>')),
+        "joint 'j': offset of <mimic> is '1 2', a finite number wanted",
+    ),
     "two origins": (robot(joint(more="<origin/><origin/>")), "joint 'j' has 2 <origin>; keep one"),
     "two parents": (robot(joint(more='<parent link="b"/>')), "joint 'j' has 2 <parent>"),
     "no such link": (

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from calib import data
 from calib.measure.measurements import Measurements
-from calib.model.error_model import error_model
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 from calib.show.scene import View, view_page
@@ -39,10 +39,13 @@ GANTRY = """<robot name="gantry">
 
 def disturbed(robot: Robot, scale: float = 1.0) -> Robot:
     """The robot with some 2 mm and 4 mrad at each joint."""
-    model = error_model(robot, "placement", target=False)
-    sigma = np.array([2e-3 if p.unit == "m" else 4e-3 for p in model.parameters])
-    x = np.random.default_rng(7).normal(size=len(model)) * sigma
-    return model.apply(robot, scale * x)
+    rng = np.random.default_rng(7)
+    placements = robot.placements.copy()
+    for i, carrier in enumerate(robot.carriers):
+        if carrier is not None:
+            twist = rng.normal(size=6) * np.repeat([2e-3, 4e-3], 3)
+            placements[i] = placements[i] @ pin.exp6(scale * twist).homogeneous
+    return robot.with_placements(placements)
 
 
 @pytest.fixture(scope="session")
@@ -58,6 +61,18 @@ def panda():
 @pytest.fixture(scope="session")
 def gantry():
     return Robot.from_urdf(Urdf.from_bytes(GANTRY.encode(), "gantry.urdf"), "rail", "tip")
+
+
+@pytest.fixture(scope="session")
+def head_and_arm():
+    """An arm seen by a camera on the head, whose frame leans whichever way the head looks."""
+    return Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link")
+
+
+@pytest.fixture(scope="session")
+def fingers():
+    """From one finger to the other, which mimics it: two joints, one column."""
+    return Robot.load("panda", "panda_hand", "panda_rightfinger")
 
 
 @pytest.fixture(scope="session")

@@ -11,6 +11,7 @@ Q = {
     "ur3": [0.3, -1.2, 0.8, -0.5, 1.1, 2.0],
     "panda": [0.3, -0.5, 0.2, -2.0, 0.1, 1.8, 0.6],
     "gantry": [0.4, -0.3, 2.5],
+    "head_and_arm": [0.3, -0.5, 0.2, -1.0, 0.1, 1.8, 0.6, -0.4, 0.7],
 }
 
 
@@ -26,6 +27,18 @@ def test_the_tip_is_where_the_robot_says(request, disturb, name, corrected):
     assert list(poses) == list(robot.urdf.links)
     moved = np.abs(poses[robot.tip] - robot.poses(q)[0]).max()
     assert (moved > 1e-4) == corrected
+
+
+def test_followers_and_held_joints_are_drawn_where_they_are(fingers):
+    poses = link_poses(fingers, np.array([0.03]))
+    np.testing.assert_allclose(poses["panda_rightfinger"], fingers.poses([0.03])[0], atol=1e-12)
+    # The other finger is the driver itself, and no link of the chain.
+    left = Robot.load("panda", "panda_hand", "panda_leftfinger")
+    np.testing.assert_allclose(poses["panda_leftfinger"], left.poses([0.03])[0], atol=1e-12)
+    held = Robot.load("panda", "panda_link0", "panda_link8", held={"panda_finger_joint1": 0.02})
+    poses = link_poses(held, np.full(7, 0.3))
+    gap = poses["panda_leftfinger"][:3, 3] - poses["panda_rightfinger"][:3, 3]
+    assert np.linalg.norm(gap) == pytest.approx(0.04)
 
 
 def test_visuals_stand_where_pinocchio_puts_them(panda):

@@ -107,10 +107,37 @@ def test_targets_are_drawn_where_the_robots_put_them(ur3_view, ur3_page):
     assert f"target <b>{distance:.2f} mm</b> apart".encode() in ur3_page.html
 
 
-@pytest.mark.parametrize("name", ["panda", "gantry"])
+@pytest.mark.parametrize("tilt", [-0.6, 0.4])
+def test_a_robot_whose_base_moves_stands_upright(head_and_arm, disturb, tilt):
+    q = np.array([tilt, -0.5, 0.2, -1.0, 0.1, 1.8, 0.6, -0.4, 0.7])
+    target = np.array([0.0, 0.05, 0.1])
+    measured = np.array([[0.1, 0.2, 0.9], [0.0, 0.1, 0.8]])
+    calibrated = disturb(head_and_arm)
+    page = view_page(View(head_and_arm, calibrated, q, target, target, measured, 1))
+    scene = scene_of(page)
+    transforms = {
+        c["path"]: np.array(c["matrix"]).reshape(4, 4).T
+        for c in scene["commands"]
+        if c["type"] == "set_transform"
+    }
+    # How the camera is turned in the root, from a chain that ends there.
+    camera = Robot.load("tiago_no_hand", "base_footprint", head_and_arm.base)
+    values = dict(zip(head_and_arm.joint_names, q, strict=True))
+    at_head = [values.get(name, 0.0) for name in camera.joint_names]
+    R_root_base = camera.poses(at_head)[0][:3, :3]
+    for who, robot in (("nominal", head_and_arm), ("calibrated", calibrated)):
+        T = robot.poses(q)[0]
+        point = R_root_base @ (T[:3, :3] @ target + T[:3, 3])
+        drawn = transforms[f"/robots/both/{who}/target"][:3, 3]
+        np.testing.assert_allclose(drawn, point, atol=1e-9)
+    drawn = transforms["/robots/both/measured/here"][:3, 3]
+    np.testing.assert_allclose(drawn, R_root_base @ measured[1], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["panda", "gantry", "head_and_arm", "fingers"])
 def test_the_three_groups_do_not_touch(request, disturb, name):
     robot = request.getfixturevalue(name)
-    q = np.full(len(robot.joints), 0.3)
+    q = np.full(len(robot.joint_names), 0.3)
     page = view_page(View(robot, disturb(robot), q))
     assert page.warnings == ()
     scene = scene_of(page)

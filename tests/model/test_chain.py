@@ -1,0 +1,317 @@
+from __future__ import annotations
+
+import importlib.metadata
+import io
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yourdfpy
+
+from calib.errors import CalibError, UrdfError
+from calib.model.chain import full_configurations, full_model, link_frame
+from calib.model.robot import Robot, find_urdf
+from calib.model.urdf import Urdf
+
+LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+BAD = ("quadrotor_base.urdf", "ur3.urdf", "iris_simple.urdf")  # no joints, or none that moves
+FILES = [
+    path
+    for path in sorted(
+        Path(str(file.locate()))
+        for file in importlib.metadata.files("example-robot-data") or []
+        if file.suffix == ".urdf"
+    )
+    if path.name not in BAD
+]
+
+#: Two arms, arm and head, tip at the fork or above the base, and the columns that they have.
+TWO_BRANCHES = {
+    "tiago head to arm": ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link", 9),
+    "tiago arm to head": ("tiago_no_hand", "wrist_ft_tool_link", "xtion_rgb_optical_frame", 9),
+    "pr2 head to arm": ("pr2", "head_plate_frame", "l_gripper_tool_frame", 9),
+    "pr2 two arms": ("pr2", "r_gripper_tool_frame", "l_gripper_tool_frame", 14),
+    "baxter two arms": ("baxter", "right_gripper", "left_gripper", 14),
+    "talos head to arm": ("talos_full_v2", "rgbd_optical_frame", "wrist_left_ft_tool_link", 9),
+    "ur3 turned round": ("ur3", "tool0", "base", 6),
+    "panda turned round, tip on the way": ("panda", "panda_link8", "panda_link3", 4),
+    "kinova turned round": ("kinova", "j2s6s200_end_effector", "j2s6s200_link_base", 6),
+    "quadruped's legs": ("a1", "FL_foot", "RR_foot", 6),
+}
+
+
+def links_and_joints(links: str, *joints: str) -> Urdf:
+    text = "".join(f'<link name="{link}"/>' for link in links.split())
+    return Urdf.from_bytes(f'<robot name="r">{text}{"".join(joints)}</robot>'.encode(), "r.urdf")
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", axis: str = "0 0 1") -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0.1 0.2 0.3" rpy="0.1 0.3 0.2"/><axis xyz="{axis}"/>{LIMIT}</joint>'
+    )
+
+
+@pytest.fixture(scope="module")
+def fork() -> Urdf:
+    """A fork with an arm of three and a head of two joints, a fixed link at each end, one turning at every kind."""
+    return links_and_joints(
+        "root fork a1 a2 a3 hand h1 h2 camera lens",
+        joint("mast", "root", "fork"),
+        joint("shoulder", "fork", "a1", axis="0 1 0.3"),
+        joint("slide", "a1", "a2", "prismatic", "1 2 -1"),
+        joint("wrist", "a2", "a3", "continuous", "0.2 0 -1"),
+        joint("grip", "a3", "hand", "fixed"),
+        joint("pan", "fork", "h1"),
+        joint("tilt", "h1", "h2", "continuous", "0 -3 0"),
+        joint("mount", "h2", "camera", "fixed"),
+        joint("glass", "camera", "lens", "fixed"),
+    )
+
+
+def random_q(robot: Robot, count: int = 4, seed: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, (count, len(robot.joint_names)))
+
+
+def by_pinocchio(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """T_base_tip from the full model of the URDF, every joint of the path at its own value."""
+    model = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
+    data = model.createData()
+    ends = [model.getFrameId(link, pin.FrameType.BODY) for link in (robot.base, robot.tip)]
+    names = [joint.name for joint in robot.joints]
+    poses = []
+    for values in robot.chain_values(q):
+        v = np.zeros(model.nv)
+        for name, value in zip(names, values, strict=True):
+            v[model.idx_vs[model.getJointId(name)]] = value
+        pin.framesForwardKinematics(model, data, pin.integrate(model, pin.neutral(model), v))
+        poses.append((data.oMf[ends[0]].inverse() * data.oMf[ends[1]]).homogeneous)
+    return np.array(poses)
+
+
+def by_yourdfpy(robot: Robot, q: np.ndarray) -> np.ndarray:
+    model = yourdfpy.URDF.load(
+        io.BytesIO(robot.urdf.data), load_meshes=False, load_collision_meshes=False
+    )
+    names, poses = [joint.name for joint in robot.joints], []
+    scale = [
+        np.linalg.norm(model.joint_map[joint.name].axis) if joint.type == "prismatic" else 1.0
+        for joint in robot.joints
+    ]
+    for values in robot.chain_values(q) / scale:
+        model.update_cfg(dict(zip(names, values, strict=True)))
+        poses.append(
+            np.linalg.inv(model.get_transform(robot.base)) @ model.get_transform(robot.tip)
+        )
+    return np.array(poses)
+
+
+def displaced(robot: Robot, seed: int = 5, size: float = 5e-3) -> Robot:
+    """The robot with every placement that a URDF joint carries displaced."""
+    rng = np.random.default_rng(seed)
+    placements = robot.placements.copy()
+    for i, carrier in enumerate(robot.carriers):
+        if carrier is not None:
+            placements[i] = placements[i] @ pin.exp6(rng.normal(0, size, 6)).homogeneous
+    return robot.with_placements(placements)
+
+
+def assert_serial(robot: Robot, q: np.ndarray) -> None:
+    """The chain's text: T_root_base^-1 P_1 J_1 ... P_tip, with the joints' axes as they are listed."""
+    for values, pose in zip(robot.chain_values(q), robot.poses(q), strict=True):
+        T = np.linalg.inv(robot.T_root_base)
+        for placement, item, value in zip(robot.placements, robot.joints, values, strict=False):
+            twist = np.zeros(6)
+            twist[slice(0, 3) if item.type == "prismatic" else slice(3, 6)] = value * item.axis
+            T = T @ placement @ pin.exp6(twist).homogeneous
+        np.testing.assert_allclose(T @ robot.placements[-1], pose, rtol=0, atol=1e-12)
+
+
+def assert_round_trip(robot: Robot, q: np.ndarray, *, yourdf: bool = False) -> None:
+    """A corrected URDF says what the corrected robot says, and nothing but its origins differs."""
+    new = displaced(robot)
+    expected = new.poses(q)
+    again = robot.rebuilt(Urdf.from_bytes(new.urdf.data, "again.urdf"))
+    np.testing.assert_allclose(again.poses(q), expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(again.placements, new.placements, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(by_pinocchio(new, q), expected, rtol=0, atol=1e-12)
+    if yourdf:
+        np.testing.assert_allclose(by_yourdfpy(new, q), expected, rtol=0, atol=1e-12)
+    if any(robot.carriers):
+        assert np.abs(expected - robot.poses(q)).max() > 1e-4
+    changed = {
+        name.name
+        for name, was in zip(new.urdf.joints, robot.urdf.joints, strict=True)
+        if not np.array_equal(name.T_parent_joint, was.T_parent_joint)
+    }
+    assert changed == {carrier for carrier in robot.carriers if carrier is not None}
+
+
+# Two branches
+
+
+@pytest.mark.parametrize("case", TWO_BRANCHES)
+def test_chains_of_two_branches(case):
+    name, base, tip, columns = TWO_BRANCHES[case]
+    robot = Robot.load(name, base, tip)
+    q = random_q(robot)
+    assert robot.base_moves
+    assert len(robot.joint_names) == columns
+    np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(robot.poses(q), by_yourdfpy(robot, q), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(robot.T_root_base, np.eye(4))
+    assert_serial(robot, q)
+    assert_round_trip(robot, q, yourdf=True)
+
+
+def test_the_other_way_round_is_the_inverse():
+    there = Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link")
+    back = Robot.load("tiago_no_hand", "wrist_ft_tool_link", "xtion_rgb_optical_frame")
+    assert back.joint_names == there.joint_names[::-1]
+    q = random_q(there)
+    np.testing.assert_allclose(
+        back.poses(q[:, ::-1]), np.linalg.inv(there.poses(q)), rtol=0, atol=1e-12
+    )
+
+
+def test_the_axes_of_the_base_s_side_are_turned_round(fork):
+    robot = Robot.from_urdf(fork, "lens", "hand")
+    assert robot.joint_names == ("tilt", "pan", "shoulder", "slide", "wrist")
+    for item in robot.joints:
+        sign = -1.0 if item.name in ("tilt", "pan") else 1.0
+        np.testing.assert_array_equal(item.axis, sign * fork.joint(item.name).axis + 0.0)
+        assert not item.axis.flags.writeable
+    assert robot.joint_types["tilt"] == "continuous"
+
+
+@pytest.mark.parametrize(
+    ("base", "tip", "carriers", "joints"),
+    [
+        ("lens", "hand", ("mount", "tilt", "shoulder", "slide", "wrist", "grip"), 5),
+        ("hand", "lens", ("grip", "wrist", "slide", "pan", "tilt", "mount"), 5),
+        ("h2", "a3", (None, "tilt", "shoulder", "slide", "wrist", None), 5),
+        ("lens", "fork", ("mount", "tilt", "pan"), 2),
+        ("fork", "lens", ("pan", "tilt", "mount"), 2),
+        ("lens", "root", ("mount", "tilt", "pan", "mast"), 3),
+        ("lens", "h1", ("mount", "tilt"), 1),
+        ("h1", "lens", ("tilt", "mount"), 1),
+        ("h2", "h1", (None, "tilt"), 1),
+        ("hand", "a2", ("grip", "wrist"), 1),
+        ("a2", "h1", (None, "slide", "pan", None), 3),
+    ],
+)
+def test_every_kind_of_path(fork, base, tip, carriers, joints):
+    robot = Robot.from_urdf(fork, base, tip)
+    assert len(robot.joints) == joints
+    assert robot.carriers == carriers
+    q = random_q(robot)
+    np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(robot.poses(q), by_yourdfpy(robot, q), rtol=0, atol=1e-13)
+    assert_serial(robot, q)
+    assert_round_trip(robot, q, yourdf=True)
+
+
+def test_the_same_placements_leave_every_byte(fork):
+    robot = Robot.from_urdf(fork, "lens", "hand")
+    assert robot.with_placements(robot.placements.copy()).urdf.data == fork.data
+
+
+def test_a_continuous_joint_of_the_base_s_side_takes_any_angle(fork):
+    robot = Robot.from_urdf(fork, "lens", "hand")
+    q = random_q(robot)
+    turned = q + np.array([2 * np.pi, 0, 0, 0, -4 * np.pi])
+    np.testing.assert_allclose(robot.poses(turned), robot.poses(q), atol=1e-12)
+
+
+def test_a_base_that_the_first_joint_moves_takes_no_correction(fork):
+    robot = Robot.from_urdf(fork, "h2", "hand")
+    moved = robot.placements.copy()
+    moved[0, 0, 3] += 1e-3
+    with pytest.raises(UrdfError, match=r"base 'h2' of 'r' .*Choose a base link that is fixed"):
+        robot.with_placements(moved)
+    # the fixed link on it does
+    moved = Robot.from_urdf(fork, "camera", "hand").placements.copy()
+    moved[0, 0, 3] += 1e-3
+    assert Robot.from_urdf(fork, "camera", "hand").with_placements(moved).carriers[0] == "mount"
+
+
+def test_a_correction_of_the_base_s_mount_moves_all_that_is_mounted_there(fork):
+    robot = Robot.from_urdf(fork, "lens", "hand")
+    moved = robot.placements.copy()
+    moved[0] = moved[0] @ pin.exp6(np.full(6, 1e-3)).homogeneous
+    new = robot.with_placements(moved)
+    assert new.urdf.joint("glass").xyz.tolist() == fork.joint("glass").xyz.tolist()
+    camera = [Robot.from_urdf(urdf, "camera", "hand") for urdf in (fork, new.urdf)]
+    q = random_q(robot)
+    assert np.abs(camera[0].poses(q) - camera[1].poses(q)).max() > 1e-4
+
+
+def test_an_urdf_that_pinocchio_refuses_is_refused_on_both_branches():
+    text = (
+        '<robot name="r"><link name="a"/><link name="b"/>'
+        '<joint name="j" type="revolute"><parent link="a"/><child link="b"/></joint></robot>'
+    )
+    with pytest.raises(UrdfError, match=r"r\.urdf: Pinocchio cannot build a model of this URDF: "):
+        Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"), "b", "a")
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_a_joint_of_more_coordinates_on_the_base_s_side_is_refused(kind):
+    urdf = links_and_joints(
+        "a b c d", joint("1", "a", "b"), joint("2", "b", "c", kind), joint("3", "a", "d")
+    )
+    with pytest.raises(UrdfError, match=rf"joint '2' between 'c' and 'd' is of type '{kind}'"):
+        Robot.from_urdf(urdf, "c", "d")
+    assert Robot.from_urdf(urdf, "b", "d").joint_names == ("1", "3")
+
+
+# Every robot
+
+
+def random_pairs(urdf: Urdf, count: int) -> list[tuple[str, str]]:
+    rng = np.random.default_rng(zlib.crc32(urdf.source.encode()))
+    return [(str(a), str(b)) for a, b in rng.choice(urdf.links, (count, 2))]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: f"{p.parents[1].name}/{p.name}")
+def test_any_two_links_of_every_robot(path):
+    urdf = Urdf.read(path)
+    found = 0
+    for base, tip in random_pairs(urdf, 8):
+        try:
+            robot = Robot.from_urdf(urdf, base, tip)
+        except CalibError as error:
+            assert "no joint moves between" in str(error) or "does not exist" in str(error)  # noqa: PT017
+            continue
+        found += 1
+        q = random_q(robot, 2)
+        np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-12)
+        assert_serial(robot, q)
+        assert_round_trip(robot, q)
+    assert found > 0
+
+
+# The whole model
+
+
+def test_the_full_model_tells_links_from_joints():
+    urdf = links_and_joints("a 1 2", joint("1", "a", "1"), joint("2", "1", "2"))
+    model = full_model(urdf)
+    frames = [model.frames[link_frame(model, link)] for link in urdf.links]
+    assert [frame.type for frame in frames] == [pin.FrameType.BODY] * 3
+    assert [frame.parentJoint for frame in frames] == [0, 1, 2]
+
+
+def test_full_configurations_are_pinocchio_s():
+    model = full_model(Urdf.read(find_urdf("pr2")))
+    names = ["torso_lift_joint", "r_wrist_roll_joint", "r_shoulder_pan_joint"]
+    values = dict(zip(names, np.random.default_rng(0).uniform(-1, 1, (3, 4)), strict=True))
+    found = full_configurations(model, values)
+    for i, configuration in enumerate(found):
+        v = np.zeros(model.nv)
+        for name, column in values.items():
+            v[model.idx_vs[model.getJointId(name)]] = column[i]
+        expected = pin.integrate(model, pin.neutral(model), v)
+        np.testing.assert_allclose(configuration, expected, atol=1e-15)
