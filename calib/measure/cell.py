@@ -20,6 +20,7 @@ from calib.errors import CalibError, choices
 from calib.measure import cell_parts as parts
 from calib.measure.cell_file import read_cell_file
 from calib.measure.cell_parts import PRIOR_SIZES, GroupDistance, Priors
+from calib.measure.kinds import check_kind
 from calib.model.robot import read_only
 from calib.model.torques import Payload
 
@@ -191,12 +192,14 @@ def _places(cell: Cell) -> dict[str, Any]:
 
 
 def _numbers(cell: Cell) -> dict[str, Any]:
-    """Noise, gravity, distances, repeats and held joints, checked."""
+    """Noise, kind, gravity, distances, repeats and held joints, checked."""
     for name, what, unit in (("sigma", "sigma", "m"), ("sigma_angle", "sigma of angles", "rad")):
         value = getattr(cell, name)
         if value is not None and not parts.is_positive(value):
             message = f"The noise {what} is {value} {unit}; it must be a positive number."
             raise CalibError(message)
+    if cell.kind is not None:
+        check_kind(cell.kind)
     if cell.repeats not in REPEATS:
         message = f"Repeats were asked for as {cell.repeats!r}; choose one of {choices(REPEATS)}."
         raise CalibError(message)

@@ -202,7 +202,7 @@ def _values(table: Mapping[str, Any]) -> dict[str, Any]:
         "target_mm": ("target", _metres),
         "target_rpy_deg": ("target_rotation", _rotation),
         "sigma_mm": ("sigma", lambda v: v / 1e3),
-        "sigma_angle_deg": ("sigma_angle", np.radians),
+        "sigma_angle_deg": ("sigma_angle", lambda v: float(np.radians(v))),
         "gravity_m_per_s2": ("gravity", np.asarray),
         "targets_mm": ("targets", _targets),
         "frames": ("frames", _frames),

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import copy
+import pickle
 import re
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import CalibError, FileError
+from calib.measure.cell import Cell, GroupDistance, Priors
 from calib.measure.cell_file import KEYS
-from calib.measure.cell import Cell, Priors
+from calib.measure.quantities import parse_quantity
+from calib.model.torques import Payload
+from calib.units import UNITS
+
+DISTANCE = """
+[[distances]]
+first = "A"
+second = "B"
+length_mm = 20
+sigma_mm = 0.1
+"""
 
 DOC = Path(__file__).parents[2] / "docs" / "cell.md"
 
@@ -63,6 +76,88 @@ def test_every_key(tmp_path: Path):
     assert cell.priors == Priors("given", 2e-3, 8e-3)
 
 
+def test_every_new_key_and_table(tmp_path: Path):
+    cell = read(
+        tmp_path,
+        """
+        kind = "pose"
+        repeats = "average"
+        target_rpy_deg = [10, 20, 30]
+        frame = ["rz", "x"]
+        sigma_angle_deg = 0.1
+        prior_zero_mrad = 1
+        prior_gain = 2e-4
+        prior_eccentricity_mrad = 3
+        prior_compliance_rad_per_Nm = 4e-6
+        gravity_m_per_s2 = [0, 9.81, 0]
+        [targets_mm]
+        up = [1, 2, 3]
+        [frames."1/left"]
+        xyz_mm = [1000, 0, 0]
+        rpy_deg = [0, 0, 90]
+        [frames.right]
+        [ties]
+        a3 = "a2"
+        a4 = ["a2", -2]
+        [bounds]
+        d1 = "0.5 mm"
+        "theta1" = ["-1 mrad", "180deg"]
+        "j.gain" = 1e-3
+        "target_x[up]" = ["-1um", "2 mm"]
+        [parameter_priors]
+        "j.compliance" = "2 mrad/Nm"
+        "lift.compliance" = "3 mm/N"
+        anything = "0.1 rad"
+        [payload]
+        mass_kg = 5
+        com_mm = [0, 0, 60]
+        [held]
+        lift = "0.3 m"
+        pan = "-90 deg"
+        [[distances]]
+        first = "*/left"
+        second = "*/right"
+        length_mm = 200
+        sigma_mm = 0.01
+        """,
+    )
+    assert (cell.kind, cell.repeats) == ("pose", "average")
+    assert cell.target_rotation is not None
+    rpy = np.radians([10.0, 20.0, 30.0])
+    np.testing.assert_allclose(cell.target_rotation, pin.rpy.rpyToMatrix(*rpy), atol=1e-15)
+    assert cell.estimate_frame
+    assert cell.frame_directions == ("x", "rz")
+    assert cell.sigma_angle == pytest.approx(np.radians(0.1), rel=1e-15)
+    assert cell.priors == Priors("data", zero=1e-3, gain=2e-4, eccentricity=3e-3, compliance=4e-6)
+    np.testing.assert_array_equal(cell.gravity, [0.0, 9.81, 0.0])
+    assert set(cell.targets) == {"up"}
+    np.testing.assert_allclose(cell.targets["up"], [1e-3, 2e-3, 3e-3], rtol=1e-15)
+    assert set(cell.frames) == {"1/left", "right"}
+    np.testing.assert_allclose(
+        cell.frames["1/left"] @ [1, 0, 0, 1], [1.0, 1.0, 0.0, 1.0], atol=1e-15
+    )
+    np.testing.assert_array_equal(cell.frames["right"], np.eye(4))
+    assert cell.ties == {"a3": ("a2", 1.0), "a4": ("a2", -2.0)}
+    assert cell.bounds == {
+        "d1": (-5e-4, 5e-4),
+        "theta1": (-1e-3, pytest.approx(np.pi, rel=1e-15)),
+        "j.gain": (-1e-3, 1e-3),
+        "target_x[up]": (-1e-6, 2e-3),
+    }
+    assert cell.parameter_priors == {"j.compliance": 2e-3, "lift.compliance": 3e-3, "anything": 0.1}
+    assert cell.payload is not None
+    assert cell.payload.mass == 5.0
+    np.testing.assert_allclose(cell.payload.com, [0.0, 0.0, 0.06], rtol=1e-15)
+    assert cell.held == {"lift": 0.3, "pan": pytest.approx(-np.pi / 2, rel=1e-15)}
+    assert cell.distances == (GroupDistance("*/left", "*/right", 0.2, 1e-5),)
+
+
+def test_a_payload_without_a_centre_hangs_at_the_tip(tmp_path: Path):
+    payload = read(tmp_path, "[payload]\nmass_kg = 2.5").payload
+    assert payload is not None
+    np.testing.assert_array_equal(payload.com, np.zeros(3))
+
+
 def test_half_a_frame_and_half_the_priors(tmp_path: Path):
     moved = read(tmp_path, "frame_xyz_mm = [1, 2, 3]").T_frame_base
     assert moved is not None
@@ -83,7 +178,7 @@ def test_the_byte_order_mark_of_an_editor_is_skipped(tmp_path: Path):
     ("text", "said"),
     [
         ("targt_mm = [1, 2, 3]", "unknown key 'targt_mm'. Did you mean 'target_mm'?"),
-        ("[cell]", "unknown key 'cell'. A cell file may have 'base', 'tip', 'model', 'freeze', "),
+        ("[robot]", "unknown key 'robot'. A cell file may have 'base', 'tip', 'model', 'kind', "),
         ("base = 1", "'base' is 1; it must be a name in quotes."),
         ("tip = []", "'tip' is []; it must be a name in quotes."),
         ("model = true", "'model' is True; it must be a name in quotes."),
@@ -95,8 +190,157 @@ def test_the_byte_order_mark_of_an_editor_is_skipped(tmp_path: Path):
         ("target_mm = 5", "'target_mm' is 5; it must be three numbers."),
         ("target_mm = [1, 2, nan]", "'target_mm' is [1, 2, nan]; it must be three numbers."),
         ('target = "known"', "The target is said to be known but is not given."),
-        ("[frame]\nx = 1", "'frame' is {'x': 1}; it must be 'known' or 'estimate'."),
-        ("frame = true", "'frame' is True; it must be 'known' or 'estimate'."),
+        ("[frame]\nx = 1", "'frame' is {'x': 1}; it must be 'known', 'estimate' or a list of dir"),
+        ("frame = true", "'frame' is True; it must be 'known', 'estimate' or a list of"),
+        (
+            'frame = ["u"]',
+            "The frame's directions are some of 'x', 'y', 'z', 'rx', 'ry', 'rz', each once; 'u'",
+        ),
+        ('frame = ["x", "x"]', "each once; 'x' was given."),
+        ("frame = []", "each once; none was given."),
+        ("frame = [1]", "'frame' is [1]; it must be 'known', 'estimate' or a list"),
+        ("target_rpy_deg = 3", "'target_rpy_deg' is 3; it must be three numbers."),
+        ("sigma_angle_deg = -1", "'sigma_angle_deg' is -1; it must be a positive number."),
+        ("kind = 1", "'kind' is 1; it must be a name in quotes."),
+        ('kind = "ball"', "'ball' is not a kind of measurement; allowed are 'point', 'pose', "),
+        (
+            'repeats = "often"',
+            "'repeats' is 'often'; it must be 'weighted', 'average' or 'independent'.",
+        ),
+        ("prior_gain = 0", "'prior_gain' is 0; it must be a positive number."),
+        ("gravity_m_per_s2 = 9.81", "'gravity_m_per_s2' is 9.81; it must be three numbers."),
+        ("targets_mm = [1, 2, 3]", "'targets_mm' is [1, 2, 3]; it must be a table."),
+        (
+            "[targets_mm]\nup = [1, 2]",
+            "the target 'up' in [targets_mm] is [1, 2]; it must be three numbers [mm].",
+        ),
+        ("[targets_mm]\n' ' = [1, 2, 3]", "The targets must be a mapping from names; "),
+        ("frames = 1", "'frames' is 1; it must be a table."),
+        (
+            "[frames]\na = 1",
+            "'a' in [frames] is 1; write a table [frames.a] with xyz_mm and rpy_deg.",
+        ),
+        (
+            "[frames.a]\nxyz = [1, 2, 3]",
+            "[frames.a] has an unknown key 'xyz'. Did you mean 'xyz_mm'? It may have",
+        ),
+        ("[frames.a]\nxyz_mm = 1", "'xyz_mm' in [frames.a] is 1; it must be three numbers."),
+        (
+            "[frames.a]\nmodel = 'dh'",
+            "[frames.a] has an unknown key 'model'. The cell's own keys must stand above",
+        ),
+        (
+            "[ties]\nmodel = 'dh'",
+            "'model' stands in the table [ties]; the cell's own keys must stand above",
+        ),
+        (
+            "[held]\nbase = 'base'",
+            "'base' stands in the table [held]; the cell's own keys must stand",
+        ),
+        (
+            "[ties]\na1 = 1",
+            "the tie of 'a1' in [ties] is 1; it must be another parameter's name, or that and a",
+        ),
+        (
+            "[ties]\na1 = ['a2', 'a3']",
+            "the tie of 'a1' in [ties] is ['a2', 'a3']; it must be another",
+        ),
+        (
+            "[ties]\na1 = ['a2', 0]",
+            "The tie of 'a1' is ('a2', 0.0); it must be another parameter and a factor",
+        ),
+        ("[ties]\na1 = 'a1'", "'a1' is tied to itself; name another parameter."),
+        (
+            "[ties]\na1 = 'a2'\na2 = 'a3'",
+            "'a1' is tied to 'a2', which is tied itself; tie both to one that",
+        ),
+        ("freeze = ['a1']\n[ties]\na1 = 'a2'", "'a1' is both frozen and tied to 'a2'; choose one."),
+        (
+            "[ties]\na1 = 'a2'\n[bounds]\na1 = '1 mm'",
+            "'a1' has bounds and is tied to 'a2'; give bounds to",
+        ),
+        (
+            "[ties]\na1 = 'a2'\n[parameter_priors]\na1 = '1 mm'",
+            "'a1' has a prior and is tied to 'a2'; give",
+        ),
+        (
+            "[bounds]\na1 = '1 mrad'",
+            "'a1' in [bounds] is '1 mrad', which is an angle; write \"0.5 mm\".",
+        ),
+        ("[bounds]\na1 = 1", "'a1' in [bounds] is 1, which is a number; write \"0.5 mm\"."),
+        ("[bounds]\na1 = true", "'a1' in [bounds]: True is no number with a unit, such as"),
+        (
+            "[bounds]\na1 = '1..5 mm'",
+            "'a1' in [bounds]: '1..5 mm' is no number with a unit, such as",
+        ),
+        (
+            "[bounds]\na1 = '1 furlong'",
+            "'a1' in [bounds]: 'furlong' is not a unit that calib knows: ",
+        ),
+        (
+            "[bounds]\na1 = ['1 mm']",
+            "'a1' in [bounds] is ['1 mm']; it must be one value, or the least and the",
+        ),
+        (
+            "[bounds]\na1 = ['1 mm', '2 mm']",
+            "The bounds of 'a1' are (0.001, 0.002); they must be the least",
+        ),
+        (
+            "[bounds]\na1 = '-1 mm'",
+            "The bounds of 'a1' are (0.001, -0.001); they must be the least",
+        ),
+        (
+            "[bounds]\na1 = '0 mm'",
+            "with 0 between them. To keep a parameter at its nominal value, freeze it.",
+        ),
+        ("[bounds]\n'j.zero' = 0.1", 'which is a number; write "0.5 mm" or "1 mrad".'),
+        (
+            "[parameter_priors]\n'j.gain' = '1 mm'",
+            "'j.gain' in [parameter_priors] is '1 mm', which is a length",
+        ),
+        ("[parameter_priors]\n'j.compliance' = '1 rad'", 'which is an angle; write "1e-5 rad/Nm".'),
+        (
+            "[parameter_priors]\n'j.compliance' = '1 mm/Nm'",
+            "'mm/Nm' is no unit of compliance; a joint's is in",
+        ),
+        (
+            "[parameter_priors]\na1 = '-1 mm'",
+            "The prior of 'a1' is -0.001; it must be a positive number.",
+        ),
+        ("[parameter_priors]\na1 = '5 Nm'", "which is a torque; write"),
+        (
+            "[held]\nlift = 0.3",
+            "'lift' in [held] is 0.3; a joint's value needs a unit of angle or length: ",
+        ),
+        ("[held]\nlift = 'up'", "'lift' in [held]: 'up' is no number with a unit, such as"),
+        (
+            "[payload]\nmass = 3",
+            "[payload] has an unknown key 'mass'. Did you mean 'mass_kg'? It may have",
+        ),
+        ("[payload]\ncom_mm = [1, 2, 3]", "[payload] lacks 'mass_kg'."),
+        ("[payload]\nmass_kg = '3'", "'mass_kg' in [payload] is '3'; it must be a number."),
+        ("[payload]\nmass_kg = -3", "mass of a payload is -3.0 kg; "),
+        (
+            "distances = 3",
+            "'distances' is 3; it must be a list of tables, each headed [[distances]].",
+        ),
+        ("[distances]\nfirst = 'a'", "'distances' is {'first': 'a'}; it must be a list of tables"),
+        (
+            "[[distances]]\nfirst = 'a'",
+            "[[distances]] number 1 lacks 'second', 'length_mm', 'sigma_mm'.",
+        ),
+        (
+            DISTANCE.replace("B", "A"),
+            "The distance between the groups 'A' and 'A': a group has one fixed point",
+        ),
+        (
+            DISTANCE.replace("B", "*"),
+            "'*' stands for the same text in both; write it once in each name",
+        ),
+        (
+            DISTANCE.replace("20", "0"),
+            "'length_mm' in [[distances]] number 1 is 0; it must be a positive",
+        ),
         ('frame_xyz_mm = ["1", 2, 3]', "'frame_xyz_mm' is ['1', 2, 3]; it must be three"),
         ("frame_rpy_deg = [1, 2, true]", "'frame_rpy_deg' is [1, 2, True]; it must be three"),
         ("sigma_mm = 0", "'sigma_mm' is 0; it must be a positive number."),
@@ -147,6 +391,56 @@ def test_a_file_that_cannot_be_read(tmp_path: Path):
         ({"sigma": -1e-4}, "The noise sigma is -0.0001 m; it must be a positive number."),
         ({"sigma": float("inf")}, "The noise sigma is inf m; it must be a positive number."),
         ({"frozen": "d2"}, "The frozen parameters are a tuple of names; 'd2' was given."),
+        ({"model": None}, "A cell's model must be of type str; None was given."),
+        ({"priors": "off"}, "A cell's priors must be of type Priors; 'off' was given."),
+        ({"payload": 5.0}, "A cell's payload must be of type Payload; 5.0 was given."),
+        ({"kind": 1}, "A cell's kind must be of type str; 1 was given."),
+        ({"kind": "ball"}, "'ball' is not a kind of measurement; allowed are"),
+        ({"base": 1}, "A cell's base must be of type str; 1 was given."),
+        ({"targets": [1.0]}, "The targets must be a mapping from names; [1.0] was given."),
+        ({"targets": {"": (0.0, 0.0, 0.0)}}, "The targets must be a mapping from names; {'': "),
+        (
+            {"targets": {"a": (0.0, 1.0)}},
+            "The target 'a' must be three finite numbers x, y, z [m]; ",
+        ),
+        ({"frames": {"a": np.eye(3)}}, "The frame of 'a' must be a 4 x 4 pose with a right-handed"),
+        ({"target_rotation": np.eye(4)}, "The target's orientation must be a 3 x 3 right-handed"),
+        (
+            {"target_rotation": -np.eye(3)},
+            "orientation must be a 3 x 3 right-handed rotation; [[-1",
+        ),
+        ({"frame_directions": "x"}, "The frame's directions are a tuple of names; 'x' was given."),
+        (
+            {"frame_directions": ()},
+            "The frame's directions are some of 'x', 'y', 'z', 'rx', 'ry', ",
+        ),
+        (
+            {"sigma_angle": 0.0},
+            "The noise sigma of angles is 0.0 rad; it must be a positive number.",
+        ),
+        (
+            {"ties": {"a1": "a2"}},
+            "The tie of 'a1' is 'a2'; it must be another parameter and a factor",
+        ),
+        ({"bounds": {"a1": 1e-3}}, "The bounds of 'a1' are 0.001; they must be the least and the"),
+        (
+            {"bounds": {"a1": (0.0, float("nan"))}},
+            "The bounds of 'a1' are (0.0, nan); they must be",
+        ),
+        (
+            {"parameter_priors": {"a1": 0.0}},
+            "The prior of 'a1' is 0.0; it must be a positive number.",
+        ),
+        ({"gravity": 9.81}, "The gravity must be three finite numbers x, y, z [m/s^2]; 9.81 was"),
+        (
+            {"distances": [("a", "b", 1.0)]},
+            "The distances are a tuple of GroupDistance; [('a', 'b'",
+        ),
+        (
+            {"repeats": True},
+            "Repeats were asked for as True; choose one of 'weighted', 'average', ",
+        ),
+        ({"held": {"lift": "0.3 m"}}, "The joint 'lift' is held at '0.3 m'; it must be a finite"),
     ],
 )
 def test_a_cell_that_is_built_wrongly(wrong: dict[str, Any], said: str):
@@ -160,6 +454,9 @@ def test_a_cell_that_is_built_wrongly(wrong: dict[str, Any], said: str):
         ({"sizes": "none"}, "Priors of the kind 'none' were asked for; choose one of 'data', "),
         ({"length": 0.0}, "The prior's length is 0.0 m; it must be positive. Use sizes 'off'"),
         ({"angle": float("nan")}, "The prior's angle is nan rad; it must be positive."),
+        ({"zero": -1.0}, "The prior's zero is -1.0 rad; it must be positive."),
+        ({"gain": True}, "The prior's gain is True rad/rad; it must be positive."),
+        ({"compliance": "soft"}, "The prior's compliance is soft rad/Nm; it must be positive."),
     ],
 )
 def test_priors_that_are_built_wrongly(wrong: dict[str, Any], said: str):
@@ -179,6 +476,87 @@ def test_arrays_are_copies_that_cannot_be_written_to():
         cell.target[0] = 0.0
     with pytest.raises(ValueError, match="read-only"):
         cell.T_frame_base[0, 3] = 0.0
+
+
+def test_mappings_are_copies_that_cannot_be_written_to():
+    held, targets = {"lift": 0.3}, {"up": np.zeros(3)}
+    cell = Cell(held=held, targets=targets, bounds={"a1": (-1.0, float("inf"))})
+    held["lift"] = targets["up"][0] = 9.0
+    assert cell.held == {"lift": 0.3}
+    assert cell.targets["up"][0] == 0.0
+    for mapping in (cell.held, cell.targets, cell.bounds, cell.ties, cell.frames, Cell().held):
+        with pytest.raises(TypeError, match="does not support item assignment"):
+            mapping["new"] = 1  # type: ignore[index]
+    with pytest.raises(ValueError, match="read-only"):
+        cell.targets["up"][0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        cell.gravity[0] = 1.0
+
+
+def test_targets_by_name_are_targets_that_are_known():
+    assert Cell(targets={"up": np.zeros(3)}, estimate_target=False).target is None
+
+
+def test_a_cell_can_be_sent_to_another_process():
+    cell = Cell(
+        target=np.ones(3),
+        frames={"a": np.eye(4)},
+        ties={"a1": ("a2", 2.0)},
+        payload=Payload(5.0, np.zeros(3)),
+        distances=(GroupDistance("a", "b", 1.0, 1e-3),),
+    )
+    there = pickle.loads(pickle.dumps(cell))
+    assert repr(there) == repr(cell)
+    assert repr(copy.deepcopy(cell)) == repr(cell)
+    assert there.target is not None
+    assert not there.target.flags.writeable
+    assert not there.frames["a"].flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"first": ""}, "The distance between the groups '' and 'b': each must be a name."),
+        ({"first": "*", "second": "**"}, "'*' stands for the same text in both; write it once"),
+        ({"first": "b"}, "a group has one fixed point; name two different groups."),
+        ({"length": 0.0}, "between the groups 'a' and 'b': its length is 0.0 m; it must be a pos"),
+        ({"sigma": None}, "its sigma is None m; it must be a positive number."),
+    ],
+)
+def test_distances_that_are_built_wrongly(wrong: dict[str, Any], said: str):
+    with pytest.raises(CalibError, match=re.escape(said)):
+        GroupDistance(**{"first": "a", "second": "b", "length": 1.0, "sigma": 1e-3, **wrong})
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "groups", "pairs"),
+    [
+        ("a", "b", ["b", "a", "c", "a"], (("a", "b"),)),
+        ("a", "b", ["a", "c"], ()),
+        ("*l", "*r", ["1l", "2l", "2r", "1r", "3l"], (("1l", "1r"), ("2l", "2r"))),
+        ("p*/l", "p*/r", ["p1/l", "q1/l", "q1/r", "p1/r", "p/l", "p/r"], (("p1/l", "p1/r"), ("p/l", "p/r"))),
+        # The text of the star is what is left of the whole name: "aba" is "ab" and "ba" only where they overlap.
+        ("ab*ba", "x*", ["aba", "xa", "x"], ()),
+        ("ab*ba", "x*", ["abba", "x", "xa"], (("abba", "x"),)),
+        ("*", "*2", ["1", "12", "122"], (("1", "12"), ("12", "122"))),
+    ],
+)  # fmt: skip
+def test_the_star_stands_for_the_same_text(
+    first: str, second: str, groups: list[str], pairs: tuple[tuple[str, str], ...]
+):
+    assert GroupDistance(first, second, 1.0, 1e-3).pairs(groups) == pairs
+
+
+@given(number=st.floats(-1e6, 1e6), unit=st.sampled_from(["mm", "m", "um", "deg", "mrad", "rad"]))
+def test_every_number_with_a_unit_is_read(number: float, unit: str):
+    value, kind = parse_quantity(f"{number!r} {unit}")
+    assert value == number * UNITS[unit].to_si
+    assert kind == f"a{'n' if UNITS[unit].quantity == 'angle' else ''} {UNITS[unit].quantity}"
+    assert parse_quantity(repr(number)) == (number, "a number")
+    assert (
+        parse_quantity(f" {number!r}{unit}/Nm" if unit == "mrad" else "1 rad/Nm")[1]
+        == "a compliance"
+    )
 
 
 def test_with_target():
@@ -210,9 +588,11 @@ def test_every_frame_of_numbers_is_a_pose(
     np.testing.assert_allclose(1e3 * T[:3, 3], place, rtol=1e-12, atol=1e-300)
 
 
-def test_the_documents_example_is_read(tmp_path: Path):
-    (example,) = re.findall(r"```toml\n(.*?)```", DOC.read_text(encoding="utf-8"), re.DOTALL)
-    cell = read(tmp_path, example)
+EXAMPLES = re.findall(r"```toml\n(.*?)```", DOC.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def test_the_documents_first_example(tmp_path: Path):
+    cell = read(tmp_path, EXAMPLES[0])
     assert (cell.base, cell.tip, cell.model, cell.frozen) == ("base", "tool0", "dh", ("d2",))
     assert cell.target is not None
     np.testing.assert_allclose(cell.target, [-0.07, 0.07, 0.0225])
@@ -220,6 +600,42 @@ def test_the_documents_example_is_read(tmp_path: Path):
     assert cell.priors == Priors()
 
 
+def test_the_documents_other_examples(tmp_path: Path):
+    by_name, single, loads, sockets = (read(tmp_path, example) for example in EXAMPLES[1:])
+    assert list(by_name.targets) == ["upper", "lower"]
+    assert list(by_name.frames) == ["morning", "after lunch"]
+    assert not by_name.estimate_target
+    assert single.ties == {"a3": ("a2", 1.0), "a4": ("a2", -1.0)}
+    assert single.bounds["theta6"] == pytest.approx((np.radians(-0.02), 1e-3))
+    assert single.parameter_priors["shoulder_lift_joint.compliance"] == 1e-5
+    assert single.frame_directions == ("x", "y", "z", "rz")
+    assert loads.payload is not None
+    assert loads.payload.mass == 5.0
+    assert loads.gravity[2] == 9.81
+    assert loads.held["torso_lift_joint"] == 0.3
+    assert sockets.kind == "fixed"
+    assert sockets.distances[0].pairs(["3/right", "3/left"]) == (("3/left", "3/right"),)
+
+
 def test_the_document_has_every_key_and_no_other():
     documented = re.findall(r"^\| `(\w+)` \|", DOC.read_text(encoding="utf-8"), re.MULTILINE)
     assert sorted(documented) == sorted(KEYS)
+
+
+def test_the_documents_defaults_are_the_defaults():
+    rows = re.findall(
+        r"^\| `(\w+)` \|[^|]*\| ([^|]*) \|", DOC.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    said, cell = dict(rows), Cell()
+    assert said["model"] == f'`"{cell.model}"`'
+    assert said["repeats"] == f'`"{cell.repeats}"`'
+    assert [float(v) for v in said["gravity_m_per_s2"].split(",")] == cell.gravity.tolist()
+    for key, value in (
+        ("prior_length_mm", 1e3 * cell.priors.length),
+        ("prior_angle_mrad", 1e3 * cell.priors.angle),
+        ("prior_zero_mrad", 1e3 * cell.priors.zero),
+        ("prior_gain", cell.priors.gain),
+        ("prior_eccentricity_mrad", 1e3 * cell.priors.eccentricity),
+        ("prior_compliance_rad_per_Nm", cell.priors.compliance),
+    ):
+        assert float(said[key]) == pytest.approx(value), key
