@@ -22,38 +22,26 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Integers = NDArray[np.int_]
 
+#: Degrees of freedom below this are rounding.
+_SOME_FREEDOM = 1e-9
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Repeats:
-    """Scatter within repeats, for each group of components (position, orientation).
+    """Scatter within repeats, and how much of the residual they share.
 
     Attributes:
-        within: shape (G,), standard deviation of a component of a repeat, in the residual's unit; NaN without repeats.
-        freedom: shape (G,), its degrees of freedom; 0 without repeats.
-        rho: shape (G,), intraclass correlation, 0 to 1; 0 without repeats.
-        groups: shape (D,), the group of each component.
+        within: shape (G,), standard deviation of a component of a repeat, for each group of components (position,
+            orientation), in the residual's unit; NaN without repeats.
+        freedoms: shape (G,), its degrees of freedom; 0 without repeats.
+        freedom: Their sum.
+        rho: Intraclass correlation of all groups together, 0 to 1; 0 without repeats.
     """
 
     within: Array
-    freedom: Array
-    rho: Array
-    groups: Integers
-
-    def weights(self, used: Mask, poses: Integers) -> Array:
-        """What each scalar counts, 1 / (1 + (n - 1) rho) with n repeats of it, 0 where it is not used.
-
-        Args:
-            used: shape (N, D), which scalars there are.
-            poses: shape (N,), the pose of each row.
-
-        Returns:
-            shape (N, D).
-        """
-        _, pose = np.unique(poses, return_inverse=True)
-        counts = _by_pose(pose, used.astype(np.float64))[pose]
-        weights = 1.0 / (1.0 + np.maximum(counts - 1.0, 0.0) * self.rho[self.groups])
-        result: Array = np.where(used, weights, 0.0)
-        return result
+    freedoms: Array
+    freedom: float
+    rho: float
 
 
 def repeats(
@@ -68,8 +56,8 @@ def repeats(
     """Scatter within repeats and their correlation, by the method of moments.
 
     Args:
-        residual: shape (N, D), measured minus predicted, in any one unit for each group of components; what is not
-            used may be NaN.
+        residual: shape (N, D), measured minus predicted, in one unit for each group of components; what is not used
+            may be NaN.
         used: shape (N, D), which scalars there are.
         poses: shape (N,), the pose of each row (and its target, set-up: whatever is repeated as a whole).
         weights: shape (N,), robust weights: 0 for outliers, 1 for good rows.
@@ -78,19 +66,35 @@ def repeats(
             their errors; without them rho is found too small.
 
     Returns:
-        Within a component no more than the mean of each pose is taken out for the scatter, so that it holds whatever
-        the model lacks.
+        The scatter about the mean of each pose, which holds whatever the model lacks, and rho.
     """
     groups = np.arange(residual.shape[1]) // 3 if groups is None else groups
     _, pose = np.unique(poses, return_inverse=True)
     w = np.where(used, weights[:, None], 0.0)
-    moments = _Moments.of(np.where(w > 0.0, residual, 0.0), w, pose)
-    found = [moments.select(groups == g) for g in range(int(groups.max(initial=-1)) + 1)]
-    cells = sum(float(np.sum(m.cells)) for m in found)
-    taken = [fitted * float(np.sum(m.cells)) / max(cells, 1.0) for m in found]
-    estimates = [_estimate(m, t) for m, t in zip(found, taken, strict=True)]
-    within, freedom, rho = (read_only(column) for column in np.reshape(estimates, (-1, 3)).T)
-    return Repeats(within, freedom, rho, _frozen(groups))
+    e = np.where(w > 0.0, residual, 0.0)
+    # rho is one number for lengths and angles: each group counts in units of its own size.
+    e_even = e / _sizes(e, w, groups)[groups]
+    moments = _Moments.of(e, w, pose)
+    each = [_within(moments.select(groups == g)) for g in range(_count(groups))]
+    within, freedoms = (read_only(column) for column in np.reshape(each, (-1, 2)).T)
+    rho = _correlation(_Moments.of(e_even, w, pose), fitted)
+    return Repeats(within, freedoms, float(freedoms.sum()), rho)
+
+
+def _count(groups: Integers) -> int:
+    """The number of groups."""
+    return int(groups.max(initial=-1)) + 1
+
+
+def _sizes(e: Array, w: Array, groups: Integers) -> Array:
+    """Root mean square residual of each group, shape (G,); 1 where it is nothing."""
+    result = np.ones(_count(groups))
+    for g in range(len(result)):
+        chosen = groups == g
+        square = float(np.sum(w[:, chosen] * e[:, chosen] ** 2))
+        if square > 0.0:
+            result[g] = np.sqrt(square / float(np.sum(w[:, chosen])))
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,22 +152,25 @@ class _Moments:
         )
 
 
-def _estimate(m: _Moments, fitted: float) -> tuple[float, float, float]:
-    """Standard deviation within, its degrees of freedom, and rho, of components of one size."""
+def _within(m: _Moments) -> tuple[float, float]:
+    """Standard deviation within repeats and its degrees of freedom, of components of one size."""
     freedom, noise = float(m.freedom.sum()), float(m.within_noise.sum())
-    if freedom < 1e-9 or noise <= 0.0:
-        return np.nan, 0.0, 0.0
-    within = float(m.within.sum()) / noise
-    # A mean for each component is gone in any case; the other parameters shrink what is left of the means.
+    if freedom < _SOME_FREEDOM or noise <= 0.0:
+        return np.nan, 0.0
+    return float(np.sqrt(m.within.sum() / noise)), freedom
+
+
+def _correlation(m: _Moments, fitted: float) -> float:
+    """The share of the variance that repeats have in common, 0 to 1."""
+    within = _within(m)[0] ** 2
+    # A mean for each component is gone in any case; further parameters shrink what is left of the means.
     left = float(np.sum(np.maximum(m.cells - 1.0, 0.0)))
-    kept = (float(m.cells.sum()) - fitted) / left if left > 0.0 else 0.0
-    kept = min(kept, 1.0)
-    poses = kept * float(m.between_pose.sum())
-    if poses <= 0.0:
-        return np.sqrt(within), freedom, 0.0
-    shared = (float(m.between.sum()) - kept * float(m.between_noise.sum()) * within) / poses
-    total = max(shared, 0.0) + within
-    return np.sqrt(within), freedom, max(shared, 0.0) / total if total > 0.0 else 0.0
+    kept = min((float(m.cells.sum()) - fitted) / left, 1.0) if left > 0.0 else 0.0
+    if not np.isfinite(within) or kept <= 0.0:
+        return 0.0
+    between = float(m.between.sum()) / kept - float(m.between_noise.sum()) * within
+    shared = max(between / float(m.between_pose.sum()), 0.0)
+    return shared / (shared + within) if shared > 0.0 else 0.0
 
 
 def _by_pose(pose: Integers, values: Array) -> Array:
@@ -171,10 +178,3 @@ def _by_pose(pose: Integers, values: Array) -> Array:
     sums = np.zeros((int(pose.max(initial=-1)) + 1, values.shape[1]))
     np.add.at(sums, pose, values)
     return sums
-
-
-def _frozen(labels: Integers) -> Integers:
-    """A copy that cannot be written to."""
-    copy = np.array(labels, dtype=np.int_)
-    copy.setflags(write=False)
-    return copy
