@@ -83,12 +83,38 @@ def test_the_papers_table():
     assert_same(Measurements.read(UR3), m, rtol=0)
 
 
-def test_the_example_in_the_documentation(table):
+def examples():
+    """The tables and lists that docs/data-format.md shows, in its order."""
     page = Path(__file__).parents[2] / "docs" / "data-format.md"
-    example = page.read_text(encoding="utf-8").split("```")[1].strip()
-    m = Measurements.read(table(example), UR3_JOINTS[:3])
+    return [block.strip() for block in page.read_text(encoding="utf-8").split("```")[1::2]]
+
+
+def test_the_example_in_the_documentation(table):
+    m = Measurements.read(table(examples()[0]), UR3_JOINTS[:3])
     np.testing.assert_array_equal(m.points, Measurements.read(UR3).points[[0, 1, 30]])
     assert m.sets == ("estimate", "estimate", "validate")
+
+
+def test_the_examples_of_other_kinds(table):
+    poses, lengths, sockets = examples()[1:4]
+    m = Measurements.read(table(poses))
+    assert set(m.kinds) == {"pose"}
+    np.testing.assert_allclose(m.sigma_angle, np.deg2rad([0.1, 0.1]))
+    m = Measurements.read(table(lengths))
+    assert m.kinds == ("distance", "distance", "pair", "pair")
+    np.testing.assert_allclose(m.distances[2:], [0.750002] * 2)
+    columns = {"placement": "group", "socket": "group"}
+    m = Measurements.read(table(sockets), kind="fixed", columns=columns)
+    assert m.groups == ("left/A", "left/A", "left/B", "left/B")
+
+
+def test_the_example_of_a_list_of_points(table, tmp_path):
+    listed, joints = examples()[4:]
+    (tmp_path / "tracker.txt").write_text(listed)
+    m = Measurements.read(table(joints), UR3_JOINTS[:3], points=tmp_path / "tracker.txt")
+    paper = Measurements.read(UR3)
+    np.testing.assert_array_equal(m.points, paper.points[[1, 0]])
+    np.testing.assert_array_equal(m.joints, paper.joints[[1, 0], :3])
 
 
 # The value
