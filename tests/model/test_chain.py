@@ -9,10 +9,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yourdfpy
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
 
 from calib.errors import CalibError, UrdfError
 from calib.model.chain import full_configurations, full_model, link_frame
+from calib.model.dh import dh_placements, dh_table
+from calib.model.readback import check_written
 from calib.model.robot import Robot, find_urdf
+from calib.model.torques import Payload, gravity_load
 from calib.model.urdf import Urdf
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
@@ -315,3 +320,69 @@ def test_full_configurations_are_pinocchio_s():
             v[model.idx_vs[model.getJointId(name)]] = column[i]
         expected = pin.integrate(model, pin.neutral(model), v)
         np.testing.assert_allclose(configuration, expected, atol=1e-15)
+
+
+# Any tree
+
+numbers = st.integers(-1000, 1000).map(lambda k: k / 1000)
+triples = st.tuples(numbers, numbers, numbers)
+kinds = st.sampled_from(["revolute", "continuous", "prismatic", "fixed", "mimic"])
+
+
+@st.composite
+def trees(draw):
+    """A URDF of any shape, its joints of any type and axis, some mimicking an earlier one; and two of its links."""
+    count = draw(st.integers(2, 9))
+    links = [f"l{i}" for i in range(count)]
+    joints, drivers = [], []
+    for i in range(1, count):
+        parent, kind = links[draw(st.integers(0, i - 1))], draw(kinds)
+        mimic = ""
+        if kind == "mimic":
+            kind = draw(st.sampled_from(["revolute", "prismatic"]))
+            if drivers:
+                driver, factor, offset = (
+                    draw(st.sampled_from(drivers)),
+                    draw(numbers),
+                    draw(numbers),
+                )
+                mimic = f'<mimic joint="{driver}" multiplier="{factor}" offset="{offset}"/>'
+        if kind != "fixed":
+            drivers.append(f"j{i}")
+        axis = draw(triples.filter(lambda v: np.linalg.norm(v) > 0.1))
+        joints.append(
+            f'<joint name="j{i}" type="{kind}"><parent link="{parent}"/><child link="l{i}"/>'
+            f'<origin xyz="{_text(draw(triples))}" rpy="{_text(draw(triples))}"/>'
+            f'<axis xyz="{_text(axis)}"/>{LIMIT}{mimic}</joint>'
+        )
+    base, tip = draw(st.permutations(links))[:2]
+    return links_and_joints(" ".join(links), *joints), base, tip
+
+
+def _text(values) -> str:
+    return " ".join(repr(value) for value in values)
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(trees())
+def test_any_tree_between_any_two_links(case):
+    urdf, base, tip = case
+    try:
+        robot = Robot.from_urdf(urdf, base, tip)
+    except UrdfError as error:
+        event(str(error).split(";")[0].split("'")[0])
+        assert "no joint moves between" in str(error) or "left to move" in str(error)  # noqa: PT017
+        return
+    event(f"base moves: {robot.base_moves}; followers: {len(robot.joints) > len(robot.inputs)}")
+    q = random_q(robot, 3)
+    np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-12)
+    assert_serial(robot, q)
+    table = dh_table(robot)
+    np.testing.assert_allclose(dh_placements(table, robot), robot.placements, rtol=0, atol=1e-12)
+    new = displaced(robot)
+    check_written(new, new.poses(q), q)
+    again = robot.rebuilt(Urdf.from_bytes(new.urdf.data, "again.urdf"))
+    np.testing.assert_allclose(again.poses(q), new.poses(q), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(again.placements, new.placements, rtol=0, atol=1e-12)
+    load = gravity_load(robot, q, Payload(2.0, (0.1, 0.2, 0.3)))
+    assert load.shape == (3, len(robot.joints))

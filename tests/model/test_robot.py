@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.metadata
 import io
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -352,6 +353,14 @@ def test_arrays_cannot_be_written_to(ur3):
             array[0] = 0
     with pytest.raises(dataclasses.FrozenInstanceError):
         ur3.tip = "ee_link"
+
+
+def test_a_robot_goes_to_another_process_and_stays_what_it_is():
+    robot = Robot.load("panda", "panda_rightfinger", "panda_link0", held={"panda_joint2": 0.3})
+    again = pickle.loads(pickle.dumps(robot))
+    assert again == robot
+    q = random_q(robot)
+    np.testing.assert_array_equal(again.poses(q), robot.poses(q))
 
 
 def test_read_only_copies():
