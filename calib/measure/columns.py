@@ -63,21 +63,7 @@ def name_columns(
     Raises:
         MeasurementError: a name of ``columns`` is not there, or two columns have one name.
     """
-    found = [_column(index, label) for index, label in enumerate(table.header) if label]
-    mapped: set[int] = set()
-    for key, wanted in columns.items():
-        hits = [i for i, column in enumerate(found) if key.strip() in (column.name, column.label)]
-        if not hits:
-            close = close_names(key, [column.name for column in found])
-            hint = f" Close to it: {choices(close)}." if close else ""
-            message = (
-                f"{table.source}: there is no column '{key}', which --columns maps to '{wanted}'."
-                f"{hint} {list_columns(table)}"
-            )
-            raise MeasurementError(message)
-        for i in hits:
-            found[i] = _renamed(table, found[i], wanted)
-            mapped.add(found[i].index)
+    found, mapped = _map_columns(table, columns)
     named: dict[str, Column] = {}
     groups: list[Column] = []
     for column in found:
@@ -93,14 +79,47 @@ def name_columns(
             if name == "group" and any(c.index in mapped for c in groups):
                 continue
             first = named[name]
+            leave = ""
+            if first.label != column.label:
+                leave = f', or leave one out: --columns "{column.label}=-"'
             message = (
                 f"{table.source}: two columns are called '{name}': number {first.index + 1} "
                 f"('{first.label}') and number {column.index + 1} ('{column.label}'). "
-                "Remove or rename one."
+                f"Remove or rename one{leave}."
             )
             raise MeasurementError(message)
         named[name] = replace(column, name=name)
     return named, tuple(groups)
+
+
+def _map_columns(
+    table: Table, columns: Mapping[str, str]
+) -> tuple[list[Column], Mapping[int, str]]:
+    """All columns under the names that ``columns`` gives them, and which of them it names, by their index."""
+    written = [_column(index, label) for index, label in enumerate(table.header) if label]
+    found = list(written)
+    mapped: dict[int, str] = {}  # index: key
+    for key, wanted in columns.items():
+        # By the names as written: two columns may swap theirs.
+        hits = [i for i, column in enumerate(written) if key.strip() in (column.name, column.label)]
+        if not hits:
+            close = close_names(key, [column.name for column in written])
+            hint = f" Close to it: {choices(close)}." if close else ""
+            message = (
+                f"{table.source}: there is no column '{key}', which --columns maps to '{wanted}'."
+                f"{hint} {list_columns(table)}"
+            )
+            raise MeasurementError(message)
+        for i in hits:
+            other = mapped.setdefault(found[i].index, key)
+            if other != key:
+                message = (
+                    f"{table.source}: --columns maps the column '{found[i].label}' twice, as '{other}' "
+                    f"and as '{key}'. Leave one out."
+                )
+                raise MeasurementError(message)
+            found[i] = _renamed(table, found[i], wanted)
+    return found, mapped
 
 
 def _column(index: int, label: str) -> Column:

@@ -202,12 +202,16 @@ def _points(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...]:
     """The columns x, y, z."""
     missing = [name for name in POINT if name not in named]
     if missing:
+        other = (
+            " Rows that measure no position have a column 'distance [mm]', or are read with --kind "
+            "fixed or --kind plane and a column 'group' (or --columns \"name in the table=group\", "
+            "once or more)."
+        )
         message = (
             f"{table.source}: no column for the measured point's {choices(missing)}. "
             f"{list_columns(table)} The header of such a column is '{missing[0]} [mm]'; another name "
-            f'is mapped by --columns "name in the table={missing[0]}". Rows that measure no '
-            "position have a column 'distance [mm]', or are read with --kind fixed or --kind plane and a "
-            "column 'group' (or --columns \"name in the table=group\", once or more)."
+            f'is mapped by --columns "name in the table={missing[0]}".'
+            f"{other if len(missing) == len(POINT) else ''}"
         )
         raise MeasurementError(message)
     return tuple(with_unit(table, named[name], "length") for name in POINT)

@@ -17,6 +17,9 @@ FAR_M = 100.0
 NEAR_M = 5e-3
 # Half of a column beyond this many radians: hardly any joint turns so far, and degrees mostly do.
 TURNS_RAD = 7.0
+# Rotation vectors in degrees that are all as long as those in radians, while a joint turns further than this.
+VECTOR_DEG = (0.5, 2.0 * np.pi)
+TURNING_RAD = float(np.radians(30.0))
 # No instrument measures an orientation worse than this, and sigmas in degrees mostly look so in radians.
 VAGUE_RAD = 1.0
 
@@ -63,6 +66,7 @@ class WrongUnits:
             self._degrees([i])
         if len(span("orientation")) == 3:
             self._degrees(span("orientation"))
+            self._radians(span("orientation"))
         self._positive()
         for i in span("joints"):
             if _unit(self.layout.numbers[i]).quantity == "length":
@@ -94,6 +98,27 @@ class WrongUnits:
                 f"write '{column.name} [deg]' into the header."
             )
             raise MeasurementError(message)
+
+    def _radians(self, columns: list[int]) -> None:
+        """Refuse rotation vectors in degrees that look like radians: the robot turns, they hardly do."""
+        if any(_unit(self._column(i)).symbol != "deg" for i in columns):
+            return
+        size = np.linalg.norm(self.grid[:, columns], axis=1)
+        size = size[np.isfinite(size)]
+        low, high = VECTOR_DEG
+        if not (np.median(size) > low and size.max() < high):
+            return
+        for i in self.layout.span("joints"):
+            turned = float(np.ptp(self.grid[:, i])) * self._column(i).to_si
+            if _unit(self._column(i)).quantity == "angle" and turned > TURNING_RAD:
+                column = self._column(columns[0])
+                message = (
+                    f"{self.source}, column '{column.label}': no rotation vector is longer than "
+                    f"{size.max():.4g} deg, while '{self._column(i).name}' turns by "
+                    f"{np.degrees(turned):.4g} deg; they look like radians. If they are, write "
+                    f"'{column.name} [rad]' into the header; if not, give them in radians."
+                )
+                raise MeasurementError(message)
 
     def _positive(self) -> None:
         """Refuse a standard deviation or a distance that is not greater than zero."""

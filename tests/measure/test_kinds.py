@@ -117,6 +117,16 @@ def test_the_remedy_for_an_orientation_there_twice(table):
     np.testing.assert_allclose(m.rotations[0, 0, 0], np.cos(1))
 
 
+def test_radians_read_as_degrees(table):
+    header = POSE + "rx [deg],ry [deg],rz [deg]"
+    path = table(header, "1,100,200,300,3.1,0,0.2", "80,100,200,300,0,-3,0.2")
+    refused(path, ["column 'rx [deg]'", "'a' turns by 79 deg", "look like radians", "'rx [rad]'"])
+    small = table(header, "1,100,200,300,3.1,0,0.2", "5,100,200,300,0,-3,0.2")
+    assert len(Measurements.read(small)) == 2
+    still = table(header, "1,100,200,300,0.1,0,0.2", "80,100,200,300,0,-0.1,0.2")
+    assert len(Measurements.read(still)) == 2
+
+
 def test_poses_without_an_orientation(table):
     path = table(POSE + "qx,qy,qz", "1,100,200,300,0,0,0")
     assert Measurements.read(path).kinds == ("point",)

@@ -274,6 +274,12 @@ def test_columns_are_renamed_and_given_units(table):
     assert_same(Measurements.read(path, ["a", "b"], columns=with_unit_in_key), m, rtol=0)
 
 
+def test_two_columns_swap_their_names(table):
+    path = table("a [deg],x [mm],y [mm],z [mm]", "10,300,400,500")
+    m = Measurements.read(path, columns={"x": "y", "y": "x"})
+    np.testing.assert_allclose(m.points, [[0.4, 0.3, 0.5]])
+
+
 def test_prismatic_joints(table):
     path = table("rail [mm],a [deg],x [mm],y [mm],z [mm]", "1500,20,300,400,500")
     types = {"rail": "prismatic", "a": "continuous"}
@@ -504,7 +510,8 @@ def test_the_wrong_kind_of_unit_for_a_joint(table):
         ({"J12": "b"}, ["no column 'J12'", "maps to 'b'", "Close to it: 'J1'", "'a [deg]'"]),
         ({"a": "b [rad]"}, ["'a [deg]'", "gives it another, 'b [rad]'"]),
         ({"J1": "b [grad]"}, ["'J1'", "'b [grad]'", "'grad' is not a unit"]),
-        ({"J1": "a [deg]"}, ["two columns are called 'a'", "'J1'", "'a [deg]'"]),
+        ({"J1": "a [deg]"}, ["two columns are called 'a'", "'J1'", '--columns "J1=-"']),
+        ({"a": "b", "a [deg]": "c"}, ["maps the column 'a [deg]' twice, as 'a' and as 'a [deg]'"]),
     ],
 )
 def test_mappings_that_are_refused(table, columns, says):
