@@ -115,6 +115,8 @@ def joint_patterns(
         The findings, the surest first.
     """
     stack = _Stack.of(A, r, row_of, component_of, scale)
+    if not len(stack.r):
+        return ()
     cells = np.arange(len(stack.r)) if poses is None else stack.cells(poses)
     A, r = _sums_over(cells, np.column_stack([stack.A, stack.ones])), _sums_over(cells, stack.r)
     even = even_factors(A, r, _first_of(cells, stack.component_of))
@@ -158,6 +160,8 @@ def drift(
         The drift, or None where there is none that chance would not give in 1 % of the tables.
     """
     stack = _Stack.of(A, r, row_of, component_of, scale)
+    if not len(stack.r):
+        return None
     Z = stack.times(order[:, None] - np.mean(order))
     cells = np.arange(len(stack.r)) if poses is None else stack.cells(poses)
     tests = [_between(cells, stack, Z), _within(cells, stack, Z)]
@@ -196,7 +200,7 @@ class _Stack:
         """Functions of the row (N, f), each times each direction, by default the components: (M, f k)."""
         along = self.ones if directions is None else directions[self.keep]
         product = functions[self.row_of][:, :, None] * along[:, None, :]
-        return product.reshape(len(self.r), -1)
+        return product.reshape(len(self.r), functions.shape[1] * along.shape[1])
 
     def cells(self, poses: Integers) -> Integers:
         """A number for each pair of pose and component, shape (M,)."""
