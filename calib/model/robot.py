@@ -36,7 +36,7 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """A chain of a URDF, immutable: a changed robot is a new one.
+    """A chain of a URDF, immutable: a changed robot is a new one. Lengths [m], angles [rad].
 
     Two are equal when URDF, base, tip and held joints are.
 
