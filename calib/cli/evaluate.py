@@ -16,6 +16,10 @@ from calib.cli.options import (
     Debug,
     Force,
     Frame,
+    Hold,
+    MeasuredKind,
+    PointsFile,
+    PointsUnit,
     Quiet,
     RobotFile,
     Target,
@@ -53,6 +57,10 @@ def evaluate(
     tip: Tip = None,
     target: Target = None,
     frame: Frame = None,
+    kind: MeasuredKind = None,
+    points: PointsFile = None,
+    points_unit: PointsUnit = None,
+    hold: Hold = None,
     columns: Columns = None,
     cell: CellFile = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write the errors as JSON.")] = None,
@@ -69,8 +77,15 @@ def evaluate(
         from calib.identify.evaluation import hint
         from calib.identify.result_file import evaluation_table, read_result, write_table
 
-        check_outputs([json], [robot, data, *(p for p in (cell, calibration) if p)], force=force)
-        setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, model=None)
+        inputs: list[str | Path] = [
+            robot,
+            data,
+            *(path for path in (cell, calibration, points) if path),
+        ]
+        check_outputs([json], inputs, force=force)
+        setup = read_cell(
+            cell, base=base, tip=tip, target=target, frame=frame, kind=kind, hold=hold
+        )
         stored = None if calibration is None else read_result(calibration)
         if stored is not None:
             _check_chain(setup, stored, str(calibration))
@@ -81,7 +96,7 @@ def evaluate(
                 target=stored.target if target is None else setup.target,
                 T_frame_base=stored.T_frame_base if frame is None else setup.T_frame_base,
             )
-        arm, table = load_with_data(robot, setup, data, columns)
+        arm, table = load_with_data(robot, setup, data, columns, points, points_unit)
         source = "as given" if stored is None or target is not None else "as the result has it"
         if setup.target is None:
             setup, source = (
@@ -123,13 +138,12 @@ def _check_chain(cell: Cell, stored: StoredResult, name: str) -> None:
 def _with_target_link(robot: Robot, cell: Cell) -> Cell:
     """The cell with the target that the URDF's link ``calib_target`` carries, if it has one at this tip."""
     from calib.identify.calibration import TARGET_LINK
-    from calib.model.robot import Robot as RobotClass
 
     if robot.tip == TARGET_LINK:
         return cell.with_target((0.0, 0.0, 0.0), estimate=cell.estimate_target)
     if TARGET_LINK not in robot.urdf.links:
         return cell
-    with_link = RobotClass.from_urdf(robot.urdf, robot.base, TARGET_LINK)
+    with_link = robot.rebuilt(tip=TARGET_LINK)
     if with_link.joint_names != robot.joint_names:
         return cell
     T_last_target, T_last_tip = with_link.placements[-1], robot.placements[-1]

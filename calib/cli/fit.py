@@ -17,9 +17,15 @@ from calib.cli.options import (
     Debug,
     Force,
     Frame,
+    Hold,
+    MeasuredKind,
     ModelName,
+    PayloadMass,
+    PointsFile,
+    PointsUnit,
     PriorSizes,
     Quiet,
+    Repeats,
     RobotFile,
     Solver,
     Target,
@@ -30,7 +36,7 @@ from calib.cli.options import (
 if TYPE_CHECKING:
     from calib.identify.calibration import Calibration
 
-_HELP = """Calibrate a robot from measured points.
+_HELP = """Calibrate a robot from measurements.
 
 \b
 Examples:
@@ -38,10 +44,12 @@ Examples:
   calib fit robot.urdf data.csv --base base --tip tool0 --target "70 -70 22.5 mm" \\
         -o corrected.urdf --json result.json --view view.html
   calib fit robot.urdf tracker.csv --frame estimate -o corrected.urdf
+  calib fit robot.urdf joints.csv --points tracker.txt --frame estimate -o corrected.urdf
   calib fit robot.urdf data.csv --columns "J1=joint_1 [deg]" --columns "X=x [mm]" ...
 
 The table holds one row a pose: a column for each joint, such as "joint_1 [deg]", and the measured point "x [mm]",
-"y [mm]", "z [mm]". An optional column "set" says which rows are for estimation ("estimate") and which for validation
+"y [mm]", "z [mm]". Orientations, distances, balls in sockets and touched planes can be measured too; see
+docs/data-format.md. An optional column "set" says which rows are for estimation ("estimate") and which for validation
 ("validate").
 """
 
@@ -76,6 +84,18 @@ def fit(
             metavar="PARAMETER", help="Keep a parameter at its nominal value. Can be repeated."
         ),
     ] = None,
+    payload: PayloadMass = None,
+    repeats: Annotated[
+        Repeats | None,
+        typer.Option(
+            help="How rows of one pose count: as their own scatter and what they share say (weighted, default), as "
+            "one row (average), or each for itself (independent)."
+        ),
+    ] = None,
+    kind: MeasuredKind = None,
+    points: PointsFile = None,
+    points_unit: PointsUnit = None,
+    hold: Hold = None,
     columns: Columns = None,
     cell: CellFile = None,
     output: Annotated[
@@ -107,15 +127,27 @@ def fit(
         from calib.cli.progress import progress_bar
         from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
 
-        check_outputs([output, json, view], [robot, data, *([cell] if cell else [])], force=force)
-        setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, model=model)
+        inputs: list[str | Path] = [robot, data, *(path for path in (cell, points) if path)]
+        check_outputs([output, json, view], inputs, force=force)
+        setup = read_cell(
+            cell,
+            base=base,
+            tip=tip,
+            target=target,
+            frame=frame,
+            model=model,
+            kind=kind,
+            hold=hold,
+            payload=payload,
+        )
         setup = replace(
             setup,
             estimate_target=setup.estimate_target and not fix_target,
             frozen=(*setup.frozen, *(freeze or ())),
             priors=setup.priors if priors is None else replace(setup.priors, sizes=priors.value),
+            repeats=setup.repeats if repeats is None else repeats.value,
         )
-        arm, table = load_with_data(robot, setup, data, columns)
+        arm, table = load_with_data(robot, setup, data, columns, points, points_unit)
 
         from calib.identify.calibration import calibrate
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +14,12 @@ from calib.cli.options import (
     Columns,
     Debug,
     Frame,
+    Hold,
+    MeasuredKind,
     ModelName,
+    PayloadMass,
+    PointsFile,
+    PointsUnit,
     RobotFile,
     Target,
     Tip,
@@ -45,6 +51,11 @@ def inspect(
     target: Target = None,
     frame: Frame = None,
     model: ModelName = None,
+    payload: PayloadMass = None,
+    kind: MeasuredKind = None,
+    points: PointsFile = None,
+    points_unit: PointsUnit = None,
+    hold: Hold = None,
     columns: Columns = None,
     cell: CellFile = None,
     debug: Debug = False,
@@ -54,11 +65,21 @@ def inspect(
         from calib.cli.setup import load, load_with_data, read_cell, say_ignored
         from calib.identify.inspection import inspect as inspect_robot
 
-        setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, model=model)
+        setup = read_cell(
+            cell,
+            base=base,
+            tip=tip,
+            target=target,
+            frame=frame,
+            model=model,
+            kind=kind,
+            hold=hold,
+            payload=payload,
+        )
         if data is None:
             arm, table = load(robot, setup), None
         else:
-            arm, table = load_with_data(robot, setup, data, columns)
+            arm, table = load_with_data(robot, setup, data, columns, points, points_unit)
             say_ignored(table, arm)
         typer.echo(_chain_text(arm))
         typer.echo("")
@@ -84,7 +105,30 @@ def _chain_text(robot: Robot) -> str:
             else f"{scale * joint.lower:.1f} to {scale * joint.upper:.1f} {unit}"
         )
         lines += _row(joint.name, f"{joint.type:<12}{axis:<24}{limits}")
-    return "\n".join(lines)
+    return "\n".join([*lines, *(_wrap(text, "  ") for text in _coupling_texts(robot))])
+
+
+def _coupling_texts(robot: Robot) -> Iterator[str]:
+    """Sentences on joints that have no column of their own, and on a base that moves."""
+    import math
+
+    import numpy as np
+
+    offsets = robot.chain_values(np.zeros(len(robot.inputs)))[0]
+    for joint, row, offset in zip(robot.joints, robot.coupling, offsets, strict=True):
+        slides = joint.type == "prismatic"
+        rest = f"{1e3 * offset:g} mm" if slides else f"{math.degrees(offset):g} deg"
+        if not np.any(row):
+            yield f"'{joint.name}' is held at {rest}."
+        elif robot.inputs[int(np.argmax(np.abs(row)))].name != joint.name:
+            driver = robot.inputs[int(np.argmax(np.abs(row)))].name
+            more = "" if offset == 0 else f", plus {rest}"
+            yield f"'{joint.name}' follows '{driver}', times {row[np.argmax(np.abs(row))]:g}{more}."
+    if robot.base_moves:
+        yield (
+            f"Joints move the base '{robot.base}' itself; they are passed from the base outwards, and their axes are "
+            "turned round."
+        )
 
 
 def _row(name: str, cells: str) -> list[str]:

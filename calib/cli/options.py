@@ -15,22 +15,23 @@ import typer
 from calib.errors import CalibError
 
 
-class Knowledge(str, Enum):
-    """Whether something is known or estimated."""
+class Kind(str, Enum):
+    """The kinds of measurement."""
 
-    known = "known"
-    estimate = "estimate"
+    point = "point"
+    pose = "pose"
+    distance = "distance"
+    pair = "pair"
+    fixed = "fixed"
+    plane = "plane"
 
 
-class Model(str, Enum):
-    """The parameter sets."""
+class Repeats(str, Enum):
+    """How rows of one pose count."""
 
-    paper = "paper"
-    dh = "dh"
-    hayati = "hayati"
-    placement = "placement"
-    zeros = "zeros"
-    frames = "frames"
+    weighted = "weighted"
+    average = "average"
+    independent = "independent"
 
 
 class Solver(str, Enum):
@@ -78,18 +79,52 @@ Target = Annotated[
     ),
 ]
 Frame = Annotated[
-    Knowledge | None,
+    str | None,
     typer.Option(
+        metavar="known|estimate|LIST",
         help="'known': the points are in the base frame (default). 'estimate': in any fixed frame, such as the "
-        "tracker's."
+        'tracker\'s. A list such as "x,y,rz": known but for these directions.',
     ),
 ]
 ModelName = Annotated[
-    Model | None,
+    str | None,
     typer.Option(
         "--model",
-        help="Which errors are estimated: a, alpha, d, theta of each DH row (dh, default; paper: the same with a known "
-        "frame); hayati: beta for d between near-parallel axes; placement: all six of each joint; zeros; frames: none.",
+        metavar="SET[+FAMILY...]",
+        help="Which errors are estimated. dh: a, alpha, d, theta of each DH row; paper: the same with a known frame; "
+        "hayati: beta for d between near-parallel axes; placement: all six of each joint; zeros; frames: none. Added "
+        "to it: gain, eccentricity, compliance, as in dh+gain.",
+    ),
+]
+MeasuredKind = Annotated[
+    Kind | None,
+    typer.Option("--kind", help="What every row measures. Default: as the table's columns say."),
+]
+PointsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--points",
+        metavar="FILE",
+        help="Measured points in a list of their own, as laser tracker programs write them; DATA has the joint values.",
+    ),
+]
+PointsUnit = Annotated[
+    str | None,
+    typer.Option("--points-unit", metavar="UNIT", help="The unit of --points, if it names none."),
+]
+Hold = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar='"JOINT=VALUE UNIT"',
+        help='Value of a joint that was not moved and has no column, such as "lift=0.3 m". Can be repeated.',
+    ),
+]
+PayloadMass = Annotated[
+    str | None,
+    typer.Option(
+        "--payload",
+        metavar='"MASS UNIT"',
+        help='What the tip carries, such as "5 kg", for compliances; its centre of mass stands in the cell file.',
     ),
 ]
 Columns = Annotated[

@@ -1,24 +1,27 @@
-"""From the words of a command line to robots, measurements and cells."""
+"""What the verbs begin with: cell, robot and table of a call, and whether its outputs can be written."""
 
 from __future__ import annotations
 
-import math
-import re
 import textwrap
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from calib.cli.options import Knowledge, Model
+from calib.cli.options import Kind
+from calib.cli.words import (
+    check_model,
+    parse_columns,
+    parse_frame,
+    parse_held,
+    parse_payload,
+    parse_point,
+)
 from calib.errors import CalibError, FileError, choices
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
@@ -27,102 +30,79 @@ if TYPE_CHECKING:
 def read_cell(
     path: Path | None,
     *,
-    base: str | None,
-    tip: str | None,
-    target: str | None,
-    frame: Knowledge | None,
-    model: Model | None,
+    base: str | None = None,
+    tip: str | None = None,
+    target: str | None = None,
+    frame: str | None = None,
+    model: str | None = None,
+    kind: Kind | None = None,
+    hold: Iterable[str] | None = None,
+    payload: str | None = None,
 ) -> Cell:
     """The cell file, if there is one, with what the command line says on top of it."""
     from calib.measure.cell import Cell
 
     cell = Cell() if path is None else Cell.read(path)
-    if base is not None:
-        cell = replace(cell, base=base)
-    if tip is not None:
-        cell = replace(cell, tip=tip)
+    said: dict[str, Any] = {"base": base, "tip": tip, "model": model}
     if target is not None:
-        cell = replace(cell, target=parse_point(target, "--target"))
+        said["target"] = parse_point(target, "--target")
     if frame is not None:
-        cell = replace(cell, estimate_frame=frame is Knowledge.estimate)
-    if model is not None:
-        cell = replace(cell, model=model.value)
+        said["estimate_frame"], said["frame_directions"] = parse_frame(frame)
+    if kind is not None:
+        said["kind"] = kind.value
+    if hold:
+        said["held"] = {**cell.held, **parse_held(hold)}
+    if payload is not None:
+        said["payload"] = parse_payload(payload, cell.payload)
+    cell = replace(cell, **{name: value for name, value in said.items() if value is not None})
+    check_model(cell.model, "--model" if model is not None else str(path))
     return cell
 
 
 def load(robot: str, cell: Cell) -> Robot:
-    """The robot's chain between the cell's base and tip."""
+    """The robot's chain between the cell's base and tip, with the joints that the cell holds."""
     from calib.model.robot import Robot
 
-    return Robot.load(robot, cell.base, cell.tip)
+    return Robot.load(robot, cell.base, cell.tip, held=cell.held)
 
 
 def load_with_data(
-    robot: str, cell: Cell, data: Path, columns: Iterable[str] | None
+    robot: str,
+    cell: Cell,
+    data: Path,
+    columns: Iterable[str] | None,
+    points: Path | None = None,
+    points_unit: str | None = None,
 ) -> tuple[Robot, Measurements]:
     """The robot, and the table with its joint columns matched to the chain's joints.
 
     A tip that was not named is the end of the longest chain whose joints all have a column.
+
+    Raises:
+        CalibError: A file cannot be read or does not fit the other; or a unit of points that there are not.
     """
     from calib.measure.measurements import Measurements
     from calib.measure.table import Table
     from calib.model.robot import Robot
     from calib.units import split_header
 
+    if points_unit is not None and points is None:
+        message = "--points-unit is the unit of a list of points; name the list with --points."
+        raise CalibError(message)
     renamed = parse_columns(columns or [])
     names = {split_header(label)[0] for label in Table.read(data).header}
     names |= {split_header(wanted)[0] for wanted in renamed.values()}
-    arm = Robot.load(robot, cell.base, cell.tip, measured=names)
+    arm = Robot.load(robot, cell.base, cell.tip, measured=names, held=cell.held)
     table = Measurements.read(
-        data, joint_names=arm.joint_names, joint_types=arm.joint_types, columns=renamed
+        data,
+        joint_names=arm.joint_names,
+        joint_types=arm.joint_types,
+        columns=renamed,
+        kind=cell.kind,
+        points=points,
+        points_unit=points_unit,
     )
     return arm, table
-
-
-def parse_point(text: str, option: str) -> NDArray[np.float64]:
-    """Three numbers and a unit of length, such as ``70 -70 22.5 mm``, in metres.
-
-    Raises:
-        CalibError: Anything else.
-    """
-    from calib.model.robot import read_only
-    from calib.units import UNITS, symbols
-
-    # "22.5mm" is as clear as "22.5 mm".
-    words = re.sub(r"(?<=[\d.])(?=[a-z]+\s*$)", " ", text.replace(",", " ")).split()
-    try:
-        numbers = [float(word) for word in words[:3]]
-    except ValueError:
-        numbers = []
-    if len(words) != 4 or len(numbers) != 3 or not all(map(math.isfinite, numbers)):
-        message = f'{option} was given as "{text}"; it must be three numbers and a unit, such as "70 -70 22.5 mm".'
-        raise CalibError(message)
-    if words[3] not in symbols("length"):
-        message = (
-            f"{option} was given as \"{text}\"; '{words[3]}' is no unit of length. Choose one of "
-            f"{choices(symbols('length'))}."
-        )
-        raise CalibError(message)
-    return read_only([UNITS[words[3]].to_si * number for number in numbers])
-
-
-def parse_columns(pairs: Iterable[str]) -> dict[str, str]:
-    """``--columns`` as a mapping from the table's names to calib's.
-
-    Raises:
-        CalibError: A pair without an equals sign, or a name twice.
-    """
-    mapping: dict[str, str] = {}
-    for pair in pairs:
-        name, equals, wanted = (part.strip() for part in pair.partition("="))
-        if not (name and equals and wanted) or name in mapping:
-            message = (
-                f"--columns was given '{pair}'; it must be 'name in the table=name in the URDF', with a unit in "
-                "brackets behind it if the table has none, and each name once."
-            )
-            raise CalibError(message)
-        mapping[name] = wanted
-    return mapping
 
 
 def check_outputs(
@@ -164,7 +144,9 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
     text = f"Columns not used: {choices(measurements.ignored)}."
     moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
     names = [split_header(label)[0] for label in measurements.ignored]
-    outside = [name for name in names if name in moving]
+    # A held joint and one that follows another have columns that are not needed: nothing is wrong with the chain.
+    known = {*robot.held, *(joint.name for joint in robot.joints)}
+    outside = [name for name in names if name in moving - known]
     if outside:
         text += (
             f" Of the robot's joints, {choices(outside)} "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import shlex
 import shutil
@@ -55,18 +56,35 @@ def calib(folder: Path, *words: str | Path) -> Done:
 
 
 def fill(folder: Path) -> Path:
-    """The files that a user begins with: the paper's UR3, its table, and the example of docs/cell.md."""
+    """The files that a user begins with: the paper's UR3, its table, and the first example of docs/cell.md."""
     shutil.copy(paper_urdf(), folder / "robot.urdf")
     shutil.copy(paper_measurements(), folder / "data.csv")
     text = (DOCS / "cell.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    example = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)[0]
     (folder / "cell.toml").write_text(example, encoding="utf-8")
+    _split(folder)
     return folder
+
+
+def _split(folder: Path) -> None:
+    """The same measurements in two files: joints.csv, and tracker.txt as a laser tracker's program writes it."""
+    with (folder / "data.csv").open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    places = [header.index(f"{name} [mm]") for name in "xyz"]
+    joints = [[cell for i, cell in enumerate(row) if i not in places] for row in [header, *rows]]
+    with (folder / "joints.csv").open("w", encoding="utf-8", newline="") as file:
+        names = ["point", *(f"P{k}" for k in range(1, len(rows) + 1))]
+        csv.writer(file).writerows([name, *row] for name, row in zip(names, joints, strict=True))
+    points = [" ".join(row[i] for i in places) for row in rows]
+    # Not in the order of the rows: the names say which is which.
+    lines = [f"A::Main::P{k} {point}" for k, point in enumerate(points, 1)][::-1]
+    text = "\n".join(["// Units: mm", *lines, ""])
+    (folder / "tracker.txt").write_text(text, encoding="utf-8")
 
 
 @pytest.fixture
 def shop(tmp_path: Path) -> Path:
-    """A folder of its own with robot.urdf, data.csv and cell.toml."""
+    """A folder of its own with robot.urdf, data.csv, the same as joints.csv and tracker.txt, and cell.toml."""
     return fill(tmp_path)
 
 

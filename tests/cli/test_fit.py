@@ -169,6 +169,17 @@ def test_solvers_priors_and_weights(call, shop, reference, words: tuple[str, ...
         assert noise["sigma_m"] > 1.5 * reference["noise"]["sigma_m"]
 
 
+def test_points_in_a_list_of_their_own(call, shop, reference):
+    done = call(
+        shop, "fit", "robot.urdf", "joints.csv", "--points", "tracker.txt", "--base", "base",
+        "--no-validate", "--quiet", "--json", "q.json",
+    )  # fmt: skip
+    assert (done.code, done.out, done.err) == (0, "", "")
+    result = load(shop / "q.json")
+    assert values(result) == pytest.approx(values(reference), abs=1e-12)
+    assert result["inputs"]["measurements"]["name"] == "joints.csv + tracker.txt"
+
+
 def test_a_target_that_is_fixed(call, shop):
     result = quick(call, shop, "--target", "-0.07, 0.0702, 0.0225m", "--fix-target")
     assert result["frames"]["target_m"] == [-0.07, 0.0702, 0.0225]
@@ -211,6 +222,7 @@ def test_every_way_that_an_output_is_refused_before_the_work(call, shop):
         ("-o", "robot.urdf", "--force"): "robot.urdf is also an input of this command;",
         ("--json", "folder/../data.csv", "--force"): "data.csv is also an input of this command;",
         ("-o", "a", "--view", "a"): "a is also another output of this command;",
+        ("-o", "tracker.txt", "--points", "tracker.txt", "--force"): "tracker.txt is also an input",
         ("-o", "cell.toml"): "cell.toml exists already; add --force or choose another name.",
         ("-o", "folder", "--force"): "folder is a folder; name a file inside it.",
         ("-o", "none/c.urdf"): "none/c.urdf: the folder 'none' does not exist; make it first.",
@@ -243,6 +255,27 @@ def test_force_overwrites(call, shop):
         (("robot.urdf", "data.csv", "--base", "bass"), "no link 'bass' (did you mean 'base'?)"),
         (("robot.urdf", "data.csv", "--tip", "hand"), "robot.urdf has no link 'hand'. Its links"),
         (("robot.urdf", "data.csv", "--cell", "no.toml"), "cell file 'no.toml' does not exist"),
+        (("robot.urdf", "data.csv", "--model", "best"), "--model: there is no model 'best'. It is"),
+        (
+            ("robot.urdf", "data.csv", "--model", "dh+love"),
+            "there is no model 'dh+love'. It is one",
+        ),
+        (
+            ("robot.urdf", "data.csv", "--frame", "tracker"),
+            '--frame was given as "tracker"; it must',
+        ),
+        (("robot.urdf", "data.csv", "--hold", "elbow_joint=1"), "a joint's value needs a unit of"),
+        (
+            ("robot.urdf", "data.csv", "--hold", "lift=1 m"),
+            "joint 'lift', to be held at 1, does not",
+        ),
+        (("robot.urdf", "data.csv", "--payload", "5"), '--payload was given as "5"; it must be a'),
+        (
+            ("robot.urdf", "data.csv", "--points", "no.txt"),
+            "The list of points 'no.txt' does not exist",
+        ),
+        (("robot.urdf", "data.csv", "--points-unit", "mm"), "name the list with --points."),
+        (("robot.urdf", "joints.csv", "--base", "base"), "no column for the measured point's 'x'"),
         (("robot.urdf", "data.csv", "--fix-target"), "The target is said to be known but is not"),
         (("robot.urdf", "data.csv", "--target", "1 2 3"), 'given as "1 2 3"; it must be three num'),
         (("robot.urdf", "data.csv", "--target", "1 2 3 kg"), "'kg' is no unit of length. Choose"),

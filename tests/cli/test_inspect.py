@@ -36,6 +36,32 @@ def test_long_names_and_sliding_joints(call, shop):
     assert re.search(r"\n  panda_finger_joint1 +prismatic +0 1 0 +0\.0 to 40\.0 mm\n", done.out)
 
 
+def test_a_base_that_moves(call, shop):
+    done = call(shop, "inspect", "robot.urdf", "--base", "tool0", "--tip", "base")
+    assert (done.code, done.err) == (0, "")
+    joints = [line.split()[0] for line in done.lines[2:8]]
+    assert (joints[0], joints[-1]) == ("wrist_3_joint", "shoulder_pan_joint")
+    assert "Joints move the base 'tool0' itself; they are passed from the base" in done.out
+
+
+def test_a_joint_that_is_held(examples):
+    done = examples.starting("calib inspect tiago")
+    assert (done.code, done.err) == (0, "")
+    assert "\n  'torso_lift_joint' is held at 300 mm.\n" in done.out
+
+
+def test_a_joint_that_follows_another(call, shop):
+    text = (shop / "robot.urdf").read_text(encoding="utf-8")
+    start = text.index("</joint>", text.index('name="wrist_3_joint"'))
+    mimic = '<mimic joint="wrist_2_joint" multiplier="-2" offset="0.1"/>'
+    (shop / "mimic.urdf").write_text(text[:start] + mimic + text[start:], encoding="utf-8")
+    done = call(shop, "inspect", "mimic.urdf", "data.csv", "--base", "base", "--tip", "tool0")
+    assert (done.code, done.err) == (0, "")
+    # Its column is not needed, and nothing is wrong with the chain.
+    assert done.lines[0] == "Columns not used: 'wrist_3_joint [deg]'."
+    assert "\n  'wrist_3_joint' follows 'wrist_2_joint', times -2, plus 5.72958 deg.\n" in done.out
+
+
 def test_a_cell_file_and_what_is_frozen(call, shop):
     done = call(shop, "inspect", "robot.urdf", "--cell", "cell.toml")
     assert done.code == 0
@@ -46,7 +72,18 @@ def test_a_cell_file_and_what_is_frozen(call, shop):
 def test_errors_are_one_line(call, shop):
     calls = {
         ("robot.urdf", "--base", "foot"): "robot.urdf has no link 'foot'. Its links: ",
-        ("robot.urdf", "--base", "tool0", "--tip", "base"): "on the base's side",
+        (
+            "robot.urdf",
+            "--model",
+            "best",
+        ): "--model: there is no model 'best'. It is one of 'auto', ",
+        (
+            "robot.urdf",
+            "--hold",
+            "elbow=1 deg",
+        ): "the joint 'elbow', to be held at 0.0174533, does not",
+        ("robot.urdf", "--payload", "5"): 'was given as "5"; it must be a mass in kg or g',
+        ("robot.urdf", "data.csv", "--points-unit", "mm"): "name the list with --points.",
         ("cell.toml",): "cell.toml is not XML",
         ("robot.urdf", "cell.toml", "--base", "base"): "cell.toml: no column for the joints ",
     }

@@ -98,10 +98,10 @@ def test_version_and_help(run, tmp_path: Path):
         ("fit", "robot.urdf"),
         ("fit", "robot.urdf", "data.csv", "more.csv"),
         ("fit", "robot.urdf", "data.csv", "--nonsense"),
-        ("fit", "robot.urdf", "data.csv", "--model", "best"),
+        ("fit", "robot.urdf", "data.csv", "--kind", "best"),
+        ("fit", "robot.urdf", "data.csv", "--repeats", "best"),
         ("fit", "robot.urdf", "data.csv", "--solver", "best"),
         ("fit", "robot.urdf", "data.csv", "--priors", "best"),
-        ("fit", "robot.urdf", "data.csv", "--frame", "tracker"),
         ("fit", "robot.urdf", "data.csv", "-o"),
         ("evaluate", "robot.urdf"),
         ("inspect",),
@@ -119,9 +119,17 @@ def test_every_example_of_the_document_works(examples):
     assert len(examples.done) >= 10
     for call, done in examples.done.items():
         assert (done.code, done.err) == (0, ""), call
-    kinds = {"robot.urdf", "data.csv", "cell.toml", "demo", "corrected.urdf", "result.json"}
-    made = {"view.html", "target.urdf", "frozen.json", "errors.json"}
-    assert {path.name for path in examples.folder.iterdir()} == kinds | made
+    given = {"robot.urdf", "data.csv", "joints.csv", "tracker.txt", "cell.toml"}
+    made = {
+        "demo",
+        "corrected.urdf",
+        "result.json",
+        "view.html",
+        "target.urdf",
+        "frozen.json",
+        "errors.json",
+    }
+    assert {path.name for path in examples.folder.iterdir()} == given | made
 
 
 def test_the_printed_text_is_plain_and_fits_100_columns(examples):

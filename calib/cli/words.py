@@ -1,0 +1,156 @@
+"""From the words of a command line to values: points, frames, models, held joints, payloads, columns."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from calib.errors import CalibError, choices
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from calib.model.torques import Payload
+
+#: The model that chooses itself.
+AUTO = "auto"
+
+_KILOGRAMS = {"kg": 1.0, "g": 1e-3}
+
+
+def parse_point(text: str, option: str) -> NDArray[np.float64]:
+    """Three numbers and a unit of length, such as ``70 -70 22.5 mm``, as a point [m], shape (3,).
+
+    Raises:
+        CalibError: Anything else.
+    """
+    from calib.model.robot import read_only
+    from calib.units import UNITS, symbols
+
+    # "22.5mm" is as clear as "22.5 mm".
+    words = re.sub(r"(?<=[\d.])(?=[a-z]+\s*$)", " ", text.replace(",", " ")).split()
+    try:
+        numbers = [float(word) for word in words[:3]]
+    except ValueError:
+        numbers = []
+    if len(words) != 4 or len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        message = f'{option} was given as "{text}"; it must be three numbers and a unit, such as "70 -70 22.5 mm".'
+        raise CalibError(message)
+    if words[3] not in symbols("length"):
+        message = (
+            f"{option} was given as \"{text}\"; '{words[3]}' is no unit of length. Choose one of "
+            f"{choices(symbols('length'))}."
+        )
+        raise CalibError(message)
+    return read_only([UNITS[words[3]].to_si * number for number in numbers])
+
+
+def parse_frame(text: str) -> tuple[bool, tuple[str, ...]]:
+    """``--frame``: whether the measurement frame is estimated, and which of its directions are.
+
+    Raises:
+        CalibError: Neither ``known`` nor ``estimate`` nor a list of directions such as ``x,y,rz``.
+    """
+    from calib.measure.cell import DIRECTIONS
+
+    if text in ("known", "estimate"):
+        return text == "estimate", DIRECTIONS
+    words = tuple(text.replace(",", " ").split())
+    if not words or not set(words) <= set(DIRECTIONS) or len(set(words)) < len(words):
+        message = (
+            f"--frame was given as \"{text}\"; it must be 'known', 'estimate' or a list of what is estimated of the "
+            f'frame, such as "x,y,rz", each once of {choices(DIRECTIONS)}.'
+        )
+        raise CalibError(message)
+    return True, words
+
+
+def check_model(text: str, source: str) -> None:
+    """Refuse a model that does not exist.
+
+    Args:
+        text: A parameter set, and families of errors behind it: ``dh+gain``.
+        source: Where it was given.
+
+    Raises:
+        CalibError: No such set or family, or a family twice.
+    """
+    from calib.model.error_model import MODELS
+    from calib.model.parameters import JOINT_FAMILIES
+
+    base, *families = (part.strip() for part in text.split("+"))
+    known = base in (AUTO, *MODELS) and set(families) <= set(JOINT_FAMILIES)
+    if not known or len(set(families)) < len(families):
+        message = (
+            f"{source}: there is no model '{text}'. It is one of {choices((AUTO, *MODELS))}, and behind it, each with "
+            f"a '+' and once, any of {choices(JOINT_FAMILIES)}: 'dh+gain'."
+        )
+        raise CalibError(message)
+
+
+def parse_held(pairs: Iterable[str]) -> dict[str, float]:
+    """``--hold`` as the values of joints by name [rad or m].
+
+    Raises:
+        CalibError: A pair without an equals sign, a name twice, or a value without a unit.
+    """
+    from calib.measure.quantities import parse_joint_value
+
+    held: dict[str, float] = {}
+    for pair in pairs:
+        name, equals, value = (part.strip() for part in pair.rpartition("="))
+        # rpartition leaves all of a text without an equals sign in the last part.
+        if not (name and equals and value) or name in held:
+            message = (
+                f"--hold was given '{pair}'; it must be 'joint=value' with a unit of angle or length, such as "
+                "'torso_lift_joint=0.3 m', and each joint once."
+            )
+            raise CalibError(message)
+        held[name] = parse_joint_value(value, f"--hold '{pair}'")
+    return held
+
+
+def parse_payload(text: str, given: Payload | None) -> Payload:
+    """``--payload``: a mass such as ``5 kg``; its centre is that of the payload already given, or the tip.
+
+    Raises:
+        CalibError: No mass with a unit.
+    """
+    from dataclasses import replace
+
+    from calib.model.torques import Payload as PayloadClass
+
+    match = re.fullmatch(r"\s*([\d.]+(?:[eE][+-]?\d+)?)\s*(kg|g)\s*", text)
+    try:
+        mass = float(match[1]) * _KILOGRAMS[match[2]] if match else math.nan
+    except ValueError:
+        mass = math.nan
+    if not math.isfinite(mass):
+        message = (
+            f'--payload was given as "{text}"; it must be a mass in kg or g, such as "5 kg". Its centre of mass stands '
+            "in the cell file."
+        )
+        raise CalibError(message)
+    return PayloadClass(mass) if given is None else replace(given, mass=mass)
+
+
+def parse_columns(pairs: Iterable[str]) -> dict[str, str]:
+    """``--columns`` as a mapping from the table's names to calib's.
+
+    Raises:
+        CalibError: A pair without an equals sign, or a name twice.
+    """
+    mapping: dict[str, str] = {}
+    for pair in pairs:
+        name, equals, wanted = (part.strip() for part in pair.partition("="))
+        if not (name and equals and wanted) or name in mapping:
+            message = (
+                f"--columns was given '{pair}'; it must be 'name in the table=name in the URDF', with a unit in "
+                "brackets behind it if the table has none, and each name once."
+            )
+            raise CalibError(message)
+        mapping[name] = wanted
+    return mapping

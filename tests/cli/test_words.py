@@ -1,0 +1,179 @@
+"""What the words of a call become, and the one line that refuses them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib.cli.options import Kind, PriorSizes, Repeats
+from calib.cli.setup import load, load_with_data, read_cell
+from calib.cli.words import check_model, parse_frame, parse_held, parse_payload, parse_point
+from calib.errors import CalibError
+from calib.measure.cell import DIRECTIONS, PRIOR_SIZES, REPEATS, Cell
+from calib.measure.kinds import KINDS
+from calib.model.error_model import MODELS
+from calib.model.parameters import JOINT_FAMILIES
+from calib.model.torques import Payload
+
+
+def test_the_words_to_choose_from_are_those_that_calib_knows():
+    assert tuple(k.value for k in Kind) == KINDS
+    assert tuple(r.value for r in Repeats) == REPEATS
+    assert tuple(p.value for p in PriorSizes) == PRIOR_SIZES
+
+
+@pytest.mark.parametrize("text", ["1 2 3 mm", "1,2,3 mm", " 1, 2, 3mm", "0.1 0.2 0.3 cm"])
+def test_points(text: str):
+    np.testing.assert_allclose(parse_point(text, "--target"), [1e-3, 2e-3, 3e-3], rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "frame"),
+    [
+        ("known", (False, DIRECTIONS)),
+        ("estimate", (True, DIRECTIONS)),
+        ("x,y,rz", (True, ("x", "y", "rz"))),
+        ("rx, z", (True, ("rx", "z"))),
+        ("z", (True, ("z",))),
+    ],
+)
+def test_frames(text: str, frame: tuple[bool, tuple[str, ...]]):
+    assert parse_frame(text) == frame
+
+
+def test_every_model_is_known():
+    for base in ("auto", *MODELS):
+        check_model(base, "here")
+        for family in JOINT_FAMILIES:
+            check_model(f"{base}+{family}", "here")
+    check_model(" dh + gain + compliance ", "here")
+
+
+def test_held_joints():
+    held = parse_held(["lift=0.3 m", " pan = -90deg", "a=b=1 mrad"])
+    assert held == {"lift": 0.3, "pan": pytest.approx(-np.pi / 2, rel=1e-15), "a=b": 1e-3}
+
+
+def test_a_payload_keeps_the_centre_that_was_given():
+    alone = parse_payload("5 kg", None)
+    assert alone.mass == 5.0
+    np.testing.assert_array_equal(alone.com, np.zeros(3))
+    given = parse_payload(" 500g", Payload(3.0, np.array([0.0, 0.0, 0.1])))
+    assert given.mass == 0.5
+    np.testing.assert_array_equal(given.com, [0.0, 0.0, 0.1])
+    assert parse_payload("1.5e3 g", None).mass == 1.5
+
+
+@pytest.mark.parametrize(
+    ("parse", "text", "said"),
+    [
+        (parse_frame, "tracker", "--frame was given as \"tracker\"; it must be 'known', 'estimate' or a list"),
+        (parse_frame, "", "such as \"x,y,rz\", each once of 'x', 'y', 'z', 'rx', 'ry', 'rz'."),
+        (parse_frame, "x,x", "--frame was given as \"x,x\"; it must be"),
+        (parse_frame, "x,yaw", "--frame was given as \"x,yaw\"; it must be"),
+        (lambda t: check_model(t, "--model"), "best", "--model: there is no model 'best'. It is one of 'auto', "),
+        (lambda t: check_model(t, "--model"), "gain", "there is no model 'gain'."),
+        (lambda t: check_model(t, "--model"), "dh+", "there is no model 'dh+'."),
+        (lambda t: check_model(t, "--model"), "dh+gain+gain", "each with a '+' and once, any of 'gain', "),
+        (lambda t: parse_held([t]), "lift", "--hold was given 'lift'; it must be 'joint=value' with a unit"),
+        (lambda t: parse_held([t]), "lift=", "--hold was given 'lift='; it must be"),
+        (lambda t: parse_held([t]), "=3 mm", "--hold was given '=3 mm'; it must be"),
+        (lambda t: parse_held([t, t]), "lift=3 mm", "--hold was given 'lift=3 mm'; it must be"),
+        (lambda t: parse_held([t]), "lift=3", "--hold 'lift=3' is '3'; a joint's value needs a unit of angle or"),
+        (lambda t: parse_held([t]), "lift=3 kg", "--hold 'lift=3 kg': 'kg' is not a unit that calib knows: "),
+        (lambda t: parse_payload(t, None), "5", "--payload was given as \"5\"; it must be a mass in kg or g, such"),
+        (lambda t: parse_payload(t, None), "5 N", "--payload was given as \"5 N\"; it must be a mass"),
+        (lambda t: parse_payload(t, None), "-5 kg", "--payload was given as \"-5 kg\"; it must be a mass"),
+        (lambda t: parse_payload(t, None), "1.2.3 kg", "--payload was given as \"1.2.3 kg\"; it must be"),
+        (lambda t: parse_payload(t, None), "1e999 kg", "--payload was given as \"1e999 kg\"; it must be"),
+    ],
+)  # fmt: skip
+def test_words_that_mean_nothing(parse: Callable[[str], Any], text: str, said: str):
+    with pytest.raises(CalibError, match=re.escape(said)) as caught:
+        parse(text)
+    assert "\n" not in str(caught.value)
+
+
+CELL = """
+base = "base"
+model = "zeros+gain"
+kind = "point"
+frame = ["x"]
+[payload]
+mass_kg = 2
+com_mm = [0, 0, 50]
+[held]
+lift = "0.1 m"
+pan = "10 deg"
+"""
+
+
+def test_the_line_wins_over_the_file(tmp_path: Path):
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL, encoding="utf-8")
+    plain = read_cell(path)
+    assert repr(plain) == repr(Cell.read(path))
+    cell = read_cell(
+        path, tip="tool0", frame="estimate", model="dh", kind=Kind.pose, hold=["lift=0.3 m"],
+        payload="5 kg", target="1 2 3 mm",
+    )  # fmt: skip
+    assert (cell.base, cell.tip, cell.model, cell.kind) == ("base", "tool0", "dh", "pose")
+    assert cell.estimate_frame
+    assert cell.frame_directions == DIRECTIONS
+    assert cell.held == {"lift": 0.3, "pan": plain.held["pan"]}
+    assert cell.payload is not None
+    assert cell.payload.mass == 5.0
+    assert cell.payload.com[2] == 0.05
+    assert cell.target is not None
+    assert not read_cell(path, frame="known").estimate_frame
+
+
+def test_a_model_of_the_file_is_checked_too(tmp_path: Path):
+    path = tmp_path / "cell.toml"
+    path.write_text('model = "best"', encoding="utf-8")
+    with pytest.raises(CalibError, match=r"cell\.toml: there is no model 'best'\. It is one of"):
+        read_cell(path)
+    assert read_cell(path, model="dh").model == "dh"
+
+
+def test_points_in_a_list_of_their_own_are_the_same_table(shop: Path):
+    cell = Cell(base="base")
+    arm, whole = load_with_data(str(shop / "robot.urdf"), cell, shop / "data.csv", None)
+    _, two = load_with_data(
+        str(shop / "robot.urdf"), cell, shop / "joints.csv", None, shop / "tracker.txt"
+    )
+    assert arm.tip == "tool0"
+    np.testing.assert_array_equal(two.points, whole.points)
+    np.testing.assert_array_equal(two.joints, whole.joints)
+
+
+def test_the_unit_of_points_that_name_none(shop: Path):
+    text = (shop / "tracker.txt").read_text(encoding="utf-8").partition("\n")[2]
+    (shop / "bare.txt").write_text(text, encoding="utf-8")
+    robot, joints, cell = str(shop / "robot.urdf"), shop / "joints.csv", Cell(base="base")
+    with pytest.raises(CalibError, match=r"bare\.txt"):
+        load_with_data(robot, cell, joints, None, shop / "bare.txt")
+    _, table = load_with_data(robot, cell, joints, None, shop / "bare.txt", "mm")
+    assert np.abs(table.points).max() < 1.0
+    with pytest.raises(CalibError, match=r"name the list with --points\."):
+        load_with_data(robot, cell, joints, None, None, "mm")
+
+
+def test_the_kind_of_the_cell_is_that_of_the_table(shop: Path):
+    cell = Cell(base="base", kind="fixed")
+    text = (shop / "joints.csv").read_text(encoding="utf-8").splitlines()
+    grouped = [text[0] + ",group", *(line + ",socket" for line in text[1:])]
+    (shop / "grouped.csv").write_text("\n".join(grouped), encoding="utf-8")
+    _, table = load_with_data(str(shop / "robot.urdf"), cell, shop / "grouped.csv", None)
+    assert set(table.kinds) == {"fixed"}
+
+
+def test_held_joints_are_not_columns():
+    arm = load("panda", Cell(tip="panda_hand", held={"panda_joint3": 0.5}))
+    assert "panda_joint3" not in arm.joint_names
+    assert arm.held == {"panda_joint3": 0.5}
