@@ -62,7 +62,7 @@ def check_shapes(m: _Rows) -> None:
     count = m.points.shape[0] if m.points.ndim else 0
     n = len(m.joint_names)
     shapes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}
-    for name, wanted in (
+    expected: tuple[tuple[str, tuple[int, ...]], ...] = (
         ("points", (count, 3)),
         ("joints", (count, n)),
         ("sigma", (count,)),
@@ -70,16 +70,17 @@ def check_shapes(m: _Rows) -> None:
         ("distances", (count,)),
         ("sigma_angle", (count,)),
         ("torques", (count, n)),
-    ):
+    )
+    for name, wanted in expected:
         values = getattr(m, name)
         if values is not None:
             shapes[name] = (values.shape, wanted)
     for name in ("sets", "targets", "groups", "rows", "kinds", "pairs"):
         shapes[name] = ((len(getattr(m, name)),), (count,))
-    for name, (shape, wanted) in shapes.items():
-        if shape != wanted:
+    for name, (shape, right) in shapes.items():
+        if shape != right:
             message = (
-                f"Measurements: '{name}' has shape {shape} and should have {wanted}: "
+                f"Measurements: '{name}' has shape {shape} and should have {right}: "
                 f"{count} rows of points, {n} joint names"
             )
             raise MeasurementError(message)
@@ -225,7 +226,7 @@ def share_distances(m: _Rows) -> NDArray[np.float64] | None:
     """
     if m.distances is None or "pair" not in m.kinds:
         return m.distances
-    distances = m.distances.copy()
+    distances = np.array(m.distances)
     for word, (first, second) in two_rows(m).items():
         one, other = distances[first], distances[second]
         if abs(one - other) > AGREE_M:

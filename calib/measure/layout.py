@@ -136,7 +136,8 @@ class Layout:
             blocks["sigma_angle"] = _optional(table, named, "sigma_angle", "angle")
         if "distance" in used:
             blocks["distance"] = (_distance(table, named),)
-        words = {name: named[name] for name in ("row", "set", "target") if name in named}
+        always = ("row", "set", "target")
+        words: dict[str, Column] = {name: named[name] for name in always if name in named}
         if kind is None and "kind" in named:
             words["kind"] = named["kind"]
         if "pair" in kinds:

@@ -158,7 +158,7 @@ class WrongUnits:
     def _metres(self, columns: list[int]) -> NDArray[np.float64]:
         """Columns of lengths in metres, shape (N, len(columns)); zero where there is none."""
         to_si = np.array([self._column(i).to_si for i in columns])
-        return np.nan_to_num(self.grid[:, columns]) * to_si
+        return np.asarray(np.nan_to_num(self.grid[:, columns]) * to_si)
 
     def _far(self, columns: list[int], what: str) -> None:
         """Refuse a row further from the origin than any robot cell is wide."""
