@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from calib.model.torques import Payload
 
-#: The model that chooses itself.
+#: The model that lets the data choose; it takes no families, for it tries them all.
 AUTO = "auto"
 
 _KILOGRAMS = {"kg": 1.0, "g": 1e-3}
@@ -81,12 +81,14 @@ def check_model(text: str, source: str) -> None:
     from calib.model.error_model import MODELS
     from calib.model.parameters import JOINT_FAMILIES
 
+    if text == AUTO:
+        return
     base, *families = (part.strip() for part in text.split("+"))
-    known = base in (AUTO, *MODELS) and set(families) <= set(JOINT_FAMILIES)
+    known = base in MODELS and set(families) <= set(JOINT_FAMILIES)
     if not known or len(set(families)) < len(families):
         message = (
-            f"{source}: there is no model '{text}'. It is one of {choices((AUTO, *MODELS))}, and behind it, each with "
-            f"a '+' and once, any of {choices(JOINT_FAMILIES)}: 'dh+gain'."
+            f"{source}: there is no model '{text}'. It is '{AUTO}', or one of {choices(MODELS)} and behind it, each "
+            f"with a '+' and once, any of {choices(JOINT_FAMILIES)}: 'dh+gain'."
         )
         raise CalibError(message)
 

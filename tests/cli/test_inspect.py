@@ -76,7 +76,7 @@ def test_errors_are_one_line(call, shop):
             "robot.urdf",
             "--model",
             "best",
-        ): "--model: there is no model 'best'. It is one of 'auto', ",
+        ): "--model: there is no model 'best'. It is 'auto', or one of ",
         (
             "robot.urdf",
             "--hold",

@@ -47,7 +47,8 @@ def test_frames(text: str, frame: tuple[bool, tuple[str, ...]]):
 
 
 def test_every_model_is_known():
-    for base in ("auto", *MODELS):
+    check_model("auto", "here")
+    for base in MODELS:
         check_model(base, "here")
         for family in JOINT_FAMILIES:
             check_model(f"{base}+{family}", "here")
@@ -76,7 +77,8 @@ def test_a_payload_keeps_the_centre_that_was_given():
         (parse_frame, "", "such as \"x,y,rz\", each once of 'x', 'y', 'z', 'rx', 'ry', 'rz'."),
         (parse_frame, "x,x", "--frame was given as \"x,x\"; it must be"),
         (parse_frame, "x,yaw", "--frame was given as \"x,yaw\"; it must be"),
-        (lambda t: check_model(t, "--model"), "best", "--model: there is no model 'best'. It is one of 'auto', "),
+        (lambda t: check_model(t, "--model"), "best", "--model: there is no model 'best'. It is 'auto', or one of "),
+        (lambda t: check_model(t, "--model"), "auto+gain", "there is no model 'auto+gain'."),
         (lambda t: check_model(t, "--model"), "gain", "there is no model 'gain'."),
         (lambda t: check_model(t, "--model"), "dh+", "there is no model 'dh+'."),
         (lambda t: check_model(t, "--model"), "dh+gain+gain", "each with a '+' and once, any of 'gain', "),
@@ -136,7 +138,9 @@ def test_the_line_wins_over_the_file(tmp_path: Path):
 def test_a_model_of_the_file_is_checked_too(tmp_path: Path):
     path = tmp_path / "cell.toml"
     path.write_text('model = "best"', encoding="utf-8")
-    with pytest.raises(CalibError, match=r"cell\.toml: there is no model 'best'\. It is one of"):
+    with pytest.raises(
+        CalibError, match=r"cell\.toml: there is no model 'best'\. It is 'auto', or one of"
+    ):
         read_cell(path)
     assert read_cell(path, model="dh").model == "dh"
 
