@@ -137,7 +137,7 @@ def _check_chain(cell: Cell, stored: StoredResult, name: str) -> None:
 
 def _with_target_link(robot: Robot, cell: Cell) -> Cell:
     """The cell with the target that the URDF's link ``calib_target`` carries, if it has one at this tip."""
-    from calib.identify.calibration import TARGET_LINK
+    from calib.identify.result import TARGET_LINK
 
     if robot.tip == TARGET_LINK:
         return cell.with_target((0.0, 0.0, 0.0), estimate=cell.estimate_target)

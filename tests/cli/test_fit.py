@@ -255,10 +255,13 @@ def test_force_overwrites(call, shop):
         (("robot.urdf", "data.csv", "--base", "bass"), "no link 'bass' (did you mean 'base'?)"),
         (("robot.urdf", "data.csv", "--tip", "hand"), "robot.urdf has no link 'hand'. Its links"),
         (("robot.urdf", "data.csv", "--cell", "no.toml"), "cell file 'no.toml' does not exist"),
-        (("robot.urdf", "data.csv", "--model", "best"), "--model: there is no model 'best'. It is"),
+        (
+            ("robot.urdf", "data.csv", "--model", "best"),
+            "--model: there is no model 'best'. It is 'auto',",
+        ),
         (
             ("robot.urdf", "data.csv", "--model", "dh+love"),
-            "there is no model 'dh+love'. It is one",
+            "there is no model 'dh+love'. It is 'auto'",
         ),
         (
             ("robot.urdf", "data.csv", "--frame", "tracker"),
