@@ -98,7 +98,7 @@ def evaluate(
             )
         arm, table = load_with_data(robot, setup, data, columns, points, points_unit)
         source = "as given" if stored is None or target is not None else "as the result has it"
-        if setup.target is None:
+        if setup.target is None and not setup.targets:
             setup, source = (
                 _with_target_link(arm, setup),
                 "as the URDF's link 'calib_target' has it",
@@ -156,11 +156,16 @@ def _text(results: dict[str, Evaluation], source: str) -> str:
     from calib.identify.summary import error_head, error_row
 
     first = next(iter(results.values()))
-    place = ", ".join(f"{1e3 * v:.3f}" for v in first.target)
     how = "registered to the rows" if "target" in first.registered else source
-    lines = [textwrap.fill(f"Target at ({place}) mm in {first.robot.tip}, {how}.", 100)]
+    lines = []
+    targets = first.setup.targets
+    for name, T in zip(targets, first.setup.T_tip_target, strict=True):
+        place = ", ".join(f"{1e3 * v:.3f}" for v in T[:3, 3])
+        label = f"Target '{name}'" if len(targets) > 1 else "Target"
+        lines.append(textwrap.fill(f"{label} at ({place}) mm in {first.robot.tip}, {how}.", 100))
     if "frame" in first.registered:
-        lines.append("Measurement frame: registered to the rows.")
+        many = "s" if len(first.setup.groups) > 1 else ""
+        lines.append(f"Measurement frame{many}: registered to the rows.")
     lines += ["", error_head()]
     for label, result in results.items():
         lines.append(textwrap.shorten(label, 99, placeholder="...") + ":")
