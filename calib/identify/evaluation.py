@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.fitting import Rows, check_one_setup, nominal_cell, predict
+from calib.identify.fitting import nominal_setup, predict
+from calib.identify.setup import Setup
 from calib.identify.setup_check import better_setup
 from calib.identify.statistics import Errors
+from calib.identify.table_rows import rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only
@@ -24,27 +26,37 @@ class Evaluation:
     Attributes:
         robot: The robot.
         measurements: All rows.
-        T_frame_base: shape (4, 4), as given or registered [m].
-        target: shape (3,), in the tip, as given or registered [m].
+        setup: Frames and targets as given or registered.
         registered: What was registered to the rows: some of ``"target"`` and ``"frame"``.
-        residual: shape (N, 3), measured minus predicted [m].
+        residual: shape (N, D), measured minus predicted: lengths [m] in the first columns, angles [rad] in three more.
+        used: shape (N, D), which scalars were measured.
     """
 
     robot: Robot
     measurements: Measurements
-    T_frame_base: Array
-    target: Array
+    setup: Setup
     registered: tuple[str, ...]
     residual: Array
+    used: NDArray[np.bool_]
+
+    @property
+    def T_frame_base(self) -> Array:
+        """Pose of the base in the (first) measurement frame, shape (4, 4), [m]."""
+        return np.asarray(self.setup.T_frame_base[0])
+
+    @property
+    def target(self) -> Array:
+        """The (first) target in the tip, shape (3,), [m]."""
+        return np.asarray(self.setup.T_tip_target[0, :3, 3])
 
     @property
     def errors(self) -> dict[str, Errors]:
         """``errors["estimation" | "validation" | "all"]``."""
         m = self.measurements
         return {
-            "estimation": Errors.of(self.residual[m.estimation]),
-            "validation": Errors.of(self.residual[m.validation]),
-            "all": Errors.of(self.residual),
+            "estimation": Errors.of(self.residual[m.estimation], self.used[m.estimation]),
+            "validation": Errors.of(self.residual[m.validation], self.used[m.validation]),
+            "all": Errors.of(self.residual, self.used),
         }
 
 
@@ -64,19 +76,24 @@ def evaluate(robot: Robot, measurements: Measurements, cell: Cell | None = None)
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
     """
     cell = Cell() if cell is None else cell
-    joints = measurements.joints_for(robot.joint_names)
-    placed = nominal_cell(robot, cell, _rows(robot, measurements))
-    assert placed.T_frame_base is not None  # registration leaves neither out
-    assert placed.target is not None
-    frame_is_open = cell.estimate_frame and cell.T_frame_base is None
-    unknown = (("target", cell.target is None), ("frame", frame_is_open))
+    every, setup = rows_of(robot, measurements, cell)
+    chosen = measurements.estimation
+    placed = nominal_setup(robot, setup, every.select(chosen) if np.any(chosen) else every)
+    frame_is_open = any(
+        directions and not given
+        for directions, given in zip(setup.unknown, setup.frame_given, strict=True)
+    )
+    unknown = (
+        ("target", bool(np.any(setup.target_unknown & ~setup.target_given))),
+        ("frame", frame_is_open),
+    )
     return Evaluation(
         robot=robot,
         measurements=measurements,
-        T_frame_base=placed.T_frame_base,
-        target=placed.target,
+        setup=placed,
         registered=tuple(name for name, missing in unknown if missing),
-        residual=read_only(measurements.points - predict(robot, placed, joints)),
+        residual=read_only(predict(robot, placed, every)),
+        used=every.used,
     )
 
 
@@ -87,13 +104,7 @@ def hint(evaluation: Evaluation, cell: Cell) -> str:
         evaluation: Of a robot.
         cell: The cell that it was evaluated with.
     """
-    return better_setup(evaluation.robot, cell, _rows(evaluation.robot, evaluation.measurements))
-
-
-def _rows(robot: Robot, measurements: Measurements) -> Rows:
-    """The rows that what is unknown is registered to: the estimation rows, or all where there are none."""
-    check_one_setup(measurements)
-    joints = measurements.joints_for(robot.joint_names)
-    every = Rows(joints, measurements.points, np.ones(len(measurements)))
-    chosen = measurements.estimation
-    return every.select(chosen) if np.any(chosen) else every
+    m = evaluation.measurements
+    every, setup = rows_of(evaluation.robot, m, cell)
+    rows = every.select(m.estimation) if np.any(m.estimation) else every
+    return better_setup(evaluation.robot, cell, setup, rows)

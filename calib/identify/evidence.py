@@ -1,12 +1,27 @@
-"""What the verdict looks at besides errors: accidents among the validation rows, joints that stood still, runaways."""
+"""What the verdict looks at besides errors: accidents, joints that stood still, patterns, set-ups that do not agree."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.identify.coverage import coverage, outside_sentence
+from calib.identify.crossvalidation import only_there
+from calib.identify.fitting import Fitted, fit
+from calib.identify.patterns import drift, joint_patterns
+from calib.identify.result import Calibration
+from calib.identify.rows import Rows
+from calib.identify.stage import Linear
 from calib.identify.statistics import Errors, Mask
-from calib.model.error_model import ANGLE, LENGTH, ErrorModel
+from calib.identify.table_rows import joined_setups
+from calib.identify.unpredicted import prediction_square, unpredicted_setup
+from calib.identify.verdict import Evidence
+from calib.model.error_model import error_model
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import FRAME, TARGET, ErrorModel
+from calib.model.readback import column_ranges, spread_poses
 from calib.model.robot import Robot
 
 Array = NDArray[np.float64]
@@ -17,9 +32,66 @@ _STILL_RAD, _STILL_M = 0.35, 0.05
 #: A share of validation rows up to which those that do not fit are set aside as accidents.
 _FEW_SUSPECTS = 0.15
 
+#: A model that leaves this share of the noise explains what the other one lacks.
+_FAR_LESS = 0.6
+
+#: Noise below this is rounding, in which any test finds patterns [m, rad].
+_ROUNDING_NOISE = 1e-6
+
+#: Repeats that scatter by less than this share of what the model leaves over show that the model lacks something.
+_SCATTER_SHARE = 0.5
+
+#: Degrees of freedom below which neither scatter nor patterns are told.
+_TELLING = 10.0
+
+
+def evidence_of(result: Calibration, rows: Rows, hint: str) -> Evidence:
+    """All that the verdict is based on.
+
+    Args:
+        result: The calibration, cross-validated.
+        rows: The rows that were fitted.
+        hint: What would explain the measurements better, a sentence; or nothing.
+    """
+    fitted, m = result.fitted, result.measurements
+    assert result.cross_validation is not None
+    assert result.nominal_cross_validation is not None
+    suspects = {o.row for o in result.suspects}
+    before, after, aside = validation_errors(
+        m.validation,
+        np.array([row in suspects for row in m.rows]),
+        result.residual_nominal,
+        result.residual_calibrated,
+        result.used,
+    )
+    larger = result.larger
+    return Evidence(
+        nominal=result.nominal_cross_validation,
+        calibrated=result.cross_validation,
+        larger_validation=None if larger is None else larger.cross_validation,
+        larger_name="" if larger is None else larger.name,
+        scales=fitted.estimate.problem.scales,
+        used=rows.used,
+        outliers=fitted.estimate.outliers,
+        validation_nominal=before,
+        validation_calibrated=after,
+        validation_aside=aside,
+        still=still_joints(fitted.task.robot, rows.joints),
+        missing=""
+        if result.candidates or result.solver == "paper"
+        else missing_model(fitted, rows),
+        findings=(*patterns(fitted), *disagreeing_setups(fitted), *_scatter(result)),
+        corner=_corner(fitted, rows),
+        outside=_outside(result),
+        parameters=len(result.model),
+        largest=largest_change(result.model, result.x),
+        noise=result.sigma,
+        hint=hint,
+    )
+
 
 def validation_errors(
-    validation: Mask, suspects: Mask, nominal: Array, calibrated: Array
+    validation: Mask, suspects: Mask, nominal: Array, calibrated: Array, used: Mask
 ) -> tuple[Errors, Errors, int]:
     """Errors on the validation rows, before and after, without suspects if they are few, and how many those are.
 
@@ -28,15 +100,20 @@ def validation_errors(
     Args:
         validation: shape (N,), which rows validate.
         suspects: shape (N,), which of them the calibrated robot does not explain.
-        nominal: shape (N, 3), residual of the nominal robot [m].
-        calibrated: shape (N, 3), of the calibrated one [m].
+        nominal: shape (N, D), residual of the nominal robot [m], [rad].
+        calibrated: shape (N, D), of the calibrated one.
+        used: shape (N, D), which scalars were measured.
     """
     few = np.sum(suspects) <= max(1, int(_FEW_SUSPECTS * np.sum(validation)))
     aside = (
         suspects & validation if few and np.any(validation & ~suspects) else np.zeros_like(suspects)
     )
     chosen = validation & ~aside
-    return Errors.of(nominal[chosen]), Errors.of(calibrated[chosen]), int(np.sum(aside))
+    return (
+        Errors.of(nominal[chosen], used[chosen]),
+        Errors.of(calibrated[chosen], used[chosen]),
+        int(np.sum(aside)),
+    )
 
 
 def still_joints(robot: Robot, joints: Array) -> tuple[str, ...]:
@@ -44,10 +121,10 @@ def still_joints(robot: Robot, joints: Array) -> tuple[str, ...]:
 
     Args:
         robot: The robot.
-        joints: shape (N, n), [rad] or [m].
+        joints: shape (N, m), [rad] or [m].
     """
     words = []
-    for joint, span in zip(robot.joints, np.ptp(joints, axis=0), strict=True):
+    for joint, span in zip(robot.inputs, np.ptp(joints, axis=0), strict=True):
         slides = joint.type == "prismatic"
         if span < (_STILL_M if slides else _STILL_RAD):
             amount = f"{1e3 * span:.0f} mm" if slides else f"{np.degrees(span):.0f} deg"
@@ -56,6 +133,165 @@ def still_joints(robot: Robot, joints: Array) -> tuple[str, ...]:
 
 
 def largest_change(model: ErrorModel, x: Array) -> float:
-    """The largest change of a parameter of the robot itself, target and frame aside [m or rad]."""
-    own = model.family(LENGTH) | model.family(ANGLE)
+    """The largest change of a length or angle of the robot itself, target and frame aside [m or rad]."""
+    own = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad"))
     return float(np.max(np.abs(x[own]), initial=0.0))
+
+
+def missing_model(fitted: Fitted, rows: Rows) -> str:
+    """What the full placements would leave over, a sentence, if it is far less than this fit leaves; else nothing.
+
+    Args:
+        fitted: The fit.
+        rows: The rows of the fit.
+    """
+    task = fitted.task
+    columns = 6 * len(task.robot.joints) + task.setup.count
+    if task.model.startswith("placement") or rows.count < 2 * columns:
+        return ""
+    full = replace(
+        task,
+        model="placement",
+        cell=replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={}),
+        solver="lm",
+        robust=True,
+    )
+    other = fit(full, rows).estimate
+    noise, less = fitted.estimate.noise[0], other.noise[0]
+    if less > _FAR_LESS * noise:
+        return ""
+    unit = 1e3 * float(np.median(rows.sigma))
+    return (
+        f"The model '{task.model}' leaves {unit * noise:.3f} mm a coordinate, all placements would leave "
+        f"{unit * less:.3f} mm: the robot has errors that this model lacks. Try --model auto or --model placement."
+    )
+
+
+def patterns(fitted: Fitted) -> tuple[str, ...]:
+    """Sentences on residuals that are not noise: that follow a joint's value, or the order of the rows."""
+    estimate = fitted.estimate
+    problem, rows = estimate.problem, estimate.problem.rows
+    quiet = float(np.median(problem.scales[rows.used]))
+    if estimate.freedom < _TELLING or quiet < _ROUNDING_NOISE:
+        return ()
+    residual, jacobian = problem.residual_and_jacobian(estimate.x)
+    own = Kinematics(
+        fitted.task.robot,
+        error_model(
+            fitted.task.robot,
+            "zeros",
+            frame=dict.fromkeys(fitted.setup.frame_unknowns, ()),
+            target=(),
+            targets=fitted.setup.target_names,
+        ),
+        fitted.placed().T_frame_base,
+        fitted.placed().T_tip_target,
+    )
+    turned = rows.derivative(*own.twists(np.zeros(len(own.model)), rows.samples))
+    counts = rows.used & (estimate.weights > 0.0)[:, None]
+    whiten = np.sqrt(estimate.weights)[:, None] / problem.scales
+    row_of, component_of = np.nonzero(counts)
+    A, r = (jacobian * whiten[:, :, None])[counts], (residual * whiten)[counts]
+    scale = whiten[counts]
+    by_name = dict(zip(own.model.names, range(len(own.model)), strict=True))
+    inputs = fitted.task.robot.inputs
+    names = [joint.name for joint in inputs if f"{joint.name}.zero" in by_name]
+    columns = [rows.samples.q[:, i] for i, j in enumerate(inputs) if j.name in names]
+    moved = (turned * whiten[:, :, None])[counts]
+    found = joint_patterns(
+        A,
+        r,
+        row_of,
+        component_of,
+        np.column_stack(columns) if columns else np.zeros((len(rows), 0)),
+        names,
+        [joint.type == "prismatic" for joint in inputs if joint.name in names],
+        directions=[moved[:, [by_name[f"{name}.zero"]]] for name in names],
+        poses=rows.poses,
+        scale=scale,
+    )
+    drifts = drift(
+        A, r, row_of, component_of, np.linspace(0.0, 1.0, len(rows)), poses=rows.poses, scale=scale
+    )
+    sentences = [one.sentence() for one in found[:1]]
+    return (*sentences, *([] if drifts is None else [drifts.sentence()]))
+
+
+def disagreeing_setups(fitted: Fitted) -> tuple[str, ...]:
+    """Sentences on set-ups that a fit to the others does not predict."""
+    estimate = fitted.estimate
+    problem, rows = estimate.problem, estimate.problem.rows
+    labels = joined_setups(rows, fitted.task.distances)
+    count = int(labels.max()) + 1
+    if count < 2 or estimate.freedom < _TELLING:
+        return ()
+    linear = Linear.at(problem, estimate.x)
+    known = linear.known(problem.precision, problem.centre)
+    noise = linear.noise_of(estimate.noise)
+    alive = linear.used & (estimate.weights > 0.0)[:, None]
+    names, squares, freedoms, variances, left = [], [], [], [], []
+    for g in range(count):
+        own = labels == g
+        weights = np.where(own, 0.0, problem.weights)
+        data = linear.data(weights)
+        x, covariance = data.posterior(estimate.noise, known)
+        loose = only_there(fitted.kinematics.model, fitted.setup, rows, own)
+        x = np.where(loose, estimate.x, x)
+        others = alive & ~own[:, None]
+        paid = float(np.sum(np.einsum("cij,ji->c", data.H, covariance) / np.square(estimate.noise)))
+        freedom = float(np.sum(data.count)) - paid
+        rest = ((linear.y - linear.A @ x) / noise)[others]
+        chosen = alive & own[:, None]
+        A = (linear.A / noise[:, :, None])[chosen]
+        square, degrees = prediction_square(
+            ((linear.y - linear.A @ x) / noise)[chosen],
+            A[:, ~loose],
+            covariance[np.ix_(~loose, ~loose)],
+            A[:, loose],
+        )
+        groups = dict.fromkeys(fitted.setup.groups[f] for f in rows.samples.frame[own])
+        names.append(" and ".join(groups))
+        squares.append(square)
+        freedoms.append(degrees)
+        variances.append(float(rest @ rest) / max(freedom, 1.0))
+        left.append(max(freedom, 0.0))
+    found = unpredicted_setup(
+        names, np.array(squares), np.array(freedoms), np.array(variances), np.array(left)
+    )
+    return tuple(one.sentence() for one in found[:2])
+
+
+def _scatter(result: Calibration) -> tuple[str, ...]:
+    """A sentence on repeats that agree far better with each other than with the model."""
+    repeats = result.repeats
+    if repeats is None or not len(repeats.within) or repeats.freedoms[0] < _TELLING:
+        return ()
+    within = float(repeats.within[0])
+    if not within < _SCATTER_SHARE * result.sigma or result.sigma < _ROUNDING_NOISE:
+        return ()
+    return (
+        f"Repeats of a pose scatter by {1e3 * within:.3f} mm a coordinate, the model leaves "
+        f"{1e3 * result.sigma:.3f} mm: "
+        "what is left over is not the instrument's noise but errors that the model lacks.",
+    )
+
+
+def _corner(fitted: Fitted, rows: Rows) -> str:
+    """A sentence if the poses cover a corner of the workspace only."""
+    robot = fitted.task.robot
+    kept = rows.joints[fitted.estimate.weights > 0.0]
+    return coverage(
+        robot.poses(kept)[:, :3, 3],
+        robot.poses(spread_poses(robot))[:, :3, 3],
+        kept,
+        column_ranges(robot),
+        robot.joint_names,
+        [joint.type for joint in robot.inputs],
+    ).sentence()
+
+
+def _outside(result: Calibration) -> str:
+    """A sentence on validation rows outside of the measured joint range."""
+    m = result.measurements
+    numbers = np.array([m.rows[i] for i in np.flatnonzero(m.validation)], dtype=np.int_)
+    return outside_sentence(result.outside, numbers)

@@ -8,18 +8,17 @@ import numpy as np
 
 from calib.identify.fitting import Fitted
 from calib.identify.statistics import interval_factor
-from calib.measure.cell import Cell
-from calib.model.error_model import TARGET
 from calib.model.observability import Observability
+from calib.model.parameters import TARGET
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterEstimate:
-    """One parameter of the result, in its unit (m or rad).
+    """One parameter of the result, in its unit.
 
     Attributes:
         name: Its name.
-        unit: ``"m"`` or ``"rad"``.
+        unit: ``"m"``, ``"rad"``, ``"1"``, ``"rad/Nm"`` or ``"m/N"``.
         nominal: The value before; None for a target that was not given.
         value: The value after.
         delta: The change; for a target that was not given, from where registration put it.
@@ -27,6 +26,7 @@ class ParameterEstimate:
         low: Lower end of the 95 % interval of the value.
         high: Upper end.
         identifiable: Whether the measurements determine it; otherwise they know it in combinations only.
+        at_bound: Whether it was stopped by a bound.
     """
 
     name: str
@@ -38,6 +38,7 @@ class ParameterEstimate:
     low: float
     high: float
     identifiable: bool
+    at_bound: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +47,7 @@ class Outlier:
 
     Attributes:
         row: The row's number as a person sees it.
-        residual: Norm of measured minus predicted [m].
+        residual: Norm of measured minus predicted length [m]; NaN where none was measured.
         score: How far it lies from what the other rows predict, in standard deviations.
     """
 
@@ -56,27 +57,30 @@ class Outlier:
 
 
 def parameter_estimates(
-    fitted: Fitted, cell: Cell, observability: Observability
+    fitted: Fitted, observability: Observability
 ) -> tuple[ParameterEstimate, ...]:
     """Nominal value, value and interval of each parameter.
 
     Args:
         fitted: The fit.
-        cell: The set-up as given.
         observability: Of the rows that were fitted.
     """
-    x, deviations = fitted.estimate.x, np.sqrt(np.diag(fitted.estimate.covariance))
-    reach = interval_factor(fitted.estimate.freedom)
-    start = fitted.kinematics.T_tip_target[:3, 3]
+    estimate, given = fitted.estimate, fitted.task.setup
+    x, deviations = estimate.x, np.sqrt(np.diag(estimate.covariance))
+    reach = interval_factor(estimate.freedom)
+    places = fitted.kinematics.model.places
+    first_target = len(places) - len(given.targets)
     result = []
     for k, parameter in enumerate(fitted.kinematics.model.parameters):
         nominal: float | None = parameter.nominal
         value = parameter.nominal + x[k]
         delta = x[k]
-        if parameter.place == TARGET:
-            axis = "xyz".index(parameter.name[-1])
-            value = start[axis] + x[k]
-            nominal = None if cell.target is None else float(cell.target[axis])
+        if parameter.family == TARGET and parameter.unit == "m":
+            t = places.index(parameter.place) - first_target
+            axis = int(np.flatnonzero(parameter.direction)[0])
+            value = fitted.kinematics.T_tip_target[t, axis, 3] + _shift(fitted, t)[axis]
+            known = bool(given.target_given[t])
+            nominal = float(given.T_tip_target[t, axis, 3]) if known else None
             delta = x[k] if nominal is None else value - nominal
         result.append(
             ParameterEstimate(
@@ -89,6 +93,13 @@ def parameter_estimates(
                 low=float(value - reach * deviations[k]),
                 high=float(value + reach * deviations[k]),
                 identifiable=bool(observability.identifiable[k]),
+                at_bound=k in estimate.at_bound,
             )
         )
     return tuple(result)
+
+
+def _shift(fitted: Fitted, t: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """How far a target moved in the tip, shape (3,), [m]."""
+    found = fitted.placed().T_tip_target[t, :3, 3]
+    return np.asarray(found - fitted.kinematics.T_tip_target[t, :3, 3])

@@ -5,7 +5,6 @@ This is what cross-validation repeats and what `calibrate` reports on.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,31 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, ModelError, SolverError, choices
-from calib.identify.estimate import Estimate, Solve, estimate, plain_estimate
-from calib.identify.problem import Problem
-from calib.identify.registration import register
+from calib.identify.estimate import Estimate, Options, Solve, estimate, plain_estimate
+from calib.identify.problem import KnownDistance, Problem
+from calib.identify.registration import register, register_poses
 from calib.identify.robust import scores
+from calib.identify.rows import POINT, Rows
+from calib.identify.setup import Setup
 from calib.identify.solvers import (
     Solution,
     levenberg_marquardt,
     paper_levenberg_marquardt,
     scipy_least_squares,
 )
-from calib.identify.statistics import CrossValidation, Mask, cross_validate, folds, same_poses
-from calib.measure.cell import Cell, Priors
-from calib.measure.measurements import Measurements
-from calib.model.error_model import ErrorModel, error_model
-from calib.model.kinematics import Kinematics
+from calib.measure.cell import Cell
+from calib.model.error_model import error_model
+from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
-from calib.model.robot import Robot, read_only
+from calib.model.parameters import ErrorModel
+from calib.model.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
-
-#: Called with the number of fits done and of fits in all.
-Progress = Callable[[int, int], None]
-
-#: A model that leaves this share of the noise explains what the other one lacks.
-_FAR_LESS = 0.6
 
 #: A row that is this many median distances off does not take part in a nominal robot's registration.
 _GROSS = 5.0
@@ -48,88 +42,169 @@ SOLVERS = ("lm", "paper", "scipy")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """The rows of one fit as arrays.
+class Task:
+    """What is fitted, but for the rows.
 
     Attributes:
-        joints: shape (N, n), in the robot's order, [rad] or [m].
-        points: shape (N, 3), measured target in the measurement frame [m].
-        sigma: shape (N,), standard deviation of one coordinate, as given or the first guess [m].
+        robot: The nominal robot.
+        cell: What is known, and how to estimate.
+        setup: Frames and targets as given.
+        model: Name of the parameter set and families.
+        distances: Known distances between set-ups.
+        solver: One of `SOLVERS`.
+        robust: Whether outliers lose their weight.
+        lenient: Whether the cell may name parameters that this model lacks, because it is one of several.
     """
 
-    joints: Array
-    points: Array
-    sigma: Array
-
-    def select(self, mask: Mask) -> Rows:
-        """Some of the rows."""
-        return Rows(self.joints[mask], self.points[mask], self.sigma[mask])
-
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.points)
+    robot: Robot
+    cell: Cell
+    setup: Setup
+    model: str
+    distances: tuple[KnownDistance, ...] = ()
+    solver: str = "lm"
+    robust: bool = True
+    lenient: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
     """One fit: the registered start and the estimate from there."""
 
-    cell: Cell
+    task: Task
+    setup: Setup
     kinematics: Kinematics
     estimate: Estimate
 
-    def frames(self) -> tuple[Array, Array]:
-        """T_frame_base and the target at the solution, shapes (4, 4) and (3,)."""
+    def placed(self) -> Setup:
+        """Frames and targets at the solution."""
         displacement, _ = self.kinematics.model.displacements(self.estimate.x)
-        target = self.kinematics.T_tip_target @ displacement[-1]
-        return self.kinematics.T_frame_base @ displacement[0], target[:3, 3]
+        frames = len(self.setup.groups)
+        return self.setup.placed(
+            self.kinematics.T_frame_base @ displacement[:frames],
+            self.kinematics.T_tip_target @ displacement[-len(self.setup.targets) :],
+        )
+
+    def tip_poses(self, samples: Samples) -> Array:
+        """T_base_tip of the calibrated robot, the joints' own errors included, shape (N, 4, 4), [m]."""
+        found = self.placed()
+        T = self.kinematics.poses(self.estimate.x, samples)
+        into_base = _inverses(found.T_frame_base)[samples.frame]
+        return np.asarray(into_base @ T @ _inverses(found.T_tip_target)[samples.target])
+
+    def residual(self, rows: Rows) -> Array:
+        """Measured minus predicted, shape (N, D), [m] and [rad]."""
+        return rows.residual(self.kinematics.poses(self.estimate.x, rows.samples))
+
+    def unseen(self, rows: Rows, seen: Rows) -> Array:
+        """Measured minus predicted of rows that were not fitted; frames and targets that were not seen are registered.
+
+        Args:
+            rows: Rows that the fit did not see.
+            seen: The rows that it saw.
+        """
+        found = self.placed()
+        frames = np.isin(np.arange(len(found.groups)), seen.samples.frame)
+        targets = np.isin(np.arange(len(found.targets)), seen.samples.target)
+        T_base_tip = self.tip_poses(rows.samples)
+        found = register_poses(T_base_tip, found.as_known(frames, targets), rows)
+        return rows.residual(seen_from(found, T_base_tip, rows))
 
 
-def fit(robot: Robot, cell: Cell, rows: Rows, *, solver: str, robust: bool) -> Fitted:
+def fit(task: Task, rows: Rows, weights: Array | None = None) -> Fitted:
     """Register and estimate.
 
     Args:
-        robot: The nominal robot.
-        cell: What is known.
+        task: What to fit.
         rows: The rows to fit.
-        solver: One of `SOLVERS`.
-        robust: Whether outliers lose their weight.
+        weights: shape (N,), weights that stay; None to find them.
 
     Raises:
         ModelError: Unknown solver, parameter set or parameter.
         MeasurementError: Too few rows.
         SolverError: No finite result.
     """
-    if solver not in SOLVERS:
-        message = f"There is no solver '{solver}'. Choose one of {choices(SOLVERS)}."
+    if task.solver not in SOLVERS:
+        message = f"There is no solver '{task.solver}'. Choose one of {choices(SOLVERS)}."
         raise ModelError(message)
+    model = model_of(task)
+    _check_enough(model, task.cell, rows)
     # The paper's algorithm starts where it was told to, if it was told.
-    as_given = solver == "paper" and cell.target is not None
-    started = register(
-        robot,
-        replace(cell, estimate_target=cell.estimate_target and not as_given),
-        rows.joints,
-        rows.points,
-    )
-    model = error_model(robot, cell.model, frame=cell.estimate_frame, target=cell.estimate_target)
-    model = model.without(robot_parameters(cell.frozen))
-    _check_enough(model, cell.priors, len(rows))
-    assert started.T_frame_base is not None  # registration leaves neither out
-    assert started.target is not None
-    T_tip_target = np.eye(4)
-    T_tip_target[:3, 3] = started.target
-    kinematics = Kinematics(robot, model, started.T_frame_base, T_tip_target)
-    ones, nothing = np.ones(len(rows)), np.zeros(len(model))
-    problem = Problem(kinematics, rows.joints, rows.points, rows.sigma, ones, nothing)
-    if solver == "paper":
+    as_given = task.solver == "paper" and bool(np.all(task.setup.target_given))
+    known = np.full(len(task.setup.targets), as_given)
+    no_frame = np.zeros(len(task.setup.groups), dtype=bool)
+    started = register(task.robot, task.setup.as_known(no_frame, known), rows)
+    started = replace(started, target_unknown=task.setup.target_unknown)
+    kinematics = Kinematics(task.robot, model, started.T_frame_base, started.T_tip_target)
+    problem = Problem.first(kinematics, rows, _between_seen(task.distances, rows))
+    if task.solver == "paper":
         estimated = plain_estimate(problem, _solve_as_the_paper(problem, started))
     else:
-        size = steps([p.unit for p in model.parameters])
-        estimated = estimate(problem, _solver(solver, size), priors=cell.priors, robust=robust)
+        options = replace(_options(task, model), weights=weights)
+        estimated = estimate(problem, _solver(task.solver, steps(model.units)), options)
     if not np.all(np.isfinite(estimated.x)):
         message = "The solver ended at values that are not finite. Check the measurements, or keep the priors on."
         raise SolverError(message)
-    return Fitted(started, kinematics, estimated)
+    return Fitted(task, started, kinematics, estimated)
+
+
+def model_of(task: Task) -> ErrorModel:
+    """The error model of a task, frozen and tied parameters out.
+
+    Raises:
+        ModelError: Unknown parameter set or parameter, or one that cannot be frozen.
+    """
+    setup = task.setup
+    model = error_model(
+        task.robot,
+        task.model,
+        frame=setup.frame_unknowns,
+        target=setup.unknown_targets,
+        targets=setup.target_names,
+        rotation=setup.rotation,
+    )
+    frozen = robot_parameters(task.cell.frozen)
+    ties = task.cell.ties
+    if task.lenient:
+        frozen = tuple(name for name in frozen if name in model.names and name not in ties)
+        ties = {n: t for n, t in ties.items() if n in model.names and t[0] in model.names}
+    return model.tied(ties).without(frozen)
+
+
+def _options(task: Task, model: ErrorModel) -> Options:
+    """How to estimate, from the cell.
+
+    Raises:
+        ModelError: A bound or a prior for a parameter that the model lacks.
+    """
+    cell, bounds = task.cell, None
+    wanted = {name: ends for name, ends in cell.bounds.items() if _has(task, model, name)}
+    if wanted:
+        bounds = np.tile([-np.inf, np.inf], (len(model), 1))
+        for name, (low, high) in wanted.items():
+            bounds[model.index(name)] = low, high
+    single = {n: std for n, std in cell.parameter_priors.items() if _has(task, model, n)}
+    return Options(
+        priors=cell.priors,
+        robust=task.robust,
+        single=single,
+        bounds=bounds,
+        repeats=cell.repeats,
+    )
+
+
+def _has(task: Task, model: ErrorModel, name: str) -> bool:
+    """Whether the model has a parameter; where it must, and has not, `ErrorModel.index` says so.
+
+    Raises:
+        ModelError: It has not, and must.
+    """
+    return name in model.names if task.lenient else model.index(name) >= 0
+
+
+def _between_seen(distances: tuple[KnownDistance, ...], rows: Rows) -> tuple[KnownDistance, ...]:
+    """The distances between frames that these rows see."""
+    seen = set(np.unique(rows.samples.frame).tolist())
+    return tuple(d for d in distances if d.first in seen and d.second in seen)
 
 
 def _solver(name: str, size: Array) -> Solve:
@@ -143,12 +218,19 @@ def _solver(name: str, size: Array) -> Solve:
     return solve
 
 
-def _solve_as_the_paper(problem: Problem, cell: Cell) -> Solution:
-    """The paper's algorithm in its own units, mm and rad, at absolute parameters; x in m and rad comes back."""
+def _solve_as_the_paper(problem: Problem, setup: Setup) -> Solution:
+    """The paper's algorithm in its own units, mm and rad, at absolute parameters; x in m and rad comes back.
+
+    Raises:
+        ModelError: Anything but points of one target, which the paper does not have.
+    """
     parameters = problem.kinematics.model.parameters
+    if np.any(problem.rows.kinds != POINT) or len(setup.targets) > 1:
+        message = "The solver 'paper' takes positions of one target, as the paper does. Choose --solver lm."
+        raise ModelError(message)
     unit = np.array([1e3 if p.unit == "m" else 1.0 for p in parameters])
-    assert cell.target is not None
-    at_target = dict(zip(("target_x", "target_y", "target_z"), cell.target, strict=True))
+    target = setup.T_tip_target[0, :3, 3]
+    at_target = dict(zip(("target_x", "target_y", "target_z"), target, strict=True))
     nominal = np.array([at_target.get(p.name, p.nominal) for p in parameters])
     solution = paper_levenberg_marquardt(
         partial(problem.paper_system, nominal, unit), nominal * unit
@@ -172,12 +254,12 @@ def robot_parameters(frozen: tuple[str, ...]) -> tuple[str, ...]:
     return frozen
 
 
-def _check_enough(model: ErrorModel, priors: Priors, rows: int) -> None:
+def _check_enough(model: ErrorModel, cell: Cell, rows: Rows) -> None:
     """Refuse fewer numbers than parameters where no prior holds the rest."""
     count = len(model)
-    if priors.sizes == "off" and 3 * rows < count:
+    if cell.priors.sizes == "off" and rows.count < count:
         message = (
-            f"{rows} rows give {3 * rows} numbers for {count} parameters, and priors are off. Measure more "
+            f"{len(rows)} rows give {rows.count} numbers for {count} parameters, and priors are off. Measure more "
             "poses, choose a smaller --model, or leave the priors on."
         )
         raise MeasurementError(message)
@@ -186,157 +268,98 @@ def _check_enough(model: ErrorModel, priors: Priors, rows: int) -> None:
         raise ModelError(message)
 
 
-def check_one_setup(measurements: Measurements) -> None:
-    """Refuse tables with several targets or set-ups, which would be taken for one.
-
-    Raises:
-        ModelError: The columns ``target`` or ``group`` have more than one value.
-    """
-    for what, names in (("targets", measurements.targets), ("groups", measurements.groups)):
-        different = sorted(set(names))
-        if len(different) > 1:
-            message = (
-                f"{measurements.source}: the table has {len(different)} {what}: {choices(different)}. One target and "
-                f"one set-up are fitted at a time: split the table by its column '{what[:-1]}'."
-            )
-            raise ModelError(message)
-
-
-def larger_model(robot: Robot, cell: Cell, rows: Rows, fitted: Fitted) -> str:
-    """What the full placements would leave over, a sentence, if it is far less than this fit leaves; else nothing.
-
-    Args:
-        robot: The nominal robot.
-        cell: What is known.
-        rows: The rows of the fit.
-        fitted: The fit.
-    """
-    if cell.model == "placement" or 3 * len(rows) < 2 * (6 * len(robot.joints) + 3):
-        return ""
-    full = replace(cell, model="placement", frozen=())
-    other = fit(robot, full, rows, solver="lm", robust=True).estimate
-    noise, less = fitted.estimate.noise_factor, other.noise_factor
-    if less > _FAR_LESS * noise:
-        return ""
-    unit = 1e3 * float(np.median(rows.sigma))
-    return (
-        f"The model '{cell.model}' leaves {unit * noise:.3f} mm a coordinate, all placements would leave "
-        f"{unit * less:.3f} mm: the robot has errors that this model lacks. Try --model placement."
-    )
-
-
-def nominal_cell(robot: Robot, cell: Cell, rows: Rows) -> Cell:
-    """Frame and target as given; those that were not given as the nominal robot registers them."""
-    asked = replace(
-        cell,
-        estimate_target=cell.target is None,
-        estimate_frame=cell.estimate_frame and cell.T_frame_base is None,
-    )
+def nominal_setup(robot: Robot, setup: Setup, rows: Rows) -> Setup:
+    """Frames and targets as given; those that were not given as the nominal robot registers them."""
+    asked = setup.as_known(setup.frame_given, setup.target_given)
     return register_without_gross(robot, asked, rows)
 
 
-def register_without_gross(robot: Robot, cell: Cell, rows: Rows) -> Cell:
-    """The cell registered to a nominal robot, without the rows that lie far from the others.
+def register_without_gross(robot: Robot, setup: Setup, rows: Rows) -> Setup:
+    """The set-up registered to a nominal robot, without the rows that lie far from the others.
 
     One gross row would move target and frame, and with them the errors of the nominal robot on every other row.
 
     Args:
         robot: The nominal robot.
-        cell: What is known.
+        setup: What is known.
         rows: The rows.
     """
     kept = np.ones(len(rows), dtype=bool)
-    registered = register(robot, cell, rows.joints, rows.points)
-    for _ in range(_GROSS_ROUNDS):
-        distance = np.linalg.norm(rows.points - predict(robot, registered, rows.joints), axis=1)
-        near = distance <= _GROSS * np.median(distance)
-        if np.array_equal(near, kept) or np.sum(near) < 0.6 * len(rows):
+    registered = register(robot, setup, rows)
+    alive = np.any(rows.used, axis=1)
+    for _ in range(_GROSS_ROUNDS if setup.count else 0):
+        residual = predict(robot, registered, rows)
+        distance = np.sqrt(np.sum((residual / rows.scales) ** 2, axis=1))
+        near = (distance <= _GROSS * np.median(distance[alive])) | ~alive
+        if np.array_equal(near, kept) or np.sum(near & alive) < 0.6 * np.sum(alive):
+            break
+        if not _keeps_setups(near, rows):
             break
         kept = near
-        registered = register(robot, cell, rows.joints[kept], rows.points[kept])
+        registered = register(robot, setup, rows.select(kept | _partners_of(kept, rows)))
     return registered
 
 
-def predict(robot: Robot, cell: Cell, joints: Array) -> Array:
-    """Where a robot puts the target, in the measurement frame, shape (N, 3), [m]."""
-    assert cell.T_frame_base is not None
-    assert cell.target is not None
-    poses = cell.T_frame_base @ robot.poses(joints)
-    result: Array = poses[:, :3, :3] @ cell.target + poses[:, :3, 3]
+def _keeps_setups(kept: NDArray[np.bool_], rows: Rows) -> bool:
+    """Whether more than half of each set-up's rows are kept."""
+    count, every = np.bincount(rows.samples.frame[kept]), np.bincount(rows.samples.frame)
+    count = np.append(count, np.zeros(len(every) - len(count), dtype=int))
+    return bool(np.all(2 * count >= every))
+
+
+def _partners_of(kept: NDArray[np.bool_], rows: Rows) -> NDArray[np.bool_]:
+    """The second rows of the pairs that are kept."""
+    result = np.zeros(len(rows), dtype=bool)
+    result[rows.partner[kept & (rows.partner >= 0)]] = True
     return result
+
+
+def predict(robot: Robot, setup: Setup, rows: Rows) -> Array:
+    """Measured minus what a robot predicts in a set-up, shape (N, D), [m] and [rad]."""
+    return rows.residual(seen_from(setup, robot.poses(rows.joints), rows))
+
+
+def seen_from(setup: Setup, T_base_tip: Array, rows: Rows) -> Array:
+    """T_frame_target of each row, shape (N, 4, 4), [m]."""
+    T_frame_tip = setup.T_frame_base[rows.samples.frame] @ T_base_tip
+    return np.asarray(T_frame_tip @ setup.T_tip_target[rows.samples.target])
 
 
 def unseen_scores(fitted: Fitted, rows: Rows) -> Array:
     """The scores of rows that the fit did not use, shape (N,); see `calib.identify.robust`."""
     if len(rows) == 0:
         return read_only(np.zeros(0))
-    predicted, jacobian = fitted.kinematics.points_jacobian(fitted.estimate.x, rows.joints)
-    scale = fitted.estimate.noise_factor * rows.sigma
+    poses, twists = fitted.kinematics.twists(fitted.estimate.x, rows.samples)
+    scale = scale_of(fitted, rows)
     return read_only(
         scores(
-            (rows.points - predicted) / scale[:, None],
-            jacobian / scale[:, None, None],
+            rows.residual(poses) / scale,
+            rows.derivative(poses, twists) / scale[:, :, None],
             fitted.estimate.covariance,
             np.zeros(len(rows)),
+            rows.used,
         )
     )
 
 
-def cross_validation(
-    robot: Robot,
-    cell: Cell,
-    rows: Rows,
-    flagged: Mask,
-    fit_rows: Callable[[Rows], Fitted],
-    progress: Progress | None = None,
-) -> tuple[CrossValidation, CrossValidation]:
-    """Cross-validation of the nominal robot and of the calibrated one, under the same treatment.
+def scale_of(fitted: Fitted, rows: Rows) -> Array:
+    """The noise that a fit found, for each scalar of some rows, shape (N, D), [m] and [rad].
 
-    The nominal robot gets frame and target registered to the rows that are not left out, gross ones aside, so that the
-    two differ by the calibration alone.
-
-    Args:
-        robot: The nominal robot.
-        cell: What is known.
-        rows: All rows.
-        flagged: shape (N,), outliers of the fit to all rows.
-        fit_rows: Fits some rows from the beginning.
-        progress: Called after each fit.
-
-    Raises:
-        MeasurementError: Too few rows to leave any out.
+    A kind that was not fitted has the noise of the first instrument.
     """
-    poses = same_poses(rows.joints)
-    masks = folds(poses)[1]
-    if len(masks) < 2:
-        message = (
-            f"{len(rows)} row{'s' * (len(rows) > 1)} of one pose cannot be cross-validated: none is left to fit. "
-            "Measure more poses, or ask for a fit without validation (--no-validate)."
-        )
-        raise MeasurementError(message)
-    done = 0
+    seen = fitted.estimate.problem.rows
+    index, _ = seen.instruments
+    result: Array = rows.scales.copy()
+    for kind in np.unique(rows.kinds):
+        own = rows.kinds == kind
+        for column in range(rows.width):
+            inside = (seen.kinds == kind) & (column < seen.width)
+            known = index[inside, min(column, seen.width - 1)]
+            number = int(known[0]) if len(known) and known[0] >= 0 else 0
+            result[own, column] *= fitted.estimate.noise[number]
+    return result
 
-    def left_out(mask: Mask) -> Array:
-        nonlocal done
-        try:
-            fold = fit_rows(rows.select(~mask))
-        except MeasurementError as error:
-            message = (
-                f"Cross-validation leaves out {mask.sum()} of {len(rows)} rows at a time, and the others are too few: "
-                f"{error} Or do without validation (--no-validate)."
-            )
-            raise MeasurementError(message) from error
-        done += 1
-        if progress is not None:
-            progress(done, len(masks))
-        result: Array = rows.points[mask] - fold.kinematics.points(
-            fold.estimate.x, rows.joints[mask]
-        )
-        return result
 
-    def left_out_nominal(mask: Mask) -> Array:
-        registered = register_without_gross(robot, cell, rows.select(~mask))
-        return rows.points[mask] - predict(robot, registered, rows.joints[mask])
-
-    calibrated = cross_validate(poses, flagged, left_out)
-    return cross_validate(poses, flagged, left_out_nominal), calibrated
+def _inverses(T: Array) -> Array:
+    """The inverse of each pose of a stack."""
+    return np.array([rigid_inverse(one) for one in T])

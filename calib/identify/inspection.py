@@ -5,16 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calib.identify.fitting import check_one_setup, robot_parameters
+from calib.errors import ModelError
+from calib.identify.fitting import Task, model_of, seen_from
 from calib.identify.registration import register
+from calib.identify.rows import Rows
+from calib.identify.selection import AUTO
+from calib.identify.table_rows import known_distances, rows_of
 from calib.measure.cell import Cell
+from calib.measure.kinds import KINDS
 from calib.measure.measurements import Measurements
-from calib.model.error_model import ErrorModel, error_model
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
+from calib.model.parameters import ErrorModel
 from calib.model.readback import spread_poses
-from calib.model.robot import Robot, read_only
+from calib.model.robot import Robot
+
+Array = NDArray[np.float64]
 
 #: A target where none is given: off every axis of the tip [m].
 _GENERIC_TARGET = (0.05, 0.07, 0.03)
@@ -40,31 +48,66 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
 
     Args:
         robot: The nominal robot.
-        cell: Model, target and frame; a target that is not given is registered to the measurements, or, without
-            any, taken 50, 70, 30 mm off the tip.
-        measurements: Whose estimation poses to judge; None: 200 poses of a Sobol sequence over the joint limits.
+        cell: Model, targets and frames; ``"auto"`` is looked at as ``"dh"``. A target that is not given is registered
+            to the measurements, or, without any, taken 50, 70, 30 mm off the tip.
+        measurements: Whose estimation poses to judge; None: 200 poses of a Sobol sequence over the joint limits, of the
+            cell's kind of measurement.
 
     Raises:
         ModelError: Unknown parameter set or parameter.
         MeasurementError: A joint's column is missing, or too few rows.
     """
-    model = error_model(robot, cell.model, frame=cell.estimate_frame, target=cell.estimate_target)
-    model = model.without(robot_parameters(cell.frozen))
     if measurements is None:
-        joints, words = spread_poses(robot), "200 poses spread over the joint limits"
-        if cell.target is None:
-            cell = replace(cell, target=read_only(_GENERIC_TARGET))
+        rows, setup = rows_of(robot, _everywhere(robot, cell), cell)
+        words = "200 poses spread over the joint limits"
+        if not np.all(setup.target_given):
+            T_tip_target = setup.T_tip_target.copy()
+            T_tip_target[:, :3, 3] = _GENERIC_TARGET
+            setup = setup.placed(setup.T_frame_base, T_tip_target)
             words += ", target 50, 70, 30 mm off the tip"
+        rows = _as_predicted(rows, seen_from(setup, robot.poses(rows.joints), rows))
     else:
-        check_one_setup(measurements)
-        rows = measurements.estimation
-        joints = measurements.joints_for(robot.joint_names)[rows]
-        words = f"the {rows.sum()} estimation rows of {measurements.source}"
-        cell = register(robot, cell, joints, measurements.points[rows])
-    T_tip_target = np.eye(4)
-    T_tip_target[:3, 3] = cell.target
-    T_frame_base = np.eye(4) if cell.T_frame_base is None else cell.T_frame_base
-    kinematics = Kinematics(robot, model, T_frame_base, T_tip_target)
-    _, jacobian = kinematics.points_jacobian(np.zeros(len(model)), joints)
-    units = [p.unit for p in model.parameters]
-    return Inspection(model, analyse(jacobian.reshape(-1, len(model)), model.names, units), words)
+        rows, setup = rows_of(robot, measurements, cell)
+        rows = rows.select(measurements.estimation)
+        words = f"the {measurements.estimation.sum()} estimation rows of {measurements.source}"
+        setup = register(robot, setup, rows)
+    name = cell.model if cell.model != AUTO else "dh"
+    model = model_of(Task(robot, cell, setup, name, known_distances(cell, setup)))
+    kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
+    poses, twists = kinematics.twists(np.zeros(len(model)), rows.samples)
+    jacobian = rows.derivative(poses, twists) * (rows.scales[:, :1] / rows.scales)[:, :, None]
+    return Inspection(model, analyse(jacobian[rows.used], model.names, model.units), words)
+
+
+def _everywhere(robot: Robot, cell: Cell) -> Measurements:
+    """Poses spread over the joint limits as a table of the cell's kind.
+
+    Raises:
+        ModelError: The cell's kind needs groups or pairs, which only a table can have.
+    """
+    kind = cell.kind or KINDS[0]
+    if kind == "pair":
+        message = "Which pairs of rows were measured is for a table to say: inspect with --data."
+        raise ModelError(message)
+    joints = spread_poses(robot)
+    count = len(joints)
+    return Measurements(
+        joint_names=robot.joint_names,
+        joints=joints,
+        points=np.zeros((count, 3)),
+        kinds=(kind,) * count,
+        rotations=np.tile(np.eye(3), (count, 1, 1)),
+        distances=np.ones(count),
+        prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
+    )
+
+
+def _as_predicted(rows: Rows, T_frame_target: Array) -> Rows:
+    """The rows with the values that a perfect robot would give."""
+    p = T_frame_target[:, :3, 3]
+    return replace(
+        rows,
+        points=p,
+        rotations=T_frame_target[:, :3, :3],
+        distances=np.linalg.norm(p, axis=1),
+    )

@@ -1,9 +1,11 @@
 """Problem: robot, error model and measurements as one weighted least-squares problem.
 
-    minimise  1/2 sum_i w_i |m_i - f_i(x)|^2 / sigma_i^2  +  1/2 sum_k x_k^2 / tau_k^2
+    minimise  1/2 sum_i w_i |r_i(x) / sigma_i|^2 + 1/2 sum_k (x_k - m_k)^2 / tau_k^2
+              + 1/2 sum_c (d_c - d_c(x))^2 / s_c^2
 
-with the measured points m_i, the predicted ones f_i, and normal priors of size tau_k on the offsets. The residual
-is measured minus predicted, whitened by sigma.
+with the residuals r_i, measured minus predicted, of `calib.identify.rows`, normal priors of size tau_k on the offsets
+(their mean m_k is 0, but for a parameter that is held at a bound), and known distances d_c between what two set-ups
+hold the target in.
 """
 
 from __future__ import annotations
@@ -13,9 +15,27 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.identify.rows import Rows
 from calib.model.kinematics import Kinematics
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class KnownDistance:
+    """A known distance between the origins of two frames, such as two sockets on one bar.
+
+    Attributes:
+        first: Number of a frame.
+        second: Number of the other.
+        length: Their distance [m].
+        sigma: Its standard deviation [m].
+    """
+
+    first: int
+    second: int
+    length: float
+    sigma: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,54 +44,89 @@ class Problem:
 
     Attributes:
         kinematics: The nominal robot under its error model.
-        joints: shape (N, n), joint values in the robot's order, [rad] or [m].
-        points: shape (N, 3), measured target points in the measurement frame [m].
-        sigma: shape (N,), standard deviation of one coordinate of each row [m].
-        weights: shape (N,), robust weights between 0 and 1.
+        rows: The measurements.
+        scales: shape (N, D), standard deviation of each scalar, [m] and [rad].
+        weights: shape (N,), of the rows, between 0 and 1.
         precision: shape (p,), 1 / tau_k^2; 0 for a parameter without prior.
+        centre: shape (p,), the priors' means.
+        distances: Known distances between frames.
     """
 
     kinematics: Kinematics
-    joints: Array
-    points: Array
-    sigma: Array
+    rows: Rows
+    scales: Array
     weights: Array
     precision: Array
+    centre: Array
+    distances: tuple[KnownDistance, ...] = ()
     _last: _LastPrediction = field(default_factory=lambda: _LastPrediction(), repr=False)
+
+    @classmethod
+    def first(
+        cls, kinematics: Kinematics, rows: Rows, distances: tuple[KnownDistance, ...] = ()
+    ) -> Problem:
+        """All rows in full, the noise as given, no priors."""
+        ones, nothing = np.ones(len(rows)), np.zeros(len(kinematics.model))
+        return cls(kinematics, rows, rows.scales, ones, nothing, nothing, distances)
 
     @property
     def size(self) -> int:
         """The number of parameters p."""
         return len(self.kinematics.model)
 
-    def reweighted(self, weights: Array, sigma: Array, precision: Array) -> Problem:
+    def reweighted(self, weights: Array, scales: Array, precision: Array, centre: Array) -> Problem:
         """The same problem with other weights, noise and priors."""
-        return replace(self, weights=weights, sigma=sigma, precision=precision)
+        return replace(self, weights=weights, scales=scales, precision=precision, centre=centre)
 
     def residual(self, x: Array) -> Array:
-        """Measured minus predicted, shape (N, 3), [m]."""
-        result: Array = self.points - self.kinematics.points(x, self.joints)
-        return result
+        """Measured minus predicted, shape (N, D), [m] and [rad]."""
+        return self.rows.residual(self.kinematics.poses(x, self.rows.samples))
 
     def residual_and_jacobian(self, x: Array) -> tuple[Array, Array]:
-        """Measured minus predicted, shape (N, 3), and the derivative of the *prediction*, shape (N, 3, p)."""
-        predicted, jacobian = self._last.at(x, self.kinematics, self.joints)
-        return self.points - predicted, jacobian
+        """Measured minus predicted, shape (N, D), and the derivative of the *prediction*, shape (N, D, p)."""
+        return self._last.at(x, self.kinematics, self.rows)
+
+    def constraints(self, x: Array) -> tuple[Array, Array]:
+        """Known minus predicted distances, over their sigma, shape (K,), and the derivative of the prediction, (K, p).
+
+        A point held at the origin of frame f stands at c_f = -R^T t in the base, with T_frame_base = (R, t).
+        """
+        if not self.distances:
+            return np.zeros(0), np.zeros((0, self.size))
+        displacement, directions = self.kinematics.model.displacements(x)
+        frames = len(self.kinematics.T_frame_base)
+        T = self.kinematics.T_frame_base @ displacement[:frames]
+        c = -np.einsum("fji,fj->fi", T[:, :3, :3], T[:, :3, 3])
+        S = directions[: 6 * frames].reshape(frames, 6, -1)
+        dc = -(S[:, :3] + np.cross(S[:, 3:], c[:, :, None], axis=1))
+        r, J = np.empty(len(self.distances)), np.empty((len(self.distances), self.size))
+        for k, known in enumerate(self.distances):
+            between = c[known.first] - c[known.second]
+            length = float(np.linalg.norm(between))
+            along = between / max(length, 1e-12)
+            r[k] = (known.length - length) / known.sigma
+            J[k] = along @ (dc[known.first] - dc[known.second]) / known.sigma
+        return r, J
 
     def system(self, x: Array) -> tuple[Array, Array]:
-        """The whitened residual and its own derivative, with a row for each prior.
+        """The whitened residual and its own derivative, with a row for each prior and each known distance.
 
         Returns:
-            shape (3 N + priors,) and shape (3 N + priors, p); see the module's equation.
+            shape (M + priors + distances,) and shape (M + priors + distances, p); see the module's equation.
         """
         residual, jacobian = self.residual_and_jacobian(x)
-        whiten = np.sqrt(self.weights) / self.sigma
+        used = self.rows.used
+        whiten = np.sqrt(self.weights)[:, None] / self.scales
         held = np.flatnonzero(self.precision)
         root = np.sqrt(self.precision[held])
-        r = np.concatenate([(residual * whiten[:, None]).ravel(), -root * x[held]])
+        between, slope = self.constraints(x)
+        measured = (residual * whiten)[used]
+        first, last = len(measured), len(measured) + len(held)
+        r = np.concatenate([measured, -root * (x - self.centre)[held], between])
         J = np.zeros((len(r), self.size))
-        J[: residual.size] = (jacobian * -whiten[:, None, None]).reshape(residual.size, -1)
-        J[residual.size + np.arange(len(held)), held] = -root
+        J[:first] = (jacobian * -whiten[:, :, None])[used]
+        J[first + np.arange(len(held)), held] = -root
+        J[last:] = -slope
         return r, J
 
     def paper_system(self, nominal: Array, unit: Array, X: Array) -> tuple[Array, Array]:
@@ -105,8 +160,9 @@ class _LastPrediction:
         self.x: Array | None = None
         self.value: tuple[Array, Array] | None = None
 
-    def at(self, x: Array, kinematics: Kinematics, joints: Array) -> tuple[Array, Array]:
-        """The target's positions and their derivative at x."""
+    def at(self, x: Array, kinematics: Kinematics, rows: Rows) -> tuple[Array, Array]:
+        """The residual and the derivative of the prediction at x."""
         if self.value is None or self.x is None or not np.array_equal(x, self.x):
-            self.x, self.value = x.copy(), kinematics.points_jacobian(x, joints)
+            poses, twists = kinematics.twists(x, rows.samples)
+            self.x, self.value = x.copy(), (rows.residual(poses), rows.derivative(poses, twists))
         return self.value

@@ -1,155 +1,193 @@
-"""Registration: where the target and the measurement frame stand, before anything about the robot is estimated.
+"""Registration: where targets and measurement frames stand, before anything about the robot is estimated.
 
 A robust fit from a wrong start takes every row for an outlier, so these come first, by plain least squares on the
-nominal robot: in closed form where only the target or only the frame is unknown, and from several starts where both
-are.
+nominal robot: in closed form where the problem is linear, and else from several starts, the best of which are refined
+by Levenberg-Marquardt.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
+from calib.identify.rows import NONE, POINT, Rows
+from calib.identify.setup import Setup
 from calib.identify.solvers import levenberg_marquardt
-from calib.measure.cell import Cell
-from calib.model.robot import Robot, read_only
+from calib.identify.starts import frames_around, linear_start, pose_start
+from calib.model.error_model import frame_and_target_model
+from calib.model.kinematics import add_outer_twists
+from calib.model.observability import steps
+from calib.model.parameters import ErrorModel
+from calib.model.robot import Robot
 
 Array = NDArray[np.float64]
 
 #: Distances from the tip at which a target is looked for when nothing is known of it [m].
 _REACHES = (0.15, 0.7)
 
-#: Of all starts so many are refined, those that fit best with the frame that suits them.
+#: Of all starts so many are refined, those that fit best with the frames that suit them.
 _REFINED = 5
 
-#: Rows used to find a start; more do not make it better.
+#: Rows of each set-up used to find a start; more do not make it better.
 _ROWS = 200
+_FEWEST_ROWS = 20
 
 
-def register(robot: Robot, cell: Cell, joints: Array, points: Array) -> Cell:
-    """The cell with target and frame where the nominal robot puts them best.
+def register(robot: Robot, setup: Setup, rows: Rows) -> Setup:
+    """The set-up with targets and frames where the nominal robot puts them best.
 
-    What the cell does not ask to be estimated stays as given; a known frame that is not given is the base frame.
+    What is not to be estimated stays as given, and so does what no row sees.
 
     Args:
         robot: The nominal robot.
-        cell: What is known.
-        joints: shape (N, n), [rad] or [m].
-        points: shape (N, 3), [m].
+        setup: What is known.
+        rows: The rows.
 
     Raises:
         MeasurementError: Too few rows to find what is asked for.
     """
-    if not cell.estimate_frame and cell.T_frame_base is None:
-        cell = replace(cell, T_frame_base=read_only(np.eye(4)))
-    unknown = 3 * cell.estimate_target + 6 * cell.estimate_frame
-    if not unknown:
-        return cell
-    if 3 * len(points) < unknown or (cell.estimate_frame and len(points) < 3):
+    if not setup.count:
+        return setup
+    _check_enough(setup, rows)
+    rows = rows.select(_some(rows))
+    return register_poses(robot.poses(rows.joints), setup, rows)
+
+
+def register_poses(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
+    """`register` with the poses of the tip, shape (N, 4, 4), in place of a robot, and with every row."""
+    if not setup.count:
+        return setup
+    linear = linear_start(setup, T_base_tip, rows)
+    if linear is not None and not np.any(rows.kinds != POINT):
+        return setup.placed(*linear)  # this is the least-squares solution itself
+    model = frame_and_target_model(
+        setup.frame_unknowns,
+        setup.unknown_targets,
+        known_targets=setup.target_names,
+        rotation=setup.rotation,
+    )
+    system = partial(_system, model, T_base_tip, rows)
+    starts = [linear] if linear is not None else _starts(setup, T_base_tip, rows)
+    misfits = [_misfit(system, setup.placed(*start)) for start in starts]
+    best: tuple[float, Setup] | None = None
+    for i in np.argsort(misfits, kind="stable")[:_REFINED]:
+        start = setup.placed(*starts[i])
+        solution = levenberg_marquardt(
+            partial(system, start), np.zeros(len(model)), step_size=steps(model.units)
+        )
+        if best is None or solution.cost < best[0]:
+            best = (solution.cost, start.placed(*_at(model, start, solution.x)))
+    assert best is not None
+    return best[1]
+
+
+def _check_enough(setup: Setup, rows: Rows) -> None:
+    """Refuse fewer numbers than unknowns, in all and for each frame."""
+    parts = ["the measurement frames" if len(setup.groups) > 1 else "the measurement frame"]
+    parts = [*(parts if any(setup.unknown) else []), *(["the target"] * setup.estimate_target)]
+    least = 3 if any(len(d) == 6 for d in setup.unknown) and setup.rotation is False else 1
+    if rows.count < setup.count or (np.all(rows.kinds == POINT) and len(rows) < least):
         message = (
-            f"{len(points)} rows give {3 * len(points)} numbers; {unknown} are needed to find "
-            f"{_asked(cell)} alone. Measure more poses, or give what is known of the set-up."
+            f"{len(rows)} rows give {rows.count} numbers; {setup.count} are needed to find "
+            f"{' and '.join(parts)} alone. Measure more poses, or give what is known of the set-up."
         )
         raise MeasurementError(message)
-    chosen = np.unique(np.linspace(0, len(points) - 1, min(len(points), _ROWS)).astype(int))
-    poses, seen = robot.poses(joints[chosen]), points[chosen]
-    if not cell.estimate_frame:
-        assert cell.T_frame_base is not None
-        return replace(cell, target=_target(cell.T_frame_base @ poses, seen))
-    if not cell.estimate_target:
-        assert cell.target is not None
-        return replace(cell, T_frame_base=_frame(poses, cell.target, seen))
-    return _both(cell, poses, seen)
+    for f, directions in enumerate(setup.unknown):
+        own = rows.samples.frame == f
+        count = int(np.sum(rows.used[own]))
+        if 0 < count < len(directions):
+            message = (
+                f"The set-up '{setup.groups[f]}' has {int(np.sum(own))} rows with {count} numbers; its frame has "
+                f"{len(directions)} unknowns. Measure more poses there, or leave its rows out."
+            )
+            raise MeasurementError(message)
 
 
-def _asked(cell: Cell) -> str:
-    """What is to be found, in words."""
-    parts = ["the measurement frame"] * cell.estimate_frame + ["the target"] * cell.estimate_target
-    return " and ".join(parts)
+def _some(rows: Rows) -> NDArray[np.bool_]:
+    """Rows that are enough to find a start, spread evenly over each set-up; of a pair both or none."""
+    frame = rows.samples.frame
+    most = max(_ROWS // (int(frame.max()) + 1), _FEWEST_ROWS)
+    mask = np.zeros(len(rows), dtype=bool)
+    for f in np.unique(frame):
+        own = np.flatnonzero(frame == f)
+        mask[own[np.linspace(0, len(own) - 1, min(len(own), most)).astype(int)]] = True
+    paired = np.flatnonzero((rows.partner >= 0) & mask)
+    mask[rows.partner[paired]] = True
+    second = np.isin(np.arange(len(rows)), rows.partner[paired])
+    return np.asarray(mask & ((rows.kinds != NONE) | second))
 
 
-def _target(T_frame_tip: Array, points: Array) -> Array:
-    """The target in the tip: least squares of R_i t + p_i = m_i, in closed form, shape (3,)."""
-    R, p = T_frame_tip[:, :3, :3], T_frame_tip[:, :3, 3]
-    return read_only(np.einsum("nji,nj->i", R, points - p) / len(points))
+def _starts(setup: Setup, T_base_tip: Array, rows: Rows) -> list[tuple[Array, Array]]:
+    """Targets to begin with, each with the frames that suit them."""
+    oriented = pose_start(setup, T_base_tip, rows)
+    if oriented is not None:
+        return [oriented]
+    places = [setup.T_tip_target]
+    if setup.estimate_target:
+        for reach in _REACHES:
+            for axis in np.concatenate([np.eye(3), -np.eye(3)]):
+                moved = setup.T_tip_target.copy()
+                moved[setup.target_unknown, :3, 3] = reach * axis
+                places.append(moved)
+        if np.any(setup.target_given & setup.target_unknown):
+            nowhere = setup.T_tip_target.copy()
+            nowhere[setup.target_unknown, :3, 3] = 0.0
+            places.append(nowhere)
+    turned = [setup, *_turned(setup)]
+    return [
+        (frames_around(one, targets, T_base_tip, rows), targets)
+        for one in turned
+        for targets in places
+    ]
 
 
-def _frame(T_base_tip: Array, target: Array, points: Array) -> Array:
-    """The base in the measurement frame: the rotation and translation that fit best (W. Kabsch, 1976), (4, 4)."""
-    predicted = T_base_tip[:, :3, :3] @ target + T_base_tip[:, :3, 3]
-    centre, seen = predicted.mean(axis=0), points.mean(axis=0)
-    U, _, V = np.linalg.svd((points - seen).T @ (predicted - centre))
-    T = np.eye(4)
-    T[:3, :3] = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))]) @ V
-    T[:3, 3] = seen - T[:3, :3] @ centre
-    return read_only(T)
+def _turned(setup: Setup) -> list[Setup]:
+    """Frames of which one rotation is unknown, but not all: turned by quarters, so that none is out of reach."""
+    result = []
+    for axis, name in enumerate(("rx", "ry", "rz")):
+        partly = [f for f, d in enumerate(setup.unknown) if name in d and len(d) < 6]
+        for quarter in (1, 2, 3) if partly and len(setup.groups) == 1 else ():
+            R = np.eye(4)
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            c, s = float(np.cos(quarter * np.pi / 2)), float(np.sin(quarter * np.pi / 2))
+            R[i, i], R[i, j], R[j, i], R[j, j] = c, -s, s, c
+            result.append(setup.placed(setup.T_frame_base @ R, setup.T_tip_target))
+    return result
 
 
-def _both(cell: Cell, poses: Array, points: Array) -> Cell:
-    """Frame and target together: Levenberg-Marquardt from several targets, each with its best frame."""
-    axes = np.concatenate([np.eye(3), -np.eye(3)])
-    starts = [np.zeros(3), *(reach * axis for reach in _REACHES for axis in axes)]
-    if cell.target is not None:
-        starts.insert(0, cell.target)
-
-    def misfit(framed: tuple[Array, Array]) -> float:
-        residual, _ = _both_system(framed[0], framed[1], poses, points, np.zeros(9))
-        return float(residual @ residual)
-
-    framed = sorted(((_frame(poses, start, points), start) for start in starts), key=misfit)
-    best: tuple[float, Array, Array] | None = None
-    for T_frame_base, start in framed[:_REFINED]:
-        system = partial(_both_system, T_frame_base, start, poses, points)
-        solution = levenberg_marquardt(system, np.zeros(9), step_size=np.full(9, 1e-3))
-        if best is None or solution.cost < best[0]:
-            best = (solution.cost, *_displaced(T_frame_base, start, solution.x))
-    assert best is not None
-    return replace(cell, T_frame_base=read_only(best[1]), target=read_only(best[2]))
+def _misfit(system: Callable[[Setup, Array], tuple[Array, Array]], setup: Setup) -> float:
+    """The sum of squares at a start."""
+    residual, _ = system(setup, np.zeros(setup.count))
+    return float(residual @ residual)
 
 
-def _both_system(
-    T_frame_base: Array, target: Array, poses: Array, points: Array, x: Array
+def _system(
+    model: ErrorModel, T_base_tip: Array, rows: Rows, setup: Setup, x: Array
 ) -> tuple[Array, Array]:
-    """Residual m_i - R_f (R_i t + p_i) - p_f [m] and its derivative.
-
-    Args:
-        T_frame_base: shape (4, 4), where x begins [m].
-        target: shape (3,), likewise.
-        poses: shape (N, 4, 4), T_base_tip.
-        points: shape (N, 3).
-        x: shape (9,), shift of the base [m], rotation vector of the base in its own frame [rad], change of the
-            target [m].
-
-    Returns:
-        shapes (3 N,) and (3 N, 9).
-    """
-    T, t = _displaced(T_frame_base, target, x)
-    in_base = poses[:, :3, :3] @ t + poses[:, :3, 3]
-    R = T[:3, :3]
-    J = np.empty((len(points), 3, 9))
-    J[:, :, :3] = -np.eye(3)
-    # d(exp(w) b) = -exp(w) [b]x Jexp(w) dw, for each row's point b in the base.
-    J[:, :, 3:6] = R @ _skew(in_base) @ pin.Jexp3(x[3:6])
-    J[:, :, 6:] = -R @ poses[:, :3, :3]
-    residual = points - in_base @ R.T - T[:3, 3]
-    return residual.ravel(), J.reshape(-1, 9)
+    """The whitened residual and its own derivative, shapes (M,) and (M, p), over fixed poses of the tip."""
+    displacement, directions = model.displacements(x)
+    frames = len(setup.groups)
+    T_frame_base = (setup.T_frame_base @ displacement[:frames])[rows.samples.frame]
+    T_tip_target = (setup.T_tip_target @ displacement[frames + 1 :])[rows.samples.target]
+    T_frame_tip = T_frame_base @ T_base_tip
+    T_frame_target = T_frame_tip @ T_tip_target
+    twists = np.zeros((len(rows), 6, len(model)))
+    poses = (T_frame_base, T_frame_tip, T_frame_target)
+    add_outer_twists(twists, model.places, directions, rows.samples, poses)
+    used, scales = rows.used, rows.scales
+    residual = (rows.residual(T_frame_target) / scales)[used]
+    J = (rows.derivative(T_frame_target, twists) / -scales[:, :, None])[used]
+    return residual, J
 
 
-def _displaced(T_frame_base: Array, target: Array, x: Array) -> tuple[Array, Array]:
-    """Frame and target at x, shapes (4, 4) and (3,)."""
-    T = T_frame_base.copy()
-    T[:3, :3] = T_frame_base[:3, :3] @ pin.exp3(x[3:6])
-    T[:3, 3] += x[:3]
-    return T, target + x[6:]
-
-
-def _skew(v: Array) -> Array:
-    """The matrices of the cross products, [v]x w = v x w, shape (N, 3, 3)."""
-    result = np.zeros((len(v), 3, 3))
-    result[:, 0, 1], result[:, 0, 2], result[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return np.asarray(result - result.transpose(0, 2, 1))
+def _at(model: ErrorModel, setup: Setup, x: Array) -> tuple[Array, Array]:
+    """Frames and targets at x, shapes (F, 4, 4) and (T, 4, 4)."""
+    displacement, _ = model.displacements(x)
+    frames = len(setup.groups)
+    return setup.T_frame_base @ displacement[:frames], setup.T_tip_target @ displacement[
+        frames + 1 :
+    ]

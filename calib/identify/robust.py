@@ -1,11 +1,12 @@
 """Robust weights: which rows do not belong to the others.
 
 A row is judged by how far it lies from what the *other* rows predict, in units of that prediction's own standard
-deviation, so that a row with leverage cannot hide. With K = A C A^T / sigma^2, the leverage of a row of weight 1,
+deviation, so that a row with leverage cannot hide. With K = A C A^T, the leverage of a row of weight 1, whitened,
 
-    score^2 = r^T (I + (1 - w) K)^-1 (I - w K)^-1 r / sigma^2
+    score^2 = r^T (I + (1 - w) K)^-1 (I - w K)^-1 r
 
-which is the squared deleted residual over its covariance, and score^2 / 3 follows F(3, dof) for a good row.
+which is the squared deleted residual over its covariance, and score^2 / d follows F(d, dof) for a good row of d
+scalars. Scores are told as those of three scalars, whatever d is, so that one limit serves a whole table.
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtri
+from scipy.special import chdtrc, chdtri, fdtri
 
 Array = NDArray[np.float64]
-
-#: The median of the norm of a 3-D standard normal vector.
-_MEDIAN_NORM = 1.5381722544550522
 
 #: A good row keeps its full weight with this probability.
 _FULL = 0.99
 
 #: The probability that any row at all of a clean table is flagged.
 _FALSE_ALARM = 0.01
+
+#: The scalars of a point, for which scores are told.
+_POINT = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +60,12 @@ class Limits:
         return np.where(scores <= self.full, 1.0, np.clip(fall, 0.0, 1.0))
 
 
-def scores(residual: Array, jacobian: Array, covariance: Array, weights: Array) -> Array:
-    """The score of each row, shape (N,); see the module's text.
+def deleted_norms(residual: Array, jacobian: Array, covariance: Array, weights: Array) -> Array:
+    """How far each row lies from what the others predict, in standard deviations, shape (N,); see the module's text.
 
     Args:
-        residual: shape (N, 3), in units of each row's sigma.
-        jacobian: shape (N, 3, p), likewise.
+        residual: shape (N, D), in units of each scalar's sigma.
+        jacobian: shape (N, D, p), likewise.
         covariance: shape (p, p), of the parameters.
         weights: shape (N,).
     """
@@ -77,9 +78,55 @@ def scores(residual: Array, jacobian: Array, covariance: Array, weights: Array) 
     return result
 
 
-def median_noise(row_scores: Array) -> float:
-    """The noise that makes the median score what it is for normal noise: a scale that outliers cannot move."""
-    return float(np.median(row_scores) / _MEDIAN_NORM)
+def scores(
+    residual: Array, jacobian: Array, covariance: Array, weights: Array, used: NDArray[np.bool_]
+) -> Array:
+    """The score of each row, shape (N,): `deleted_norms` told as those of a point; 0 for a row without scalars.
+
+    Args:
+        residual: shape (N, D), in units of each scalar's sigma.
+        jacobian: shape (N, D, p), likewise.
+        covariance: shape (p, p), of the parameters.
+        weights: shape (N,).
+        used: shape (N, D), which scalars there are.
+    """
+    norms = deleted_norms(residual, jacobian, covariance, weights)
+    return _as_of_a_point(norms, np.sum(used, axis=1))
+
+
+def _as_of_a_point(row_scores: Array, scalars: NDArray[np.int_]) -> Array:
+    """The scores that three scalars would have at the same probability.
+
+    By the chi-squared distribution as far as its tail can be computed, and by the same step beyond.
+    """
+    result: Array = row_scores.copy()
+    result[scalars == 0] = 0.0
+    for d in np.unique(scalars):
+        if d in (0, _POINT):
+            continue
+        own = scalars == d
+        farthest = _farthest(int(d))
+        inner = np.minimum(row_scores[own], farthest)
+        same = np.sqrt(chdtri(_POINT, chdtrc(d, inner**2)))
+        result[own] = same + (row_scores[own] - inner)
+    return result
+
+
+def _farthest(d: int) -> float:
+    """The score beyond which the tail of d scalars is too thin to be inverted."""
+    return float(np.sqrt(chdtri(d, 1e-200)))
+
+
+def median_noise(row_scores: Array, used: NDArray[np.bool_]) -> float:
+    """The noise that makes the median score what it is for normal noise: a scale that outliers cannot move.
+
+    Args:
+        row_scores: shape (N,), norms in units of the sigma given.
+        used: shape (N, D), which scalars each row has.
+    """
+    scalars = np.sum(used, axis=1)
+    typical = np.sqrt(chdtri(np.maximum(scalars, 1), 0.5))
+    return float(np.median((row_scores / typical)[scalars > 0]))
 
 
 def cauchy_weights(row_scores: Array) -> Array:

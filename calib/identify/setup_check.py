@@ -12,10 +12,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calib.identify.fitting import Rows, predict
+from calib.identify.fitting import predict
 from calib.identify.registration import register
+from calib.identify.rows import POINT, Rows
+from calib.identify.setup import Setup
 from calib.measure.cell import Cell
+from calib.model.error_model import DIRECTIONS
 from calib.model.robot import Robot
 
 #: Nominal errors below this need no other explanation than an uncalibrated arm [m].
@@ -45,24 +49,29 @@ _LENGTHS = (
 _TURNS_DEG = (90.0, -90.0, 180.0)
 
 
-def better_setup(robot: Robot, cell: Cell, rows: Rows) -> str:
+def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> str:
     """A sentence that names the set-up which explains the rows far better than the one given, or nothing.
+
+    Only tables of points of one target are looked at.
 
     Args:
         robot: The nominal robot.
         cell: The set-up as given.
+        setup: Its frames and targets.
         rows: The estimation rows.
     """
+    if np.any(rows.kinds != POINT) or len(setup.targets) > 1 or len(setup.groups) > 1:
+        return ""
     chosen = np.zeros(len(rows), dtype=bool)
     chosen[np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(int)] = True
     rows = rows.select(chosen)
-    asked = replace(cell, estimate_target=True)
-    given = _rms(robot, cell, rows)
+    asked = replace(setup, target_unknown=np.array([True]))
+    given = _rms(robot, setup, rows)
     if given < PLAUSIBLE:
         return ""
     tried = [
-        *_other_target(robot, cell, rows),
-        *_other_frames(robot, asked, rows),
+        *_other_target(robot, setup, rows),
+        *_other_frames(robot, cell, asked, rows),
         *_other_columns(robot, asked, rows),
         *_other_units(robot, asked, rows),
     ]
@@ -75,60 +84,65 @@ def better_setup(robot: Robot, cell: Cell, rows: Rows) -> str:
     )
 
 
-def _other_target(robot: Robot, cell: Cell, rows: Rows) -> Iterator[tuple[float, float, str]]:
+def _turned(rows: Rows, joints: NDArray[np.float64]) -> Rows:
+    """The rows with other joint values."""
+    return replace(rows, samples=replace(rows.samples, q=joints))
+
+
+def _other_target(robot: Robot, setup: Setup, rows: Rows) -> Iterator[tuple[float, float, str]]:
     """Score, error and words for a target that is not where it is said to be."""
-    if not cell.estimate_target:
-        error = _rms(robot, replace(cell, estimate_target=True), rows)
+    if not setup.estimate_target:
+        error = _rms(robot, replace(setup, target_unknown=np.array([True])), rows)
         yield error, error, "if the target is found from the data: leave out --fix-target"
 
 
-def _other_units(robot: Robot, cell: Cell, rows: Rows) -> Iterator[tuple[float, float, str]]:
+def _other_units(robot: Robot, setup: Setup, rows: Rows) -> Iterator[tuple[float, float, str]]:
     """Score, error and words for numbers that stand under another unit than their own."""
     for factor, words in _LENGTHS:
-        error = _rms(robot, cell, replace(rows, points=factor * rows.points))
+        error = _rms(robot, setup, replace(rows, points=factor * rows.points))
         yield 1.2 * error, error, f"if the points are {words}: check the unit in the header"
-    turning = np.array([joint.type != "prismatic" for joint in robot.joints])
+    turning = np.array([joint.type != "prismatic" for joint in robot.inputs])
     for factor, words in (
         (np.degrees(1.0), "radians under [deg]"),
         (np.radians(1.0), "degrees under [rad]"),
     ):
-        error = _rms(
-            robot, cell, replace(rows, joints=np.where(turning, factor, 1.0) * rows.joints)
-        )
+        error = _rms(robot, setup, _turned(rows, np.where(turning, factor, 1.0) * rows.joints))
         yield 1.2 * error, error, f"if the joint values are {words}: check the unit in the header"
 
 
-def _other_frames(robot: Robot, cell: Cell, rows: Rows) -> Iterator[tuple[float, float, str]]:
+def _other_frames(
+    robot: Robot, cell: Cell, setup: Setup, rows: Rows
+) -> Iterator[tuple[float, float, str]]:
     """Score, error and words for the points in another frame."""
     if cell.estimate_frame or cell.T_frame_base is not None:
         return
     for link in _standing_links(robot):
-        error = _rms(Robot.from_urdf(robot.urdf, link, robot.tip), cell, rows)
+        error = _rms(robot.rebuilt(base=link), setup, rows)
         yield error, error, f"if the points are in the frame of '{link}': try --base {link}"
     if len(rows) >= 4:
-        error = _rms(robot, replace(cell, estimate_frame=True), rows)
+        error = _rms(robot, replace(setup, unknown=(DIRECTIONS,)), rows)
         # A frame of its own always fits a little better: it must do more than that.
         yield 2.0 * error, error, "if the points are in a frame of their own: try --frame estimate"
 
 
-def _other_columns(robot: Robot, cell: Cell, rows: Rows) -> Iterator[tuple[float, float, str]]:
+def _other_columns(robot: Robot, setup: Setup, rows: Rows) -> Iterator[tuple[float, float, str]]:
     """Score, error and words for joints of another convention, and for swapped columns."""
-    names, n = robot.joint_names, len(robot.joints)
+    names, n = robot.joint_names, len(robot.inputs)
     # A frame that is estimated too makes a trial a hundred times dearer: then one joint at a time.
-    most = n if n <= _MOST_SIGNS and not cell.estimate_frame else 1
+    most = n if n <= _MOST_SIGNS and not any(setup.unknown) else 1
     for count in range(1, most + 1):
         for turned in itertools.combinations(range(n), count):
             joints = rows.joints.copy()
             joints[:, turned] *= -1.0
-            error = _rms(robot, cell, replace(rows, joints=joints))
+            error = _rms(robot, setup, _turned(rows, joints))
             listed = " and ".join(f"'{names[i]}'" for i in turned)
             words = f"if {listed} turn{'s' if count == 1 else ''} the other way: check the signs"
             yield (1.0 + 0.2 * count) * error, error, words
     for i, degrees in itertools.product(range(n), _TURNS_DEG):
-        if robot.joints[i].type != "prismatic":
+        if robot.inputs[i].type != "prismatic":
             joints = rows.joints.copy()
             joints[:, i] += np.radians(degrees)
-            error = _rms(robot, cell, replace(rows, joints=joints))
+            error = _rms(robot, setup, _turned(rows, joints))
             yield (
                 1.2 * error,
                 error,
@@ -137,12 +151,12 @@ def _other_columns(robot: Robot, cell: Cell, rows: Rows) -> Iterator[tuple[float
     for i, j in itertools.combinations(range(n), 2):
         joints = rows.joints.copy()
         joints[:, [i, j]] = joints[:, [j, i]]
-        error = _rms(robot, cell, replace(rows, joints=joints))
+        error = _rms(robot, setup, _turned(rows, joints))
         yield 1.2 * error, error, f"if the columns '{names[i]}' and '{names[j]}' are swapped"
     for i, j in itertools.combinations(range(3), 2):
         points = rows.points.copy()
         points[:, [i, j]] = points[:, [j, i]]
-        error = _rms(robot, cell, replace(rows, points=points))
+        error = _rms(robot, setup, replace(rows, points=points))
         yield 1.2 * error, error, f"if the columns {'xyz'[i]} and {'xyz'[j]} are swapped"
 
 
@@ -157,8 +171,7 @@ def _standing_links(robot: Robot) -> list[str]:
     ]
 
 
-def _rms(robot: Robot, cell: Cell, rows: Rows) -> float:
+def _rms(robot: Robot, setup: Setup, rows: Rows) -> float:
     """Error of the nominal robot where target (and frame, if asked) are registered, rms [m]."""
-    registered = register(robot, cell, rows.joints, rows.points)
-    residual = rows.points - predict(robot, registered, rows.joints)
+    residual = predict(robot, register(robot, setup, rows), rows)
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))

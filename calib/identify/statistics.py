@@ -22,19 +22,27 @@ _SAME_POSE = 1e-3
 _LEAVE_ONE_OUT = 60
 _FOLDS = 10
 
+#: From this number of set-ups on, whole ones are left out.
+_FEWEST_SETUPS = 3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errors:
-    """Position errors of a set of rows, as in the paper's Tables 4 and 5.
+    """Errors of a set of rows, as in the paper's Tables 4 and 5: of lengths, and of angles where poses were measured.
 
     Attributes:
-        n: Number of rows.
-        max: Largest error, the norm of measured minus predicted [m]; NaN where n = 0, as all that follows.
+        n: Number of rows with a measured length.
+        max: Largest error, the norm of measured minus predicted position, or the size of that of a distance [m]; NaN
+            where n = 0, as all that follows.
         mean: Mean of the norms [m].
         rms: Root mean square of the norms [m].
-        mean_axis: shape (3,), mean signed error along x, y, z [m].
-        rms_axis: shape (3,), [m].
-        span_axis: shape (3,), largest minus smallest signed error along x, y, z [m].
+        mean_axis: shape (3,), mean signed error along x, y, z [m]; NaN where not all rows have three coordinates.
+        rms_axis: shape (3,), likewise.
+        span_axis: shape (3,), largest minus smallest signed error along x, y, z, likewise.
+        n_angle: Number of rows with a measured orientation.
+        max_angle: Largest angle between measured and predicted orientation [rad]; NaN where n_angle = 0.
+        mean_angle: Mean of these angles [rad].
+        rms_angle: Their root mean square [rad].
     """
 
     n: int
@@ -44,29 +52,58 @@ class Errors:
     mean_axis: Array
     rms_axis: Array
     span_axis: Array
+    n_angle: int = 0
+    max_angle: float = np.nan
+    mean_angle: float = np.nan
+    rms_angle: float = np.nan
 
     @classmethod
-    def of(cls, residual: Array) -> Errors:
-        """From residuals, measured minus predicted, shape (N, 3), [m].
+    def of(cls, residual: Array, used: Mask | None = None) -> Errors:
+        """From residuals, measured minus predicted.
+
+        Args:
+            residual: shape (N, D), lengths [m] in the first three columns and angles [rad] in three more.
+            used: shape (N, D), which of them there are; None for all.
 
         Example:
             >>> errors = Errors.of(np.array([[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.0]]))
             >>> round(errors.mean, 6), round(errors.rms, 6)
             (0.0025, 0.003536)
         """
-        if len(residual) == 0:
-            nothing = read_only(np.full(3, np.nan))
-            return cls(0, np.nan, np.nan, np.nan, nothing, nothing, nothing)
-        norms = np.linalg.norm(residual, axis=1)
-        return cls(
-            n=len(norms),
-            max=float(norms.max()),
-            mean=float(norms.mean()),
-            rms=float(np.sqrt(np.mean(norms**2))),
-            mean_axis=read_only(residual.mean(axis=0)),
-            rms_axis=read_only(np.sqrt(np.mean(residual**2, axis=0))),
-            span_axis=read_only(np.ptp(residual, axis=0)),
+        used = np.ones(residual.shape, dtype=bool) if used is None else used
+        there = np.any(used[:, :3], axis=1)
+        turned = np.any(used[:, 3:], axis=1)
+        lengths, axes = residual[there, :3], read_only(np.full(3, np.nan))
+        _, longest, mean, rms = _of_norms(np.linalg.norm(lengths, axis=1))
+        count, widest, mean_angle, rms_angle = _of_norms(
+            np.linalg.norm(residual[turned, 3:], axis=1)
         )
+        whole = residual.shape[1] >= 3 and np.any(there) and bool(np.all(used[there, :3]))
+        return cls(
+            n=len(lengths),
+            max=longest,
+            mean=mean,
+            rms=rms,
+            mean_axis=read_only(lengths.mean(axis=0)) if whole else axes,
+            rms_axis=read_only(np.sqrt(np.mean(lengths**2, axis=0))) if whole else axes,
+            span_axis=read_only(np.ptp(lengths, axis=0)) if whole else axes,
+            n_angle=count,
+            max_angle=widest,
+            mean_angle=mean_angle,
+            rms_angle=rms_angle,
+        )
+
+
+def _of_norms(norms: Array) -> tuple[int, float, float, float]:
+    """Number, largest, mean and root mean square; NaN where there are none."""
+    if len(norms) == 0:
+        return 0, np.nan, np.nan, np.nan
+    return (
+        len(norms),
+        float(norms.max()),
+        float(norms.mean()),
+        float(np.sqrt(np.mean(norms**2))),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,10 +111,11 @@ class CrossValidation:
     """Errors on rows that the fit did not see.
 
     Attributes:
-        method: ``"leave-one-out"``, ``"leave-one-pose-out"`` where poses were repeated, or ``"10-fold"``.
+        method: ``"leave-one-out"``, ``"leave-one-pose-out"`` where poses were repeated, ``"leave-one-set-up-out"`` or
+            ``"10-fold"``.
         folds: Number of fits.
         poses: shape (N,), the pose of each row, see `same_poses`.
-        residual: shape (N, 3), measured minus predicted by the fit that had not seen the row [m].
+        residual: shape (N, D), measured minus predicted by the fit that had not seen the row [m], [rad].
         errors: Of all rows.
         errors_without_outliers: Of the rows that the fit to all rows did not flag.
     """
@@ -110,44 +148,69 @@ def same_poses(joints: Array) -> NDArray[np.int_]:
     return labels
 
 
-def folds(poses: NDArray[np.int_]) -> tuple[str, tuple[Mask, ...]]:
-    """Which rows are left out together: all of one pose, or of every tenth pose where there are many.
+@dataclass(frozen=True, slots=True, eq=False)
+class Folds:
+    """Which rows are left out together.
+
+    Attributes:
+        method: What it is called.
+        masks: Of the rows left out, each of shape (N,).
+    """
+
+    method: str
+    masks: tuple[Mask, ...]
+
+
+def folds(poses: NDArray[np.int_], setups: NDArray[np.int_] | None = None) -> Folds:
+    """Which rows are left out together: a whole set-up, or all of one pose, or every tenth pose where there are many.
 
     Args:
-        poses: shape (N,), see `same_poses`.
-
-    Returns:
-        The method's name and the masks of the rows left out, each of shape (N,).
+        poses: shape (N,), the pose of each row, numbered from 0, see `same_poses`.
+        setups: shape (N,), the set-up of each row; from three on, each is left out in turn.
     """
+    if setups is not None and len(np.unique(setups)) >= _FEWEST_SETUPS:
+        names = np.unique(setups)
+        size = -(
+            -len(names) // _LEAVE_ONE_OUT
+        )  # more set-ups than that are left out several at a time
+        return Folds(
+            "leave-one-set-up-out" if size == 1 else "leave-set-ups-out",
+            tuple(np.isin(setups, names[k : k + size]) for k in range(0, len(names), size)),
+        )
     count = int(poses.max()) + 1 if len(poses) else 0
     if count <= _LEAVE_ONE_OUT:
         method = "leave-one-out" if count == len(poses) else "leave-one-pose-out"
-        return method, tuple(poses == i for i in range(count))
-    return f"{_FOLDS}-fold", tuple(poses % _FOLDS == k for k in range(_FOLDS))
+        return Folds(method, tuple(poses == i for i in range(count)))
+    return Folds(f"{_FOLDS}-fold", tuple(poses % _FOLDS == k for k in range(_FOLDS)))
 
 
 def cross_validate(
-    poses: NDArray[np.int_], outliers: Mask, predict_left_out: Callable[[Mask], Array]
+    poses: NDArray[np.int_],
+    left_out: Folds,
+    outliers: Mask,
+    used: Mask,
+    predict_left_out: Callable[[Mask], Array],
 ) -> CrossValidation:
     """Fit without some rows, look at the error there, and go on until each row was left out once.
 
     Args:
-        poses: shape (N,), the pose of each row; repeats are left out together.
+        poses: shape (N,), the pose of each row.
+        left_out: Which rows are left out together.
         outliers: shape (N,), the rows flagged by the fit to all of them.
+        used: shape (N, D), which scalars each row has.
         predict_left_out: Takes the mask of the rows left out, fits the others from the beginning, and gives measured
-            minus predicted of the rows left out, shape (sum of the mask, 3), [m].
+            minus predicted of the rows left out, shape (sum of the mask, D), [m] and [rad].
     """
-    method, left_out = folds(poses)
-    residual = np.empty((len(poses), 3))
-    for mask in left_out:
+    residual = np.zeros(used.shape)
+    for mask in left_out.masks:
         residual[mask] = predict_left_out(mask)
     return CrossValidation(
-        method=method,
-        folds=len(left_out),
+        method=left_out.method,
+        folds=len(left_out.masks),
         poses=poses,
         residual=read_only(residual),
-        errors=Errors.of(residual),
-        errors_without_outliers=Errors.of(residual[~outliers]),
+        errors=Errors.of(residual, used),
+        errors_without_outliers=Errors.of(residual[~outliers], used[~outliers]),
     )
 
 

@@ -12,7 +12,7 @@ import calib
 from calib.identify.calibration import Calibration
 from calib.identify.findings import Outlier
 from calib.identify.statistics import Errors
-from calib.model.error_model import FRAME
+from calib.model.parameters import FRAME
 
 _WIDTH = 100
 
@@ -31,8 +31,18 @@ _LEFT_OUT = {
 #: Degrees of freedom from which on the noise is that of the rows.
 _TELLING = 6.0
 
-#: A size of errors below this says that there are none [m or rad].
-_NOTHING = 2e-6
+#: How the size of each family's errors is written.
+_SIZES = {
+    "length": (1e3, "mm"),
+    "angle": (1e3, "mrad"),
+    "zero": (1e3, "mrad"),
+    "gain": (1e3, "mrad/rad"),
+    "eccentricity": (1e3, "mrad"),
+    "compliance": (1e6, "urad/Nm"),
+}
+
+#: A size of errors below this says that there are none [mm, mrad, urad/Nm].
+_NOTHING = 2e-3
 
 #: More validation rows than this are not listed one by one.
 _MOST_ROWS = 12
@@ -165,9 +175,10 @@ def _target(c: Calibration) -> str:
     if not c.cell.estimate_target:
         return _wrap(f"Target: ({place}) mm in {c.nominal.tip}, as given.")
     sure = _half_widths(c, [f"target_{axis}" for axis in "xyz"], 1e3)
-    if c.cell.target is None:
+    given = c.fitted.task.setup
+    if not given.target_given[0]:
         return _wrap(f"Target: found at ({place}) mm in {c.nominal.tip}, 95 % +- ({sure}) mm.")
-    moved = float(np.linalg.norm(c.target - c.cell.target))
+    moved = float(np.linalg.norm(c.target - given.T_tip_target[0, :3, 3]))
     text = (
         f"Target: ({place}) mm in {c.nominal.tip}, 95 % +- ({sure}) mm; it moved {1e3 * moved:.1f} mm from the "
         "position given."
@@ -214,14 +225,10 @@ def _identified(c: Calibration) -> str:
             f"{1e3 * c.expected_everywhere:.3f} mm over the joint limits."
         ),
     ]
-    sizes = [
-        f"{1e3 * size:.3g} {unit}" if size > _NOTHING else f"too small to be seen in {what}"
-        for size, unit, what in ((c.prior_length, "mm", "length"), (c.prior_angle, "mrad", "angle"))
-        if size is not None
-    ]
+    sizes = [_size(family, size) for family, size in c.sizes.items()]
     if sizes:
         how = "found from the data" if c.cell.priors.sizes == "data" else "as given"
-        lines.append(f"Size of the robot's errors: {' and '.join(sizes)} ({how}).")
+        lines.append(f"Size of the robot's errors: {', '.join(sizes)} ({how}).")
     lines.append(f"Rank: {o.rank} of {o.columns} parameters, condition number {o.condition:.0f}.")
     if o.unidentifiable:
         held = ", so the priors share them out" if sizes else ""
@@ -237,7 +244,7 @@ def _parameters(c: Calibration) -> str:
 
     The frame's stand above as a pose: its parameters count from where registration put it.
     """
-    shown = [p for p, m in zip(c.parameters, c.model.parameters, strict=True) if m.place != FRAME]
+    shown = [p for p, m in zip(c.parameters, c.model.parameters, strict=True) if m.family != FRAME]
     if not shown:
         return ""
     width = min(max(len(p.name) for p in shown), _LONGEST_NAME) + 2
@@ -268,6 +275,12 @@ def _solver(c: Calibration) -> str:
         f"Solver '{c.solver}': {s.status} after {s.iterations} iterations, {s.evaluations} evaluations, "
         f"{1e3 * c.seconds:.0f} ms. {s.message}"
     )
+
+
+def _size(family: str, size: float) -> str:
+    """The size of a family's errors in words."""
+    factor, unit = _SIZES[family]
+    return f"{family} {factor * size:.3g} {unit}" if factor * size > _NOTHING else f"{family} none"
 
 
 def _three(value: float, sign: str = "-") -> str:

@@ -1,16 +1,16 @@
 """How large the errors and the noise are: sizes of the priors from the data.
 
 Every parameter of a family has the prior N(0, tau_f^2); frame and target are flat. The sizes tau_f and the noise
-sigma maximise the restricted marginal likelihood (REML: H. D. Patterson, R. Thompson, 1971) of the linearised
-measurements
+sigma_c of each instrument maximise the restricted marginal likelihood (REML: H. D. Patterson, R. Thompson, 1971) of
+the linearised measurements
 
-    y = A x + n,    x_k ~ N(0, tau_f(k)^2),    n ~ N(0, sigma^2)
+    y = A x + n,    x_k ~ N(0, tau_f(k)^2),    n ~ N(0, sigma_c^2)
 
 so that a family that the data do not support shrinks to nothing, and what poses cannot tell apart is shared out by
 size instead of running away. With C the posterior covariance and m the posterior mean of x, the score is
 
     dL/dlog tau_f = sum_k (m_k^2 + C_kk) / tau_f^2 - n_f,
-    dL/dlog sigma = |y - A m|^2 / sigma^2 + tr(H C) / sigma^2 - N,      H = A^T A
+    dL/dlog sigma_c = |y - A m|_c^2 / sigma_c^2 + tr(H_c C) / sigma_c^2 - N_c,      H_c = A_c^T A_c
 
 and its expected (Fisher) information has a closed form in C too: a handful of p x p products an iteration.
 """
@@ -23,9 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Masks = tuple[NDArray[np.bool_], ...]
 
-#: Bounds of the sizes, [m or rad] and as a share of the noise's unit: far outside of what an arm can have.
+#: Bounds of the sizes: far outside of what an arm can have.
 _SMALLEST, _LARGEST = 1e-7, 0.1
+
+#: Bounds for compliances [rad/Nm, m/N], whose unit is another.
+SMALLEST_COMPLIANCE, LARGEST_COMPLIANCE = 1e-11, 1e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +37,45 @@ class Sizes:
     """The sizes of noise and priors.
 
     Attributes:
-        noise: sigma, standard deviation of one coordinate of a row of weight 1 [m], or the factor of the sigmas given.
-        families: tau of each family, in the order that they were given in [m or rad].
+        noise: sigma of each instrument, of a scalar of weight 1, as a factor of the sigmas given.
+        families: tau of each family, in the order that they were given in, in the parameters' unit.
     """
 
-    noise: float
+    noise: tuple[float, ...]
     families: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What is known of the parameters besides the measurements.
+
+    Attributes:
+        precision: shape (p,), 1 / tau^2 of priors whose sizes stay; 0 where there is none.
+        H: shape (p, p), C^T C of whitened constraints C x = z, the linearised.
+        g: shape (p,), C^T z, and precision times mean of the priors whose mean is not 0.
+        zz: z^T z, and those priors' squares.
+    """
+
+    precision: Array
+    H: Array
+    g: Array
+    zz: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        precision: Array,
+        centre: Array | None = None,
+        C: Array | None = None,
+        z: Array | None = None,
+    ) -> Known:
+        """From precisions and means, and the rows of constraints."""
+        p = len(precision)
+        centre = np.zeros(p) if centre is None else centre
+        g, zz = precision * centre, float(precision @ centre**2)
+        if C is None or z is None or not len(C):
+            return cls(precision, np.zeros((p, p)), g, zz)
+        return cls(precision, C.T @ C, g + C.T @ z, zz + float(z @ z))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,60 +83,97 @@ class Linearised:
     """Weighted normal equations of the linearised measurements: all that the likelihood needs.
 
     Attributes:
-        H: shape (p, p), A^T W A.
-        g: shape (p,), A^T W y.
-        yy: y^T W y.
-        count: Number of scalar measurements, by weight.
+        H: shape (C, p, p), A_c^T W A_c of each instrument.
+        g: shape (C, p), A_c^T W y_c.
+        yy: shape (C,), y_c^T W y_c.
+        count: shape (C,), number of scalar measurements, by weight.
     """
 
     H: Array
     g: Array
-    yy: float
-    count: float
+    yy: Array
+    count: Array
 
     @classmethod
-    def of(cls, A: Array, y: Array, weights: Array) -> Linearised:
+    def of(cls, A: Array, y: Array, weights: Array, instruments: NDArray[np.int_]) -> Linearised:
         """From rows.
 
         Args:
-            A: shape (N, 3, p), derivative of the prediction, in units of the row's sigma.
-            y: shape (N, 3), residual at x = 0 of the linearised model, likewise.
+            A: shape (N, D, p), derivative of the prediction, in units of the sigma given.
+            y: shape (N, D), residual at x = 0 of the linearised model, likewise.
             weights: shape (N,), between 0 and 1.
+            instruments: shape (N, D), which noise each scalar has; -1 for none.
         """
-        root = np.sqrt(weights)[:, None]
-        flat = (A * root[:, :, None]).reshape(-1, A.shape[2])
-        target = (y * root).ravel()
-        H: Array = flat.T @ flat
-        return cls(H, flat.T @ target, float(target @ target), float(3.0 * np.sum(weights)))
+        count = int(instruments.max()) + 1
+        flat = A.reshape(-1, A.shape[2])
+        weight = np.repeat(weights, A.shape[1])
+        root, number, target = np.sqrt(weight), instruments.ravel(), y.ravel()
+        H, g, yy, n = [], [], [], []
+        for c in range(count):
+            own = number == c if count > 1 else number >= 0
+            a, b = flat[own] * root[own, None], target[own] * root[own]
+            H.append(a.T @ a)
+            g.append(a.T @ b)
+            yy.append(float(b @ b))
+            n.append(float(np.sum(weight[own])))
+        return cls(np.array(H), np.array(g), np.array(yy), np.array(n))
 
-    def posterior(self, noise: float, precision: Array) -> tuple[Array, Array]:
+    def posterior(self, noise: tuple[float, ...], known: Known) -> tuple[Array, Array]:
         """Mean and covariance of x.
 
         Args:
-            noise: sigma.
-            precision: shape (p,), 1 / tau^2 of each parameter, 0 where flat.
+            noise: sigma of each instrument.
+            known: All priors.
 
         Returns:
             shapes (p,) and (p, p); directions that neither data nor prior determine get no share of either.
         """
-        scale = 1.0 / np.sqrt(np.diag(self.H) / noise**2 + precision + 1e-300)
-        M = (self.H / noise**2 + np.diag(precision)) * np.outer(scale, scale)
-        C = _inverse(M) * np.outer(scale, scale)
-        return C @ (self.g / noise**2), C
+        M, right = self._equations(noise, known)
+        scale = 1.0 / np.sqrt(np.diag(M) + 1e-300)
+        C = _inverse(M * np.outer(scale, scale)) * np.outer(scale, scale)
+        return C @ right, C
 
-    def residual_square(self, x: Array) -> float:
-        """|y - A x|^2, weighted, never below 0."""
-        return max(self.yy - 2.0 * float(self.g @ x) + float(x @ self.H @ x), 0.0)
+    def _equations(self, noise: tuple[float, ...], known: Known) -> tuple[Array, Array]:
+        """The posterior's precision matrix and the right side, shapes (p, p) and (p,)."""
+        weight = 1.0 / np.square(noise)
+        M = np.tensordot(weight, self.H, 1) + known.H
+        M[np.diag_indices_from(M)] += known.precision
+        return M, np.asarray(weight @ self.g + known.g)
+
+    def residual_square(self, x: Array) -> Array:
+        """|y - A x|^2 of each instrument, weighted, never below 0, shape (C,)."""
+        square = self.yy - 2.0 * self.g @ x + np.einsum("i,cij,j->c", x, self.H, x)
+        return np.asarray(np.maximum(square, 0.0))
+
+    def log_likelihood(self, noise: tuple[float, ...], known: Known, own: Array) -> float:
+        """The restricted log likelihood of noise and sizes, but for a constant of the flat parameters.
+
+        -1/2 [sum_c N_c log sigma_c^2 - sum_k log precision_k + log det M + y^T P y], with the posterior's precision M.
+
+        Args:
+            noise: sigma of each instrument.
+            known: All priors, at their sizes.
+            own: shape (p,), the part of the precisions that is a prior's, not a hold on flat parameters.
+        """
+        M, right = self._equations(noise, known)
+        scale = 1.0 / np.sqrt(np.diag(M) + 1e-300)
+        values = np.linalg.eigvalsh(M * np.outer(scale, scale))
+        log_det = float(np.sum(np.log(np.maximum(values, 1e-300))) - 2.0 * np.sum(np.log(scale)))
+        x, _ = self.posterior(noise, known)
+        square = float(np.sum(self.yy / np.square(noise))) + known.zz - float(right @ x)
+        priors = float(np.sum(np.log(own[own > 0.0])))
+        return -0.5 * (2.0 * float(self.count @ np.log(noise)) - priors + log_det + square)
 
 
 def sizes_by_reml(
     data: Linearised,
-    families: tuple[NDArray[np.bool_], ...],
+    families: Masks,
     start: Sizes,
     *,
-    smallest_noise: float,
+    smallest_noise: tuple[float, ...],
     noise_spread: float = np.inf,
-    known: Array | None = None,
+    known: Known | None = None,
+    bounds: tuple[tuple[float, float], ...] | None = None,
     iterations: int = 30,
 ) -> Sizes:
     """The sizes that maximise the restricted marginal likelihood, by damped Fisher scoring on their logarithms.
@@ -108,21 +182,25 @@ def sizes_by_reml(
         data: The linearised measurements.
         families: For each family which parameters belong to it, shape (p,).
         start: Where to begin.
-        smallest_noise: Lower bound of sigma.
-        noise_spread: How far sigma may be from 1, as the standard deviation of a normal prior on log sigma. It decides
-            where rows are too few to tell noise from error, and is not felt where they are not.
-        known: shape (p,), precision of priors whose sizes are given and stay.
+        smallest_noise: Lower bound of each sigma.
+        noise_spread: How far a sigma may be from 1, as the standard deviation of a normal prior on log sigma. It
+            decides where rows are too few to tell noise from error, and is not felt where they are not.
+        known: Priors whose sizes are given and stay, and constraints.
+        bounds: Smallest and largest size of each family.
         iterations: Limit; a few are enough from a good start.
     """
-    logs = np.log(np.array([start.noise, *start.families]))
-    known = np.zeros(len(data.g)) if known is None else known
-    lowest = np.log(np.array([smallest_noise] + [_SMALLEST] * len(families)))
-    highest = np.log(np.array([1e6 * start.noise] + [_LARGEST] * len(families)))
+    logs = np.log(np.array([*start.noise, *start.families]))
+    C = len(start.noise)
+    p = data.g.shape[1]
+    known = Known.of(np.zeros(p)) if known is None else known
+    bounds = ((_SMALLEST, _LARGEST),) * len(families) if bounds is None else bounds
+    lowest = np.log(np.array([*smallest_noise, *(low for low, _ in bounds)]))
+    highest = np.log(np.array([*(1e6 * s for s in start.noise), *(high for _, high in bounds)]))
     logs = np.clip(logs, lowest, highest)
     for _ in range(iterations):
-        score, information = _score(data, families, known, logs)
-        score[0] -= logs[0] / noise_spread**2
-        information[0, 0] += 1.0 / noise_spread**2
+        score, information = _score(data, families, known, logs, C)
+        score[:C] -= logs[:C] / noise_spread**2
+        information[np.diag_indices(C)] += 1.0 / noise_spread**2
         # A family at its lower bound with a score that points below it stays there.
         free = ~((logs <= lowest) & (score < 0)) & ~((logs >= highest) & (score > 0))
         if not np.any(free):
@@ -137,12 +215,10 @@ def sizes_by_reml(
         if done:
             break
     values = np.exp(logs)
-    return Sizes(float(values[0]), tuple(float(v) for v in values[1:]))
+    return Sizes(tuple(values[:C].tolist()), tuple(values[C:].tolist()))
 
 
-def precision_of(
-    families: tuple[NDArray[np.bool_], ...], sizes: tuple[float, ...], p: int
-) -> Array:
+def precision_of(families: Masks, sizes: tuple[float, ...], p: int) -> Array:
     """1 / tau^2 of each parameter, shape (p,); 0 for those of no family."""
     precision = np.zeros(p)
     for members, size in zip(families, sizes, strict=True):
@@ -163,29 +239,30 @@ def _inverse(M: Array) -> Array:
 
 
 def _score(
-    data: Linearised, families: tuple[NDArray[np.bool_], ...], known: Array, logs: Array
+    data: Linearised, families: Masks, known: Known, logs: Array, C: int
 ) -> tuple[Array, Array]:
     """Gradient of the log likelihood in log sizes, and its expected information."""
     values = np.exp(logs)
-    noise, sizes = float(values[0]), values[1:]
-    precision = known + precision_of(families, tuple(sizes), len(data.g))
-    m, C = data.posterior(noise, precision)
-    HC = (data.H @ C) / noise**2
-    trace = float(np.trace(HC))
+    noise, sizes = tuple(values[:C].tolist()), values[C:]
+    own_precision = precision_of(families, tuple(sizes.tolist()), data.g.shape[1])
+    every = Known(known.precision + own_precision, known.H, known.g, known.zz)
+    m, covariance = data.posterior(noise, every)
+    HC = (data.H @ covariance) / np.square(values[:C])[:, None, None]
+    trace = np.trace(HC, axis1=1, axis2=2)
     k = len(families)
     indices = [np.flatnonzero(members) for members in families]
-    score, information = np.empty(k + 1), np.empty((k + 1, k + 1))
-    score[0] = data.residual_square(m) / noise**2 + trace - data.count
-    information[0, 0] = 2.0 * (data.count - 2.0 * trace + float(np.sum(HC * HC.T)))
-    variance, both = np.diag(C), np.einsum("ij,ji->i", C, HC)
+    score, information = np.empty(C + k), np.empty((C + k, C + k))
+    score[:C] = data.residual_square(m) / np.square(values[:C]) + trace - data.count
+    crossed = np.einsum("cij,dji->cd", HC, HC)
+    information[:C, :C] = 2.0 * (np.diag(data.count - 2.0 * trace) + crossed)
+    variance, both = np.diag(covariance), np.einsum("ij,cji->ci", covariance, HC)
     for i, own in enumerate(indices):
-        score[i + 1] = float(np.sum(m[own] ** 2 + variance[own])) / sizes[i] ** 2 - len(own)
-        information[0, i + 1] = information[i + 1, 0] = (
-            2.0 * float(np.sum(both[own])) / sizes[i] ** 2
-        )
+        score[C + i] = float(np.sum(m[own] ** 2 + variance[own])) / sizes[i] ** 2 - len(own)
+        information[:C, C + i] = 2.0 * np.sum(both[:, own], axis=1) / sizes[i] ** 2
+        information[C + i, :C] = information[:C, C + i]
         for j, others in enumerate(indices):
-            block = -C[own[:, None], others] / (sizes[i] * sizes[j])
+            block = -covariance[own[:, None], others] / (sizes[i] * sizes[j])
             if i == j:
                 block = block + np.eye(len(block))
-            information[i + 1, j + 1] = 2.0 * float(np.sum(block**2))
+            information[C + i, C + j] = 2.0 * float(np.sum(block**2))
     return score, information

@@ -23,8 +23,8 @@ _ABSURD_NOISE = 0.02
 #: A nominal robot that is off by more than this is more than uncalibrated [m].
 _ANOTHER_ROBOT = 0.02
 
-#: A nominal error below this many standard deviations of a coordinate is that of a robot that is right.
-_AT_THE_NOISE = 2.5
+#: A nominal error below this many standard deviations, rms over all scalars, is that of a robot that is right.
+_AT_THE_NOISE = 1.45
 
 #: A change of a parameter beyond this is no error of an arm [m or rad].
 _TOO_FAR = 0.1
@@ -56,26 +56,40 @@ class Evidence:
     Attributes:
         nominal: Cross-validation of the nominal robot, frame and target fitted as for the calibrated one.
         calibrated: Cross-validation of the calibrated robot.
+        larger_validation: Cross-validation of the larger model; None without one.
+        larger_name: Its name.
+        scales: shape (N, D), the noise of each scalar [m], [rad].
+        used: shape (N, D), which scalars were measured.
         outliers: shape (N,), the rows flagged by the fit to all of them.
         validation_nominal: Errors of the nominal robot on the validation rows; n = 0 where there are none.
         validation_calibrated: Errors of the calibrated robot there.
         validation_aside: Number of validation rows left out of the two as accidents.
         still: Joints that hardly moved, in words.
-        larger: What a larger model would leave over, a sentence; empty where it is not far less.
+        missing: What a larger geometry would leave over, a sentence; empty where it is not far less.
+        findings: What shows that residuals are not noise, sentences.
+        corner: That the poses cover a corner of the workspace only, a sentence; or nothing.
+        outside: Which validation rows lie outside of the measured joint range, a sentence; or nothing.
         parameters: Number of parameters.
         largest: Largest change of a parameter of the robot [m or rad].
-        noise: Estimated standard deviation of one coordinate [m].
+        noise: Estimated standard deviation of one length [m].
         hint: What would explain the measurements better, a sentence; empty where nothing was found.
     """
 
     nominal: CrossValidation
     calibrated: CrossValidation
+    larger_validation: CrossValidation | None
+    larger_name: str
+    scales: NDArray[np.float64]
+    used: NDArray[np.bool_]
     outliers: NDArray[np.bool_]
     validation_nominal: Errors
     validation_calibrated: Errors
     validation_aside: int
     still: tuple[str, ...]
-    larger: str
+    missing: str
+    findings: tuple[str, ...]
+    corner: str
+    outside: str
     parameters: int
     largest: float
     noise: float
@@ -112,11 +126,11 @@ def _no_better(e: Evidence) -> list[str]:
     reasons = []
     before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
     gain, poses = _gain_in_errors(e), _poses(e)
-    few = 3 * poses < _FEW * e.parameters
+    few = _numbers(e) < _FEW * e.parameters
     # What a model leaves over is noise only if a larger one does not leave far less.
-    if gain < _CHANCE and before.rms < _AT_THE_NOISE * e.noise and not e.larger:
+    if gain < _CHANCE and _whitened_rms(e) < _AT_THE_NOISE and not e.missing:
         reasons.append(
-            f"Nothing to gain: the robot as it is meets these points to {_mm(before.rms)} mm rms on unseen rows, which "
+            f"Nothing to gain: the robot as it is meets these rows to {_both(before)} on unseen rows, which "
             "is about their noise. Keep its URDF."
         )
     elif after.rms > _ABSURD_NOISE:
@@ -125,19 +139,19 @@ def _no_better(e: Evidence) -> list[str]:
         )
     elif 0.0 < gain < _CHANCE and few:
         reasons.append(
-            f"{poses} poses for {e.parameters} parameters are too few to show a gain: on unseen rows {_mm(before.rms)} "
-            f"against {_mm(after.rms)} mm rms, {gain:.1f} standard errors. Measure more poses."
+            f"{poses} poses for {e.parameters} parameters are too few to show a gain: on unseen rows {_both(before)} "
+            f"against {_both(after)}, {gain:.1f} standard errors. Measure more poses."
         )
     elif gain <= 0.0:
         reasons.append(
-            f"On rows it did not see ({e.calibrated.method}) the calibrated robot is no better than the nominal one: "
-            f"{_mm(after.rms)} against {_mm(before.rms)} mm rms."
+            f"On rows it did not see ({e.calibrated.method}) the calibrated robot is no better than the nominal one, "
+            f"frame and target fitted for both: {_both(after)} against {_both(before)}."
         )
     worse = e.validation_calibrated.rms >= (1.0 - _ROUNDING) * e.validation_nominal.rms
     if e.validation_calibrated.n and worse:
         reasons.append(
             f"On the {e.validation_calibrated.n} validation rows the error does not fall: from "
-            f"{_mm(e.validation_nominal.rms)} to {_mm(e.validation_calibrated.rms)} mm rms."
+            f"{_both(e.validation_nominal)} to {_both(e.validation_calibrated)}."
         )
     return reasons
 
@@ -151,9 +165,9 @@ def _weak_evidence(e: Evidence) -> list[str]:
             "nominal robot may be as good."
         )
     poses = _poses(e)
-    if 3 * poses < _FEW * e.parameters:
+    if _numbers(e) < _FEW * e.parameters:
         reasons.append(
-            f"{poses} poses with 3 coordinates each for {e.parameters} parameters are few: the result leans on the "
+            f"{poses} poses with {_numbers(e)} numbers for {e.parameters} parameters are few: the result leans on the "
             "priors. Measure more poses."
         )
     return reasons
@@ -172,8 +186,7 @@ def _oddities(e: Evidence) -> list[str]:
             f"Hardly moved over these rows: {', '.join(e.still)}. The result holds near these positions only; measure "
             "poses that move every joint."
         )
-    if e.larger:
-        reasons.append(e.larger)
+    reasons += [sentence for sentence in (e.missing, e.corner, *e.findings) if sentence]
     if e.largest > _TOO_FAR:
         reasons.append(
             f"A parameter has moved by {1e3 * e.largest:.0f} mm or mrad, which is no error of an arm: the measurements "
@@ -195,14 +208,24 @@ def _gains(e: Evidence) -> list[str]:
     if _gain_in_errors(e) > 0.0:
         aside = ", outliers aside" if np.any(e.outliers) else ""
         reasons.append(
-            f"On rows it did not see ({e.calibrated.method}{aside}) the error falls from {_mm(before.rms)} to "
-            f"{_mm(after.rms)} mm rms."
+            f"On rows it did not see ({e.calibrated.method}{aside}) the error falls from {_both(before)} to "
+            f"{_both(after)}."
+        )
+    if e.larger_validation is not None:
+        larger = e.larger_validation.errors_without_outliers
+        reasons.append(
+            f"With the larger model '{e.larger_name}' it would be {_both(larger)}. No URDF can hold that: the URDF has "
+            f"the geometry alone, the result file and predict() have the rest."
         )
     before, after = e.validation_nominal, e.validation_calibrated
     if after.n and after.rms < (1.0 - _ROUNDING) * before.rms:
         aside = f" ({e.validation_aside} more aside)" if e.validation_aside else ""
         reasons.append(
-            f"On the {after.n} validation rows{aside} it falls from {_mm(before.rms)} to {_mm(after.rms)} mm rms."
+            f"On the {after.n} validation rows{aside} it falls from {_both(before)} to {_both(after)}."
+        )
+    if e.outside:
+        reasons.append(
+            f"Outside of the joint values that were fitted, where errors may be larger: {e.outside}."
         )
     return reasons
 
@@ -213,7 +236,7 @@ def _gain_in_errors(e: Evidence) -> float:
     Paired by poses, so that one that is hard for both robots does not blur the comparison, and repeats do not count as
     evidence of their own; 0 where nothing changes.
     """
-    squares = [_mean_by_pose(v, e.outliers) for v in (e.nominal, e.calibrated)]
+    squares = [_mean_by_pose(v, e) for v in (e.nominal, e.calibrated)]
     fall = squares[0] - squares[1]
     mean = float(np.mean(fall)) if len(fall) else 0.0
     if abs(mean) < _ROUNDING * float(np.mean(squares[0])):
@@ -228,15 +251,37 @@ def _poses(e: Evidence) -> int:
     return int(e.nominal.poses.max(initial=-1)) + 1
 
 
-def _mean_by_pose(v: CrossValidation, outliers: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """The mean squared error of each pose that has rows which are no outliers [m^2]."""
-    good = ~outliers
+def _numbers(e: Evidence) -> int:
+    """Scalars measured, repeats of a pose counted once."""
+    first = np.unique(e.nominal.poses, return_index=True)[1]
+    return int(np.sum(e.used[first]))
+
+
+def _whitened(v: CrossValidation, e: Evidence) -> NDArray[np.float64]:
+    """The squared error of each row, in units of the noise, shape (N,)."""
+    result: NDArray[np.float64] = np.sum(np.where(e.used, v.residual / e.scales, 0.0) ** 2, axis=1)
+    return result
+
+
+def _whitened_rms(e: Evidence) -> float:
+    """Error of the nominal robot on left-out rows that are no outliers, in units of the noise, rms over scalars."""
+    good = ~e.outliers
+    count = max(int(np.sum(e.used[good])), 1)
+    return float(np.sqrt(np.sum(_whitened(e.nominal, e)[good]) / count))
+
+
+def _mean_by_pose(v: CrossValidation, e: Evidence) -> NDArray[np.float64]:
+    """The mean squared error of each pose that has rows which are no outliers, in units of the noise."""
+    good = ~e.outliers & np.any(e.used, axis=1)
     _, poses = np.unique(v.poses[good], return_inverse=True)
-    squares = np.sum(v.residual[good] ** 2, axis=1)
+    squares = _whitened(v, e)[good]
     result: NDArray[np.float64] = np.bincount(poses, squares) / np.maximum(np.bincount(poses), 1)
     return result
 
 
-def _mm(length: float) -> str:
-    """A length in mm, three digits after the point."""
-    return f"{1e3 * length:.3f}"
+def _both(errors: Errors) -> str:
+    """An rms error in words, with that of the angles where there are any."""
+    length = f"{1e3 * errors.rms:.3f} mm"
+    angle = f"{np.degrees(errors.rms_angle):.3f} deg"
+    parts = [length] * (errors.n > 0) + [angle] * (errors.n_angle > 0)
+    return f"{' and '.join(parts)} rms"

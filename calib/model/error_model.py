@@ -10,12 +10,14 @@ the joint's axis one of d or theta, so that DH offsets are injected without appr
 of any parameter is Pinocchio's placement regressor times its direction, carried past the factors after it:
 
     dP'/dx_k = P' [Ad(exp(xi_(k+1) x_(k+1)) ...)^-1 xi_k]
+
+Errors that change with the joints' state (`calib.model.joint_errors`) act about the joint's own axis, times a known
+number of that state: the same columns of the regressor, times that number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -23,207 +25,165 @@ from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
 from calib.model.dh import dh_frames, dh_table, zero_poses
+from calib.model.joint_errors import axis_twists, joint_parameters
+from calib.model.parameters import (
+    ANGLE,
+    FRAME,
+    JOINT_FAMILIES,
+    LENGTH,
+    TARGET,
+    TIP,
+    ZERO,
+    ErrorModel,
+    Parameter,
+    frame_place,
+    target_place,
+)
 from calib.model.robot import Robot, read_only, rigid_inverse
 
-#: The places that are not the chain's own.
-FRAME, TIP, TARGET = "frame", "tip", "target"
+#: The six directions of a frame or a placement.
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
-#: The families of parameters, which share the size of their prior; frame and target have none.
-LENGTH, ANGLE = "length", "angle"
+#: The set-up that a table without groups has, and its frame's unknowns.
+_ONE_FRAME: Mapping[str, tuple[str, ...]] = {"": DIRECTIONS}
 
-#: A placement that is displaced by less than this stays as it is, and so does its <origin> [m, rad].
-_UNMOVED = 1e-12
-
-_TWIST_AXES = ("x", "y", "z", "rx", "ry", "rz")
+#: An axis within this of a coordinate axis is one [rad].
+_ALIGNED = 1e-6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Parameter:
-    """One error: a direction at a place.
-
-    Attributes:
-        name: Unique, such as ``"d1"``, ``"elbow_joint.rx"`` or ``"target_x"``.
-        unit: "m" or "rad".
-        place: A joint's name, or `FRAME`, `TIP`, `TARGET`.
-        direction: shape (6,), twist in the place's local frame, linear then angular, of a unit of the parameter.
-        family: `LENGTH`, `ANGLE`, `FRAME` or `TARGET`.
-        nominal: The value that the parameter adds to, in its unit: the DH table's, or 0. A target's is where
-            the cell says it is.
-    """
-
-    name: str
-    unit: str
-    place: str
-    direction: NDArray[np.float64]
-    family: str
-    nominal: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ErrorModel:
-    """A named list of parameters for one chain.
-
-    Attributes:
-        name: The set's name, such as ``"dh"``.
-        places: All places in order: the frame, the joints, the tip, the target.
-        parameters: In the order of the parameter vector x.
-    """
-
-    name: str
-    places: tuple[str, ...]
-    parameters: tuple[Parameter, ...]
-
-    def __post_init__(self) -> None:
-        """Refuse a name twice and a place that the chain lacks."""
-        names = self.names
-        doubled = sorted({name for name in names if names.count(name) > 1})
-        if doubled:
-            message = f"Parameters {choices(doubled)} appear twice in the model '{self.name}'; names must differ."
-            raise ModelError(message)
-        unknown = sorted({p.place for p in self.parameters} - set(self.places))
-        if unknown:
-            message = f"The chain has no places {choices(unknown)}; it has {choices(self.places)}."
-            raise ModelError(message)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The parameters' names in order."""
-        return tuple(p.name for p in self.parameters)
-
-    def __len__(self) -> int:
-        """The number of parameters."""
-        return len(self.parameters)
-
-    def family(self, name: str) -> NDArray[np.bool_]:
-        """Which parameters belong to a family, shape (p,)."""
-        return np.array([p.family == name for p in self.parameters], dtype=bool)
-
-    def index(self, name: str) -> int:
-        """The position of a parameter in x.
-
-        Raises:
-            ModelError: No such parameter.
-        """
-        if name not in self.names:
-            message = f"The model '{self.name}' has no parameter '{name}'; it has {choices(self.names, limit=60)}."
-            raise ModelError(message)
-        return self.names.index(name)
-
-    def without(self, names: Iterable[str]) -> ErrorModel:
-        """The model with these parameters frozen at their nominal values.
-
-        Raises:
-            ModelError: No such parameter.
-        """
-        gone = {self.index(name) for name in names}
-        kept = tuple(p for k, p in enumerate(self.parameters) if k not in gone)
-        return ErrorModel(self.name, self.places, kept)
-
-    def displacements(
-        self, x: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The displacement of every place, and each parameter's direction there.
-
-        Args:
-            x: shape (p,), [m] and [rad].
-
-        Returns:
-            D: shape (len(places), 4, 4); the displaced placement is P D.
-            S: shape (6 len(places), p); rows 6 k to 6 k + 5 are the twists at place k, in the local frame of the
-            displaced placement, of a unit of each parameter.
-
-        Raises:
-            ModelError: ``x`` has not one entry for each parameter.
-        """
-        if np.shape(x) != (len(self.parameters),):
-            message = (
-                f"A parameter vector of shape {np.shape(x)} was given; the model '{self.name}' has "
-                f"{len(self.parameters)} parameters: {choices(self.names)}."
-            )
-            raise ModelError(message)
-        products: dict[str, pin.SE3] = {}
-        directions = np.zeros((6 * len(self.places), len(self.parameters)))
-        row = {place: 6 * k for k, place in enumerate(self.places)}
-        # Backwards, so that the product of the factors after each parameter is at hand.
-        for k in range(len(self.parameters) - 1, -1, -1):
-            parameter = self.parameters[k]
-            later = products.get(parameter.place)
-            first, factor = row[parameter.place], pin.exp6(parameter.direction * x[k])
-            if later is None:
-                directions[first : first + 6, k] = parameter.direction
-                products[parameter.place] = factor
-            else:
-                directions[first : first + 6, k] = (
-                    later.toActionMatrixInverse() @ parameter.direction
-                )
-                products[parameter.place] = factor * later
-        displacements = np.tile(np.eye(4), (len(self.places), 1, 1))
-        for k, place in enumerate(self.places):
-            if place in products:
-                displacements[k] = products[place].homogeneous
-        return displacements, directions
-
-    def apply(self, robot: Robot, x: NDArray[np.float64]) -> Robot:
-        """The robot with its placements displaced; frame and target are no part of a robot.
-
-        Args:
-            robot: The nominal robot.
-            x: shape (p,), [m] and [rad].
-
-        Raises:
-            ModelError: ``x`` has not one entry for each parameter.
-            UrdfError: No ``<origin>`` of the URDF can hold a displacement.
-        """
-        displacement, _ = self.displacements(x)
-        if not np.any(x):
-            return robot
-        placements = robot.placements.copy()
-        for i, place in enumerate((*robot.joint_names, TIP)):
-            factor = displacement[self.places.index(place)]
-            if np.abs(factor - np.eye(4)).max() > _UNMOVED:
-                placements[i] = placements[i] @ factor
-        return robot.with_placements(placements)
-
-
-def error_model(robot: Robot, name: str, *, frame: bool = False, target: bool = True) -> ErrorModel:
+def error_model(
+    robot: Robot,
+    name: str,
+    *,
+    frame: bool | Mapping[str, Sequence[str]] = False,
+    target: bool | Sequence[str] = True,
+    targets: Sequence[str] = ("",),
+    rotation: bool = False,
+) -> ErrorModel:
     """A named set of parameters for a robot.
 
     Args:
         robot: The nominal robot.
         name: ``paper`` or ``dh`` (a, alpha, d, theta of each DH row), ``hayati`` (beta in place of d where axes are
             nearly parallel), ``placement`` (all six of each joint), ``zeros`` (the joint zeros only) or ``frames``
-            (no error of the robot at all).
-        frame: Whether the six parameters of the measurement frame are estimated too.
-        target: Whether the three of the target point are.
+            (no error of the robot at all); behind it, each with a "+", any of ``gain``, ``eccentricity`` and
+            ``compliance``: ``"dh+compliance"``.
+        frame: Whether the measurement frame is estimated too: True for all six parameters of the one frame, or for
+            each set-up which of `DIRECTIONS` are (none for a frame that is known).
+        target: Whether the targets are, or the names of those that are.
+        targets: The names of all targets; "" for the only one.
+        rotation: Whether the targets are frames, of which six parameters are estimated, or points.
 
     Raises:
-        ModelError: No such set; or ``paper`` with an unknown frame, which the paper does not have.
+        ModelError: No such set or family; or ``paper`` with an unknown frame, which the paper does not have.
 
     Example:
         >>> len(error_model(Robot.load("ur3", base="base", tip="tool0"), "paper"))
         27
     """
-    if name not in MODELS:
-        message = f"There is no parameter set '{name}'. Choose one of {choices(MODELS)}."
-        raise ModelError(message)
-    if name == "paper" and frame:
+    base, families = split_name(name)
+    frames = (_ONE_FRAME if frame else {"": ()}) if isinstance(frame, bool) else frame
+    if base == "paper" and any(frames.values()):
         message = (
             "The parameter set 'paper' knows the measurement frame, as the paper does. To estimate the frame too, "
             "choose --model dh."
         )
         raise ModelError(message)
-    parameters = list(MODELS[name](robot))
-    if frame:
-        parameters += [
-            Parameter(f"frame_{axis}", unit, FRAME, _unit_twist(k), FRAME)
-            for k, (axis, unit) in enumerate(zip(_TWIST_AXES, ["m"] * 3 + ["rad"] * 3, strict=True))
-        ]
-    if target:
-        parameters += [
-            Parameter(f"target_{axis}", "m", TARGET, _unit_twist(k), TARGET)
-            for k, axis in enumerate("xyz")
-        ]
-    return ErrorModel(name, (FRAME, *robot.joint_names, TIP, TARGET), tuple(parameters))
+    parameters = list(MODELS[base](robot))
+    for family in families:
+        parameters += joint_parameters(robot, family)
+    estimated = (targets if target else ()) if isinstance(target, bool) else target
+    placed = frame_and_target_model(frames, estimated, known_targets=targets, rotation=rotation)
+    count = len(frames)
+    joints = tuple(joint.name for joint in robot.joints)
+    places = (*placed.places[:count], *joints, *placed.places[count:])
+    parameters += placed.parameters
+    model = ErrorModel(name, places, tuple(parameters))
+    return model.tied(_followers(robot)) if base == "zeros" else model
+
+
+def frame_and_target_model(
+    frames: Mapping[str, Sequence[str]],
+    targets: Sequence[str],
+    *,
+    known_targets: Sequence[str] = (),
+    rotation: bool = False,
+) -> ErrorModel:
+    """The parameters of frames and targets alone, for a tip whose poses are given.
+
+    Args:
+        frames: For each set-up which of `DIRECTIONS` are estimated.
+        targets: Names of the targets that are estimated.
+        known_targets: Names of all targets, in the order of their places.
+        rotation: Whether targets are frames or points.
+    """
+    parameters: list[Parameter] = []
+    for group, directions in frames.items():
+        parameters += _placed("frame", frame_place(group), group, directions, FRAME)
+    for one in targets:
+        directions = DIRECTIONS if rotation else DIRECTIONS[:3]
+        parameters += _placed("target", target_place(one), one, directions, TARGET)
+    every = known_targets or targets
+    places = (*(frame_place(g) for g in frames), TIP, *(target_place(one) for one in every))
+    return ErrorModel("frames", places, tuple(parameters))
+
+
+def _followers(robot: Robot) -> dict[str, tuple[str, float]]:
+    """The zeros of joints that mimic another joint of the chain: its driver's zero, times the multiplier."""
+    by_name = {joint.name: joint for joint in robot.joints}
+    ties = {}
+    for i, joint in enumerate(robot.joints):
+        column = int(np.argmax(np.abs(robot.coupling[i])))
+        driver = robot.joint_names[column]
+        follows = driver in by_name and joint.name != driver and np.any(robot.coupling[i])
+        if follows and by_name[driver].type == joint.type:
+            ties[f"{joint.name}.zero"] = (f"{driver}.zero", float(robot.coupling[i, column]))
+    return ties
+
+
+def split_name(name: str) -> tuple[str, tuple[str, ...]]:
+    """A model's set and the families added to it: ``"dh+gain"`` is ``("dh", ("gain",))``.
+
+    Raises:
+        ModelError: No such set or family, or one twice.
+    """
+    base, *families = (part.strip() for part in name.split("+"))
+    if base not in MODELS:
+        message = (
+            f"There is no parameter set '{base}'. Choose one of {choices(MODELS)}, and behind it, each with a '+', "
+            f"any of {choices(JOINT_FAMILIES)}."
+        )
+        raise ModelError(message)
+    wrong = [f for f in families if f not in JOINT_FAMILIES or families.count(f) > 1]
+    if wrong:
+        message = (
+            f"'{name}' adds {choices(dict.fromkeys(wrong))} to the set '{base}'; what can be added, each once, is "
+            f"{choices(JOINT_FAMILIES)}."
+        )
+        raise ModelError(message)
+    return base, tuple(families)
+
+
+def placed_name(what: str, direction: str, name: str) -> str:
+    """The name of a parameter of a frame or target: ``"target_x"``, or ``"target_x[left]"`` of one by name."""
+    return f"{what}_{direction}[{name}]" if name else f"{what}_{direction}"
+
+
+def _placed(
+    what: str, place: str, name: str, directions: Sequence[str], family: str
+) -> list[Parameter]:
+    """Some of the six parameters of a frame or target."""
+    return [
+        Parameter(
+            placed_name(what, direction, name),
+            "m" if k < 3 else "rad",
+            place,
+            _unit_twist(k),
+            family,
+        )
+        for k, direction in enumerate(DIRECTIONS)
+        if direction in directions
+    ]
 
 
 def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
@@ -233,7 +193,8 @@ def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
     last row's a and alpha are left out: the target takes their place.
     """
     table = dh_table(robot)
-    places = [*robot.joint_names[1:], TIP]
+    joints = [joint.name for joint in robot.joints]
+    places = [*joints[1:], TIP]
     T_base_joint, T_base_tip = zero_poses(robot)
     parameters = []
     for i, (row, frame) in enumerate(zip(table.rows, dh_frames(table), strict=True)):
@@ -253,14 +214,34 @@ def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
                 )
         if not parallel:
             along = read_only(np.concatenate([axis, np.zeros(3)]))
-            parameters.append(
-                Parameter(f"d{number}", "m", robot.joint_names[i], along, LENGTH, row.d)
-            )
+            parameters.append(_before_joint(robot, i, f"d{number}", "m", along, LENGTH, row.d))
         about = read_only(np.concatenate([np.zeros(3), axis]))
+        family = ANGLE if row.prismatic else ZERO
         parameters.append(
-            Parameter(f"theta{number}", "rad", robot.joint_names[i], about, ANGLE, row.theta)
+            _before_joint(robot, i, f"theta{number}", "rad", about, family, row.theta)
         )
     return parameters
+
+
+def _before_joint(
+    robot: Robot,
+    i: int,
+    name: str,
+    unit: str,
+    direction: NDArray[np.float64],
+    family: str,
+    nominal: float = 0.0,
+) -> Parameter:
+    """A displacement along or about a joint's own axis, at its placement.
+
+    Where no <origin> carries that placement (a base that its joint moves directly), at the next one: such a
+    displacement passes through the joint's motion unchanged.
+    """
+    if robot.carriers[i] is not None:
+        return Parameter(name, unit, robot.joints[i].name, direction, family, nominal)
+    following = robot.joints[i + 1].name if i + 1 < len(robot.joints) else TIP
+    behind = pin.SE3(robot.placements[i + 1]).toActionMatrixInverse() @ direction
+    return Parameter(name, unit, following, read_only(behind), family, nominal)
 
 
 def _hayati_parameters(robot: Robot) -> list[Parameter]:
@@ -269,29 +250,41 @@ def _hayati_parameters(robot: Robot) -> list[Parameter]:
 
 
 def _placement_parameters(robot: Robot) -> list[Parameter]:
-    """All six directions of each joint's placement, named ``<joint>.x`` to ``<joint>.rz``."""
-    return [
-        Parameter(
-            f"{joint}.{axis}",
-            "m" if k < 3 else "rad",
-            joint,
-            _unit_twist(k),
-            LENGTH if k < 3 else ANGLE,
-        )
-        for joint in robot.joint_names
-        for k, axis in enumerate(_TWIST_AXES)
-    ]
+    """All six directions of each joint's placement, named ``<joint>.x`` to ``<joint>.rz``.
+
+    Of the rotations that about the joint's own axis is its zero; an axis that is none of the frame's gets a seventh
+    parameter, ``<joint>.zero``.
+    """
+    parameters = []
+    for i, joint in enumerate(robot.joints):
+        if robot.carriers[i] is None:
+            continue  # moved by its joint directly: what can be known of it is in the next one
+        turns = joint.type != "prismatic"
+        own = int(np.argmax(np.abs(joint.axis)))
+        aligned = abs(abs(joint.axis[own]) - 1.0) < 0.5 * _ALIGNED**2
+        for k, direction in enumerate(DIRECTIONS):
+            family = LENGTH if k < 3 else ZERO if turns and aligned and k == 3 + own else ANGLE
+            unit = "m" if k < 3 else "rad"
+            parameters.append(
+                Parameter(f"{joint.name}.{direction}", unit, joint.name, _unit_twist(k), family)
+            )
+        if turns and not aligned:
+            twist = axis_twists(robot)[i]
+            parameters.append(Parameter(f"{joint.name}.zero", "rad", joint.name, twist, ZERO))
+    return parameters
 
 
 def _zero_parameters(robot: Robot) -> list[Parameter]:
-    """The zero of each joint, named ``<joint>.zero``: about its axis, or along it for a prismatic one."""
+    """The zero of each joint, named ``<joint>.zero``: about its axis, or along it for a prismatic one.
+
+    Joints that follow another one have none of their own: their driver's moves them too.
+    """
     parameters = []
-    for joint in robot.joints:
-        axis, nothing = np.asarray(joint.axis), np.zeros(3)
-        slides = joint.type == "prismatic"
-        direction = read_only(np.concatenate([axis, nothing] if slides else [nothing, axis]))
-        unit, family = ("m", LENGTH) if slides else ("rad", ANGLE)
-        parameters.append(Parameter(f"{joint.name}.zero", unit, joint.name, direction, family))
+    twists = axis_twists(robot)
+    for i, joint in enumerate(robot.joints):
+        unit, family = ("m", LENGTH) if joint.type == "prismatic" else ("rad", ZERO)
+        name = f"{joint.name}.zero"
+        parameters.append(_before_joint(robot, i, name, unit, read_only(twists[i]), family))
     return parameters
 
 

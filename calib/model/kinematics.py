@@ -1,62 +1,115 @@
 """Poses and points of a robot under an error model, with the analytic Jacobian of every parameter.
 
-    T_frame_target(x, q) = F D_F  T_base_tip(x, q)  T D_T
+    T_frame_target(x, q) = F D_F  T_base_tip(x, q + dq)  T D_T
 
-with the measurement frame F, the target T in the tip, and the displacements D of `calib.model.error_model`.
-Forward kinematics and the placement regressor come from Pinocchio; the rest is one product with the
-parameters' directions. No finite differences anywhere.
+with the measurement frame F, the target T in the tip, the displacements D of `calib.model.error_model` and the
+joints' own errors dq of `calib.model.joint_errors`. Forward kinematics and the placement regressor come from
+Pinocchio; the rest is one product with the parameters' directions. No finite differences anywhere.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from calib.model.error_model import FRAME, TARGET, TIP, ErrorModel
-from calib.model.robot import Robot, last_joint_poses, rigid_inverse
+from calib.model.joint_errors import axis_twists, joint_displacements
+from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
+from calib.model.robot import Robot, last_joint_poses, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Where the robot stood, and which frame saw which target.
+
+    Attributes:
+        q: shape (N, m), values of the measured joints, [rad] or [m].
+        frame: shape (N,), which of the measurement frames; all zero where there is one.
+        target: shape (N,), which of the targets.
+        load: shape (N, n), load on each joint of the chain [Nm, N]; None where it is not known.
+    """
+
+    q: Array
+    frame: NDArray[np.int_]
+    target: NDArray[np.int_]
+    load: Array | None = None
+
+    @classmethod
+    def at(cls, q: ArrayLike, load: Array | None = None) -> Samples:
+        """Joint values, seen by the first frame at the first target."""
+        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        first = np.zeros(len(values), dtype=np.int_)
+        return cls(values, first, first, load)
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.q)
+
+    def select(self, chosen: NDArray[np.bool_] | NDArray[np.int_]) -> Samples:
+        """Some of the samples, by a mask or by their indices."""
+        load = None if self.load is None else self.load[chosen]
+        return Samples(self.q[chosen], self.frame[chosen], self.target[chosen], load)
+
+
+#: Samples, or joint values alone.
+Where: TypeAlias = Samples | NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Kinematics:
-    """A robot under an error model, seen at a target from a measurement frame.
+    """A robot under an error model, seen at targets from measurement frames.
 
     Attributes:
         robot: The nominal robot.
         model: Its parameters.
-        T_frame_base: shape (4, 4), [m], pose of the base in the measurement frame at x = 0.
-        T_tip_target: shape (4, 4), [m], pose of the target in the tip at x = 0.
+        T_frame_base: shape (F, 4, 4) or (4, 4), [m], pose of the base in each measurement frame at x = 0.
+        T_tip_target: shape (T, 4, 4) or (4, 4), [m], pose of each target in the tip at x = 0.
     """
 
     robot: Robot
     model: ErrorModel
     T_frame_base: Array
     T_tip_target: Array
+    _axes: Array = field(init=False, repr=False)
 
-    def poses(self, x: Array, q: Array) -> Array:
+    def __post_init__(self) -> None:
+        """One frame and one target become stacks of one."""
+        for name in ("T_frame_base", "T_tip_target"):
+            stack = np.reshape(getattr(self, name), (-1, 4, 4))
+            object.__setattr__(self, name, read_only(stack))
+        object.__setattr__(self, "_axes", axis_twists(self.robot))
+
+    def poses(self, x: Array, where: Where) -> Array:
         """T_frame_target.
 
         Args:
             x: shape (p,), [m] and [rad].
-            q: shape (N, n), [rad] or [m].
+            where: N samples, or joint values of shape (N, m), [rad] or [m].
 
         Returns:
             shape (N, 4, 4), [m].
         """
+        samples = where if isinstance(where, Samples) else Samples.at(where)
         state = _Displaced.of(self, x)
-        T_root_last = last_joint_poses(state.chain, self.robot.configurations(q))
-        result: Array = state.T_frame_root @ T_root_last @ (state.T_last_tip @ state.T_tip_target)
+        values, _ = self._chain_values(x, samples)
+        T_root_last = last_joint_poses(state.chain, self.robot.configurations(values))
+        T_last_target = state.T_last_tip @ state.T_tip_target
+        result: Array = (
+            state.T_frame_root[samples.frame] @ T_root_last @ T_last_target[samples.target]
+        )
         return result
 
-    def points(self, x: Array, q: Array) -> Array:
+    def points(self, x: Array, where: Where) -> Array:
         """The target's position in the measurement frame, shape (N, 3), [m]."""
-        return self.poses(x, q)[:, :3, 3]
+        return self.poses(x, where)[:, :3, 3]
 
-    def twists(self, x: Array, q: Array) -> tuple[Array, Array]:
+    def twists(self, x: Array, where: Where) -> tuple[Array, Array]:
         """T_frame_target, and the velocity of the target in a unit of each parameter.
 
         The twist k of row i has the target's linear velocity first, then the angular one, both along the axes of
@@ -65,55 +118,116 @@ class Kinematics:
         Returns:
             shape (N, 4, 4), [m], and shape (N, 6, p), [m or rad per unit of the parameter].
         """
+        samples = where if isinstance(where, Samples) else Samples.at(where)
         state = _Displaced.of(self, x)
-        data = state.chain.createData()
-        last = state.chain.njoints - 1
-        placement = pin.SE3(state.T_last_tip @ state.T_tip_target)
-        count = 6 * last
-        configurations = self.robot.configurations(q)
-        samples = len(configurations)
-        T_root_last = np.empty((samples, 4, 4))
-        regressor = np.empty((samples, 6, count))
-        for i, configuration in enumerate(configurations):
-            # The regressor reads what forwardKinematics left in data; without that call it is silently wrong.
-            pin.forwardKinematics(state.chain, data, configuration)
-            T_root_last[i] = data.oMi[last].homogeneous
-            regressor[i] = pin.computeJointKinematicRegressor(
-                state.chain, data, last, pin.LOCAL_WORLD_ALIGNED, placement
-            )
-        T_frame_last = state.T_frame_root @ T_root_last
-        T_frame_tip = T_frame_last @ state.T_last_tip
-        T_frame_target = T_frame_tip @ state.T_tip_target
+        values, moved = self._chain_values(x, samples)
+        T_root_last, regressor = _regressor(
+            state.chain,
+            self.robot.configurations(values),
+            (state.T_last_tip @ state.T_tip_target)[samples.target],
+        )
+        T_frame_tip = state.T_frame_root[samples.frame] @ T_root_last @ state.T_last_tip
+        T_frame_target = T_frame_tip @ state.T_tip_target[samples.target]
 
-        R_frame_root = state.T_frame_root[:3, :3]
-        directions = state.directions
-        twists = np.empty((samples, 6, len(self.model)))
-        of_joints = regressor.reshape(-1, count) @ directions[6 : 6 + count]
-        of_joints = of_joints.reshape(samples, 6, len(self.model))
+        R_frame_root = state.T_frame_root[samples.frame][:, :3, :3]
+        directions, count = state.directions, regressor.shape[2]
+        first = 6 * self.model.places.index(self.robot.joints[0].name)
+        of_joints = regressor.reshape(-1, count) @ directions[first : first + count]
+        of_joints = of_joints.reshape(len(samples), 6, len(self.model))
+        if moved is not None:
+            # The same regressor, along each joint's own axis, times how far a unit of the parameter moves that joint.
+            own = np.einsum("nkij,ij->nki", regressor.reshape(len(samples), 6, -1, 6), self._axes)
+            of_joints += own @ moved
+        twists = np.empty_like(of_joints)
         twists[:, :3] = R_frame_root @ of_joints[:, :3]
         twists[:, 3:] = R_frame_root @ of_joints[:, 3:]
-        point = T_frame_target[:, :3, 3]
-        # The measurement frame, the tip and the target are not in Pinocchio's regressor.
-        for place, pose in (
-            (FRAME, np.broadcast_to(state.T_frame_base, T_frame_tip.shape)),
-            (TIP, T_frame_tip),
-            (TARGET, T_frame_target),
-        ):
-            first = 6 * self.model.places.index(place)
-            local = directions[first : first + 6]
-            used = np.flatnonzero(np.any(local, axis=0))
-            if len(used):
-                linear = pose[:, :3, :3] @ local[:3, used]
-                angular = pose[:, :3, :3] @ local[3:, used]
-                arm = (point - pose[:, :3, 3])[:, :, None]
-                twists[:, :3, used] += linear + _cross(angular, arm)
-                twists[:, 3:, used] += angular
+        T_frame_base = state.T_frame_base[samples.frame]
+        add_outer_twists(
+            twists,
+            self.model.places,
+            directions,
+            samples,
+            (T_frame_base, T_frame_tip, T_frame_target),
+        )
         return T_frame_target, twists
 
-    def points_jacobian(self, x: Array, q: Array) -> tuple[Array, Array]:
+    def points_jacobian(self, x: Array, where: Where) -> tuple[Array, Array]:
         """The target's position and its derivative, shapes (N, 3), [m], and (N, 3, p), [m per unit]."""
-        poses, twists = self.twists(x, q)
+        poses, twists = self.twists(x, where)
         return poses[:, :3, 3], twists[:, :3]
+
+    def _chain_values(self, x: Array, samples: Samples) -> tuple[Array, Array | None]:
+        """The chain's joint values with the joints' own errors, (N, n), and what a unit of x adds, (N, n, p)."""
+        values = self.robot.chain_values(samples.q)
+        chosen = list(self.model.joint_terms)
+        if not chosen:
+            return values, None
+        terms = [self.model.terms[t] for t in chosen]
+        moved = joint_displacements(self.robot, terms, samples.q, samples.load)
+        moved = moved @ self.model.mixing[chosen]
+        return values + moved @ x, moved
+
+
+def add_outer_twists(
+    twists: Array,
+    places: Sequence[str],
+    directions: Array,
+    samples: Samples,
+    poses: tuple[Array, Array, Array],
+) -> None:
+    """Add what the measurement frames, the tip and the targets do, which are not in Pinocchio's regressor.
+
+    Args:
+        twists: shape (N, 6, p), added to in place.
+        places: See `ErrorModel.places`.
+        directions: shape (6 len(places), p), see `ErrorModel.displacements`.
+        samples: N of them.
+        poses: Of base, tip and target of each sample in its frame, each of shape (N, 4, 4), [m].
+    """
+    point = poses[2][:, :3, 3]
+    tip = places.index(TIP)
+    for k, place in enumerate(places):
+        if not (k == tip or place.startswith((FRAME, TARGET))):
+            continue
+        local = directions[6 * k : 6 * k + 6]
+        used = np.flatnonzero(np.any(local, axis=0))
+        if not len(used):
+            continue
+        if k == tip:
+            seen, pose = np.arange(len(samples)), poses[1]
+        elif k < tip:
+            seen, pose = np.flatnonzero(samples.frame == k), poses[0]
+        else:
+            seen, pose = np.flatnonzero(samples.target == k - tip - 1), poses[2]
+        T = pose[seen]
+        linear, angular = T[:, :3, :3] @ local[:3, used], T[:, :3, :3] @ local[3:, used]
+        arm = (point[seen] - T[:, :3, 3])[:, :, None]
+        rows = seen[:, None]
+        twists[rows, :3, used] += (linear + _cross(angular, arm)).transpose(0, 2, 1)
+        twists[rows, 3:, used] += angular.transpose(0, 2, 1)
+
+
+def _regressor(
+    chain: pin.Model, configurations: Array, T_last_target: Array
+) -> tuple[Array, Array]:
+    """The last joint's pose, (N, 4, 4), and the target's placement regressor, (N, 6, 6 n), along the root's axes."""
+    data = chain.createData()
+    last = chain.njoints - 1
+    T_root_last = np.empty((len(configurations), 4, 4))
+    regressor = np.empty((len(configurations), 6, 6 * last))
+    placement = pin.SE3.Identity()
+    before: Array | None = None
+    for i, configuration in enumerate(configurations):
+        if before is None or not np.array_equal(T_last_target[i], before):
+            before = T_last_target[i]
+            placement = pin.SE3(before)
+        # The regressor reads what forwardKinematics left in data; without that call it is silently wrong.
+        pin.forwardKinematics(chain, data, configuration)
+        T_root_last[i] = data.oMi[last].homogeneous
+        regressor[i] = pin.computeJointKinematicRegressor(
+            chain, data, last, pin.LOCAL_WORLD_ALIGNED, placement
+        )
+    return T_root_last, regressor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,14 +246,14 @@ class _Displaced:
         """Displace every placement."""
         robot, model = kinematics.robot, kinematics.model
         displacement, directions = model.displacements(x)
-        n = len(robot.joints)
-        T_frame_base = kinematics.T_frame_base @ displacement[0]
+        n, frames = len(robot.joints), len(kinematics.T_frame_base)
+        T_frame_base = kinematics.T_frame_base @ displacement[:frames]
         return cls(
-            chain=robot.chain_model(robot.placements[:n] @ displacement[1 : n + 1]),
+            chain=robot.chain_model(robot.placements[:n] @ displacement[frames : frames + n]),
             T_frame_base=T_frame_base,
             T_frame_root=T_frame_base @ rigid_inverse(robot.T_root_base),
-            T_last_tip=robot.placements[n] @ displacement[n + 1],
-            T_tip_target=kinematics.T_tip_target @ displacement[n + 2],
+            T_last_tip=robot.placements[n] @ displacement[frames + n],
+            T_tip_target=kinematics.T_tip_target @ displacement[frames + n + 1 :],
             directions=directions,
         )
 

@@ -16,8 +16,17 @@ from numpy.typing import NDArray
 from calib.errors import ModelError
 from calib.model.robot import read_only
 
-#: The steps that make lengths and angles comparable [m, rad]: what arms are typically wrong by.
-STEPS = {"m": 1e-3, "rad": 1e-3}
+#: The steps that make parameters comparable: what arms are typically wrong by, in each unit.
+STEPS = {"m": 1e-3, "rad": 1e-3, "1": 1e-3, "rad/Nm": 1e-5, "m/N": 1e-6}
+
+#: How a change in each unit is written for a person: a factor and the unit that it leads to.
+SHOWN = {
+    "m": (1e3, "mm"),
+    "rad": (1e3, "mrad"),
+    "1": (1e3, "mrad/rad"),
+    "rad/Nm": (1e6, "urad/Nm"),
+    "m/N": (1e6, "um/N"),
+}
 
 #: A direction whose effect on the measurements is smaller than this share of the strongest one's cannot be
 #: identified: 1 mm of it moves the measured points by less than the repeatability of any arm.
@@ -59,7 +68,7 @@ class Combination:
     def __str__(self) -> str:
         """In words, such as ``d2 and d4 together (+1 mm, -1 mm)``."""
         amounts = ", ".join(
-            f"{1e3 * s:+.3g} {'mm' if u == 'm' else 'mrad'}"
+            f"{SHOWN[u][0] * s:+.3g} {SHOWN[u][1]}"
             for s, u in zip(self.steps, self.units, strict=True)
         )
         if len(self.names) == 1:

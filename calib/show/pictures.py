@@ -7,8 +7,10 @@ import webbrowser
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.identify.calibration import Calibration
+from calib.model.kinematics import Samples
 from calib.model.robot import rigid_inverse
 from calib.show.scene import View, write_view
 
@@ -20,31 +22,50 @@ def view_of(calibration: Calibration) -> View:
     aside.
     """
     c, m = calibration, calibration.measurements
-    good = c.scores <= c.flag_limit
+    places, seen = _measured_places(c)
+    good = (c.scores <= c.flag_limit) & seen
     chosen = m.validation & good if np.any(m.validation & good) else good
-    chosen = chosen if np.any(chosen) else np.ones(len(m), dtype=bool)
-    error = np.where(chosen, np.linalg.norm(c.residual_nominal, axis=1), -1.0)
-    index = int(np.argmax(error))
-    T_base_frame = rigid_inverse(c.T_frame_base)
-    measured = m.points @ T_base_frame[:3, :3].T + T_base_frame[:3, 3]
-    target = c.nominal_cell.target
-    T_frame_nominal = c.nominal_cell.T_frame_base
-    assert target is not None  # registration leaves out neither
-    assert T_frame_nominal is not None
-    word = "validation" if m.validation[index] else "estimation"
+    chosen = chosen if np.any(chosen) else seen
+    error = np.where(chosen, np.linalg.norm(c.residual_nominal[:, :3], axis=1), -1.0)
+    row = int(np.argmax(error))
+    target, group = m.targets[row], m.groups[row]
+    t, f = c.setup.targets.index(target), c.setup.groups.index(group)
+    T_base_frame = rigid_inverse(c.setup.T_frame_base[f])
+    index = int(np.sum(seen[:row]))
+    word = "validation" if m.validation[row] else "estimation"
     return View(
         nominal=c.nominal,
         calibrated=c.robot,
-        q=m.joints_for(c.nominal.joint_names)[index],
-        nominal_target=target,
-        calibrated_target=c.target,
-        measured=measured,
+        q=m.joints_for(c.nominal.joint_names)[row],
+        nominal_target=c.nominal_setup.T_tip_target[t, :3, 3],
+        calibrated_target=c.setup.T_tip_target[t, :3, 3],
+        measured=places[seen],
         index=index,
-        pose_name=f"row {m.rows[index]} ({word})",
+        pose_name=f"row {m.rows[row]} ({word})",
         title=f"{c.nominal.name}: nominal and calibrated",
         # Its error in the picture is then that of the tables, not where each of the two finds the tracker.
-        T_base_nominal=T_base_frame @ T_frame_nominal,
+        T_base_nominal=T_base_frame @ c.nominal_setup.T_frame_base[f],
     )
+
+
+def _measured_places(c: Calibration) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Where the target was seen, in the base, shape (N, 3), [m], and for which rows that is known, shape (N,).
+
+    A target in a socket was where its set-up's frame stands. Where no row tells a position, the calibrated robot's own
+    predictions stand in.
+    """
+    m = c.measurements
+    frame = np.array([c.setup.groups.index(group) for group in m.groups])
+    into_base = np.array([rigid_inverse(T) for T in c.setup.T_frame_base])[frame]
+    points = np.nan_to_num(m.points)
+    places = np.einsum("nij,nj->ni", into_base[:, :3, :3], points) + into_base[:, :3, 3]
+    seen = m.of_kind("point", "pose", "fixed")
+    if np.any(seen):
+        return places, seen
+    every = Samples.at(m.joints_for(c.nominal.joint_names))
+    target = np.array([c.setup.targets.index(name) for name in m.targets])
+    ends = c.fitted.tip_poses(every) @ c.setup.T_tip_target[target]
+    return ends[:, :3, 3], np.ones(len(m), dtype=bool)
 
 
 def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = False) -> Path:

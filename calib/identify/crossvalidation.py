@@ -1,0 +1,148 @@
+"""Cross-validation of a fit: each row predicted from the others, by new fits or on the linearised problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import MeasurementError
+from calib.identify.fitting import Fitted, Task, fit, nominal_setup, predict
+from calib.identify.registration import register_poses
+from calib.identify.rows import Rows
+from calib.identify.setup import Setup
+from calib.identify.stage import Linear
+from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
+from calib.identify.table_rows import joined_setups
+from calib.model.parameters import ErrorModel, frame_place, target_place
+
+Array = NDArray[np.float64]
+
+#: Called with the number of fits done and of fits in all.
+Progress = Callable[[int, int], None]
+
+
+def folds_of(task: Task, rows: Rows) -> Folds:
+    """Which rows are left out together: set-ups from three on, else poses with their repeats and pairs.
+
+    Raises:
+        MeasurementError: Too few rows to leave any out.
+    """
+    result = folds(rows.blocks, joined_setups(rows, task.distances))
+    if len(result.masks) < 2:
+        message = (
+            f"{len(rows)} row{'s' * (len(rows) > 1)} of one pose cannot be cross-validated: none is left to fit. "
+            "Measure more poses, or ask for a fit without validation (--no-validate)."
+        )
+        raise MeasurementError(message)
+    return result
+
+
+def cross_validation(
+    task: Task, rows: Rows, outliers: Mask, progress: Progress | None = None
+) -> CrossValidation:
+    """Cross-validation of the calibrated robot, fitted anew without each fold.
+
+    Args:
+        task: What to fit.
+        rows: All rows.
+        outliers: shape (N,), flagged by the fit to all rows.
+        progress: Called after each fit.
+
+    Raises:
+        MeasurementError: Too few rows to leave any out.
+    """
+    left_out = folds_of(task, rows)
+    done = 0
+
+    def predict_left_out(mask: Mask) -> Array:
+        nonlocal done
+        kept = rows.select(~mask)
+        try:
+            fitted = fit(task, kept)
+        except MeasurementError as error:
+            message = (
+                f"Cross-validation leaves out {mask.sum()} of {len(rows)} rows at a time, and the others are too few: "
+                f"{error} Or do without validation (--no-validate)."
+            )
+            raise MeasurementError(message) from error
+        done += 1
+        if progress is not None:
+            progress(done, len(left_out.masks))
+        return fitted.unseen(rows.select(mask), kept)
+
+    return cross_validate(rows.blocks, left_out, outliers, rows.used, predict_left_out)
+
+
+def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossValidation:
+    """Cross-validation of the nominal robot, frames and targets registered to the rows that are not left out.
+
+    It differs from the calibrated one by the calibration alone: what is estimated there is registered here.
+    """
+    left_out = folds_of(task, rows)
+    setup = replace(
+        task.setup,
+        frame_given=np.array([not directions for directions in task.setup.unknown]),
+        target_given=~task.setup.target_unknown,
+    )
+
+    def predict_left_out(mask: Mask) -> Array:
+        kept = rows.select(~mask)
+        found = nominal_setup(task.robot, setup, kept)
+        return _registered(task, found, rows.select(mask), kept)
+
+    return cross_validate(rows.blocks, left_out, outliers, rows.used, predict_left_out)
+
+
+def _registered(task: Task, found: Setup, rows: Rows, seen: Rows) -> Array:
+    """The nominal robot's error on left-out rows, with what only they see registered to them."""
+    frames = np.isin(np.arange(len(found.groups)), seen.samples.frame)
+    targets = np.isin(np.arange(len(found.targets)), seen.samples.target)
+    rest = found.as_known(frames, targets)
+    T_base_tip = task.robot.poses(rows.joints)
+    return predict(task.robot, register_poses(T_base_tip, rest, rows), rows)
+
+
+def linear_cross_validation(fitted: Fitted) -> CrossValidation:
+    """Cross-validation on the linearised problem, with the sizes, the noise and the weights of the fit to all rows.
+
+    No fit is repeated: without the fold the normal equations lack its rows. For comparing candidates.
+
+    Args:
+        fitted: The fit to all rows.
+    """
+    task, problem, estimate = fitted.task, fitted.estimate.problem, fitted.estimate
+    rows = problem.rows
+    linear = Linear.at(problem, estimate.x)
+    left_out = folds_of(task, rows)
+    known = linear.known(problem.precision, problem.centre)
+    model = fitted.kinematics.model
+
+    def predict_left_out(mask: Mask) -> Array:
+        weights = np.where(mask, 0.0, problem.weights)
+        x, _ = linear.data(weights).posterior(estimate.noise, known)
+        loose = only_there(model, fitted.setup, rows, mask)
+        A, y = linear.A[mask], linear.y[mask]
+        used = linear.used[mask]
+        if np.any(loose):
+            rest = (y - A @ np.where(loose, 0.0, x))[used]
+            x = x.copy()
+            x[loose] = np.linalg.lstsq(A[used][:, loose], rest, rcond=1e-9)[0]
+        return (y - A @ x) * rows.scales[mask]
+
+    return cross_validate(rows.blocks, left_out, estimate.outliers, rows.used, predict_left_out)
+
+
+def only_there(model: ErrorModel, setup: Setup, rows: Rows, mask: Mask) -> NDArray[np.bool_]:
+    """The parameters of frames and targets that only left-out rows see, shape (p,)."""
+    places = []
+    many = len(setup.groups) > 1
+    for f, group in enumerate(setup.groups):
+        if not np.any((rows.samples.frame == f) & ~mask):
+            places.append(frame_place(group if many else ""))
+    for t, name in enumerate(setup.target_names):
+        if not np.any((rows.samples.target == t) & ~mask):
+            places.append(target_place(name))
+    return np.array([p.place in places for p in model.parameters], dtype=bool)

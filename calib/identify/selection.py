@@ -1,0 +1,175 @@
+"""auto: how much model the data support, decided by the data.
+
+Every candidate is fitted with prior sizes and noise by restricted likelihood, with the same robust weights, so that
+likelihoods can be compared: a candidate that adds errors the data do not show gains nothing, whatever its number of
+parameters. One step up the ladder must gain `_STEP` in log likelihood, and must not be worse on left-out rows.
+
+The geometry (frames only, zeros, DH, Hayati, full placement) is chosen first: it alone goes into a URDF. The families
+that no URDF can hold (gain, eccentricity, compliance) are then added to it one by one, as long as one of them passes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import ModelError, choices
+from calib.identify.crossvalidation import linear_cross_validation
+from calib.identify.fitting import Fitted, Task, fit, model_of
+from calib.identify.rows import Rows
+from calib.identify.statistics import CrossValidation
+from calib.model.parameters import COMPLIANCE, JOINT_FAMILIES
+
+Array = NDArray[np.float64]
+
+#: The model that lets the data choose.
+AUTO = "auto"
+
+#: The geometries, from the smallest to the largest.
+LADDER = ("frames", "zeros", "dh", "hayati", "placement")
+
+#: What a step to a larger model must gain in restricted log likelihood. By chance, with no error of the added family
+#: there, twice the gain follows half a chi-squared distribution of one degree of freedom: fewer than 1 in 1,000 pass.
+_STEP = 5.0
+
+#: Errors on left-out rows may be worse by this share: rounding, and what any two models differ by.
+_NO_WORSE = 1.0
+
+#: A load below this on every joint moves nothing [Nm, N].
+_NO_LOAD = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One model on the ladder.
+
+    Attributes:
+        name: Its set and families.
+        parameters: Number of parameters.
+        log_likelihood: Restricted log likelihood.
+        cross_validation: Errors on left-out rows, on the linearised problem, without outliers.
+        sizes: Size of the errors of each family.
+        chosen: ``"geometry"``, ``"larger"`` or ``""``.
+    """
+
+    name: str
+    parameters: int
+    log_likelihood: float
+    cross_validation: CrossValidation
+    sizes: dict[str, float]
+    chosen: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Selection:
+    """What `select` chose.
+
+    Attributes:
+        geometry: Name of the set that goes into the URDF.
+        larger: Name of the larger model; "" where the data support none.
+        candidates: All that were fitted, in order.
+    """
+
+    geometry: str
+    larger: str
+    candidates: tuple[Candidate, ...]
+
+
+def select(task: Task, rows: Rows) -> Selection:
+    """Choose geometry and larger model for some rows.
+
+    Args:
+        task: What to fit; its model does not matter.
+        rows: The rows.
+    """
+    _check_names(task)
+    task = replace(task, lenient=True)
+    weights = fit(replace(task, model=LADDER[-1]), rows).estimate.weights
+    tried: dict[str, Candidate] = {}
+
+    def candidate(name: str) -> Candidate:
+        if name not in tried:
+            tried[name] = _candidate(name, fit(replace(task, model=name), rows, weights))
+        return tried[name]
+
+    best: Candidate | None = None
+    seen: set[tuple[str, ...]] = set()
+    for name in LADDER:
+        columns = model_of(replace(task, model=name)).names
+        if not columns or columns in seen:
+            continue  # nothing to estimate, or the same as before: hayati without near-parallel axes is dh
+        seen.add(columns)
+        one = candidate(name)
+        if best is None or _better(one, best):
+            best = one
+    assert best is not None
+    geometry = best
+    families = [f for f in JOINT_FAMILIES if f != COMPLIANCE or _has_load(rows)]
+    while families:
+        steps = [(f, candidate(f"{best.name}+{f}")) for f in families]
+        passed = [(f, c) for f, c in steps if _better(c, best)]
+        if not passed:
+            break
+        family, best = max(passed, key=lambda pair: pair[1].log_likelihood)
+        families.remove(family)
+    larger = best.name if best is not geometry else ""
+    marks = {geometry.name: "geometry", larger: "larger"}
+    return Selection(
+        geometry.name,
+        larger,
+        tuple(replace(c, chosen=marks.get(c.name, "")) for c in tried.values()),
+    )
+
+
+def _check_names(task: Task) -> None:
+    """Refuse names in the cell that no model of the ladder has.
+
+    Raises:
+        ModelError: There is one.
+    """
+    cell = replace(task.cell, frozen=(), ties={})
+    every = "+".join(("placement", *JOINT_FAMILIES))
+    known: set[str] = set()
+    for model in (every, "dh", "hayati", "zeros"):
+        known |= set(model_of(replace(task, cell=cell, model=model)).names)
+    named = {*task.cell.frozen, *task.cell.bounds, *task.cell.parameter_priors}
+    for name, (other, _) in task.cell.ties.items():
+        named |= {name, other}
+    strange = sorted(named - known)
+    if strange:
+        message = (
+            f"No model has the parameters {choices(strange)}. 'calib inspect --model dh' (or another) lists what there "
+            "is."
+        )
+        raise ModelError(message)
+
+
+def _candidate(name: str, fitted: Fitted) -> Candidate:
+    """One step of the ladder."""
+    estimate = fitted.estimate
+    return Candidate(
+        name=name,
+        parameters=len(fitted.kinematics.model),
+        log_likelihood=estimate.log_likelihood,
+        cross_validation=linear_cross_validation(fitted),
+        sizes=dict(estimate.sizes),
+    )
+
+
+def _better(one: Candidate, than: Candidate) -> bool:
+    """Whether the data support a larger candidate in place of a smaller one."""
+    if one.log_likelihood < than.log_likelihood + _STEP:
+        return False
+    # Each row in units of its own scale would let one instrument decide; lengths and angles are asked one by one.
+    a, b = one.cross_validation.errors, than.cross_validation.errors
+    return bool(
+        a.rms <= _NO_WORSE * b.rms or (b.n_angle and a.rms_angle <= _NO_WORSE * b.rms_angle)
+    )
+
+
+def _has_load(rows: Rows) -> bool:
+    """Whether gravity, payload or measured torques load any joint."""
+    load = rows.samples.load
+    return load is not None and bool(np.max(np.abs(load), initial=0.0) > _NO_LOAD)

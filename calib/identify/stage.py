@@ -1,0 +1,361 @@
+"""One stage of an estimation: noise, prior sizes and weights, and the linearised problem that they are found on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.identify.diagnostics import repeats
+from calib.identify.problem import Problem
+from calib.identify.robust import (
+    Limits,
+    cauchy_weights,
+    deleted_norms,
+    median_noise,
+    scores,
+)
+from calib.identify.variance import (
+    LARGEST_COMPLIANCE,
+    SMALLEST_COMPLIANCE,
+    Known,
+    Linearised,
+    Masks,
+    Sizes,
+    precision_of,
+    sizes_by_reml,
+)
+from calib.measure.cell import Priors
+from calib.model.parameters import (
+    ANGLE,
+    COMPLIANCE,
+    ECCENTRICITY,
+    FRAME,
+    GAIN,
+    LENGTH,
+    TARGET,
+    ZERO,
+    ErrorModel,
+)
+
+Array = NDArray[np.float64]
+
+#: Below this the noise is no instrument's but rounding [m, rad].
+_SMALLEST_SIGMA = 1e-7
+
+#: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
+_NOISE_SPREAD = float(np.log(10.0))
+
+#: With fewer degrees of freedom no row can be told from the others, and all keep their weight.
+FEWEST_FREEDOM = 6.0
+
+#: Without priors this holds what no measurement determines: far wider than an arm's errors [m and rad].
+_LEASH = 1.0
+
+#: Target and frame stay within this of where registration put them, unless the data say otherwise: far more than
+#: registration is off by, and a hold where nothing tells them from each other [m and rad].
+_PLACED = 1.0
+
+#: Bounds of the sizes of errors [m, rad, 1].
+_SMALLEST, _LARGEST = 1e-7, 0.1
+
+#: How tightly a parameter is held at its bound, in its unit.
+_FIXED = 1e-10
+
+#: Repeats must leave this many degrees of freedom before their scatter is believed.
+_TELLING_REPEATS = 6.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Holds:
+    """What holds parameters besides the measurements: families with a size each, and single priors.
+
+    Attributes:
+        names: The families' names.
+        families: For each which parameters belong to it, shape (p,).
+        start: The sizes to begin with.
+        precision: shape (p,), of parameters with a prior of their own, and of frames and targets.
+        adapts: Whether the sizes are found from the data.
+        off: Whether there are no priors but the leash.
+        fixed: Parameters that stand at a bound, and their values.
+    """
+
+    names: tuple[str, ...]
+    families: Masks
+    start: tuple[float, ...]
+    precision: Array
+    adapts: bool
+    off: bool
+    fixed: tuple[tuple[int, float], ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        model: ErrorModel,
+        priors: Priors,
+        single: Mapping[str, float],
+        fixed: tuple[tuple[int, float], ...] = (),
+    ) -> Holds:
+        """From the cell's priors.
+
+        Args:
+            model: The error model.
+            priors: Sizes by family.
+            single: Standard deviations of single parameters, by name.
+            fixed: Numbers of parameters that stand at a bound, and their values.
+        """
+        placed = model.family(FRAME, TARGET)
+        precision = np.where(placed, 1.0 / _PLACED**2, 0.0)
+        alone = np.array([name in single for name in model.names], dtype=bool)
+        for k in np.flatnonzero(alone):
+            precision[k] = 1.0 / single[model.names[k]] ** 2
+        for number, _ in fixed:
+            alone[number], precision[number] = True, 1.0 / _FIXED**2
+        given = {
+            LENGTH: priors.length,
+            ANGLE: priors.angle,
+            ZERO: priors.zero,
+            GAIN: priors.gain,
+            ECCENTRICITY: priors.eccentricity,
+            COMPLIANCE: priors.compliance,
+        }
+        off = priors.sizes == "off"
+        names = [f for f in model.families if np.any(model.family(f) & ~alone)]
+        return cls(
+            names=tuple(names),
+            families=tuple(model.family(f) & ~alone for f in names),
+            start=tuple(_LEASH if off else given[f] for f in names),
+            precision=precision,
+            adapts=priors.sizes == "data",
+            off=off,
+            fixed=fixed,
+        )
+
+    @property
+    def centre(self) -> Array:
+        """The priors' means, shape (p,): 0 but for the parameters at a bound."""
+        result = np.zeros(len(self.precision))
+        for k, value in self.fixed:
+            result[k] = value
+        return result
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Smallest and largest size of each family."""
+        return tuple(
+            (SMALLEST_COMPLIANCE, LARGEST_COMPLIANCE) if f == COMPLIANCE else (_SMALLEST, _LARGEST)
+            for f in self.names
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linear:
+    """The problem linearised at one x: y = A x + noise, in units of each scalar's sigma.
+
+    Attributes:
+        A: shape (N, D, p).
+        y: shape (N, D).
+        used: shape (N, D), which scalars there are.
+        instruments: shape (N, D), which noise each has.
+        smallest: Smallest noise believed of each instrument, in units of its sigma.
+        C: shape (K, p), of the known distances, whitened.
+        z: shape (K,), likewise.
+    """
+
+    A: Array
+    y: Array
+    used: NDArray[np.bool_]
+    instruments: NDArray[np.int_]
+    smallest: tuple[float, ...]
+    C: Array
+    z: Array
+
+    @classmethod
+    def at(cls, problem: Problem, x: Array) -> Linear:
+        """At the parameters x; the problem's own scales are those that were given."""
+        residual, jacobian = problem.residual_and_jacobian(x)
+        scales = problem.rows.scales
+        A = jacobian / scales[:, :, None]
+        r, C = problem.constraints(x)
+        instruments, _ = problem.rows.instruments
+        count = int(instruments.max()) + 1
+        smallest = [
+            _SMALLEST_SIGMA / float(np.median(scales[instruments == c])) for c in range(count)
+        ]
+        return cls(
+            A,
+            residual / scales + A @ x,
+            problem.rows.used,
+            instruments,
+            tuple(smallest),
+            C,
+            r + C @ x,
+        )
+
+    def known(self, precision: Array, centre: Array) -> Known:
+        """Priors of given precision and mean, and the known distances."""
+        return Known.of(precision, centre, self.C, self.z)
+
+    def noise_of(self, noise: tuple[float, ...]) -> Array:
+        """The noise of each scalar, shape (N, D); 1 where there is none."""
+        return np.append(np.array(noise), 1.0)[self.instruments]
+
+    def data(self, weights: Array) -> Linearised:
+        """The normal equations with these weights."""
+        return Linearised.of(self.A, self.y, weights, self.instruments)
+
+    def fit(
+        self, weights: Array, noise: tuple[float, ...], precision: Array, centre: Array
+    ) -> tuple[Array, Array, float]:
+        """The linear fit with these weights, noise and priors.
+
+        Returns:
+            The residual, shape (N, D), in units of each scalar's sigma; the covariance of x, shape (p, p); and the
+            degrees of freedom: scalars, by weight, minus the parameters that they have to pay for.
+        """
+        data = self.data(weights)
+        x, covariance = data.posterior(noise, self.known(precision, centre))
+        paid = np.einsum("cij,ji->c", data.H, covariance) / np.square(noise)
+        return self.y - self.A @ x, covariance, float(np.sum(data.count - paid))
+
+    def scores(
+        self, residual: Array, covariance: Array, weights: Array, noise: tuple[float, ...]
+    ) -> Array:
+        """How far each row lies from what the others predict, shape (N,)."""
+        scale = self.noise_of(noise)
+        return scores(residual / scale, self.A / scale[:, :, None], covariance, weights, self.used)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """Weights, noise and prior sizes at one time of the estimation.
+
+    Attributes:
+        holds: What holds the parameters.
+        weights: shape (N,), robust weights.
+        share: shape (N,), what a row counts for beside its repeats.
+        noise: Of each instrument, in units of the sigma given.
+        sizes: Of each family.
+    """
+
+    holds: Holds
+    weights: Array
+    share: Array
+    noise: tuple[float, ...]
+    sizes: tuple[float, ...]
+
+    @classmethod
+    def first(cls, problem: Problem, holds: Holds, weights: Array | None = None) -> Stage:
+        """The noise as given, the priors as wide as they were given; all rows in full, or with these weights."""
+        ones = np.ones(len(problem.rows))
+        instruments, _ = problem.rows.instruments
+        noise = (1.0,) * (int(instruments.max()) + 1)
+        return cls(holds, ones if weights is None else weights, ones, noise, holds.start)
+
+    @property
+    def effective(self) -> Array:
+        """The weights of the rows, repeats shared out, shape (N,)."""
+        return self.weights * self.share
+
+    @property
+    def precision(self) -> Array:
+        """1 / tau^2 of each parameter, shape (p,)."""
+        own = precision_of(self.holds.families, self.sizes, len(self.holds.precision))
+        return own + self.holds.precision
+
+    def problem(self, problem: Problem) -> Problem:
+        """The problem in this form."""
+        instruments, _ = problem.rows.instruments
+        scales = np.append(np.array(self.noise), 1.0)[instruments] * problem.rows.scales
+        return problem.reweighted(self.effective, scales, self.precision, self.holds.centre)
+
+    def by_median(self, linear: Linear) -> Stage:
+        """Robust weights against a scale that outliers cannot move, on the linearised problem."""
+        weights, noise = self.weights, self.noise
+        for _ in range(3):
+            residual, covariance, _ = linear.fit(
+                weights * self.share, noise, self.precision, self.holds.centre
+            )
+            found = []
+            for c, smallest in enumerate(linear.smallest):
+                own = linear.instruments == c
+                single = deleted_norms(
+                    residual * own,
+                    linear.A * own[:, :, None],
+                    covariance / noise[c] ** 2,
+                    weights * self.share,
+                )
+                found.append(max(median_noise(single, own), smallest))
+            noise = tuple(found)
+            weights = cauchy_weights(
+                linear.scores(residual, covariance, weights * self.share, noise)
+            )
+        return replace(self, weights=weights, noise=noise)
+
+    def by_likelihood(self, linear: Linear, *, robust: bool) -> Stage:
+        """Noise and prior sizes by restricted likelihood, and the weights that go with them."""
+        stage = self
+        for _ in range(2):
+            if robust:
+                stage = replace(stage, weights=stage._row_weights(linear))
+            data = linear.data(stage.effective)
+            held = self.holds.precision if self.holds.adapts else self.precision
+            found = sizes_by_reml(
+                data,
+                self.holds.families if self.holds.adapts else (),
+                Sizes(stage.noise, stage.sizes if self.holds.adapts else ()),
+                smallest_noise=linear.smallest,
+                noise_spread=_NOISE_SPREAD,
+                known=linear.known(held, self.holds.centre),
+                bounds=self.holds.bounds if self.holds.adapts else (),
+            )
+            sizes = found.families if self.holds.adapts else stage.sizes
+            stage = replace(stage, noise=found.noise, sizes=sizes)
+        return stage
+
+    def _row_weights(self, linear: Linear) -> Array:
+        """The weights that the scores of the linear fit ask for."""
+        effective = self.effective
+        residual, covariance, freedom = linear.fit(
+            effective, self.noise, self.precision, self.holds.centre
+        )
+        if freedom <= FEWEST_FREEDOM:
+            return np.ones(len(effective))
+        row_scores = linear.scores(residual, covariance, effective, self.noise)
+        found = Limits.of(len(effective), freedom).weights(row_scores)
+        # Half of the rows cannot be outliers of the other half: then it is the noise that is taken too small.
+        return found if np.sum(found) > 0.5 * len(found) else np.ones(len(found))
+
+    def sharing(self, linear: Linear, poses: NDArray[np.int_], mode: str) -> Stage:
+        """What each of n repeats counts for, 1 / (1 + (n - 1) rho), with their correlation rho from what is left over.
+
+        Args:
+            linear: The linearised problem.
+            poses: shape (N,), the pose of each row.
+            mode: ``"independent"``: rho = 0; ``"average"``: 1; ``"weighted"``: found.
+        """
+        alive = self.weights > 0.0
+        counts = np.bincount(poses[alive], minlength=int(poses.max()) + 1)[poses]
+        if mode == "independent" or np.max(counts) < 2:
+            return self
+        rho = 1.0
+        if mode == "weighted":
+            residual, _, freedom = linear.fit(
+                self.effective, self.noise, self.precision, self.holds.centre
+            )
+            scale = linear.noise_of(self.noise)
+            paid = float(np.sum(self.effective @ linear.used)) - freedom
+            found = repeats(
+                residual / scale, linear.used, poses, self.weights, fitted=max(paid, 0.0)
+            )
+            rho = found.rho if found.freedom >= _TELLING_REPEATS else 1.0
+        return replace(self, share=1.0 / (1.0 + (np.maximum(counts, 1) - 1.0) * rho))
+
+    def is_like(self, other: Stage) -> bool:
+        """Whether two stages differ by too little to matter."""
+        return bool(
+            np.max(np.abs(self.effective - other.effective)) < 0.02
+            and np.allclose([*self.noise, *self.sizes], [*other.noise, *other.sizes], rtol=0.01)
+        )

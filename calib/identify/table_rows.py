@@ -1,0 +1,164 @@
+"""A table's rows and set-up as the fit takes them."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import MeasurementError, ModelError, choices
+from calib.identify.estimate import FIRST_SIGMA, FIRST_SIGMA_ANGLE
+from calib.identify.problem import KnownDistance
+from calib.identify.rows import KIND_NAMES, NONE, PAIR, Rows
+from calib.identify.setup import Setup, setup_of
+from calib.identify.statistics import same_poses
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.kinematics import Samples
+from calib.model.robot import Robot
+from calib.model.torques import gravity_load
+
+Array = NDArray[np.float64]
+
+
+def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows, Setup]:
+    """All rows of a table, for a robot and a set-up.
+
+    Raises:
+        MeasurementError: A joint's column is missing, or a pair has lost its other row.
+        ModelError: The cell names a set-up or target that the table lacks.
+    """
+    m, count = measurements, len(measurements)
+    q = m.joints_for(robot.joint_names)
+    kinds = np.array([KIND_NAMES.index(kind) for kind in m.kinds])
+    partner = _partners(m, kinds)
+    paired = kinds == PAIR
+    # Of a pair the earlier row carries the distance, and the later one nothing more.
+    kinds[paired & (partner < np.arange(count))] = NONE
+    partner = np.where(kinds == PAIR, partner, -1)
+    setup = setup_of(cell, m, kinds)
+    rotations = np.tile(np.eye(3), (count, 1, 1))
+    if m.rotations is not None:
+        there = np.all(np.isfinite(m.rotations), axis=(1, 2))
+        rotations[there] = m.rotations[there]
+    blocks = same_poses(q)
+    samples = Samples(
+        q=q,
+        frame=np.array([setup.groups.index(group) for group in m.groups]),
+        target=np.array([setup.targets.index(target) for target in m.targets]),
+        load=_load(robot, m, cell, q),
+    )
+    rows = Rows(
+        samples=samples,
+        kinds=kinds,
+        points=np.nan_to_num(m.points),
+        rotations=rotations,
+        distances=np.zeros(count) if m.distances is None else np.nan_to_num(m.distances),
+        partner=partner,
+        sigma=_sigma(m.sigma, cell.sigma, FIRST_SIGMA, count),
+        sigma_angle=_sigma(m.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE, count),
+        poses=_labels(np.column_stack([blocks, samples.frame, samples.target])),
+        blocks=_joined(blocks, [(int(i), int(partner[i])) for i in np.flatnonzero(partner >= 0)]),
+    )
+    return rows, setup
+
+
+def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
+    """The cell's known distances between set-ups, by the numbers of their frames; a "*" stands for any text.
+
+    Raises:
+        ModelError: A distance fits no two set-ups of the table.
+    """
+    result: list[KnownDistance] = []
+    for known in cell.distances:
+        if "*" in known.first or "*" in known.second:
+            pairs = _matches(known.first, known.second, setup.groups)
+        else:
+            pairs = [(known.first, known.second)]
+        if not pairs:
+            message = (
+                f"A distance is stated between the groups '{known.first}' and '{known.second}', which fits no two of "
+                f"{choices(setup.groups)}."
+            )
+            raise ModelError(message)
+        result += [
+            KnownDistance(setup.groups.index(a), setup.groups.index(b), known.length, known.sigma)
+            for a, b in pairs
+        ]
+    return tuple(result)
+
+
+def joined_setups(rows: Rows, distances: Sequence[KnownDistance]) -> NDArray[np.int_]:
+    """The set-up of each row, those with a known distance between them taken for one, shape (N,)."""
+    frames = np.arange(int(rows.samples.frame.max()) + 1)
+    return _joined(frames, [(d.first, d.second) for d in distances])[rows.samples.frame]
+
+
+def _matches(first: str, second: str, groups: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Pairs of groups that fit two patterns with the same text at their "*"."""
+    result = []
+    for group in groups:
+        if fnmatch.fnmatchcase(group, first.replace("[", "[[]")):
+            head, _, tail = first.partition("*")
+            text = group[len(head) : len(group) - len(tail)]
+            other = second.replace("*", text)
+            if other in groups and other != group:
+                result.append((group, other))
+    return result
+
+
+def _labels(columns: NDArray[np.int_]) -> NDArray[np.int_]:
+    """A number for each different row, shape (N,)."""
+    return np.unique(columns, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _joined(labels: NDArray[np.int_], pairs: list[tuple[int, int]]) -> NDArray[np.int_]:
+    """Labels after joining those of some pairs of entries, numbered from 0 in order."""
+    joined = labels.copy()
+    for i, j in pairs:
+        low, high = sorted((joined[i], joined[j]))
+        joined[joined == high] = low
+    return np.unique(joined, return_inverse=True)[1].reshape(-1)
+
+
+def _partners(m: Measurements, kinds: NDArray[np.int_]) -> NDArray[np.int_]:
+    """The other row of each pair, shape (N,); -1 where there is none."""
+    partner = np.full(len(m), -1)
+    seen: dict[str, int] = {}
+    for i in np.flatnonzero(kinds == PAIR):
+        word = m.pairs[i]
+        if word in seen:
+            partner[i], partner[seen[word]] = seen.pop(word), i
+        else:
+            seen[word] = int(i)
+    if seen:
+        word, row = next(iter(seen.items()))
+        message = (
+            f"{m.source or 'Measurements'}, row {m.rows[row]}: the pair '{word}' has one row only. A distance between "
+            "two rows needs both of them, in the same set."
+        )
+        raise MeasurementError(message)
+    return partner
+
+
+def _load(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:
+    """The load on each joint: by gravity and payload, and measured where there are torques, shape (N, n)."""
+    load = gravity_load(robot, q, cell.payload, cell.gravity)
+    if m.torques is not None:
+        names = [joint.name for joint in robot.joints]
+        for column, name in enumerate(m.joint_names):
+            if name in names:
+                measured = -m.torques[:, column]  # the load is what the drive holds against
+                own = load[:, names.index(name)]
+                load[:, names.index(name)] = np.where(np.isfinite(measured), measured, own)
+    return load
+
+
+def _sigma(by_row: Array | None, by_cell: float | None, first: float, count: int) -> Array:
+    """The standard deviation of each row: its own, the cell's, or the first guess, shape (N,)."""
+    general = first if by_cell is None else by_cell
+    if by_row is None:
+        return np.full(count, general)
+    return np.where(np.isfinite(by_row), by_row, general)
