@@ -32,14 +32,16 @@ from calib.identify.fitting import (
 from calib.identify.repeats import Repeats, repeats
 from calib.identify.result import Calibration, Larger
 from calib.identify.robust import Limits
-from calib.identify.rows import Rows
+from calib.identify.rows import POINT, POSE, Rows
 from calib.identify.selection import AUTO, Candidate, select
 from calib.identify.setup_check import better_setup
+from calib.identify.statistics import CrossValidation
 from calib.identify.table_rows import known_distances, rows_of
 from calib.identify.verdict import NO, Verdict, verdict
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import split_name
+from calib.model.kinematics import Samples
 from calib.model.observability import Observability, analyse
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot, read_only
@@ -141,16 +143,33 @@ def _validated(
         return lambda done, every: progress(part * every + done, parts * every)
 
     of_calibrated = cross_validation(task, rows, outliers, of_part(0))
+    candidates = result.candidates
     if larger is not None:
         found = cross_validation(larger.fitted.task, rows, outliers, of_part(1))
         larger = replace(larger, cross_validation=found)
+        scales = result.fitted.estimate.problem.scales
+        if candidates and not _predicts_better(found, of_calibrated, scales, outliers):
+            # The ladder's quick cross-validation let it pass; refitted without each fold it does not.
+            candidates = tuple(
+                replace(c, chosen="") if c.name == larger.name else c for c in candidates
+            )
+            larger = None
     result = replace(
         result,
         cross_validation=of_calibrated,
         nominal_cross_validation=nominal_cross_validation(task, rows, outliers),
         larger=larger,
+        candidates=candidates,
     )
     return replace(result, verdict=verdict(evidence_of(result, rows, hint)))
+
+
+def _predicts_better(
+    one: CrossValidation, than: CrossValidation, scales: Array, outliers: NDArray[np.bool_]
+) -> bool:
+    """Whether a model's errors on left-out rows are smaller, in units of the noise, outliers aside."""
+    squares = [float(np.sum((v.residual / scales)[~outliers] ** 2)) for v in (one, than)]
+    return squares[0] < squares[1]
 
 
 def _larger(fitted: Fitted, every: Rows) -> Larger:
@@ -234,14 +253,24 @@ def _assemble(
         outside=_outside(robot, every, mask),
         cross_validation=None,
         nominal_cross_validation=None,
-        expected_measured=_expected(fitted, problem.rows.joints),
-        expected_everywhere=_expected(fitted, spread_poses(robot)),
+        expected_measured=_expected(fitted, problem.rows.samples),
+        expected_everywhere=_expected(fitted, Samples.at(spread_poses(robot))),
         observability=observability,
         candidates=(),
         larger=None,
         fitted=fitted,
         verdict=None,
     )
+
+
+def _without_rigid_motion(points: Array, jacobian: Array) -> Array:
+    """A Jacobian of points, (N, 3, p), less what moves all of them as one body."""
+    motion = np.zeros((len(points), 3, 6))
+    motion[:, :, :3] = np.eye(3)
+    motion[:, :, 3:] = np.cross(np.eye(3), points[:, None, :]).transpose(0, 2, 1)
+    base = np.linalg.qr(motion.reshape(-1, 6))[0]
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    return np.asarray((flat - base @ (base.T @ flat)).reshape(jacobian.shape))
 
 
 def _median(values: Array) -> float:
@@ -268,8 +297,15 @@ def _outside(robot: Robot, every: Rows, mask: NDArray[np.bool_]) -> tuple[Outsid
     return outside(every.joints[mask], every.joints[~mask], robot.joint_names, types)
 
 
-def _expected(fitted: Fitted, joints: Array) -> float:
-    """Predicted standard deviation of the first target's position, rms over poses [m]."""
-    _, jacobian = fitted.kinematics.points_jacobian(fitted.estimate.x, joints[:_MOST_EXPECTED])
+def _expected(fitted: Fitted, samples: Samples) -> float:
+    """Predicted standard deviation of the target's position, rms over poses [m].
+
+    Sockets, planes and anchors do not tell where the base stands and how it is turned; nor does anyone ask them: what a
+    rigid motion of all points would do is then left out.
+    """
+    chosen = samples.select(np.arange(min(len(samples), _MOST_EXPECTED)))
+    points, jacobian = fitted.kinematics.points_jacobian(fitted.estimate.x, chosen)
+    if not np.any(np.isin(fitted.estimate.problem.rows.kinds, (POINT, POSE))):
+        jacobian = _without_rigid_motion(points, jacobian)
     spread = np.einsum("nij,jk,nik->n", jacobian, fitted.estimate.covariance, jacobian)
     return float(np.sqrt(np.mean(spread)))

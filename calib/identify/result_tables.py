@@ -1,4 +1,4 @@
-"""A calibration, or an evaluation, as nested tables: SI units, the unit in each key's suffix. See docs/result-json.md."""
+"""A calibration, or an evaluation, as nested tables: SI units, with the unit in each key; see docs/result-json.md."""
 
 from __future__ import annotations
 

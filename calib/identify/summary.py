@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable
 
 import numpy as np
-import pinocchio as pin
 
 import calib
 from calib.identify.calibration import Calibration
 from calib.identify.findings import Outlier
 from calib.identify.statistics import Errors
+from calib.identify.words import frame_text, target_text, three, wrap
+from calib.model.observability import SHOWN
 from calib.model.parameters import FRAME
-
-_WIDTH = 100
-
-#: A target that moved further than this was given wrongly, rather than mounted inexactly [m].
-_TARGET_MOVED = 5e-3
 
 #: A parameter with a longer name gets a line for its name alone.
 _LONGEST_NAME = 46
@@ -26,7 +21,10 @@ _LONGEST_NAME = 46
 _LEFT_OUT = {
     "leave-one-out": "each row predicted from the others alone",
     "leave-one-pose-out": "each pose, repeats and all, predicted from the others alone",
+    "leave-one-set-up-out": "each set-up predicted from the others, but for where it stands itself",
+    "leave-set-ups-out": "some set-ups predicted from the others, but for where they stand themselves",
 }
+_TENTHS = "a tenth of the poses at a time, predicted from the others"
 
 #: Degrees of freedom from which on the noise is that of the rows.
 _TELLING = 6.0
@@ -49,6 +47,7 @@ _MOST_ROWS = 12
 
 #: A row of the error table has the columns: label, n, max, mean, rms, span x, span y, span z.
 _COLUMNS = "{:<33}{:>5} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9}"
+_ANGLE_COLUMNS = "{:<33}{:>5} {:>9} {:>9} {:>9}"
 
 
 def summary(c: Calibration) -> str:
@@ -59,10 +58,12 @@ def summary(c: Calibration) -> str:
         _errors(c),
         _validation_rows(c),
         _flagged(c),
-        _target(c),
-        _frame(c),
+        target_text(c),
+        frame_text(c),
+        _ladder(c),
         _identified(c),
         _parameters(c),
+        _larger(c),
         _solver(c),
     ]
     return "\n\n".join(part for part in parts if part)
@@ -71,7 +72,7 @@ def summary(c: Calibration) -> str:
 def _heading(c: Calibration) -> str:
     """Which robot, which data."""
     m = c.measurements
-    return _wrap(
+    return wrap(
         f"calib {calib.__version__}: robot '{c.nominal.name}', {c.nominal.base} to {c.nominal.tip}, "
         f"{len(c.nominal.joints)} joints; {m.estimation.sum()} rows to estimate and {m.validation.sum()} to validate "
         f"from {m.source or 'memory'}"
@@ -82,28 +83,40 @@ def _verdict(c: Calibration) -> str:
     """What to do with the result."""
     if c.verdict is None:
         return "Verdict: none, because nothing was cross-validated."
-    return "\n".join([f"Verdict: {c.verdict.use}", *(_wrap(r, "  ") for r in c.verdict.reasons)])
+    return "\n".join([f"Verdict: {c.verdict.use}", *(wrap(r, "  ") for r in c.verdict.reasons)])
 
 
 def _errors(c: Calibration) -> str:
-    """The error table: before and after, by set, and on left-out rows."""
-    rows = [error_head()]
-    for name, label in (("estimation", "estimation rows"), ("validation", "validation rows")):
-        for who in ("nominal", "calibrated"):
-            errors = c.errors[who][name]
-            if errors.n:
-                rows.append(error_row(f"{label}, {who}", errors))
-    if c.cross_validation is None or c.nominal_cross_validation is None:
-        return "\n".join(rows)
-    for who, v in (("nominal", c.nominal_cross_validation), ("calibrated", c.cross_validation)):
-        rows.append(error_row(f"left-out rows*, {who}", v.errors))
-        if c.outliers:
-            rows.append(error_row("  the same without outliers", v.errors_without_outliers))
-    method = c.cross_validation.method
-    rows.append(
-        f"* {method}: {_LEFT_OUT.get(method, 'a tenth of the poses at a time, predicted from the others')}"
-    )
-    return "\n".join(rows)
+    """The error tables: before and after, by set, and on left-out rows; a second one for orientations."""
+    rows = _error_rows(c)
+    lines = [error_head(), *(error_row(label, errors) for label, errors in rows if errors.n)]
+    if any(errors.n_angle for _, errors in rows):
+        lines += ["", angle_head()]
+        lines += [angle_row(label, errors) for label, errors in rows if errors.n_angle]
+    if c.cross_validation is not None:
+        method = c.cross_validation.method
+        lines.append(f"* {method}: {_LEFT_OUT.get(method, _TENTHS)}")
+    return "\n".join(lines)
+
+
+def _error_rows(c: Calibration) -> list[tuple[str, Errors]]:
+    """Label and errors of each row of the tables."""
+    rows = [
+        (f"{label} rows, {who}", c.errors[who][name])
+        for name, label in (("estimation", "estimation"), ("validation", "validation"))
+        for who in c.errors
+    ]
+    larger = None if c.larger is None else c.larger.cross_validation
+    for who, v in (
+        ("nominal", c.nominal_cross_validation),
+        ("calibrated", c.cross_validation),
+        ("larger", larger),
+    ):
+        if v is not None:
+            rows.append((f"left-out rows*, {who}", v.errors))
+            if c.outliers:
+                rows.append(("  the same without outliers", v.errors_without_outliers))
+    return rows
 
 
 def error_head() -> str:
@@ -111,16 +124,28 @@ def error_head() -> str:
     return _COLUMNS.format("Position error [mm]", "rows", "max", "mean", "rms", "span x", "y", "z")
 
 
+def angle_head() -> str:
+    """The head of the table of orientations."""
+    return _ANGLE_COLUMNS.format("Orientation error [deg]", "rows", "max", "mean", "rms")
+
+
+def angle_row(label: str, errors: Errors) -> str:
+    """One row of the table of orientations, [deg]."""
+    values = [errors.max_angle, errors.mean_angle, errors.rms_angle]
+    return _ANGLE_COLUMNS.format(label, errors.n_angle, *(f"{np.degrees(v):.4f}" for v in values))
+
+
 def error_row(label: str, errors: Errors) -> str:
     """One row of the error table, [mm]."""
     values = [errors.max, errors.mean, errors.rms, *errors.span_axis]
-    return _COLUMNS.format(label, errors.n, *(f"{1e3 * v:.3f}" for v in values))
+    texts = [f"{1e3 * v:.3f}" if np.isfinite(v) else "-" for v in values]
+    return _COLUMNS.format(label, errors.n, *texts)
 
 
 def _validation_rows(c: Calibration) -> str:
     """Errors of single validation rows by axis, before and after, as in the paper's Table 4; only if they are few."""
     m = c.measurements
-    chosen = np.flatnonzero(m.validation)
+    chosen = np.flatnonzero(m.validation & np.all(c.used[:, :3], axis=1) & (c.used.shape[1] >= 3))
     if not 0 < len(chosen) <= _MOST_ROWS:
         return ""
     columns = "{:<18}" + " {:>8}" * 4 + "   " + " {:>8}" * 4
@@ -131,9 +156,9 @@ def _validation_rows(c: Calibration) -> str:
     ]
     for i in chosen:
         values = [
-            _three(1e3 * float(value))
+            three(1e3 * float(value))
             for residual in (c.residual_nominal[i], c.residual_calibrated[i])
-            for value in (*residual, np.linalg.norm(residual))
+            for value in (*residual[:3], np.linalg.norm(residual[:3]))
         ]
         lines.append(columns.format(f"  row {m.rows[i]} [mm]", *values))
     return "\n".join(lines)
@@ -148,14 +173,12 @@ def _flagged(c: Calibration) -> str:
         treated = (
             "they have no weight in the fit" if unused else "they keep their weight in this fit"
         )
-        lines.append(_wrap(f"Outliers ({treated}): {_list(c.outliers)}"))
+        lines.append(wrap(f"Outliers ({treated}): {_list(c.outliers)}"))
     else:
         lines.append("Outliers: none.")
     if c.suspects:
         lines.append(
-            _wrap(
-                f"Validation rows that the calibrated robot does not explain: {_list(c.suspects)}"
-            )
+            wrap(f"Validation rows that the calibrated robot does not explain: {_list(c.suspects)}")
         )
     return "\n".join(lines)
 
@@ -169,45 +192,41 @@ def _list(outliers: Iterable[Outlier]) -> str:
     return text + (f"; and {len(every) - 12} more" if len(every) > 12 else "")
 
 
-def _target(c: Calibration) -> str:
-    """Where the target is, how sure that is, and how far from where it was said to be."""
-    place = ", ".join(_three(1e3 * float(v)) for v in c.target)
-    if not c.cell.estimate_target:
-        return _wrap(f"Target: ({place}) mm in {c.nominal.tip}, as given.")
-    sure = _half_widths(c, [f"target_{axis}" for axis in "xyz"], 1e3)
-    given = c.fitted.task.setup
-    if not given.target_given[0]:
-        return _wrap(f"Target: found at ({place}) mm in {c.nominal.tip}, 95 % +- ({sure}) mm.")
-    moved = float(np.linalg.norm(c.target - given.T_tip_target[0, :3, 3]))
-    text = (
-        f"Target: ({place}) mm in {c.nominal.tip}, 95 % +- ({sure}) mm; it moved {1e3 * moved:.1f} mm from the "
-        "position given."
-    )
-    if moved > _TARGET_MOVED:
-        text += " That is further than mounting explains: check the sign and the order of the numbers given."
-    return _wrap(text)
-
-
-def _frame(c: Calibration) -> str:
-    """Where the base stands in the measurement frame, if that was estimated, and how sure that is."""
-    if not c.cell.estimate_frame:
+def _ladder(c: Calibration) -> str:
+    """The models that were tried, and which of them were chosen."""
+    if not c.candidates:
         return ""
-    xyz = ", ".join(_three(1e3 * float(v)) for v in c.T_frame_base[:3, 3])
-    rpy = ", ".join(
-        _three(float(v)) for v in np.degrees(pin.rpy.matrixToRpy(c.T_frame_base[:3, :3]))
+    lines = [
+        f"{'Models tried':<36}{'parameters':>10}{'evidence':>10}{'left-out rms':>16}  chosen for"
+    ]
+    best = max(one.log_likelihood for one in c.candidates)
+    words = {"geometry": "the URDF", "larger": "the result file and predict()"}
+    for one in c.candidates:
+        errors = one.cross_validation.errors_without_outliers
+        rms = (
+            f"{1e3 * errors.rms:.3f} mm" if errors.n else f"{np.degrees(errors.rms_angle):.4f} deg"
+        )
+        lines.append(
+            f"  {one.name:<34}{one.parameters:>10}{one.log_likelihood - best:>10.1f}{rms:>16}  "
+            f"{words.get(one.chosen, '')}".rstrip()
+        )
+    lines.append(
+        "  evidence: restricted log likelihood, less the best one's; a step up must gain 5"
     )
-    shift = _half_widths(c, [f"frame_{axis}" for axis in "xyz"], 1e3)
-    turn = _half_widths(c, [f"frame_r{axis}" for axis in "xyz"], float(np.degrees(1.0)))
-    return _wrap(
-        f"Measurement frame: {c.nominal.base} found at ({xyz}) mm, rpy ({rpy}) deg in it; 95 % +- ({shift}) mm and "
-        f"({turn}) deg along and about the axes of {c.nominal.base}."
-    )
+    return "\n".join(lines)
 
 
-def _half_widths(c: Calibration, names: list[str], scale: float) -> str:
-    """Half the 95 % intervals of some parameters."""
-    chosen = [c.parameter(name) for name in names]
-    return ", ".join(f"{0.5 * scale * (p.high - p.low):.3g}" for p in chosen)
+def _larger(c: Calibration) -> str:
+    """The parameters of the larger model that the geometry does not have."""
+    if c.larger is None:
+        return ""
+    shown = [p for p in c.larger.parameters if p.name not in c.model.names]
+    lines = [f"Larger model '{c.larger.name}', not in the URDF:"]
+    for p in shown:
+        factor, unit = SHOWN[p.unit]
+        half = 0.5 * factor * (p.high - p.low)
+        lines.append(f"  {p.name:<{_LONGEST_NAME}}{factor * p.value:>10.3f} +- {half:.3f} {unit}")
+    return "\n".join(lines)
 
 
 def _identified(c: Calibration) -> str:
@@ -218,9 +237,14 @@ def _identified(c: Calibration) -> str:
         if c.freedom >= _TELLING
         else "mostly assumed: too few rows to tell"
     )
+    parts = [f"{1e3 * c.sigma:.3f} mm a coordinate"] * bool(np.isfinite(c.sigma))
+    parts += [f"{np.degrees(c.sigma_angle):.4f} deg about an axis"] * bool(
+        np.isfinite(c.sigma_angle)
+    )
     lines = [
-        f"Noise: {1e3 * c.sigma:.3f} mm a coordinate, {found}.",
-        _wrap(
+        f"Noise: {' and '.join(parts)}, {found}.",
+        *_repeats(c),
+        wrap(
             f"Expected error, if the model is complete: {1e3 * c.expected_measured:.3f} mm rms at the measured poses, "
             f"{1e3 * c.expected_everywhere:.3f} mm over the joint limits."
         ),
@@ -233,7 +257,7 @@ def _identified(c: Calibration) -> str:
     if o.unidentifiable:
         held = ", so the priors share them out" if sizes else ""
         lines.append(f"These changes move nothing that was measured{held}:")
-        lines += [_wrap(str(u), "  ") for u in o.unidentifiable[:12]]
+        lines += [wrap(str(u), "  ") for u in o.unidentifiable[:12]]
         if len(o.unidentifiable) > 12:
             lines.append(f"  and {len(o.unidentifiable) - 12} more")
     return "\n".join(lines)
@@ -251,14 +275,14 @@ def _parameters(c: Calibration) -> str:
     lines = [f"{'Parameter':<{width}}{'nominal':>12}{'value':>12}{'change':>11}{'95 % +-':>10}"]
     for p in shown:
         scale, unit = (1e3, "mm") if p.unit == "m" else (np.degrees(1.0), "deg")
-        nominal = "-" if p.nominal is None else _three(scale * p.nominal)
+        nominal = "-" if p.nominal is None else three(scale * p.nominal)
         half = 0.5 * scale * (p.high - p.low)
-        value = _three(scale * p.value)
-        delta = "-" if p.nominal is None else _three(scale * p.delta, "+")
+        value = three(scale * p.value)
+        delta = "-" if p.nominal is None else three(scale * p.delta, "+")
         mark = "" if p.identifiable else " *"
         name = p.name
         if len(name) > _LONGEST_NAME:
-            lines.append(_wrap(name))
+            lines.append(wrap(name))
             name = ""
         lines.append(
             f"{name:<{width}}{nominal:>12}{value:>12}{delta:>11}{half:>10.3g} {unit}{mark}"
@@ -271,29 +295,21 @@ def _parameters(c: Calibration) -> str:
 def _solver(c: Calibration) -> str:
     """How the solver fared."""
     s = c.solution
-    return _wrap(
+    return wrap(
         f"Solver '{c.solver}': {s.status} after {s.iterations} iterations, {s.evaluations} evaluations, "
         f"{1e3 * c.seconds:.0f} ms. {s.message}"
     )
+
+
+def _repeats(c: Calibration) -> list[str]:
+    """How far repeats of a pose scatter."""
+    if c.repeats is None or not np.isfinite(c.repeats.within[0]):
+        return []
+    scatter, freedom = 1e3 * float(c.repeats.within[0]), float(c.repeats.freedoms[0])
+    return [f"Repeats of a pose scatter by {scatter:.3f} mm a coordinate ({freedom:.0f} d.o.f.)."]
 
 
 def _size(family: str, size: float) -> str:
     """The size of a family's errors in words."""
     factor, unit = _SIZES[family]
     return f"{family} {factor * size:.3g} {unit}" if factor * size > _NOTHING else f"{family} none"
-
-
-def _three(value: float, sign: str = "-") -> str:
-    """Three digits after the point, and no minus before a zero."""
-    return f"{round(value, 3) + 0.0:{sign}.3f}"
-
-
-def _wrap(text: str, indent: str = "") -> str:
-    """Text broken at 100 columns."""
-    return textwrap.fill(
-        text,
-        _WIDTH,
-        initial_indent=indent,
-        subsequent_indent=indent + "  ",
-        break_on_hyphens=False,
-    )

@@ -86,7 +86,7 @@ class Cell:
     estimate_frame: bool = False
     sigma: float | None = None
     priors: Priors = _PRIORS
-    model: str = "dh"
+    model: str = "auto"
     frozen: tuple[str, ...] = ()
     base: str | None = None
     tip: str | None = None

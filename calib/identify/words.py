@@ -1,0 +1,117 @@
+"""Targets and measurement frames of a result in words, and how its text is set."""
+
+from __future__ import annotations
+
+import textwrap
+
+import numpy as np
+import pinocchio as pin
+
+from calib.identify.result import Calibration
+from calib.model.error_model import placed_name
+
+#: Columns of the text.
+WIDTH = 100
+
+#: A target that moved further than this was given wrongly, rather than mounted inexactly [m].
+_TARGET_MOVED = 5e-3
+
+#: More targets, and more measurement frames, than this are not listed one by one.
+_MOST_PLACES = 6
+
+
+def target_text(c: Calibration) -> str:
+    """Where each target is, how sure that is, and how far from where it was said to be."""
+    names = c.setup.targets
+    shown = [
+        _one_target(c, t, name if len(names) > 1 else "")
+        for t, name in enumerate(names[:_MOST_PLACES])
+    ]
+    more = len(names) - len(shown)
+    return "\n".join([*shown, *([f"... and {more} more targets"] if more else [])])
+
+
+def _one_target(c: Calibration, t: int, name: str) -> str:
+    """One target."""
+    T, given = c.setup.T_tip_target[t], c.fitted.task.setup
+    place = ", ".join(three(1e3 * float(v)) for v in T[:3, 3])
+    what = f"Target '{name}'" if name else "Target"
+    rpy = ""
+    if c.setup.rotation:
+        angles = np.degrees(pin.rpy.matrixToRpy(T[:3, :3]))
+        rpy = f", rpy ({', '.join(three(float(v)) for v in angles)}) deg"
+    if not c.setup.target_unknown[t]:
+        return wrap(f"{what}: ({place}) mm{rpy} in {c.nominal.tip}, as given.")
+    sure = _half_widths(c, [placed_name("target", axis, name) for axis in "xyz"], 1e3)
+    if not given.target_given[t]:
+        return wrap(f"{what}: found at ({place}) mm{rpy} in {c.nominal.tip}, 95 % +- ({sure}) mm.")
+    moved = float(np.linalg.norm(T[:3, 3] - given.T_tip_target[t, :3, 3]))
+    text = (
+        f"{what}: ({place}) mm{rpy} in {c.nominal.tip}, 95 % +- ({sure}) mm; it moved {1e3 * moved:.1f} mm from the "
+        "position given."
+    )
+    if moved > _TARGET_MOVED:
+        text += " That is further than mounting explains: check the sign and the order of the numbers given."
+    return wrap(text)
+
+
+def frame_text(c: Calibration) -> str:
+    """Where the base stands in each measurement frame that was estimated, and how sure that is."""
+    many = len(c.setup.groups) > 1
+    found = [f for f, directions in enumerate(c.setup.unknown) if directions]
+    lines = [_one_frame(c, f, c.setup.groups[f] if many else "") for f in found[:_MOST_PLACES]]
+    more = len(found) - len(lines)
+    return "\n".join([*lines, *([f"... and {more} more set-ups"] if more else [])])
+
+
+def _one_frame(c: Calibration, f: int, group: str) -> str:
+    """One measurement frame; of a socket the point in the base, of a plane its normal and distance."""
+    T, directions = c.setup.T_frame_base[f], c.setup.unknown[f]
+    what = f" '{group}'" if group else ""
+    kinds = {
+        k
+        for k, g in zip(c.measurements.kinds, c.measurements.groups, strict=True)
+        if g == c.setup.groups[f]
+    }
+    base = c.nominal.base
+    if kinds <= {"fixed", "distance"}:
+        name = "Socket" if kinds == {"fixed"} else "Anchor"
+        place = ", ".join(three(1e3 * float(v)) for v in -T[:3, :3].T @ T[:3, 3])
+        return wrap(f"{name}{what}: found at ({place}) mm in {base}.")
+    if kinds == {"plane"}:
+        normal = ", ".join(f"{v:.5f}" for v in T[2, :3])
+        return wrap(
+            f"Plane{what}: found with the normal ({normal}) in {base}, {-1e3 * T[2, 3]:.3f} mm along it."
+        )
+    xyz = ", ".join(three(1e3 * float(v)) for v in T[:3, 3])
+    rpy = ", ".join(three(float(v)) for v in np.degrees(pin.rpy.matrixToRpy(T[:3, :3])))
+    shift = [placed_name("frame", d, group) for d in directions if d in "xyz"]
+    turn = [placed_name("frame", d, group) for d in directions if d not in "xyz"]
+    sure = [f"({_half_widths(c, shift, 1e3)}) mm"] * bool(shift)
+    sure += [f"({_half_widths(c, turn, float(np.degrees(1.0)))}) deg"] * bool(turn)
+    return wrap(
+        f"Measurement frame{what}: {base} found at ({xyz}) mm, rpy ({rpy}) deg in it; 95 % +- "
+        f"{' and '.join(sure)} for {', '.join(directions)} along and about the axes of {base}."
+    )
+
+
+def _half_widths(c: Calibration, names: list[str], scale: float) -> str:
+    """Half the 95 % intervals of some parameters."""
+    chosen = [c.parameter(name) for name in names]
+    return ", ".join(f"{0.5 * scale * (p.high - p.low):.3g}" for p in chosen)
+
+
+def three(value: float, sign: str = "-") -> str:
+    """Three digits after the point, and no minus before a zero."""
+    return f"{round(value, 3) + 0.0:{sign}.3f}"
+
+
+def wrap(text: str, indent: str = "") -> str:
+    """Text broken at 100 columns."""
+    return textwrap.fill(
+        text,
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + "  ",
+        break_on_hyphens=False,
+    )
