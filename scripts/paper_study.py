@@ -25,7 +25,8 @@ from calib.model.robot import Robot, read_only
 def cases() -> Iterator[tuple[str, Cell, str]]:
     """Label, cell and solver of each line."""
     paper = Cell(target=read_only(PAPER_TARGET), model="paper")
-    yield "default: DH and target, 27 parameters", paper, "lm"
+    yield "auto: the data choose (DH)", replace(paper, model="auto"), "lm"
+    yield "the demo: DH and target, 27 parameters", paper, "lm"
     yield "the same by SciPy", paper, "scipy"
     yield "the paper's algorithm", paper, "paper"
     yield (
@@ -43,18 +44,26 @@ def cases() -> Iterator[tuple[str, Cell, str]]:
         replace(paper, priors=Priors("off")),
         "lm",
     )
-    yield "measurement frame unknown too, 33 parameters", Cell(estimate_frame=True), "lm"
+    yield (
+        "measurement frame unknown too, 33 parameters",
+        Cell(estimate_frame=True, model="dh"),
+        "lm",
+    )
     yield "Hayati: beta for d between parallel axes", replace(paper, model="hayati"), "lm"
     yield "full placements, 39 parameters", replace(paper, model="placement"), "lm"
     yield "joint zeros alone, 9 parameters", replace(paper, model="zeros"), "lm"
+    yield "with gear gain, 33 parameters: no URDF", replace(paper, model="dh+gain"), "lm"
+    yield "with eccentricity, 39 parameters: no URDF", replace(paper, model="dh+eccentricity"), "lm"
 
 
 def line(label: str, result: Calibration) -> str:
-    """One line of the table."""
-    assert result.cross_validation is not None
+    """One line of the table; of the larger model where there is one."""
+    larger = result.larger
+    validation = result.cross_validation if larger is None else larger.cross_validation
+    assert validation is not None
     numbers = np.array(result.measurements.rows)[result.measurements.estimation]
-    left_out = Errors.of(result.cross_validation.residual[numbers != 11])
-    errors = result.errors["calibrated"]["validation"]
+    left_out = Errors.of(validation.residual[numbers != 11])
+    errors = result.errors["calibrated" if larger is None else "larger"]["validation"]
     flagged = " ".join(str(o.row) for o in result.outliers) or "-"
     return (
         f"| {label} | {1e3 * errors.max:.3f} | {1e3 * errors.mean:.3f} | {1e3 * errors.rms:.3f} "

@@ -12,10 +12,9 @@ import statistics
 import time
 from collections.abc import Callable
 
-import numpy as np
-
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.identify.fitting import Rows, fit
+from calib.identify.fitting import Task, fit
+from calib.identify.table_rows import rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only
@@ -38,17 +37,14 @@ def main() -> None:
     """Print a line for each solver."""
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     table = Measurements.read(paper_measurements(), robot.joint_names, robot.joint_types)
-    mask = table.estimation
-    rows = Rows(
-        table.joints_for(robot.joint_names)[mask], table.points[mask], np.full(mask.sum(), 1e-4)
-    )
     cell = Cell(target=read_only(PAPER_TARGET), model="paper")
+    every, setup = rows_of(robot, table, cell)
+    rows = every.select(table.estimation)
     print(f"{'solver':<10}{'median [ms]':>12}{'smallest [ms]':>15}{'evaluations':>13}")
     for solver in ("lm", "paper", "scipy"):
-        estimate = fit(robot, cell, rows, solver=solver, robust=True).estimate
-        median, smallest = milliseconds(
-            lambda solver=solver: fit(robot, cell, rows, solver=solver, robust=True)  # type: ignore[misc]
-        )
+        task = Task(robot, cell, setup, cell.model, solver=solver)
+        estimate = fit(task, rows).estimate
+        median, smallest = milliseconds(lambda task=task: fit(task, rows))  # type: ignore[misc]
         print(f"{solver:<10}{median:>12.1f}{smallest:>15.1f}{estimate.solution.evaluations:>13}")
 
 
