@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int_]
 
 #: The probability that a table with nothing but noise gives any finding.
-FALSE_ALARM = 0.01
+FALSE_ALARM = 0.003
 
 #: The same for what repeats of a pose change in the regressors: joint values repeat to `1e-3` only.
 _CUT_WITHIN = 1e-2

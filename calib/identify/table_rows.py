@@ -130,7 +130,8 @@ def _partners(m: Measurements, kinds: NDArray[np.int_]) -> NDArray[np.int_]:
     for i in np.flatnonzero(kinds == PAIR):
         word = m.pairs[i]
         if word in seen:
-            partner[i], partner[seen[word]] = seen.pop(word), i
+            other = seen.pop(word)
+            partner[i], partner[other] = other, i
         else:
             seen[word] = int(i)
     if seen:

@@ -129,15 +129,21 @@ def frame_and_target_model(
 
 
 def _followers(robot: Robot) -> dict[str, tuple[str, float]]:
-    """The zeros of joints that mimic another joint of the chain: its driver's zero, times the multiplier."""
-    by_name = {joint.name: joint for joint in robot.joints}
+    """The zeros of joints that follow one column: all move with that of its driver, by their multipliers.
+
+    Where the driver lies outside the chain, or slides while its follower turns, the first that follows leads.
+    """
+    slides = [joint.type == "prismatic" for joint in robot.joints]
+    names = [joint.name for joint in robot.joints]
     ties = {}
-    for i, joint in enumerate(robot.joints):
-        column = int(np.argmax(np.abs(robot.coupling[i])))
-        driver = robot.joint_names[column]
-        follows = driver in by_name and joint.name != driver and np.any(robot.coupling[i])
-        if follows and by_name[driver].type == joint.type:
-            ties[f"{joint.name}.zero"] = (f"{driver}.zero", float(robot.coupling[i, column]))
+    for column, driver in enumerate(robot.joint_names):
+        for kind in (False, True):
+            moved = [i for i in np.flatnonzero(robot.coupling[:, column]) if slides[i] == kind]
+            leader = next((i for i in moved if names[i] == driver), moved[0] if moved else -1)
+            for i in moved:
+                if i != leader:
+                    factor = robot.coupling[i, column] / robot.coupling[leader, column]
+                    ties[f"{names[i]}.zero"] = (f"{names[leader]}.zero", float(factor))
     return ties
 
 
@@ -189,8 +195,9 @@ def _placed(
 def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
     """a_i, alpha_i (beta_i), d_i, theta_i of each row, row by row.
 
-    a_i and alpha_i act on the placement after joint i. Where the tip's placement is not carried by the URDF the
-    last row's a and alpha are left out: the target takes their place.
+    a_i and alpha_i act on the placement after joint i, d_i and theta_i on that of joint i or, at a base that moves
+    without an <origin>, behind it too. Where the tip's placement is not carried by the URDF the last row's a and
+    alpha are left out: the target takes their place.
     """
     table = dh_table(robot)
     joints = [joint.name for joint in robot.joints]
@@ -200,26 +207,27 @@ def _dh_parameters(robot: Robot, *, hayati: bool = False) -> list[Parameter]:
     for i, (row, frame) in enumerate(zip(table.rows, dh_frames(table), strict=True)):
         number, axis = i + 1, np.asarray(robot.joints[i].axis)
         parallel = hayati and row.near_parallel and i + 1 < len(table.rows)
+        behind, own = [], []
         if robot.carriers[i + 1] is not None:
             T_local_frame = rigid_inverse([*T_base_joint, T_base_tip][i + 1]) @ frame
             along, about = _screw_twists(T_local_frame, 0)
-            parameters += [
+            behind += [
                 Parameter(f"a{number}", "m", places[i], along, LENGTH, row.a),
                 Parameter(f"alpha{number}", "rad", places[i], about, ANGLE, row.alpha),
             ]
             if parallel:
                 _, about_y = _screw_twists(T_local_frame @ _rotation_y(row.beta), 1)
-                parameters.append(
+                behind.append(
                     Parameter(f"beta{number}", "rad", places[i], about_y, ANGLE, row.beta)
                 )
         if not parallel:
             along = read_only(np.concatenate([axis, np.zeros(3)]))
-            parameters.append(_before_joint(robot, i, f"d{number}", "m", along, LENGTH, row.d))
+            own.append(_before_joint(robot, i, f"d{number}", "m", along, LENGTH, row.d))
         about = read_only(np.concatenate([np.zeros(3), axis]))
         family = ANGLE if row.prismatic else ZERO
-        parameters.append(
-            _before_joint(robot, i, f"theta{number}", "rad", about, family, row.theta)
-        )
+        own.append(_before_joint(robot, i, f"theta{number}", "rad", about, family, row.theta))
+        # Where d and theta act at the same place as a and alpha, they come first, as in the row's product.
+        parameters += behind + own if robot.carriers[i] is not None else own + behind
     return parameters
 
 

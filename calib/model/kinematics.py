@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from calib.errors import ModelError, choices
 from calib.model.joint_errors import axis_twists, joint_displacements
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
 from calib.model.robot import Robot, last_joint_poses, read_only, rigid_inverse
@@ -70,6 +71,9 @@ class Kinematics:
         model: Its parameters.
         T_frame_base: shape (F, 4, 4) or (4, 4), [m], pose of the base in each measurement frame at x = 0.
         T_tip_target: shape (T, 4, 4) or (4, 4), [m], pose of each target in the tip at x = 0.
+
+    Raises:
+        ModelError: There are more or fewer frames or targets than the model has places for.
     """
 
     robot: Robot
@@ -79,10 +83,17 @@ class Kinematics:
     _axes: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """One frame and one target become stacks of one."""
-        for name in ("T_frame_base", "T_tip_target"):
+        """One frame and one target become stacks of one; refuse another number of them than the model has."""
+        for name, kind in (("T_frame_base", FRAME), ("T_tip_target", TARGET)):
             stack = np.reshape(getattr(self, name), (-1, 4, 4))
             object.__setattr__(self, name, read_only(stack))
+            places = [place for place in self.model.places if place.startswith(kind)]
+            if len(stack) != len(places):
+                message = (
+                    f"{len(stack)} poses {name} were given; the model '{self.model.name}' has {len(places)} such "
+                    f"places: {choices(places)}."
+                )
+                raise ModelError(message)
         object.__setattr__(self, "_axes", axis_twists(self.robot))
 
     def poses(self, x: Array, where: Where) -> Array:

@@ -58,7 +58,7 @@ class Combination:
         names: The parameters, in the model's order.
         steps: How much each changes, in its own unit, scaled so that the leading one, as a rule the first, changes
             by its declared step.
-        units: "m" or "rad" of each.
+        units: Of each, one of `STEPS`.
     """
 
     names: tuple[str, ...]
@@ -116,7 +116,7 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
     Args:
         jacobian: shape (rows, p), [m per unit of the parameter].
         names: p names.
-        units: p units, "m" or "rad".
+        units: p units, of `STEPS`.
 
     Raises:
         ModelError: The numbers of columns, names and units differ.
