@@ -112,6 +112,13 @@ def _wrong_setup(e: Evidence) -> list[str]:
     """Errors that no arm has."""
     if e.hint:
         return [e.hint]
+    before = e.nominal.errors_without_outliers
+    if before.rms > _ABSURD_NOISE and e.largest > _TOO_FAR:
+        return [
+            f"The nominal robot is {1e3 * before.rms:.0f} mm rms off, and the fit meets the rows only by moving a "
+            f"parameter by {1e3 * e.largest:.0f} mm or mrad, which is no error of an arm. Are base and tip, the joint "
+            "columns and their signs right, and is each set-up, socket or tracker station a group of its own?"
+        ]
     if e.noise > _ABSURD_NOISE:
         return [
             f"What the model leaves over is {1e3 * e.noise:.0f} mm a coordinate, which no arm or instrument explains: "
@@ -150,8 +157,8 @@ def _no_better(e: Evidence) -> list[str]:
     worse = e.validation_calibrated.rms >= (1.0 - _ROUNDING) * e.validation_nominal.rms
     if e.validation_calibrated.n and worse:
         reasons.append(
-            f"On the {e.validation_calibrated.n} validation rows the error does not fall: from "
-            f"{_both(e.validation_nominal)} to {_both(e.validation_calibrated)}."
+            f"On the {e.validation_calibrated.n} validation rows the error does not fall: "
+            f"{_change(e.validation_nominal, e.validation_calibrated)}."
         )
     return reasons
 
@@ -208,8 +215,7 @@ def _gains(e: Evidence) -> list[str]:
     if _gain_in_errors(e) > 0.0:
         aside = ", outliers aside" if np.any(e.outliers) else ""
         reasons.append(
-            f"On rows it did not see ({e.calibrated.method}{aside}) the error falls from {_both(before)} to "
-            f"{_both(after)}."
+            f"On rows it did not see ({e.calibrated.method}{aside}) the error falls {_change(before, after)}."
         )
     if e.larger_validation is not None:
         larger = e.larger_validation.errors_without_outliers
@@ -221,7 +227,7 @@ def _gains(e: Evidence) -> list[str]:
     if after.n and after.rms < (1.0 - _ROUNDING) * before.rms:
         aside = f" ({e.validation_aside} more aside)" if e.validation_aside else ""
         reasons.append(
-            f"On the {after.n} validation rows{aside} it falls from {_both(before)} to {_both(after)}."
+            f"On the {after.n} validation rows{aside} it falls {_change(before, after)}."
         )
     if e.outside:
         reasons.append(
@@ -285,3 +291,12 @@ def _both(errors: Errors) -> str:
     angle = f"{np.degrees(errors.rms_angle):.3f} deg"
     parts = [length] * (errors.n > 0) + [angle] * (errors.n_angle > 0)
     return f"{' and '.join(parts)} rms"
+
+
+def _change(before: Errors, after: Errors) -> str:
+    """A change of rms errors in words: ``from 2.351 to 0.208 mm rms``."""
+    if before.n and before.n_angle:
+        return f"from {_both(before).removesuffix(' rms')} to {_both(after)}"
+    if before.n:
+        return f"from {1e3 * before.rms:.3f} to {1e3 * after.rms:.3f} mm rms"
+    return f"from {np.degrees(before.rms_angle):.3f} to {np.degrees(after.rms_angle):.3f} deg rms"
