@@ -8,18 +8,31 @@ from calib.data import PAPER_TARGET
 from calib.errors import ModelError, UrdfError
 from calib.model.dh import DHTable, dh_table, zero_poses
 from calib.model.error_model import (
-    ANGLE,
-    FRAME,
-    LENGTH,
+    DIRECTIONS,
     MODELS,
-    TARGET,
-    TIP,
-    ErrorModel,
-    Parameter,
     error_model,
+    frame_and_target_model,
+    placed_name,
+    split_name,
 )
 from calib.model.kinematics import Kinematics
+from calib.model.parameters import (
+    ANGLE,
+    COMPLIANCE,
+    ECCENTRICITY,
+    FRAME,
+    GAIN,
+    GEOMETRY,
+    JOINT_FAMILIES,
+    LENGTH,
+    TARGET,
+    TIP,
+    ZERO,
+    ErrorModel,
+    Parameter,
+)
 from calib.model.robot import Robot
+from calib.model.urdf import Urdf
 
 PAPER_NAMES = (
     *(f"{kind}{row}" for row in range(1, 7) for kind in ("a", "alpha", "d", "theta")),
@@ -81,7 +94,12 @@ def test_the_paper_s_27_parameters(ur3):
     units = {p.name: p.unit for p in model.parameters}
     assert {units[f"{k}{i}"] for k in ("a", "d") for i in range(1, 7)} == {"m"}
     assert {units[f"{k}{i}"] for k in ("alpha", "theta") for i in range(1, 7)} == {"rad"}
+    families = {p.name: p.family for p in model.parameters}
+    assert {families[f"{k}{i}"] for k in ("a", "d") for i in range(1, 7)} == {LENGTH}
+    assert {families[f"alpha{i}"] for i in range(1, 7)} == {ANGLE}
+    assert {families[f"theta{i}"] for i in range(1, 7)} == {ZERO}
     assert [p.family for p in model.parameters[-3:]] == [TARGET] * 3
+    assert model.families == (LENGTH, ANGLE, ZERO)
     nominal = {p.name: p.nominal for p in model.parameters}
     np.testing.assert_allclose((nominal["a2"], nominal["d4"]), (-0.24365, 0.11235), atol=1e-9)
 
@@ -105,7 +123,7 @@ def test_the_sizes_of_the_sets(ur3, name, count, frame, target):
     assert len(model) == count + 6 * frame + 3 * target
     assert model.family(FRAME).sum() == 6 * frame
     assert model.family(TARGET).sum() == 3 * target
-    assert model.family(LENGTH).sum() + model.family(ANGLE).sum() == count
+    assert model.family(*GEOMETRY).sum() == count
     assert model.places == (FRAME, *ur3.joint_names, TIP, TARGET)
 
 
@@ -133,6 +151,11 @@ def test_placement_names(ur3):
         np.array([p.direction for p in model.parameters[6:12]]), np.eye(6)
     )
     assert {p.place for p in model.parameters[6:12]} == {"shoulder_lift_joint"}
+    # every axis of the UR3's URDF is one of its joint's frame: that rotation is the joint's zero
+    zeros = [p for p in model.parameters if p.family == ZERO]
+    assert [p.place for p in zeros] == list(ur3.joint_names)
+    for p, joint in zip(zeros, ur3.joints, strict=True):
+        np.testing.assert_array_equal(np.abs(p.direction[3:]), np.abs(joint.axis))
 
 
 def test_zeros_turn_revolute_and_move_prismatic_joints():
@@ -140,7 +163,7 @@ def test_zeros_turn_revolute_and_move_prismatic_joints():
     parameters = error_model(robot, "zeros", target=False).parameters
     assert parameters[0].name == "panda_joint1.zero"
     assert [p.unit for p in parameters] == ["rad"] * 7 + ["m"]
-    assert parameters[-1].family == LENGTH
+    assert [p.family for p in parameters] == [ZERO] * 7 + [LENGTH]
     q = np.random.default_rng(0).uniform(-1, 1, (3, 8))
     x = np.array([0.1] * 7 + [0.01])
     moved = error_model(robot, "zeros", target=False).apply(robot, x)
@@ -151,6 +174,319 @@ def test_arrays_are_read_only(ur3):
     for name in MODELS:
         for parameter in error_model(ur3, name, frame=name != "paper").parameters:
             assert not parameter.direction.flags.writeable
+
+
+# Families behind the set
+
+
+def test_families_stand_behind_the_set_and_before_frame_and_target(ur3):
+    model = error_model(ur3, "dh+compliance+gain", frame=True)
+    assert model.name == "dh+compliance+gain"
+    assert model.families == (LENGTH, ANGLE, ZERO, GAIN, COMPLIANCE)
+    kinds = [p.family for p in model.parameters]
+    assert kinds[24:36] == [COMPLIANCE] * 6 + [GAIN] * 6
+    assert kinds[36:] == [FRAME] * 6 + [TARGET] * 3
+    assert model.names[:24] == error_model(ur3, "dh", target=False).names
+
+
+@pytest.mark.parametrize("name", ["paper", "dh", "hayati", "placement", "zeros", "frames"])
+def test_every_set_takes_every_family(ur3, name):
+    whole = error_model(ur3, "+".join((name, *JOINT_FAMILIES)), target=False)
+    alone = error_model(ur3, name, target=False)
+    assert whole.names[: len(alone)] == alone.names
+    assert {f: int(whole.family(f).sum()) for f in JOINT_FAMILIES} == {
+        GAIN: 6,
+        ECCENTRICITY: 12,
+        COMPLIANCE: 6,
+    }
+
+
+def test_names_are_split_at_each_plus():
+    assert split_name("dh") == ("dh", ())
+    assert split_name(" zeros + gain+ compliance") == ("zeros", ("gain", "compliance"))
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [("dh+gains", "'gains'"), ("dh+gain+gain", "'gain'"), ("dh+", "''"), ("dh+dh", "'dh'")],
+)
+def test_a_family_that_does_not_exist_or_stands_twice_is_refused(ur3, name, wrong):
+    with pytest.raises(
+        ModelError,
+        match=rf"adds {wrong} to the set 'dh'; what can be added, each once, is "
+        "'gain', 'eccentricity', 'compliance'",
+    ):
+        error_model(ur3, name)
+
+
+def test_a_family_without_a_set_lists_the_sets(ur3):
+    with pytest.raises(ModelError, match=r"no parameter set 'gain'\. Choose one of 'paper', 'dh'"):
+        error_model(ur3, "gain")
+
+
+def test_no_urdf_holds_errors_of_the_joints_state(ur3):
+    model = error_model(ur3, "zeros+gain+eccentricity+compliance")
+    x = np.full(len(model), 0.01)
+    x[model.family(ZERO)] = 0
+    assert model.apply(ur3, x).urdf.data == ur3.urdf.data
+
+
+# Several frames and targets, by name
+
+
+def test_frames_and_targets_by_name(ur3):
+    model = error_model(
+        ur3,
+        "frames",
+        frame={"left": DIRECTIONS, "right": (), "top": ("rz", "x")},
+        targets=("ball", "cone"),
+    )
+    assert model.places == (
+        *("(frame)left", "(frame)right", "(frame)top"),
+        *ur3.joint_names,
+        TIP,
+        *("(target)ball", "(target)cone"),
+    )
+    assert model.names == (
+        *(f"frame_{d}[left]" for d in DIRECTIONS),
+        *("frame_x[top]", "frame_rz[top]"),  # in the order of the directions
+        *(f"target_{d}[ball]" for d in "xyz"),
+        *(f"target_{d}[cone]" for d in "xyz"),
+    )
+    top = model.parameters[model.index("frame_rz[top]")]
+    assert (top.place, top.unit, top.family) == ("(frame)top", "rad", FRAME)
+    np.testing.assert_array_equal(top.direction, np.eye(6)[5])
+
+
+def test_only_some_targets_are_estimated(ur3):
+    model = error_model(ur3, "frames", targets=("ball", "cone"), target=("cone",))
+    assert model.names == ("target_x[cone]", "target_y[cone]", "target_z[cone]")
+    assert model.places[-2:] == ("(target)ball", "(target)cone")
+    none = error_model(ur3, "frames", targets=("ball", "cone"), target=False)
+    assert (none.names, none.places) == ((), model.places)
+
+
+def test_an_estimated_target_that_there_is_none_of_is_refused(ur3):
+    with pytest.raises(ModelError, match=r"no places '\(target\)cup'; it has .*'\(target\)ball'"):
+        error_model(ur3, "frames", targets=("ball",), target=("cup",))
+
+
+def test_targets_of_poses_have_six_parameters(ur3):
+    model = error_model(ur3, "frames", targets=("ball", "cone"), target=("cone",), rotation=True)
+    assert model.names == tuple(f"target_{d}[cone]" for d in DIRECTIONS)
+    stacked = np.array([p.direction for p in model.parameters])
+    np.testing.assert_array_equal(stacked, np.eye(6))
+    assert [p.unit for p in model.parameters] == ["m"] * 3 + ["rad"] * 3
+    only = error_model(ur3, "frames", rotation=True)
+    assert only.names == tuple(f"target_{d}" for d in DIRECTIONS)
+
+
+def test_a_partly_known_frame_moves_along_its_unknown_directions_only(ur3):
+    model = error_model(ur3, "frames", frame={"": ("x", "y", "rz")}, target=False)
+    assert model.names == ("frame_x", "frame_y", "frame_rz")
+    x = np.array([0.01, -0.02, 0.3])
+    D = model.displacements(x)[0][0]
+    np.testing.assert_allclose(D[2], [0, 0, 1, 0], atol=1e-16)
+    np.testing.assert_allclose(D[:, 2], [0, 0, 1, 0], atol=1e-16)
+    c, s = np.cos(0.3), np.sin(0.3)
+    np.testing.assert_allclose(D[:2], [[c, -s, 0, 0.01], [s, c, 0, -0.02]], atol=1e-16)
+
+
+def test_the_paper_knows_every_frame(ur3):
+    with pytest.raises(ModelError, match="knows the measurement frame"):
+        error_model(ur3, "paper", frame={"left": (), "right": ("x",)})
+    assert len(error_model(ur3, "paper", frame={"left": (), "right": ()})) == 27
+
+
+def test_frame_and_target_alone(ur3):
+    model = frame_and_target_model(
+        {"a": (), "b": ("z", "rx", "ry")}, ("t",), known_targets=("s", "t"), rotation=True
+    )
+    assert model.places == ("(frame)a", "(frame)b", TIP, "(target)s", "(target)t")
+    whole = error_model(
+        ur3,
+        "frames",
+        frame={"a": (), "b": ("z", "rx", "ry")},
+        targets=("s", "t"),
+        target=("t",),
+        rotation=True,
+    )
+    assert model.names == whole.names
+    assert frame_and_target_model({"": ()}, ("t",)).places == (FRAME, TIP, "(target)t")
+
+
+def test_placed_names():
+    assert placed_name("frame", "rx", "") == "frame_rx"
+    assert placed_name("frame", "rx", "left") == "frame_rx[left]"
+
+
+# Chains of two branches, chains that start with a joint, and joints that follow others
+
+
+#: Robot, base and tip; whether the base, and the tip, is moved by a joint of the chain without an <origin> between.
+CHAINS = {
+    "ur3 turned round": ("ur3", "tool0", "base", False, False),
+    "ur3 turned round, bare": ("ur3", "wrist_3_link", "base", True, False),
+    "tiago head to arm": (
+        *("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link"),
+        *(False, False),
+    ),
+    "talos head to arm": (
+        *("talos_full_v2", "rgbd_optical_frame", "wrist_left_ft_tool_link"),
+        *(False, False),
+    ),
+    "pr2 head to finger": ("pr2", "head_plate_frame", "r_gripper_l_finger_tip_link", False, True),
+    "panda finger to base": ("panda", "panda_rightfinger", "panda_link0", True, False),
+    "panda's fingers": ("panda", "panda_leftfinger", "panda_rightfinger", True, True),
+    "pr2's fingers": (
+        *("pr2", "l_gripper_l_finger_tip_link", "l_gripper_r_finger_tip_link"),
+        *(True, True),
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def chains() -> dict[str, Robot]:
+    return {which: Robot.load(*ends[:3]) for which, ends in CHAINS.items()}
+
+
+@pytest.mark.parametrize("name", ["dh", "hayati"])
+@pytest.mark.parametrize("which", CHAINS)
+def test_offsets_of_any_chain_equal_the_paper_s_matrices(chains, which, name):
+    robot = chains[which]
+    assert (robot.carriers[0] is None, robot.carriers[-1] is None) == CHAINS[which][3:]
+    model, table = error_model(robot, name, target=False), dh_table(robot)
+    q = np.random.default_rng(2).uniform(-1, 1, (3, len(robot.joint_names)))
+    x = offsets_of(model)
+    poses = model.apply(robot, x).poses(q)  # by the corrected URDF: every offset has an <origin>
+    for values, pose in zip(robot.chain_values(q), poses, strict=True):
+        expected = pose_of_rows(table, values, dict(zip(model.names, x, strict=True)))
+        np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("which", CHAINS)
+def test_zeros_of_any_chain_add_to_the_columns(chains, which):
+    robot = chains[which]
+    model = error_model(robot, "zeros", target=False)
+    # one for each column: those of joints that follow are their driver's
+    assert len(model) == len(robot.joint_names)
+    slides = [joint.type == "prismatic" for joint in robot.inputs]
+    assert [p.unit for p in model.parameters] == ["m" if s else "rad" for s in slides]
+    x = offsets_of(model)
+    # a driver that is not in the chain: the first joint that follows it leads
+    leads = [
+        next(
+            robot.coupling[i, c]
+            for i, joint in enumerate(robot.joints)
+            if f"{joint.name}.zero" == model.names[c]
+        )
+        for c in range(len(model))
+    ]
+    q = np.random.default_rng(0).uniform(-1, 1, (3, len(x)))
+    np.testing.assert_allclose(
+        model.apply(robot, x).poses(q), robot.poses(q + x / leads), rtol=0, atol=1e-13
+    )
+
+
+@pytest.mark.parametrize("name", ["dh", "hayati", "placement", "zeros"])
+@pytest.mark.parametrize("which", CHAINS)
+def test_no_parameter_stands_where_the_urdf_holds_none(chains, which, name):
+    robot = chains[which]
+    held = {
+        place
+        for place, carrier in zip(
+            (*(joint.name for joint in robot.joints), TIP), robot.carriers, strict=True
+        )
+        if carrier is not None
+    }
+    assert {t.place for t in error_model(robot, name, target=False).terms} <= held
+
+
+def test_d_and_theta_of_a_bare_base_act_behind_its_joint(chains):
+    robot = chains["ur3 turned round, bare"]
+    model = error_model(robot, "dh", target=False)
+    second = robot.joints[1].name
+    # before a and alpha, as in the row's product
+    assert model.names[:4] == ("d1", "theta1", "a1", "alpha1")
+    assert [p.place for p in model.parameters[:4]] == [second] * 4
+    assert error_model(robot, "zeros", target=False).parameters[0].place == second
+    # the six of the first placement are left out, and the first axis' are in the second one's
+    names = error_model(robot, "placement", target=False).names
+    assert not any(name.startswith(f"{robot.joints[0].name}.") for name in names)
+    assert len(names) == 30
+
+
+def test_a_skew_axis_has_a_zero_of_its_own_among_the_placement_s(serial_urdf):
+    robot = Robot.from_urdf(
+        serial_urdf(
+            [
+                ("revolute", (0, 0, 0.3), (0.1, 0, 0), (0, 0, -1)),
+                ("revolute", (0.2, 0, 0), (0, 1.2, 0), (0, 1, 1)),
+                ("prismatic", (0, 0.1, 0.2), (1.0, 0, 0.3), (1, 1, 0)),
+            ]
+        )
+    )
+    model = error_model(robot, "placement", target=False)
+    extra = [name for name in model.names if name.endswith(".zero")]
+    assert (extra, len(model)) == (["j2.zero"], 19)
+    families = {p.name: p.family for p in model.parameters}
+    assert families["j1.rz"] == ZERO
+    assert {families[f"j2.{d}"] for d in ("rx", "ry", "rz")} == {ANGLE}
+    assert {families[f"j3.{d}"] for d in ("rx", "ry", "rz")} == {ANGLE}
+    zero = model.parameters[model.index("j2.zero")]
+    np.testing.assert_array_equal(zero.direction[3:], robot.joints[1].axis)
+
+
+LIMIT = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
+
+
+def followers(*joints: tuple[str, str, str]) -> Robot:
+    """A serial chain of joints (name, type, mimic) behind one of another branch, called ``outside``."""
+    links = "".join(f'<link name="l{i}"/>' for i in range(len(joints) + 2))
+    lines = [
+        f'<joint name="{name}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/>'
+        f'<origin xyz="0.1 0.2 0.3" rpy="0.1 0.4 0.2"/><axis xyz="0 1 2"/>{LIMIT}{mimic}</joint>'
+        for i, (name, kind, mimic) in enumerate(joints)
+    ]
+    last = len(joints) + 1
+    lines.append(
+        f'<joint name="outside" type="revolute"><parent link="l0"/><child link="l{last}"/>{LIMIT}</joint>'
+    )
+    text = f'<robot name="r">{links}{"".join(lines)}</robot>'
+    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"), tip=f"l{len(joints)}")
+
+
+def test_zeros_of_followers_are_tied_to_their_driver_s():
+    robot = followers(
+        ("a", "continuous", ""),
+        ("b", "revolute", '<mimic joint="a" multiplier="-2" offset="0.3"/>'),
+        ("c", "prismatic", '<mimic joint="a" multiplier="0.5"/>'),
+        ("d", "revolute", '<mimic joint="outside" multiplier="4"/>'),
+        ("e", "prismatic", '<mimic joint="a" multiplier="0.25"/>'),
+        ("f", "revolute", '<mimic joint="outside" multiplier="-1"/>'),
+    )
+    assert robot.joint_names == ("a", "outside")
+    model = error_model(robot, "zeros", target=False)
+    # b follows a; e follows c, for lengths cannot follow angles; f follows d, as their driver is elsewhere
+    assert model.names == ("a.zero", "c.zero", "d.zero")
+    np.testing.assert_array_equal(
+        model.mixing,
+        [[1, 0, 0], [-2, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0.5, 0], [0, 0, -0.25]],
+    )
+    # both kinds in the right proportion are a zero of the column itself
+    x, q = np.array([0.1, 0.05, 0.0]), np.array([0.4, -0.3])
+    np.testing.assert_allclose(
+        model.apply(robot, x).poses(q), robot.poses(q + np.array([0.1, 0.0])), rtol=0, atol=1e-14
+    )
+
+
+def test_held_joints_keep_their_own_zeros():
+    held = {"torso_lift_joint": 0.2, "head_1_joint": -0.3}
+    robot = Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link", held=held)
+    assert not set(held) & set(robot.joint_names)
+    names = error_model(robot, "zeros", target=False).names
+    assert names == tuple(f"{joint.name}.zero" for joint in robot.joints)
+    assert "head_1_joint.zero" in names
 
 
 # Exactness: a DH offset is a displacement of a placement, and no approximation
@@ -325,7 +661,8 @@ def test_an_unknown_set_lists_those_there_are(ur3):
     with pytest.raises(
         ModelError,
         match=r"no parameter set 'dhh'\. Choose one of "
-        "'paper', 'dh', 'hayati', 'placement', 'zeros', 'frames'",
+        "'paper', 'dh', 'hayati', 'placement', 'zeros', 'frames', and behind it, each with a '\\+', any "
+        "of 'gain', 'eccentricity', 'compliance'",
     ):
         error_model(ur3, "dhh")
 
@@ -345,7 +682,7 @@ def test_a_name_twice_is_refused(ur3):
 def test_an_unknown_place_lists_the_places(ur3):
     places = (FRAME, *ur3.joint_names, TIP, TARGET)
     lost = Parameter("x", "m", "elbow", np.eye(6)[0], LENGTH)
-    with pytest.raises(ModelError, match=r"no places 'elbow'; it has 'frame', .*'elbow_joint'"):
+    with pytest.raises(ModelError, match=r"no places 'elbow'; it has '\(frame\)', .*'elbow_joint'"):
         ErrorModel("mine", places, (lost,))
 
 
