@@ -125,7 +125,7 @@ def outside_sentence(rows: Sequence[OutsideRow], numbers: Integers | None = None
     parts = []
     for row in rows[:_NAMED]:
         number = row.index + 1 if numbers is None else int(numbers[row.index])
-        listed = " and ".join(str(joint) for joint in row.beyond)
+        listed = ", ".join(str(joint) for joint in row.beyond)
         parts.append(f"row {number}: {listed} beyond the measured range")
     more = len(rows) - _NAMED
     if more > 0:

@@ -135,7 +135,8 @@ class Kinematics:
         T_root_last, regressor = _regressor(
             state.chain,
             self.robot.configurations(values),
-            (state.T_last_tip @ state.T_tip_target)[samples.target],
+            state.T_last_tip @ state.T_tip_target,
+            samples.target,
         )
         T_frame_tip = state.T_frame_root[samples.frame] @ T_root_last @ state.T_last_tip
         T_frame_target = T_frame_tip @ state.T_tip_target[samples.target]
@@ -219,24 +220,20 @@ def add_outer_twists(
 
 
 def _regressor(
-    chain: pin.Model, configurations: Array, T_last_target: Array
+    chain: pin.Model, configurations: Array, T_last_target: Array, target: NDArray[np.int_]
 ) -> tuple[Array, Array]:
     """The last joint's pose, (N, 4, 4), and the target's placement regressor, (N, 6, 6 n), along the root's axes."""
     data = chain.createData()
     last = chain.njoints - 1
     T_root_last = np.empty((len(configurations), 4, 4))
     regressor = np.empty((len(configurations), 6, 6 * last))
-    placement = pin.SE3.Identity()
-    before: Array | None = None
-    for i, configuration in enumerate(configurations):
-        if before is None or not np.array_equal(T_last_target[i], before):
-            before = T_last_target[i]
-            placement = pin.SE3(before)
+    placements = [pin.SE3(T) for T in T_last_target]
+    for i, (configuration, t) in enumerate(zip(configurations, target.tolist(), strict=True)):
         # The regressor reads what forwardKinematics left in data; without that call it is silently wrong.
         pin.forwardKinematics(chain, data, configuration)
         T_root_last[i] = data.oMi[last].homogeneous
         regressor[i] = pin.computeJointKinematicRegressor(
-            chain, data, last, pin.LOCAL_WORLD_ALIGNED, placement
+            chain, data, last, pin.LOCAL_WORLD_ALIGNED, placements[t]
         )
     return T_root_last, regressor
 

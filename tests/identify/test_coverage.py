@@ -73,7 +73,7 @@ def test_a_margin_of_a_twentieth_is_allowed():
     assert [b.joint for b in found[2].beyond] == ["a", "b"]
     text = outside_sentence(found)
     assert "row 3: 'b' 110 mm beyond the measured range" in text
-    assert "row 4: 'a' 11.5 deg and 'b' 300 mm beyond the measured range" in text
+    assert "row 4: 'a' 11.5 deg, 'b' 300 mm beyond the measured range" in text
 
 
 def test_many_rows_are_not_all_named():
