@@ -32,9 +32,11 @@ from calib.identify.fitting import (
 from calib.identify.repeats import Repeats, repeats
 from calib.identify.result import Calibration, Larger
 from calib.identify.robust import Limits
-from calib.identify.rows import POINT, POSE, Rows
+from calib.identify.robustness import compare
+from calib.identify.rows import Rows
 from calib.identify.selection import AUTO, Candidate, select
 from calib.identify.setup_check import better_setup
+from calib.identify.spread import position_std
 from calib.identify.statistics import CrossValidation
 from calib.identify.table_rows import known_distances, rows_of
 from calib.identify.verdict import NO, Verdict, verdict
@@ -249,6 +251,9 @@ def _assemble(
         flag_limit=limit,
         outliers=named(mask, limit),
         suspects=named(~mask, suspect),
+        robustness=compare(fitted)
+        if np.any(estimated.outliers) and task.solver != "paper"
+        else None,
         repeats=_repeats(fitted),
         outside=_outside(robot, every, mask),
         cross_validation=None,
@@ -261,16 +266,6 @@ def _assemble(
         fitted=fitted,
         verdict=None,
     )
-
-
-def _without_rigid_motion(points: Array, jacobian: Array) -> Array:
-    """A Jacobian of points, (N, 3, p), less what moves all of them as one body."""
-    motion = np.zeros((len(points), 3, 6))
-    motion[:, :, :3] = np.eye(3)
-    motion[:, :, 3:] = np.cross(np.eye(3), points[:, None, :]).transpose(0, 2, 1)
-    base = np.linalg.qr(motion.reshape(-1, 6))[0]
-    flat = jacobian.reshape(-1, jacobian.shape[2])
-    return np.asarray((flat - base @ (base.T @ flat)).reshape(jacobian.shape))
 
 
 def _median(values: Array) -> float:
@@ -298,14 +293,6 @@ def _outside(robot: Robot, every: Rows, mask: NDArray[np.bool_]) -> tuple[Outsid
 
 
 def _expected(fitted: Fitted, samples: Samples) -> float:
-    """Predicted standard deviation of the target's position, rms over poses [m].
-
-    Sockets, planes and anchors do not tell where the base stands and how it is turned; nor does anyone ask them: what a
-    rigid motion of all points would do is then left out.
-    """
+    """Predicted standard deviation of the target's position, rms over poses [m]."""
     chosen = samples.select(np.arange(min(len(samples), _MOST_EXPECTED)))
-    points, jacobian = fitted.kinematics.points_jacobian(fitted.estimate.x, chosen)
-    if not np.any(np.isin(fitted.estimate.problem.rows.kinds, (POINT, POSE))):
-        jacobian = _without_rigid_motion(points, jacobian)
-    spread = np.einsum("nij,jk,nik->n", jacobian, fitted.estimate.covariance, jacobian)
-    return float(np.sqrt(np.mean(spread)))
+    return float(np.sqrt(np.mean(position_std(fitted, chosen) ** 2)))

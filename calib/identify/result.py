@@ -14,6 +14,7 @@ from calib.identify.coverage import OutsideRow, outside
 from calib.identify.findings import Outlier, ParameterEstimate
 from calib.identify.fitting import Fitted
 from calib.identify.repeats import Repeats
+from calib.identify.robustness import Robustness
 from calib.identify.selection import Candidate
 from calib.identify.setup import Setup
 from calib.identify.solvers import Solution
@@ -90,6 +91,8 @@ class Calibration:
         flag_limit: The score above which a row is flagged.
         outliers: The estimation rows flagged; they have no weight where the fit was robust.
         suspects: The validation rows beyond such a limit, for their number; they never have a weight.
+        robustness: What lowering the weights of doubtful rows did, or would do; None where no row is flagged, and with
+            the solver ``"paper"``. See also `calib.identify.uncertainty.with_and_without`.
         repeats: Scatter of rows that repeat a pose; None where none does.
         outside: The rows for validation whose joint values lie outside of the range that was fitted.
         cross_validation: Errors on left-out estimation rows; None where it was not asked for.
@@ -130,6 +133,7 @@ class Calibration:
     flag_limit: float
     outliers: tuple[Outlier, ...]
     suspects: tuple[Outlier, ...]
+    robustness: Robustness | None
     repeats: Repeats | None
     outside: tuple[OutsideRow, ...]
     cross_validation: CrossValidation | None

@@ -174,6 +174,8 @@ def _flagged(c: Calibration) -> str:
             "they have no weight in the fit" if unused else "they keep their weight in this fit"
         )
         lines.append(wrap(f"Outliers ({treated}): {_list(c.outliers)}"))
+        if c.robustness is not None:
+            lines.append(wrap(c.robustness.sentence(), "  "))
     else:
         lines.append("Outliers: none.")
     if c.suspects:

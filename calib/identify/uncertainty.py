@@ -1,0 +1,407 @@
+"""Uncertainty on demand: bootstrap, profiles, the workspace, correlations, and what robust weights did.
+
+The covariance that comes with every calibration is that of the linearised problem with normal noise,
+
+    C = (A^T W A + P)^-1
+
+with the whitened derivative A of the predictions, the rows' weights W and the priors' precisions P. What is here asks
+less, at the price of many fits; noise, prior sizes and robust weights stay as the calibration found them throughout.
+
+**Bootstrap.** Whole poses, with their repeats, are drawn with replacement within each set-up, and the parameters are
+fitted again: B. Efron, R. J. Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 (cases, which ask nothing
+of the noise) and 13.3 (percentile intervals). Where a prior takes part, drawing rows alone would leave it where it is
+and find no spread in what only the prior holds; so each sample draws the priors' means too, from the priors themselves
+(M. A. Newton, N. G. Polson, J. Xu, Weighted Bayesian bootstrap, Canadian Journal of Statistics 49, 2021; J. M. Bardsley
+and others, Randomize-then-optimize, SIAM Journal on Scientific Computing 36, 2014). For a linear problem the samples'
+covariance is then
+
+    C (sum_i A_i^T W_i r_i r_i^T W_i A_i + P) C
+
+which is C where the residuals r are noise as large as was found, and says more where they are not. With few rows for a
+parameter it is too wide (N. El Karoui, E. Purdom, Can we trust the bootstrap in high-dimension?, JMLR 19, 2018).
+
+**Profile.** The interval of one parameter where the cost, minimised over all others, has risen by no more than the
+quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 1988, section 6.1. For a linear problem
+that is estimate +- t std.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import CalibError, ModelError, choices
+from calib.identify.findings import ParameterEstimate
+from calib.identify.fitting import Fitted
+from calib.identify.problem import Problem
+from calib.identify.resampling import Profile, bootstrap_indices, profile
+from calib.identify.result import Calibration
+from calib.identify.robustness import Robustness, compare
+from calib.identify.solvers import Solution, levenberg_marquardt
+from calib.identify.spread import own_moves, position_std
+from calib.model.kinematics import Samples, Where
+from calib.model.observability import steps
+from calib.model.readback import spread_poses
+from calib.model.robot import read_only
+
+Array = NDArray[np.float64]
+
+#: Called with the number of samples done and of samples in all.
+Progress = Callable[[int, int], None]
+
+#: With fewer samples than this the ends of a 95 % interval lie beyond the samples.
+FEWEST_SAMPLES = 40
+
+#: Fewer joint values than this have no 95 % quantile.
+_FEWEST_POSES = 20
+
+#: A prior wider than this is no prior but a hold on what nothing determines; its mean stays [m, rad].
+_LEASH = 1.0
+
+#: A fit of a sample ends with steps below this, in steps of 1 mm and 1 mrad.
+_STEP = 1e-4
+
+#: Poses over which a bootstrap's predicted spread is told.
+_POSES = 200
+
+#: The least favourable joint values that are listed.
+_WORST = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bootstrap:
+    """Parameters of many fits, each to rows drawn with replacement.
+
+    Attributes:
+        fitted: The fit whose rows were drawn from.
+        parameters: Its parameters, with the values and intervals of the covariance.
+        x: shape (count, p), the parameters of each sample, as offsets like ``fitted.estimate.x``.
+        seed: The samples are the same for the same seed.
+        stopped: Number of samples whose fit reached the solver's limit of iterations.
+        measured_rms: Standard deviation over the samples of the predicted position, rms over the measured poses [m].
+        everywhere_rms: The same over joint values spread over the limits [m].
+    """
+
+    fitted: Fitted
+    parameters: tuple[ParameterEstimate, ...]
+    x: Array
+    seed: int
+    stopped: int
+    measured_rms: float
+    everywhere_rms: float
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation of each parameter over the samples, shape (p,)."""
+        return np.asarray(np.std(self.x, axis=0, ddof=1))
+
+    def intervals(self, level: float = 0.95) -> Array:
+        """Percentile interval of each parameter's value, shape (p, 2), in the parameter's unit.
+
+        Args:
+            level: Probability that the interval holds the true value.
+        """
+        tail = 0.5 * (1.0 - _checked(level))
+        ends = np.quantile(self.x, (tail, 1.0 - tail), axis=0).T
+        values = np.array([p.value for p in self.parameters])
+        return np.asarray(ends + (values - self.fitted.estimate.x)[:, None])
+
+    def positions(self, where: Where) -> Array:
+        """Where each sample puts the target, in the measurement frame, shape (count, N, 3), [m].
+
+        Args:
+            where: N samples (see `Calibration.samples`), or joint values of shape (N, m) of the first frame and target.
+        """
+        return np.array([self.fitted.kinematics.points(x, where) for x in self.x])
+
+    def position_std(self, where: Where) -> Array:
+        """Standard deviation of the predicted position over the samples, shape (N,), [m].
+
+        The root of the summed variances of x, y and z, as `Calibration.position_std` has it from the covariance.
+
+        Args:
+            where: As for `positions`.
+        """
+        points = self.positions(where)
+        mean = points.mean(axis=0)
+        moves = own_moves(self.fitted, mean, (points - mean).transpose(1, 2, 0))
+        return np.asarray(np.sqrt(np.sum(np.var(moves, axis=2, ddof=1), axis=1)))
+
+
+def bootstrap(
+    calibration: Calibration, count: int, seed: int, progress: Progress | None = None
+) -> Bootstrap:
+    """Fit the geometry again to rows drawn with replacement, whole poses within each set-up; see the module's text.
+
+    Args:
+        calibration: The calibration.
+        count: Number of samples; 200 for standard deviations, 1000 for intervals.
+        seed: The samples are the same for the same seed.
+        progress: Called after each sample.
+
+    Raises:
+        CalibError: Fewer samples than an interval needs, or a seed below 0.
+        ModelError: The paper's solver made the calibration.
+
+    Example:
+        >>> bootstrap(calibration, count=200, seed=1).intervals()[0]
+        array([-0.00042,  0.00017])
+    """
+    if count < FEWEST_SAMPLES or seed < 0:
+        message = (
+            f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} samples or "
+            "more, 1000 for intervals to be trusted, and a seed of 0 or more."
+        )
+        raise CalibError(message)
+    fitted = _least_squares(calibration.fitted)
+    problem, start = fitted.estimate.problem, fitted.estimate.x
+    rows = problem.rows
+    drawn = bootstrap_indices(rows.blocks, count, seed, strata=rows.samples.frame)
+    # Not the generator that draws the rows: priors would follow them.
+    rng = np.random.default_rng([seed, 1])
+    held = problem.precision > 1.0 / _LEASH**2
+    held[list(fitted.estimate.at_bound)] = False
+    wide = np.where(held, 1.0 / np.sqrt(np.where(held, problem.precision, 1.0)), 0.0)
+    x, stopped = np.empty((count, len(start))), 0
+    for k in range(count):
+        sample = problem.reweighted(
+            problem.weights * drawn[k],
+            problem.scales,
+            problem.precision,
+            problem.centre + wide * rng.normal(size=len(start)),
+        )
+        solution = _solved(fitted, sample, start)
+        x[k], stopped = solution.x, stopped + (solution.status != "converged")
+        if progress is not None:
+            progress(k + 1, count)
+    result = Bootstrap(
+        fitted, calibration.parameters, read_only(x), seed, stopped, float("nan"), float("nan")
+    )
+    some = np.linspace(0, len(rows) - 1, min(len(rows), _POSES)).astype(int)
+    everywhere = Samples.at(spread_poses(fitted.task.robot, _POSES))
+    return Bootstrap(
+        fitted,
+        calibration.parameters,
+        result.x,
+        seed,
+        stopped,
+        measured_rms=_rms(result.position_std(rows.samples.select(some))),
+        everywhere_rms=_rms(result.position_std(everywhere)),
+    )
+
+
+def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -> Profile:
+    """The interval of one parameter from the profile of the cost; see the module's text.
+
+    Args:
+        calibration: The calibration.
+        name: A parameter of the geometry, or of the larger model if only that has it.
+        level: Probability that the interval holds the true value.
+
+    Returns:
+        Ends in the parameter's unit; infinite where the measurements set no limit.
+
+    Raises:
+        ModelError: No such parameter, it stands at a bound, or the paper's solver made the calibration.
+        CalibError: The level is not between 0 and 1.
+    """
+    found = calibration.parameter(name)
+    larger = calibration.larger
+    fitted = calibration.fitted
+    if larger is not None and name not in calibration.model.names:
+        fitted = larger.fitted
+    fitted = _least_squares(fitted)
+    estimate = fitted.estimate
+    k = fitted.kinematics.model.index(name)
+    if k in estimate.at_bound:
+        message = (
+            f"'{name}' stands at its bound, {found.value:g} {found.unit}, where the cost has no least value: it has "
+            "no profile. Widen the bound in the cell file's table [bounds]."
+        )
+        raise ModelError(message)
+    at = float(estimate.x[k])
+    shift = found.value - at
+    result = profile(
+        partial(_least_cost, fitted, k), at, found.std, level, freedom=estimate.freedom
+    )
+    return Profile(result.low + shift, result.high + shift, level)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorkspaceUncertainty:
+    """How sure predicted positions are over the joint limits.
+
+    Attributes:
+        q: shape (count, m), joint values spread evenly over the limits, [rad] or [m].
+        std: shape (count,), standard deviation of the predicted position there [m].
+    """
+
+    q: Array
+    std: Array
+
+    @property
+    def rms(self) -> float:
+        """Root mean square [m]."""
+        return _rms(self.std)
+
+    @property
+    def quantile_95(self) -> float:
+        """What 95 % of the poses do not exceed [m]."""
+        return float(np.quantile(self.std, 0.95))
+
+    @property
+    def max(self) -> float:
+        """The largest [m]."""
+        return float(np.max(self.std))
+
+    def worst(self, count: int = _WORST) -> tuple[Array, Array]:
+        """Where it is largest, in falling order: joint values, shape (count, m), and their std, shape (count,), [m]."""
+        order = np.argsort(-self.std, kind="stable")[:count]
+        return self.q[order], self.std[order]
+
+
+def workspace_uncertainty(
+    calibration: Calibration, count: int = 1000, *, larger: bool = True
+) -> WorkspaceUncertainty:
+    """Standard deviation of predicted positions, sqrt(trace(J C J^T)), over the joint limits.
+
+    The joint values are a Sobol sequence over the limits (one turn or one metre where there are none). It knows
+    nothing of errors that the model lacks, and joint values far from the measured ones are where those show.
+
+    Args:
+        calibration: The calibration.
+        count: Number of joint values.
+        larger: Whether to use the larger model, where there is one.
+
+    Raises:
+        CalibError: Too few joint values for a quantile.
+    """
+    if count < _FEWEST_POSES:
+        message = f"Over {count} joint values there is no 95 % quantile; take {_FEWEST_POSES} or more, such as 1000."
+        raise CalibError(message)
+    chosen = calibration.fitted
+    if larger and calibration.larger is not None:
+        chosen = calibration.larger.fitted
+    q = spread_poses(calibration.nominal, count)
+    return WorkspaceUncertainty(q, read_only(position_std(chosen, calibration.samples(q))))
+
+
+@dataclass(frozen=True, slots=True)
+class Correlation:
+    """Two parameters that the measurements know together better than apart.
+
+    Attributes:
+        first: Name of a parameter.
+        second: Name of another.
+        value: Their correlation, between -1 and 1.
+    """
+
+    first: str
+    second: str
+    value: float
+
+
+def correlations(calibration: Calibration, above: float = 0.9) -> tuple[Correlation, ...]:
+    """Pairs of the geometry's parameters whose estimates hang together, C_ij / sqrt(C_ii C_jj), the closest first.
+
+    Parameters that the measurements know in combinations only are left aside: the prior shares those out, and
+    `Calibration.observability` names the combinations.
+
+    Args:
+        calibration: The calibration.
+        above: Pairs with a larger absolute correlation are named.
+
+    Raises:
+        CalibError: The limit is not between 0 and 1.
+    """
+    if not 0.0 <= above < 1.0:
+        message = f"Correlations above {above:g} were asked for; the limit lies between 0 and 1, such as 0.9."
+        raise CalibError(message)
+    held = calibration.fitted.estimate.at_bound
+    chosen = [k for k, p in enumerate(calibration.parameters) if p.identifiable and k not in held]
+    names = [calibration.parameters[k].name for k in chosen]
+    C = calibration.covariance[np.ix_(chosen, chosen)]
+    std = np.sqrt(np.diag(C))
+    R = C / np.outer(std, std)
+    pairs = [
+        Correlation(names[i], names[j], float(R[i, j]))
+        for i, j in zip(*np.triu_indices(len(chosen), 1), strict=True)
+        if abs(R[i, j]) > above
+    ]
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair.value)))
+
+
+def with_and_without(calibration: Calibration) -> Robustness:
+    """The fit with robust weights and the one with every row in full, compared; see `Robustness`.
+
+    Raises:
+        ModelError: The paper's solver made the calibration.
+    """
+    found = calibration.robustness
+    return compare(calibration.fitted) if found is None else found
+
+
+def _least_squares(fitted: Fitted) -> Fitted:
+    """The fit, refused where it is not the least cost of its own problem.
+
+    Raises:
+        ModelError: The paper's solver made it.
+    """
+    if fitted.task.solver == "paper":
+        message = (
+            "The solver 'paper' minimises fourth powers, of which there is neither bootstrap nor profile here. Choose "
+            f"one of {choices(('lm', 'scipy'))}."
+        )
+        raise ModelError(message)
+    return fitted
+
+
+def _solved(fitted: Fitted, problem: Problem, start: Array) -> Solution:
+    """The least-squares solution of a problem with the parameters of a fit."""
+    size = steps(fitted.kinematics.model.units)
+    return levenberg_marquardt(problem.system, start, step_size=size, step_tolerance=_STEP)
+
+
+def _least_cost(fitted: Fitted, k: int, value: float) -> float:
+    """Squares over their variance, the priors' included, with parameter k held at a value and the others fitted."""
+    estimate = fitted.estimate
+    problem, C = estimate.problem, estimate.covariance
+    others = np.arange(len(estimate.x)) != k
+    start = estimate.x + C[:, k] / C[k, k] * (value - estimate.x[k])
+    start[k] = value
+    if not np.any(others):
+        residual, _ = problem.system(start)
+        return float(residual @ residual)
+
+    def system(rest: Array) -> tuple[Array, Array]:
+        """Residual and derivative over the other parameters."""
+        x = start.copy()
+        x[others] = rest
+        residual, jacobian = problem.system(x)
+        return residual, jacobian[:, others]
+
+    size = steps(fitted.kinematics.model.units)[others]
+    return 2.0 * levenberg_marquardt(system, start[others], step_size=size).cost
+
+
+def _rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _checked(level: float) -> float:
+    """A level of an interval.
+
+    Raises:
+        CalibError: It is not between 0 and 1.
+    """
+    if not 0.0 < level < 1.0:
+        message = (
+            f"The level of an interval is {level:g}; it must lie between 0 and 1, such as 0.95."
+        )
+        raise CalibError(message)
+    return level
