@@ -72,6 +72,7 @@ def evidence_of(result: Calibration, rows: Rows, hint: str) -> Evidence:
         larger_name="" if larger is None else larger.name,
         scales=fitted.estimate.problem.scales,
         used=rows.used,
+        repeats=rows.poses,
         outliers=fitted.estimate.outliers,
         validation_nominal=before,
         validation_calibrated=after,

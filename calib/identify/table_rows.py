@@ -59,7 +59,7 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
         partner=partner,
         sigma=_sigma(m.sigma, cell.sigma, FIRST_SIGMA, count),
         sigma_angle=_sigma(m.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE, count),
-        poses=_labels(np.column_stack([blocks, samples.frame, samples.target])),
+        poses=_repeats(blocks, samples, partner),
         blocks=_joined(blocks, [(int(i), int(partner[i])) for i in np.flatnonzero(partner >= 0)]),
     )
     return rows, setup
@@ -109,9 +109,13 @@ def _matches(first: str, second: str, groups: tuple[str, ...]) -> list[tuple[str
     return result
 
 
-def _labels(columns: NDArray[np.int_]) -> NDArray[np.int_]:
-    """A number for each different row, shape (N,)."""
-    return np.unique(columns, axis=0, return_inverse=True)[1].reshape(-1)
+def _repeats(
+    blocks: NDArray[np.int_], samples: Samples, partner: NDArray[np.int_]
+) -> NDArray[np.int_]:
+    """A number for each pose, frame and target, and of a pair for those of both its rows, shape (N,)."""
+    own = np.column_stack([blocks, samples.frame, samples.target])
+    other = np.where((partner >= 0)[:, None], own[partner], -1)
+    return np.unique(np.hstack([own, other]), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def _joined(labels: NDArray[np.int_], pairs: list[tuple[int, int]]) -> NDArray[np.int_]:

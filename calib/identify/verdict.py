@@ -60,6 +60,7 @@ class Evidence:
         larger_name: Its name.
         scales: shape (N, D), the noise of each scalar [m], [rad].
         used: shape (N, D), which scalars were measured.
+        repeats: shape (N,), rows of one number are repeats of one measurement.
         outliers: shape (N,), the rows flagged by the fit to all of them.
         validation_nominal: Errors of the nominal robot on the validation rows; n = 0 where there are none.
         validation_calibrated: Errors of the calibrated robot there.
@@ -81,6 +82,7 @@ class Evidence:
     larger_name: str
     scales: NDArray[np.float64]
     used: NDArray[np.bool_]
+    repeats: NDArray[np.int_]
     outliers: NDArray[np.bool_]
     validation_nominal: Errors
     validation_calibrated: Errors
@@ -253,13 +255,13 @@ def _gain_in_errors(e: Evidence) -> float:
 
 
 def _poses(e: Evidence) -> int:
-    """Number of different poses."""
-    return int(e.nominal.poses.max(initial=-1)) + 1
+    """Number of different poses, or pairs of poses, at which something was measured."""
+    return len(np.unique(e.repeats[np.any(e.used, axis=1)]))
 
 
 def _numbers(e: Evidence) -> int:
     """Scalars measured, repeats of a pose counted once."""
-    first = np.unique(e.nominal.poses, return_index=True)[1]
+    first = np.unique(e.repeats, return_index=True)[1]
     return int(np.sum(e.used[first]))
 
 
