@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from calib.errors import CalibError
     from calib.identify.calibration import Calibration, calibrate
     from calib.identify.evaluation import Evaluation, evaluate
-    from calib.measure.cell import Cell, Priors
+    from calib.measure.cell import Cell, GroupDistance, Priors
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
+    from calib.model.torques import Payload
     from calib.show.pictures import show
 
 __version__ = "0.1.0.dev0"
@@ -30,7 +31,9 @@ __all__ = [
     "Calibration",
     "Cell",
     "Evaluation",
+    "GroupDistance",
     "Measurements",
+    "Payload",
     "Priors",
     "Robot",
     "calibrate",
@@ -43,7 +46,9 @@ _MODULES = {
     "Calibration": "calib.identify.calibration",
     "Cell": "calib.measure.cell",
     "Evaluation": "calib.identify.evaluation",
+    "GroupDistance": "calib.measure.cell",
     "Measurements": "calib.measure.measurements",
+    "Payload": "calib.model.torques",
     "Priors": "calib.measure.cell",
     "Robot": "calib.model.robot",
     "calibrate": "calib.identify.calibration",

@@ -29,6 +29,7 @@ from calib.identify.fitting import (
     predict,
     unseen_scores,
 )
+from calib.identify.inspection import known_slopes
 from calib.identify.repeats import Repeats, repeats
 from calib.identify.result import Calibration, Larger
 from calib.identify.robust import Limits
@@ -193,7 +194,11 @@ def _observability(fitted: Fitted) -> Observability:
     scales = problem.rows.scales
     jacobian = jacobian * (scales[:, :1] / scales)[:, :, None]
     counts = problem.rows.used & (problem.weights > 0.0)[:, None]
-    return analyse(jacobian[counts], model.names, model.units)
+    return analyse(
+        np.concatenate([jacobian[counts], known_slopes(problem, estimated.x)]),
+        model.names,
+        model.units,
+    )
 
 
 def _assemble(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.fitting import nominal_setup, predict
+from calib.errors import ModelError, choices
+from calib.identify.fitting import nominal_setup, seen_from
+from calib.identify.rows import Rows
 from calib.identify.setup import Setup
 from calib.identify.setup_check import better_setup
 from calib.identify.statistics import Errors
@@ -17,6 +20,64 @@ from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """Frames and targets of an earlier result, which win over what a cell says of them.
+
+    The only one of a result stands for the only one of a table, whatever their names are. None of a kind: the cell's.
+
+    Attributes:
+        frames: T_frame_base of each set-up by name, shape (4, 4), [m].
+        targets: T_tip_target of each target by name, shape (4, 4), [m].
+        rotation: Whether the targets' orientations are known, and not their positions alone.
+    """
+
+    frames: Mapping[str, Array]
+    targets: Mapping[str, Array]
+    rotation: bool = False
+
+    def placed(self, setup: Setup) -> Setup:
+        """A table's set-up with what is known here.
+
+        Raises:
+            ModelError: The table has a set-up that is not known here, and the cell does not say where it stands.
+        """
+        frames, targets = setup.T_frame_base.copy(), setup.T_tip_target.copy()
+        framed, aimed = np.zeros(len(frames), dtype=bool), np.zeros(len(targets), dtype=bool)
+        for f, group in enumerate(setup.groups):
+            found = _named(group, self.frames, alone=len(frames) == 1)
+            if found is not None:
+                frames[f], framed[f] = found, True
+        for t, name in enumerate(setup.targets):
+            found = _named(name, self.targets, alone=len(targets) == 1)
+            if found is not None:
+                targets[t], aimed[t] = found, True
+        lost = [
+            group
+            for group, known, directions in zip(setup.groups, framed, setup.unknown, strict=True)
+            if self.frames and not known and not directions
+        ]
+        if lost:
+            message = (
+                f"The result has the set-ups {choices(self.frames)}; the table's {choices(lost)} are none of them. Let "
+                "the measurement frames be found (--frame estimate), or give them in a cell file."
+            )
+            raise ModelError(message)
+        # A position is not enough where orientations are to be met: then it is where the target is looked for.
+        known = aimed if self.rotation or not setup.rotation else np.zeros_like(aimed)
+        placed = setup.as_known(framed, known).placed(frames, targets)
+        return replace(
+            placed,
+            frame_given=setup.frame_given | framed,
+            target_given=np.where(aimed, known, setup.target_given),
+        )
+
+
+def _named(name: str, known: Mapping[str, Array], *, alone: bool) -> Array | None:
+    """A pose by name; the only one for the only one."""
+    return next(iter(known.values())) if alone and len(known) == 1 else known.get(name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +121,13 @@ class Evaluation:
         }
 
 
-def evaluate(robot: Robot, measurements: Measurements, cell: Cell | None = None) -> Evaluation:
+def evaluate(
+    robot: Robot,
+    measurements: Measurements,
+    cell: Cell | None = None,
+    *,
+    known: Known | None = None,
+) -> Evaluation:
     """Compare a robot with measurements.
 
     Target and measurement frame are used as the cell gives them; what it does not give is registered to the
@@ -71,20 +138,44 @@ def evaluate(robot: Robot, measurements: Measurements, cell: Cell | None = None)
         robot: The robot, nominal or corrected.
         measurements: The rows.
         cell: Target and frame, where they are known.
+        known: Frames and targets of an earlier result, which win over the cell's.
 
     Raises:
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
+        ModelError: The table has a set-up that neither the earlier result nor the cell knows.
     """
     cell = Cell() if cell is None else cell
     every, setup = rows_of(robot, measurements, cell)
+    setup = setup if known is None else known.placed(setup)
     chosen = measurements.estimation
     placed = nominal_setup(robot, setup, every.select(chosen) if np.any(chosen) else every)
+    return evaluation_at(robot, measurements, every, setup, placed, robot.poses(every.joints))
+
+
+def evaluation_at(
+    robot: Robot,
+    measurements: Measurements,
+    every: Rows,
+    asked: Setup,
+    placed: Setup,
+    T_base_tip: Array,
+) -> Evaluation:
+    """The errors of given poses of the tip.
+
+    Args:
+        robot: The robot.
+        measurements: All rows.
+        every: The same as the fit takes them.
+        asked: Frames and targets as given.
+        placed: The same, with what was not given where it was registered.
+        T_base_tip: shape (N, 4, 4), pose of the tip in each row [m].
+    """
     frame_is_open = any(
         directions and not given
-        for directions, given in zip(setup.unknown, setup.frame_given, strict=True)
+        for directions, given in zip(asked.unknown, asked.frame_given, strict=True)
     )
     unknown = (
-        ("target", bool(np.any(setup.target_unknown & ~setup.target_given))),
+        ("target", bool(np.any(asked.target_unknown & ~asked.target_given))),
         ("frame", frame_is_open),
     )
     return Evaluation(
@@ -92,7 +183,7 @@ def evaluate(robot: Robot, measurements: Measurements, cell: Cell | None = None)
         measurements=measurements,
         setup=placed,
         registered=tuple(name for name, missing in unknown if missing),
-        residual=read_only(predict(robot, placed, every)),
+        residual=read_only(every.residual(seen_from(placed, T_base_tip, every))),
         used=every.used,
     )
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from calib.errors import ModelError
 from calib.identify.fitting import Task, model_of, seen_from
+from calib.identify.problem import Problem
 from calib.identify.registration import register
 from calib.identify.rows import Rows
 from calib.identify.selection import AUTO
@@ -72,11 +73,27 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
         words = f"the {measurements.estimation.sum()} estimation rows of {measurements.source}"
         setup = register(robot, setup, rows)
     name = cell.model if cell.model != AUTO else "dh"
-    model = model_of(Task(robot, cell, setup, name, known_distances(cell, setup)))
+    seen = set(rows.samples.frame.tolist())
+    distances = tuple(d for d in known_distances(cell, setup) if {d.first, d.second} <= seen)
+    model = model_of(Task(robot, cell, setup, name, distances))
     kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
-    poses, twists = kinematics.twists(np.zeros(len(model)), rows.samples)
+    x = np.zeros(len(model))
+    poses, twists = kinematics.twists(x, rows.samples)
     jacobian = rows.derivative(poses, twists) * (rows.scales[:, :1] / rows.scales)[:, :, None]
-    return Inspection(model, analyse(jacobian[rows.used], model.names, model.units), words)
+    known = known_slopes(Problem.first(kinematics, rows, distances), x)
+    jacobian = np.concatenate([jacobian[rows.used], known])
+    return Inspection(model, analyse(jacobian, model.names, model.units), words)
+
+
+def known_slopes(problem: Problem, x: Array) -> Array:
+    """The derivative of the known distances between set-ups, shape (K, p): they tell of parameters as rows do.
+
+    Args:
+        problem: The problem.
+        x: shape (p,), where.
+    """
+    sigma = np.array([known.sigma for known in problem.distances])
+    return np.asarray(problem.constraints(x)[1] * sigma[:, None])
 
 
 def _everywhere(robot: Robot, cell: Cell) -> Measurements:

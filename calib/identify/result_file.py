@@ -1,7 +1,7 @@
 """The result as JSON: SI units, the unit in each key's suffix, versioned by ``schema``. See docs/result-json.md.
 
-The file holds what is needed to use the result again: the corrected joint origins, the target and the measurement
-frame. Numbers that do not exist (the error of no rows) are null.
+The file holds what is needed to use the result again: joint origins, targets, measurement frames, held joints and the
+larger model. Numbers that do not exist (the error of no rows) are null.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.errors import FileError
+from calib.errors import CalibError, FileError
+from calib.identify.evaluation import Known
 from calib.identify.result import Calibration
 from calib.identify.result_tables import SCHEMA, evaluation_table, result_table
+from calib.identify.stored import StoredLarger, StoredResult
 from calib.model.files import read_bytes, write_atomically
-from calib.model.robot import Robot, read_only
+from calib.model.robot import read_only
+from calib.model.torques import Payload
 
 __all__ = [
     "StoredResult",
@@ -36,33 +38,6 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _LARGEST_BYTES = 500_000_000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StoredResult:
-    """What a result file says of robot and set-up.
-
-    Attributes:
-        base: Base link.
-        tip: Tip link.
-        T_frame_base: shape (4, 4), [m].
-        target: shape (3,), in the tip [m].
-        origins: Corrected ``<origin>`` of each joint that carries a placement of the chain, shape (4, 4), [m].
-    """
-
-    base: str
-    tip: str
-    T_frame_base: Array
-    target: Array
-    origins: Mapping[str, Array]
-
-    def corrected(self, robot: Robot) -> Robot:
-        """A robot with this result's origins; the same robot where it has them already.
-
-        Raises:
-            UrdfError: The robot lacks one of the joints.
-        """
-        return robot.rebuilt(robot.urdf.with_origins(self.origins), self.base, self.tip)
 
 
 def write_result(calibration: Calibration, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -104,15 +79,8 @@ def read_result(path: str | Path) -> StoredResult:
         )
         raise FileError(message)
     try:
-        robot, frames = table["robot"], table["frames"]
-        return StoredResult(
-            base=str(robot["base"]),
-            tip=str(robot["tip"]),
-            T_frame_base=_pose(frames["frame_base_xyz_m"], frames["frame_base_rpy_rad"]),
-            target=_numbers(frames["target_m"]),
-            origins={o["joint"]: _pose(o["xyz_m"], o["rpy_rad"]) for o in robot["origins"]},
-        )
-    except (KeyError, TypeError, ValueError) as error:
+        return _stored(table)
+    except (KeyError, TypeError, ValueError, AttributeError, CalibError) as error:
         message = (
             f"{path}: the result is incomplete or damaged ({error!r}). Write it again with "
             "'calib fit --json'."
@@ -120,7 +88,64 @@ def read_result(path: str | Path) -> StoredResult:
         raise FileError(message) from error
 
 
-def _pose(xyz: Any, rpy: Any) -> Array:  # noqa: ANN401  JSON values are of any kind
+def _stored(table: Mapping[str, Any]) -> StoredResult:
+    """The part of a result's tables that is needed to use it again.
+
+    Raises:
+        KeyError, TypeError, ValueError: Something is missing or of another kind.
+    """
+    robot, frames, larger = table["robot"], table["frames"], table["larger"]
+    return StoredResult(
+        base=_text(robot["base"]),
+        tip=_text(robot["tip"]),
+        held={_text(one["joint"]): _number(one["value"]) for one in robot["held"]},
+        known=_known(frames),
+        origins=_origins(robot["origins"]),
+        nominal_origins=_origins(robot["nominal_origins"]),
+        larger=None if larger is None else _larger(larger, table["model"]["ties"]),
+    )
+
+
+def _larger(larger: Mapping[str, Any], ties: Any) -> StoredLarger:  # noqa: ANN401  JSON values are of any kind
+    """The larger model."""
+    payload, names = larger["payload"], [_text(name) for name in larger["names"]]
+    return StoredLarger(
+        name=_text(larger["set"]),
+        x=dict(zip(names, map(_number, larger["x"]), strict=True)),
+        ties={_text(t["name"]): (_text(t["other"]), _number(t["factor"])) for t in ties},
+        known=_known(larger),
+        payload=None
+        if payload is None
+        else Payload(_number(payload["mass_kg"]), _numbers(payload["com_m"])),
+        gravity=_numbers(larger["gravity_m_s2"]),
+    )
+
+
+def _known(table: Mapping[str, Any]) -> Known:
+    """The frames and targets of a geometry or of a larger model; at least one of each."""
+    frames = {
+        _text(one["group"]): _pose(one["frame_base_xyz_m"], one["frame_base_rpy_rad"])
+        for one in table["set_ups"]
+    }
+    unturned = [0.0, 0.0, 0.0]
+    targets = {
+        _text(one["target"]): _pose(
+            one["xyz_m"], unturned if one["rpy_rad"] is None else one["rpy_rad"]
+        )
+        for one in table["targets"]
+    }
+    if not frames or not targets:
+        message = "no set-ups or no targets"
+        raise ValueError(message)
+    return Known(frames, targets, all(one["rpy_rad"] is not None for one in table["targets"]))
+
+
+def _origins(table: Any) -> dict[str, Array]:  # noqa: ANN401
+    """Joint origins by name."""
+    return {_text(one["joint"]): _pose(one["xyz_m"], one["rpy_rad"]) for one in table}
+
+
+def _pose(xyz: Any, rpy: Any) -> Array:  # noqa: ANN401
     """A pose from its JSON form."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", _numbers(rpy)).as_matrix()
@@ -135,6 +160,22 @@ def _numbers(value: Any) -> Array:  # noqa: ANN401
         message = f"three finite numbers expected, {value!r} found"
         raise ValueError(message)
     return read_only(numbers)
+
+
+def _number(value: Any) -> float:  # noqa: ANN401
+    """One finite number of a JSON file."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        message = f"a finite number expected, {value!r} found"
+        raise ValueError(message)
+    return float(value)
+
+
+def _text(value: Any) -> str:  # noqa: ANN401
+    """One text of a JSON file."""
+    if not isinstance(value, str):
+        message = f"a text expected, {value!r} found"
+        raise TypeError(message)
+    return value
 
 
 def _clean(value: Any) -> Any:  # noqa: ANN401

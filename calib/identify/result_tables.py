@@ -15,6 +15,7 @@ from calib.identify.evaluation import Evaluation
 from calib.identify.findings import Outlier, ParameterEstimate
 from calib.identify.result import Calibration
 from calib.identify.selection import Candidate
+from calib.identify.setup import Setup
 from calib.identify.statistics import Errors
 from calib.model.robot import Robot
 
@@ -45,8 +46,9 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
             "base": c.nominal.base,
             "tip": c.nominal.tip,
             "joints": list(c.nominal.joint_names),
-            "held": dict(c.nominal.held),
+            "held": _held(c.nominal),
             "origins": _origins(c.robot),
+            "nominal_origins": _origins(c.nominal),
         },
         "frames": {
             "frame_base_xyz_m": c.T_frame_base[:3, 3],
@@ -57,14 +59,7 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
             if c.fitted.task.setup.target_given[0]
             else None,
             "target_estimated": c.cell.estimate_target,
-            "set_ups": [
-                _frame(group, T)
-                for group, T in zip(c.setup.groups, c.setup.T_frame_base, strict=True)
-            ],
-            "targets": [
-                _target(name, T)
-                for name, T in zip(c.setup.targets, c.setup.T_tip_target, strict=True)
-            ],
+            **_places(c, c.setup),
         },
         "errors": {
             who: {name: errors_table(errors) for name, errors in sets.items()}
@@ -111,6 +106,10 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
         "model": {
             "set": c.model.name,
             "frozen": list(c.cell.frozen),
+            "ties": [
+                {"name": name, "other": other, "factor": factor}
+                for name, (other, factor) in c.cell.ties.items()
+            ],
             "candidates": [_candidate(one) for one in c.candidates],
         },
         "larger": _larger(c),
@@ -149,10 +148,20 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def evaluation_table(as_it_is: Evaluation, corrected: Evaluation | None = None) -> dict[str, Any]:
-    """What `calib evaluate` found, as nested tables: the robot as its URDF is, and with a result's joint origins."""
+def evaluation_table(
+    as_it_is: Evaluation, corrected: Evaluation | None = None, larger: Evaluation | None = None
+) -> dict[str, Any]:
+    """What `calib evaluate` found, as nested tables.
+
+    Args:
+        as_it_is: Of the robot as its URDF is.
+        corrected: Of the robot with a result's joint origins.
+        larger: Of the robot with a result's larger model.
+    """
     e, m = as_it_is, as_it_is.measurements
-    results = {"urdf": e} if corrected is None else {"urdf": e, "calibration": corrected}
+    every = {"urdf": e, "calibration": corrected, "larger": larger}
+    results = {who: result for who, result in every.items() if result is not None}
+    rpy = pin.rpy.matrixToRpy
     return {
         "schema": EVALUATION_SCHEMA,
         "robot": {"name": e.robot.name, "base": e.robot.base, "tip": e.robot.tip},
@@ -161,6 +170,14 @@ def evaluation_table(as_it_is: Evaluation, corrected: Evaluation | None = None) 
             "frame_base_rpy_rad": pin.rpy.matrixToRpy(e.T_frame_base[:3, :3]),
             "target_m": e.target,
             "registered": list(e.registered),
+            "set_ups": [
+                {"group": group, "frame_base_xyz_m": T[:3, 3], "frame_base_rpy_rad": rpy(T[:3, :3])}
+                for group, T in zip(e.setup.groups, e.setup.T_frame_base, strict=True)
+            ],
+            "targets": [
+                {"target": name, "xyz_m": T[:3, 3], "rpy_rad": rpy(T[:3, :3])}
+                for name, T in zip(e.setup.targets, e.setup.T_tip_target, strict=True)
+            ],
         },
         "errors": {
             who: {name: errors_table(errors) for name, errors in result.errors.items()}
@@ -189,6 +206,15 @@ def _origins(robot: Robot) -> list[dict[str, Any]]:
     return [
         {"joint": carrier, "xyz_m": T[:3, 3], "rpy_rad": pin.rpy.matrixToRpy(T[:3, :3])}
         for carrier, T in robot.origins().items()
+    ]
+
+
+def _held(robot: Robot) -> list[dict[str, Any]]:
+    """The joints that were not measured, with the values that they were held at."""
+    slides = {joint.name for joint in robot.urdf.joints if joint.type == "prismatic"}
+    return [
+        {"joint": name, "value": value, "unit": "m" if name in slides else "rad"}
+        for name, value in robot.held.items()
     ]
 
 
@@ -256,8 +282,7 @@ def _larger(c: Calibration) -> dict[str, Any] | None:
         "x": larger.fitted.estimate.x,
         "names": list(larger.fitted.kinematics.model.names),
         "parameters": [_parameter(p) for p in larger.parameters],
-        "set_ups": [_frame(g, T) for g, T in zip(found.groups, found.T_frame_base, strict=True)],
-        "targets": [_target(n, T) for n, T in zip(found.targets, found.T_tip_target, strict=True)],
+        **_places(c, found),
         "errors": {name: errors_table(errors) for name, errors in c.errors["larger"].items()},
         "cross_validation": None
         if v is None
@@ -269,18 +294,27 @@ def _larger(c: Calibration) -> dict[str, Any] | None:
     }
 
 
-def _frame(group: str, T: Array) -> dict[str, Any]:
-    """The base in a set-up's measurement frame."""
+def _places(c: Calibration, setup: Setup) -> dict[str, Any]:
+    """All frames and targets; a target's orientation only where it is known."""
+    turned = setup.rotation or c.cell.target_rotation is not None
+    rpy = pin.rpy.matrixToRpy
     return {
-        "group": group,
-        "frame_base_xyz_m": T[:3, 3],
-        "frame_base_rpy_rad": pin.rpy.matrixToRpy(T[:3, :3]),
+        "set_ups": [
+            {
+                "group": group,
+                "frame_base_xyz_m": T[:3, 3],
+                "frame_base_rpy_rad": rpy(T[:3, :3]),
+                "estimated": list(directions),
+            }
+            for group, T, directions in zip(
+                setup.groups, setup.T_frame_base, setup.unknown, strict=True
+            )
+        ],
+        "targets": [
+            {"target": name, "xyz_m": T[:3, 3], "rpy_rad": rpy(T[:3, :3]) if turned else None}
+            for name, T in zip(setup.targets, setup.T_tip_target, strict=True)
+        ],
     }
-
-
-def _target(name: str, T: Array) -> dict[str, Any]:
-    """A target in the tip."""
-    return {"target": name, "xyz_m": T[:3, 3], "rpy_rad": pin.rpy.matrixToRpy(T[:3, :3])}
 
 
 def _residual(who: str, residual: Array, used: NDArray[np.bool_]) -> dict[str, Any]:

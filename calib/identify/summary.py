@@ -12,7 +12,7 @@ from calib.identify.findings import Outlier
 from calib.identify.statistics import Errors
 from calib.identify.words import frame_text, target_text, three, wrap
 from calib.model.observability import SHOWN
-from calib.model.parameters import FRAME
+from calib.model.parameters import FRAME, TARGET
 
 #: A parameter with a longer name gets a line for its name alone.
 _LONGEST_NAME = 46
@@ -268,9 +268,13 @@ def _identified(c: Calibration) -> str:
 def _parameters(c: Calibration) -> str:
     """The parameters with their 95 % intervals; * where the data know them in combinations only.
 
-    The frame's stand above as a pose: its parameters count from where registration put it.
+    Frames and the targets' orientations stand above as poses: their parameters count from where registration put them.
     """
-    shown = [p for p, m in zip(c.parameters, c.model.parameters, strict=True) if m.family != FRAME]
+    shown = [
+        p
+        for p, m in zip(c.parameters, c.model.parameters, strict=True)
+        if m.family != FRAME and not (m.family == TARGET and m.unit == "rad")
+    ]
     if not shown:
         return ""
     width = min(max(len(p.name) for p in shown), _LONGEST_NAME) + 2

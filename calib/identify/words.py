@@ -42,12 +42,15 @@ def _one_target(c: Calibration, t: int, name: str) -> str:
         rpy = f", rpy ({', '.join(three(float(v)) for v in angles)}) deg"
     if not c.setup.target_unknown[t]:
         return wrap(f"{what}: ({place}) mm{rpy} in {c.nominal.tip}, as given.")
-    sure = _half_widths(c, [placed_name("target", axis, name) for axis in "xyz"], 1e3)
+    sure = f"({_half_widths(c, [placed_name('target', axis, name) for axis in 'xyz'], 1e3)}) mm"
+    if c.setup.rotation:
+        turns = [placed_name("target", f"r{axis}", name) for axis in "xyz"]
+        sure += f" and ({_half_widths(c, turns, float(np.degrees(1.0)))}) deg about its axes"
     if not given.target_given[t]:
-        return wrap(f"{what}: found at ({place}) mm{rpy} in {c.nominal.tip}, 95 % +- ({sure}) mm.")
+        return wrap(f"{what}: found at ({place}) mm{rpy} in {c.nominal.tip}, 95 % +- {sure}.")
     moved = float(np.linalg.norm(T[:3, 3] - given.T_tip_target[t, :3, 3]))
     text = (
-        f"{what}: ({place}) mm{rpy} in {c.nominal.tip}, 95 % +- ({sure}) mm; it moved {1e3 * moved:.1f} mm from the "
+        f"{what}: ({place}) mm{rpy} in {c.nominal.tip}, 95 % +- {sure}; it moved {1e3 * moved:.1f} mm from the "
         "position given."
     )
     if moved > _TARGET_MOVED:
