@@ -1,0 +1,316 @@
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib.errors import ModelError
+from calib.model.error_model import error_model
+from calib.model.joint_errors import axis_twists, joint_displacements, joint_parameters
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameters import COMPLIANCE, ECCENTRICITY, GAIN, JOINT_FAMILIES
+from calib.model.robot import Robot
+from calib.model.torques import Payload, gravity_load
+from calib.model.urdf import Urdf
+
+LIMIT = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
+
+
+def joint(
+    name: str, parent: str, child: str, kind: str = "revolute", mimic: str = "", axis: str = "0 0 1"
+) -> str:
+    inside = f"<mimic {mimic}/>" if mimic else ""
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0.1 0.2 0.3" rpy="0.1 0.3 0.2"/><axis xyz="{axis}"/>{LIMIT}{inside}</joint>'
+    )
+
+
+@pytest.fixture(scope="module")
+def mixed() -> Robot:
+    """One of each type, followers by a multiplier and an offset, a driver outside, a held joint."""
+    joints = (
+        joint("outside", "base", "elsewhere"),
+        joint("turn", "base", "a"),
+        joint("slide", "a", "b", "prismatic", axis="1 1 0"),
+        joint("spin", "b", "c", "continuous", axis="0 2 1"),
+        joint("follower", "c", "d", mimic='joint="turn" multiplier="-0.5" offset="0.3"'),
+        joint("slider", "d", "e", "prismatic", 'joint="turn" multiplier="0.2"'),
+        joint("driven", "e", "f", mimic='joint="outside" multiplier="3"'),
+        joint("still", "f", "tip"),
+    )
+    links = ("base", "elsewhere", *"abcdef", "tip")
+    text = "".join(f'<link name="{link}"/>' for link in links) + "".join(joints)
+    urdf = Urdf.from_bytes(f'<robot name="r">{text}</robot>'.encode(), "r.urdf")
+    return Robot.from_urdf(urdf, "base", "tip", held={"still": 0.4})
+
+
+CHAIN = ("turn", "slide", "spin", "follower", "slider", "driven", "still")
+COLUMNS = ("turn", "slide", "spin", "outside")
+Q = np.array([[0.5, 0.02, 4.0, -0.3], [-1.2, 0.1, -7.0, 0.8]])
+
+
+def displacements(
+    robot: Robot, family: str, load: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
+    """By parameter, how far a unit of it moves each joint, shape (N, n)."""
+    terms = joint_parameters(robot, family)
+    moved = joint_displacements(robot, terms, Q, load)
+    assert moved.shape == (len(Q), len(robot.joints), len(terms))
+    return {term.name: moved[:, :, k] for k, term in enumerate(terms)}
+
+
+def expected(**columns: np.ndarray) -> np.ndarray:
+    """Displacements of the chain's joints, shape (2, 7), zero for those not named."""
+    result = np.zeros((2, len(CHAIN)))
+    for name, values in columns.items():
+        result[:, CHAIN.index(name)] = values
+    return result
+
+
+def test_the_robot_of_these_tests(mixed):
+    assert tuple(joint.name for joint in mixed.joints) == CHAIN
+    assert mixed.joint_names == COLUMNS
+
+
+# Parameters
+
+
+def test_gains_belong_to_the_measured_joints(mixed):
+    parameters = joint_parameters(mixed, GAIN)
+    assert [p.name for p in parameters] == [f"{name}.gain" for name in COLUMNS]
+    assert {(p.unit, p.family, p.factor, p.nominal) for p in parameters} == {
+        ("1", GAIN, "value", 0.0)
+    }
+    assert [p.place for p in parameters] == list(COLUMNS)
+
+
+def test_eccentricities_belong_to_the_measured_joints_that_turn(mixed):
+    parameters = joint_parameters(mixed, ECCENTRICITY)
+    assert [(p.name, p.factor) for p in parameters] == [
+        (f"{name}.{part}", part) for name in ("turn", "spin", "outside") for part in ("sin", "cos")
+    ]
+    assert {(p.unit, p.family) for p in parameters} == {("rad", ECCENTRICITY)}
+
+
+def test_compliances_belong_to_every_joint_of_the_chain(mixed):
+    parameters = joint_parameters(mixed, COMPLIANCE)
+    assert [p.name for p in parameters] == [f"{name}.compliance" for name in CHAIN]
+    assert [p.unit for p in parameters] == [
+        "m/N" if name.startswith("slide") else "rad/Nm" for name in CHAIN
+    ]
+    assert {(p.family, p.factor) for p in parameters} == {(COMPLIANCE, "load")}
+
+
+def test_an_unknown_family_lists_those_there_are(mixed):
+    with pytest.raises(
+        ModelError,
+        match=r"no family 'backlash' to add to a model\. Choose among 'gain', 'eccentricity', 'comp",
+    ):
+        joint_parameters(mixed, "backlash")
+
+
+@pytest.mark.parametrize("family", JOINT_FAMILIES)
+def test_directions_are_the_joints_own_axes(mixed, family):
+    for parameter in joint_parameters(mixed, family):
+        one = mixed.urdf.joint(parameter.place)
+        linear = parameter.direction[:3], parameter.direction[3:]
+        along, other = linear if one.type == "prismatic" else linear[::-1]
+        np.testing.assert_array_equal(along, one.axis)
+        np.testing.assert_array_equal(other, np.zeros(3))
+        assert not parameter.direction.flags.writeable
+
+
+def test_axis_twists_are_those_of_the_path():
+    # turned round on the base's side, as the path's joints are
+    robot = Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link")
+    twists = axis_twists(robot)
+    assert twists.shape == (len(robot.joints), 6)
+    assert not twists.flags.writeable
+    signs = {}
+    for twist, one in zip(twists, robot.joints, strict=True):
+        half = slice(0, 3) if one.type == "prismatic" else slice(3, 6)
+        np.testing.assert_array_equal(twist[half], one.axis)
+        assert np.linalg.norm(twist) == pytest.approx(1)
+        signs[one.name] = float(twist[half] @ robot.urdf.joint(one.name).axis)
+    assert signs["head_1_joint"] == signs["head_2_joint"] == pytest.approx(-1)
+    assert signs["arm_1_joint"] == pytest.approx(1)
+
+
+# Displacements
+
+
+def test_a_gain_moves_its_joint_by_its_value_and_followers_by_their_multiplier(mixed):
+    moved = displacements(mixed, GAIN)
+    turn, slide, spin, outside = Q.T
+    # the offset of a mimic joint is no part of what the drive turned
+    np.testing.assert_allclose(
+        moved["turn.gain"], expected(turn=turn, follower=-0.5 * turn, slider=0.2 * turn), atol=1e-16
+    )
+    np.testing.assert_array_equal(moved["slide.gain"], expected(slide=slide))
+    # a continuous joint's value is what the table says, more than a turn too
+    np.testing.assert_array_equal(moved["spin.gain"], expected(spin=spin))
+    np.testing.assert_allclose(moved["outside.gain"], expected(driven=3 * outside), atol=1e-16)
+
+
+def test_a_gain_is_a_scale_of_the_column(mixed):
+    model = error_model(mixed, "frames+gain", target=False)
+    x = np.array([1e-3, -2e-3, 5e-4, 3e-3])
+    poses = Kinematics(mixed, model, np.eye(4), np.eye(4)).poses(x, Q)
+    np.testing.assert_allclose(poses, mixed.poses(Q * (1 + x)), rtol=0, atol=1e-15)
+
+
+def test_eccentricities_are_sine_and_cosine_of_the_column(mixed):
+    moved = displacements(mixed, ECCENTRICITY)
+    for part, function in (("sin", np.sin), ("cos", np.cos)):
+        turn, _, spin, outside = function(Q.T)
+        np.testing.assert_allclose(
+            moved[f"turn.{part}"],
+            expected(turn=turn, follower=-0.5 * turn, slider=0.2 * turn),
+            atol=1e-16,
+        )
+        np.testing.assert_array_equal(moved[f"spin.{part}"], expected(spin=spin))
+        np.testing.assert_allclose(
+            moved[f"outside.{part}"], expected(driven=3 * outside), atol=1e-16
+        )
+
+
+def test_an_eccentricity_is_the_same_after_a_whole_turn(mixed):
+    terms = joint_parameters(mixed, ECCENTRICITY)
+    a = joint_displacements(mixed, terms, Q, None)
+    b = joint_displacements(mixed, terms, Q + 2 * np.pi, None)
+    np.testing.assert_allclose(a, b, rtol=0, atol=1e-14)
+
+
+def test_a_compliance_moves_its_own_joint_by_the_load(mixed):
+    load = np.arange(14.0).reshape(2, 7) - 5
+    moved = displacements(mixed, COMPLIANCE, load)
+    for i, name in enumerate(CHAIN):
+        np.testing.assert_array_equal(moved[f"{name}.compliance"], expected(**{name: load[:, i]}))
+
+
+def test_a_compliance_without_the_load_is_refused(mixed):
+    with pytest.raises(
+        ModelError, match=r"'turn.compliance' needs the load on the joints. Give it with the joint"
+    ):
+        displacements(mixed, COMPLIANCE)
+
+
+def test_some_terms_in_any_order(mixed):
+    gains, parts = joint_parameters(mixed, GAIN), joint_parameters(mixed, ECCENTRICITY)
+    terms = [parts[3], gains[0], parts[0]]
+    moved = joint_displacements(mixed, terms, Q, None)
+    for k, term in enumerate(terms):
+        alone = joint_displacements(mixed, [term], Q, None)
+        np.testing.assert_array_equal(moved[:, :, [k]], alone)
+    assert joint_displacements(mixed, [], Q, None).shape == (2, 7, 0)
+    assert joint_displacements(mixed, terms, np.zeros((0, 4)), None).shape == (0, 7, 3)
+
+
+# The sign of compliance: things sag
+
+
+@pytest.mark.parametrize("axis", ["0 1 0", "0 -1 0"])
+@pytest.mark.parametrize("payload", [0.0, 5.0])
+def test_a_beam_sags_by_compliance_times_torque(axis, payload):
+    # A massive beam along x, turning about y at its end: whichever way the axis points, it goes down.
+    text = (
+        '<robot name="beam"><link name="base"/><link name="beam"><inertial><mass value="10"/>'
+        '<origin xyz="0.5 0 0"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        '</inertial></link><link name="tip"/>'
+        '<joint name="hinge" type="revolute"><parent link="base"/><child link="beam"/>'
+        f'<axis xyz="{axis}"/>{LIMIT}</joint>'
+        '<joint name="end" type="fixed"><parent link="beam"/><child link="tip"/>'
+        '<origin xyz="1 0 0"/></joint></robot>'
+    )
+    robot = Robot.from_urdf(Urdf.from_bytes(text.encode(), "beam.urdf"))
+    q = np.zeros((1, 1))
+    load = gravity_load(robot, q, Payload(payload))
+    torque = 9.81 * (10 * 0.5 + payload * 1.0)
+    model = error_model(robot, "frames+compliance", target=False)
+    kinematics = Kinematics(robot, model, np.eye(4), np.eye(4))
+    c = 1e-4
+    (point,) = kinematics.points(np.array([c]), Samples.at(q, load))
+    np.testing.assert_allclose(
+        point, [np.cos(c * torque), 0, -np.sin(c * torque)], rtol=0, atol=1e-15
+    )
+
+
+def test_a_lift_sinks_by_compliance_times_force():
+    robot = Robot.load("tiago_no_hand", tip="wrist_ft_tool_link")
+    q = np.zeros((1, len(robot.joint_names)))
+    load = gravity_load(robot, q)
+    lift = [joint.name for joint in robot.joints].index("torso_lift_joint")
+    full = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
+    data = full.createData()
+    pin.computeSubtreeMasses(full, data)
+    mass = data.mass[full.getJointId("torso_lift_joint")]
+    assert mass > 10  # all that stands on it
+    assert load[0, lift] == pytest.approx(-9.81 * mass)
+    model = error_model(robot, "frames+compliance", target=False)
+    x = np.zeros(len(model))
+    x[model.index("torso_lift_joint.compliance")] = 1e-5
+    kinematics = Kinematics(robot, model, np.eye(4), np.eye(4))
+    at = Samples.at(q, load)
+    (sunk,), (nominal,) = kinematics.points(x, at), kinematics.points(0 * x, at)
+    np.testing.assert_allclose(sunk - nominal, [0, 0, 1e-5 * load[0, lift]], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [
+        ("ur3", "base", "tool0"),
+        ("ur3", "tool0", "base"),
+        ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link"),
+        ("talos_full_v2", "rgbd_optical_frame", "wrist_left_ft_tool_link"),
+    ],
+)
+def test_every_robot_that_gives_way_loses_potential_energy(ends):
+    # On either side of the fork, by the energy of a Pinocchio model that knows no chain.
+    robot = Robot.load(*ends)
+    q = np.random.default_rng(1).uniform(-1, 1, (3, len(robot.joint_names)))
+    load = gravity_load(robot, q)
+    terms = joint_parameters(robot, COMPLIANCE)
+    moved = joint_displacements(robot, terms, q, load)
+    full = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
+    data = full.createData()
+
+    def energy(row: int, by: np.ndarray) -> float:
+        v = np.zeros(full.nv)
+        for name, values in robot.urdf_values(q).items():
+            v[full.idx_vs[full.getJointId(name)]] = values[row]
+        for name, change in zip((j.name for j in robot.joints), by, strict=True):
+            v[full.idx_vs[full.getJointId(name)]] += change
+        return float(
+            pin.computePotentialEnergy(full, data, pin.integrate(full, pin.neutral(full), v))
+        )
+
+    for k in range(len(terms)):
+        for row in range(len(q)):
+            if abs(load[row, k]) > 1e-3:
+                way = 1e-5 * moved[row, :, k]
+                assert energy(row, way) < energy(row, 0 * way), terms[k].name
+                # by half of what a force does on its way, twice
+                drop = energy(row, 0.5 * way) - energy(row, -0.5 * way)
+                assert drop == pytest.approx(-1e-5 * load[row, k] ** 2, rel=1e-3)
+
+
+def test_both_sides_of_the_fork_sag_as_the_full_robot_does():
+    # The hand as the head's camera sees it, all joints giving way: the same as the whole URDF at these values.
+    robot = Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link")
+    q = np.random.default_rng(2).uniform(-1, 1, (3, len(robot.joint_names)))
+    load = gravity_load(robot, q, Payload(3.0))
+    model = error_model(robot, "frames+compliance", target=False)
+    x = np.random.default_rng(3).uniform(0, 1e-4, len(model))
+    poses = Kinematics(robot, model, np.eye(4), np.eye(4)).poses(x, Samples.at(q, load))
+    full = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
+    data = full.createData()
+    ends = [full.getFrameId(link, pin.FrameType.BODY) for link in (robot.base, robot.tip)]
+    for i, expected_pose in enumerate(poses):
+        v = np.zeros(full.nv)
+        for k, one in enumerate(robot.joints):
+            value = robot.urdf_values(q)[one.name][i] + x[k] * load[i, k]
+            v[full.idx_vs[full.getJointId(one.name)]] = value
+        pin.framesForwardKinematics(full, data, pin.integrate(full, pin.neutral(full), v))
+        T_base_tip = data.oMf[ends[0]].inverse() * data.oMf[ends[1]]
+        np.testing.assert_allclose(T_base_tip.homogeneous, expected_pose, rtol=0, atol=1e-12)

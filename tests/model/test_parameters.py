@@ -1,0 +1,338 @@
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib.data import paper_urdf
+from calib.errors import ModelError, UrdfError
+from calib.model.error_model import error_model
+from calib.model.parameters import (
+    ANGLE,
+    COMPLIANCE,
+    ECCENTRICITY,
+    FAMILIES,
+    FRAME,
+    GAIN,
+    GEOMETRY,
+    JOINT_FAMILIES,
+    LENGTH,
+    TARGET,
+    TIP,
+    ZERO,
+    ErrorModel,
+    Parameter,
+    frame_place,
+    target_place,
+)
+from calib.model.robot import Robot
+
+PLACES = (FRAME, "j1", "j2", TIP, TARGET)
+
+
+def some(name: str, unit: str = "m", place: str = "j1", k: int = 0, factor: str = "") -> Parameter:
+    """A parameter along or about an axis of a place."""
+    return Parameter(name, unit, place, np.eye(6)[k], LENGTH if k < 3 else ANGLE, factor=factor)
+
+
+@pytest.fixture
+def four() -> ErrorModel:
+    """Two lengths and two angles on two joints."""
+    return ErrorModel(
+        "four",
+        PLACES,
+        (some("a", k=0), some("b", "rad", k=4), some("c", "m", "j2", 1), some("d", "rad", "j1", 5)),
+    )
+
+
+# What a model says of itself
+
+
+def test_the_families():
+    assert FAMILIES == ("length", "angle", "zero", "gain", "eccentricity", "compliance")
+    assert (*GEOMETRY, *JOINT_FAMILIES) == FAMILIES
+
+
+def test_places_of_frames_and_targets():
+    assert (frame_place(""), target_place("")) == (FRAME, TARGET)
+    assert (frame_place("left"), target_place("ball")) == ("(frame)left", "(target)ball")
+
+
+def test_names_units_and_length(four):
+    assert four.names == ("a", "b", "c", "d")
+    assert four.units == ("m", "rad", "m", "rad")
+    assert len(four) == 4
+    assert four.index("c") == 2
+
+
+def test_an_unknown_parameter_lists_those_there_are(four):
+    with pytest.raises(ModelError, match=r"'four' has no parameter 'e'; it has 'a', 'b', 'c', 'd'"):
+        four.index("e")
+
+
+def test_a_model_without_ties_has_its_parameters_as_terms(four):
+    assert four.terms is four.parameters
+    np.testing.assert_array_equal(four.mixing, np.eye(4))
+    assert not four.mixing.flags.writeable
+    np.testing.assert_array_equal(four.values(np.arange(4.0)), np.arange(4.0))
+
+
+def test_families_stand_in_their_order_whatever_the_parameters_do(ur3):
+    model = error_model(ur3, "placement+compliance+gain", frame=True)
+    assert model.families == (LENGTH, ANGLE, ZERO, GAIN, COMPLIANCE)
+    assert model.without(n for n in model.names if n.endswith("gain")).families == (
+        *(LENGTH, ANGLE, ZERO, COMPLIANCE),
+    )
+    counts = {f: int(model.family(f).sum()) for f in (*FAMILIES, FRAME, TARGET)}
+    assert counts == {
+        LENGTH: 18,
+        ANGLE: 12,
+        ZERO: 6,
+        GAIN: 6,
+        ECCENTRICITY: 0,
+        COMPLIANCE: 6,
+        FRAME: 6,
+        TARGET: 3,
+    }
+    assert model.family(LENGTH, ZERO).sum() == 24
+    assert model.family().sum() == 0
+
+
+def test_joint_terms_are_those_with_a_factor(ur3):
+    model = error_model(ur3, "zeros+gain", frame=True)
+    assert model.joint_terms == tuple(range(6, 12))
+    assert error_model(ur3, "dh").joint_terms == ()
+
+
+def test_a_name_twice_is_refused_whether_it_is_tied_or_not():
+    with pytest.raises(ModelError, match="'a' appear twice in the model 'mine'; names must differ"):
+        ErrorModel("mine", PLACES, (some("a"), some("a")))
+    with pytest.raises(ModelError, match="'a' appear twice in the model 'mine'"):
+        ErrorModel("mine", PLACES, (some("a"),), (some("a"), some("a", k=1)), np.ones((2, 1)))
+
+
+def test_a_place_that_the_chain_lacks_is_refused_but_for_drivers_outside():
+    with pytest.raises(ModelError, match=r"no places 'j3'; it has '\(frame\)', 'j1', 'j2'"):
+        ErrorModel("mine", PLACES, (some("a", place="j3"),))
+    # the gain of a joint that only drives others of the chain
+    assert len(ErrorModel("mine", PLACES, (some("a", "1", "j3", 5, "value"),))) == 1
+
+
+@pytest.mark.parametrize("shape", [(3,), (5,), (4, 1), ()])
+def test_a_vector_of_another_length_is_refused(four, shape):
+    with pytest.raises(ModelError, match=r"of shape .*'four' has 4 parameters: 'a', 'b', 'c', 'd'"):
+        four.values(np.zeros(shape))
+
+
+# Ties
+
+
+def test_a_tied_parameter_keeps_its_term_and_is_no_unknown(four):
+    tied = four.tied({"c": ("a", -2.0)})
+    assert tied.names == ("a", "b", "d")
+    assert [t.name for t in tied.terms] == ["a", "b", "c", "d"]
+    np.testing.assert_array_equal(tied.mixing, [[1, 0, 0], [0, 1, 0], [-2, 0, 0], [0, 0, 1]])
+    assert not tied.mixing.flags.writeable
+    np.testing.assert_array_equal(tied.values(np.array([1.0, 2.0, 3.0])), [1, 2, -2, 3])
+    # the free model is as it was
+    assert (four.names, four.mixing.shape) == (("a", "b", "c", "d"), (4, 4))
+
+
+def test_several_may_follow_one_and_one_may_follow_later_ones(four):
+    tied = four.tied({"a": ("c", 0.5), "d": ("b", 1.0)})
+    assert tied.names == ("b", "c")
+    np.testing.assert_array_equal(tied.mixing, [[0, 0.5], [1, 0], [0, 1], [1, 0]])
+
+
+def test_no_ties_change_nothing(four):
+    assert four.tied({}).names == four.names
+    np.testing.assert_array_equal(four.tied({}).mixing, np.eye(4))
+
+
+def test_ties_one_after_the_other_add_up():
+    model = ErrorModel("more", PLACES, tuple(some(n, k=i) for i, n in enumerate("abc")))
+    both = model.tied({"c": ("b", 3.0)}).tied({"b": ("a", 2.0)})
+    assert both.names == ("a",)
+    np.testing.assert_array_equal(both.mixing, [[1], [2], [6]])
+
+
+@pytest.mark.parametrize(
+    ("ties", "name", "other"),
+    [
+        ({"a": ("a", 1.0)}, "a", "a"),
+        ({"a": ("c", 1.0), "c": ("a", 1.0)}, "a", "c"),
+        ({"b": ("d", 1.0), "a": ("c", 1.0), "c": ("a", 2.0)}, "a", "c"),
+    ],
+)
+def test_circles_are_refused(four, ties, name, other):
+    with pytest.raises(
+        ModelError,
+        match=rf"'{name}' is tied to '{other}', which is tied itself\. Tie both to one parameter",
+    ):
+        four.tied(ties)
+
+
+def test_a_leader_that_follows_another_is_refused():
+    model = ErrorModel("more", PLACES, tuple(some(n, k=i) for i, n in enumerate("abc")))
+    with pytest.raises(ModelError, match="'c' is tied to 'b', which is tied itself"):
+        model.tied({"c": ("b", 1.0), "b": ("a", 1.0)})
+
+
+def test_units_that_differ_are_refused(four):
+    with pytest.raises(
+        ModelError, match=r"'b' \[rad\] cannot follow 'a' \[m\]: their units differ\."
+    ):
+        four.tied({"b": ("a", 1.0)})
+
+
+@pytest.mark.parametrize("ties", [{"e": ("a", 1.0)}, {"a": ("e", 1.0)}])
+def test_ties_of_parameters_that_do_not_exist_are_refused(four, ties):
+    with pytest.raises(ModelError, match="has no parameter 'e'"):
+        four.tied(ties)
+
+
+def test_a_parameter_that_is_tied_already_is_no_parameter_any_more(four):
+    with pytest.raises(ModelError, match="no parameter 'c'; it has 'a', 'b', 'd'"):
+        four.tied({"c": ("a", 1.0)}).tied({"c": ("a", 2.0)})
+
+
+# Freezing
+
+
+def test_without_a_leader_those_that_follow_it_go_too(four):
+    less = four.tied({"c": ("a", -2.0)}).without(["a"])
+    assert less.names == ("b", "d")
+    assert [t.name for t in less.terms] == ["b", "d"]
+    np.testing.assert_array_equal(less.mixing, np.eye(2))
+    assert (less.name, less.places) == ("four", PLACES)
+
+
+def test_without_everything(four):
+    none = four.tied({"c": ("a", -2.0)}).without(["a", "b", "d"])
+    assert (none.names, none.terms, none.mixing.shape) == ((), (), (0, 0))
+    D, S = none.displacements(np.zeros(0))
+    np.testing.assert_array_equal(D, np.tile(np.eye(4), (5, 1, 1)))
+    assert S.shape == (30, 0)
+
+
+def test_a_follower_cannot_be_frozen_alone(four):
+    with pytest.raises(ModelError, match="no parameter 'c'"):
+        four.tied({"c": ("a", -2.0)}).without(["c"])
+
+
+def test_freezing_twice_or_the_same_name_twice(four):
+    assert four.without(["b"]).without(["a"]).names == ("c", "d")
+    assert four.without(["b", "b"]).names == ("a", "c", "d")
+
+
+# Displacements
+
+
+def test_displacements_are_exponentials_in_the_order_of_the_terms(four):
+    x = np.array([0.1, 0.2, 0.3, 0.4])
+    D, S = four.displacements(x)
+    factors = [pin.exp6(p.direction * v) for p, v in zip(four.parameters, x, strict=True)]
+    expected = factors[0] * factors[1] * factors[3]
+    np.testing.assert_allclose(D[1], expected.homogeneous, atol=1e-16)
+    np.testing.assert_allclose(D[2], factors[2].homogeneous, atol=1e-16)
+    for k in (0, 3, 4):
+        np.testing.assert_array_equal(D[k], np.eye(4))
+    # a is carried past b and d, which act after it at its place; d past nothing
+    past = (factors[1] * factors[3]).toActionMatrixInverse()
+    np.testing.assert_allclose(S[6:12, 0], past @ np.eye(6)[0], atol=1e-16)
+    np.testing.assert_array_equal(S[6:12, 3], np.eye(6)[5])
+    assert not np.any(S[12:18, [0, 1, 3]])
+
+
+def test_followers_act_where_they_stand(four):
+    # b at j1 and d at j1 with one value: not the exponential of the sum, but b first and d last
+    tied = four.tied({"d": ("b", 2.0)})
+    D, _ = tied.displacements(np.array([0.1, 0.2, 0.3]))
+    expected, _ = four.displacements(np.array([0.1, 0.2, 0.3, 0.4]))
+    np.testing.assert_array_equal(D, expected)
+
+
+def test_errors_of_the_joints_state_displace_no_placement():
+    model = ErrorModel("mine", PLACES, (some("g", "1", "j1", 5, "value"), some("a", k=0)))
+    D, S = model.displacements(np.array([0.5, 0.01]))
+    np.testing.assert_allclose(D[1], pin.exp6(np.eye(6)[0] * 0.01).homogeneous, atol=1e-17)
+    assert not np.any(S[:, 0])
+
+
+@pytest.fixture(scope="module")
+def placements() -> tuple[Robot, ErrorModel]:
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0")
+    return robot, error_model(robot, "placement+gain", frame=True)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_any_ties_and_frozen_ones_are_the_free_model_at_mixed_values(placements, data):
+    _, free = placements
+    unit = dict(zip(free.names, free.units, strict=True))
+    followers = data.draw(st.lists(st.sampled_from(free.names), unique=True, max_size=6))
+    ties = {}
+    for name in followers:
+        leaders = [n for n in free.names if unit[n] == unit[name] and n not in followers]
+        factor = data.draw(st.floats(-3, 3).filter(lambda f: abs(f) > 0.01))
+        ties[name] = (data.draw(st.sampled_from(leaders)), factor)
+    rest = [n for n in free.names if n not in ties]
+    gone = data.draw(st.lists(st.sampled_from(rest), unique=True, max_size=4))
+    model = free.tied(ties).without(gone)
+    x = np.random.default_rng(len(gone)).uniform(-0.1, 0.1, len(model))
+
+    value = dict.fromkeys(free.names, 0.0) | dict(zip(model.names, x, strict=True))
+    value |= {name: factor * value[leader] for name, (leader, factor) in ties.items()}
+    every = np.array([value[name] for name in free.names])
+    names = [term.name for term in model.terms]
+    np.testing.assert_allclose(model.values(x), [value[n] for n in names], rtol=0, atol=1e-16)
+    assert set(free.names) - set(names) == {
+        *gone,
+        *(name for name, (leader, _) in ties.items() if leader in gone),
+    }
+    D, S = model.displacements(x)
+    D_free, S_free = free.displacements(every)
+    np.testing.assert_allclose(D, D_free, rtol=0, atol=1e-15)
+    mixing = np.zeros((len(free), len(model)))
+    for k, name in enumerate(free.names):
+        leader, factor = ties.get(name, (name, 1.0))
+        if leader in model.names:
+            mixing[k, model.index(leader)] = factor
+    np.testing.assert_allclose(S, S_free @ mixing, rtol=0, atol=1e-14)
+
+
+# Applying
+
+
+def test_followers_are_applied_to_the_robot(ur3):
+    free = error_model(ur3, "dh", target=False)
+    tied = free.tied({"a3": ("a2", 1.0), "theta4": ("theta2", -1.0)})
+    x = np.zeros(len(tied))
+    x[tied.index("a2")], x[tied.index("theta2")] = 0.003, 0.02
+    every = np.zeros(len(free))
+    for name, value in (("a2", 0.003), ("a3", 0.003), ("theta2", 0.02), ("theta4", -0.02)):
+        every[free.index(name)] = value
+    assert tied.apply(ur3, x).urdf.data == free.apply(ur3, every).urdf.data
+
+
+def test_only_origins_that_are_displaced_change(ur3):
+    model = error_model(ur3, "dh")
+    x = np.zeros(len(model))
+    x[model.index("theta3")] = 0.01
+    before, after = ur3.origins(), model.apply(ur3, x).origins()
+    assert [n for n in before if not np.array_equal(before[n], after[n])] == ["elbow_joint"]
+    # a target's error is none of the robot's
+    x[:] = 0
+    x[model.index("target_x")] = 0.01
+    assert model.apply(ur3, x).urdf.data == ur3.urdf.data
+
+
+def test_a_displaced_base_without_an_origin_is_refused():
+    robot = Robot.load("ur3", base="wrist_3_link", tip="base")
+    own = Parameter("own", "m", robot.joints[0].name, np.eye(6)[0], LENGTH)
+    names = tuple(joint.name for joint in robot.joints)
+    model = ErrorModel("mine", (FRAME, *names, TIP, TARGET), (own,))
+    with pytest.raises(UrdfError, match="moved by the chain's first joint directly"):
+        model.apply(robot, np.array([0.001]))
