@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -32,6 +32,7 @@ from calib.cli.options import (
     Tip,
     reporting,
 )
+from calib.errors import CalibError
 
 if TYPE_CHECKING:
     from calib.identify.calibration import Calibration
@@ -46,6 +47,7 @@ Examples:
   calib fit robot.urdf tracker.csv --frame estimate -o corrected.urdf
   calib fit robot.urdf joints.csv --points tracker.txt --frame estimate -o corrected.urdf
   calib fit robot.urdf data.csv --columns "J1=joint_1 [deg]" --columns "X=x [mm]" ...
+  calib fit robot.urdf data.csv --bootstrap 1000 --seed 1 --profile alpha2
 
 The table holds one row a pose: a column for each joint, such as "joint_1 [deg]", and the measured point "x [mm]",
 "y [mm]", "z [mm]". Orientations, distances, balls in sockets and touched planes can be measured too; see
@@ -114,6 +116,26 @@ def fit(
             "--target-link", help="Add a link 'calib_target' at the target to the corrected URDF."
         ),
     ] = False,
+    bootstrap: Annotated[
+        int | None,
+        typer.Option(
+            min=40,
+            metavar="N",
+            help="Fit again to N random samples of the poses, and print the intervals that follow; 1000 is a good "
+            "number.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, metavar="S", help="Seed of --bootstrap; the same S, the same samples."),
+    ] = None,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PARAMETER",
+            help="Print the interval of a parameter by the profile of the cost. Can be repeated.",
+        ),
+    ] = None,
     robust: Annotated[bool, typer.Option(help="Give outliers no weight.")] = True,
     validate: Annotated[
         bool, typer.Option(help="Cross-validate; without it there is no verdict.")
@@ -127,6 +149,7 @@ def fit(
         from calib.cli.progress import progress_bar
         from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
 
+        _check_seed(seed, bootstrap)
         inputs: list[str | Path] = [robot, data, *(path for path in (cell, points) if path)]
         check_outputs([output, json, view], inputs, force=force)
         setup = read_cell(
@@ -161,11 +184,14 @@ def fit(
                 validate=validate,
                 progress=progress,
             )
+        texts, tables = _intervals(result, bootstrap, seed or 0, profile or [], quiet=quiet)
         # Files first: a reader of the text that goes away (head, less) must not cost the results.
-        written = list(_write(result, output, json, view, target_link=target_link, force=force))
+        written = list(
+            _write(result, output, json, view, tables, target_link=target_link, force=force)
+        )
         if not quiet:
             say_ignored(table, arm)
-            typer.echo(result.summary() + "\n")
+            typer.echo("\n\n".join([result.summary(), *texts]) + "\n")
             for path in written:
                 typer.echo(f"Written: {path}")
             if output is None:
@@ -177,11 +203,48 @@ def fit(
             )
 
 
+def _check_seed(seed: int | None, bootstrap: int | None) -> None:
+    """Refuse a seed that nothing is drawn with."""
+    if seed is not None and bootstrap is None:
+        message = (
+            "--seed is for the samples of --bootstrap; say how many, such as --bootstrap 1000."
+        )
+        raise CalibError(message)
+
+
+def _intervals(
+    result: Calibration, count: int | None, seed: int, names: list[str], *, quiet: bool
+) -> tuple[list[str], dict[str, Any]]:
+    """Bootstrap and profiles, as far as they are asked for: texts to print, and tables for the result file."""
+    if count is None and not names:
+        return [], {}
+    from calib.cli import intervals
+    from calib.cli.progress import progress_bar
+    from calib.identify.uncertainty import bootstrap, profile_interval
+
+    texts: list[str] = []
+    tables: dict[str, Any] = {}
+    if count is not None:
+        with progress_bar("bootstrap", quiet=quiet) as progress:
+            found = bootstrap(result, count, seed, progress)
+        texts.append(intervals.bootstrap_text(result, found))
+        tables["bootstrap"] = intervals.bootstrap_table(found)
+    if names:
+        profiles = [
+            (result.parameter(name), profile_interval(result, name, intervals.LEVEL))
+            for name in names
+        ]
+        texts.append(intervals.profile_text(profiles))
+        tables["profiles"] = intervals.profile_table(profiles)
+    return texts, tables
+
+
 def _write(
     result: Calibration,
     output: Path | None,
     json: Path | None,
     view: Path | None,
+    tables: dict[str, Any],
     *,
     target_link: bool,
     force: bool,
@@ -190,7 +253,9 @@ def _write(
     if output is not None:
         yield result.write_urdf(output, overwrite=force, target_link=target_link)
     if json is not None:
-        yield result.write_json(json, overwrite=force)
+        from calib.identify.result_file import result_table, write_table
+
+        yield write_table({**result_table(result), **tables}, json, overwrite=force)
     if view is not None:
         from calib.show.pictures import write_page
 

@@ -91,9 +91,9 @@ ModelName = Annotated[
     typer.Option(
         "--model",
         metavar="SET[+FAMILY...]",
-        help="Which errors are estimated. dh: a, alpha, d, theta of each DH row; paper: the same with a known frame; "
-        "hayati: beta for d between near-parallel axes; placement: all six of each joint; zeros; frames: none. Added "
-        "to it: gain, eccentricity, compliance, as in dh+gain.",
+        help="Which errors are estimated. auto: as many as the measurements support (default). dh: a, alpha, d, theta "
+        "of each DH row; paper: the same with a known frame; hayati: beta for d between near-parallel axes; placement: "
+        "all six of each joint; zeros; frames: none. Added to these: gain, eccentricity, compliance, as in dh+gain.",
     ),
 ]
 MeasuredKind = Annotated[

@@ -58,8 +58,8 @@ class Cell:
         estimate_frame: Whether the measurement frames are estimated.
         sigma: Standard deviation of one measured coordinate or length [m]; None: found from the data.
         priors: How large the robot's errors are expected to be.
-        model: What is estimated of the robot: a parameter set such as ``"dh"``, and families of errors behind it,
-            ``"dh+gain+compliance"``.
+        model: What is estimated of the robot: ``"auto"``, as much as the measurements support, or a parameter set such
+            as ``"dh"``, and families of errors behind it, ``"dh+gain+compliance"``.
         frozen: Names of parameters that stay at their nominal values.
         base: Base link; None: left to the command line or the URDF.
         tip: Tip link, likewise.

@@ -1,13 +1,17 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 AS_PRINTED = "69.97 -70.20 22.52 mm"
 
@@ -62,7 +66,8 @@ def test_the_cell_file_and_freeze_on_the_line(examples):
     done = examples.starting("calib fit robot.urdf data.csv --cell cell.toml")
     assert (done.code, done.out, done.err) == (0, "", "")
     result = load(examples.folder / "frozen.json")
-    assert result["model"] == {"set": "dh", "frozen": ["d2", "d3"], "candidates": []}
+    model = result["model"]
+    assert (model["set"], model["frozen"], model["candidates"]) == ("dh", ["d2", "d3"], [])
     assert not {"d2", "d3"} & values(result).keys()
     assert result["frames"]["target_given_m"] == pytest.approx([-0.07, 0.07, 0.0225])
 
@@ -158,15 +163,111 @@ def test_solvers_priors_and_weights(call, shop, reference, words: tuple[str, ...
     if words[-1] != "paper":
         assert 11 in [outlier["row"] for outlier in result["outliers"]]
     noise = result["noise"]
-    if words[-1] in ("off", "paper"):
-        assert noise["prior_length_m"] is noise["prior_angle_rad"] is None
+    assert (noise["sizes"] == {}) == (words[-1] in ("off", "paper"))
     if words[-1] == "given":
-        assert (noise["prior_length_m"], noise["prior_angle_rad"]) == (0.003, 0.015)
+        assert noise["sizes"] == {"length_m": 0.003, "angle_rad": 0.015, "zero_rad": 0.015}
     if words[-1] == "scipy":
         assert result["solver"]["name"] == "scipy"
         assert values(result) == pytest.approx(values(reference), abs=1e-5)
     if words[-1] == "--no-robust":
         assert noise["sigma_m"] > 1.5 * reference["noise"]["sigma_m"]
+
+
+def test_auto_is_the_default_and_says_what_it_tried(examples, reference):
+    """The paper's 30 rows carry DH, and neither more placements nor errors of the joints' state."""
+    model = reference["model"]
+    chosen = {c["set"]: c["chosen"] for c in model["candidates"]}
+    assert model["set"] == "dh"
+    assert chosen["dh"] == "geometry"
+    assert {"frames", "zeros", "placement", "dh+gain", "dh+eccentricity"} <= chosen.keys()
+    assert not any(chosen[name] for name in chosen if name != "dh")
+    assert reference["larger"] is None
+    text = examples.starting("calib fit robot.urdf data.csv --base base --tip tool0").out
+    assert re.search(r"^  dh .*  the URDF$", text, re.MULTILINE)
+
+
+def test_it_says_how_much_hangs_on_the_outliers(examples, call, shop):
+    text = " ".join(examples.starting("calib fit robot.urdf data.csv --base base").out.split())
+    found = re.search(
+        r"Without these rows' weights lowered the prediction would move by ([\d.]+) mm rms at the measured poses, "
+        r"([\d.]+) mm at most; the error of the other rows, left out, would be ([\d.]+) mm rms in place of ([\d.]+)",
+        text,
+    )
+    rms, most, full, lowered = (float(value) for value in found.groups())
+    assert 0.05 < rms < most < 0.5
+    assert lowered < full
+    done = call(
+        shop, "fit", "robot.urdf", "data.csv", "--base", "base", "--no-validate", "--no-robust"
+    )
+    assert "With these rows' weights lowered the prediction would move by" in done.out
+
+
+#: A row of a table of intervals: name, value, two ends by the covariance and two others, unit.
+INTERVALS = re.compile(
+    r"^(\w+) +(-?[\d.]+) +(-?[\d.]+) \.\. +(-?[\d.]+) +(-?[\d.]+) \.\. +(-?[\d.]+) (mm|deg)$",
+    re.MULTILINE,
+)
+
+
+def test_bootstrap_and_profile_are_printed_and_written(examples):
+    done = examples.starting("calib fit robot.urdf data.csv --base base --no-validate --bootstrap")
+    result = load(examples.folder / "intervals.json")
+    found, names = result["bootstrap"], [p["name"] for p in result["parameters"]]
+    assert (found["samples"], found["seed"], found["stopped"]) == (200, 1, 0)
+    assert [p["name"] for p in found["parameters"]] == names
+    _, by_bootstrap, by_profile = re.split(
+        r"^Bootstrap: .*|^Profile .*", done.out, flags=re.MULTILINE
+    )
+    rows = {name: (numbers, unit) for name, *numbers, unit in INTERVALS.findall(by_bootstrap)}
+    assert list(rows) == names
+    for p, sampled in zip(result["parameters"], found["parameters"], strict=True):
+        numbers, unit = rows[p["name"]]
+        shown = [p["value"], p["low"], p["high"], sampled["low"], sampled["high"]]
+        factor = 1e3 if unit == "mm" else 180.0 / math.pi
+        assert [float(n) for n in numbers] == pytest.approx([factor * v for v in shown], abs=6e-4)
+        assert sampled["low"] < p["value"] < sampled["high"]
+        # 30 rows, two of them wild: the same to within what 200 samples and 27 parameters blur.
+        assert 0.5 < (sampled["high"] - sampled["low"]) / (p["high"] - p["low"]) < 2.0
+    assert 1.0 < found["expected"]["measured_rms_m"] / result["expected"]["measured_rms_m"] < 1.5
+    (row,) = INTERVALS.findall(by_profile)
+    (written,) = result["profiles"]
+    p = result["parameters"][names.index("alpha2")]
+    assert row[0] == written["name"] == "alpha2"
+    assert [written["low"], written["high"]] == pytest.approx([p["low"], p["high"]], rel=1e-3)
+    assert [float(n) for n in row[4:6]] == pytest.approx(
+        [math.degrees(written[end]) for end in ("low", "high")], abs=6e-4
+    )
+
+
+def test_the_same_seed_gives_the_same_samples(call, shop):
+    words = ("--model", "zeros", "--bootstrap", "50", "--force", "--seed")
+    first, again, other = (quick(call, shop, *words, seed) for seed in ("5", "5", "6"))
+    assert first["bootstrap"] == again["bootstrap"]
+    assert first["bootstrap"]["parameters"] != other["bootstrap"]["parameters"]
+    assert first["parameters"] == other["parameters"]
+    assert "profiles" not in first
+
+
+def test_the_document_has_what_bootstrap_and_profile_write(examples):
+    text = (DOCS / "result-json.md").read_text(encoding="utf-8")
+    section = text.split("## What `--bootstrap` and `--profile` add")[1].split("\n## ")[0]
+    documented = set()
+    for path in re.findall(r"^\| `([^`]+)`", section, re.MULTILINE):
+        head, _, tail = path.partition("{")
+        documented |= {head + end for end in (tail[:-1].split(",") if tail else [""])}
+    result = load(examples.folder / "intervals.json")
+    assert documented == set(paths({k: result[k] for k in ("bootstrap", "profiles")}))
+
+
+def paths(table: Any, before: str = "") -> Iterator[str]:
+    """The keys of nested tables, as the document writes them."""
+    if isinstance(table, list):
+        yield from paths(table[0], f"{before}[]")
+    elif isinstance(table, dict):
+        for key, value in table.items():
+            yield from paths(value, f"{before}.{key}" if before else key)
+    else:
+        yield before
 
 
 def test_points_in_a_list_of_their_own(call, shop, reference):
@@ -282,7 +383,20 @@ def test_force_overwrites(call, shop):
         (("robot.urdf", "data.csv", "--fix-target"), "The target is said to be known but is not"),
         (("robot.urdf", "data.csv", "--target", "1 2 3"), 'given as "1 2 3"; it must be three num'),
         (("robot.urdf", "data.csv", "--target", "1 2 3 kg"), "'kg' is no unit of length. Choose"),
-        (("robot.urdf", "data.csv", "--freeze", "d9"), "The model 'dh' has no parameter 'd9'; it"),
+        (("robot.urdf", "data.csv", "--freeze", "d9"), "No model has the parameters 'd9'. 'calib"),
+        (
+            ("robot.urdf", "data.csv", "--freeze", "d9", "--model", "dh"),
+            "The model 'dh' has no parameter 'd9'; it",
+        ),
+        (("robot.urdf", "data.csv", "--seed", "3"), "--seed is for the samples of --bootstrap;"),
+        (
+            ("robot.urdf", "data.csv", "--no-validate", "--profile", "alpha9", "--model", "dh"),
+            "The model 'dh' has no parameter 'alpha9'; it",
+        ),
+        (
+            ("robot.urdf", "data.csv", "--no-validate", "--bootstrap", "40", "--solver", "paper"),
+            "The solver 'paper' minimises fourth powers",
+        ),
         (("robot.urdf", "data.csv", "--columns", "J1"), "--columns was given 'J1'; it must be"),
         (("robot.urdf", "data.csv", "--columns", "J=x"), "there is no column 'J', which --columns"),
         (("panda", "data.csv"), "data.csv: no column for the joints 'panda_joint1', "),

@@ -102,6 +102,8 @@ def test_version_and_help(run, tmp_path: Path):
         ("fit", "robot.urdf", "data.csv", "--repeats", "best"),
         ("fit", "robot.urdf", "data.csv", "--solver", "best"),
         ("fit", "robot.urdf", "data.csv", "--priors", "best"),
+        ("fit", "robot.urdf", "data.csv", "--bootstrap", "39"),
+        ("fit", "robot.urdf", "data.csv", "--bootstrap", "50", "--seed", "-1"),
         ("fit", "robot.urdf", "data.csv", "-o"),
         ("evaluate", "robot.urdf"),
         ("inspect",),
@@ -127,6 +129,7 @@ def test_every_example_of_the_document_works(examples):
         "view.html",
         "target.urdf",
         "frozen.json",
+        "intervals.json",
         "errors.json",
     }
     assert {path.name for path in examples.folder.iterdir()} == given | made
@@ -220,7 +223,10 @@ def test_names_that_the_terminal_cannot_show(program, shop: Path):
 def test_a_terminal_sees_progress_and_a_pipe_does_not(program, shop: Path):
     terminal, theirs = pty.openpty()
     process = subprocess.Popen(
-        [*program, "fit", "robot.urdf", "data.csv", "--base", "base", "--model", "zeros"],
+        [
+            *program, "fit", "robot.urdf", "data.csv", "--base", "base", "--model", "zeros",
+            "--bootstrap", "200",
+        ],
         cwd=shop, stdout=subprocess.PIPE, stderr=theirs, encoding="utf-8",
         env={**os.environ, "TERM": "xterm", "COLUMNS": "100"},
     )  # fmt: skip
@@ -238,5 +244,6 @@ def test_a_terminal_sees_progress_and_a_pipe_does_not(program, shop: Path):
     os.close(terminal)
     assert process.returncode == 0
     assert b"cross-validation" in seen
+    assert b"bootstrap" in seen
     assert "\x1b" not in out
     assert "Verdict: use" in out

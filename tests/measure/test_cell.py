@@ -40,7 +40,7 @@ def test_an_empty_file_is_the_default(tmp_path: Path):
     assert repr(read(tmp_path, "# nothing\n")) == repr(Cell())
     assert Cell().estimate_target
     assert not Cell().estimate_frame
-    assert Cell().model == "dh"
+    assert Cell().model == "auto"
 
 
 def test_every_key(tmp_path: Path):
