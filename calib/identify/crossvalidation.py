@@ -30,13 +30,16 @@ def folds_of(task: Task, rows: Rows) -> Folds:
     Raises:
         MeasurementError: Too few rows to leave any out.
     """
-    result = folds(rows.blocks, joined_setups(rows, task.distances))
+    result = folds(_blocks(rows), joined_setups(rows, task.distances))
     if len(result.masks) < 2:
         message = (
             f"{len(rows)} row{'s' * (len(rows) > 1)} of one pose cannot be cross-validated: none is left to fit. "
             "Measure more poses, or ask for a fit without validation (--no-validate)."
         )
         raise MeasurementError(message)
+    measured = int(np.sum(np.any(rows.used, axis=1)))
+    if result.method == "leave-one-pose-out" and measured == len(result.masks):
+        return replace(result, method="leave-one-out")  # pairs: two rows of one measurement
     return result
 
 
@@ -71,9 +74,9 @@ def cross_validation(
         done += 1
         if progress is not None:
             progress(done, len(left_out.masks))
-        return fitted.unseen(rows.select(mask), kept)
+        return _as_wide(fitted.unseen(rows.select(mask), kept), rows)
 
-    return cross_validate(rows.blocks, left_out, outliers, rows.used, predict_left_out)
+    return cross_validate(_blocks(rows), left_out, outliers, rows.used, predict_left_out)
 
 
 def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossValidation:
@@ -91,9 +94,19 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
     def predict_left_out(mask: Mask) -> Array:
         kept = rows.select(~mask)
         found = nominal_setup(task.robot, setup, kept)
-        return _registered(task, found, rows.select(mask), kept)
+        return _as_wide(_registered(task, found, rows.select(mask), kept), rows)
 
-    return cross_validate(rows.blocks, left_out, outliers, rows.used, predict_left_out)
+    return cross_validate(_blocks(rows), left_out, outliers, rows.used, predict_left_out)
+
+
+def _blocks(rows: Rows) -> NDArray[np.int_]:
+    """What is left out together, numbered from 0 without gaps: some blocks of the table may have no row here."""
+    return np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
+
+
+def _as_wide(residual: Array, rows: Rows) -> Array:
+    """The residual of some rows with as many columns as all of them have: those left out may lack a kind."""
+    return np.pad(residual, ((0, 0), (0, rows.width - residual.shape[1])))
 
 
 def _registered(task: Task, found: Setup, rows: Rows, seen: Rows) -> Array:
@@ -132,7 +145,7 @@ def linear_cross_validation(fitted: Fitted) -> CrossValidation:
             x[loose] = np.linalg.lstsq(A[used][:, loose], rest, rcond=1e-9)[0]
         return (y - A @ x) * rows.scales[mask]
 
-    return cross_validate(rows.blocks, left_out, estimate.outliers, rows.used, predict_left_out)
+    return cross_validate(_blocks(rows), left_out, estimate.outliers, rows.used, predict_left_out)
 
 
 def only_there(model: ErrorModel, setup: Setup, rows: Rows, mask: Mask) -> NDArray[np.bool_]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +14,13 @@ from scipy.spatial.transform import Rotation
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.identify.calibration import Calibration, calibrate
 from calib.identify.rows import POINT, Rows
-from calib.measure.cell import Cell
+from calib.measure.cell import Cell, GroupDistance
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, read_only
+from calib.model.torques import GRAVITY, Payload, gravity_load
 
 
 @pytest.fixture(scope="session")
@@ -107,6 +110,8 @@ class Scene:
     rng: np.random.Generator
     noise: float = 0.0
     noise_angle: float = 0.0
+    payload: Payload | None = None
+    gravity: tuple[float, ...] = GRAVITY
 
     @property
     def robot(self) -> Robot:
@@ -115,7 +120,8 @@ class Scene:
     def samples(self, count: int, frame: int = 0, target: int = 0, q=None) -> Samples:
         if q is None:
             q = random_joint_values(self.robot, count, int(self.rng.integers(2**31)))
-        return Samples(np.asarray(q), np.full(len(q), frame), np.full(len(q), target))
+        load = gravity_load(self.robot, q, self.payload, self.gravity)
+        return Samples(np.asarray(q), np.full(len(q), frame), np.full(len(q), target), load)
 
     def tip(self, q: np.ndarray) -> np.ndarray:
         """T_base_tip of the true robot."""
@@ -256,6 +262,9 @@ def make_scene(ur3: Robot) -> Callable[..., Scene]:
         noise: float = 0.0,
         noise_angle: float = 0.0,
         reach: float = 4.0,
+        other: Mapping[str, float] | None = None,
+        payload: Payload | None = None,
+        gravity: Sequence[float] = GRAVITY,
     ) -> Scene:
         rng = np.random.default_rng(seed)
         if isinstance(frames, int):
@@ -273,8 +282,170 @@ def make_scene(ur3: Robot) -> Callable[..., Scene]:
             targets=tuple(f"t{k}" for k in range(len(targets))),
         )
         size = np.where([u == "m" for u in errors.units], length, angle)
+        for family, std in (other or {}).items():
+            size[errors.family(family)] = std
         x = size * rng.normal(size=len(errors))
         kinematics = Kinematics(robot, errors, np.array(frames), np.array(targets))
-        return Scene(kinematics, x, rng, noise, noise_angle)
+        return Scene(kinematics, x, rng, noise, noise_angle, payload, tuple(gravity))
 
     return make
+
+
+def place(xyz: Sequence[float], turn: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """A pose from a position and a rotation vector."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    T[:3, 3] = xyz
+    return T
+
+
+#: Where the base stands as seen from sockets and anchors in reach, from planes in reach, and from trackers.
+SOCKETS = [place(-np.array(p)) for p in ([0.3, 0.1, 0.3], [-0.3, 0.2, 0.4], [0.1, -0.3, 0.5])]
+PLANES = [
+    place([0.0, 0.0, -0.2]),
+    place([0.0, 0.1, -0.25], [1.2, 0.1, 0.0]),
+    place([0.1, 0.0, -0.2], [-0.9, 0.8, 0.0]),
+]
+TRACKERS = [
+    place([2.0, -1.0, 0.4], [0.1, 0.2, 2.0]),
+    place([-2.0, 1.0, 0.3], [0.2, -0.1, -1.0]),
+    place([0.5, 2.5, 0.2], [0.0, 0.3, 0.5]),
+]
+TARGETS = [place([0.05, 0.04, 0.16], [0.3, -0.2, 0.5]), place([-0.1, 0.06, 0.08], [0.1, 0.2, -0.3])]
+
+
+def gaps(frames: Sequence[np.ndarray]) -> tuple[GroupDistance, ...]:
+    """The distance between the first two sockets."""
+    c = [-T[:3, :3].T @ T[:3, 3] for T in frames]
+    return (GroupDistance("0", "1", float(np.linalg.norm(c[0] - c[1])), 1e-5),)
+
+
+def every_sixth_validates(m: Measurements) -> Measurements:
+    """Some rows held back, of a pair both or none."""
+    number = np.arange(len(m)) // (2 if any(m.pairs) else 1)
+    return replace(m, sets=tuple("validate" if k % 6 == 5 else "estimate" for k in number))
+
+
+def _points(make):
+    scene = make(31, frames=[np.eye(4)])
+    return scene, scene.points(76), Cell()
+
+
+def _poses(make):
+    scene = make(32, frames=[TRACKERS[0]], noise_angle=1e-4)
+    return scene, scene.poses(76), Cell(estimate_frame=True)
+
+
+def _targets(make):
+    scene = make(33, frames=[np.eye(4)], targets=TARGETS)
+    return scene, joined(scene.points(40), scene.points(40, target=1)), Cell()
+
+
+def _turned_targets(make):
+    scene = make(34, frames=[np.eye(4)], targets=TARGETS, noise_angle=1e-4)
+    return scene, joined(scene.poses(38), scene.poses(38, target=1)), Cell()
+
+
+def _set_ups(make):
+    scene = make(35, frames=TRACKERS)
+    return scene, joined(*(scene.points(30, f) for f in range(3))), Cell(estimate_frame=True)
+
+
+def _known_set_ups(make):
+    scene = make(36, frames=TRACKERS[:2])
+    frames = {str(f): TRACKERS[f] for f in range(2)}
+    return scene, joined(*(scene.points(40, f) for f in range(2))), Cell(frames=frames)
+
+
+def _distances(make):
+    scene = make(37, frames=SOCKETS)
+    return scene, joined(*(scene.distances(48, f) for f in range(3))), Cell()
+
+
+def _pairs(make):
+    scene = make(38, frames=[np.eye(4)])
+    return scene, scene.pairs(76), Cell()
+
+
+def _sockets(make):
+    scene = make(39, frames=SOCKETS)
+    return scene, joined(*(scene.fixed(24, f) for f in range(3))), Cell(distances=gaps(SOCKETS))
+
+
+def _planes(make):
+    scene = make(40, frames=PLANES)
+    return scene, joined(*(scene.plane(40, f) for f in range(3))), Cell()
+
+
+def _mixed(make):
+    scene = make(41, frames=[TRACKERS[0], SOCKETS[1], PLANES[2], SOCKETS[0]], noise_angle=1e-4)
+    tables = [scene.poses(15), scene.points(15), scene.fixed(12, 1), scene.plane(18, 2)]
+    return scene, joined(*tables, scene.distances(18, 3), scene.pairs(6)), Cell(estimate_frame=True)
+
+
+def _gain(make):
+    scene = make(42, frames=[TRACKERS[0]], model="dh+gain", other={"gain": 1e-3})
+    return scene, scene.points(76), Cell(estimate_frame=True)
+
+
+def _compliance(make):
+    payload = Payload(5.0, np.array([0.0, 0.02, 0.1]))
+    gravity = np.array([0.0, 1.0, -9.75])
+    scene = make(
+        43, frames=[np.eye(4)], targets=TARGETS, model="dh+compliance",
+        other={"compliance": 3e-5}, payload=payload, gravity=gravity,
+    )  # fmt: skip
+    cell = Cell(payload=payload, gravity=gravity, model="dh+compliance")
+    return scene, joined(scene.points(40), scene.points(40, target=1)), cell
+
+
+def _held(make):
+    held = {"wrist_2_joint": 0.8}
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0", held=held)
+    scene = make(44, frames=[np.eye(4)], robot=robot, model="dh+gain", other={"gain": 1e-3})
+    return scene, scene.points(76), Cell(held=held, model="zeros+gain")
+
+
+#: A scene, its table and its cell for every kind of measurement, several targets and set-ups, and larger models.
+CASES = {
+    "points": _points,
+    "poses": _poses,
+    "targets": _targets,
+    "turned targets": _turned_targets,
+    "set-ups": _set_ups,
+    "known set-ups": _known_set_ups,
+    "distances": _distances,
+    "pairs": _pairs,
+    "sockets": _sockets,
+    "planes": _planes,
+    "mixed": _mixed,
+    "gain": _gain,
+    "compliance": _compliance,
+    "held": _held,
+}
+
+
+@pytest.fixture(scope="session")
+def calibrated(
+    make_scene: Callable[..., Scene],
+) -> Callable[[str], tuple[Scene, Calibration]]:
+    """A function that gives the scene of one of `CASES` and its calibration; each is fitted once."""
+
+    def make(seed: int, **given: Any) -> Scene:
+        usual = {"targets": TARGETS[:1], "length": 3e-4, "angle": 3e-3, "noise": 2e-5}
+        return make_scene(seed, **(usual | given))
+
+    @cache
+    def run(name: str) -> tuple[Scene, Calibration]:
+        scene, table, cell = CASES[name](make)
+        return scene, calibrate(scene.robot, every_sixth_validates(table), cell=cell)
+
+    return run
+
+
+@pytest.fixture(params=CASES)
+def case(
+    request: pytest.FixtureRequest, calibrated: Callable[[str], tuple[Scene, Calibration]]
+) -> tuple[Scene, Calibration]:
+    """Each of `CASES` in turn."""
+    return calibrated(request.param)
