@@ -7,15 +7,14 @@ by Levenberg-Marquardt.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
-from calib.identify.rows import NONE, POINT, Rows
-from calib.identify.setup import Setup
+from calib.identify.rows import FIXED, NONE, POINT, Rows
+from calib.identify.setup import Setup, along_own_axes
 from calib.identify.solvers import levenberg_marquardt
 from calib.identify.starts import frames_around, linear_start, pose_start
 from calib.model.error_model import frame_and_target_model
@@ -32,9 +31,13 @@ _REACHES = (0.15, 0.7)
 #: Of all starts so many are refined, those that fit best with the frames that suit them.
 _REFINED = 5
 
-#: Rows of each set-up used to find a start; more do not make it better.
+#: Rows of each view of a target used to find a start; more do not make it better.
 _ROWS = 200
 _FEWEST_ROWS = 20
+
+#: Directions of a frame that is wholly unknown, and the points that show all of them.
+_ALL = 6
+_FEWEST_POINTS = 3
 
 
 def register(robot: Robot, setup: Setup, rows: Rows) -> Setup:
@@ -70,17 +73,19 @@ def register_poses(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
         known_targets=setup.target_names,
         rotation=setup.rotation,
     )
-    system = partial(_system, model, T_base_tip, rows)
     starts = [linear] if linear is not None else _starts(setup, T_base_tip, rows)
-    misfits = [_misfit(system, setup.placed(*start)) for start in starts]
+    misfits = [_misfit(T_base_tip, rows, setup.placed(*start)) for start in starts]
     best: tuple[float, Setup] | None = None
     for i in np.argsort(misfits, kind="stable")[:_REFINED]:
         start = setup.placed(*starts[i])
+        own = along_own_axes(model, start)
         solution = levenberg_marquardt(
-            partial(system, start), np.zeros(len(model)), step_size=steps(model.units)
+            partial(_system, own, T_base_tip, rows, start),
+            np.zeros(len(model)),
+            step_size=steps(model.units),
         )
         if best is None or solution.cost < best[0]:
-            best = (solution.cost, start.placed(*_at(model, start, solution.x)))
+            best = (solution.cost, start.placed(*_at(own, start, solution.x)))
     assert best is not None
     return best[1]
 
@@ -89,8 +94,10 @@ def _check_enough(setup: Setup, rows: Rows) -> None:
     """Refuse fewer numbers than unknowns, in all and for each frame."""
     parts = ["the measurement frames" if len(setup.groups) > 1 else "the measurement frame"]
     parts = [*(parts if any(setup.unknown) else []), *(["the target"] * setup.estimate_target)]
-    least = 3 if any(len(d) == 6 for d in setup.unknown) and setup.rotation is False else 1
-    if rows.count < setup.count or (np.all(rows.kinds == POINT) and len(rows) < least):
+    whole = [len(directions) == _ALL for directions in setup.unknown]
+    points = np.isin(rows.kinds, (POINT, FIXED))
+    least = _FEWEST_POINTS if any(whole) else 1
+    if rows.count < setup.count or (np.all(points) and len(rows) < least):
         message = (
             f"{len(rows)} rows give {rows.count} numbers; {setup.count} are needed to find "
             f"{' and '.join(parts)} alone. Measure more poses, or give what is known of the set-up."
@@ -98,27 +105,30 @@ def _check_enough(setup: Setup, rows: Rows) -> None:
         raise MeasurementError(message)
     for f, directions in enumerate(setup.unknown):
         own = rows.samples.frame == f
-        count = int(np.sum(rows.used[own]))
-        if 0 < count < len(directions):
+        count, seen = int(np.sum(rows.used[own])), int(np.sum(own))
+        # Two points leave the rotation about the line through them.
+        too_few_points = whole[f] and bool(np.all(points[own])) and seen < _FEWEST_POINTS
+        if seen and (count < len(directions) or too_few_points):
             message = (
-                f"The set-up '{setup.groups[f]}' has {int(np.sum(own))} rows with {count} numbers; its frame has "
-                f"{len(directions)} unknowns. Measure more poses there, or leave its rows out."
+                f"The set-up '{setup.groups[f]}' has {seen} row{'s' * (seen != 1)} with {count} numbers; its frame "
+                f"has {len(directions)} unknowns. Measure {_FEWEST_POINTS if too_few_points else 'more'} poses there, "
+                "or leave its rows out."
             )
             raise MeasurementError(message)
 
 
 def _some(rows: Rows) -> NDArray[np.bool_]:
-    """Rows that are enough to find a start, spread evenly over each set-up; of a pair both or none."""
-    frame = rows.samples.frame
-    most = max(_ROWS // (int(frame.max()) + 1), _FEWEST_ROWS)
+    """Rows that are enough to find a start, spread evenly over what each frame sees of each target; whole pairs."""
+    told = np.flatnonzero(rows.kinds != NONE)
+    seen = np.stack([rows.samples.frame, rows.samples.target], axis=1)[told]
+    views, view = np.unique(seen, axis=0, return_inverse=True)
+    most = max(_ROWS // len(views), _FEWEST_ROWS)
     mask = np.zeros(len(rows), dtype=bool)
-    for f in np.unique(frame):
-        own = np.flatnonzero(frame == f)
+    for v in range(len(views)):
+        own = told[view.reshape(-1) == v]
         mask[own[np.linspace(0, len(own) - 1, min(len(own), most)).astype(int)]] = True
-    paired = np.flatnonzero((rows.partner >= 0) & mask)
-    mask[rows.partner[paired]] = True
-    second = np.isin(np.arange(len(rows)), rows.partner[paired])
-    return np.asarray(mask & ((rows.kinds != NONE) | second))
+    mask[rows.partner[mask & (rows.partner >= 0)]] = True
+    return mask
 
 
 def _starts(setup: Setup, T_base_tip: Array, rows: Rows) -> list[tuple[Array, Array]]:
@@ -159,10 +169,11 @@ def _turned(setup: Setup) -> list[Setup]:
     return result
 
 
-def _misfit(system: Callable[[Setup, Array], tuple[Array, Array]], setup: Setup) -> float:
+def _misfit(T_base_tip: Array, rows: Rows, setup: Setup) -> float:
     """The sum of squares at a start."""
-    residual, _ = system(setup, np.zeros(setup.count))
-    return float(residual @ residual)
+    T_frame_tip = setup.T_frame_base[rows.samples.frame] @ T_base_tip
+    residual = rows.residual(T_frame_tip @ setup.T_tip_target[rows.samples.target]) / rows.scales
+    return float(np.sum(residual[rows.used] ** 2))
 
 
 def _system(

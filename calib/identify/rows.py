@@ -218,13 +218,13 @@ def _unit(v: Array) -> Array:
 def _log_derivative(rotation: Rotation) -> Array:
     """D log(E exp(-w)) / d(-w) at w = 0, the inverse right Jacobian of SO(3), shape (N, 3, 3).
 
-    I + [r]x / 2 + (1 / t^2 - (1 + cos t) / (2 t sin t)) [r]x^2 with r = log E and t = |r|.
+    I + [r]x / 2 + (1 / t^2 - 1 / (2 t tan(t / 2))) [r]x^2 with r = log E and t = |r|; finite up to t = pi.
     """
     r = rotation.as_rotvec()
     t = np.linalg.norm(r, axis=1)
     small = t < 1e-4
     safe = np.where(small, 1.0, t)
-    factor = 1.0 / safe**2 - (1.0 + np.cos(safe)) / (2.0 * safe * np.sin(safe))
+    factor = 1.0 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe))
     factor = np.where(small, 1.0 / 12.0, factor)
     cross = np.zeros((len(r), 3, 3))
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -r[:, 2], r[:, 1], -r[:, 0]

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
-from calib.identify.rows import DISTANCE, FIXED, FRAME_DIRECTIONS, PLANE, POSE
+from calib.identify.rows import DISTANCE, FIXED, FRAME_DIRECTIONS, NONE, PAIR, PLANE, POSE
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import DIRECTIONS
+from calib.model.parameters import ErrorModel, Parameter, frame_place
 from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
@@ -32,6 +33,8 @@ class Setup:
         target_unknown: shape (T,), whether a target is estimated.
         target_given: shape (T,), whether a target's place was given.
         rotation: Whether targets are frames, because orientations were measured, or points.
+        own_axes: shape (F,), whether a frame's directions are its own axes; else they are the base's. A plane is known
+            along and about its own axes only.
     """
 
     groups: tuple[str, ...]
@@ -43,6 +46,7 @@ class Setup:
     target_unknown: NDArray[np.bool_]
     target_given: NDArray[np.bool_]
     rotation: bool
+    own_axes: NDArray[np.bool_]
 
     @property
     def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:
@@ -109,10 +113,10 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) ->
     groups = tuple(dict.fromkeys(measurements.groups))
     targets = tuple(dict.fromkeys(measurements.targets))
     _check_names(cell, groups, targets, measurements.source)
-    unknown, frames, frame_given = [], [], []
+    unknown, frames, frame_given, own_axes = [], [], [], []
     of_group = np.array([groups.index(g) for g in measurements.groups])
     for g, group in enumerate(groups):
-        present = set(np.unique(kinds[of_group == g]).tolist())
+        present = set(np.unique(kinds[of_group == g]).tolist()) - {PAIR, NONE}
         given = cell.frames.get(group, cell.T_frame_base)
         scene = present <= {DISTANCE, FIXED, PLANE} and group not in cell.frames
         telling = [d for d in DIRECTIONS if any(d in FRAME_DIRECTIONS[k] for k in present)]
@@ -120,6 +124,7 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) ->
         unknown.append(tuple(d for d in wanted if d in telling))
         frames.append(np.eye(4) if given is None else given)
         frame_given.append(given is not None or not unknown[-1])
+        own_axes.append(scene and PLANE in present)
     T_tip_target = np.tile(np.eye(4), (len(targets), 1, 1))
     target_given = []
     for t, name in enumerate(targets):
@@ -139,6 +144,37 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) ->
         target_unknown=np.full(len(targets), cell.estimate_target),
         target_given=np.array(target_given),
         rotation=bool(np.any(kinds == POSE)),
+        own_axes=np.array(own_axes),
+    )
+
+
+def along_own_axes(model: ErrorModel, setup: Setup) -> ErrorModel:
+    """The model with the directions of planes' frames along the planes' own axes, wherever these point in the base.
+
+    A frame is displaced in the base, T_frame_base D: with the rotation R of T_frame_base the twist of a unit along one
+    of its own axes e is R^T e.
+
+    Args:
+        model: With the set-up's frames.
+        setup: Frames where they start.
+    """
+    turned = {}
+    for f, name in enumerate(setup.frame_unknowns):
+        if setup.own_axes[f]:
+            turned[frame_place(name)] = setup.T_frame_base[f, :3, :3].T
+    if not turned:
+        return model
+
+    def own(one: Parameter) -> Parameter:
+        if one.place not in turned:
+            return one
+        direction = (turned[one.place] @ one.direction.reshape(2, 3).T).T.ravel()
+        return replace(one, direction=read_only(direction))
+
+    return replace(
+        model,
+        parameters=tuple(own(one) for one in model.parameters),
+        terms=tuple(own(one) for one in model.terms),
     )
 
 

@@ -165,7 +165,7 @@ def folds(poses: NDArray[np.int_], setups: NDArray[np.int_] | None = None) -> Fo
     """Which rows are left out together: a whole set-up, or all of one pose, or every tenth pose where there are many.
 
     Args:
-        poses: shape (N,), the pose of each row, numbered from 0, see `same_poses`.
+        poses: shape (N,), the pose of each row, see `same_poses`; some of the numbers may be missing.
         setups: shape (N,), the set-up of each row; from three on, each is left out in turn.
     """
     if setups is not None and len(np.unique(setups)) >= _FEWEST_SETUPS:
@@ -177,7 +177,8 @@ def folds(poses: NDArray[np.int_], setups: NDArray[np.int_] | None = None) -> Fo
             "leave-one-set-up-out" if size == 1 else "leave-set-ups-out",
             tuple(np.isin(setups, names[k : k + size]) for k in range(0, len(names), size)),
         )
-    count = int(poses.max()) + 1 if len(poses) else 0
+    present, poses = np.unique(poses, return_inverse=True)
+    count = len(present)
     if count <= _LEAVE_ONE_OUT:
         method = "leave-one-out" if count == len(poses) else "leave-one-pose-out"
         return Folds(method, tuple(poses == i for i in range(count)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 from collections.abc import Sequence
 
 import numpy as np
@@ -59,7 +58,7 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
         partner=partner,
         sigma=_sigma(m.sigma, cell.sigma, FIRST_SIGMA, count),
         sigma_angle=_sigma(m.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE, count),
-        poses=_repeats(blocks, samples, partner),
+        poses=_repeats(blocks, samples, kinds, partner),
         blocks=_joined(blocks, [(int(i), int(partner[i])) for i in np.flatnonzero(partner >= 0)]),
     )
     return rows, setup
@@ -73,10 +72,7 @@ def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
     """
     result: list[KnownDistance] = []
     for known in cell.distances:
-        if "*" in known.first or "*" in known.second:
-            pairs = _matches(known.first, known.second, setup.groups)
-        else:
-            pairs = [(known.first, known.second)]
+        pairs = known.pairs(setup.groups)
         if not pairs:
             message = (
                 f"A distance is stated between the groups '{known.first}' and '{known.second}', which fits no two of "
@@ -96,24 +92,14 @@ def joined_setups(rows: Rows, distances: Sequence[KnownDistance]) -> NDArray[np.
     return _joined(frames, [(d.first, d.second) for d in distances])[rows.samples.frame]
 
 
-def _matches(first: str, second: str, groups: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Pairs of groups that fit two patterns with the same text at their "*"."""
-    result = []
-    for group in groups:
-        if fnmatch.fnmatchcase(group, first.replace("[", "[[]")):
-            head, _, tail = first.partition("*")
-            text = group[len(head) : len(group) - len(tail)]
-            other = second.replace("*", text)
-            if other in groups and other != group:
-                result.append((group, other))
-    return result
-
-
 def _repeats(
-    blocks: NDArray[np.int_], samples: Samples, partner: NDArray[np.int_]
+    blocks: NDArray[np.int_],
+    samples: Samples,
+    kinds: NDArray[np.int_],
+    partner: NDArray[np.int_],
 ) -> NDArray[np.int_]:
-    """A number for each pose, frame and target, and of a pair for those of both its rows, shape (N,)."""
-    own = np.column_stack([blocks, samples.frame, samples.target])
+    """A number for each pose, frame, target and kind, and of a pair for those of both its rows, shape (N,)."""
+    own = np.column_stack([blocks, samples.frame, samples.target, kinds])
     other = np.where((partner >= 0)[:, None], own[partner], -1)
     return np.unique(np.hstack([own, other]), axis=0, return_inverse=True)[1].reshape(-1)
 
