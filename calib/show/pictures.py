@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.calibration import Calibration
-from calib.model.kinematics import Samples
 from calib.model.robot import rigid_inverse
 from calib.show.scene import View, write_view
 
@@ -23,15 +22,16 @@ def view_of(calibration: Calibration) -> View:
     """
     c, m = calibration, calibration.measurements
     places, seen = _measured_places(c)
-    good = (c.scores <= c.flag_limit) & seen
+    # Distances and planes tell no position: then the two robots stand there without a measured point.
+    shown = seen if np.any(seen) else np.any(c.used, axis=1)
+    good = (c.scores <= c.flag_limit) & shown
     chosen = m.validation & good if np.any(m.validation & good) else good
-    chosen = chosen if np.any(chosen) else seen
+    chosen = chosen if np.any(chosen) else shown
     error = np.where(chosen, np.linalg.norm(c.residual_nominal[:, :3], axis=1), -1.0)
     row = int(np.argmax(error))
     target, group = m.targets[row], m.groups[row]
     t, f = c.setup.targets.index(target), c.setup.groups.index(group)
     T_base_frame = rigid_inverse(c.setup.T_frame_base[f])
-    index = int(np.sum(seen[:row]))
     word = "validation" if m.validation[row] else "estimation"
     return View(
         nominal=c.nominal,
@@ -40,7 +40,7 @@ def view_of(calibration: Calibration) -> View:
         nominal_target=c.nominal_setup.T_tip_target[t, :3, 3],
         calibrated_target=c.setup.T_tip_target[t, :3, 3],
         measured=places[seen],
-        index=index,
+        index=int(np.sum(seen[:row])) if seen[row] else None,
         pose_name=f"row {m.rows[row]} ({word})",
         title=f"{c.nominal.name}: nominal and calibrated",
         # Its error in the picture is then that of the tables, not where each of the two finds the tracker.
@@ -51,21 +51,14 @@ def view_of(calibration: Calibration) -> View:
 def _measured_places(c: Calibration) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Where the target was seen, in the base, shape (N, 3), [m], and for which rows that is known, shape (N,).
 
-    A target in a socket was where its set-up's frame stands. Where no row tells a position, the calibrated robot's own
-    predictions stand in.
+    A target in a socket was where its set-up's frame stands.
     """
     m = c.measurements
     frame = np.array([c.setup.groups.index(group) for group in m.groups])
     into_base = np.array([rigid_inverse(T) for T in c.setup.T_frame_base])[frame]
     points = np.nan_to_num(m.points)
     places = np.einsum("nij,nj->ni", into_base[:, :3, :3], points) + into_base[:, :3, 3]
-    seen = m.of_kind("point", "pose", "fixed")
-    if np.any(seen):
-        return places, seen
-    every = Samples.at(m.joints_for(c.nominal.joint_names))
-    target = np.array([c.setup.targets.index(name) for name in m.targets])
-    ends = c.fitted.tip_poses(every) @ c.setup.T_tip_target[target]
-    return ends[:, :3, 3], np.ones(len(m), dtype=bool)
+    return places, m.of_kind("point", "pose", "fixed")
 
 
 def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = False) -> Path:
