@@ -43,7 +43,7 @@ from calib.model.parameters import (
 Array = NDArray[np.float64]
 
 #: Below this the noise is no instrument's but rounding [m, rad].
-_SMALLEST_SIGMA = 1e-7
+_SMALLEST_SIGMA = 1e-8
 
 #: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
 _NOISE_SPREAD = float(np.log(10.0))
@@ -80,6 +80,8 @@ class Holds:
         adapts: Whether the sizes are found from the data.
         off: Whether there are no priors but the leash.
         fixed: Parameters that stand at a bound, and their values.
+        means: Means of single priors that are not 0, by number: of a target whose change counts from where it was said
+            to be, not from where it was registered.
     """
 
     names: tuple[str, ...]
@@ -89,6 +91,7 @@ class Holds:
     adapts: bool
     off: bool
     fixed: tuple[tuple[int, float], ...] = ()
+    means: tuple[tuple[int, float], ...] = ()
 
     @classmethod
     def of(
@@ -97,6 +100,7 @@ class Holds:
         priors: Priors,
         single: Mapping[str, float],
         fixed: tuple[tuple[int, float], ...] = (),
+        nominal: Array | None = None,
     ) -> Holds:
         """From the cell's priors.
 
@@ -105,6 +109,7 @@ class Holds:
             priors: Sizes by family.
             single: Standard deviations of single parameters, by name.
             fixed: Numbers of parameters that stand at a bound, and their values.
+            nominal: shape (p,), where each parameter's change is 0; None: where x is.
         """
         placed = model.family(FRAME, TARGET)
         precision = np.where(placed, 1.0 / _PLACED**2, 0.0)
@@ -122,6 +127,7 @@ class Holds:
             COMPLIANCE: priors.compliance,
         }
         off = priors.sizes == "off"
+        known = np.zeros(len(model)) if nominal is None else np.where(alone, nominal, 0.0)
         names = [f for f in model.families if np.any(model.family(f) & ~alone)]
         return cls(
             names=tuple(names),
@@ -131,13 +137,14 @@ class Holds:
             adapts=priors.sizes == "data",
             off=off,
             fixed=fixed,
+            means=tuple((int(k), float(known[k])) for k in np.flatnonzero(known)),
         )
 
     @property
     def centre(self) -> Array:
-        """The priors' means, shape (p,): 0 but for the parameters at a bound."""
+        """The priors' means, shape (p,): 0 but for parameters at a bound, and what was said to be elsewhere."""
         result = np.zeros(len(self.precision))
-        for k, value in self.fixed:
+        for k, value in (*self.means, *self.fixed):
             result[k] = value
         return result
 
