@@ -17,6 +17,7 @@ from calib.identify.problem import Problem
 from calib.identify.robust import Limits
 from calib.identify.solvers import Solution
 from calib.identify.stage import FEWEST_FREEDOM, Holds, Linear, Stage
+from calib.identify.variance import precision_of
 from calib.measure.cell import Priors
 from calib.model.parameters import FRAME, TARGET
 from calib.model.robot import read_only
@@ -38,6 +39,9 @@ _NOTHING = 1e-8
 #: Covariance of the minimum of summed fourth powers over that of summed squares, for normal noise in 3-D.
 _FOURTH_POWERS = 1.4
 
+#: A parameter at its bound is let go where that lowers the squares by more than this.
+_TELLING = 1e-6
+
 _ROUNDS = 12
 
 
@@ -49,7 +53,8 @@ class Options:
         priors: How large errors are expected to be, by family.
         robust: Whether rows may lose their weight; outliers are named either way.
         single: Standard deviations of single parameters, by name.
-        bounds: shape (p, 2), lowest and highest change of each parameter; None without.
+        bounds: shape (p, 2), lowest and highest value of each parameter; None without.
+        nominal: shape (p,), where single priors have their means; None: at 0.
         repeats: What repeats of a pose count for: ``"weighted"``, ``"average"`` or ``"independent"``.
         weights: shape (N,), weights that stay, of an estimation before; None to find them.
     """
@@ -58,6 +63,7 @@ class Options:
     robust: bool = True
     single: Mapping[str, float] = field(default_factory=dict)
     bounds: Array | None = None
+    nominal: Array | None = None
     repeats: str = "weighted"
     weights: Array | None = None
 
@@ -108,27 +114,57 @@ def estimate(problem: Problem, solve: Solve, options: Options) -> Estimate:
         solve: The solver.
         options: Priors, weights, bounds.
     """
+    fixed: dict[int, float] = {}
+    released: set[int] = set()
     result = _estimate(problem, solve, options, ())
     if options.bounds is None:
         return result
-    # Active set: what would leave its bounds stays there, and the others are estimated again.
-    for _ in range(problem.size):
-        low, high = options.bounds[:, 0], options.bounds[:, 1]
-        beyond = (result.x < low) | (result.x > high)
-        if not np.any(beyond):
-            return result
-        inside = np.clip(result.x, low, high)
-        held = sorted({*np.flatnonzero(beyond).tolist(), *result.at_bound})
-        fixed = tuple((k, float(inside[k])) for k in held)
-        result = _estimate(problem, solve, options, fixed)
+    # Active set: what would leave its bounds stays there and the others are estimated again; what then is no longer
+    # pushed against its bound is let go, once.
+    low, high = options.bounds[:, 0], options.bounds[:, 1]
+    for _ in range(3 * problem.size):
+        beyond = np.flatnonzero((result.x < low) | (result.x > high))
+        loose = [] if len(beyond) else _pushed_inside(problem, result, options, fixed)
+        loose = [k for k in loose if k not in released]
+        if not len(beyond) and not loose:
+            break
+        fixed |= {int(k): float(np.clip(result.x[k], low[k], high[k])) for k in beyond}
+        released |= set(loose)
+        fixed = {k: value for k, value in fixed.items() if k not in loose}
+        result = _estimate(problem, solve, options, tuple(sorted(fixed.items())))
     return result
+
+
+def _pushed_inside(
+    problem: Problem, result: Estimate, options: Options, fixed: Mapping[int, float]
+) -> list[int]:
+    """Parameters at a bound that measurements and priors would have inside of it."""
+    assert options.bounds is not None
+    holds = Holds.of(problem.kinematics.model, options.priors, options.single, (), options.nominal)
+    sizes = tuple(
+        size if holds.off else result.sizes.get(name, size)
+        for name, size in zip(holds.names, holds.start, strict=True)
+    )
+    last = result.problem
+    precision = holds.precision + precision_of(holds.families, sizes, problem.size)
+    free = last.reweighted(last.weights, last.scales, precision, holds.centre)
+    residual, jacobian = free.system(result.x)
+    slope, bend = jacobian.T @ residual, np.sum(jacobian**2, axis=0)
+    loose = []
+    for k, value in fixed.items():
+        inwards = -slope[k] if value <= options.bounds[k, 0] else slope[k]
+        if inwards > 0.0 and inwards**2 > _TELLING * bend[k]:
+            loose.append(k)
+    return loose
 
 
 def _estimate(
     problem: Problem, solve: Solve, options: Options, fixed: tuple[tuple[int, float], ...]
 ) -> Estimate:
     """`estimate`, with some parameters fixed at a bound."""
-    holds = Holds.of(problem.kinematics.model, options.priors, options.single, fixed)
+    holds = Holds.of(
+        problem.kinematics.model, options.priors, options.single, fixed, options.nominal
+    )
     stage = Stage.first(problem, holds, options.weights)
     solution = solve(stage.problem(problem), holds.centre.copy(), _ROUGH)
     linear = Linear.at(problem, solution.x)

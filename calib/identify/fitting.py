@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, ModelError, SolverError, choices
-from calib.identify.estimate import Estimate, Options, Solve, estimate, plain_estimate
+from calib.identify.estimate import Estimate, Solve, estimate, plain_estimate
+from calib.identify.options import options_of
 from calib.identify.problem import KnownDistance, Problem
 from calib.identify.registration import register, register_poses
 from calib.identify.robust import scores
@@ -140,7 +141,10 @@ def fit(task: Task, rows: Rows, weights: Array | None = None) -> Fitted:
     if task.solver == "paper":
         estimated = plain_estimate(problem, _solve_as_the_paper(problem, started))
     else:
-        options = replace(_options(task, model), weights=weights)
+        options = options_of(
+            task.cell, model, (task.setup, started), robust=task.robust, lenient=task.lenient
+        )
+        options = replace(options, weights=weights)
         estimated = estimate(problem, _solver(task.solver, steps(model.units)), options)
     if not np.all(np.isfinite(estimated.x)):
         message = "The solver ended at values that are not finite. Check the measurements, or keep the priors on."
@@ -163,43 +167,12 @@ def model_of(task: Task) -> ErrorModel:
         targets=setup.target_names,
         rotation=setup.rotation,
     )
-    frozen = robot_parameters(task.cell.frozen)
-    ties = task.cell.ties
+    frozen, ties = robot_parameters(task.cell.frozen), task.cell.ties
+    robot_parameters(tuple(dict.fromkeys((*ties, *(other for other, _ in ties.values())))), "tied")
     if task.lenient:
         frozen = tuple(name for name in frozen if name in model.names and name not in ties)
         ties = {n: t for n, t in ties.items() if n in model.names and t[0] in model.names}
     return model.tied(ties).without(frozen)
-
-
-def _options(task: Task, model: ErrorModel) -> Options:
-    """How to estimate, from the cell.
-
-    Raises:
-        ModelError: A bound or a prior for a parameter that the model lacks.
-    """
-    cell, bounds = task.cell, None
-    wanted = {name: ends for name, ends in cell.bounds.items() if _has(task, model, name)}
-    if wanted:
-        bounds = np.tile([-np.inf, np.inf], (len(model), 1))
-        for name, (low, high) in wanted.items():
-            bounds[model.index(name)] = low, high
-    single = {n: std for n, std in cell.parameter_priors.items() if _has(task, model, n)}
-    return Options(
-        priors=cell.priors,
-        robust=task.robust,
-        single=single,
-        bounds=bounds,
-        repeats=cell.repeats,
-    )
-
-
-def _has(task: Task, model: ErrorModel, name: str) -> bool:
-    """Whether the model has a parameter; where it must, and has not, `ErrorModel.index` says so.
-
-    Raises:
-        ModelError: It has not, and must.
-    """
-    return name in model.names if task.lenient else model.index(name) >= 0
 
 
 def _between_seen(distances: tuple[KnownDistance, ...], rows: Rows) -> tuple[KnownDistance, ...]:
@@ -239,20 +212,20 @@ def _solve_as_the_paper(problem: Problem, setup: Setup) -> Solution:
     return replace(solution, x=solution.x / unit - nominal)
 
 
-def robot_parameters(frozen: tuple[str, ...]) -> tuple[str, ...]:
-    """The frozen names, refused where they are of target or frame, which registration places as a whole.
+def robot_parameters(names: tuple[str, ...], what: str = "frozen") -> tuple[str, ...]:
+    """Frozen or tied names, refused where they are of target or frame, which registration places as a whole.
 
     Raises:
         ModelError: A coordinate of target or frame is among them.
     """
-    placed = [name for name in frozen if name.startswith(("target_", "frame_"))]
+    placed = [name for name in names if name.startswith(("target_", "frame_"))]
     if placed:
         message = (
-            f"{choices(placed)} cannot be frozen one by one: target and frame are known or estimated as a whole. Use "
+            f"{choices(placed)} cannot be {what} one by one: target and frame are known or estimated as a whole. Use "
             "--fix-target or --frame known, or target and frame in the cell file."
         )
         raise ModelError(message)
-    return frozen
+    return names
 
 
 def _check_enough(model: ErrorModel, cell: Cell, rows: Rows) -> None:
