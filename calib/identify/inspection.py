@@ -11,8 +11,9 @@ from calib.errors import ModelError
 from calib.identify.fitting import Task, model_of, seen_from
 from calib.identify.problem import Problem
 from calib.identify.registration import register
-from calib.identify.rows import Rows
+from calib.identify.rows import DISTANCE, Rows
 from calib.identify.selection import AUTO
+from calib.identify.setup import along_own_axes
 from calib.identify.table_rows import known_distances, rows_of
 from calib.measure.cell import Cell
 from calib.measure.kinds import KINDS
@@ -27,6 +28,16 @@ Array = NDArray[np.float64]
 
 #: A target where none is given: off every axis of the tip [m].
 _GENERIC_TARGET = (0.05, 0.07, 0.03)
+
+#: An anchor where none is known: off the first axis, which its distance would not tell of [m].
+_GENERIC_ANCHOR = (0.7, -0.5, 0.3)
+
+#: Kinds whose rows are not at any poses, and why.
+_OF_A_TABLE = {
+    "pair": "which rows are a pair is for a table to say",
+    "fixed": "the joints turn about a target that stays in its socket",
+    "plane": "the joints move a target that stays in its plane",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +61,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     Args:
         robot: The nominal robot.
         cell: Model, targets and frames; ``"auto"`` is looked at as ``"dh"``. A target that is not given is registered
-            to the measurements, or, without any, taken 50, 70, 30 mm off the tip.
+            to the measurements, or, without any, taken 50, 70, 30 mm off the tip; likewise the anchor of distances.
         measurements: Whose estimation poses to judge; None: 200 poses of a Sobol sequence over the joint limits, of the
             cell's kind of measurement.
 
@@ -66,6 +77,11 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
             T_tip_target[:, :3, 3] = _GENERIC_TARGET
             setup = setup.placed(setup.T_frame_base, T_tip_target)
             words += ", target 50, 70, 30 mm off the tip"
+        if np.any(rows.kinds == DISTANCE) and not np.all(setup.frame_given):
+            T_frame_base = setup.T_frame_base.copy()
+            T_frame_base[:, :3, 3] = np.negative(_GENERIC_ANCHOR)
+            setup = setup.placed(T_frame_base, setup.T_tip_target)
+            words += ", anchor 700, -500, 300 mm from the base"
         rows = _as_predicted(rows, seen_from(setup, robot.poses(rows.joints), rows))
     else:
         rows, setup = rows_of(robot, measurements, cell)
@@ -75,7 +91,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     name = cell.model if cell.model != AUTO else "dh"
     seen = set(rows.samples.frame.tolist())
     distances = tuple(d for d in known_distances(cell, setup) if {d.first, d.second} <= seen)
-    model = model_of(Task(robot, cell, setup, name, distances))
+    model = along_own_axes(model_of(Task(robot, cell, setup, name, distances)), setup)
     kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
     x = np.zeros(len(model))
     poses, twists = kinematics.twists(x, rows.samples)
@@ -100,11 +116,14 @@ def _everywhere(robot: Robot, cell: Cell) -> Measurements:
     """Poses spread over the joint limits as a table of the cell's kind.
 
     Raises:
-        ModelError: The cell's kind needs groups or pairs, which only a table can have.
+        ModelError: The cell's kind says which poses can be, and only a table can tell them.
     """
     kind = cell.kind or KINDS[0]
-    if kind == "pair":
-        message = "Which pairs of rows were measured is for a table to say: inspect with --data."
+    if kind in _OF_A_TABLE:
+        message = (
+            f"Poses spread over the joint limits say nothing of kind '{kind}': {_OF_A_TABLE[kind]}. Give a table of "
+            "such rows to inspect."
+        )
         raise ModelError(message)
     joints = spread_poses(robot)
     count = len(joints)
