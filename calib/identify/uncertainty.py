@@ -164,7 +164,6 @@ def bootstrap(
     # Not the generator that draws the rows: priors would follow them.
     rng = np.random.default_rng([seed, 1])
     held = problem.precision > 1.0 / _LEASH**2
-    held[list(fitted.estimate.at_bound)] = False
     wide = np.where(held, 1.0 / np.sqrt(np.where(held, problem.precision, 1.0)), 0.0)
     x, stopped = np.empty((count, len(start))), 0
     for k in range(count):

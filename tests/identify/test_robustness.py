@@ -1,0 +1,114 @@
+"""The fit with and without the rows that do not fit: planted ones do what the comparison says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.identify.calibration import Calibration, calibrate
+from calib.identify.robustness import compare
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.readback import random_joint_values
+from calib.model.robot import Robot
+
+TARGET = np.array([0.05, -0.06, 0.04])
+WILD = (4, 21)
+CELL = Cell(model="zeros")
+
+
+@pytest.fixture(scope="module")
+def table(ur3: Robot) -> Measurements:
+    """Forty good rows, and two of them spoilt by 10 mm; the last ten for validation."""
+    q = random_joint_values(ur3, 40, 1)
+    poses, rng = ur3.poses(q), np.random.default_rng(1)
+    points = poses[:, :3, :3] @ TARGET + poses[:, :3, 3] + 1e-4 * rng.normal(size=(40, 3))
+    points[list(WILD)] += [0.0, 0.0, 0.01]
+    return Measurements(ur3.joint_names, q, points, sets=("estimate",) * 30 + ("validate",) * 10)
+
+
+@pytest.fixture(scope="module")
+def robust(ur3: Robot, table: Measurements) -> Calibration:
+    return calibrate(ur3, table, cell=CELL, validate=False)
+
+
+@pytest.fixture(scope="module")
+def plain(ur3: Robot, table: Measurements) -> Calibration:
+    return calibrate(ur3, table, cell=CELL, robust=False, validate=False)
+
+
+def test_it_is_the_difference_of_the_two_calibrations(robust, plain, table):
+    found = robust.robustness
+    q = table.joints[table.estimation]
+    moved = np.linalg.norm(robust.predict(q) - plain.predict(q), axis=1)
+    assert found.lowered
+    assert np.flatnonzero(found.flagged).tolist() == list(WILD)
+    assert found.moved == pytest.approx(moved, abs=1e-9)
+    assert found.moved_rms == pytest.approx(np.sqrt(np.mean(moved**2)), rel=1e-6)
+    assert found.moved_max == pytest.approx(np.max(moved), rel=1e-6)
+    assert found.names == robust.model.names
+    assert found.change == pytest.approx(plain.x - robust.x, abs=1e-9)
+    assert found.std == pytest.approx([p.std for p in robust.parameters])
+    # Two rows of thirty, a hundred times the noise: worse by far on the rows that nobody doubts.
+    assert found.moved_rms > 3.0 * robust.expected_measured
+    assert found.errors_lowered.n == found.errors_full.n == 28
+    assert found.errors_lowered.rms < 2.5e-4 < 4e-4 < found.errors_full.rms
+
+
+def test_left_out_errors_are_those_of_the_cross_validation(ur3, table, robust, plain):
+    """Linearised here, fitted anew there: each good row predicted from the others, the wild ones included."""
+    for result, errors in (
+        (robust, robust.robustness.errors_lowered),
+        (plain, robust.robustness.errors_full),
+    ):
+        whole = calibrate(ur3, table, cell=CELL, robust=result is robust)
+        found = whole.cross_validation.residual[~robust.robustness.flagged]
+        assert errors.rms == pytest.approx(np.sqrt(np.mean(np.sum(found**2, axis=1))), rel=0.15)
+
+
+def test_seen_from_either_side_it_is_the_same(robust, plain):
+    one, other = robust.robustness, plain.robustness
+    assert (one.lowered, other.lowered) == (True, False)
+    assert other.moved == pytest.approx(one.moved, abs=1e-8)
+    assert other.change == pytest.approx(-one.change, abs=1e-8)
+
+
+def test_its_sentence_says_which_way(robust, plain):
+    found = robust.robustness
+    moved = f"{1e3 * found.moved_rms:.3f} mm rms at the measured poses, {1e3 * found.moved_max:.3f}"
+    full, lowered = (1e3 * e.rms for e in (found.errors_full, found.errors_lowered))
+    assert found.sentence() == (
+        f"Without these rows' weights lowered the prediction would move by {moved} mm at most; the error of the other "
+        f"rows, left out, would be {full:.3f} mm rms in place of {lowered:.3f} mm."
+    )
+    assert found.sentence() in " ".join(robust.summary().split())
+    said = plain.robustness.sentence()
+    assert said.startswith("With these rows' weights lowered the prediction would move by")
+    assert said in " ".join(plain.summary().split())
+    assert float(said.split("would be ")[1].split()[0]) < float(
+        said.split("place of ")[1].split()[0]
+    )
+
+
+def test_a_clean_table_is_not_compared(ur3, table):
+    clean = table.select(~np.isin(np.arange(40), WILD))
+    result = calibrate(ur3, clean, cell=CELL, validate=False)
+    assert result.outliers == ()
+    assert result.robustness is None
+    assert "weights lowered" not in result.summary()
+    assert compare(result.fitted).moved_max < 5e-5
+
+
+def test_one_pose_leaves_no_row_to_predict(ur3, table):
+    """Repeats of one pose: rows can be flagged, but none can be left out."""
+    rng = np.random.default_rng(2)
+    points = table.points[0] + 1e-4 * rng.normal(size=(20, 3))
+    points[7] += 0.02
+    one = Measurements(ur3.joint_names, np.tile(table.joints[0], (20, 1)), points)
+    cell = replace(CELL, model="frames", repeats="independent")
+    found = calibrate(ur3, one, cell=cell, validate=False).robustness
+    assert np.flatnonzero(found.flagged).tolist() == [7]
+    assert found.errors_full.n == found.errors_lowered.n == 0
+    assert found.sentence().endswith("mm at most.")
