@@ -10,19 +10,12 @@ from hypothesis import strategies as st
 
 from calib.data import PAPER_TARGET
 from calib.errors import ModelError
-from calib.model.error_model import (
-    ANGLE,
-    FRAME,
-    LENGTH,
-    TARGET,
-    TIP,
-    ErrorModel,
-    Parameter,
-    error_model,
-)
-from calib.model.kinematics import Kinematics
-from calib.model.observability import Observability, analyse, rank_by_gap, steps
+from calib.model.error_model import error_model
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.observability import SHOWN, STEPS, Observability, analyse, rank_by_gap, steps
+from calib.model.parameters import ANGLE, FRAME, LENGTH, TARGET, TIP, ErrorModel, Parameter
 from calib.model.robot import Robot
+from calib.model.torques import Payload, gravity_load
 
 ON_AXIS_6 = (0.0, 0.0, 0.05)
 
@@ -122,6 +115,107 @@ def test_the_panda_s_ranks(panda):
         model = error_model(panda, name)
         result = analysed(jacobian_of(panda, model, random_q(7)), model)
         assert (result.columns, result.rank) == (columns, rank)
+
+
+#: Chains by robot, base and tip, and what is held.
+CHAINS = {
+    "arm": (("ur3", "base", "tool0"), {}),
+    "arm turned round": (("ur3", "tool0", "base"), {}),
+    "turned round, moved by its joint directly": (("ur3", "wrist_3_link", "base"), {}),
+    "seven joints": (("panda", "panda_link0", "panda_link8"), {}),
+    "continuous joints": (("kinova", None, "j2s6s200_end_effector"), {}),
+    "finger to base": (("panda", "panda_rightfinger", "panda_link0"), {}),
+    "tiago head to arm": (("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link"), {}),
+    "two of them held": (
+        ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link"),
+        {"head_2_joint": -0.3, "arm_4_joint": 0.7},
+    ),
+    "talos head to arm": (("talos_full_v2", "rgbd_optical_frame", "wrist_left_ft_tool_link"), {}),
+    "two arms": (("baxter", "right_gripper", "left_gripper"), {}),
+}
+
+
+@pytest.mark.parametrize("name", ["placement", "hayati"])
+@pytest.mark.parametrize("which", CHAINS)
+def test_the_ranks_of_any_chain(which, name):
+    # Four for each joint that turns, two for each that slides, six for the place of base or target; of points three
+    # less. A joint that is held is no joint.
+    ends, held = CHAINS[which]
+    robot = Robot.load(*ends, held=held)
+    turning = sum(joint.type != "prismatic" for joint in robot.inputs)
+    sliding = len(robot.inputs) - turning
+    everything = 4 * turning + 2 * sliding + 6
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (60, len(robot.joint_names)))
+    target = (0.05, 0.07, 0.03)
+    for families, more in (("", 0), ("+gain+eccentricity", len(robot.inputs) + 2 * turning)):
+        for pose in (True, False):
+            model = error_model(robot, name + families, frame=True, rotation=pose)
+            result = analysed(jacobian_of(robot, model, q, target, pose), model)
+            assert result.rank == everything - (0 if pose else 3) + more
+
+
+# Errors of the joints' state
+
+
+def loaded(robot: Robot, model: ErrorModel, q: np.ndarray, payload: Payload | None) -> np.ndarray:
+    samples = Samples.at(q, gravity_load(robot, q, payload))
+    _, twists = at_target(robot, model).twists(np.zeros(len(model)), samples)
+    return twists[:, :3].reshape(-1, len(model))
+
+
+#: A payload off every axis of the wrist.
+TOOL = Payload(5.0, np.array([0.05, 0.03, 0.1]))
+
+
+@pytest.mark.parametrize(
+    ("families", "payload", "more"),
+    [
+        ("+gain", None, 6),
+        ("+eccentricity", None, 12),
+        ("+compliance", None, 3),
+        ("+compliance", TOOL, 5),
+        ("+gain+eccentricity+compliance", TOOL, 23),
+    ],
+)
+@pytest.mark.parametrize("name", ["dh", "hayati", "placement", "zeros"])
+def test_the_ranks_with_errors_of_the_joints_state(ur3, name, families, payload, more):
+    # docs/parameters.md states these.
+    for frame in (False, True):
+        model, alone = (error_model(ur3, n, frame=frame) for n in (name + families, name))
+        rank = analysed(jacobian_of(ur3, alone, random_q()), alone).rank
+        assert analysed(loaded(ur3, model, random_q(), payload), model).rank == rank + more
+
+
+def test_joints_without_load_show_no_compliance(ur3):
+    model = error_model(ur3, "dh+compliance")
+    for payload, idle in (
+        (None, ("shoulder_pan", "wrist_2", "wrist_3")),
+        (TOOL, ("shoulder_pan",)),
+    ):
+        result = analysed(loaded(ur3, model, random_q(), payload), model)
+        texts = [str(c) for c in result.unidentifiable if "compliance" in str(c)]
+        assert texts == [f"{joint}_joint.compliance at all" for joint in idle]
+
+
+def test_a_gain_at_one_value_of_its_joint_is_its_zero(ur3):
+    q = random_q()
+    q[:, 2] = 0.5
+    model = error_model(ur3, "zeros+gain")
+    result = analysed(jacobian_of(ur3, model, q), model)
+    texts = [str(c) for c in result.unidentifiable]
+    # 1 mrad of zero is 2 mrad/rad of gain at 0.5 rad
+    assert "elbow_joint.zero and elbow_joint.gain together (+1 mrad, -2 mrad/rad)" in texts
+
+
+def test_eccentricity_at_two_values_of_its_joint_is_its_zero(ur3):
+    q = random_q()
+    q[:, 2] = np.where(np.arange(100) % 2, 0.3, np.pi - 0.3)  # one sine: a zero; two cosines
+    model = error_model(ur3, "zeros+eccentricity")
+    texts = [str(c) for c in analysed(jacobian_of(ur3, model, q), model).unidentifiable]
+    expected = (
+        f"elbow_joint.zero and elbow_joint.sin together (+1 mrad, {-1 / np.sin(0.3):+.3g} mrad)"
+    )
+    assert expected in texts
 
 
 # The paper's table
@@ -329,8 +423,59 @@ def test_wrong_sizes_are_refused(jacobian, names, units):
         analyse(jacobian, names, units)
 
 
-def test_steps_are_a_millimetre_and_a_milliradian():
-    np.testing.assert_array_equal(steps(["m", "rad"]), [1e-3, 1e-3])
+def test_steps_are_what_arms_are_typically_wrong_by():
+    assert STEPS == {"m": 1e-3, "rad": 1e-3, "1": 1e-3, "rad/Nm": 1e-5, "m/N": 1e-6}
+    units = ["m", "rad/Nm", "1", "rad", "m/N"]
+    np.testing.assert_array_equal(steps(units), [1e-3, 1e-5, 1e-3, 1e-3, 1e-6])
+
+
+def test_every_unit_of_a_model_has_a_step_and_is_shown():
+    robot = Robot.load("tiago", tip="arm_tool_link")  # its torso slides
+    model = error_model(robot, "dh+gain+eccentricity+compliance", frame=True, rotation=True)
+    assert set(model.units) == set(STEPS) == set(SHOWN)
+
+
+@pytest.mark.parametrize(
+    ("unit", "step", "text"),
+    [
+        ("m", 1e-3, "+1 mm"),
+        ("rad", 1e-3, "+1 mrad"),
+        ("1", 1e-3, "+1 mrad/rad"),
+        ("rad/Nm", 1e-5, "+10 urad/Nm"),
+        ("m/N", 1e-6, "+1 um/N"),
+    ],
+)
+def test_the_units_of_combinations(unit, step, text):
+    # Two columns that undo each other, one of each unit and one of a length.
+    jacobian = np.outer(np.arange(1.0, 7.0), [1.0 / step, -1.0 / 1e-3])
+    (combination,) = analyse(jacobian, ["a", "b"], [unit, "m"]).unidentifiable
+    assert str(combination) == f"a and b together ({text}, +1 mm)"
+    assert combination.units == (unit, "m")
+    assert combination.steps == pytest.approx((step, 1e-3))
+
+
+def test_the_declared_steps_decide_which_columns_count():
+    # 1e-5 rad/Nm at 20 Nm moves as much as 0.2 mrad of a zero: no small value beside it
+    jacobian = np.diag([1.0, 20.0])
+    result = analyse(jacobian, ["zero", "c"], ["rad", "rad/Nm"])
+    np.testing.assert_allclose(result.singular_values, [1e-3, 2e-4])
+    assert result.rank == 2
+
+
+@pytest.mark.parametrize("name", ["placement+gain+eccentricity+compliance", "paper", "zeros+gain"])
+def test_the_order_of_rows_changes_nothing(ur3, name):
+    model = error_model(ur3, name)
+    jacobian = loaded(ur3, model, random_q(), None)
+    once, twice = analysed(jacobian, model), analysed(jacobian.copy(), model)
+    np.testing.assert_array_equal(once.singular_values, twice.singular_values)
+    assert once.unidentifiable == twice.unidentifiable
+    order = np.random.default_rng(1).permutation(len(jacobian))
+    mixed = analysed(jacobian[order], model)
+    assert mixed.rank == once.rank
+    assert mixed.condition == pytest.approx(once.condition, rel=1e-9)
+    assert mixed.indices == pytest.approx(once.indices, rel=1e-8)
+    assert [str(c) for c in mixed.unidentifiable] == [str(c) for c in once.unidentifiable]
+    np.testing.assert_array_equal(mixed.identifiable, once.identifiable)
 
 
 # The rank of a spectrum
@@ -382,13 +527,37 @@ def test_combinations_span_what_any_jacobian_cannot_see(seed, p, rank):
 # The documents
 
 
+def document() -> str:
+    path = Path(__file__).parents[2] / "docs" / "parameters.md"
+    return path.read_text(encoding="utf-8")
+
+
 def test_the_document_states_these_ranks_and_combinations(ur3):
-    text = (Path(__file__).parents[2] / "docs" / "parameters.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| (known|estimated) \| (\d+) \| (\d+) \|$", text, re.MULTILINE)
+    rows = re.findall(
+        r"^\| `(\w+)` \| (known|estimated) \| (\d+) of (\d+) \| (\d+) of (\d+) \|$",
+        document(),
+        re.MULTILINE,
+    )
     assert len(rows) == 9
-    for name, frame, columns, rank in rows:
-        model = error_model(ur3, name, frame=frame == "estimated")
-        result = analysed(jacobian_of(ur3, model, random_q()), model)
-        assert (result.columns, result.rank) == (int(columns), int(rank))
+    for name, frame, *numbers in rows:
+        found = []
+        for pose in (False, True):
+            model = error_model(ur3, name, frame=frame == "estimated", rotation=pose)
+            result = analysed(jacobian_of(ur3, model, random_q(), pose=pose), model)
+            found += [result.rank, result.columns]
+        assert found == [int(n) for n in numbers], (name, frame)
     for combination in PAPER_COMBINATIONS:
-        assert f"    {combination}\n" in text
+        assert f"    {combination}\n" in document()
+
+
+def test_the_document_states_the_ranks_of_the_families(ur3):
+    rows = re.findall(r"^\| `(\w+)` \| (\d+) \| (\d+) \| (\d+) \|$", document(), re.MULTILINE)
+    assert [row[0] for row in rows] == ["gain", "eccentricity", "compliance"]
+    alone = error_model(ur3, "dh")
+    rank = analysed(jacobian_of(ur3, alone, random_q()), alone).rank
+    for family, columns, bare, with_tool in rows:
+        model = error_model(ur3, f"dh+{family}")
+        assert len(model) - len(alone) == int(columns)
+        for payload, more in ((None, bare), (TOOL, with_tool)):
+            found = analysed(loaded(ur3, model, random_q(), payload), model)
+            assert found.rank - rank == int(more)
