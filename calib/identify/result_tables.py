@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
                 "freedom": c.repeats.freedoms,
                 "correlation": c.repeats.rho,
             },
-            "sizes": {f"{name}_{SIZE_UNITS[name]}": size for name, size in c.sizes.items()},
+            "sizes": _sizes(c.sizes),
         },
         "parameters": [_parameter(p) for p in c.parameters],
         "covariance": c.covariance,
@@ -209,6 +210,11 @@ def _origins(robot: Robot) -> list[dict[str, Any]]:
     ]
 
 
+def _sizes(sizes: Mapping[str, float]) -> dict[str, float]:
+    """The size of each family's errors, the unit in the key."""
+    return {f"{name}_{SIZE_UNITS[name]}": size for name, size in sizes.items()}
+
+
 def _held(robot: Robot) -> list[dict[str, Any]]:
     """The joints that were not measured, with the values that they were held at."""
     slides = {joint.name for joint in robot.urdf.joints if joint.type == "prismatic"}
@@ -262,7 +268,7 @@ def _candidate(one: Candidate) -> dict[str, Any]:
         "set": one.name,
         "parameters": one.parameters,
         "log_likelihood": one.log_likelihood,
-        "sizes": {f"{name}_{SIZE_UNITS[name]}": size for name, size in one.sizes.items()},
+        "sizes": _sizes(one.sizes),
         "cross_validation": {
             "method": v.method,
             "without_outliers": errors_table(v.errors_without_outliers),
@@ -281,6 +287,7 @@ def _larger(c: Calibration) -> dict[str, Any] | None:
         "set": larger.name,
         "x": larger.fitted.estimate.x,
         "names": list(larger.fitted.kinematics.model.names),
+        "sizes": _sizes(larger.fitted.estimate.sizes),
         "parameters": [_parameter(p) for p in larger.parameters],
         **_places(c, found),
         "errors": {name: errors_table(errors) for name, errors in c.errors["larger"].items()},
