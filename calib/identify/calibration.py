@@ -34,7 +34,7 @@ from calib.identify.repeats import Repeats, repeats
 from calib.identify.result import Calibration, Larger
 from calib.identify.robust import Limits
 from calib.identify.robustness import compare
-from calib.identify.rows import POINT, POSE, Rows
+from calib.identify.rows import Rows
 from calib.identify.selection import AUTO, Candidate, select
 from calib.identify.setup_check import better_setup
 from calib.identify.spread import position_std
@@ -300,7 +300,4 @@ def _outside(robot: Robot, every: Rows, mask: NDArray[np.bool_]) -> tuple[Outsid
 def _expected(fitted: Fitted, samples: Samples) -> float:
     """Predicted standard deviation of the target's position, rms over poses [m]."""
     chosen = samples.select(np.arange(min(len(samples), _MOST_EXPECTED)))
-    if not np.any(np.isin(fitted.estimate.problem.rows.kinds, (POINT, POSE))):
-        # Sockets, planes and anchors have a frame each; what moves rigidly is one body in one frame.
-        chosen = replace(chosen, frame=np.zeros_like(chosen.frame))
     return float(np.sqrt(np.mean(position_std(fitted, chosen) ** 2)))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.errors import MeasurementError, ModelError
 from calib.identify.crossvalidation import linear_cross_validation
 from calib.identify.fitting import Fitted, fit
-from calib.identify.spread import own_moves
+from calib.identify.spread import as_one_body, own_moves
 from calib.identify.statistics import Errors, Mask
 from calib.model.robot import read_only
 
@@ -94,8 +94,9 @@ def compare(fitted: Fitted) -> Robustness:
         raise ModelError(message)
     estimate, rows = fitted.estimate, fitted.estimate.problem.rows
     other = fit(replace(fitted.task, robust=not fitted.task.robust), rows)
-    here = fitted.kinematics.points(estimate.x, rows.samples)
-    there = other.kinematics.points(other.estimate.x, rows.samples)
+    samples = as_one_body(fitted, rows.samples)
+    here = fitted.kinematics.points(estimate.x, samples)
+    there = other.kinematics.points(other.estimate.x, samples)
     moves = own_moves(fitted, here, (there - here)[:, :, None])[:, :, 0]
     flagged = estimate.outliers
     found = [_left_out(one, flagged) for one in (fitted, other)]

@@ -2,10 +2,13 @@
 
 A position's standard deviation is sqrt(trace(J C J^T)), with the derivative J of the point and the parameters'
 covariance C. Sockets, planes and anchors tell neither where the base stands nor how it is turned, and nobody asks them:
-what one rigid motion of all points would do is then left out, by the projection onto what it cannot do.
+all points are then looked at in one frame, and what one rigid motion of them would do is left out, by the projection
+onto what it cannot do.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +29,24 @@ def position_std(fitted: Fitted, samples: Samples) -> Array:
         fitted: The fit.
         samples: N joint values, each with its frame and target.
     """
-    points, jacobian = fitted.kinematics.points_jacobian(fitted.estimate.x, samples)
+    points, jacobian = fitted.kinematics.points_jacobian(
+        fitted.estimate.x, as_one_body(fitted, samples)
+    )
     jacobian = own_moves(fitted, points, jacobian)
     spread = np.einsum("nij,jk,nik->n", jacobian, fitted.estimate.covariance, jacobian)
     return np.asarray(np.sqrt(np.maximum(spread, 0.0)))
+
+
+def as_one_body(fitted: Fitted, samples: Samples) -> Samples:
+    """The samples, all in the first frame where the fit's rows do not tell where the base stands in any.
+
+    Args:
+        fitted: The fit.
+        samples: N of them.
+    """
+    if _tells_place(fitted):
+        return samples
+    return replace(samples, frame=np.zeros_like(samples.frame))
 
 
 def own_moves(fitted: Fitted, points: Array, moves: Array) -> Array:
@@ -37,10 +54,10 @@ def own_moves(fitted: Fitted, points: Array, moves: Array) -> Array:
 
     Args:
         fitted: The fit.
-        points: shape (N, 3), [m].
+        points: shape (N, 3), all in one frame [m].
         moves: shape (N, 3, k), k moves of them, [m] or [m per unit].
     """
-    if np.any(np.isin(fitted.estimate.problem.rows.kinds, (POINT, POSE))):
+    if _tells_place(fitted):
         return moves
     motion = np.zeros((len(points), 3, 6))
     motion[:, :, :3] = np.eye(3)
@@ -48,3 +65,8 @@ def own_moves(fitted: Fitted, points: Array, moves: Array) -> Array:
     base = np.linalg.qr(motion.reshape(-1, 6))[0]
     flat = moves.reshape(-1, moves.shape[2])
     return np.asarray((flat - base @ (base.T @ flat)).reshape(moves.shape))
+
+
+def _tells_place(fitted: Fitted) -> bool:
+    """Whether any row measured a position."""
+    return bool(np.any(np.isin(fitted.estimate.problem.rows.kinds, (POINT, POSE))))

@@ -42,7 +42,7 @@ from calib.identify.resampling import Profile, bootstrap_indices, profile
 from calib.identify.result import Calibration
 from calib.identify.robustness import Robustness, compare
 from calib.identify.solvers import Solution, levenberg_marquardt
-from calib.identify.spread import own_moves, position_std
+from calib.identify.spread import as_one_body, own_moves, position_std
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
 from calib.model.readback import spread_poses
@@ -126,7 +126,8 @@ class Bootstrap:
         Args:
             where: As for `positions`.
         """
-        points = self.positions(where)
+        samples = where if isinstance(where, Samples) else Samples.at(where)
+        points = self.positions(as_one_body(self.fitted, samples))
         mean = points.mean(axis=0)
         moves = own_moves(self.fitted, mean, (points - mean).transpose(1, 2, 0))
         return np.asarray(np.sqrt(np.sum(np.var(moves, axis=2, ddof=1), axis=1)))
