@@ -11,14 +11,14 @@ less, at the price of many fits; noise, prior sizes and robust weights stay as t
 fitted again: B. Efron, R. J. Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 (cases, which ask nothing
 of the noise) and 13.3 (percentile intervals). Where a prior takes part, drawing rows alone would leave it where it is
 and find no spread in what only the prior holds; so each sample draws the priors' means too, from the priors themselves
-(M. A. Newton, N. G. Polson, J. Xu, Weighted Bayesian bootstrap, Canadian Journal of Statistics 49, 2021; J. M. Bardsley
-and others, Randomize-then-optimize, SIAM Journal on Scientific Computing 36, 2014). For a linear problem the samples'
-covariance is then
+(J. M. Bardsley and others, Randomize-then-optimize, SIAM Journal on Scientific Computing 36, 2014; with resampled rows
+E. Pompe, Introducing prior information in weighted likelihood bootstrap, arXiv:2103.14445, 2021). For a linear
+problem the samples' covariance is then
 
     C (sum_i A_i^T W_i r_i r_i^T W_i A_i + P) C
 
 which is C where the residuals r are noise as large as was found, and says more where they are not. With few rows for a
-parameter it is too wide (N. El Karoui, E. Purdom, Can we trust the bootstrap in high-dimension?, JMLR 19, 2018).
+parameter it is too wide (N. El Karoui, E. Purdom, Can we trust the bootstrap in high-dimensions?, JMLR 19, 2018).
 
 **Profile.** The interval of one parameter where the cost, minimised over all others, has risen by no more than the
 quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 1988, section 6.1. For a linear problem
@@ -147,10 +147,6 @@ def bootstrap(
     Raises:
         CalibError: Fewer samples than an interval needs, or a seed below 0.
         ModelError: The paper's solver made the calibration.
-
-    Example:
-        >>> bootstrap(calibration, count=200, seed=1).intervals()[0]
-        array([-0.00042,  0.00017])
     """
     if count < FEWEST_SAMPLES or seed < 0:
         message = (
