@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
-from calib.identify.rows import FIXED, NONE, POINT, Rows
+from calib.identify.rows import FIXED, FRAME_DIRECTIONS, NONE, PLANE, POINT, Rows
 from calib.identify.setup import Setup, along_own_axes
 from calib.identify.solvers import levenberg_marquardt
-from calib.identify.starts import frames_around, linear_start, pose_start
+from calib.identify.starts import frames_around, linear_start, plane_frame, pose_start
 from calib.model.error_model import frame_and_target_model
 from calib.model.kinematics import add_outer_twists
 from calib.model.observability import steps
@@ -87,7 +87,19 @@ def register_poses(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
         if best is None or solution.cost < best[0]:
             best = (solution.cost, start.placed(*_at(own, start, solution.x)))
     assert best is not None
-    return best[1]
+    return _settled(best[1])
+
+
+def _settled(setup: Setup) -> Setup:
+    """The set-up with planes' frames turned as little as can be: no row tells how they are turned in their planes.
+
+    Without this the start that happened to win would decide it, by rounding.
+    """
+    T_frame_base = setup.T_frame_base.copy()
+    for f, directions in enumerate(setup.unknown):
+        if setup.own_axes[f] and directions == FRAME_DIRECTIONS[PLANE]:
+            T_frame_base[f] = plane_frame(T_frame_base[f, 2, :3], -float(T_frame_base[f, 2, 3]))
+    return setup.placed(T_frame_base, setup.T_tip_target)
 
 
 def _check_enough(setup: Setup, rows: Rows) -> None:

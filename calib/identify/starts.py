@@ -178,10 +178,23 @@ def _nearest_rotation(M: Array) -> Array:
 
 
 def _plane_frame(points: Array) -> Array:
-    """A frame whose x-y plane fits points in base best: T_frame_base, turned as little as can be, shape (4, 4)."""
+    """The `plane_frame` of the plane that fits points in base best, shape (4, 4)."""
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre)[2][-1]
-    normal = normal if normal[2] >= 0.0 else -normal
+    return plane_frame(normal, float(normal @ centre))
+
+
+def plane_frame(normal: Array, distance: float) -> Array:
+    """T_frame_base of a frame whose x-y plane is normal p = distance, turned as little as can be, shape (4, 4).
+
+    Which side its z points to is arbitrary: to that where the largest component of the normal is positive.
+
+    Args:
+        normal: shape (3,), of length 1, in base.
+        distance: [m].
+    """
+    sign = float(np.sign(normal[np.argmax(np.abs(normal))]))
+    normal, distance = sign * normal, sign * distance
     axis = np.cross(normal, [0.0, 0.0, 1.0])
     s, c = float(np.linalg.norm(axis)), float(normal[2])
     T = np.eye(4)
@@ -191,7 +204,7 @@ def _plane_frame(points: Array) -> Array:
         K[0, 1], K[0, 2], K[1, 2] = -z, y, -x
         K = K - K.T
         T[:3, :3] = np.eye(3) + s * K + (1.0 - c) * K @ K
-    T[2, 3] = -(T[:3, :3] @ centre)[2]
+    T[2, 3] = -distance
     return T
 
 

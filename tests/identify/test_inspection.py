@@ -12,6 +12,8 @@ import pytest
 from calib.data import PAPER_TARGET, paper_urdf
 from calib.errors import ModelError
 from calib.identify.inspection import Inspection, inspect
+from calib.identify.registration import register
+from calib.identify.table_rows import rows_of
 from calib.measure.cell import Cell, GroupDistance
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
@@ -321,9 +323,7 @@ def test_the_result_is_the_same_twice_and_in_another_order_of_rows(arm, kind, gr
     mixed = looked_at(arm, permuted(measured, order), model).observability
     assert mixed.rank == once.rank
     assert mixed.condition == pytest.approx(once.condition, rel=1e-8)
-    if kind != "plane":  # a plane's frame may be turned in its plane, and so may what is said of it
-        texts = [str(c) for c in once.unidentifiable]
-        assert [str(c) for c in mixed.unidentifiable] == texts
+    assert [str(c) for c in mixed.unidentifiable] == [str(c) for c in once.unidentifiable]
     np.testing.assert_array_equal(mixed.identifiable, once.identifiable)
 
 
@@ -339,6 +339,26 @@ def permuted(m: Measurements, order: np.ndarray) -> Measurements:
         pairs=tuple(m.pairs[i] for i in order),
         source=m.source,
     )
+
+
+def test_the_frame_of_a_plane_does_not_depend_on_the_order_of_rows(arm):
+    measured = table(arm, "plane", 3)
+    order = np.concatenate(
+        [
+            np.flatnonzero([g == name for g in measured.groups])[::-1]
+            for name in dict.fromkeys(measured.groups)
+        ]
+    )
+    frames = []
+    for one in (measured, permuted(measured, order)):
+        rows, setup = rows_of(arm, one, Cell(target=PAPER_TARGET))
+        frames.append(register(arm, setup, rows).T_frame_base)
+    np.testing.assert_allclose(frames[1], frames[0], rtol=0, atol=1e-9)
+    # the plane itself, its z to the side of its normal's largest component, and turned no more than that
+    for T, normal, offset in zip(frames[0], NORMALS, OFFSETS, strict=True):
+        np.testing.assert_allclose(T[2], [*normal, -offset], rtol=0, atol=1e-9)
+        turn = np.arccos((np.trace(T[:3, :3]) - 1) / 2)
+        assert turn == pytest.approx(np.arccos(normal[2]), abs=1e-6)
 
 
 # The document
