@@ -296,6 +296,10 @@ class Stage:
                 )
                 found.append(max(median_noise(single, own), smallest))
             noise = tuple(found)
+            # Scores in units of the new noise need the covariance that goes with it.
+            residual, covariance, _ = linear.fit(
+                weights * self.share, noise, self.precision, self.holds.centre
+            )
             weights = cauchy_weights(
                 linear.scores(residual, covariance, weights * self.share, noise)
             )
