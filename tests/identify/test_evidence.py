@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from calib.identify.evidence import largest_change, still_joints, validation_errors
+from calib.identify.calibration import Calibration, calibrate
+from calib.identify.evidence import (
+    disagreeing_setups,
+    largest_change,
+    still_joints,
+    validation_errors,
+)
+from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
+from calib.model.readback import random_joint_values
+
+ALL = np.ones((10, 3), dtype=bool)
 
 
 def test_one_wild_validation_row_is_set_aside():
     validation = np.arange(10) >= 4
     nominal, calibrated = np.full((10, 3), 1e-3), np.full((10, 3), 1e-4)
     nominal[7] = calibrated[7] = 0.05
-    before, after, aside = validation_errors(validation, np.arange(10) == 7, nominal, calibrated)
+    before, after, aside = validation_errors(
+        validation, np.arange(10) == 7, nominal, calibrated, ALL
+    )
     assert (before.n, after.n, aside) == (5, 5, 1)
     assert after.rms == pytest.approx(1e-4 * np.sqrt(3))
 
@@ -21,19 +38,21 @@ def test_one_wild_validation_row_is_set_aside():
 def test_many_rows_that_do_not_fit_are_no_accidents():
     validation = np.arange(10) >= 4
     residual = np.full((10, 3), 1e-3)
-    before, _, aside = validation_errors(validation, np.arange(10) >= 7, residual, residual)
+    before, _, aside = validation_errors(validation, np.arange(10) >= 7, residual, residual, ALL)
     assert (before.n, aside) == (6, 0)
 
 
 def test_a_single_validation_row_is_never_set_aside():
     validation = np.arange(3) == 2
     residual = np.full((3, 3), 1e-3)
-    assert validation_errors(validation, validation, residual, residual)[2] == 0
+    assert validation_errors(validation, validation, residual, residual, ALL[:3])[2] == 0
 
 
 def test_without_validation_rows_there_are_no_errors():
     nothing = np.zeros(4, dtype=bool)
-    before, after, aside = validation_errors(nothing, nothing, np.ones((4, 3)), np.ones((4, 3)))
+    before, after, aside = validation_errors(
+        nothing, nothing, np.ones((4, 3)), np.ones((4, 3)), ALL[:4]
+    )
     assert (before.n, after.n, aside) == (0, 0, 0)
 
 
@@ -54,3 +73,119 @@ def test_the_largest_change_is_of_the_robot_itself(ur3):
     x[model.index("d2")] = -0.03
     assert largest_change(model, x) == 0.03
     assert largest_change(error_model(ur3, "frames"), np.ones(3)) == 0.0
+
+
+def table_of(scene: Any, q: np.ndarray, rng: np.random.Generator, bias: Any = 0.0) -> Measurements:
+    """Points of the true robot at these joint values, seen in the base frame."""
+    points = scene.kinematics.points(scene.x, scene.samples(len(q), q=q))
+    points = points + 3e-5 * rng.normal(size=points.shape) + bias
+    return Measurements(joint_names=scene.robot.joint_names, joints=q, points=points)
+
+
+def arm(make_scene: Callable[..., Any], seed: int, **given: Any) -> Any:
+    usual = {"frames": [np.eye(4)], "length": 3e-4, "angle": 3e-3}
+    return make_scene(seed, **(usual | given))
+
+
+def reasons(result: Calibration) -> str:
+    assert result.verdict is not None
+    return " ".join(result.verdict.reasons)
+
+
+def test_good_data_give_no_reason_for_care(make_scene):
+    scene = arm(make_scene, 61)
+    q = random_joint_values(scene.robot, 70, 1)
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(1)), model="dh")
+    assert result.verdict.use == "use"
+    assert len(result.verdict.reasons) == 1
+
+
+def test_a_corner_of_the_workspace(make_scene):
+    scene = arm(make_scene, 62)
+    rng = np.random.default_rng(2)
+    q = np.array([0.3, -1.2, 1.4, -0.8, 0.6, 0.2]) + 0.25 * rng.uniform(-1, 1, (70, 6))
+    result = calibrate(scene.robot, table_of(scene, q, rng), model="dh")
+    assert result.verdict.use != "use"
+    assert "workspace" in reasons(result)
+
+
+def test_a_tracker_that_drifts(make_scene):
+    scene = arm(make_scene, 63)
+    q = random_joint_values(scene.robot, 90, 3)
+    way = np.linspace(0.0, 1.0, 90)[:, None] * np.array([4e-4, -3e-4, 2e-4])
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(3), way), model="dh")
+    assert result.verdict.use == "use with care"
+    assert "drift" in reasons(result) or "order of the rows" in reasons(result)
+
+
+def test_a_joint_whose_error_follows_its_angle(make_scene):
+    scene = arm(make_scene, 64, model="dh+gain", other={"gain": 1.5e-3})
+    q = random_joint_values(scene.robot, 90, 4)
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(4)), model="dh")
+    assert result.verdict.use == "use with care"
+    assert "What the model leaves over is not noise: the angle of '" in reasons(result)
+
+
+def test_a_set_up_that_the_others_do_not_predict(calibrated):
+    """In one of three set-ups a joint slipped: each set-up alone looks well, but not from the others."""
+    scene, good = calibrated("set-ups")
+    m = good.measurements
+    joints = m.joints.copy()
+    joints[np.array(m.groups) == "1", 2] += 2e-4
+    slipped = calibrate(scene.robot, replace(m, joints=joints), cell=good.cell)
+    assert "'1'" in reasons(slipped)
+    assert slipped.verdict.use == "use with care"
+    assert "'1'" not in reasons(good)
+    assert len(disagreeing_setups(good.fitted)) == 0
+
+
+def test_validation_rows_outside_of_the_measured_range(make_scene):
+    scene = arm(make_scene, 65)
+    rng = np.random.default_rng(5)
+    q = rng.uniform(-1.5, 1.5, (80, 6))
+    q[70:] = rng.uniform(-1.4, 1.4, (10, 6))
+    q[75, 3] = 2.5
+    sets = ("estimate",) * 70 + ("validate",) * 10
+    result = calibrate(
+        scene.robot, replace(table_of(scene, q, rng), sets=sets), model="dh", validate=True
+    )
+    assert [one.index for one in result.outside] == [5]
+    assert "Outside of the joint values that were fitted" in reasons(result)
+    assert "row 76: 'wrist_1_joint'" in reasons(result)
+
+
+def test_repeats_that_scatter_less_than_what_is_left(make_scene):
+    scene = arm(make_scene, 66)
+    q = np.repeat(random_joint_values(scene.robot, 40, 6), 2, axis=0)
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(6)), model="zeros")
+    assert re.search(r"Repeats of a pose scatter by 0\.0(2[6-9]|3[0-4]) mm a coor", reasons(result))
+    assert "errors that the model lacks" in reasons(result)
+    enough = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(6)), model="dh")
+    assert "Repeats of a pose scatter" not in reasons(enough)
+
+
+def test_a_model_that_lacks_what_placements_have(make_scene):
+    scene = arm(make_scene, 67, model="placement")
+    q = random_joint_values(scene.robot, 70, 7)
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(7)), model="zeros")
+    assert "Try --model auto or --model placement." in reasons(result)
+
+
+def test_few_poses(make_scene):
+    scene = arm(make_scene, 68)
+    q = random_joint_values(scene.robot, 14, 8)
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(8)), model="dh")
+    assert result.verdict.use != "use"
+    assert "14 poses" in reasons(result)
+
+
+def test_a_robot_that_is_right_is_no_better_than_frames_alone(make_scene):
+    scene = arm(make_scene, 69, length=0.0, angle=0.0)
+    q = random_joint_values(scene.robot, 60, 9)
+    for model in ("auto", "dh"):
+        result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(9)), model=model)
+        assert result.verdict.use == "do not use"
+        assert "Nothing to gain" in result.verdict.reasons[0]
+    auto = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(9)))
+    assert (auto.model.name, auto.larger) == ("frames", None)
+    assert auto.robot.urdf.data == scene.robot.urdf.data

@@ -11,8 +11,8 @@ import pytest
 from calib.data import PAPER_TARGET, paper_urdf
 from calib.identify.calibration import calibrate
 from calib.identify.evaluation import evaluate, hint
-from calib.identify.fitting import Rows
 from calib.identify.setup_check import better_setup
+from calib.identify.table_rows import rows_of as rows_and_setup
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only
@@ -21,22 +21,28 @@ from calib.model.urdf import Urdf
 TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 
 
-def rows_of(table: Measurements, count: int = 30) -> Rows:
-    return Rows(table.joints[:count], table.points[:count], np.full(count, 1e-4))
+def said_of(robot: Robot, cell: Cell, table: Measurements) -> str:
+    """What is said of a robot, a cell and a table."""
+    rows, setup = rows_and_setup(robot, table, cell)
+    return better_setup(robot, cell, setup, rows)
 
 
-def moved(rows: Rows, R: np.ndarray, p: tuple[float, float, float]) -> Rows:
+def rows_of(table: Measurements, count: int = 30) -> Measurements:
+    return table.select(np.arange(len(table)) < count)
+
+
+def moved(rows: Measurements, R: np.ndarray, p: tuple[float, float, float]) -> Measurements:
     return replace(rows, points=read_only(rows.points @ R.T + np.array(p)))
 
 
 def test_nothing_is_said_of_a_set_up_that_fits(ur3: Robot, table: Measurements):
-    assert better_setup(ur3, Cell(), rows_of(table)) == ""
-    assert better_setup(ur3, Cell(target=read_only(PAPER_TARGET)), rows_of(table)) == ""
+    assert said_of(ur3, Cell(), rows_of(table)) == ""
+    assert said_of(ur3, Cell(target=read_only(PAPER_TARGET)), rows_of(table)) == ""
 
 
 def test_a_wrong_base_is_named_with_both_errors(table: Measurements):
     world = Robot.load(paper_urdf(), tip="tool0")
-    said = better_setup(world, Cell(), rows_of(table))
+    said = said_of(world, Cell(), rows_of(table))
     assert said == (
         "The nominal robot is 529 mm rms off, which no uncalibrated arm is, and only 2.3 mm if the points are in the "
         "frame of 'base': try --base base."
@@ -47,9 +53,9 @@ def test_a_target_with_the_wrong_sign_is_not_taken_for_a_wrong_base(
     ur3: Robot, table: Measurements
 ):
     wrong = Cell(target=read_only([0.07, -0.07, 0.02252]))
-    assert better_setup(ur3, wrong, rows_of(table)) == ""
+    assert said_of(ur3, wrong, rows_of(table)) == ""
     fixed = replace(wrong, estimate_target=False)
-    said = better_setup(ur3, fixed, rows_of(table))
+    said = said_of(ur3, fixed, rows_of(table))
     assert said.endswith(
         "only 2.3 mm if the target is found from the data: leave out --fix-target."
     )
@@ -57,33 +63,33 @@ def test_a_target_with_the_wrong_sign_is_not_taken_for_a_wrong_base(
 
 def test_a_trackers_frame_is_recognised(ur3: Robot, table: Measurements):
     rows = moved(rows_of(table), TURN, (2.0, 1.0, -0.5))
-    said = better_setup(ur3, Cell(), rows)
+    said = said_of(ur3, Cell(), rows)
     assert said.endswith(
         " only 1.4 mm if the points are in a frame of their own: try --frame estimate."
     )
-    assert better_setup(ur3, Cell(), rows_of(replace_points(table, rows), 3)) == ""
+    assert said_of(ur3, Cell(), rows_of(replace_points(table, rows), 3)) == ""
 
 
-def replace_points(table: Measurements, rows: Rows) -> Measurements:
+def replace_points(table: Measurements, rows: Measurements) -> Measurements:
     return replace(table, points=read_only([*rows.points, *table.points[len(rows) :]]))
 
 
 def test_nothing_is_said_where_the_frame_is_estimated_or_given(ur3: Robot, table: Measurements):
     rows = moved(rows_of(table), TURN, (2.0, 1.0, -0.5))
-    assert better_setup(ur3, Cell(estimate_frame=True), rows) == ""
-    assert better_setup(ur3, Cell(T_frame_base=read_only(np.eye(4))), rows) == ""
+    assert said_of(ur3, Cell(estimate_frame=True), rows) == ""
+    assert said_of(ur3, Cell(T_frame_base=read_only(np.eye(4))), rows) == ""
 
 
 def test_nothing_is_said_where_nothing_fits(ur3: Robot, table: Measurements):
     rng = np.random.default_rng(3)
     rows = replace(rows_of(table), joints=read_only(rng.uniform(-3, 3, (30, 6))))
-    assert better_setup(ur3, Cell(), rows) == ""
+    assert said_of(ur3, Cell(), rows) == ""
 
 
 def test_a_link_keeps_the_letters_of_its_name(table: Measurements):
     data = paper_urdf().read_bytes().replace(b'"base"', b'"Robot_BASE"')
     robot = Robot.from_urdf(Urdf.from_bytes(data, "r.urdf"), "base_link", "tool0")
-    said = better_setup(robot, Cell(), rows_of(table))
+    said = said_of(robot, Cell(), rows_of(table))
     assert "try --base Robot_BASE." in said
 
 
@@ -93,8 +99,8 @@ def test_links_that_move_are_no_bases(serial_chain: Callable[[], Robot]):
     q = rng.uniform(-2, 2, (20, 3))
     poses = robot.poses(q)
     points = poses[:, :3, :3] @ [0.1, 0.05, 0.02] + poses[:, :3, 3]
-    rows = moved(Rows(read_only(q), read_only(points), np.ones(20)), np.eye(3), (1.0, 0.0, 0.0))
-    said = better_setup(robot, Cell(), rows)
+    rows = moved(Measurements(robot.joint_names, q, points), np.eye(3), (1.0, 0.0, 0.0))
+    said = said_of(robot, Cell(), rows)
     assert said.endswith(
         " only 0.0 mm if the points are in the frame of 'stand': try --base stand."
     )
@@ -131,7 +137,7 @@ def test_the_verdict_and_the_evaluation_say_it_too(table: Measurements):
     assert hint(evaluate(world, table), Cell()) == judged.reasons[0]
 
 
-def spoilt(rows: Rows, change: Callable[[np.ndarray, np.ndarray], None]) -> Rows:
+def spoilt(rows: Measurements, change: Callable[[np.ndarray, np.ndarray], None]) -> Measurements:
     joints, points = rows.joints.copy(), rows.points.copy()
     change(joints, points)
     return replace(rows, joints=joints, points=points)
@@ -196,7 +202,7 @@ def swap_coordinates(_, p):
     ],
 )
 def test_each_usual_mistake_is_named(ur3: Robot, table: Measurements, mistake, words: str):
-    said = better_setup(ur3, Cell(), spoilt(rows_of(table), mistake))
+    said = said_of(ur3, Cell(), spoilt(rows_of(table), mistake))
     assert words in said
     assert "only 2." in said
 
@@ -212,4 +218,4 @@ def test_mistakes_are_named_under_an_unknown_frame_too(
     ur3: Robot, table: Measurements, mistake, words: str
 ):
     rows = spoilt(moved(rows_of(table), TURN, (2.0, 1.0, -0.5)), mistake)
-    assert words in better_setup(ur3, Cell(estimate_frame=True), rows)
+    assert words in said_of(ur3, Cell(estimate_frame=True), rows)

@@ -30,12 +30,20 @@ def errors(rms: float, n: int = 5) -> Errors:
 GOOD = Evidence(
     nominal=validated(2.5e-3),
     calibrated=validated(0.2e-3, 1),
+    larger_validation=None,
+    larger_name="",
+    scales=np.full((ROWS, 3), 1e-4),
+    used=np.ones((ROWS, 3), dtype=bool),
+    repeats=np.arange(ROWS),
     outliers=np.arange(ROWS) < 2,
     validation_nominal=errors(2.7e-3),
     validation_calibrated=errors(0.25e-3),
     validation_aside=0,
     still=(),
-    larger="",
+    missing="",
+    findings=(),
+    corner="",
+    outside="",
     parameters=27,
     largest=5e-3,
     noise=1e-4,
@@ -56,7 +64,11 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
 @pytest.mark.parametrize(
     ("change", "use", "reason"),
     [
-        ({"calibrated": validated(2.9e-3, 1)}, "do not use", "no better than the nominal one: 2."),
+        (
+            {"calibrated": validated(2.9e-3, 1)},
+            "do not use",
+            "no better than the nominal one, frame and target fitted for both: 2.",
+        ),
         ({"calibrated": GOOD.nominal}, "do not use", "no better than the nominal one"),
         (
             {"validation_calibrated": errors(3e-3)},
@@ -75,14 +87,14 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
         (
             {"parameters": 60},
             "use with care",
-            "30 poses with 3 coordinates each for 60 parameters are few",
+            "30 poses with 90 numbers for 60 parameters are few",
         ),
         (
             {"still": ("'elbow_joint' (3 deg)",)},
             "use with care",
             "Hardly moved over these rows: 'elbow_joint' (3 deg)",
         ),
-        ({"larger": "Try --model placement."}, "use with care", "Try --model placement."),
+        ({"missing": "Try --model placement."}, "use with care", "Try --model placement."),
         (
             {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)},
             "do not use",
@@ -101,6 +113,13 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
             },
             "do not use",
             "are too few to show a gain",
+        ),
+        ({"corner": "A corner only."}, "use with care", "A corner only."),
+        ({"findings": ("A drift.", "A pattern.")}, "use with care", "A drift."),
+        (
+            {"nominal": validated(0.3), "largest": 0.4},
+            "do not use",
+            "meets the rows only by moving a parameter by 400 mm or mrad",
         ),
         ({"largest": 4.6}, "use with care", "has moved by 4600 mm or mrad"),
         ({"outliers": np.arange(ROWS) < 6}, "use with care", "6 of 30 rows are flagged"),
@@ -137,10 +156,10 @@ def test_without_validation_rows_nothing_is_said_of_them():
 
 
 def test_repeats_are_no_evidence_of_their_own():
-    """Ten repeats of three poses: a gain on two of them, as large as it is, says little."""
+    """Ten repeats of three poses: a gain on one of them, as large as it is, says little."""
     poses = np.repeat(np.arange(3), 10)
     before, after = np.full((30, 3), 1e-3), np.full((30, 3), 1e-3)
-    before[:20] *= 3.0
+    before[:10] *= 3.0
 
     def of(residual: np.ndarray, poses: np.ndarray) -> CrossValidation:
         errors = Errors.of(residual)
@@ -149,7 +168,7 @@ def test_repeats_are_no_evidence_of_their_own():
     few = replace(GOOD, outliers=np.zeros(30, dtype=bool), parameters=3)
     rows = np.arange(30)
     taken_singly = replace(few, nominal=of(before, rows), calibrated=of(after, rows))
-    together = replace(few, nominal=of(before, poses), calibrated=of(after, poses))
+    together = replace(few, nominal=of(before, poses), calibrated=of(after, poses), repeats=poses)
     assert verdict(taken_singly).use == "use"
     assert verdict(together).use == "use with care"
 
@@ -168,12 +187,62 @@ def test_chance_alone_is_seldom_taken_for_a_gain():
 
 def test_a_model_that_explains_nothing_does_not_make_the_robot_right():
     same = validated(2.5e-3)
-    change = {"nominal": same, "calibrated": same, "noise": 1.5e-3}
+    noise = np.full((ROWS, 3), 1.5e-3)
+    change = {"nominal": same, "calibrated": same, "noise": 1.5e-3, "scales": noise}
     assert "Nothing to gain" in verdict(replace(GOOD, **change)).reasons[0]
-    larger = verdict(replace(GOOD, **change, larger="Try --model placement."))
+    larger = verdict(replace(GOOD, **change, missing="Try --model placement."))
     assert "no better than the nominal one" in larger.reasons[0]
 
 
 def test_a_wrong_set_up_is_all_that_is_said():
     result = verdict(replace(GOOD, hint="Check the signs.", still=("'j1' (0 deg)",), parameters=60))
     assert result.reasons == ("Check the signs.",)
+
+
+def test_what_a_larger_model_would_give_is_said_but_does_not_decide():
+    larger = validated(0.05e-3, 7)
+    result = verdict(replace(GOOD, larger_validation=larger, larger_name="dh+gain"))
+    assert result.use == "use"
+    rms = 1e3 * larger.errors.rms
+    assert (
+        f"With the larger model 'dh+gain' it would be {rms:.3f} mm rms. No URDF can hold that"
+        in result.reasons[1]
+    )
+
+
+def test_rows_outside_of_what_was_fitted_are_said_last_and_decide_nothing():
+    result = verdict(replace(GOOD, outside="row 7: 'j1' 20 deg beyond the measured range"))
+    assert result.use == "use"
+    assert result.reasons[-1] == (
+        "Outside of the joint values that were fitted, where errors may be larger: row 7: 'j1' 20 deg beyond the "
+        "measured range."
+    )
+
+
+def test_orientations_are_said_beside_positions():
+    def turned(size: float, angle: float, seed: int) -> CrossValidation:
+        both = np.hstack([validated(size, seed).residual, validated(angle, seed + 1).residual])
+        errors = Errors.of(both)
+        return CrossValidation("leave-one-out", ROWS, np.arange(ROWS), both, errors, errors)
+
+    scales = np.repeat([[1e-4, 1e-4]], ROWS, axis=0).repeat(3, axis=1)
+    before, after = turned(2e-3, 5e-3, 1), turned(2e-4, 4e-4, 3)
+    result = verdict(
+        replace(GOOD, nominal=before, calibrated=after, scales=scales, used=scales > 0)
+    )
+    assert result.use == "use"
+    old, new = before.errors, after.errors
+    assert (
+        f"falls from {1e3 * old.rms:.3f} mm and {np.degrees(old.rms_angle):.3f} deg to "
+        f"{1e3 * new.rms:.3f} mm and {np.degrees(new.rms_angle):.3f} deg rms."
+    ) in result.reasons[0]
+
+
+def test_scalars_that_were_not_measured_do_not_count():
+    """Lengths: one number a row. The same residuals as three numbers a row would be enough for 40 parameters."""
+    used = np.zeros((ROWS, 3), dtype=bool)
+    used[:, 0] = True
+    few = verdict(replace(GOOD, used=used, parameters=40))
+    assert few.use == "use with care"
+    assert "30 poses with 30 numbers for 40 parameters are few" in few.reasons[0]
+    assert verdict(replace(GOOD, parameters=40)).use == "use"
