@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.robot import Robot
-from calib.model.torques import Payload
+from calib.model.torques import Payload, gravity_load
 
 #: Sockets, and planes n p = d, in the base [m].
 SOCKETS = np.array([[0.25, 0.1, 0.2], [0.1, -0.3, 0.15], [-0.2, 0.2, 0.35]])
@@ -250,6 +251,30 @@ def test_compliance_shows_where_there_is_a_load(arm):
     # hung on a wall every axis carries load
     wall = (9.81, 0.0, 0.0)
     assert ranks(arm, measured, ["dh+compliance"], payload=held, gravity=wall) == [24 + 6]
+
+
+def test_measured_torques_are_what_holds_the_load(arm):
+    # A table with the drives' torques at rest says of the load what gravity would; where it has none, gravity does.
+    measured = table(arm, "point")
+    held = Payload(5.0, np.array([0.05, 0.03, 0.1]))
+    load = gravity_load(arm, measured.joints, held)
+    torques = np.full_like(load, np.nan)
+    torques[:, 1] = -load[:, 1]
+    torques[:, 0] = 7.0  # something that no gravity explains
+    driven = replace(measured, torques=torques)
+    rows, _ = rows_of(arm, driven, Cell(target=PAPER_TARGET, payload=held))
+    assert rows.samples.load is not None
+    np.testing.assert_array_equal(rows.samples.load[:, 1:], load[:, 1:])
+    np.testing.assert_array_equal(rows.samples.load[:, 0], -7.0)
+    # a torque on the upright axis shows its compliance, one and the same torque as its zero
+    texts = [
+        str(c) for c in looked_at(arm, driven, "zeros+compliance").observability.unidentifiable
+    ]
+    assert not any(text.startswith("shoulder_pan_joint.compliance at all") for text in texts)
+    expected = (
+        "shoulder_pan_joint.zero and shoulder_pan_joint.compliance together (+1 mrad, +143 urad/Nm)"
+    )
+    assert expected in texts
 
 
 def test_two_targets_have_their_own_unknowns(arm):
