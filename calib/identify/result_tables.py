@@ -84,6 +84,7 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
         "covariance": c.covariance,
         "outliers": [_outlier(o) for o in c.outliers],
         "suspects": [_outlier(o) for o in c.suspects],
+        "robustness": _robustness(c),
         "expected": {
             "measured_rms_m": c.expected_measured,
             "everywhere_rms_m": c.expected_everywhere,
@@ -352,3 +353,17 @@ def _cross_validation(c: Calibration) -> dict[str, Any] | None:
 def _outlier(outlier: Outlier) -> dict[str, Any]:
     """One flagged row."""
     return {"row": outlier.row, "residual_m": outlier.residual, "score": outlier.score}
+
+
+def _robustness(c: Calibration) -> dict[str, Any] | None:
+    """The fit with the weights of doubtful rows lowered and the one without compared, where a row is flagged."""
+    found = c.robustness
+    if found is None:
+        return None
+    return {
+        "weights_lowered": found.lowered,
+        "moved_rms_m": found.moved_rms,
+        "moved_max_m": found.moved_max,
+        "lowered": errors_table(found.errors_lowered),
+        "full": errors_table(found.errors_full),
+    }

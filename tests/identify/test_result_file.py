@@ -186,6 +186,10 @@ def test_the_values_are_those_of_the_calibration(
     np.testing.assert_array_equal(
         [row["residual_calibrated_m"] for row in result_json["rows"]], c.residual_calibrated
     )
+    assert c.robustness is not None
+    assert result_json["robustness"]["weights_lowered"] is True
+    assert result_json["robustness"]["moved_max_m"] == c.robustness.moved_max
+    assert result_json["robustness"]["full"]["rms_m"] == c.robustness.errors_full.rms
     assert [row["row"] for row in result_json["rows"]] == list(range(1, 36))
     assert [row["weight"] for row in result_json["rows"]] == c.weights.tolist()
     assert [row["set"] for row in result_json["rows"]] == ["estimate"] * 30 + ["validate"] * 5
@@ -251,7 +255,7 @@ TYPES = {
 WHOLE = {
     "cross_validation", "verdict", "larger", "larger.payload", "larger.cross_validation", "noise.repeats",
     "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates", "model.ties",
-    "robot.held",
+    "robot.held", "robustness",
 }  # fmt: skip
 
 
