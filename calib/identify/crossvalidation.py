@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.errors import MeasurementError
 from calib.identify.fitting import Fitted, Task, fit, nominal_setup, predict
 from calib.identify.registration import register_poses
-from calib.identify.rows import Rows
+from calib.identify.rows import POSE, Rows
 from calib.identify.setup import Setup
 from calib.identify.stage import Linear
 from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
@@ -30,7 +30,8 @@ def folds_of(task: Task, rows: Rows) -> Folds:
     Raises:
         MeasurementError: Too few rows to leave any out.
     """
-    result = folds(_blocks(rows), joined_setups(rows, task.distances))
+    setups = joined_setups(rows, task.distances)
+    result = folds(_blocks(rows), setups if _turned_elsewhere(rows, setups) else None)
     if len(result.masks) < 2:
         message = (
             f"{len(rows)} row{'s' * (len(rows) > 1)} of one pose cannot be cross-validated: none is left to fit. "
@@ -97,6 +98,15 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
         return _as_wide(_registered(task, found, rows.select(mask), kept), rows)
 
     return cross_validate(_blocks(rows), left_out, outliers, rows.used, predict_left_out)
+
+
+def _turned_elsewhere(rows: Rows, setups: NDArray[np.int_]) -> bool:
+    """Whether each target whose orientation was measured was so in two set-ups: one alone cannot be predicted."""
+    turned = rows.kinds == POSE
+    targets = rows.samples.target
+    return all(
+        len(np.unique(setups[turned & (targets == t)])) > 1 for t in np.unique(targets[turned])
+    )
 
 
 def _blocks(rows: Rows) -> NDArray[np.int_]:

@@ -202,7 +202,7 @@ def _ladder(c: Calibration) -> str:
         f"{'Models tried':<36}{'parameters':>10}{'evidence':>10}{'left-out rms':>16}  chosen for"
     ]
     best = max(one.log_likelihood for one in c.candidates)
-    words = {"geometry": "the URDF", "larger": "the result file and predict()"}
+    words = {"geometry": "the URDF", "larger": "result file, predict()"}
     for one in c.candidates:
         errors = one.cross_validation.errors_without_outliers
         rms = (
@@ -244,7 +244,7 @@ def _identified(c: Calibration) -> str:
         np.isfinite(c.sigma_angle)
     )
     lines = [
-        f"Noise: {' and '.join(parts)}, {found}.",
+        wrap(f"Noise: {' and '.join(parts)}, {found}."),
         *_repeats(c),
         wrap(
             f"Expected error, if the model is complete: {1e3 * c.expected_measured:.3f} mm rms at the measured poses, "

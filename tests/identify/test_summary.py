@@ -110,7 +110,7 @@ def test_where_the_base_stands_in_the_trackers_frame(ur3: Robot, table: Measurem
 def test_target_found_given_moved_and_kept(ur3: Robot, table: Measurements):
     def said(cell: Cell) -> str:
         whole = " ".join(calibrate(ur3, table, cell=cell, validate=False).summary().split())
-        end = re.search(r"Measurement frame: |Noise: ", whole)
+        end = re.search(r"Measurement frame: |Models tried |Noise: ", whole)
         assert end is not None
         return whole[whole.index("Target: ") : end.start()].strip()
 
@@ -140,7 +140,8 @@ def test_a_result_without_validation_and_priors(ur3: Robot, table: Measurements)
 
 def test_priors_as_given(ur3: Robot, table: Measurements):
     text = calibrate(ur3, table, cell=Cell(priors=Priors("given")), validate=False).summary()
-    assert "Size of the robot's errors: 3 mm and 15 mrad (as given)." in text
+    said = "Size of the robot's errors: length 3 mm, angle 15 mrad, zero 15 mrad (as given)."
+    assert said in text
 
 
 def test_outliers_are_listed_up_to_a_dozen(default_result: Calibration):
