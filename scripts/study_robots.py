@@ -246,29 +246,43 @@ class Truth:
                 result[:, first] = value
         return result
 
-    def reach(self, wanted: Callable[[Array], Array], q: Array) -> Array:
-        """Joint values near q at which ``wanted`` of the target's position is zero; rows that do not get there are left out.
+    def reach(self, normals: Array, heights: Array, q: Array) -> Array:
+        """Joint values near q at which the target lies at some height along some directions; others are left out.
 
         Args:
-            wanted: Takes positions, shape (N, 3), and gives residuals, shape (N, k), of which all are to be zero [m].
+            normals: shape (k, 3), directions in the base.
+            heights: shape (N, k), the height of each row along them [m].
             q: shape (N, m), starts [rad].
         """
         q = q.copy()
         for _ in range(20):
-            r = wanted(self.points(q))
-            J = np.empty((*r.shape, q.shape[1]))
-            for j in range(q.shape[1]):
-                step = np.zeros(q.shape[1])
-                step[j] = 1e-6
-                J[:, :, j] = (wanted(self.points(q + step)) - wanted(self.points(q - step))) / 2e-6
+            r = self.points(q) @ normals.T - heights
             if np.abs(r).max() < 1e-11:
                 break
-            JJ = J @ J.transpose(0, 2, 1) + 1e-9 * np.eye(r.shape[1])
+            J = normals @ self._slopes(q)
+            JJ = J @ J.transpose(0, 2, 1) + 1e-9 * np.eye(len(normals))
             dq = -np.einsum("nkj,nk->nj", J, np.linalg.solve(JJ, r[:, :, None])[:, :, 0])
             q = q + dq * np.minimum(1.0, 0.3 / np.maximum(np.abs(dq).max(axis=1), 1e-12))[:, None]
         q = np.arctan2(np.sin(q), np.cos(q))
-        there: Array = q[np.abs(wanted(self.points(q))).max(axis=1) < 1e-10]
+        off = np.abs(self.points(q) @ normals.T - heights).max(axis=1)
+        there: Array = q[off < 1e-10]
         return there
+
+    def _slopes(self, q: Array) -> Array:
+        """How the first target moves with q, shape (N, 3, m) [m/rad]: what `reach` steps by, so nothing hangs on it."""
+        model, data = self._pin, self._pin.createData()
+        base, tip = (model.getFrameId(link) for link in (self.robot.base, self.robot.tip))
+        columns = [model.idx_vs[model.getJointId(j.name)] for j in self.robot.joints]
+        result = np.empty((len(q), 3, q.shape[1]))
+        for i, configuration in enumerate(self._configurations(self.joint_values(q))):
+            J = pin.computeFrameJacobian(model, data, configuration, tip, pin.ReferenceFrame.LOCAL)[
+                :, columns
+            ]
+            pin.framesForwardKinematics(model, data, configuration)
+            R_base_tip = data.oMf[base].rotation.T @ data.oMf[tip].rotation
+            linear = J[:3] - pin.skew(self.targets[0, :3, 3]) @ J[3:]
+            result[i] = R_base_tip @ linear @ self.robot.coupling
+        return result
 
 
 def joints_of(robot: Robot, count: int, rng: np.random.Generator) -> Array:

@@ -148,7 +148,7 @@ def lengths_run(truth: Truth, rng: np.random.Generator, count: int, sigma: float
     rows = count if kind == "distance" else 2 * count
     q, q_unseen = joints_of(truth.nominal, rows, rng), joints_of(truth.nominal, UNSEEN, rng)
     kinematics = _at_truth(truth, "dh", np.eye(4)[None], tracker=False)
-    poses, twists = kinematics.twists(_x(truth, kinematics), Samples.at(q))
+    _, twists = kinematics.twists(_x(truth, kinematics), Samples.at(q))
     p = truth.points(q)
     noise = sigma * rng.normal(size=count)
     if kind == "distance":
@@ -206,10 +206,11 @@ def touching_run(
     heights = np.array([0.2, 0.25, 0.25])
     q_parts, of_group = [], []
     for k in range(groups):
-        start = joints_of(truth.nominal, 6 * wanted, rng)
-        width = 3 if kind == "fixed" else 1
-        off = sigma * rng.normal(size=(len(start), width))
-        found = _touch(truth, start, off, sockets[k], normals[k % 3], heights[k % 3], kind)[:wanted]
+        start = joints_of(truth.nominal, 3 * wanted, rng)
+        along = np.eye(3) if kind == "fixed" else normals[k % 3][None]
+        at = sockets[k] if kind == "fixed" else heights[k % 3]
+        found = truth.reach(along, at + sigma * rng.normal(size=(len(start), len(along))), start)
+        found = found[:wanted]
         q_parts.append(found)
         of_group += [k] * len(found)
     q, which = np.concatenate(q_parts), np.array(of_group)
@@ -242,8 +243,8 @@ def touching_run(
             tangents = np.linalg.svd(normals[k][None])[2][1:]
             scene[own, 3 * k : 3 * k + 2] = p[own] @ tangents.T
             scene[own, 3 * k + 2] = 1.0
-        along = np.einsum("ni,nip->np", normals[which], twists[:, :3])
-        J = np.column_stack([along, scene]) / sigma
+        up = np.einsum("ni,nip->np", normals[which], twists[:, :3])
+        J = np.column_stack([up, scene]) / sigma
     name = "socket" if kind == "fixed" else "plane"
     table = Measurements(
         truth.nominal.joint_names,
@@ -255,25 +256,6 @@ def touching_run(
     q_unseen = joints_of(truth.nominal, UNSEEN, rng)
     free = "motion" if kind == "fixed" else "scale"
     return _run(truth, table, Cell(distances=distances), q_unseen, kinematics, J, free=free)
-
-
-def _touch(
-    truth: Truth,
-    start: Array,
-    off: Array,
-    socket: Array,
-    normal: Array,
-    height: float,
-    kind: str,
-) -> Array:
-    """Poses at which the target sits ``off`` from the socket or plane; some starts lead nowhere."""
-
-    def apart(p: Array) -> Array:
-        if kind == "fixed":
-            return p - socket - off
-        return (p @ normal - height)[:, None] - off
-
-    return truth.reach(apart, start)
 
 
 def _seen(frames: Array, points: Array) -> Array:

@@ -1,0 +1,181 @@
+"""Small versions of scripts/verification_study.py, whose table stands in docs/verification.md."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+sys.path.insert(0, str(SCRIPTS))
+
+from study_models import ALLOWED  # noqa: E402
+from study_robots import ROBOTS, JointErrors, Truth, example_files, joints_of  # noqa: E402
+from study_runs import points_run, touching_run  # noqa: E402
+from study_table import ratio  # noqa: E402
+from verification_study import STUDIES, markdown, run_one, run_study  # noqa: E402
+
+
+@functools.cache
+def found(study: str, case: str, runs: int) -> list[dict]:
+    return run_study(study, runs, cases=[case])[case]
+
+
+@pytest.mark.parametrize(
+    ("case", "bar"),
+    [
+        ("dh, tracker, 30", 1.10),
+        ("dh, tracker, 60", 1.05),
+        ("auto, base, 60", 1.05),
+        ("dh, base, 300", 1.05),
+    ],
+)
+def test_the_error_on_unseen_poses_is_as_small_as_the_noise_allows(case, bar):
+    runs = found("accuracy", case, 12)
+    assert 0.85 < ratio(runs) <= bar
+    assert np.median([r["sigma"] for r in runs]) == pytest.approx(1.0, abs=0.05)
+
+
+def test_intervals_and_predicted_uncertainty_hold_what_they_say():
+    runs = found("coverage", "ur3, 60, base", 30)
+    for what in ("parameters", "coordinates", "points"):
+        assert 0.93 <= np.mean([r[what] for r in runs]) <= 0.97
+    assert min(r["count"] for r in runs) >= 9
+    assert ratio(runs) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("case", ["30", "60"])
+def test_a_fifth_of_displaced_rows_is_flagged_and_costs_what_their_loss_does(case):
+    runs = found("outliers", case, 8)
+    assert all(r["missed"] == 0 and r["gross"] == int(case) // 5 for r in runs)
+    assert sum(r["wrongly"] for r in runs) <= 1
+    # Nothing can do better than the rows that are left; with 30 poses they alone may miss 1.2.
+    assert ratio(runs, "error", "kept") <= 1.01
+    if case == "60":
+        assert ratio(runs, "error", "clean") <= 1.2
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        "ur3, zeros, 30",
+        "ur3, dh, 30",
+        "iiwa, dh+compliance, 30",
+        "ur3, nothing, 12",
+        "ur3, zeros, 12",
+        "ur3, dh, 12",
+        "iiwa, dh+compliance, 12",
+    ],
+)
+def test_auto_picks_no_more_than_is_there_and_does_no_harm(case):
+    _, wrong, count = case.split(", ")
+    for run in found("auto", case, 1 if count == "30" else 2):
+        assert run["picked"] in ALLOWED[wrong]
+        assert max(run["error"], run["geometry"]) <= 1.02 * run["frames"]
+
+
+def test_auto_finds_what_is_there():
+    assert found("auto", "ur3, zeros, 30", 1)[0]["picked"] == "zeros"
+    assert found("auto", "iiwa, dh+compliance, 30", 1)[0]["picked"] == "dh+compliance"
+
+
+def test_the_study_has_every_robot_with_two_joints_or_more():
+    files = example_files()
+    assert len(files) == len(set(files.values())) >= 60
+    assert {"panda", "tiago", "pr2", "icub", "ur10_robot", "double_pendulum"} <= set(files)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        "TwoDofs",
+        "double_pendulum_continuous",
+        "laikago",
+        "panda",
+        "pr2",
+        "tiago",
+        "hextilt_flying_arm_5",
+        "human",
+        "ur10_robot",
+    ],
+)
+def test_a_robot_of_any_kind_is_calibrated_exactly_without_noise(case):
+    assert run_one("robots", case, 0)["written"] <= 1e-8
+
+
+@pytest.mark.parametrize("case", ["0, 100", "5, 100"])
+def test_compliances_lie_in_their_intervals(case):
+    runs = found("compliance", case, 6)
+    inside = [hit for r in runs for hit in r["inside"].values()]
+    # 42 intervals; 36 or fewer of them hold the truth in 1 of 100 tries.
+    assert len(inside) == 42
+    assert sum(inside) >= 37
+    assert ratio(runs) <= 1.2
+
+
+@pytest.mark.parametrize("case", STUDIES["kinds"].cases())
+def test_each_kind_of_measurement_reaches_its_bound(case):
+    runs = found("kinds", case, 4)
+    assert 0.7 <= ratio(runs) <= 1.25
+    if case == "pose":
+        assert ratio(runs, "angle", "bound_angle") <= 1.35
+
+
+def test_the_truth_is_what_it_says():
+    robot, rng = ROBOTS["ur3"](), np.random.default_rng(1)
+    q = joints_of(robot, 5, rng)
+    perfect = Truth.draw(robot, rng, "frames")
+    np.testing.assert_allclose(
+        perfect.poses(q), robot.poses(q) @ perfect.targets[0], rtol=0, atol=1e-12
+    )
+    # A joint that is off by a known angle is a joint at another value.
+    bent = JointErrors(np.full(6, 1e-3), np.full(6, 2e-3), np.full(6, -1e-3), np.zeros(6))
+    off = Truth(robot, perfect.x, "frames", robot, perfect.targets, bent)
+    moved = q + 1e-3 * q + 2e-3 * np.sin(q) - 1e-3 * np.cos(q)
+    np.testing.assert_allclose(off.points(q), perfect.points(moved), rtol=0, atol=1e-12)
+
+
+def test_the_load_is_the_slope_of_the_potential_energy():
+    robot, rng = ROBOTS["iiwa"](), np.random.default_rng(2)
+    truth = Truth.draw(robot, rng, "frames", payload=5.0, com=(0.05, 0.03, 0.1))
+    bare = Truth.draw(robot, rng, "frames")
+    q = joints_of(robot, 1, rng)
+    load = (truth.load(robot.urdf_values(q)) - bare.load(robot.urdf_values(q)))[0]
+
+    def height(values):
+        return (robot.poses(values) @ [0.05, 0.03, 0.1, 1.0])[0, 2]
+
+    steps = 1e-6 * np.eye(7)
+    slope = np.array([(height(q + s) - height(q - s)) / 2e-6 for s in steps])
+    np.testing.assert_allclose(load, -5.0 * 9.81 * slope, atol=1e-6)
+
+
+def test_a_ball_in_a_socket_is_there():
+    truth = Truth.draw(ROBOTS["ur3"](), np.random.default_rng(3))
+    run = touching_run(truth, np.random.default_rng(4), 8, 1e-6, "fixed")
+    p = truth.points(np.array(run.measurements.joints))
+    for group in set(run.measurements.groups):
+        own = np.array(run.measurements.groups) == group
+        assert own.sum() >= 2
+        assert np.ptp(p[own], axis=0).max() < 2e-5
+
+
+def test_the_bound_falls_with_the_noise_and_the_rows():
+    truth = Truth.draw(ROBOTS["ur3"](), np.random.default_rng(5))
+    bounds = [
+        points_run(truth, np.random.default_rng(6), count, sigma).bound ** 0.5
+        for count, sigma in ((40, 1e-4), (40, 2e-4), (640, 1e-4))
+    ]
+    assert bounds[1] == pytest.approx(2.0 * bounds[0], rel=1e-6)
+    assert bounds[2] == pytest.approx(0.25 * bounds[0], rel=0.3)
+
+
+def test_the_table_is_markdown():
+    study = STUDIES["accuracy"]
+    lines = study.lines(run_study("accuracy", 2, cases=["dh, base, 30"]))
+    text = markdown(study.title, 2, lines)
+    assert text.splitlines()[4].startswith("| case | bar | found | met |")
+    assert "`dh`, N = 30" in text
