@@ -16,7 +16,13 @@ from calib.errors import MeasurementError
 from calib.identify.rows import FIXED, FRAME_DIRECTIONS, NONE, PLANE, POINT, Rows
 from calib.identify.setup import Setup, along_own_axes
 from calib.identify.solvers import levenberg_marquardt
-from calib.identify.starts import frames_around, linear_start, plane_frame, pose_start
+from calib.identify.starts import (
+    frames_around,
+    linear_start,
+    plane_frame,
+    pose_start,
+    turned_targets,
+)
 from calib.model.error_model import frame_and_target_model
 from calib.model.kinematics import add_outer_twists
 from calib.model.observability import steps
@@ -73,7 +79,10 @@ def register_poses(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
         known_targets=setup.target_names,
         rotation=setup.rotation,
     )
-    starts = [linear] if linear is not None else _starts(setup, T_base_tip, rows)
+    starts = [
+        (frames, turned_targets(setup, frames, targets, T_base_tip, rows))
+        for frames, targets in ([linear] if linear else _starts(setup, T_base_tip, rows))
+    ]
     misfits = [_misfit(T_base_tip, rows, setup.placed(*start)) for start in starts]
     best: tuple[float, Setup] | None = None
     for i in np.argsort(misfits, kind="stable")[:_REFINED]:

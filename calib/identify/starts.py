@@ -59,7 +59,7 @@ def linear_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Ar
     seen = np.isin(np.arange(targets), target) & setup.target_unknown
     T_tip_target[seen, :3, 3] = x[: 3 * targets].reshape(-1, 3)[seen]
     if setup.rotation:
-        T_tip_target = _turned_targets(setup, T_frame_base, T_tip_target, T_base_tip, rows)
+        T_tip_target = turned_targets(setup, T_frame_base, T_tip_target, T_base_tip, rows)
     return T_frame_base, T_tip_target
 
 
@@ -116,7 +116,7 @@ def pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Arra
             T_tip_target[t, :3, :3] = R_t
             done.add(t)
     turned = setup.placed(T_frame_base, T_tip_target)
-    T_tip_target = _turned_targets(turned, T_frame_base, T_tip_target, T_base_tip, rows)
+    T_tip_target = turned_targets(turned, T_frame_base, T_tip_target, T_base_tip, rows)
     known = tuple(tuple(x for x in d if x in "xyz") for d in setup.unknown)
     return linear_start(_with_unknown(turned, known), T_base_tip, rows)
 
@@ -157,10 +157,18 @@ def _both_rotations(R_i: Array, M_i: Array) -> tuple[Array, Array]:
     return _nearest_rotation(R_f), _nearest_rotation(R_t)
 
 
-def _turned_targets(
+def turned_targets(
     setup: Setup, T_frame_base: Array, T_tip_target: Array, T_base_tip: Array, rows: Rows
 ) -> Array:
-    """The targets with the mean rotation that their poses were seen with, shape (T, 4, 4)."""
+    """The targets with the mean rotation that their poses were seen with, shape (T, 4, 4).
+
+    Args:
+        setup: What is unknown.
+        T_frame_base: shape (F, 4, 4), [m].
+        T_tip_target: shape (T, 4, 4), [m].
+        T_base_tip: shape (N, 4, 4), of the nominal robot [m].
+        rows: The rows.
+    """
     result: Array = T_tip_target.copy()
     R_frame_tip = T_frame_base[rows.samples.frame][:, :3, :3] @ T_base_tip[:, :3, :3]
     for t in range(len(setup.targets)):

@@ -179,22 +179,21 @@ class Scene:
         for _ in range(30):
             q = random_joint_values(self.robot, 2 * count, int(self.rng.integers(2**31)))
             goal = self._noise(len(q), len(axes))
-            for _ in range(60):
-                miss = self._at(q, frame, target)[:, axes] - goal
-                J = np.stack([self._slope(q, e, frame, target)[:, axes] for e in np.eye(6)], axis=2)
-                step = np.einsum("nij,nj->ni", np.linalg.pinv(J, rcond=1e-3), miss)
-                q = q - np.clip(step, -0.3, 0.3)
+            for _ in range(30):
+                here = self._at(q, frame, target)[:, axes]
+                J = [
+                    (self._at(q + e, frame, target)[:, axes] - here) / 1e-7
+                    for e in 1e-7 * np.eye(6)
+                ]
+                J = np.stack(J, axis=2)
+                step = np.einsum("nij,nj->ni", np.linalg.pinv(J, rcond=1e-3), here - goal)
+                q = q - np.clip(step, -0.5, 0.5)
             left = np.abs(self._at(q, frame, target)[:, axes] - goal).max(axis=1)
             good = (left < 1e-12) & (np.abs(q).max(axis=1) < 2 * np.pi)
             found = np.vstack([found, q[good]])
             if len(found) >= count:
                 return found[:count]
         raise AssertionError("The robot does not get there.")
-
-    def _slope(self, q, along, frame, target) -> np.ndarray:
-        step = 1e-6 * along
-        ahead, behind = self._at(q + step, frame, target), self._at(q - step, frame, target)
-        return (ahead - behind) / 2e-6
 
     def _at(self, q, frame, target) -> np.ndarray:
         return self.kinematics.points(self.x, self.samples(len(q), frame, target, q))
