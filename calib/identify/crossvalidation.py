@@ -128,13 +128,14 @@ def _registered(task: Task, found: Setup, rows: Rows, seen: Rows) -> Array:
     return predict(task.robot, register_poses(T_base_tip, rest, rows), rows)
 
 
-def linear_cross_validation(fitted: Fitted) -> CrossValidation:
+def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> CrossValidation:
     """Cross-validation on the linearised problem, with the sizes, the noise and the weights of the fit to all rows.
 
     No fit is repeated: without the fold the normal equations lack its rows. For comparing candidates.
 
     Args:
         fitted: The fit to all rows.
+        outliers: shape (N,), rows that errors are also told without; None for those that this fit flags.
     """
     task, problem, estimate = fitted.task, fitted.estimate.problem, fitted.estimate
     rows = problem.rows
@@ -150,12 +151,15 @@ def linear_cross_validation(fitted: Fitted) -> CrossValidation:
         A, y = linear.A[mask], linear.y[mask]
         used = linear.used[mask]
         if np.any(loose):
-            rest = (y - A @ np.where(loose, 0.0, x))[used]
+            # With the rows' weights: one that has none must not move the frame of the others.
+            root = np.sqrt(problem.weights[mask])[np.nonzero(used)[0]]
+            rest = (y - A @ np.where(loose, 0.0, x))[used] * root
             x = x.copy()
-            x[loose] = np.linalg.lstsq(A[used][:, loose], rest, rcond=1e-9)[0]
+            x[loose] = np.linalg.lstsq(A[used][:, loose] * root[:, None], rest, rcond=1e-9)[0]
         return (y - A @ x) * rows.scales[mask]
 
-    return cross_validate(_blocks(rows), left_out, estimate.outliers, rows.used, predict_left_out)
+    aside = estimate.outliers if outliers is None else outliers
+    return cross_validate(_blocks(rows), left_out, aside, rows.used, predict_left_out)
 
 
 def only_there(model: ErrorModel, setup: Setup, rows: Rows, mask: Mask) -> NDArray[np.bool_]:

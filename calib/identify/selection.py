@@ -49,7 +49,8 @@ class Candidate:
         name: Its set and families.
         parameters: Number of parameters.
         log_likelihood: Restricted log likelihood.
-        cross_validation: Errors on left-out rows, on the linearised problem, without outliers.
+        cross_validation: Errors on left-out rows, on the linearised problem; of the rows that have a weight, where
+            errors are without outliers.
         sizes: Size of the errors of each family.
         chosen: ``"geometry"``, ``"larger"`` or ``""``.
     """
@@ -153,7 +154,8 @@ def _candidate(name: str, fitted: Fitted) -> Candidate:
         name=name,
         parameters=len(fitted.kinematics.model),
         log_likelihood=estimate.log_likelihood,
-        cross_validation=linear_cross_validation(fitted),
+        # Rows without weight are the same for all candidates; what each flags by itself is not.
+        cross_validation=linear_cross_validation(fitted, estimate.weights <= 0.0),
         sizes=dict(estimate.sizes),
     )
 
@@ -163,7 +165,7 @@ def _better(one: Candidate, than: Candidate) -> bool:
     if one.log_likelihood < than.log_likelihood + _STEP:
         return False
     # Each row in units of its own scale would let one instrument decide; lengths and angles are asked one by one.
-    a, b = one.cross_validation.errors, than.cross_validation.errors
+    a, b = (c.cross_validation.errors_without_outliers for c in (one, than))
     return bool(
         a.rms <= _NO_WORSE * b.rms or (b.n_angle and a.rms_angle <= _NO_WORSE * b.rms_angle)
     )

@@ -11,6 +11,8 @@ from calib.identify.calibration import Calibration, calibrate
 from calib.identify.robustness import compare
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
+from calib.model.error_model import error_model
+from calib.model.kinematics import Kinematics
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
 
@@ -112,3 +114,27 @@ def test_one_pose_leaves_no_row_to_predict(ur3, table):
     assert np.flatnonzero(found.flagged).tolist() == [7]
     assert found.errors_full.n == found.errors_lowered.n == 0
     assert found.sentence().endswith("mm at most.")
+
+
+@pytest.mark.parametrize("size", [0.03, 0.5])
+@pytest.mark.parametrize("seed", range(3))
+def test_auto_chooses_as_if_gross_rows_were_not_there(ur3, seed: int, size: float):
+    """A fifth of the rows is gross: they have no weight in the fits, and no say in which model is chosen."""
+    model = error_model(ur3, "dh")
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=len(model)) * np.where(np.array(model.units) == "m", 3e-4, 3e-3)
+    T_tip_target = np.eye(4)
+    T_tip_target[:3, 3] = TARGET
+    q = random_joint_values(ur3, 40, seed)
+    points = Kinematics(ur3, model, np.eye(4), T_tip_target).points(x, q)
+    points += 1e-4 * rng.normal(size=(40, 3))
+    thrown = rng.normal(size=(8, 3))
+    points[:8] += size * thrown / np.linalg.norm(thrown, axis=1, keepdims=True)
+    spoilt, clean = (
+        calibrate(ur3, Measurements(ur3.joint_names, q[k:], points[k:]), validate=False)
+        for k in (0, 8)
+    )
+    assert [o.row for o in spoilt.outliers][:8] == list(range(1, 9))
+    assert spoilt.model.name == clean.model.name == "dh"
+    assert spoilt.larger is None
+    assert np.abs(spoilt.predict(q) - clean.predict(q)).max() < 2e-5
