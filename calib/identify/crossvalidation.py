@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
-from calib.identify.fitting import Fitted, Task, fit, nominal_setup, predict
+from calib.identify.fitting import Fitted, Task, fit, nominal_setup, predict, without_outliers
 from calib.identify.registration import register_poses
 from calib.identify.rows import POSE, Rows
 from calib.identify.setup import Setup
@@ -75,7 +75,7 @@ def cross_validation(
         done += 1
         if progress is not None:
             progress(done, len(left_out.masks))
-        return _as_wide(fitted.unseen(rows.select(mask), kept), rows)
+        return _as_wide(fitted.unseen(rows.select(mask), kept, outliers[mask]), rows)
 
     return cross_validate(_blocks(rows), left_out, outliers, rows.used, predict_left_out)
 
@@ -95,7 +95,7 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
     def predict_left_out(mask: Mask) -> Array:
         kept = rows.select(~mask)
         found = nominal_setup(task.robot, setup, kept)
-        return _as_wide(_registered(task, found, rows.select(mask), kept), rows)
+        return _as_wide(_registered(task, found, rows.select(mask), kept, outliers[mask]), rows)
 
     return cross_validate(_blocks(rows), left_out, outliers, rows.used, predict_left_out)
 
@@ -119,13 +119,15 @@ def _as_wide(residual: Array, rows: Rows) -> Array:
     return np.pad(residual, ((0, 0), (0, rows.width - residual.shape[1])))
 
 
-def _registered(task: Task, found: Setup, rows: Rows, seen: Rows) -> Array:
+def _registered(task: Task, found: Setup, rows: Rows, seen: Rows, outliers: Mask) -> Array:
     """The nominal robot's error on left-out rows, with what only they see registered to them."""
     frames = np.isin(np.arange(len(found.groups)), seen.samples.frame)
     targets = np.isin(np.arange(len(found.targets)), seen.samples.target)
     rest = found.as_known(frames, targets)
     T_base_tip = task.robot.poses(rows.joints)
-    return predict(task.robot, register_poses(T_base_tip, rest, rows), rows)
+    chosen = without_outliers(rows, outliers)
+    placed = register_poses(T_base_tip[chosen], rest, rows.select(chosen))
+    return predict(task.robot, placed, rows)
 
 
 def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> CrossValidation:

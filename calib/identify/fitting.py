@@ -96,18 +96,20 @@ class Fitted:
         """Measured minus predicted, shape (N, D), [m] and [rad]."""
         return rows.residual(self.kinematics.poses(self.estimate.x, rows.samples))
 
-    def unseen(self, rows: Rows, seen: Rows) -> Array:
+    def unseen(self, rows: Rows, seen: Rows, outliers: NDArray[np.bool_]) -> Array:
         """Measured minus predicted of rows that were not fitted; frames and targets that were not seen are registered.
 
         Args:
             rows: Rows that the fit did not see.
             seen: The rows that it saw.
+            outliers: shape (N,), which of ``rows`` are not registered to.
         """
         found = self.placed()
         frames = np.isin(np.arange(len(found.groups)), seen.samples.frame)
         targets = np.isin(np.arange(len(found.targets)), seen.samples.target)
         T_base_tip = self.tip_poses(rows.samples)
-        found = register_poses(T_base_tip, found.as_known(frames, targets), rows)
+        kept = without_outliers(rows, outliers)
+        found = register_poses(T_base_tip[kept], found.as_known(frames, targets), rows.select(kept))
         return rows.residual(seen_from(found, T_base_tip, rows))
 
 
@@ -272,6 +274,19 @@ def register_without_gross(robot: Robot, setup: Setup, rows: Rows) -> Setup:
         kept = near
         registered = register(robot, setup, rows.select(kept | _partners_of(kept, rows)))
     return registered
+
+
+def without_outliers(rows: Rows, outliers: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The rows to register with, shape (N,): not the outliers, unless they are half of a set-up's rows.
+
+    Args:
+        rows: The rows.
+        outliers: shape (N,), those that do not belong to the others.
+    """
+    kept = ~outliers
+    if not _keeps_setups(kept, rows):
+        return np.ones(len(rows), dtype=bool)
+    return kept | _partners_of(kept, rows)
 
 
 def _keeps_setups(kept: NDArray[np.bool_], rows: Rows) -> bool:

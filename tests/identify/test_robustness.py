@@ -138,3 +138,29 @@ def test_auto_chooses_as_if_gross_rows_were_not_there(ur3, seed: int, size: floa
     assert spoilt.model.name == clean.model.name == "dh"
     assert spoilt.larger is None
     assert np.abs(spoilt.predict(q) - clean.predict(q)).max() < 2e-5
+
+
+def test_a_slip_does_not_move_the_socket_that_is_left_out(make_scene, join):
+    """Two of 100 rows slipped: the others, their sockets registered anew, are predicted as if nothing had happened."""
+    places = np.tile(np.eye(4), (5, 1, 1))
+    places[:, :3, 3] = -np.array(
+        [(0.3, 0.1, 0.3), (-0.3, 0.2, 0.4), (0.1, -0.3, 0.5), (0.25, 0.2, 0.2), (-0.2, -0.2, 0.5)]
+    )
+    T_tip_target = np.eye(4)
+    T_tip_target[:3, 3] = TARGET
+    scene = make_scene(
+        2, frames=list(places), targets=[T_tip_target], model="zeros", angle=3e-3, noise=1e-4
+    )
+    table = join(*(scene.fixed(20, k) for k in range(5)))
+    slipped = table.joints.copy()
+    slipped[[5, 47], 1] += 0.04
+    cell = Cell(model="zeros", target=TARGET, estimate_target=False)
+    clean, spoilt = (
+        calibrate(scene.robot, replace(table, joints=q), cell=cell) for q in (table.joints, slipped)
+    )
+    assert [o.row for o in spoilt.outliers] == [6, 48]
+    for part in ("cross_validation", "nominal_cross_validation"):
+        one, other = (getattr(c, part) for c in (clean, spoilt))
+        assert one.method == "leave-one-set-up-out"
+        assert other.errors.rms > 2.0 * one.errors.rms or part == "nominal_cross_validation"
+        assert other.errors_without_outliers.rms == pytest.approx(one.errors.rms, rel=0.05)
