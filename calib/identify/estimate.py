@@ -224,7 +224,7 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     wider = tuple(float(np.sqrt(spread)) * n for n in stage.noise)
     _, covariance, _ = linear.fit(effective, wider, stage.precision, holds.centre)
     residual = linear.y - linear.A @ solution.x
-    own = np.where(problem.kinematics.model.family(FRAME, TARGET), 0.0, stage.precision)
+    own = np.where(holds.flat, 0.0, stage.precision)
     model = problem.kinematics.model
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
     cleaned = ~model.family(FRAME, TARGET) & (not holds.off) & np.isin(model.units, ("m", "rad"))

@@ -77,6 +77,7 @@ class Holds:
         families: For each which parameters belong to it, shape (p,).
         start: The sizes to begin with.
         precision: shape (p,), of parameters with a prior of their own, and of frames and targets.
+        flat: shape (p,), frames and targets without a prior of their own: what holds them is none.
         adapts: Whether the sizes are found from the data.
         off: Whether there are no priors but the leash.
         fixed: Parameters that stand at a bound, and their values.
@@ -88,6 +89,7 @@ class Holds:
     families: Masks
     start: tuple[float, ...]
     precision: Array
+    flat: NDArray[np.bool_]
     adapts: bool
     off: bool
     fixed: tuple[tuple[int, float], ...] = ()
@@ -134,6 +136,7 @@ class Holds:
             families=tuple(model.family(f) & ~alone for f in names),
             start=tuple(_LEASH if off else given[f] for f in names),
             precision=precision,
+            flat=placed & ~alone,
             adapts=priors.sizes == "data",
             off=off,
             fixed=fixed,

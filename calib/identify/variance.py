@@ -17,7 +17,7 @@ and its expected (Fisher) information has a closed form in C too: a handful of p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,12 +51,14 @@ class Known:
 
     Attributes:
         precision: shape (p,), 1 / tau^2 of priors whose sizes stay; 0 where there is none.
+        centre: shape (p,), the means of these priors.
         H: shape (p, p), C^T C of whitened constraints C x = z, the linearised.
-        g: shape (p,), C^T z, and precision times mean of the priors whose mean is not 0.
-        zz: z^T z, and those priors' squares.
+        g: shape (p,), C^T z.
+        zz: z^T z.
     """
 
     precision: Array
+    centre: Array
     H: Array
     g: Array
     zz: float = 0.0
@@ -72,10 +74,21 @@ class Known:
         """From precisions and means, and the rows of constraints."""
         p = len(precision)
         centre = np.zeros(p) if centre is None else centre
-        g, zz = precision * centre, float(precision @ centre**2)
         if C is None or z is None or not len(C):
-            return cls(precision, np.zeros((p, p)), g, zz)
-        return cls(precision, C.T @ C, g + C.T @ z, zz + float(z @ z))
+            return cls(precision, centre, np.zeros((p, p)), np.zeros(p))
+        return cls(precision, centre, C.T @ C, C.T @ z, float(z @ z))
+
+    def and_families(self, own: Array) -> Known:
+        """With zero-mean priors of these precisions on parameters that have none yet."""
+        return replace(self, precision=self.precision + own)
+
+    def square(self, x: Array) -> float:
+        """How far x is from what is known, squared, in standard deviations.
+
+        Of the priors term by term: one that holds a parameter at a bound would drown the rest in its rounding.
+        """
+        of_priors = float(np.sum(self.precision * (x - self.centre) ** 2))
+        return of_priors + max(self.zz - 2.0 * float(self.g @ x) + float(x @ self.H @ x), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +151,7 @@ class Linearised:
         weight = 1.0 / np.square(noise)
         M = np.tensordot(weight, self.H, 1) + known.H
         M[np.diag_indices_from(M)] += known.precision
-        return M, np.asarray(weight @ self.g + known.g)
+        return M, np.asarray(weight @ self.g + known.g + known.precision * known.centre)
 
     def residual_square(self, x: Array) -> Array:
         """|y - A x|^2 of each instrument, weighted, never below 0, shape (C,)."""
@@ -155,12 +168,12 @@ class Linearised:
             known: All priors, at their sizes.
             own: shape (p,), the part of the precisions that is a prior's, not a hold on flat parameters.
         """
-        M, right = self._equations(noise, known)
+        M, _ = self._equations(noise, known)
         scale = 1.0 / np.sqrt(np.diag(M) + 1e-300)
         values = np.linalg.eigvalsh(M * np.outer(scale, scale))
         log_det = float(np.sum(np.log(np.maximum(values, 1e-300))) - 2.0 * np.sum(np.log(scale)))
         x, _ = self.posterior(noise, known)
-        square = float(np.sum(self.yy / np.square(noise))) + known.zz - float(right @ x)
+        square = float(np.sum(self.residual_square(x) / np.square(noise))) + known.square(x)
         priors = float(np.sum(np.log(own[own > 0.0])))
         return -0.5 * (2.0 * float(self.count @ np.log(noise)) - priors + log_det + square)
 
@@ -245,8 +258,7 @@ def _score(
     values = np.exp(logs)
     noise, sizes = tuple(values[:C].tolist()), values[C:]
     own_precision = precision_of(families, tuple(sizes.tolist()), data.g.shape[1])
-    every = Known(known.precision + own_precision, known.H, known.g, known.zz)
-    m, covariance = data.posterior(noise, every)
+    m, covariance = data.posterior(noise, known.and_families(own_precision))
     HC = (data.H @ covariance) / np.square(values[:C])[:, None, None]
     trace = np.trace(HC, axis1=1, axis2=2)
     k = len(families)

@@ -1,58 +1,200 @@
-"""Restricted likelihood: against brute force, and against known sizes."""
+"""Restricted likelihood: against brute force over the measurements' own covariance, and against known sizes."""
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from calib.identify.variance import Linearised, Sizes, precision_of, sizes_by_reml
+from calib.identify.variance import (
+    Known,
+    Linearised,
+    Sizes,
+    _score,
+    precision_of,
+    sizes_by_reml,
+)
 
 P = 14
 FAMILIES = (np.arange(P) < 6, (np.arange(P) >= 6) & (np.arange(P) < 12))  # the last two are flat
+FLAT = Known.of(np.zeros(P))
 
 
 def data_of(rng, n, noise, tau):
+    """Rows of three scalars; `noise` one number, or one for each of two instruments: the third column and the rest."""
     A = rng.normal(size=(n, 3, P))
     x = np.concatenate(
         [tau[0] * rng.normal(size=6), tau[1] * rng.normal(size=6), rng.normal(size=2)]
     )
-    return A, A @ x + noise * rng.normal(size=(n, 3))
+    sigma = np.broadcast_to(noise, 2)[[0, 0, 1]]
+    return A, A @ x + sigma * rng.normal(size=(n, 3))
 
 
-def restricted_cost(logs, A, y):
-    """Minus the restricted log likelihood, from the covariance of y itself."""
+def instruments_of(A, count):
+    result = np.zeros(A.shape[:2], dtype=int)
+    result[:, 2] = count - 1
+    return result
+
+
+def one_instrument(A, y, weights=None):
+    return linearised(A, y, 1, weights)
+
+
+def linearised(A, y, count, weights=None):
+    weights = np.ones(len(A)) if weights is None else weights
+    return Linearised.of(A, y, weights, instruments_of(A, count))
+
+
+def restricted_log_likelihood(noise, sizes, A, y, held=None, C=None, z=None, centre=None):
+    """From the covariance of y itself, a constant aside; held: precision of further priors, C x = z: constraints."""
     flat, target = A.reshape(-1, P), y.ravel()
-    noise, first, second = np.exp(logs)
-    V = noise**2 * np.eye(len(target))
-    for members, size in zip(FAMILIES, (first, second), strict=True):
-        V += size**2 * flat[:, members] @ flat[:, members].T
-    F = flat[:, 12:]
+    own = instruments_of(A, len(noise)).ravel()
+    V = np.diag(np.array(noise)[own] ** 2)
+    free = np.arange(P) >= 12
+    if held is not None and np.any(held):
+        k = np.flatnonzero(held)
+        flat, target = np.vstack([flat, np.eye(P)[k]]), np.concatenate([target, centre[k]])
+        V = np.block(
+            [[V, np.zeros((len(V), len(k)))], [np.zeros((len(k), len(V))), np.diag(1 / held[k])]]
+        )
+    if C is not None:
+        flat, target = np.vstack([flat, C]), np.concatenate([target, z])
+        V = np.block(
+            [[V, np.zeros((len(V), len(C)))], [np.zeros((len(C), len(V))), np.eye(len(C))]]
+        )
+    for members, size in zip(FAMILIES, sizes, strict=True):
+        V = V + size**2 * flat[:, members] @ flat[:, members].T
+    F = flat[:, free]
     Vi = np.linalg.inv(V)
     information = F.T @ Vi @ F
     projected = Vi - Vi @ F @ np.linalg.solve(information, F.T @ Vi)
-    return 0.5 * (
+    return -0.5 * (
         np.linalg.slogdet(V)[1] + np.linalg.slogdet(information)[1] + target @ projected @ target
     )
 
 
+def at(data, known, noise, sizes):
+    """The log likelihood as it is computed, at some sizes."""
+    own = precision_of(FAMILIES, sizes, P)
+    return data.log_likelihood(noise, known.and_families(own), own)
+
+
+def further_knowledge(rng):
+    """A prior of given size and mean on one of the flat parameters, and two constraints."""
+    held, centre = np.zeros(P), np.zeros(P)
+    held[13], centre[13] = 25.0, 0.7
+    C, z = rng.normal(size=(2, P)), rng.normal(size=2)
+    return held, centre, C, z
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("more", [False, True])
+def test_log_likelihood_against_the_dense_restricted_likelihood(count, more):
+    """Their differences between any two sizes agree: each is known but for a constant."""
+    rng = np.random.default_rng(0)
+    A, y = data_of(rng, 10, (0.05, 0.2), (0.3, 0.1))
+    known, further = FLAT, {}
+    if more:
+        held, centre, C, z = further_knowledge(rng)
+        known = Known.of(held, centre, C, z)
+        further = {"held": held, "centre": centre, "C": C, "z": z}
+    data = linearised(A, y, count)
+    mine, dense = [], []
+    for noise, sizes in product(
+        [(0.05,) * count, (0.02, 0.3)[:count], (1.0, 0.1)[:count]], [(0.3, 0.1), (0.01, 2.0)]
+    ):
+        mine.append(at(data, known, noise, sizes))
+        dense.append(restricted_log_likelihood(noise, sizes, A, y, **further))
+    np.testing.assert_allclose(np.diff(mine), np.diff(dense), rtol=1e-9)
+
+
+def test_weights_are_as_many_rows():
+    """A row of weight 2 is that row twice."""
+    rng = np.random.default_rng(1)
+    A, y = data_of(rng, 8, 0.1, (0.3, 0.1))
+    weights = np.ones(8)
+    weights[3] = 2.0
+    twice = np.append(np.arange(8), 3)
+    mine, other = one_instrument(A, y, weights), one_instrument(A[twice], y[twice])
+    for sizes in ((0.3, 0.1), (0.1, 0.5)):
+        assert at(mine, FLAT, (0.2,), sizes) == pytest.approx(at(other, FLAT, (0.2,), sizes))
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("more", [False, True])
+def test_score_and_information_against_the_likelihood(count, more):
+    """The score against differences; the information against the mean of the score's square over data drawn anew."""
+    rng = np.random.default_rng(2)
+    A, y = data_of(rng, 10, (0.1, 0.2), (0.3, 0.1))
+    known = FLAT
+    if more:
+        held, centre, C, z = further_knowledge(rng)
+        known = Known.of(held, centre, C, z)
+    data = linearised(A, y, count)
+    logs = np.log(np.array([*(0.07, 0.3)[:count], 0.2, 0.15]))
+    score, information = _score(data, FAMILIES, known, logs, count)
+
+    def value(v):
+        sizes = np.exp(v)
+        return at(data, known, tuple(sizes[:count]), tuple(sizes[count:]))
+
+    for k in range(count + 2):
+        e = 1e-3 * np.eye(count + 2)[k]
+        slope = (
+            8 * (value(logs + e) - value(logs - e)) - (value(logs + 2 * e) - value(logs - 2 * e))
+        ) / 12e-3
+        assert score[k] == pytest.approx(slope, rel=1e-6, abs=1e-6)
+    assert np.all(np.linalg.eigvalsh(information) > 0.0)
+    np.testing.assert_allclose(information, information.T)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_information_is_the_covariance_of_the_score(count):
+    rng = np.random.default_rng(3)
+    A, _ = data_of(rng, 10, 0.1, (0.3, 0.1))
+    noise = (0.1, 0.25)[:count]
+    logs = np.log([*noise, 0.3, 0.1])
+    scores = []
+    for _ in range(3000):
+        x = np.concatenate([0.3 * rng.normal(size=6), 0.1 * rng.normal(size=6), [0.5, -2.0]])
+        sigma = np.array(noise)[[0, 0, count - 1]]
+        y = A @ x + sigma * rng.normal(size=(10, 3))
+        score, information = _score(linearised(A, y, count), FAMILIES, FLAT, logs, count)
+        scores.append(score)
+    covariance = np.cov(np.array(scores).T)
+    np.testing.assert_allclose(np.mean(scores, axis=0), 0.0, atol=0.3)
+    size = np.sqrt(np.diag(information))
+    np.testing.assert_allclose(
+        covariance / np.outer(size, size), information / np.outer(size, size), atol=0.1
+    )
+
+
+@pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("seed", range(5))
-def test_the_maximum_is_that_of_the_likelihood_written_out(seed):
+def test_the_maximum_is_that_of_the_likelihood_written_out(seed, count):
     rng = np.random.default_rng(seed)
-    A, y = data_of(rng, 12, 0.05, (0.02, 0.005))
+    A, y = data_of(rng, 12, (0.05, 0.15)[:count], (0.02, 0.005))
     found = sizes_by_reml(
-        Linearised.of(A, y, np.ones(12)), FAMILIES, Sizes(0.3, (0.01, 0.01)), smallest_noise=1e-6
+        linearised(A, y, count),
+        FAMILIES,
+        Sizes((0.3,) * count, (0.01, 0.01)),
+        smallest_noise=(1e-6,) * count,
     )
+
+    def cost(logs):
+        sizes = np.exp(logs)
+        return -restricted_log_likelihood(sizes[:count], sizes[count:], A, y)
+
     brute = minimize(
-        restricted_cost,
-        np.log([0.05, 0.02, 0.005]),
-        args=(A, y),
+        cost,
+        np.log([*(0.05, 0.15)[:count], 0.02, 0.005]),
         method="L-BFGS-B",
-        bounds=[(np.log(1e-4), 0), (np.log(1e-7), np.log(0.1)), (np.log(1e-7), np.log(0.1))],
+        bounds=[*[(np.log(1e-4), 0)] * count, *[(np.log(1e-7), np.log(0.1))] * 2],
     )
-    mine = restricted_cost(np.log([found.noise, *found.families]), A, y)
-    assert mine <= brute.fun + 1e-4
-    assert found.noise == pytest.approx(np.exp(brute.x[0]), rel=0.02)
+    assert cost(np.log([*found.noise, *found.families])) <= brute.fun + 1e-4
+    np.testing.assert_allclose(found.noise, np.exp(brute.x[:count]), rtol=0.02)
 
 
 def test_sizes_are_right_in_the_mean():
@@ -61,14 +203,25 @@ def test_sizes_are_right_in_the_mean():
     for _ in range(200):
         A, y = data_of(rng, 15, 0.02, (0.05, 0.02))
         sizes = sizes_by_reml(
-            Linearised.of(A, y, np.ones(15)),
-            FAMILIES,
-            Sizes(0.1, (0.01, 0.01)),
-            smallest_noise=1e-6,
+            one_instrument(A, y), FAMILIES, Sizes((0.1,), (0.01, 0.01)), smallest_noise=(1e-6,)
         )
-        found.append([sizes.noise**2, *(size**2 for size in sizes.families)])
-    mean = np.sqrt(np.mean(found, axis=0))
-    np.testing.assert_allclose(mean, [0.02, 0.05, 0.02], rtol=0.08)
+        found.append(np.square([*sizes.noise, *sizes.families]))
+    np.testing.assert_allclose(np.sqrt(np.mean(found, axis=0)), [0.02, 0.05, 0.02], rtol=0.08)
+
+
+def test_the_noise_of_each_instrument_is_right_in_the_mean():
+    rng = np.random.default_rng(8)
+    found = []
+    for _ in range(150):
+        A, y = data_of(rng, 15, (0.02, 0.3), (0.05, 0.02))
+        sizes = sizes_by_reml(
+            linearised(A, y, 2),
+            FAMILIES,
+            Sizes((0.1, 0.1), (0.01, 0.01)),
+            smallest_noise=(1e-6,) * 2,
+        )
+        found.append(np.square([*sizes.noise, *sizes.families]))
+    np.testing.assert_allclose(np.sqrt(np.mean(found, axis=0)), [0.02, 0.3, 0.05, 0.02], rtol=0.1)
 
 
 def test_a_family_that_is_not_there_shrinks_to_nothing():
@@ -77,10 +230,7 @@ def test_a_family_that_is_not_there_shrinks_to_nothing():
     for _ in range(50):
         A, y = data_of(rng, 40, 0.02, (0.05, 0.0))
         sizes = sizes_by_reml(
-            Linearised.of(A, y, np.ones(40)),
-            FAMILIES,
-            Sizes(0.1, (0.01, 0.01)),
-            smallest_noise=1e-6,
+            one_instrument(A, y), FAMILIES, Sizes((0.1,), (0.01, 0.01)), smallest_noise=(1e-6,)
         )
         shares.append(sizes.families[1])
     # Half of the time the likelihood is highest at zero; the rest stays far below the noise of one row.
@@ -88,27 +238,76 @@ def test_a_family_that_is_not_there_shrinks_to_nothing():
     assert np.max(shares) < 0.01
 
 
+def test_bounds_of_sizes_hold():
+    rng = np.random.default_rng(9)
+    A, y = data_of(rng, 40, 0.02, (0.05, 0.05))
+    sizes = sizes_by_reml(
+        one_instrument(A, y),
+        FAMILIES,
+        Sizes((0.1,), (0.01, 0.01)),
+        smallest_noise=(0.5,),
+        bounds=((1e-7, 0.003), (0.2, 0.3)),
+    )
+    assert sizes.noise == pytest.approx((0.5,))
+    assert sizes.families[0] <= 0.003 * (1 + 1e-12)
+    assert sizes.families[1] >= 0.2 * (1 - 1e-12)
+
+
+def test_few_rows_keep_the_noise_near_the_one_given_and_many_do_not():
+    """An instrument of which no degree of freedom is left stays where it was said to be."""
+    rng = np.random.default_rng(10)
+    spread = np.log(10.0)
+    A, y = data_of(rng, 4, 0.02, (0.05, 0.02))  # 12 scalars, 14 parameters
+    few = sizes_by_reml(
+        one_instrument(A, y), (), Sizes((1.0,), ()), smallest_noise=(1e-9,), noise_spread=spread
+    )
+    assert few.noise[0] == pytest.approx(1.0, rel=0.05)
+    A, y = data_of(rng, 200, 0.02, (0.05, 0.02))
+    many, free = (
+        sizes_by_reml(
+            one_instrument(A, y), (), Sizes((1.0,), ()), smallest_noise=(1e-9,), noise_spread=s
+        )
+        for s in (spread, np.inf)
+    )
+    assert many.noise[0] == pytest.approx(free.noise[0], rel=2e-3)
+
+
+@pytest.mark.parametrize("centre", [0.0, 0.3])
+def test_priors_of_given_size_and_mean_are_taken_into_account(centre):
+    """Against the same priors written as further rows of weight 1 and noise 1."""
+    rng = np.random.default_rng(11)
+    A, y = data_of(rng, 12, 0.05, (0.05, 0.02))
+    held, means = np.zeros(P), np.zeros(P)
+    held[[0, 13]], means[[0, 13]] = 400.0, centre
+    data = one_instrument(A, y)
+    mean, covariance = data.posterior((0.05,), Known.of(held, means))
+    flat = np.vstack([A.reshape(-1, P) / 0.05, 20.0 * np.eye(P)[[0, 13]]])
+    target = np.concatenate([y.ravel() / 0.05, [20.0 * centre] * 2])
+    np.testing.assert_allclose(mean, np.linalg.lstsq(flat, target)[0], rtol=1e-8)
+    np.testing.assert_allclose(covariance, np.linalg.inv(flat.T @ flat), rtol=1e-7, atol=1e-14)
+
+
 def test_noise_alone_is_the_unbiased_estimate():
     rng = np.random.default_rng(9)
     A, y = data_of(rng, 30, 0.1, (0.05, 0.05))
-    found = sizes_by_reml(Linearised.of(A, y, np.ones(30)), (), Sizes(1.0, ()), smallest_noise=1e-9)
+    found = sizes_by_reml(one_instrument(A, y), (), Sizes((1.0,), ()), smallest_noise=(1e-9,))
     flat, target = A.reshape(-1, P), y.ravel()
     squares = np.linalg.lstsq(flat, target)[1][0]
-    assert found.noise == pytest.approx(np.sqrt(squares / (90 - P)), rel=1e-3)
+    assert found.noise[0] == pytest.approx(np.sqrt(squares / (90 - P)), rel=1e-3)
 
 
 def test_posterior_is_the_ridge_solution_and_survives_a_singular_matrix():
     rng = np.random.default_rng(10)
     A, y = data_of(rng, 20, 0.1, (0.05, 0.05))
     precision = precision_of(FAMILIES, (0.05, 0.02), P)
-    mean, covariance = Linearised.of(A, y, np.ones(20)).posterior(0.1, precision)
+    mean, covariance = one_instrument(A, y).posterior((0.1,), Known.of(precision))
     flat = A.reshape(-1, P)
     M = flat.T @ flat / 0.01 + np.diag(precision)
     np.testing.assert_allclose(covariance, np.linalg.inv(M), rtol=1e-8, atol=1e-14)
     np.testing.assert_allclose(mean, np.linalg.solve(M, flat.T @ y.ravel() / 0.01), rtol=1e-8)
     doubled = A.copy()
     doubled[:, :, 1] = doubled[:, :, 0]
-    mean, covariance = Linearised.of(doubled, y, np.ones(20)).posterior(0.1, np.zeros(P))
+    mean, covariance = one_instrument(doubled, y).posterior((0.1,), FLAT)
     assert np.all(np.isfinite(mean))
     np.testing.assert_allclose(mean[0], mean[1])
     assert np.all(np.isfinite(covariance))
@@ -121,7 +320,35 @@ def test_a_row_of_weight_zero_counts_for_nothing():
     weights[3] = 0.0
     y[3] = 1e6
     left = np.arange(20) != 3
-    mine, other = Linearised.of(A, y, weights), Linearised.of(A[left], y[left], np.ones(19))
+    mine, other = linearised(A, y, 2, weights), linearised(A[left], y[left], 2)
     np.testing.assert_allclose(mine.H, other.H)
     np.testing.assert_allclose(mine.g, other.g)
-    assert mine.count == other.count == 57
+    np.testing.assert_array_equal(mine.count, [38, 19])
+    np.testing.assert_array_equal(other.count, [38, 19])
+
+
+def test_scalars_of_no_instrument_count_for_nothing():
+    rng = np.random.default_rng(12)
+    A, y = data_of(rng, 6, 0.1, (0.05, 0.05))
+    instruments = np.zeros((6, 3), dtype=int)
+    instruments[:, 1] = -1
+    y[:, 1] = 1e6
+    mine = Linearised.of(A, y, np.ones(6), instruments)
+    other = Linearised.of(A[:, ::2], y[:, ::2], np.ones(6), np.zeros((6, 2), dtype=int))
+    np.testing.assert_allclose(mine.H, other.H)
+    np.testing.assert_allclose(mine.yy, other.yy)
+    assert mine.count == other.count == 12
+
+
+def test_a_parameter_held_at_a_far_bound_does_not_drown_the_likelihood():
+    """It is held by a precision of 1e20: what is left of the squares must not be its rounding."""
+    rng = np.random.default_rng(13)
+    A, y = data_of(rng, 20, 0.01, (0.05, 0.02))
+    moved = y + 0.05 * A[:, :, 0]
+    values = []
+    for target, centre in ((y, 0.0), (moved, 0.05)):
+        held, means = np.zeros(P), np.zeros(P)
+        held[0], means[0] = 1e20, centre
+        data = one_instrument(A, target)
+        values.append(data.log_likelihood((0.01,), Known.of(held, means), held))
+    assert values[0] == pytest.approx(values[1], abs=1e-3)
