@@ -10,10 +10,14 @@ from scipy.stats import f as f_distribution
 from calib.identify.robust import Limits, cauchy_weights, median_noise, scores
 
 
-def linear_rows(rng, n=25, p=12, noise=0.3):
-    A = rng.normal(size=(n, 3, p))
+def linear_rows(rng, n=25, p=12, noise=0.3, d=3):
+    A = rng.normal(size=(n, d, p))
     x = rng.normal(size=p)
-    return A, A @ x + noise * rng.normal(size=(n, 3)), noise
+    return A, A @ x + noise * rng.normal(size=(n, d)), noise
+
+
+def every(A):
+    return np.ones(A.shape[:2], dtype=bool)
 
 
 def fit_rows(A, y, weights):
@@ -30,7 +34,7 @@ def test_the_score_is_the_deleted_residual_over_its_covariance(weight):
     weights = np.ones(len(A))
     weights[4] = weight
     x, inverse = fit_rows(A, y, weights)
-    found = scores((y - A @ x) / noise, A / noise, inverse * noise**2, weights)
+    found = scores((y - A @ x) / noise, A / noise, inverse * noise**2, weights, every(A))
     for row in (4, 9):
         left = np.arange(len(A)) != row
         x_left, inverse_left = fit_rows(A[left], y[left], weights[left])
@@ -45,20 +49,74 @@ def test_scores_of_clean_rows_follow_chi_square_whatever_their_leverage():
     for _ in range(200):
         A, y, noise = linear_rows(rng)
         x, inverse = fit_rows(A, y, np.ones(len(A)))
-        row_scores = scores((y - A @ x) / noise, A / noise, inverse * noise**2, np.ones(len(A)))
+        row_scores = scores(
+            (y - A @ x) / noise, A / noise, inverse * noise**2, np.ones(len(A)), every(A)
+        )
         squares.append(row_scores**2)
     flat = np.concatenate(squares)
     for probability in (0.5, 0.9, 0.99):
         assert np.mean(flat < chi2.ppf(probability, 3)) == pytest.approx(probability, abs=0.015)
 
 
-def test_median_noise_does_not_see_outliers():
+@pytest.mark.parametrize("d", [1, 2, 6])
+@pytest.mark.parametrize("n", [60, 120])
+def test_rows_of_any_number_of_scalars_are_told_as_points(d, n):
+    """The same share of good rows lies beyond any score, whatever the rows hold."""
+    rng = np.random.default_rng(3)
+    found = []
+    for _ in range(100):
+        A, y, noise = linear_rows(rng, n=n, p=8, d=d)
+        x, inverse = fit_rows(A, y, np.ones(n))
+        found.append(
+            scores((y - A @ x) / noise, A / noise, inverse * noise**2, np.ones(n), every(A))
+        )
+    flat = np.concatenate(found)
+    for probability in (0.5, 0.9, 0.99):
+        assert np.mean(flat**2 < chi2.ppf(probability, 3)) == pytest.approx(probability, abs=0.015)
+
+
+def test_scores_of_several_kinds_beside_each_other():
+    """Unused columns are zero; a row without any has the score 0."""
+    rng = np.random.default_rng(4)
+    used = np.array(
+        [[1, 1, 1, 1, 1, 1], [1, 1, 1, 0, 0, 0], [1, 0, 0, 0, 0, 0], [0] * 6], dtype=bool
+    )
+    residual = 2.0 * rng.normal(size=(4, 6)) * used
+    found = scores(residual, np.zeros((4, 6, 2)), np.eye(2), np.ones(4), used)
+    squares = np.sum(residual**2, axis=1)
+    for row, d in enumerate((6, 3, 1)):
+        assert chi2.sf(found[row] ** 2, 3) == pytest.approx(chi2.sf(squares[row], d))
+    assert found[3] == 0.0
+
+
+@pytest.mark.parametrize("d", [1, 6])
+def test_scores_keep_their_order_where_the_tail_cannot_be_computed(d):
+    norms = np.geomspace(0.3, 1e6, 400)
+    residual = np.zeros((400, d))
+    residual[:, 0] = norms
+    used = np.ones((400, d), dtype=bool)
+    found = scores(residual, np.zeros((400, d, 1)), np.eye(1), np.ones(400), used)
+    assert np.all(np.isfinite(found))
+    assert np.all(np.diff(found) > 0.0)
+    assert found[-1] == pytest.approx(1e6, rel=1e-3)
+
+
+@pytest.mark.parametrize("d", [1, 3, 6])
+def test_median_noise_does_not_see_outliers(d):
     rng = np.random.default_rng(2)
-    clean = np.linalg.norm(rng.normal(size=(20000, 3)), axis=1)
-    assert median_noise(2.5 * clean) == pytest.approx(2.5, rel=0.02)
+    clean = np.linalg.norm(rng.normal(size=(20000, d)), axis=1)
+    used = np.ones((20000, d), dtype=bool)
+    assert median_noise(2.5 * clean, used) == pytest.approx(2.5, rel=0.02)
     spoilt = 2.5 * clean
     spoilt[:2000] = 1e6
-    assert median_noise(spoilt) < 3.0
+    assert median_noise(spoilt, used) < 3.2
+
+
+def test_median_noise_of_kinds_beside_each_other():
+    rng = np.random.default_rng(5)
+    used = np.arange(3) < rng.choice([0, 1, 3], size=20000)[:, None]
+    norms = 0.4 * np.linalg.norm(rng.normal(size=(20000, 3)) * used, axis=1)
+    assert median_noise(norms, used) == pytest.approx(0.4, rel=0.03)
 
 
 def test_limits_are_quantiles_of_f_and_keep_the_false_alarm_for_the_whole_table():
