@@ -34,6 +34,10 @@ AFTER = np.array(
 )
 
 
+def parts(left_out):
+    return left_out.method, left_out.masks
+
+
 @pytest.mark.parametrize(
     ("residual", "table5", "span"),
     [
@@ -71,9 +75,31 @@ def test_no_rows_have_no_errors():
     assert np.isnan(errors.rms)
 
 
+def test_lengths_and_angles_of_several_kinds():
+    """A pose, a point and a distance: what a row lacks does not count as an error of nothing."""
+    residual = np.array(
+        [[3.0, 0, 4.0, 0, 0.1, 0], [0, 2.0, 0, 0, 0, 0], [-1.0, 0, 0, 0, 0, 0], [0] * 6]
+    )
+    used = np.array([[1] * 6, [1, 1, 1, 0, 0, 0], [1, 0, 0, 0, 0, 0], [0] * 6], dtype=bool)
+    errors = Errors.of(residual, used)
+    assert (errors.n, errors.n_angle) == (3, 1)
+    assert errors.mean == pytest.approx(8 / 3)
+    assert errors.rms == pytest.approx(np.sqrt(30 / 3))
+    assert (errors.max, errors.max_angle) == pytest.approx((5.0, 0.1))
+    assert np.all(np.isnan(errors.mean_axis))  # not all have axes
+    whole = Errors.of(residual[:2], used[:2])
+    np.testing.assert_allclose(whole.mean_axis, [1.5, 1.0, 2.0])
+
+
+def test_lengths_alone_have_no_axes():
+    errors = Errors.of(np.array([[1.0], [-3.0]]), np.ones((2, 1), dtype=bool))
+    assert (errors.n, errors.max, errors.rms) == pytest.approx((2, 3.0, np.sqrt(5)))
+    assert np.all(np.isnan(errors.span_axis))
+
+
 @pytest.mark.parametrize("rows", [1, 2, 30, 60, 61, 1000])
 def test_each_row_is_left_out_once(rows):
-    method, masks = folds(np.arange(rows))
+    method, masks = parts(folds(np.arange(rows)))
     assert method == ("leave-one-out" if rows <= 60 else "10-fold")
     assert len(masks) == (rows if rows <= 60 else 10)
     np.testing.assert_array_equal(np.sum(masks, axis=0), np.ones(rows))
@@ -88,14 +114,14 @@ def test_repeats_of_a_pose_are_left_out_together():
     assert labels.max() == 11
     for pose in range(12):
         assert len(set(labels[order == pose])) == 1
-    method, masks = folds(labels)
+    method, masks = parts(folds(labels))
     assert method == "leave-one-pose-out"
     assert [mask.sum() for mask in masks] == [5] * 12
 
 
 def test_many_repeated_poses_stay_together_in_ten_folds():
     labels = np.tile(np.arange(70), 3)
-    method, masks = folds(labels)
+    method, masks = parts(folds(labels))
     assert method == "10-fold"
     for mask in masks:
         assert set(labels[mask]).isdisjoint(labels[~mask])
@@ -107,14 +133,41 @@ def test_different_poses_are_not_taken_for_repeats():
     np.testing.assert_array_equal(same_poses(step), np.arange(5))
 
 
+@pytest.mark.parametrize("count", [30, 200])
+def test_no_fold_is_empty_where_numbers_of_poses_are_missing(count):
+    """Poses that are measured for validation only have numbers too."""
+    labels = 7 + 10 * np.arange(count)
+    method, masks = parts(folds(labels))
+    assert method == ("leave-one-out" if count == 30 else "10-fold")
+    assert all(mask.any() for mask in masks)
+    np.testing.assert_array_equal(np.sum(masks, axis=0), np.ones(count))
+
+
+@pytest.mark.parametrize("names", [[0, 1], [3, 5, 9], range(4), range(150)])
+def test_from_three_set_ups_on_each_is_left_out_as_a_whole(names):
+    setups = np.repeat(list(names), 4)
+    left_out = folds(np.arange(len(setups)), setups)
+    if len(names) < 3:
+        assert left_out.method == "leave-one-out"
+        return
+    np.testing.assert_array_equal(np.sum(left_out.masks, axis=0), np.ones(len(setups)))
+    for mask in left_out.masks:
+        assert set(setups[mask]).isdisjoint(setups[~mask])
+    assert len(left_out.masks) == min(len(names), 50)
+    assert left_out.method == ("leave-one-set-up-out" if len(names) < 60 else "leave-set-ups-out")
+
+
 def test_cross_validation_puts_errors_back_in_their_rows():
     values = np.arange(90.0).reshape(30, 3)
     flagged = np.arange(30) == 7
-    result = cross_validate(np.arange(30), flagged, lambda mask: values[mask])
+    poses, used = np.arange(30), np.ones((30, 3), dtype=bool)
+    used[29] = False
+    result = cross_validate(poses, folds(poses), flagged, used, lambda mask: values[mask])
     np.testing.assert_array_equal(result.residual, values)
-    assert result.errors.n == 30
-    assert result.errors_without_outliers.n == 29
-    assert result.errors_without_outliers.max == pytest.approx(np.linalg.norm(values[29]))
+    assert result.folds == 30
+    assert result.errors.n == 29
+    assert result.errors_without_outliers.n == 28
+    assert result.errors_without_outliers.max == pytest.approx(np.linalg.norm(values[28]))
 
 
 @pytest.mark.parametrize(
