@@ -103,8 +103,8 @@ def test_deferred_imports_within_a_folder_are_few():
         hidden = set(imports(tree, top_only=False)) - set(imports(tree, top_only=True))
         deferred |= {(module_name(path), name) for name in hidden}
     assert deferred <= {
-        ("calib.identify.calibration", "calib.identify.summary"),
-        ("calib.identify.calibration", "calib.identify.result_file"),
+        ("calib.identify.result", "calib.identify.summary"),
+        ("calib.identify.result", "calib.identify.result_file"),
         ("calib.show", "calib.show.pictures"),
         ("calib.show", "calib.identify.calibration"),
     }

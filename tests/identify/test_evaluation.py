@@ -1,0 +1,86 @@
+"""evaluate: every kind of measurement, with what is known and what is registered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.errors import ModelError
+from calib.identify.evaluation import Known, evaluate, hint
+from calib.measure.cell import Cell
+
+
+def test_the_nominal_errors_are_those_of_the_fit(case):
+    """What a fit says of the nominal robot is what evaluate says of it, for every kind."""
+    _, c = case
+    found = evaluate(c.nominal, c.measurements, c.cell)
+    np.testing.assert_allclose(found.residual, c.residual_nominal, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(found.used, c.used)
+    for name in ("estimation", "validation"):
+        assert found.errors[name].n == c.errors["nominal"][name].n
+    assert found.errors["all"].n == sum(found.errors[k].n for k in ("estimation", "validation"))
+    assert "target" in found.registered
+    scene = not {"point", "pose", "pair"} & set(c.measurements.kinds)
+    assert ("frame" in found.registered) == (c.cell.estimate_frame or scene)
+
+
+def test_frames_and_targets_of_every_set_up_are_given_back(calibrated):
+    _, c = calibrated("known set-ups")
+    found = evaluate(c.nominal, c.measurements, c.cell)
+    np.testing.assert_allclose(found.setup.T_frame_base, c.setup.T_frame_base, atol=1e-12)
+    np.testing.assert_array_equal(found.T_frame_base, found.setup.T_frame_base[0])
+    np.testing.assert_array_equal(found.target, found.setup.T_tip_target[0, :3, 3])
+
+
+def test_what_is_known_wins_over_the_cell(calibrated):
+    _, c = calibrated("points")
+    known = Known({"0": np.eye(4)}, {"t0": c.setup.T_tip_target[0]})
+    cell = Cell(target=np.array([0.5, 0.5, 0.5]), estimate_target=False)
+    found = evaluate(c.robot, c.measurements, cell, known=known)
+    np.testing.assert_allclose(found.residual, c.residual_calibrated, atol=1e-9)
+    off = evaluate(c.robot, c.measurements, cell)
+    assert off.errors["all"].rms > 0.3
+    only_frames = replace(known, targets={})
+    assert evaluate(c.robot, c.measurements, cell, known=only_frames).errors["all"].rms > 0.3
+
+
+def test_targets_that_a_result_lacks_are_registered(calibrated):
+    _, c = calibrated("targets")
+    known = Known({"0": np.eye(4)}, {"t1": c.setup.T_tip_target[1]})
+    found = evaluate(c.robot, c.measurements, known=known)
+    assert found.registered == ("target",)
+    np.testing.assert_array_equal(found.setup.T_tip_target[1], c.setup.T_tip_target[1])
+    assert np.linalg.norm(found.target - c.target) < 1e-4
+
+
+def test_set_ups_that_nothing_is_known_of_are_refused(calibrated):
+    _, c = calibrated("known set-ups")
+    known = Known({"0": c.T_frame_base, "2": c.T_frame_base}, {})
+    with pytest.raises(ModelError, match=r"has the set-ups '0', '2'; the table's '1' are none"):
+        evaluate(c.robot, c.measurements, known=known)
+
+
+def test_a_new_socket_is_found(calibrated):
+    """What a socket is for: nobody needs to know where it is."""
+    _, c = calibrated("sockets")
+    frames = dict(zip(c.setup.groups, c.setup.T_frame_base, strict=True))
+    known = Known({"0": frames["0"], "1": frames["1"]}, {"t0": c.setup.T_tip_target[0]})
+    found = evaluate(c.robot, c.measurements, known=known)
+    assert found.registered == ("frame",)
+    assert found.errors["all"].rms < 1.05 * c.errors["calibrated"]["estimation"].rms + 1e-5
+
+
+def test_rows_that_all_validate_are_registered_to_themselves(calibrated):
+    _, c = calibrated("distances")
+    m = replace(c.measurements, sets=("validate",) * len(c.measurements))
+    found = evaluate(c.robot, m)
+    assert found.errors["estimation"].n == 0
+    assert found.errors["validation"].rms < 1e-4
+    assert np.all(np.isnan(found.errors["validation"].rms_axis))
+
+
+def test_the_usual_mistakes_are_looked_for_in_points_only(calibrated):
+    _, c = calibrated("planes")
+    assert hint(evaluate(c.nominal, c.measurements), Cell()) == ""

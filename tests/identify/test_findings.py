@@ -1,0 +1,45 @@
+"""Parameters with their intervals: values count from where they were given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.identify.calibration import calibrate
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(calibrated):
+    scene, c = calibrated("points")
+    truth = dict(zip(scene.kinematics.model.names, scene.x, strict=True))
+    told = [p for p in c.parameters if p.identifiable and p.name in truth]
+    inside = [p.low <= p.nominal + truth[p.name] <= p.high for p in told]
+    assert len(told) >= 16
+    assert np.mean(inside) > 0.8
+
+
+def test_values_are_nominal_and_change(case):
+    _, c = case
+    every = c.parameters if c.larger is None else (*c.parameters, *c.larger.parameters)
+    for p in every:
+        assert p.low < p.value < p.high
+        assert p.std > 0.0
+        if p.nominal is not None:
+            assert p.value - p.nominal == pytest.approx(p.delta, abs=1e-12)
+        assert p.unit in ("m", "rad", "1", "rad/Nm")
+
+
+def test_each_target_counts_from_where_it_was_given(calibrated):
+    scene, c = calibrated("targets")
+    given = {"t0": scene.kinematics.T_tip_target[0, :3, 3] + [1e-3, 0.0, 0.0]}
+    found = calibrate(
+        scene.robot, c.measurements, cell=replace(c.cell, targets=given, model="dh"), validate=False
+    )
+    for axis in range(3):
+        known = found.parameter(f"target_{'xyz'[axis]}[t0]")
+        free = found.parameter(f"target_{'xyz'[axis]}[t1]")
+        assert known.nominal == given["t0"][axis]
+        assert free.nominal is None
+        for p, t in ((known, 0), (free, 1)):
+            assert p.value == pytest.approx(found.setup.T_tip_target[t, axis, 3], abs=1e-12)
