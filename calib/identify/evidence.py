@@ -41,6 +41,9 @@ _ROUNDING_NOISE = 1e-6
 #: Repeats that scatter by less than this share of what the model leaves over show that the model lacks something.
 _SCATTER_SHARE = 0.5
 
+#: A direction that moves the scalars by this many standard deviations, all together, was fitted.
+_FITTED = 1.0
+
 #: Degrees of freedom below which neither scatter nor patterns are told.
 _TELLING = 10.0
 
@@ -192,7 +195,8 @@ def patterns(fitted: Fitted) -> tuple[str, ...]:
     counts = rows.used & (estimate.weights > 0.0)[:, None]
     whiten = np.sqrt(estimate.weights)[:, None] / problem.scales
     row_of, component_of = np.nonzero(counts)
-    A, r = (jacobian * whiten[:, :, None])[counts], (residual * whiten)[counts]
+    A = _fitted_range((jacobian * whiten[:, :, None])[counts], problem.precision)
+    r = (residual * whiten)[counts]
     scale = whiten[counts]
     by_name = dict(zip(own.model.names, range(len(own.model)), strict=True))
     inputs = fitted.task.robot.inputs
@@ -216,6 +220,22 @@ def patterns(fitted: Fitted) -> tuple[str, ...]:
     )
     sentences = [one.sentence() for one in found[:1]]
     return (*sentences, *([] if drifts is None else [drifts.sentence()]))
+
+
+def _fitted_range(A: Array, precision: Array) -> Array:
+    """An orthonormal basis of what the parameters did to the scalars, shape (M, rank).
+
+    Directions in which an error of the size expected moves all scalars together by less than their noise were not
+    fitted; and they must not count as if they were: where the data tell no scale and no turn of the base, such a direction
+    is the residual itself, made larger or turned.
+
+    Args:
+        A: shape (M, p), whitened.
+        precision: shape (p,), 1 / tau^2 of each parameter.
+    """
+    moved = A / np.sqrt(np.maximum(precision, np.finfo(float).tiny))
+    basis, effects, _ = np.linalg.svd(moved, full_matrices=False)
+    return np.asarray(basis[:, effects > _FITTED])
 
 
 def disagreeing_setups(fitted: Fitted) -> tuple[str, ...]:
