@@ -200,11 +200,16 @@ def compliance_lines(found: Mapping[str, list[Found]]) -> list[Line]:
         label = f"iiwa, payload {case.split(', ')[0]} kg"
         every = [hit for r in runs for hit in r["inside"].values()]
         told = [r["inside"][n] for r in runs for n, std in r["std"].items() if std < TOLD]
-        for words, hits in (("all seven", every), ("those known to 30 %", told)):
+        # What is not measured keeps its prior's interval, which holds the truth nearly always.
+        for words, hits, highest in (
+            ("all seven", every, 1.0),
+            ("those known to 30 %", told, 0.97),
+        ):
             share = float(np.mean(hits))
             count = f"{100 * share:.1f} % ({sum(hits)} of {len(hits)})"
             what = f"{label}: compliances inside their 95 % intervals, {words}"
-            lines.append(Line(what, "93 to 97 %", count, 0.93 <= share <= 0.97))
+            bar = ">= 93 %" if highest == 1.0 else "93 to 97 %"
+            lines.append(Line(what, bar, count, 0.93 <= share <= highest))
         widths = [np.median([r["std"][n] for r in runs]) for n in runs[0]["std"]]
         words = ", ".join(f"{1e6 * w:.1f}" for w in widths)
         lines.append(Line(f"{label}: median std of joints 1 to 7 [urad/Nm]", "", words))

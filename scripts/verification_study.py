@@ -58,7 +58,7 @@ STUDIES: Mapping[str, Study] = {
     "compliance": Study(
         "Compliance of 1e-5 rad/Nm on each joint",
         models.compliance_cases,
-        (200, 10),
+        (600, 10),
         models.compliance,
         models.compliance_lines,
     ),
