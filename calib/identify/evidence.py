@@ -226,8 +226,8 @@ def _fitted_range(A: Array, precision: Array) -> Array:
     """An orthonormal basis of what the parameters did to the scalars, shape (M, rank).
 
     Directions in which an error of the size expected moves all scalars together by less than their noise were not
-    fitted; and they must not count as if they were: where the data tell no scale and no turn of the base, such a direction
-    is the residual itself, made larger or turned.
+    fitted, and they must not count as if they were: where the data tell no scale and no turn of the base, such a
+    direction is the residual itself, made larger or turned.
 
     Args:
         A: shape (M, p), whitened.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.identify.patterns import drift, joint_patterns
+from calib.identify.patterns import FALSE_ALARM, drift, joint_patterns
 from calib.model.robot import Robot
 
 NAMES = ("a", "b", "c", "d", "e", "slide")
@@ -63,17 +63,17 @@ def alarms(find: Callable[[Table], object], count: int, **table) -> int:
 
 @pytest.mark.parametrize("table", CLEAN)
 def test_clean_tables_raise_no_more_than_one_alarm_in_a_hundred(table):
-    most = stats.binom.ppf(0.999, 300, 0.01)
+    most = stats.binom.ppf(0.999, 300, FALSE_ALARM)
     assert alarms(lambda t: t.patterns(poses=t.poses), 300, **table) <= most
     assert alarms(lambda t: t.drift(poses=t.poses), 300, **table) <= most
 
 
 def test_the_probability_of_a_drift_is_right_with_repeats():
-    """Between and within poses combined: 1 % of clean tables fall below 1 %, whatever the repeats share."""
+    """Between and within poses combined: the share of clean tables that are told is the one asked for."""
     rng = np.random.default_rng(11)
     tables = [Table(rng, 12, repeats=3, columns=10, shared=0.7) for _ in range(1500)]
     found = [t.drift(poses=t.poses) is not None for t in tables]
-    assert stats.binomtest(sum(found), len(found), 0.01).pvalue > 0.001
+    assert stats.binomtest(sum(found), len(found), FALSE_ALARM).pvalue > 0.001
 
 
 def test_repeats_taken_for_poses_would_raise_false_alarms():
@@ -86,7 +86,7 @@ def test_directions_do_not_raise_false_alarms():
     def find(t):
         return t.patterns(directions=[t.A[:, [2 * j]] for j in range(6)])
 
-    assert alarms(find, 300, poses=30) <= stats.binom.ppf(0.999, 300, 0.01)
+    assert alarms(find, 300, poses=30) <= stats.binom.ppf(0.999, 300, FALSE_ALARM)
 
 
 @pytest.mark.parametrize("joint", range(6))
