@@ -12,7 +12,7 @@ from calib.identify.crossvalidation import only_there
 from calib.identify.fitting import Fitted, fit
 from calib.identify.patterns import drift, joint_patterns
 from calib.identify.result import Calibration
-from calib.identify.rows import Rows
+from calib.identify.rows import FIXED, PLANE, Rows
 from calib.identify.stage import Linear
 from calib.identify.statistics import Errors, Mask
 from calib.identify.table_rows import joined_setups
@@ -37,6 +37,9 @@ _FAR_LESS = 0.6
 
 #: Noise below this is rounding, in which any test finds patterns [m, rad].
 _ROUNDING_NOISE = 1e-6
+
+#: Flagged rows of a set-up, in number and as a share, that show that the set-up and not the rows are off.
+_SOME_FLAGGED, _SHARE_FLAGGED = 4, 0.25
 
 #: Repeats that scatter by less than this share of what the model leaves over show that the model lacks something.
 _SCATTER_SHARE = 0.5
@@ -84,7 +87,13 @@ def evidence_of(result: Calibration, rows: Rows, hint: str) -> Evidence:
         missing=""
         if result.candidates or result.solver == "paper"
         else missing_model(fitted, rows),
-        findings=(*patterns(fitted), *disagreeing_setups(fitted), *_scatter(result)),
+        findings=(
+            *patterns(fitted),
+            *disagreeing_setups(fitted),
+            *_outliers_of_one_setup(fitted),
+            *_scatter(result),
+            *_no_scale(fitted),
+        ),
         corner=_corner(fitted, rows),
         outside=_outside(result),
         parameters=len(result.model),
@@ -280,6 +289,34 @@ def disagreeing_setups(fitted: Fitted) -> tuple[str, ...]:
         names, np.array(squares), np.array(freedoms), np.array(variances), np.array(left)
     )
     return tuple(one.sentence() for one in found[:2])
+
+
+def _outliers_of_one_setup(fitted: Fitted) -> tuple[str, ...]:
+    """A sentence on a set-up whose rows are flagged far more often than the others': it has moved, they have not."""
+    rows, flagged = fitted.estimate.problem.rows, fitted.estimate.outliers
+    labels = joined_setups(rows, fitted.task.distances)
+    for g in np.unique(labels) if len(np.unique(labels)) > 1 else ():
+        own = labels == g
+        inside, outside = float(np.mean(flagged[own])), float(np.mean(flagged[~own]))
+        if np.sum(flagged[own]) >= _SOME_FLAGGED and inside > max(_SHARE_FLAGGED, 3.0 * outside):
+            groups = dict.fromkeys(fitted.setup.groups[f] for f in rows.samples.frame[own])
+            return (
+                f"{int(np.sum(flagged[own]))} of the {int(np.sum(own))} rows of set-up '{' and '.join(groups)}' are "
+                "flagged as outliers: it does not agree with the others. Did the arm, its tool or the instrument "
+                "change in between?",
+            )
+    return ()
+
+
+def _no_scale(fitted: Fitted) -> tuple[str, ...]:
+    """A sentence where nothing that was measured is a length."""
+    kinds = fitted.estimate.problem.rows.kinds
+    if fitted.task.distances or not np.all(np.isin(kinds, (FIXED, PLANE))):
+        return ()
+    return (
+        "Nothing that was measured is a length, so the size of the arm is the nominal one's, and the priors decide: "
+        "measure a distance between two sockets, and give it in the cell file ([[distances]]).",
+    )
 
 
 def _scatter(result: Calibration) -> tuple[str, ...]:

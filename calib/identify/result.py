@@ -26,7 +26,7 @@ from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.model.parameters import ErrorModel
 from calib.model.readback import check_written, random_joint_values
-from calib.model.robot import Robot
+from calib.model.robot import Robot, rigid_inverse
 from calib.model.torques import gravity_load
 from calib.model.urdf import Urdf
 
@@ -219,12 +219,13 @@ class Calibration:
         group: str | None = None,
         larger: bool = True,
     ) -> Array:
-        """Where the calibrated robot puts the target, in the measurement frame.
+        """Where the calibrated robot puts the target, in the measurement frame, or in the base where there is none.
 
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             target: Name of the target; the first where None.
-            group: Name of the set-up whose frame is meant; the first where None.
+            group: Name of the set-up whose frame is meant; where None the first, and the base where only sockets,
+                planes, anchors or pairs were measured.
             larger: Whether to use the larger model, where there is one; else the geometry that the URDF holds.
 
         Returns:
@@ -243,7 +244,11 @@ class Calibration:
         """The target's pose in the measurement frame, shape (N, 4, 4), [m]; the arguments are those of `predict`."""
         fitted = self._fit(larger=larger)
         samples = self.samples(q, target=target, group=group)
-        return fitted.kinematics.poses(fitted.estimate.x, samples)
+        poses = fitted.kinematics.poses(fitted.estimate.x, samples)
+        if group is None and not np.any(self.measurements.of_kind("point", "pose")):
+            # No instrument has a frame: sockets, planes and anchors stand in the base.
+            poses = rigid_inverse(fitted.placed().T_frame_base[0]) @ poses
+        return poses
 
     def position_std(
         self,

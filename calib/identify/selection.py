@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import ModelError, choices
+from calib.errors import MeasurementError, ModelError, choices
 from calib.identify.crossvalidation import linear_cross_validation
 from calib.identify.fitting import Fitted, Task, fit, model_of
 from calib.identify.rows import Rows
@@ -36,6 +36,9 @@ _STEP = 5.0
 
 #: Errors on left-out rows may be worse by this share: rounding, and what any two models differ by.
 _NO_WORSE = 1.0
+
+#: Without priors a larger candidate must lower errors on left-out rows to this share.
+_CLEARLY = 0.95
 
 #: A load below this on every joint moves nothing [Nm, N].
 _NO_LOAD = 1e-6
@@ -84,15 +87,25 @@ def select(task: Task, rows: Rows) -> Selection:
     Args:
         task: What to fit; its model does not matter.
         rows: The rows.
+
+    Raises:
+        ModelError: The cell names a parameter that no model of the ladder has.
+        MeasurementError: Too few rows.
     """
     _check_names(task)
     task = replace(task, lenient=True)
-    weights = fit(replace(task, model=LADDER[-1]), rows).estimate.weights
+    weights = _robust_weights(task, rows)
     tried: dict[str, Candidate] = {}
+    # Without priors the likelihood would be that of errors of metres: then left-out rows alone decide.
+    better = _better if task.cell.priors.sizes != "off" else _better_on_left_out_rows
 
-    def candidate(name: str) -> Candidate:
+    def candidate(name: str) -> Candidate | None:
         if name not in tried:
-            tried[name] = _candidate(name, fit(replace(task, model=name), rows, weights))
+            try:
+                fitted = fit(replace(task, model=name), rows, weights)
+            except MeasurementError:
+                return None  # more parameters than numbers, and no priors
+            tried[name] = _candidate(name, fitted)
         return tried[name]
 
     best: Candidate | None = None
@@ -103,14 +116,19 @@ def select(task: Task, rows: Rows) -> Selection:
             continue  # nothing to estimate, or the same as before: hayati without near-parallel axes is dh
         seen.add(columns)
         one = candidate(name)
-        if best is None or _better(one, best):
+        if one is not None and (best is None or better(one, best)):
             best = one
-    assert best is not None
+    if best is None:
+        message = (
+            f"{len(rows)} rows give {rows.count} numbers: too few for any model without priors. Measure more poses, or "
+            "leave the priors on."
+        )
+        raise MeasurementError(message)
     geometry = best
     families = [f for f in JOINT_FAMILIES if f != COMPLIANCE or _has_load(rows)]
     while families:
         steps = [(f, candidate(f"{best.name}+{f}")) for f in families]
-        passed = [(f, c) for f, c in steps if _better(c, best)]
+        passed = [(f, c) for f, c in steps if c is not None and better(c, best)]
         if not passed:
             break
         family, best = max(passed, key=lambda pair: pair[1].log_likelihood)
@@ -122,6 +140,20 @@ def select(task: Task, rows: Rows) -> Selection:
         larger,
         tuple(replace(c, chosen=marks.get(c.name, "")) for c in tried.values()),
     )
+
+
+def _robust_weights(task: Task, rows: Rows) -> Array:
+    """The weights by the largest geometry that there are enough rows for, shape (N,).
+
+    Raises:
+        MeasurementError: There are too few for any.
+    """
+    for name in reversed(LADDER[1:]):
+        try:
+            return fit(replace(task, model=name), rows).estimate.weights
+        except MeasurementError:
+            continue
+    return fit(replace(task, model=LADDER[0]), rows).estimate.weights
 
 
 def _check_names(task: Task) -> None:
@@ -169,6 +201,12 @@ def _better(one: Candidate, than: Candidate) -> bool:
     return bool(
         a.rms <= _NO_WORSE * b.rms or (b.n_angle and a.rms_angle <= _NO_WORSE * b.rms_angle)
     )
+
+
+def _better_on_left_out_rows(one: Candidate, than: Candidate) -> bool:
+    """Whether a larger candidate predicts left-out rows better by more than two models always differ."""
+    a, b = (c.cross_validation.errors_without_outliers for c in (one, than))
+    return bool(a.rms < _CLEARLY * b.rms or (b.n_angle and a.rms_angle < _CLEARLY * b.rms_angle))
 
 
 def _has_load(rows: Rows) -> bool:

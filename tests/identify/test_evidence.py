@@ -139,6 +139,26 @@ def test_a_set_up_that_the_others_do_not_predict(calibrated):
     assert len(disagreeing_setups(good.fitted)) == 0
 
 
+def test_a_set_up_whose_rows_are_flagged(calibrated):
+    """A joint slipped further: the robust fit takes that set-up's rows for outliers, and the set-up is named."""
+    scene, good = calibrated("set-ups")
+    m = good.measurements
+    joints = m.joints.copy()
+    joints[np.array(m.groups) == "1", 2] += 2e-3
+    slipped = calibrate(scene.robot, replace(m, joints=joints), cell=good.cell)
+    assert "rows of set-up '1' are flagged as outliers" in reasons(slipped)
+    assert slipped.verdict.use != "use"
+    assert "flagged as outliers" not in reasons(good)
+
+
+def test_sockets_without_a_known_distance_tell_no_length(calibrated):
+    scene, good = calibrated("sockets")
+    assert "is a length" not in reasons(good)
+    unknown = calibrate(scene.robot, good.measurements, cell=replace(good.cell, distances=()))
+    assert "Nothing that was measured is a length" in reasons(unknown)
+    assert unknown.verdict.use == "use with care"
+
+
 def test_validation_rows_outside_of_the_measured_range(make_scene):
     scene = arm(make_scene, 65)
     rng = np.random.default_rng(5)

@@ -54,6 +54,18 @@ def test_set_ups_see_the_same_robot(calibrated):
     np.testing.assert_array_equal(c.predict(q), c.predict(q, group="0"))
 
 
+def test_without_an_instrument_s_frame_predictions_are_in_the_base(calibrated):
+    scene, c = calibrated("sockets")
+    q = c.measurements.joints[:5]
+    in_base = c.predict(q)
+    T = c.setup.T_frame_base[0]
+    np.testing.assert_allclose(
+        c.predict(q, group=c.setup.groups[0]), in_base @ T[:3, :3].T + T[:3, 3], atol=1e-12
+    )
+    nominal = (scene.robot.poses(q) @ scene.kinematics.T_tip_target[0])[:, :3, 3]
+    assert np.abs(in_base - nominal).max() < 0.02
+
+
 def test_one_configuration_is_a_row(calibrated):
     _, c = calibrated("points")
     q = random_joint_values(c.nominal, 1, 2)

@@ -110,6 +110,16 @@ def test_frames_alone_are_no_model_where_frame_and_target_are_known(make_scene):
     assert found.geometry == "zeros"
 
 
+def test_without_priors_left_out_rows_decide_among_what_rows_are_enough_for(make_scene):
+    scene = scene_of(make_scene, 3, "dh")
+    cell = Cell(priors=Priors("off"))
+    few = [c.name for c in chosen(scene, 12, cell).candidates]
+    assert few[:3] == ["frames", "zeros", "dh"]
+    assert "placement" not in few  # 39 parameters for 36 numbers
+    enough = chosen(scene, 60, cell)
+    assert (enough.geometry, enough.larger) == ("dh", "")
+
+
 def test_names_that_no_model_has_are_refused(make_scene):
     scene = scene_of(make_scene, 115, "dh")
     cell = Cell(frozen=("a99",), ties={"a2": ("nothing", 1.0)}, parameter_priors={"x": 1.0})
