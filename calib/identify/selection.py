@@ -148,12 +148,13 @@ def _robust_weights(task: Task, rows: Rows) -> Array:
     Raises:
         MeasurementError: There are too few for any.
     """
-    for name in reversed(LADDER[1:]):
-        try:
-            return fit(replace(task, model=name), rows).estimate.weights
-        except MeasurementError:
-            continue
-    return fit(replace(task, model=LADDER[0]), rows).estimate.weights
+    # Rows are enough for any model that its priors hold; without priors for one of as many parameters at most.
+    enough = [
+        name
+        for name in LADDER
+        if task.cell.priors.sizes != "off" or len(model_of(replace(task, model=name))) <= rows.count
+    ]
+    return fit(replace(task, model=enough[-1] if enough else LADDER[0]), rows).estimate.weights
 
 
 def _check_names(task: Task) -> None:

@@ -8,11 +8,15 @@ import numpy as np
 
 import calib
 from calib.identify.calibration import Calibration
+from calib.identify.correlations import correlations
 from calib.identify.findings import Outlier
 from calib.identify.statistics import Errors
 from calib.identify.words import frame_text, target_text, three, wrap
 from calib.model.observability import SHOWN
 from calib.model.parameters import FRAME, TARGET
+
+#: Correlations beyond this are told, the largest few.
+_WORTH_NAMING, _MOST_PAIRS = 0.95, 4
 
 #: A parameter with a longer name gets a line for its name alone.
 _LONGEST_NAME = 46
@@ -63,6 +67,7 @@ def summary(c: Calibration) -> str:
         _ladder(c),
         _identified(c),
         _parameters(c),
+        _correlations(c),
         _larger(c),
         _solver(c),
     ]
@@ -216,6 +221,15 @@ def _ladder(c: Calibration) -> str:
         "  evidence: restricted log likelihood, less the best one's; a step up must gain 5"
     )
     return "\n".join(lines)
+
+
+def _correlations(c: Calibration) -> str:
+    """The pairs of parameters that hang together most, if any do."""
+    pairs = correlations(c, _WORTH_NAMING)[:_MOST_PAIRS]
+    if not pairs:
+        return ""
+    listed = ", ".join(f"{p.first} and {p.second} ({p.value:+.2f})" for p in pairs)
+    return wrap(f"Known together better than apart (correlation): {listed}.")
 
 
 def _larger(c: Calibration) -> str:

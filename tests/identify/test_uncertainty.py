@@ -13,10 +13,10 @@ from scipy.special import fdtri, stdtrit
 
 from calib.errors import CalibError, ModelError
 from calib.identify.calibration import Calibration, calibrate
+from calib.identify.correlations import correlations
 from calib.identify.uncertainty import (
     Bootstrap,
     bootstrap,
-    correlations,
     profile_interval,
     with_and_without,
     workspace_uncertainty,
