@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from calib.errors import CalibError
     from calib.identify.calibration import Calibration, calibrate
     from calib.identify.evaluation import Evaluation, evaluate
+    from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
     from calib.measure.cell import Cell, GroupDistance, Priors
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
@@ -36,9 +37,12 @@ __all__ = [
     "Payload",
     "Priors",
     "Robot",
+    "bootstrap",
     "calibrate",
     "evaluate",
+    "profile_interval",
     "show",
+    "workspace_uncertainty",
 ]
 
 _MODULES = {
@@ -51,8 +55,11 @@ _MODULES = {
     "Payload": "calib.model.torques",
     "Priors": "calib.measure.cell",
     "Robot": "calib.model.robot",
+    "bootstrap": "calib.identify.uncertainty",
     "calibrate": "calib.identify.calibration",
     "evaluate": "calib.identify.evaluation",
+    "profile_interval": "calib.identify.uncertainty",
+    "workspace_uncertainty": "calib.identify.uncertainty",
 }
 
 

@@ -27,9 +27,12 @@ NAMES = [
     "Payload",
     "Priors",
     "Robot",
+    "bootstrap",
     "calibrate",
     "evaluate",
+    "profile_interval",
     "show",
+    "workspace_uncertainty",
 ]
 
 #: The core handles nothing but arrays, and so must say their shapes.
