@@ -275,6 +275,7 @@ def _candidate(one: Candidate) -> dict[str, Any]:
             "without_outliers": errors_table(v.errors_without_outliers),
         },
         "chosen": one.chosen,
+        "needed": one.needed,
     }
 
 

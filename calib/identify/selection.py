@@ -11,6 +11,7 @@ that no URDF can hold (gain, eccentricity, compliance) are then added to it one 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,8 @@ LADDER = ("frames", "zeros", "dh", "hayati", "placement")
 
 #: What a step to a larger model must gain in restricted log likelihood. By chance, with no error of the added family
 #: there, twice the gain follows half a chi-squared distribution of one degree of freedom: fewer than 1 in 1,000 pass.
-_STEP = 5.0
+#: With few numbers its tail is heavier, and a step must gain more: `_STEP` (1 + `_FEW` / numbers left).
+_STEP, _FEW = 5.0, 20.0
 
 #: Errors on left-out rows may be worse by this share: rounding, and what any two models differ by.
 _NO_WORSE = 1.0
@@ -56,6 +58,7 @@ class Candidate:
             errors are without outliers.
         sizes: Size of the errors of each family.
         chosen: ``"geometry"``, ``"larger"`` or ``""``.
+        needed: What it had to gain over a smaller one in log likelihood.
     """
 
     name: str
@@ -64,6 +67,7 @@ class Candidate:
     cross_validation: CrossValidation
     sizes: dict[str, float]
     chosen: str = ""
+    needed: float = _STEP
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +101,9 @@ def select(task: Task, rows: Rows) -> Selection:
     weights = _robust_weights(task, rows)
     tried: dict[str, Candidate] = {}
     # Without priors the likelihood would be that of errors of metres: then left-out rows alone decide.
-    better = _better if task.cell.priors.sizes != "off" else _better_on_left_out_rows
+    step = _STEP * (1.0 + _FEW / max(rows.count - task.setup.count, 1))
+    supported = partial(_better, step=step)
+    better = supported if task.cell.priors.sizes != "off" else _better_on_left_out_rows
 
     def candidate(name: str) -> Candidate | None:
         if name not in tried:
@@ -138,7 +144,7 @@ def select(task: Task, rows: Rows) -> Selection:
     return Selection(
         geometry.name,
         larger,
-        tuple(replace(c, chosen=marks.get(c.name, "")) for c in tried.values()),
+        tuple(replace(c, chosen=marks.get(c.name, ""), needed=step) for c in tried.values()),
     )
 
 
@@ -193,9 +199,9 @@ def _candidate(name: str, fitted: Fitted) -> Candidate:
     )
 
 
-def _better(one: Candidate, than: Candidate) -> bool:
+def _better(one: Candidate, than: Candidate, step: float = _STEP) -> bool:
     """Whether the data support a larger candidate in place of a smaller one."""
-    if one.log_likelihood < than.log_likelihood + _STEP:
+    if one.log_likelihood < than.log_likelihood + step:
         return False
     # Each row in units of its own scale would let one instrument decide; lengths and angles are asked one by one.
     a, b = (c.cross_validation.errors_without_outliers for c in (one, than))

@@ -218,7 +218,8 @@ def _ladder(c: Calibration) -> str:
             f"{words.get(one.chosen, '')}".rstrip()
         )
     lines.append(
-        "  evidence: restricted log likelihood, less the best one's; a step up must gain 5"
+        "  evidence: restricted log likelihood, less the best one's; a step up must gain "
+        f"{c.candidates[0].needed:.1f}"
     )
     return "\n".join(lines)
 
