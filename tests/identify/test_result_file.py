@@ -427,7 +427,7 @@ def test_a_result_read_back_meets_every_row_as_the_fit_did(case: Any, tmp_path: 
                 known.frames[c.setup.groups[0]] @ stored.tip_poses(robot, q) @ known.targets[target]
             )
             wanted = c.predict_poses(q, target=target, group=c.setup.groups[0])
-                np.testing.assert_allclose(seen, wanted, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(seen, wanted, rtol=0, atol=1e-9)
 
 
 def test_ties_and_frozen_parameters_are_read_back(everything: Calibration, tmp_path: Path):
