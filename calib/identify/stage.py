@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.diagnostics import repeats
 from calib.identify.problem import Problem
+from calib.identify.repeats import repeats
 from calib.identify.robust import (
     Limits,
     cauchy_weights,
