@@ -1,6 +1,6 @@
 """Residuals that are not noise: patterns against joint values, drift with time.
 
-What the fit could still reach with its own regressors is left out of every test, see `residual_test`. Scalars of weight
+What the fit could still reach with its own regressors is left out of every test, see `significance`. Scalars of weight
 0 are no measurements and are left out before. Repeats of a pose share what the model lacks there: their mean is one
 measurement, not many. Components that an instrument measures less well than others are brought to one size first.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.identify.residual_test import (
+from calib.identify.significance import (
     CUT,
     Explained,
     even_factors,

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 
 import calib
-from calib.identify.calibration import Calibration
 from calib.identify.correlations import correlations
 from calib.identify.findings import Outlier
+from calib.identify.result import Calibration
 from calib.identify.statistics import Errors
 from calib.identify.words import frame_text, target_text, three, wrap
 from calib.model.observability import SHOWN

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from calib.identify.residual_test import CUT, norms_of, range_of
+from calib.identify.significance import CUT, norms_of, range_of
 
 Array = NDArray[np.float64]
 

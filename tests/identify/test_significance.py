@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.identify.residual_test import CUT, even_factors, explained, norms_of, range_of
+from calib.identify.significance import CUT, even_factors, explained, norms_of, range_of
 
 
 def deficient(rng: np.random.Generator, rows: int, rank: int, columns: int) -> np.ndarray:
