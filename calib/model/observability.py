@@ -218,7 +218,7 @@ def _combination(
     """
     size = np.abs(row)
     share = size * effect
-    least = _NAMED_EFFECT * max(share.max(), _NEGLIGIBLE * size.max() * effect.max())
+    least = max(_NAMED_EFFECT * share.max(), _NEGLIGIBLE * size.max() * effect.max())
     chosen = [int(k) for k in np.flatnonzero((share > least) | (size == size.max()))]
     return Combination(
         names=tuple(names[k] for k in chosen),
