@@ -56,7 +56,7 @@ class Options:
         bounds: shape (p, 2), lowest and highest value of each parameter; None without.
         nominal: shape (p,), where single priors have their means; None: at 0.
         repeats: What repeats of a pose count for: ``"weighted"``, ``"average"`` or ``"independent"``.
-        weights: shape (N,), weights that stay, of an estimation before; None to find them.
+        weights: shape (N,), weights that stay, repeats shared out, of an estimation before; None to find them.
     """
 
     priors: Priors = field(default_factory=Priors)
@@ -168,21 +168,22 @@ def _estimate(
     stage = Stage.first(problem, holds, options.weights)
     solution = solve(stage.problem(problem), holds.centre.copy(), _ROUGH)
     linear = Linear.at(problem, solution.x)
-    stage = stage.sharing(linear, problem.rows.poses, options.repeats)
+    repeats = options.repeats if options.weights is None else "independent"  # shared out before
+    stage = stage.sharing(linear, problem.rows.poses, repeats)
     *_, freedom = linear.fit(stage.effective, stage.noise, stage.precision, holds.centre)
     robust = options.robust and options.weights is None and freedom > FEWEST_FREEDOM
     if robust:
         for _ in range(_ROUNDS):
             before, linear = stage, Linear.at(problem, solution.x)
             stage = stage.by_median(linear)
-            stage = stage.sharing(linear, problem.rows.poses, options.repeats)
+            stage = stage.sharing(linear, problem.rows.poses, repeats)
             solution = solve(stage.problem(problem), solution.x, _ROUGH).after(solution)
             if np.max(np.abs(stage.effective - before.effective)) < 0.02:
                 break
     for _ in range(_ROUNDS):
         before, linear = stage, Linear.at(problem, solution.x)
         stage = stage.by_likelihood(linear, robust=robust)
-        stage = stage.sharing(linear, problem.rows.poses, options.repeats)
+        stage = stage.sharing(linear, problem.rows.poses, repeats)
         solution = solve(stage.problem(problem), solution.x, _ROUGH).after(solution)
         if stage.is_like(before):
             break

@@ -119,7 +119,7 @@ def fit(task: Task, rows: Rows, weights: Array | None = None) -> Fitted:
     Args:
         task: What to fit.
         rows: The rows to fit.
-        weights: shape (N,), weights that stay; None to find them.
+        weights: shape (N,), weights that stay, repeats shared out; None to find them.
 
     Raises:
         ModelError: Unknown solver, parameter set or parameter.

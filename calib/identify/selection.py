@@ -1,8 +1,9 @@
 """auto: how much model the data support, decided by the data.
 
-Every candidate is fitted with prior sizes and noise by restricted likelihood, with the same robust weights, so that
-likelihoods can be compared: a candidate that adds errors the data do not show gains nothing, whatever its number of
-parameters. One step up the ladder must gain `_STEP` in log likelihood, and must not be worse on left-out rows.
+Every candidate is fitted with prior sizes and noise by restricted likelihood, with the same weights of the rows, for
+outliers and for repeats, so that likelihoods can be compared: a candidate that adds errors the data do not show gains
+nothing, whatever its number of parameters. One step up the ladder must gain `_STEP` in log likelihood, and must not be
+worse on left-out rows.
 
 The geometry (frames only, zeros, DH, Hayati, full placement) is chosen first: it alone goes into a URDF. The families
 that no URDF can hold (gain, eccentricity, compliance) are then added to it one by one, as long as one of them passes.
@@ -98,7 +99,7 @@ def select(task: Task, rows: Rows) -> Selection:
     """
     _check_names(task)
     task = replace(task, lenient=True)
-    weights = _robust_weights(task, rows)
+    weights = _common_weights(task, rows)
     tried: dict[str, Candidate] = {}
     # Without priors the likelihood would be that of errors of metres: then left-out rows alone decide.
     step = _STEP * (1.0 + _FEW / max(rows.count - task.setup.count, 1))
@@ -148,8 +149,11 @@ def select(task: Task, rows: Rows) -> Selection:
     )
 
 
-def _robust_weights(task: Task, rows: Rows) -> Array:
-    """The weights by the largest geometry that there are enough rows for, shape (N,).
+def _common_weights(task: Task, rows: Rows) -> Array:
+    """The weights by the largest geometry that there are enough rows for, repeats shared out, shape (N,).
+
+    What a smaller model leaves over is shared by the repeats of a pose. Weights of its own would thus let it answer for
+    fewer numbers than a larger one, and their likelihoods would be those of different data.
 
     Raises:
         MeasurementError: There are too few for any.
@@ -160,7 +164,9 @@ def _robust_weights(task: Task, rows: Rows) -> Array:
         for name in LADDER
         if task.cell.priors.sizes != "off" or len(model_of(replace(task, model=name))) <= rows.count
     ]
-    return fit(replace(task, model=enough[-1] if enough else LADDER[0]), rows).estimate.weights
+    return fit(
+        replace(task, model=enough[-1] if enough else LADDER[0]), rows
+    ).estimate.problem.weights
 
 
 def _check_names(task: Task) -> None:

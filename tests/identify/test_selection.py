@@ -168,3 +168,18 @@ def test_held_joints_leave_less_to_choose(make_scene):
     robot = Robot.load(paper_urdf(), base="base", tip="tool0", held={"wrist_3_joint": 0.2})
     found = chosen(scene_of(make_scene, 117, "zeros", robot=robot))
     assert (found.geometry, found.larger) == ("zeros", "")
+
+
+@pytest.mark.parametrize("sigma", [None, 1e-5, 1e-3])
+def test_repeats_count_the_same_in_every_candidate_whatever_sigma_is_given(make_scene, sigma):
+    """What a small model lacks is shared by repeats: with weights of its own it would answer for fewer numbers."""
+    scene = scene_of(make_scene, 117, "dh", noise=3e-4)
+    q = np.repeat(random_joint_values(scene.robot, 30, 5), 5, axis=0)
+    seen = scene.kinematics.points(scene.x, scene.samples(len(q), q=q))
+    table = Measurements(
+        scene.robot.joint_names, q, seen + scene.noise * scene.rng.normal(size=seen.shape)
+    )
+    cell = Cell(sigma=sigma)
+    rows, setup = rows_of(scene.robot, table, cell)
+    found = select(Task(scene.robot, cell, setup, "auto"), rows)
+    assert found.geometry == "dh"
