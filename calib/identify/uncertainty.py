@@ -12,13 +12,15 @@ fitted again: B. Efron, R. J. Tibshirani, An Introduction to the Bootstrap, 1993
 of the noise) and 13.3 (percentile intervals). Where a prior takes part, drawing rows alone would leave it where it is
 and find no spread in what only the prior holds; so each sample draws the priors' means too, from the priors themselves
 (J. M. Bardsley and others, Randomize-then-optimize, SIAM Journal on Scientific Computing 36, 2014; with resampled rows
-E. Pompe, Introducing prior information in weighted likelihood bootstrap, arXiv:2103.14445, 2021). For a linear
-problem the samples' covariance is then
+E. Pompe, Introducing prior information in weighted likelihood bootstrap, arXiv:2103.14445, 2021). Known distances
+between set-ups are such knowledge too and are drawn about what was given. For a linear problem the samples' covariance
+is then
 
     C (sum_i A_i^T W_i r_i r_i^T W_i A_i + P) C
 
-which is C where the residuals r are noise as large as was found, and says more where they are not. With few rows for a
-parameter it is too wide (N. El Karoui, E. Purdom, Can we trust the bootstrap in high-dimensions?, JMLR 19, 2018).
+with the known distances' part in P, which is C where the residuals r are noise as large as was found, and says more
+where they are not. With few rows for a parameter it is too wide (N. El Karoui, E. Purdom, Can we trust the bootstrap in
+high-dimensions?, JMLR 19, 2018).
 
 **Profile.** The interval of one parameter where the cost, minimised over all others, has risen by no more than the
 quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 1988, section 6.1. For a linear problem
@@ -28,7 +30,7 @@ that is estimate +- t std.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -169,6 +171,13 @@ def bootstrap(
             problem.scales,
             problem.precision,
             problem.centre + wide * rng.normal(size=len(start)),
+        )
+        sample = replace(
+            sample,
+            distances=tuple(
+                replace(d, length=d.length + d.sigma * float(rng.normal()))
+                for d in problem.distances
+            ),
         )
         solution = _solved(fitted, sample, start)
         x[k], stopped = solution.x, stopped + (solution.status != "converged")

@@ -21,7 +21,7 @@ from calib.identify.uncertainty import (
     with_and_without,
     workspace_uncertainty,
 )
-from calib.measure.cell import Cell, Priors
+from calib.measure.cell import Cell, GroupDistance, Priors
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
@@ -257,6 +257,20 @@ class TestBootstrap:
         # Beyond the first order an unknown turn of the whole arm leaves a trace.
         assert found.measured_rms == pytest.approx(result.expected_measured, rel=0.2)
         assert found.everywhere_rms == pytest.approx(result.expected_everywhere, rel=0.2)
+
+    def test_known_distances_are_drawn_too(self, make_scene, join):
+        """Sockets have their scale from them alone: they are not known better than they were said to be."""
+        frames = scene_of("sockets", make_scene, join)[0].kinematics.T_frame_base
+        scene = make_scene(39, frames=frames, length=3e-4, angle=3e-3, noise=2e-5)
+        at = [-T[:3, :3].T @ T[:3, 3] for T in frames]
+        length = float(np.linalg.norm(at[0] - at[1]))
+        cell = Cell(model="dh", distances=(GroupDistance("0", "1", length, 1e-4),))
+        table = join(*(scene.fixed(40, f) for f in range(3)))
+        result = calibrate(scene.robot, table, cell=cell, validate=False)
+        found = bootstrap(result, 200, 1)
+        for name in ("a2", "a3"):
+            ratio = found.std[result.model.index(name)] / result.parameter(name).std
+            assert 0.75 < ratio < 1.25
 
     def test_the_seed_decides_and_progress_is_told(self, of_target: Calibration):
         told: list[tuple[int, int]] = []
