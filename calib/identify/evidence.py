@@ -11,6 +11,7 @@ from calib.identify.coverage import coverage, outside_sentence
 from calib.identify.crossvalidation import only_there
 from calib.identify.fitting import Fitted, fit
 from calib.identify.patterns import drift, joint_patterns
+from calib.identify.repeats import pose_means
 from calib.identify.result import Calibration
 from calib.identify.rows import FIXED, PLANE, Rows
 from calib.identify.stage import Linear
@@ -167,7 +168,6 @@ def missing_model(fitted: Fitted, rows: Rows) -> str:
         model="placement",
         cell=replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={}),
         solver="lm",
-        robust=True,
     )
     other = fit(full, rows).estimate
     noise, less = fitted.estimate.noise[0], other.noise[0]
@@ -258,7 +258,7 @@ def disagreeing_setups(fitted: Fitted) -> tuple[str, ...]:
     linear = Linear.at(problem, estimate.x)
     known = linear.known(problem.precision, problem.centre)
     noise = linear.noise_of(estimate.noise)
-    alive = linear.used & (estimate.weights > 0.0)[:, None]
+    counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
     names, squares, freedoms, variances, left = [], [], [], [], []
     for g in range(count):
         own = labels == g
@@ -267,23 +267,24 @@ def disagreeing_setups(fitted: Fitted) -> tuple[str, ...]:
         x, covariance = data.posterior(estimate.noise, known)
         loose = only_there(fitted.kinematics.model, fitted.setup, rows, own)
         x = np.where(loose, estimate.x, x)
-        others = alive & ~own[:, None]
         paid = float(np.sum(np.einsum("cij,ji->c", data.H, covariance) / np.square(estimate.noise)))
         freedom = float(np.sum(data.count)) - paid
-        rest = ((linear.y - linear.A @ x) / noise)[others]
-        chosen = alive & own[:, None]
-        A = (linear.A / noise[:, :, None])[chosen]
+        rest = np.where(linear.used, (linear.y - linear.A @ x) / noise, 0.0)
+        # Repeats count for one measurement where they share what the model lacks.
+        chosen = own & counts
+        at, alike = problem.weights[chosen], rows.poses[chosen]
+        r, first = pose_means(rest[chosen], at, alike)
+        A, _ = pose_means((linear.A / noise[:, :, None])[chosen], at, alike)
+        there = linear.used[chosen][first]
+        A = A[there]
         square, degrees = prediction_square(
-            ((linear.y - linear.A @ x) / noise)[chosen],
-            A[:, ~loose],
-            covariance[np.ix_(~loose, ~loose)],
-            A[:, loose],
+            r[there], A[:, ~loose], covariance[np.ix_(~loose, ~loose)], A[:, loose]
         )
         groups = dict.fromkeys(fitted.setup.groups[f] for f in rows.samples.frame[own])
         names.append(" and ".join(groups))
         squares.append(square)
         freedoms.append(degrees)
-        variances.append(float(rest @ rest) / max(freedom, 1.0))
+        variances.append(float(weights @ np.sum(rest**2, axis=1)) / max(freedom, 1.0))
         left.append(max(freedom, 0.0))
     found = unpredicted_setup(
         names, np.array(squares), np.array(freedoms), np.array(variances), np.array(left)

@@ -81,6 +81,26 @@ def repeats(
     return Repeats(within, freedoms, float(freedoms.sum()), rho)
 
 
+def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, Integers]:
+    """Means over the repeats of each pose, as large as one row of the same noise: sum w v / sqrt(sum w).
+
+    With the weights that `calib.identify.stage.Stage.sharing` gives to repeats they have the variance of one row, and
+    are independent of each other, however much the repeats share.
+
+    Args:
+        values: shape (N, ...), whitened.
+        weights: shape (N,), above 0, repeats shared out.
+        poses: shape (N,), the pose of each row.
+
+    Returns:
+        shape (K, ...), and shape (K,), the first row of each pose.
+    """
+    _, first, pose = np.unique(poses, return_index=True, return_inverse=True)
+    scale = weights / np.sqrt(np.bincount(pose, weights))[pose]
+    sums = _by_pose(pose, values.reshape(len(values), -1) * scale[:, None])
+    return sums.reshape(len(first), *values.shape[1:]), first
+
+
 def _count(groups: Integers) -> int:
     """The number of groups."""
     return int(groups.max(initial=-1)) + 1

@@ -17,6 +17,7 @@ from calib.identify.evidence import (
     still_joints,
     validation_errors,
 )
+from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.readback import random_joint_values
@@ -137,6 +138,41 @@ def test_a_set_up_that_the_others_do_not_predict(calibrated):
     assert slipped.verdict.use == "use with care"
     assert "'1'" not in reasons(good)
     assert len(disagreeing_setups(good.fitted)) == 0
+
+
+def test_a_set_up_that_the_others_do_not_predict_though_its_poses_are_repeated(make_scene, join):
+    """What is off there is shared by the repeats of a pose: they count for little, and so must the noise."""
+
+    def found(moved: float) -> tuple[str, ...]:
+        scene = make_scene(3, frames=3, length=3e-4, angle=3e-3, noise=2e-5)
+        tables = []
+        for f in range(3):
+            q = np.repeat(random_joint_values(scene.robot, 12, 10 + f), 6, axis=0)
+            x = scene.x.copy()
+            x[scene.kinematics.model.index("theta3")] += moved if f == 2 else 0.0
+            samples = scene.samples(len(q), f, q=q)
+            points = scene.kinematics.points(x, samples)
+            noise = scene.noise * scene.rng.normal(size=points.shape)
+            groups = (str(f),) * len(q)
+            tables.append(Measurements(scene.robot.joint_names, q, points + noise, groups=groups))
+        cell = Cell(estimate_frame=True, model="dh")
+        result = calibrate(scene.robot, join(*tables), cell=cell, validate=False)
+        return disagreeing_setups(result.fitted)
+
+    assert found(0.0) == ()
+    assert any("do not predict set-up '2'" in sentence for sentence in found(4e-4))
+
+
+def test_an_outlier_that_keeps_its_weight_is_no_error_of_the_robot(make_scene):
+    """The larger model that a fit is compared with treats rows as that fit does."""
+    scene = make_scene(31, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=5e-5)
+    table = scene.points(60)
+    points = table.points.copy()
+    points[5, 0] += 3e-3
+    result = calibrate(
+        scene.robot, replace(table, points=points), cell=Cell(model="dh"), robust=False
+    )
+    assert "lacks" not in reasons(result)
 
 
 def test_a_set_up_whose_rows_are_flagged(calibrated):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.identify.repeats import repeats
+from calib.identify.repeats import pose_means, repeats
 
 
 def measured(rng, counts, *, shared=1.0, noise=1.0, columns=3):
@@ -163,3 +163,23 @@ def test_the_weights_give_the_best_mean():
     sizes = {name: np.std(means) for name, means in spread.items()}
     assert sizes["right"] < 0.8 * sizes["all alike"]
     assert sizes["right"] < 1.01 * sizes["poses alike"]
+
+
+def test_means_of_poses_are_as_large_as_rows():
+    """Whatever repeats share, the weights 1 / (1 + (n - 1) rho) make their mean a row of the same variance."""
+    rng = np.random.default_rng(6)
+    counts = rng.integers(1, 8, 4000)
+    residual, poses = measured(rng, counts, shared=0.6, noise=0.8)
+    weights = 1.0 / (1.0 + (counts - 1.0) * 0.36)
+    means, first = pose_means(residual[:, :, None], weights[poses], poses)
+    assert means.shape == (4000, 3, 1)
+    assert poses[first].tolist() == list(range(4000))
+    for n in (1, 4, 7):
+        assert np.std(means[counts == n]) == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_mean_of_a_pose_measured_once_is_its_row():
+    values = np.arange(6.0).reshape(3, 2)
+    means, first = pose_means(values, np.ones(3), np.array([2, 0, 1]))
+    np.testing.assert_allclose(means, values[[1, 2, 0]])
+    assert first.tolist() == [1, 2, 0]
