@@ -77,7 +77,8 @@ def parameter_estimates(
         delta = x[k]
         if parameter.family == TARGET and parameter.unit == "m":
             t = places.index(parameter.place) - first_target
-            axis = int(np.flatnonzero(parameter.direction)[0])
+            start = fitted.kinematics.T_tip_target[t, :3, :3]
+            axis = int(np.argmax(np.abs(start @ parameter.direction[:3])))  # of the tip
             value = fitted.kinematics.T_tip_target[t, axis, 3] + _shift(fitted, t)[axis]
             known = bool(given.target_given[t])
             nominal = float(given.T_tip_target[t, axis, 3]) if known else None

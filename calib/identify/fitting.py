@@ -18,7 +18,7 @@ from calib.identify.problem import KnownDistance, Problem
 from calib.identify.registration import register, register_poses
 from calib.identify.robust import scores
 from calib.identify.rows import POINT, Rows
-from calib.identify.setup import Setup, along_own_axes
+from calib.identify.setup import Setup, along_own_axes, targets_along_tip
 from calib.identify.solvers import (
     Solution,
     levenberg_marquardt,
@@ -137,7 +137,7 @@ def fit(task: Task, rows: Rows, weights: Array | None = None) -> Fitted:
     no_frame = np.zeros(len(task.setup.groups), dtype=bool)
     started = register(task.robot, task.setup.as_known(no_frame, known), rows)
     started = replace(started, target_unknown=task.setup.target_unknown)
-    model = along_own_axes(model, started)
+    model = targets_along_tip(along_own_axes(model, started), started)
     kinematics = Kinematics(task.robot, model, started.T_frame_base, started.T_tip_target)
     problem = Problem.first(kinematics, rows, _between_seen(task.distances, rows))
     if task.solver == "paper":

@@ -13,7 +13,7 @@ from calib.identify.problem import Problem
 from calib.identify.registration import register
 from calib.identify.rows import DISTANCE, Rows
 from calib.identify.selection import AUTO
-from calib.identify.setup import along_own_axes
+from calib.identify.setup import along_own_axes, targets_along_tip
 from calib.identify.table_rows import known_distances, rows_of
 from calib.measure.cell import Cell
 from calib.measure.kinds import KINDS
@@ -92,6 +92,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
     seen = set(rows.samples.frame.tolist())
     distances = tuple(d for d in known_distances(cell, setup) if {d.first, d.second} <= seen)
     model = along_own_axes(model_of(Task(robot, cell, setup, name, distances)), setup)
+    model = targets_along_tip(model, setup)
     kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
     x = np.zeros(len(model))
     poses, twists = kinematics.twists(x, rows.samples)

@@ -13,7 +13,7 @@ from calib.identify.rows import DISTANCE, FIXED, FRAME_DIRECTIONS, NONE, PAIR, P
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import DIRECTIONS
-from calib.model.parameters import ErrorModel, Parameter, frame_place
+from calib.model.parameters import ErrorModel, Parameter, frame_place, target_place
 from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
@@ -162,19 +162,41 @@ def along_own_axes(model: ErrorModel, setup: Setup) -> ErrorModel:
     for f, name in enumerate(setup.frame_unknowns):
         if setup.own_axes[f]:
             turned[frame_place(name)] = setup.T_frame_base[f, :3, :3].T
+    return _turned(model, turned, ("m", "rad"))
+
+
+def targets_along_tip(model: ErrorModel, setup: Setup) -> ErrorModel:
+    """The model with the positions of targets along the tip's axes, in which they are given and told.
+
+    A target is displaced in its own frame, T_tip_target D; its angles stay about its own axes.
+
+    Args:
+        model: With the set-up's targets.
+        setup: Targets where they start.
+    """
+    turned = {}
+    for t, name in enumerate(setup.target_names):
+        R = setup.T_tip_target[t, :3, :3]
+        if not np.array_equal(R, np.eye(3)):
+            turned[target_place(name)] = R.T
+    return _turned(model, turned, ("m",))
+
+
+def _turned(model: ErrorModel, turned: Mapping[str, Array], units: tuple[str, ...]) -> ErrorModel:
+    """The model with the directions at some places turned, of parameters of these units."""
     if not turned:
         return model
 
-    def own(one: Parameter) -> Parameter:
-        if one.place not in turned:
+    def turn(one: Parameter) -> Parameter:
+        if one.place not in turned or one.unit not in units:
             return one
         direction = (turned[one.place] @ one.direction.reshape(2, 3).T).T.ravel()
         return replace(one, direction=read_only(direction))
 
     return replace(
         model,
-        parameters=tuple(own(one) for one in model.parameters),
-        terms=tuple(own(one) for one in model.terms),
+        parameters=tuple(turn(one) for one in model.parameters),
+        terms=tuple(turn(one) for one in model.terms),
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calib.identify.calibration import calibrate
+from calib.measure.cell import Cell
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say(calibrated):
@@ -43,3 +44,19 @@ def test_each_target_counts_from_where_it_was_given(calibrated):
         assert free.nominal is None
         for p, t in ((known, 0), (free, 1)):
             assert p.value == pytest.approx(found.setup.T_tip_target[t, axis, 3], abs=1e-12)
+
+
+def test_a_turned_target_has_its_interval_and_prior_along_the_tips_axes(make_scene):
+    """Value, prior and interval of ``target_x`` are of one axis, the one that the target is given in."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.05, 0.04, 0.16]
+    given = T[:3, 3] + [1e-3, 1e-3, 0.0]
+    scene = make_scene(
+        100, frames=[np.eye(4)], targets=[T], length=0, angle=0, noise=1e-4, noise_angle=1e-4
+    )
+    cell = Cell(model="zeros", target=given, parameter_priors={"target_x": 1e-7})
+    found = calibrate(scene.robot, scene.poses(40), cell=cell, validate=False)
+    assert found.parameter("target_x").delta == pytest.approx(0.0, abs=3e-7)
+    assert found.parameter("target_x").std == pytest.approx(1e-7, rel=0.01)
+    assert abs(found.parameter("target_y").delta) > 5e-4
+    assert found.parameter("target_y").std > 1e-5
