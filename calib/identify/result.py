@@ -24,7 +24,7 @@ from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
-from calib.model.parameters import ErrorModel
+from calib.model.parameters import FRAME, ErrorModel
 from calib.model.readback import check_written, random_joint_values
 from calib.model.robot import Robot, rigid_inverse
 from calib.model.torques import gravity_load
@@ -245,8 +245,7 @@ class Calibration:
         fitted = self._fit(larger=larger)
         samples = self.samples(q, target=target, group=group)
         poses = fitted.kinematics.poses(fitted.estimate.x, samples)
-        if group is None and not np.any(self.measurements.of_kind("point", "pose")):
-            # No instrument has a frame: sockets, planes and anchors stand in the base.
+        if self._in_base(group):
             poses = rigid_inverse(fitted.placed().T_frame_base[0]) @ poses
         return poses
 
@@ -268,6 +267,8 @@ class Calibration:
         fitted = self._fit(larger=larger)
         samples = self.samples(q, target=target, group=group)
         _, jacobian = fitted.kinematics.points_jacobian(fitted.estimate.x, samples)
+        if self._in_base(group):  # where sockets stand in it is no part of what is predicted
+            jacobian = np.where(fitted.kinematics.model.family(FRAME), 0.0, jacobian)
         covariance = fitted.estimate.covariance
         return np.asarray(np.sqrt(np.einsum("nij,jk,nik->n", jacobian, covariance, jacobian)))
 
@@ -281,6 +282,10 @@ class Calibration:
         types = [joint.type for joint in self.nominal.inputs]
         asked = np.atleast_2d(np.asarray(q, dtype=np.float64))
         return outside(seen, asked, self.nominal.joint_names, types)
+
+    def _in_base(self, group: str | None) -> bool:
+        """Whether predictions are in the base: no instrument has a frame, sockets, planes and anchors stand there."""
+        return group is None and not np.any(self.measurements.of_kind("point", "pose"))
 
     def _fit(self, *, larger: bool) -> Fitted:
         """The fit to predict with."""

@@ -297,7 +297,7 @@ def _parameters(c: Calibration) -> str:
     for p in shown:
         scale, unit = (1e3, "mm") if p.unit == "m" else (np.degrees(1.0), "deg")
         nominal = "-" if p.nominal is None else three(scale * p.nominal)
-        half = 0.5 * scale * (p.high - p.low)
+        half = "at bound" if p.at_bound else f"{0.5 * scale * (p.high - p.low):.3g}"
         value = three(scale * p.value)
         delta = "-" if p.nominal is None else three(scale * p.delta, "+")
         mark = "" if p.identifiable else " *"
@@ -305,9 +305,7 @@ def _parameters(c: Calibration) -> str:
         if len(name) > _LONGEST_NAME:
             lines.append(wrap(name))
             name = ""
-        lines.append(
-            f"{name:<{width}}{nominal:>12}{value:>12}{delta:>11}{half:>10.3g} {unit}{mark}"
-        )
+        lines.append(f"{name:<{width}}{nominal:>12}{value:>12}{delta:>11}{half:>10} {unit}{mark}")
     if not all(p.identifiable for p in shown):
         lines.append("* known in combination with others only; see above")
     return "\n".join(lines)

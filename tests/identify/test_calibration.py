@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -574,6 +575,7 @@ def test_parameters_by_exact_name_hold_under_auto(make_scene):
     bounded = held.parameter("alpha1")
     assert bounded.delta == pytest.approx(1e-4, rel=1e-9)
     assert bounded.at_bound
+    assert re.search(r"^alpha1 .* at bound deg$", held.summary(), re.MULTILINE)
     assert not free.parameter("alpha1").at_bound
     assert abs(held.parameter("d5").delta) < 1e-7
     terms = dict(zip([t.name for t in held.model.terms], held.model.values(held.x), strict=True))

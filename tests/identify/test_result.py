@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -81,6 +83,22 @@ def test_positions_are_as_sure_as_their_errors_are_small(calibrated):
     std = c.position_std(q)
     assert 0.4 < np.sqrt(np.mean(errors**2) / np.mean(std**2)) < 2.0
     assert np.sqrt(np.mean(std**2)) == pytest.approx(c.expected_everywhere, rel=0.15)
+
+
+def test_without_an_instrument_s_frame_positions_are_as_sure_as_they_are_in_the_base(calibrated):
+    """By differences of what `predict` gives, the socket's frame left out of it."""
+    _, c = calibrated("sockets")
+    q = random_joint_values(c.nominal, 5, 3)
+    step = 1e-6
+
+    def at(x):
+        estimate = replace(c.fitted.estimate, x=x)
+        return replace(c, fitted=replace(c.fitted, estimate=estimate)).predict(q)
+
+    x = c.fitted.estimate.x
+    J = np.stack([(at(x + e) - at(x - e)) / (2 * step) for e in step * np.eye(len(x))], axis=2)
+    expected = np.sqrt(np.einsum("nij,jk,nik->n", J, c.covariance, J))
+    np.testing.assert_allclose(c.position_std(q), expected, rtol=1e-3)
 
 
 def test_the_larger_model_is_surer_where_it_is_the_true_one(calibrated):
