@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.errors import MeasurementError
 from calib.identify.fitting import Fitted, Task, fit, nominal_setup, predict, without_outliers
 from calib.identify.registration import register_poses
-from calib.identify.rows import POSE, Rows
+from calib.identify.rows import FRAME_DIRECTIONS, POINT, POSE, Rows
 from calib.identify.setup import Setup
 from calib.identify.stage import Linear
 from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
@@ -27,11 +27,14 @@ Progress = Callable[[int, int], None]
 def folds_of(task: Task, rows: Rows) -> Folds:
     """Which rows are left out together: set-ups from three on, else poses with their repeats and pairs.
 
+    A set-up stays whole with the others where it alone says what they cannot: orientations, or where the base stands.
+
     Raises:
         MeasurementError: Too few rows to leave any out.
     """
     setups = joined_setups(rows, task.distances)
-    result = folds(_blocks(rows), setups if _turned_elsewhere(rows, setups) else None)
+    whole = _turned_elsewhere(rows, setups) and _base_elsewhere(task.setup, rows, setups)
+    result = folds(_blocks(rows), setups if whole else None)
     if len(result.masks) < 2:
         message = (
             f"{len(rows)} row{'s' * (len(rows) > 1)} of one pose cannot be cross-validated: none is left to fit. "
@@ -107,6 +110,14 @@ def _turned_elsewhere(rows: Rows, setups: NDArray[np.int_]) -> bool:
     return all(
         len(np.unique(setups[turned & (targets == t)])) > 1 for t in np.unique(targets[turned])
     )
+
+
+def _base_elsewhere(setup: Setup, rows: Rows, setups: NDArray[np.int_]) -> bool:
+    """Whether no set-up, or more than one, is measured in a known frame: one alone tells where the base stands."""
+    free = len(FRAME_DIRECTIONS[POINT])
+    known = np.array([len(unknown) < free for unknown in setup.unknown])
+    points = (rows.kinds == POINT) | (rows.kinds == POSE)
+    return len(np.unique(setups[points & known[rows.samples.frame]])) != 1
 
 
 def _blocks(rows: Rows) -> NDArray[np.int_]:

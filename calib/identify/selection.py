@@ -7,6 +7,7 @@ worse on left-out rows.
 
 The geometry (frames only, zeros, DH, Hayati, full placement) is chosen first: it alone goes into a URDF. The families
 that no URDF can hold (gain, eccentricity, compliance) are then added to it one by one, as long as one of them passes.
+What they left over may have hidden a larger geometry: with one of them found, the sets above are asked again.
 """
 
 from __future__ import annotations
@@ -116,12 +117,14 @@ def select(task: Task, rows: Rows) -> Selection:
         return tried[name]
 
     best: Candidate | None = None
+    geometries: list[str] = []
     seen: set[tuple[str, ...]] = set()
     for name in LADDER:
         columns = model_of(replace(task, model=name)).names
         if not columns or columns in seen:
             continue  # nothing to estimate, or the same as before: hayati without near-parallel axes is dh
         seen.add(columns)
+        geometries.append(name)
         one = candidate(name)
         if one is not None and (best is None or better(one, best)):
             best = one
@@ -133,13 +136,12 @@ def select(task: Task, rows: Rows) -> Selection:
         raise MeasurementError(message)
     geometry = best
     families = [f for f in JOINT_FAMILIES if f != COMPLIANCE or _has_load(rows)]
-    while families:
-        steps = [(f, candidate(f"{best.name}+{f}")) for f in families]
-        passed = [(f, c) for f, c in steps if c is not None and better(c, best)]
+    while True:
+        names = _steps(best.name, geometries, families)
+        passed = [c for c in map(candidate, names) if c is not None and better(c, best)]
         if not passed:
             break
-        family, best = max(passed, key=lambda pair: pair[1].log_likelihood)
-        families.remove(family)
+        best = max(passed, key=lambda one: one.log_likelihood)
     larger = best.name if best is not geometry else ""
     marks = {geometry.name: "geometry", larger: "larger"}
     return Selection(
@@ -147,6 +149,14 @@ def select(task: Task, rows: Rows) -> Selection:
         larger,
         tuple(replace(c, chosen=marks.get(c.name, ""), needed=step) for c in tried.values()),
     )
+
+
+def _steps(name: str, geometries: list[str], families: list[str]) -> list[str]:
+    """The models one step up from a model: one family more and, with any family in it, a larger geometry."""
+    geometry, *has = name.split("+")
+    larger = geometries[geometries.index(geometry) + 1 :] if has else []
+    more = [f for f in families if f not in has]
+    return [*(f"{name}+{f}" for f in more), *("+".join([g, *has]) for g in larger)]
 
 
 def _common_weights(task: Task, rows: Rows) -> Array:

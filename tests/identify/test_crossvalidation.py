@@ -86,6 +86,23 @@ def test_a_set_up_that_alone_measures_orientations_is_not_left_out_whole(calibra
     assert case[1].cross_validation.errors.rms_angle < 1e-3
 
 
+def test_a_set_up_that_alone_is_in_a_known_frame_is_not_left_out_whole(make_scene, join):
+    """Planes and anchors do not say where the base stands: without the points it is anywhere."""
+    frames = [np.eye(4) for _ in range(4)]
+    for k, T in enumerate(frames):
+        T[:3, 3] = [-0.3, 0.1 * k, -0.3]
+    frames[0] = np.eye(4)
+    scene = make_scene(83, frames=frames, model="placement", length=3e-4, angle=3e-3, noise=2e-5)
+    wires = [scene.distances(20, f) for f in (1, 2)]
+    table = join(scene.points(40), *wires, scene.plane(20, 3))
+    task, rows = task_of(scene, table, Cell())
+    assert folds_of(task, rows).method == "10-fold"
+    chosen = linear_cross_validation(fit(replace(task, model="placement"), rows))
+    assert chosen.errors.rms < 2e-4
+    task, rows = task_of(scene, join(*wires, scene.plane(20, 3)), Cell())
+    assert folds_of(task, rows).method == "leave-one-set-up-out"
+
+
 def test_repeats_are_left_out_together(make_scene):
     scene = make_scene(82, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
     m = scene.points(24)

@@ -80,6 +80,18 @@ def test_a_step_up_needs_likelihood_and_left_out_rows(make_scene):
         assert by_name[name].log_likelihood < by_name["dh"].log_likelihood + 5
 
 
+def test_a_larger_geometry_that_bending_hid_is_found_with_it(make_scene):
+    """What the joints' compliance leaves over covers the tilts of parallel axes."""
+    scene = scene_of(
+        make_scene, 113, "placement+compliance", angle=1e-3, other={"compliance": 2e-3}
+    )
+    found = chosen(scene, 50)
+    assert found.geometry != "placement"
+    assert found.larger == "placement+compliance"
+    errors = {c.name: c.cross_validation.errors.rms for c in found.candidates}
+    assert errors[found.larger] < 0.2 * errors[f"{found.geometry}+compliance"]
+
+
 def test_without_load_there_is_no_compliance_to_find(make_scene):
     scene = scene_of(make_scene, 113, "dh")
     weightless = chosen(scene, cell=Cell(gravity=np.zeros(3)))
