@@ -20,6 +20,9 @@ _MANY_OUTLIERS = 0.15
 #: Noise above this is no measuring instrument's: the set-up is wrong [m].
 _ABSURD_NOISE = 0.02
 
+#: An orientation error on unseen rows beyond this is no instrument's [rad].
+_ABSURD_ANGLE = 0.17
+
 #: A nominal robot that is off by more than this is more than uncalibrated [m].
 _ANOTHER_ROBOT = 0.02
 
@@ -126,6 +129,14 @@ def _wrong_setup(e: Evidence) -> list[str]:
             f"What the model leaves over is {1e3 * e.noise:.0f} mm a coordinate, which no arm or instrument explains: "
             "are base and tip the right links, the joint columns in the right order and with the right signs, the "
             "measurements in the base frame (otherwise: --frame estimate)?"
+        ]
+    after = e.calibrated.errors_without_outliers
+    if after.n_angle and after.rms_angle > _ABSURD_ANGLE:
+        return [
+            f"On rows it did not see the calibrated robot's orientations are {np.degrees(after.rms_angle):.0f} deg rms "
+            "off, which no arm or instrument explains: are they those of the target in the measurement frame and not "
+            "the inverse, is the scalar of the quaternion in the column qw, and are rx, ry, rz a rotation vector, not "
+            "roll, pitch and yaw?"
         ]
     return []
 

@@ -194,6 +194,22 @@ def test_a_model_that_explains_nothing_does_not_make_the_robot_right():
     assert "no better than the nominal one" in larger.reasons[0]
 
 
+def test_orientations_that_no_instrument_measures_are_a_wrong_set_up():
+    """Inverse orientations leave the positions as good as ever."""
+    turned = np.hstack([GOOD.calibrated.residual, np.full((ROWS, 3), 1.0)])
+    off = Errors.of(turned)
+    e = replace(
+        GOOD,
+        calibrated=replace(
+            GOOD.calibrated, residual=turned, errors=off, errors_without_outliers=off
+        ),
+    )
+    result = verdict(e)
+    assert result.use == "do not use"
+    assert "orientations are 99 deg rms off" in result.reasons[0]
+    assert "not the inverse" in result.reasons[0]
+
+
 def test_a_wrong_set_up_is_all_that_is_said():
     result = verdict(replace(GOOD, hint="Check the signs.", still=("'j1' (0 deg)",), parameters=60))
     assert result.reasons == ("Check the signs.",)
