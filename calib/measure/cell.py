@@ -20,7 +20,9 @@ from calib.errors import CalibError, choices
 from calib.measure import cell_parts as parts
 from calib.measure.cell_file import read_cell_file
 from calib.measure.cell_parts import PRIOR_SIZES, GroupDistance, Priors
+from calib.measure.checks import SIGMAS
 from calib.measure.kinds import check_kind
+from calib.measure.surroundings import Box, Reflector, Tracker, checked_boxes, checked_ranges
 from calib.model.robot import read_only
 from calib.model.torques import Payload
 
@@ -78,6 +80,10 @@ class Cell:
         repeats: How rows of one pose count: ``"weighted"``: as the noise between them and the one they share say;
             ``"average"``: as one row; ``"independent"``: each for itself.
         held: Values of joints that have no column in the table [rad] or [m].
+        boxes: What the robot must not touch, and the beam not cross, where poses are planned.
+        tracker: Where the instrument stands, how far it sees and how well it measures; None: not known.
+        reflector: Where the reflector faces; None: it is turned by hand, and seen from everywhere.
+        ranges: The least and the largest value of joints by name, within which poses are planned [rad] or [m].
     """
 
     target: NDArray[np.float64] | None = None
@@ -104,6 +110,10 @@ class Cell:
     distances: tuple[GroupDistance, ...] = ()
     repeats: str = "weighted"
     held: Mapping[str, float] = field(default_factory=_none)
+    boxes: tuple[Box, ...] = ()
+    tracker: Tracker | None = None
+    reflector: Reflector | None = None
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=_none)
 
     def __post_init__(self) -> None:
         """Check kinds, shapes and numbers; keep read-only copies."""
@@ -116,6 +126,8 @@ class Cell:
             ("kind", (str, type(None))),
             ("base", (str, type(None))),
             ("tip", (str, type(None))),
+            ("tracker", (Tracker, type(None))),
+            ("reflector", (Reflector, type(None))),
         ):
             if not isinstance(getattr(self, name), kind):
                 wanted = kind[0] if isinstance(kind, tuple) else kind
@@ -192,11 +204,17 @@ def _places(cell: Cell) -> dict[str, Any]:
 
 
 def _numbers(cell: Cell) -> dict[str, Any]:
-    """Noise, kind, gravity, distances, repeats and held joints, checked."""
+    """Noise, kind, gravity, distances, repeats, held joints, boxes and ranges, checked."""
     for name, what, unit in (("sigma", "sigma", "m"), ("sigma_angle", "sigma of angles", "rad")):
         value = getattr(cell, name)
         if value is not None and not parts.is_positive(value):
             message = f"The noise {what} is {value} {unit}; it must be a positive number."
+            raise CalibError(message)
+        if value is not None and not SIGMAS[0] <= value <= SIGMAS[1]:
+            message = (
+                f"The noise {what} is {value:g} {unit}; no instrument has one below {SIGMAS[0]:g} or above "
+                f"{SIGMAS[1]:g} {unit}. Leave it out: it is found from the data."
+            )
             raise CalibError(message)
     if cell.kind is not None:
         check_kind(cell.kind)
@@ -220,6 +238,8 @@ def _numbers(cell: Cell) -> dict[str, Any]:
         "gravity": parts.vector(cell.gravity, "gravity", "m/s^2"),
         "distances": tuple(distances),
         "held": MappingProxyType({name: float(value) for name, value in held.items()}),
+        "boxes": checked_boxes(cell.boxes),
+        "ranges": checked_ranges(cell.ranges),
     }
 
 
