@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 Array = NDArray[np.float64]
 Masks = tuple[NDArray[np.bool_], ...]
@@ -248,7 +249,18 @@ def _inverse(M: Array) -> Array:
     if np.min(np.diag(root), initial=1.0) > 1e-6:
         inverse = np.asarray(np.linalg.inv(root))
         return np.asarray(inverse.T @ inverse)
-    return np.asarray(np.linalg.pinv(M, rcond=1e-13, hermitian=True))
+    try:
+        return np.asarray(np.linalg.pinv(M, rcond=1e-13, hermitian=True))
+    except np.linalg.LinAlgError:
+        # Divide and conquer does not converge for some finite singular matrices; QR iterations do.
+        return _pseudo_inverse_by_qr(M)
+
+
+def _pseudo_inverse_by_qr(M: Array) -> Array:
+    """The pseudo-inverse of a symmetric matrix, by LAPACK's QR iterations: slower, and a little less exact."""
+    values, vectors = eigh(M, driver="ev")
+    kept = np.abs(values) > 1e-13 * np.max(np.abs(values), initial=0.0)
+    return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
 
 
 def _score(

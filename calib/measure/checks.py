@@ -14,6 +14,9 @@ from calib.measure.columns import QUATERNION, RESERVED, TORQUE
 from calib.measure.kinds import FEWEST, KINDS, LENGTHS, POSITIONS, SETS
 from calib.measure.orientation import no_rotation
 
+# No instrument is better or worse than this [m or rad], and squares beyond it leave the range of numbers.
+SIGMAS = (1e-15, 1e6)
+
 # Two rows that share a distance have it to all digits of a table.
 AGREE_M = 1e-9
 
@@ -114,7 +117,7 @@ def check_names(m: _Rows) -> None:
             raise MeasurementError(message)
         if not is_name(target) or not (group == "" or is_name(group)):
             message = (
-                f"{source}, row {row}: target '{target}' and group '{group}' are names on one "
+                f"{source}, row {row}: target {target!r} and group {group!r} are names on one "
                 "line, without blanks around them; only the group may be empty"
             )
             raise MeasurementError(message)
@@ -157,6 +160,8 @@ def check_values(m: _Rows) -> None:
     _check_numbers(m, "points", m.of_kind(*POSITIONS))
     _check_numbers(m, "sigma", every, positive=True)
     _check_numbers(m, "sigma_angle", m.of_kind("pose"), positive=True)
+    _check_sigmas(m, "sigma", "m", every)
+    _check_sigmas(m, "sigma_angle", "rad", m.of_kind("pose"))
     _check_numbers(m, "distances", m.of_kind(*LENGTHS), positive=True)
     _check_rotations(m)
     _check_torques(m)
@@ -175,6 +180,22 @@ def _check_numbers(m: _Rows, name: str, rows: NDArray[np.bool_], *, positive: bo
         where = f"{m.source or 'Measurements'}, row {m.rows[at[0]]}"
         kind = "" if m.kinds[at[0]] == "point" else f" in a row of the kind '{m.kinds[at[0]]}'"
         message = f"{where}: '{name}' holds {values[at]}; every value{kind} is {what}"
+        raise MeasurementError(message)
+
+
+def _check_sigmas(m: _Rows, name: str, unit: str, rows: NDArray[np.bool_]) -> None:
+    """Refuse standard deviations that no instrument has."""
+    values = getattr(m, name)
+    if values is None:
+        return
+    wrong = np.flatnonzero(rows & ~((values >= SIGMAS[0]) & (values <= SIGMAS[1])))
+    if wrong.size:
+        i = int(wrong[0])
+        message = (
+            f"{m.source or 'Measurements'}, row {m.rows[i]}: '{name}' is {values[i]:g} {unit}; no instrument has one "
+            f"below {SIGMAS[0]:g} or above {SIGMAS[1]:g} {unit}. Correct it, or leave the column out: the noise is "
+            "found from the data."
+        )
         raise MeasurementError(message)
 
 

@@ -12,6 +12,8 @@ from calib.identify.variance import (
     Known,
     Linearised,
     Sizes,
+    _inverse,
+    _pseudo_inverse_by_qr,
     _score,
     precision_of,
     sizes_by_reml,
@@ -352,3 +354,15 @@ def test_a_parameter_held_at_a_far_bound_does_not_drown_the_likelihood():
         data = one_instrument(A, target)
         values.append(data.log_likelihood((0.01,), Known.of(held, means), held))
     assert values[0] == pytest.approx(values[1], abs=1e-3)
+
+
+@pytest.mark.parametrize("inverse_of", [_inverse, _pseudo_inverse_by_qr])
+def test_the_inverse_of_a_singular_matrix_is_its_pseudo_inverse(inverse_of):
+    A = np.random.default_rng(3).normal(size=(5, 12))
+    M = A.T @ A
+    scale = 1.0 / np.sqrt(np.diag(M))
+    M = M * np.outer(scale, scale)
+    inverse = inverse_of(M)
+    np.testing.assert_allclose(M @ inverse @ M, M, atol=1e-12)
+    np.testing.assert_allclose(inverse @ M @ inverse, inverse, atol=1e-10)
+    np.testing.assert_allclose(inverse, inverse.T, atol=1e-12)

@@ -389,6 +389,8 @@ def test_a_file_that_cannot_be_read(tmp_path: Path):
         ({"T_frame_base": "here"}, "[m]; 'here' was given."),
         ({"sigma": 0.0}, "The noise sigma is 0.0 m; it must be a positive number."),
         ({"sigma": -1e-4}, "The noise sigma is -0.0001 m; it must be a positive number."),
+        ({"sigma": 1e-300}, "The noise sigma is 1e-300 m; no instrument has one below 1e-15 or"),
+        ({"sigma_angle": 1e300}, "sigma of angles is 1e+300 rad; no instrument has one below"),
         ({"sigma": float("inf")}, "The noise sigma is inf m; it must be a positive number."),
         ({"frozen": "d2"}, "The frozen parameters are a tuple of names; 'd2' was given."),
         ({"model": None}, "A cell's model must be of type str; None was given."),

@@ -1,6 +1,7 @@
 import csv
 import hashlib
 import pickle
+import re
 import time
 from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
@@ -184,7 +185,7 @@ def test_joints_for_another_order():
         ({"rows": (1, 2, 3)}, "'rows' has shape (3,)"),
         ({"sets": ("estimate", "test")}, "row 2: the set 'test' is neither of 'estimate'"),
         ({"targets": ("ball", "")}, "row 2: target ''"),
-        ({"groups": ("one", "two\nlines")}, "row 2: target 'target' and group 'two\nlines'"),
+        ({"groups": ("one", "two\nlines")}, "row 2: target 'target' and group 'two\\nlines'"),
         ({"rows": (7, 7)}, "the row number 7 is there twice"),
         ({"points": [[0, 0, 1], [0, np.nan, 0]]}, "row 2: 'points' holds nan"),
         ({"joints": [[np.inf], [0]]}, "row 1: 'joints' holds inf"),
@@ -649,4 +650,21 @@ def test_row_numbers_are_whole_and_not_made_so():
     with pytest.raises(MeasurementError, match=r"the row number 1\.2 is no integer"):
         Measurements(
             joint_names=("a",), joints=np.zeros((2, 1)), points=np.ones((2, 3)), rows=(1.2, 2)
+        )
+
+
+@pytest.mark.parametrize(("name", "unit"), [("sigma", "m"), ("sigma_angle", "rad")])
+@pytest.mark.parametrize("value", [1e-300, 1e300])
+def test_a_sigma_that_no_instrument_has_is_refused(name, unit, value):
+    given = {name: np.array([1e-4, value])}
+    turned = np.tile(np.eye(3), (2, 1, 1))
+    said = re.escape(f"row 2: '{name}' is {value:g} {unit}; no instrument has one below")
+    with pytest.raises(MeasurementError, match=said):
+        Measurements(
+            ("j",),
+            np.zeros((2, 1)),
+            np.ones((2, 3)),
+            kinds=("pose",) * 2,
+            rotations=turned,
+            **given,
         )
