@@ -27,7 +27,7 @@ from calib.model.robot import Robot
 Array = NDArray[np.float64]
 
 #: A target where none is given: off every axis of the tip [m].
-_GENERIC_TARGET = (0.05, 0.07, 0.03)
+GENERIC_TARGET = (0.05, 0.07, 0.03)
 
 #: An anchor where none is known: off the first axis, which its distance would not tell of [m].
 _GENERIC_ANCHOR = (0.7, -0.5, 0.3)
@@ -74,7 +74,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
         words = "200 poses spread over the joint limits"
         if not np.all(setup.target_given):
             T_tip_target = setup.T_tip_target.copy()
-            T_tip_target[:, :3, 3] = _GENERIC_TARGET
+            T_tip_target[:, :3, 3] = GENERIC_TARGET
             setup = setup.placed(setup.T_frame_base, T_tip_target)
             words += ", target 50, 70, 30 mm off the tip"
         if np.any(rows.kinds == DISTANCE) and not np.all(setup.frame_given):
@@ -82,7 +82,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
             T_frame_base[:, :3, 3] = np.negative(_GENERIC_ANCHOR)
             setup = setup.placed(T_frame_base, setup.T_tip_target)
             words += ", anchor 700, -500, 300 mm from the base"
-        rows = _as_predicted(rows, seen_from(setup, robot.poses(rows.joints), rows))
+        rows = as_predicted(rows, seen_from(setup, robot.poses(rows.joints), rows))
     else:
         rows, setup = rows_of(robot, measurements, cell)
         rows = rows.select(measurements.estimation)
@@ -139,7 +139,7 @@ def _everywhere(robot: Robot, cell: Cell) -> Measurements:
     )
 
 
-def _as_predicted(rows: Rows, T_frame_target: Array) -> Rows:
+def as_predicted(rows: Rows, T_frame_target: Array) -> Rows:
     """The rows with the values that a perfect robot would give."""
     p = T_frame_target[:, :3, 3]
     return replace(

@@ -57,8 +57,16 @@ def own_moves(fitted: Fitted, points: Array, moves: Array) -> Array:
         points: shape (N, 3), all in one frame [m].
         moves: shape (N, 3, k), k moves of them, [m] or [m per unit].
     """
-    if _tells_place(fitted):
-        return moves
+    return moves if _tells_place(fitted) else without_rigid_motion(points, moves)
+
+
+def without_rigid_motion(points: Array, moves: Array) -> Array:
+    """Moves of points, less what one rigid motion of all of them can do, shape (N, 3, k).
+
+    Args:
+        points: shape (N, 3), [m].
+        moves: shape (N, 3, k), k moves of them, [m] or [m per unit].
+    """
     motion = np.zeros((len(points), 3, 6))
     motion[:, :, :3] = np.eye(3)
     motion[:, :, 3:] = np.cross(np.eye(3), points[:, None, :]).transpose(0, 2, 1)

@@ -54,7 +54,17 @@ def spread_poses(robot: Robot, count: int = 200) -> NDArray[np.float64]:
 
     An unscrambled Sobol sequence: the same for every call.
     """
-    low, high = column_ranges(robot).T
+    return spread_between(column_ranges(robot), count)
+
+
+def spread_between(ranges: Array, count: int) -> Array:
+    """Values spread evenly between bounds, an unscrambled Sobol sequence, shape (count, m).
+
+    Args:
+        ranges: shape (m, 2), lowest and highest value of each column.
+        count: Number of rows.
+    """
+    low, high = ranges.T
     from scipy.stats import qmc
 
     sequence = qmc.Sobol(len(low), scramble=False)

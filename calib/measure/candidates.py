@@ -1,0 +1,175 @@
+"""Candidates: joint values at which the robot can be measured, drawn evenly over its joint ranges.
+
+A scrambled Sobol sequence over the ranges is sifted, the cheap tests first, until there are enough. The poses that lie
+in the measurement region, whatever else is wrong with them, are kept too: they are where accuracy is wanted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from calib.errors import ModelError
+from calib.measure.ranges import column_limits, joint_ranges, range_text
+from calib.model.robot import Robot, read_only
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+#: Poses of one batch; a power of two keeps the sequence even.
+_BATCH = 4096
+
+#: Candidates are drawn until so many times the number wanted have been tried.
+_MOST = 40
+
+#: Joint values are whole numbers of these, so that the robot, the table and the plan say the same [rad], [m].
+ANGLE_STEP, LENGTH_STEP = math.radians(1e-3), 1e-6
+
+#: Margin to the ends of a sliding joint [m], where that of the others is an angle.
+_SLIDING_MARGIN = 5e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What a pose must pass.
+
+    Attributes:
+        reason: Why a pose that fails is refused, in a few words.
+        passes: q of shape (n, m) to shape (n,), whether each pose passes.
+        where: Whether the test says where accuracy is wanted, not only what can be measured.
+    """
+
+    reason: str
+    passes: Callable[[Array], NDArray[np.bool_]]
+    where: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pool:
+    """Candidates.
+
+    Attributes:
+        q: shape (n, m), the poses that passed all tests, [rad] or [m].
+        workspace: shape (k, m), those that passed the tests of where, among the first drawn.
+        drawn: How many were drawn.
+        refused: How many each test refused, of those that had passed the tests before it.
+    """
+
+    q: Array
+    workspace: Array
+    drawn: int
+    refused: Mapping[str, int]
+
+
+def draw(
+    robot: Robot,
+    ranges: Array,
+    tests: Sequence[Condition],
+    count: int,
+    seed: int,
+    progress: Progress | None = None,
+) -> Pool:
+    """Draw candidates until ``count`` have passed all tests, or far more than that have been tried.
+
+    Args:
+        robot: The robot.
+        ranges: shape (m, 2), see `planning_ranges`.
+        tests: In order; those of ``where`` come first.
+        count: Candidates wanted.
+        seed: The same seed draws the same poses.
+        progress: Called with what was kept and what is wanted.
+
+    Raises:
+        ModelError: None passed; the text says which tests refused how many.
+    """
+    engine = qmc.Sobol(len(ranges), scramble=True, seed=seed)
+    low, high = ranges.T
+    kept: list[Array] = []
+    workspace: list[Array] = []
+    refused = {test.reason: 0 for test in tests}
+    drawn = total = placed = 0
+    while total < count and drawn < _MOST * max(count, _BATCH):
+        q = rounded(robot, low + engine.random(_BATCH) * (high - low), ranges)[: _MOST * count]
+        drawn += len(q)
+        placing = True
+        for test in tests:
+            if placing and not test.where:
+                placing = False
+                workspace.append(q)
+            passed = test.passes(q) if len(q) else np.zeros(0, dtype=bool)
+            refused[test.reason] += int(np.sum(~passed))
+            q = q[passed]
+        if placing:
+            workspace.append(q)
+        kept.append(q)
+        total += len(q)
+        placed += len(workspace[-1])
+        if progress is not None:
+            progress(min(total, count), count)
+    if total == 0:
+        raise ModelError(_none_left(refused, drawn))
+    every = np.concatenate(workspace)[:count]
+    return Pool(read_only(np.concatenate(kept)[:count]), read_only(every), drawn, refused)
+
+
+def planning_ranges(
+    robot: Robot, narrowed: Mapping[str, tuple[float, float]], margin: float
+) -> Array:
+    """Lowest and highest joint values to plan with, shape (m, 2), [rad] or [m].
+
+    Those of the URDF less a margin, within one turn or one metre of zero, narrowed by the ranges given; these may go
+    beyond the turn, but not beyond the URDF's limits.
+
+    Args:
+        robot: The robot.
+        narrowed: Ranges by joint.
+        margin: Distance to the URDF's limits [rad]; of sliding joints 5 mm, if it is not 0.
+
+    Raises:
+        CalibError: An unknown joint, a range that leaves the limits, or one of which the margin leaves nothing.
+    """
+    asked = joint_ranges(robot, narrowed)
+    result, limits = np.array(asked), column_limits(robot)
+    for k, name in enumerate(robot.joint_names):
+        slides = robot.joint_types[name] == "prismatic"
+        gap = _SLIDING_MARGIN * bool(margin) if slides else margin
+        result[k] = max(asked[k, 0], limits[k, 0] + gap), min(asked[k, 1], limits[k, 1] - gap)
+        if not result[k, 0] < result[k, 1]:
+            gap_text = f"{1e3 * gap:g} mm" if slides else f"{math.degrees(gap):g} deg"
+            message = (
+                f"The margin of {gap_text} to the URDF's limits leaves nothing of the range of '{name}', "
+                f"{range_text(robot, name, asked[k])}. Widen the range, lessen the margin, or hold the joint (--hold)."
+            )
+            raise ModelError(message)
+    return read_only(result)
+
+
+def rounded(robot: Robot, q: Array, ranges: Array | None = None) -> Array:
+    """Joint values as a table writes them, to 0.001 deg and 0.001 mm, inside of the ranges if these are given.
+
+    Args:
+        robot: The robot.
+        q: shape (n, m), [rad] or [m].
+        ranges: shape (m, 2), [rad] or [m].
+    """
+    step = np.array([LENGTH_STEP if j.type == "prismatic" else ANGLE_STEP for j in robot.inputs])
+    counts = np.round(q / step)
+    if ranges is not None:
+        counts = np.clip(counts, np.ceil(ranges[:, 0] / step), np.floor(ranges[:, 1] / step))
+    # By the factor that a reader of the table uses, so that both have the same numbers.
+    result: Array = counts * step
+    return result
+
+
+def _none_left(refused: Mapping[str, int], drawn: int) -> str:
+    """Why there is no candidate at all."""
+    parts = [f"{count} {reason}" for reason, count in refused.items() if count]
+    return (
+        f"None of {drawn} poses drawn can be measured: {', '.join(parts)}. Widen the region or the joint ranges, move "
+        "the tracker, or drop a condition."
+    )
