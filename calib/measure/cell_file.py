@@ -11,10 +11,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, FileError, choices
-from calib.measure.cell_parts import GroupDistance, Priors, is_number, is_positive
+from calib.measure import surroundings_file
+from calib.measure.cell_parts import GroupDistance, Priors, is_number
+from calib.measure.cell_values import (
+    NAME,
+    POSITIVE,
+    TABLE,
+    TABLES,
+    THREE,
+    fits,
+    metres,
+    pose,
+    rotation,
+)
 from calib.measure.quantities import (
     ANGLE,
     COMPLIANCE,
@@ -31,56 +42,59 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-_NAME = "a name in quotes"
-_POSITIVE = "a positive number"
-_THREE = "three numbers"
-_TABLE = "a table"
-
 #: The keys of a cell file, each with what its value must be.
 KEYS: dict[str, str] = {
-    "base": _NAME,
-    "tip": _NAME,
-    "model": _NAME,
-    "kind": _NAME,
+    "base": NAME,
+    "tip": NAME,
+    "model": NAME,
+    "kind": NAME,
     "repeats": "'weighted', 'average' or 'independent'",
     "freeze": "a list of names",
     "target": "'known' or 'estimate'",
-    "target_mm": _THREE,
-    "target_rpy_deg": _THREE,
+    "target_mm": THREE,
+    "target_rpy_deg": THREE,
     "frame": '\'known\', \'estimate\' or a list of directions such as ["x", "y", "rz"]',
-    "frame_xyz_mm": _THREE,
-    "frame_rpy_deg": _THREE,
-    "sigma_mm": _POSITIVE,
-    "sigma_angle_deg": _POSITIVE,
+    "frame_xyz_mm": THREE,
+    "frame_rpy_deg": THREE,
+    "sigma_mm": POSITIVE,
+    "sigma_angle_deg": POSITIVE,
     "priors": "'data', 'given' or 'off'",
-    "prior_length_mm": _POSITIVE,
-    "prior_angle_mrad": _POSITIVE,
-    "prior_zero_mrad": _POSITIVE,
-    "prior_gain": _POSITIVE,
-    "prior_eccentricity_mrad": _POSITIVE,
-    "prior_compliance_rad_per_Nm": _POSITIVE,
-    "gravity_m_per_s2": _THREE,
-    "targets_mm": _TABLE,
-    "frames": _TABLE,
-    "ties": _TABLE,
-    "bounds": _TABLE,
-    "parameter_priors": _TABLE,
-    "payload": _TABLE,
-    "held": _TABLE,
-    "distances": "a list of tables, each headed [[distances]]",
+    "prior_length_mm": POSITIVE,
+    "prior_angle_mrad": POSITIVE,
+    "prior_zero_mrad": POSITIVE,
+    "prior_gain": POSITIVE,
+    "prior_eccentricity_mrad": POSITIVE,
+    "prior_compliance_rad_per_Nm": POSITIVE,
+    "gravity_m_per_s2": THREE,
+    "targets_mm": TABLE,
+    "frames": TABLE,
+    "ties": TABLE,
+    "bounds": TABLE,
+    "parameter_priors": TABLE,
+    "payload": TABLE,
+    "held": TABLE,
+    "distances": f"{TABLES}[[distances]]",
+    "tracker": TABLE,
+    "reflector": TABLE,
+    "boxes": f"{TABLES}[[boxes]]",
+    "ranges": TABLE,
 }
 
 #: The keys of the tables whose keys are not names that the user chose; those marked with True must be there.
 _INNER: dict[str, dict[str, tuple[str, bool]]] = {
-    "frames": {"xyz_mm": (_THREE, False), "rpy_deg": (_THREE, False)},
-    "payload": {"mass_kg": ("a number", True), "com_mm": (_THREE, False)},
+    "frames": {"xyz_mm": (THREE, False), "rpy_deg": (THREE, False)},
+    "payload": {"mass_kg": ("a number", True), "com_mm": (THREE, False)},
     "distances": {
-        "first": (_NAME, True),
-        "second": (_NAME, True),
-        "length_mm": (_POSITIVE, True),
-        "sigma_mm": (_POSITIVE, True),
+        "first": (NAME, True),
+        "second": (NAME, True),
+        "length_mm": (POSITIVE, True),
+        "sigma_mm": (POSITIVE, True),
     },
+    **surroundings_file.INNER,
 }
+
+#: The tables with keys of their own, and lists of such tables.
+_SINGLE, _LISTED = ("payload", "tracker", "reflector"), ("distances", "boxes")
 
 #: Keys of the sizes of priors, the attribute of each and what one of its unit is in SI.
 _PRIORS = {
@@ -131,10 +145,10 @@ def _check_keys(table: Mapping[str, Any]) -> None:
         if key not in KEYS:
             message = f"unknown key '{key}'.{_close(key, KEYS)} A cell file may have {choices(KEYS, limit=40)}."
             raise CalibError(message)
-        if not _fits(value, KEYS[key]):
+        if not fits(value, KEYS[key]):
             message = f"'{key}' is {value!r}; it must be {KEYS[key]}."
             raise CalibError(message)
-        if KEYS[key] == _TABLE and key != "payload":
+        if KEYS[key] == TABLE and key not in _SINGLE:
             # TOML's own trap: what stands below a [table] belongs to it.
             strayed = [name for name in value if name in KEYS]
             if strayed:
@@ -143,18 +157,25 @@ def _check_keys(table: Mapping[str, Any]) -> None:
                     "in brackets."
                 )
                 raise CalibError(message)
-    _check_inner("[payload]", table.get("payload"), "payload")
+    _check_tables(table)
+
+
+def _check_tables(table: Mapping[str, Any]) -> None:
+    """The same for the tables in the file that have keys of their own."""
+    for key in _SINGLE:
+        _check_inner(f"[{key}]", table.get(key), key)
     for group, frame in table.get("frames", {}).items():
         if not isinstance(frame, dict):
             message = f"'{group}' in [frames] is {frame!r}; write a table [frames.{group}] with xyz_mm and rpy_deg."
             raise CalibError(message)
         _check_inner(f"[frames.{group}]", frame, "frames")
-    for k, distance in enumerate(table.get("distances", [])):
-        _check_inner(f"[[distances]] number {k + 1}", distance, "distances")
+    for key in _LISTED:
+        for k, one in enumerate(table.get(key, [])):
+            _check_inner(f"[[{key}]] number {k + 1}", one, key)
 
 
 def _check_inner(where: str, table: Mapping[str, Any] | None, kind: str) -> None:
-    """The same for a table inside the file."""
+    """The same for one table inside the file."""
     if table is None:
         return
     allowed = _INNER[kind]
@@ -167,7 +188,7 @@ def _check_inner(where: str, table: Mapping[str, Any] | None, kind: str) -> None
             )
             message = f"{where} has an unknown key '{key}'.{above} It may have {choices(allowed)}."
             raise CalibError(message)
-        if not _fits(value, allowed[key][0]):
+        if not fits(value, allowed[key][0]):
             message = f"'{key}' in {where} is {value!r}; it must be {allowed[key][0]}."
             raise CalibError(message)
     missing = [key for key, (_, needed) in allowed.items() if needed and key not in table]
@@ -193,14 +214,14 @@ def _values(table: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(frame, list):
         values["frame_directions"] = tuple(frame)
     if "frame_xyz_mm" in table or "frame_rpy_deg" in table:
-        values["T_frame_base"] = _pose(table.get("frame_xyz_mm"), table.get("frame_rpy_deg"))
+        values["T_frame_base"] = pose(table.get("frame_xyz_mm"), table.get("frame_rpy_deg"))
     for key in ("base", "tip", "model", "kind", "repeats"):
         if key in table:
             values[key] = table[key]
     convert: dict[str, tuple[str, Callable[[Any], Any]]] = {
         "freeze": ("frozen", tuple),
-        "target_mm": ("target", _metres),
-        "target_rpy_deg": ("target_rotation", _rotation),
+        "target_mm": ("target", metres),
+        "target_rpy_deg": ("target_rotation", rotation),
         "sigma_mm": ("sigma", lambda v: v / 1e3),
         "sigma_angle_deg": ("sigma_angle", lambda v: float(np.radians(v))),
         "gravity_m_per_s2": ("gravity", np.asarray),
@@ -212,6 +233,10 @@ def _values(table: Mapping[str, Any]) -> dict[str, Any]:
         "held": ("held", _held),
         "payload": ("payload", _payload),
         "distances": ("distances", _distances),
+        "tracker": ("tracker", surroundings_file.read_tracker),
+        "reflector": ("reflector", surroundings_file.read_reflector),
+        "boxes": ("boxes", surroundings_file.read_boxes),
+        "ranges": ("ranges", surroundings_file.read_ranges),
     }
     for key, (name, function) in convert.items():
         if key in table:
@@ -225,36 +250,18 @@ def _priors(table: Mapping[str, Any]) -> Priors:
     return Priors(sizes=table.get("priors", "data"), **sizes)
 
 
-def _metres(value: list[float]) -> NDArray[np.float64]:
-    """Three numbers in mm, shape (3,), [m]."""
-    return np.asarray(value, dtype=np.float64) / 1e3
-
-
-def _rotation(rpy: list[float]) -> NDArray[np.float64]:
-    """Roll, pitch, yaw about fixed axes [deg] as a matrix, shape (3, 3)."""
-    return np.asarray(Rotation.from_euler("xyz", np.radians(rpy)).as_matrix())
-
-
-def _pose(xyz: list[float] | None, rpy: list[float] | None) -> NDArray[np.float64]:
-    """A pose, shape (4, 4), from [mm] and [deg]; what is left out is zero."""
-    T = np.eye(4)
-    T[:3, :3] = np.eye(3) if rpy is None else _rotation(rpy)
-    T[:3, 3] = 0.0 if xyz is None else _metres(xyz)
-    return T
-
-
 def _targets(table: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
     """Positions of targets by name, shape (3,) each [m]."""
     for name, value in table.items():
-        if not _fits(value, _THREE):
-            message = f"the target '{name}' in [targets_mm] is {value!r}; it must be {_THREE} [mm]."
+        if not fits(value, THREE):
+            message = f"the target '{name}' in [targets_mm] is {value!r}; it must be {THREE} [mm]."
             raise CalibError(message)
-    return {name: _metres(value) for name, value in table.items()}
+    return {name: metres(value) for name, value in table.items()}
 
 
 def _frames(table: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
     """Poses of the base by group, shape (4, 4) each [m]."""
-    return {name: _pose(value.get("xyz_mm"), value.get("rpy_deg")) for name, value in table.items()}
+    return {name: pose(value.get("xyz_mm"), value.get("rpy_deg")) for name, value in table.items()}
 
 
 def _ties(table: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
@@ -320,7 +327,7 @@ def _held(table: Mapping[str, Any]) -> dict[str, float]:
 
 def _payload(table: Mapping[str, Any]) -> Payload:
     """What the tip carries."""
-    return Payload(mass=float(table["mass_kg"]), com=_metres(table.get("com_mm", [0, 0, 0])))
+    return Payload(mass=float(table["mass_kg"]), com=metres(table.get("com_mm", [0, 0, 0])))
 
 
 def _distances(tables: list[Mapping[str, Any]]) -> tuple[GroupDistance, ...]:
@@ -329,22 +336,3 @@ def _distances(tables: list[Mapping[str, Any]]) -> tuple[GroupDistance, ...]:
         GroupDistance(t["first"], t["second"], t["length_mm"] / 1e3, t["sigma_mm"] / 1e3)
         for t in tables
     )
-
-
-def _fits(value: Any, kind: str) -> bool:  # noqa: ANN401  TOML values are of any kind
-    """Whether a TOML value is of the kind that its key wants."""
-    if kind == "a number":
-        return is_number(value)
-    if kind == _POSITIVE:
-        return is_positive(value)
-    if kind == _THREE:
-        return isinstance(value, list) and len(value) == 3 and all(is_number(v) for v in value)
-    if kind == _TABLE:
-        return isinstance(value, dict)
-    if kind == KEYS["distances"]:
-        return isinstance(value, list) and all(isinstance(v, dict) for v in value)
-    if isinstance(value, list):
-        return all(isinstance(v, str) for v in value) and "list of" in kind
-    if kind == _NAME:
-        return isinstance(value, str)
-    return isinstance(value, str) and f"'{value}'" in kind

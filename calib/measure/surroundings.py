@@ -113,7 +113,7 @@ class Reflector:
         normal = vector(self.normal, "reflector's normal", "-")
         length = float(np.linalg.norm(normal))
         if not 1e-100 < length < 1e100:
-            message = f"The reflector's normal is {normal.tolist()}; it must be a direction in the tip, such as [0, 0, 1]."
+            message = f"The reflector's normal is {normal.tolist()}; it must be a direction, such as [0, 0, 1]."
             raise CalibError(message)
         object.__setattr__(self, "normal", read_only(normal / length))
         if not is_number(self.acceptance) or not 0.0 < self.acceptance <= math.pi:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from calib.errors import CalibError, FileError
 from calib.measure.cell import Cell, GroupDistance, Priors
 from calib.measure.cell_file import KEYS
+from calib.measure.noise import TrackerNoise
 from calib.measure.quantities import parse_quantity
 from calib.model.torques import Payload
 from calib.units import UNITS
@@ -341,6 +342,81 @@ def test_the_byte_order_mark_of_an_editor_is_skipped(tmp_path: Path):
             DISTANCE.replace("20", "0"),
             "'length_mm' in [[distances]] number 1 is 0; it must be a positive",
         ),
+        ("tracker = 3", "'tracker' is 3; it must be a table."),
+        ("[tracker]", "[tracker] lacks 'xyz_mm'."),
+        (
+            "[tracker]\nxyz = [1, 2, 3]",
+            "[tracker] has an unknown key 'xyz'. Did you mean 'xyz_mm'?",
+        ),
+        (
+            "[tracker]\nxyz_mm = [1, 2]",
+            "'xyz_mm' in [tracker] is [1, 2]; it must be three numbers.",
+        ),
+        (
+            "[tracker]\nxyz_mm = [1, 2, 3]\nnoise = 0.1",
+            "'noise' in [tracker] is 0.1; it must be a text such as \"15 um + 6 um/m\".",
+        ),
+        (
+            "[tracker]\nxyz_mm = [1, 2, 3]\nnoise = '15 um + 6'",
+            "'noise' in [tracker] was given as \"15 um + 6\"; it must be a length",
+        ),
+        (
+            "[tracker]\nxyz_mm = [1, 2, 3]\nnearest_mm = 90000",
+            "The tracker measures from 90.0 m to 80.0 m; these must be two numbers",
+        ),
+        (
+            "[tracker]\nxyz_mm = [1, 2, 3]\nrepeatability_mm = -1",
+            "the repeatability -0.001 m; they must be numbers, none below 0",
+        ),
+        (
+            "[tracker]\nxyz_mm = [1, 2, 3]\nmodel = 'dh'",
+            "[tracker] has an unknown key 'model'. The cell's own keys must stand above",
+        ),
+        ("[reflector]", "[reflector] lacks 'normal'."),
+        ("[reflector]\nnormal = 'z'", "'normal' in [reflector] is 'z'; it must be three numbers."),
+        (
+            "[reflector]\nnormal = [0, 0, 0]",
+            "The reflector's normal is [0.0, 0.0, 0.0]; it must be a direction",
+        ),
+        (
+            "[reflector]\nnormal = [0, 0, 1]\nacceptance_deg = 181",
+            "it must be a half angle above 0 and at most pi (180 deg).",
+        ),
+        (
+            "[reflector]\nnormal = [0, 0, 1]\nacceptance_deg = 0",
+            "'acceptance_deg' in [reflector] is 0; it must be a positive number.",
+        ),
+        ("[boxes]", "'boxes' is {}; it must be a list of tables, each headed [[boxes]]."),
+        ("[[boxes]]\nname = 'a'", "[[boxes]] number 1 lacks 'size_mm', 'xyz_mm'."),
+        (
+            "[[boxes]]\nname = 'a'\nsize_mm = [1, 2]",
+            "'size_mm' in [[boxes]] number 1 is [1, 2]; it must be three numbers.",
+        ),
+        (
+            "[[boxes]]\nname = 'a'\nsize_mm = [1, 2, -3]\nxyz_mm = [0, 0, 0]",
+            "The box 'a' has the edges [0.001, 0.002, -0.003] m; each must be longer than 0.",
+        ),
+        (
+            2 * "[[boxes]]\nname = 'a'\nsize_mm = [1, 2, 3]\nxyz_mm = [0, 0, 0]\n",
+            "Each box needs a name of its own; given more than once: 'a'.",
+        ),
+        ("ranges = 1", "'ranges' is 1; it must be a table."),
+        (
+            "[ranges]\na = '1 deg'",
+            "'a' in [ranges] is '1 deg'; it must be the least and the largest value, such as",
+        ),
+        (
+            "[ranges]\na = ['1 deg', 2]",
+            "'a' in [ranges] is 2; a joint's value needs a unit of angle or length",
+        ),
+        (
+            "[ranges]\na = ['1 deg', '2 mm']",
+            "'a' in [ranges] is from '1 deg' to '2 mm'; one is an angle and one a length.",
+        ),
+        (
+            "[ranges]\na = ['1 m', '1 mm']",
+            "The range of the joint 'a' is (1.0, 0.001); it must be the least",
+        ),
         ('frame_xyz_mm = ["1", 2, 3]', "'frame_xyz_mm' is ['1', 2, 3]; it must be three"),
         ("frame_rpy_deg = [1, 2, true]", "'frame_rpy_deg' is [1, 2, True]; it must be three"),
         ("sigma_mm = 0", "'sigma_mm' is 0; it must be a positive number."),
@@ -603,7 +679,7 @@ def test_the_documents_first_example(tmp_path: Path):
 
 
 def test_the_documents_other_examples(tmp_path: Path):
-    by_name, single, loads, sockets = (read(tmp_path, example) for example in EXAMPLES[1:])
+    by_name, single, loads, sockets, _ = (read(tmp_path, example) for example in EXAMPLES[1:])
     assert list(by_name.targets) == ["upper", "lower"]
     assert list(by_name.frames) == ["morning", "after lunch"]
     assert not by_name.estimate_target
@@ -617,6 +693,47 @@ def test_the_documents_other_examples(tmp_path: Path):
     assert loads.held["torso_lift_joint"] == 0.3
     assert sockets.kind == "fixed"
     assert sockets.distances[0].pairs(["3/right", "3/left"]) == (("3/left", "3/right"),)
+
+
+def test_the_documents_surroundings(tmp_path: Path):
+    text = EXAMPLES[-1]
+    cell = read(tmp_path, text)
+    assert cell.tracker is not None
+    assert cell.reflector is not None
+    np.testing.assert_allclose(cell.tracker.position, [2.5, 0.0, 0.5])
+    assert (cell.tracker.nearest, cell.tracker.farthest) == (0.8, 20.0)
+    np.testing.assert_array_equal(cell.reflector.normal, [0.0, 0.0, 1.0])
+    table, cabinet = cell.boxes
+    assert (table.name, cabinet.name) == ("table", "cabinet")
+    np.testing.assert_allclose(table.size, [1.2, 0.8, 0.04])
+    np.testing.assert_allclose(table.T_base_box[:3], [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.02]])
+    turn = pin.rpy.rpyToMatrix(0.0, 0.0, np.radians(30.0))
+    np.testing.assert_allclose(cabinet.T_base_box[:3, :3], turn, atol=1e-15)
+    assert cell.ranges["shoulder_pan_joint"] == pytest.approx((-np.pi / 2, np.pi / 2))
+    assert cell.ranges["elbow_joint"] == (-2.0, 0.0)
+
+    # Without the keys that may be left out: the defaults that the text below the example states.
+    optional = "nearest_mm|farthest_mm|noise|repeatability_mm|acceptance_deg|rpy_deg"
+    least = read(tmp_path, re.sub(rf"(?m)^({optional}) = .*$", "", text))
+    assert least.tracker is not None
+    assert least.reflector is not None
+    assert (least.tracker.nearest, least.tracker.farthest) == (0.0, 80.0)
+    assert least.tracker.noise == TrackerNoise(15e-6, 6e-6, 20e-6)
+    assert cell.tracker.noise.std(3.0) == pytest.approx(least.tracker.noise.std(3.0), rel=1e-12)
+    assert least.reflector.acceptance == cell.reflector.acceptance == pytest.approx(np.radians(30))
+    np.testing.assert_array_equal(least.boxes[1].T_base_box[:3, :3], np.eye(3))
+
+
+def test_parts_of_a_tracker_s_noise(tmp_path: Path):
+    trackers = [
+        read(tmp_path, f"[tracker]\nxyz_mm = [1, 2, 3]\n{text}").tracker
+        for text in ('noise = "0.05 mm"', "repeatability_mm = 0", "")
+    ]
+    assert [None if t is None else t.noise for t in trackers] == [
+        TrackerNoise(5e-5, 0.0, 20e-6),
+        TrackerNoise(15e-6, 6e-6, 0.0),
+        TrackerNoise(),
+    ]
 
 
 def test_the_document_has_every_key_and_no_other():

@@ -88,7 +88,7 @@ def test_trackers_that_are_built_wrongly(wrong, said):
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"normal": (0, 0, 0)}, "The reflector's normal is [0.0, 0.0, 0.0]; it must be a direction in the tip"),
+        ({"normal": (0, 0, 0)}, "The reflector's normal is [0.0, 0.0, 0.0]; it must be a direction, such as"),
         ({"normal": "up"}, "The reflector's normal must be three finite numbers x, y, z [-]; 'up' was given."),
         ({"acceptance": 0.0}, "The reflector's acceptance is 0.0 rad; it must be a half angle above 0 and at most"),
         ({"acceptance": 30.0}, "The reflector's acceptance is 30.0 rad; it must be a half angle above 0"),
