@@ -131,6 +131,42 @@ def test_with_an_unknown_frame_the_validation_rows_are_still_met(ur3, table):
     assert found == pytest.approx(0.303, abs=1e-3)
 
 
+def seen_from_elsewhere(
+    table: Measurements, length: float, degrees: float, seed: int
+) -> tuple[Measurements, np.ndarray]:
+    """The points in a frame moved by a length and turned by an angle, each in a random direction, and that pose."""
+    shift, axis = np.random.default_rng(seed).normal(size=(2, 3))
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(np.deg2rad(degrees) * axis / np.linalg.norm(axis)).as_matrix()
+    T[:3, 3] = length * shift / np.linalg.norm(shift)
+    return replace(table, points=table.points @ T[:3, :3].T + T[:3, 3]), T
+
+
+@pytest.mark.parametrize(("model", "near"), [("auto", None), ("dh", None), ("auto", np.eye(4))])
+def test_where_an_unknown_frame_stands_does_not_change_the_fit(ur3, table, model, near):
+    """Every row's error, seen or left out, and the robot; the frame found is moved with the points."""
+    cell = Cell(estimate_frame=True, model=model, T_frame_base=near)
+    printed = calibrate(ur3, table, cell=cell)
+    norms = np.linalg.norm(printed.residual_calibrated, axis=1)
+    unseen = np.linalg.norm(printed.cross_validation.residual, axis=1)
+    assert 1e3 * printed.errors["calibrated"]["validation"].rms <= 0.35
+    moves = [(5e-3, 1.0, seed) for seed in range(4)] + [(3.0, 120.0, 4)]
+    for length, degrees, seed in moves:
+        moved, T = seen_from_elsewhere(table, length, degrees, seed)
+        result = calibrate(ur3, moved, cell=cell, validate=seed == 0)
+        assert result.model.name == printed.model.name
+        if result.cross_validation is not None:
+            left_out = np.linalg.norm(result.cross_validation.residual, axis=1)
+            np.testing.assert_allclose(left_out, unseen, rtol=0, atol=1e-9)
+        for found, expected in (
+            (np.linalg.norm(result.residual_calibrated, axis=1), norms),
+            (result.target, printed.target),
+            (result.robot.placements, printed.robot.placements),
+            (result.T_frame_base, T @ printed.T_frame_base),
+        ):
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
 def test_predict_is_what_the_residuals_are_made_of(default_result, table):
     predicted = default_result.predict(table.joints_for(default_result.robot.joint_names))
     np.testing.assert_allclose(
