@@ -74,6 +74,38 @@ def html_page(
         warnings: What could not be drawn, plain text.
         scene: The scene's message.
     """
+    return filled_page(
+        title=title,
+        facts=_facts(pose_name, points),
+        labels="\n".join(_label(spot) for spot in spots),
+        inset=_inset(points),
+        warnings=warnings,
+        legend=_legend(points, grid),
+        scene=scene,
+    )
+
+
+def filled_page(
+    *,
+    title: str,
+    facts: str,
+    labels: str = "",
+    inset: str = "",
+    warnings: Sequence[str],
+    legend: str,
+    scene: bytes,
+) -> bytes:
+    """The page about any scene, UTF-8. What is HTML must have its names escaped, see `escaped`.
+
+    Args:
+        title: The heading, plain text.
+        facts: HTML below the heading.
+        labels: HTML of the labels in the scene.
+        inset: HTML in the corner.
+        warnings: What could not be drawn, plain text.
+        legend: HTML at the foot, see `key` and `grid_text`.
+        scene: The scene's message.
+    """
     folder = Path(__file__).parent
     # A script must not hold what ends it, nor may a text block; the base64 of the scene cannot.
     viewer = _no_end_tag(viewer_script())
@@ -81,12 +113,12 @@ def html_page(
     page = Template((folder / "page.html").read_text(encoding="utf-8"))
     text = page.substitute(
         hashes=f"{_hash(viewer)} {_hash(start)}",
-        title=_escaped(title),
-        facts=_facts(pose_name, points),
-        labels="\n".join(_label(spot) for spot in spots),
-        inset=_inset(points),
+        title=escaped(title),
+        facts=facts,
+        labels=labels,
+        inset=inset,
         warnings=_warnings(warnings),
-        legend=_legend(points, grid),
+        legend=legend,
         licences=_no_end_tag(viewer_licences()),
         scene=as_base64(scene),
         viewer=viewer,
@@ -96,7 +128,7 @@ def html_page(
     return text.encode("utf-8")
 
 
-def _escaped(text: str) -> str:
+def escaped(text: str) -> str:
     """Text for HTML, in an element or in quotes; characters that UTF-8 lacks become a question mark."""
     return html.escape(text.encode("utf-8", "replace").decode("utf-8"), quote=True)
 
@@ -121,7 +153,7 @@ def _mm(length: float) -> str:
 def _facts(pose_name: str, points: Mapping[str, Array]) -> str:
     """What the target does at this pose, in a paragraph or two."""
     apart = float(np.linalg.norm(points["nominal"] - points["calibrated"]))
-    where = f"Pose of {_escaped(pose_name)}. " if pose_name else ""
+    where = f"Pose of {escaped(pose_name)}. " if pose_name else ""
     lines = [
         f"{where}The two robots put the target <b>{_mm(apart)}</b> apart here, drawn true to scale."
     ]
@@ -151,21 +183,36 @@ def _legend(points: Mapping[str, Array], grid: float) -> str:
     ]
     if "measured" in points:
         keys.append(("measured", "dot", "measured target; small: at other poses"))
-    items = [
-        f'<label class="key"><input type="checkbox" checked data-show="{_NODES[who]}">'
-        f'<i class="{kind}" style="background: var(--{who})"></i>{text}</label>'
-        for who, kind, text in keys
-    ]
+    items = [key(text, f"var(--{who})", _NODES[who], kind) for who, kind, text in keys]
+    return "".join([*items, grid_text(grid)])
+
+
+def key(text: str, colour: str, nodes: str, kind: str = "") -> str:
+    """A line of the legend that shows and hides a part of the scene, HTML.
+
+    Args:
+        text: What it is, HTML.
+        colour: As CSS has it.
+        nodes: Which nodes below `SCENE`, blanks between them.
+        kind: ``"dot"`` for a round mark.
+    """
+    return (
+        f'<label class="key"><input type="checkbox" checked data-show="{nodes}">'
+        f'<i class="{kind}" style="background: {colour}"></i>{text}</label>'
+    )
+
+
+def grid_text(grid: float) -> str:
+    """How large the floor's squares are, and how to turn the scene, HTML."""
     size = f"{grid:g} m" if grid >= 0.1 else f"{1e3 * grid:g} mm"
-    items.append(f"<span>Floor squares {size}. Drag to turn, scroll to zoom.</span>")
-    return "".join(items)
+    return f"<span>Floor squares {size}. Drag to turn, scroll to zoom.</span>"
 
 
 def _warnings(warnings: Sequence[str]) -> str:
     """A list that opens on a click; nothing if there are none."""
     if not warnings:
         return ""
-    items = "".join(f"<li>{_escaped(warning)}</li>" for warning in warnings)
+    items = "".join(f"<li>{escaped(warning)}</li>" for warning in warnings)
     count = f"{len(warnings)} shape{'s' * (len(warnings) > 1)} not drawn as in the URDF"
     return f'<details class="over"><summary>{count}</summary><ul>{items}</ul></details>'
 

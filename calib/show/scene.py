@@ -18,14 +18,13 @@ from meshcat import geometry as mc
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, choices
-from calib.model.files import write_atomically
 from calib.model.robot import Robot, read_only
 from calib.show.bodies import Body, bodies, link_poses, rod_pose
 from calib.show.camera import Camera, look_at, row_direction
 from calib.show.page import COLOURS, SCENE, Spot, html_page, round_length
-from calib.show.triangles import Triangles
-from calib.show.visuals import Box, Cylinder, Shape, Visual, read_visuals, same_visuals
-from calib.show.window import KeyLight, PackedGeometry, SceneWindow, ShadowMaterial, without_shadow
+from calib.show.stage import Page, draw_stage, mesh_geometry, translation, upright_pose
+from calib.show.visuals import Cylinder, Visual, read_visuals, same_visuals
+from calib.show.window import SceneWindow, without_shadow
 
 Array = NDArray[np.float64]
 
@@ -34,9 +33,6 @@ _MOST_BALLS = 300
 
 #: Radius of a target's ball and of a measured point's, as a part of the scene's size.
 _BALL, _SMALL_BALL = 0.009, 0.0038
-
-#: three.js turns cylinders about y, URDF about z.
-_Y_TO_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,27 +97,6 @@ class View:
         object.__setattr__(self, name, array)
 
 
-@dataclass(frozen=True, slots=True)
-class Page:
-    """A complete HTML page.
-
-    Attributes:
-        html: The file's bytes, UTF-8.
-        warnings: What could not be drawn as the URDF says, a sentence each; the page lists them too.
-    """
-
-    html: bytes = field(repr=False)
-    warnings: tuple[str, ...]
-
-    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the page, whole or not at all.
-
-        Raises:
-            FileError: The file exists and ``overwrite`` is False, or it cannot be written.
-        """
-        return write_atomically(path, self.html, overwrite=overwrite)
-
-
 def write_view(view: View, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
     """Write a view as one HTML file that opens from disk without a network.
 
@@ -145,10 +120,17 @@ def view_page(view: View) -> Page:
     layout = _Layout.of(view, nominal_visuals, calibrated_visuals)
     window = SceneWindow()
     root = meshcat.Visualizer.view_into(window, meshcat.path.Path())
-    _draw_surroundings(root, layout)
+    draw_stage(
+        root,
+        layout.camera,
+        size=layout.size,
+        floor=layout.foot[2],
+        grid=layout.grid,
+        through=layout.groups["both"][0],
+    )
     scene = root[SCENE]
     for group, (offset, shown) in layout.groups.items():
-        scene[group].set_transform(_translation(offset - layout.camera.centre))
+        scene[group].set_transform(translation(offset - layout.camera.centre))
         for who in shown:
             _draw_robot(scene[group][who], layout, who, over=len(shown) == 2)
     _draw_measured(scene["both"]["measured"], view.index, layout)
@@ -187,7 +169,7 @@ class _Layout:
         cls, view: View, nominal_visuals: Sequence[Visual], calibrated_visuals: Sequence[Visual]
     ) -> _Layout:
         """Place three groups side by side so that nothing of one reaches into the next."""
-        upright = _upright(view.nominal, view.q)
+        upright = upright_pose(view.nominal, view.q)
         shown = (
             (
                 "nominal",
@@ -247,70 +229,23 @@ class _Layout:
         )
 
 
-def _upright(robot: Robot, q: Array) -> Array:
-    """How the base frame is turned so that the root's z is up, shape (4, 4); not at all where the base stands still."""
-    T = np.eye(4)
-    if robot.base_moves:
-        T[:3, :3] = link_poses(robot, q)[robot.urdf.root][:3, :3].T
-    return T
-
-
-def _draw_surroundings(root: meshcat.Visualizer, layout: _Layout) -> None:
-    """Camera, lights, background, floor and grid."""
-    camera, size = layout.camera, layout.size
-    root["/Background"].set_property("top_color", [0.985, 0.99, 1.0])
-    root["/Background"].set_property("bottom_color", [0.86, 0.885, 0.915])
-    for name in ("/Grid", "/Axes"):
-        root[name].set_property("visible", False)
-    for light in ("PointLightNegativeX", "PointLightPositiveX"):
-        root[f"/Lights/{light}/<object>"].set_property("visible", False)
-    towards, right = camera.axes[2], camera.axes[0]
-    root["/Lights/AmbientLight/<object>"].set_property("intensity", 0.52)
-    root["/Lights/FillLight/<object>"].set_property("intensity", 0.22)
-    root["/Lights/FillLight/<object>"].set_property(
-        "position", (20 * size * (towards + 1.2 * right)).tolist()
-    )
-    above = np.array([0.0, 0.0, 1.0])
-    key = KeyLight(1.1 * above + 0.55 * towards - 0.55 * right, camera.radius, 0.5)
-    root["/Lights/Key"].set_object(key)
-    lens = mc.PerspectiveCamera(fov=camera.fov_deg, aspect=16 / 9, near=0.02 * size, far=100 * size)
-    root["/Cameras/default/rotated"].set_object(lens)
-    # The camera lives in a frame with y up; its target is the origin.
-    x, y, z = camera.position
-    root["/Cameras/default/rotated/<object>"].set_property("position", [x, z, -y])
-
-    floor = layout.foot[2] - camera.centre[2]
-    reach = 30.0 * size
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * reach
-    plane = mc.TriangularMeshGeometry(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-    root["/Floor/shadow"].set_object(mc.Mesh(plane, ShadowMaterial(0.17)))
-    root["/Floor/shadow"].set_transform(_translation([0, 0, floor - 0.002 * size]))
-    lines = _grid_lines(layout.grid, 1.15 * camera.radius)
-    material = mc.LineBasicMaterial(color=0x9AA7B4, opacity=0.42)
-    root["/Floor/grid"].set_object(mc.LineSegments(mc.PointsGeometry(lines.T), material))
-    without_shadow(root["/Floor/grid"])
-    # A line of the grid passes through the base of the robot in the middle.
-    shift = np.remainder(layout.groups["both"][0] - camera.centre, layout.grid)
-    root["/Floor/grid"].set_transform(_translation([shift[0], shift[1], floor - 0.001 * size]))
-
-
 def _draw_robot(scene: meshcat.Visualizer, layout: _Layout, who: str, *, over: bool) -> None:
     """One robot with its target; translucent if it is the calibrated one laid over the nominal."""
     material = _material(who, translucent=over and who == "calibrated")
     for i, body in enumerate(layout.parts[who]):
         node = scene[f"{i:03d}"]
-        shape, T_shape_mesh = _geometry(body.shape)
+        shape, T_shape_mesh = mesh_geometry(body.shape)
         node.set_object(shape, material)
         node.set_transform(body.T_base_shape @ T_shape_mesh)
     ball = _BALL * layout.size
     tip, target = layout.stalks[who]
     solid = _material(who)
     scene["target"].set_object(mc.Sphere(ball), solid)
-    scene["target"].set_transform(_translation(target))
+    scene["target"].set_transform(translation(target))
     length = float(np.linalg.norm(target - tip))
     if length > ball:
         rod = Body("", Cylinder(0.3 * ball, length), rod_pose(tip, target))
-        shape, T_shape_mesh = _geometry(rod.shape)
+        shape, T_shape_mesh = mesh_geometry(rod.shape)
         scene["stalk"].set_object(shape, solid)
         scene["stalk"].set_transform(rod.T_base_shape @ T_shape_mesh)
 
@@ -328,7 +263,7 @@ def _draw_measured(scene: meshcat.Visualizer, index: int | None, layout: _Layout
                 continue
             scene[f"{i:03d}"].set_object(small, material)
             without_shadow(scene[f"{i:03d}"])
-            scene[f"{i:03d}"].set_transform(_translation(point))
+            scene[f"{i:03d}"].set_transform(translation(point))
     else:
         dots = layout.measured.T.astype(np.float32)
         rgb = [colour >> 16, colour >> 8 & 255, colour & 255]
@@ -338,7 +273,7 @@ def _draw_measured(scene: meshcat.Visualizer, index: int | None, layout: _Layout
         without_shadow(scene["dots"])
     if index is not None:
         scene["here"].set_object(mc.Sphere(_BALL * layout.size), mc.MeshPhongMaterial(color=colour))
-        scene["here"].set_transform(_translation(layout.measured[index]))
+        scene["here"].set_transform(translation(layout.measured[index]))
 
 
 def _material(who: str, *, translucent: bool = False) -> mc.MeshPhongMaterial:
@@ -349,30 +284,3 @@ def _material(who: str, *, translucent: bool = False) -> mc.MeshPhongMaterial:
         offset = {"polygonOffset": True, "polygonOffsetFactor": -1.0, "polygonOffsetUnits": -4.0}
         return mc.MeshPhongMaterial(opacity=0.5, **kwargs, **offset)
     return mc.MeshPhongMaterial(**kwargs)
-
-
-def _geometry(shape: Shape) -> tuple[mc.Geometry, Array]:
-    """The form that meshcat has of a shape, and its pose in the shape."""
-    if isinstance(shape, Triangles):
-        return PackedGeometry(shape), np.eye(4)
-    if isinstance(shape, Box):
-        return mc.Box(list(shape.size)), np.eye(4)
-    if isinstance(shape, Cylinder):
-        return mc.Cylinder(shape.length, shape.radius), _Y_TO_Z
-    return mc.Sphere(shape.radius), np.eye(4)
-
-
-def _translation(offset: ArrayLike) -> Array:
-    """A pose without rotation, shape (4, 4)."""
-    T = np.eye(4)
-    T[:3, 3] = offset
-    return T
-
-
-def _grid_lines(step: float, radius: float) -> Array:
-    """Start and end points of a square grid cut to a disc, shape (2 K, 3), [m]."""
-    at = step * np.arange(-int(radius / step), int(radius / step) + 1)
-    half = np.sqrt(radius**2 - at**2)
-    along_y = [[x, side * h, 0.0] for x, h in zip(at, half, strict=True) for side in (-1, 1)]
-    along_x = [[side * h, y, 0.0] for y, h in zip(at, half, strict=True) for side in (-1, 1)]
-    return np.array(along_y + along_x)
