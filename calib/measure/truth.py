@@ -1,0 +1,363 @@
+"""Truth: a robot as it really is, where the targets really sit and the frames really stand.
+
+    T_frame_target(q) = T_frame_base  T_base_tip(true placements, q + dq)  T_tip_target
+
+with the joints' own errors dq of `calib.model.joint_errors`; the load of a compliance is that of the nominal URDF's
+masses and the payload at the joint values that are read, as `calib.identify` takes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.errors import CalibError, ModelError, choices
+from calib.measure.cell import Cell, Priors
+from calib.measure.error_sizes import TYPICAL, ErrorSizes
+from calib.measure.kinds import DEFAULT_TARGET
+from calib.measure.random_streams import stream
+from calib.model.error_model import error_model, split_name
+from calib.model.joint_errors import LOAD
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameters import COMPLIANCE, FRAME, TARGET, TIP, ErrorModel
+from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.model.torques import Payload, gravity_load
+from calib.model.urdf_joints import did_you_mean
+
+Array = NDArray[np.float64]
+
+#: Where the target is said to sit on the tip, if nothing else is said [m]: off the last axis, so that all is seen.
+DEFAULT_PLACE = read_only((0.05, 0.05, 0.05))
+
+#: How far a target sits from where it is said to sit, standard deviation [m], and how far it is turned [rad].
+TARGET_ERROR, TARGET_TURN = 1e-3, 10e-3
+
+#: Of a drawn set-up: distance of the tracker from the base, heights between which it stands [m], tilt [rad].
+_AWAY, _HEIGHTS, _TILT = 3.0, (-0.5, 1.0), 0.01
+
+#: A sliding joint's compliance is drawn with the size of a turning one's at a lever of 0.1 m.
+_LEVER = 0.1
+
+#: Unit vectors that differ by no more are the same axis.
+_SAME_AXIS = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What is true of a virtual cell.
+
+    Attributes:
+        nominal: The robot as its URDF says it is.
+        robot: The same with its true placements; `calib.model.urdf.Urdf.write` of ``robot.urdf`` writes it.
+        model: The errors by name, the robot's own.
+        x: shape (p,), their values, in the units of ``model``. Of a robot that was given as a URDF, what of it the
+            model can say.
+        groups: Names of the set-ups; ``("",)`` for the only one.
+        T_frame_base: shape (F, 4, 4), true pose of the base in each measurement frame [m].
+        targets: Names of the targets.
+        T_tip_target: shape (T, 4, 4), their true poses in the tip [m].
+        said_T_tip_target: shape (T, 4, 4), where the targets are said to sit [m].
+        payload: What the tip carries.
+        gravity: shape (3,), acceleration in the URDF's root [m/s^2].
+    """
+
+    nominal: Robot
+    robot: Robot
+    model: ErrorModel
+    x: Array
+    groups: tuple[str, ...]
+    T_frame_base: Array
+    targets: tuple[str, ...]
+    T_tip_target: Array
+    said_T_tip_target: Array
+    payload: Payload | None
+    gravity: Array
+
+    def value(self, name: str) -> float:
+        """The value of one error, in its unit.
+
+        Raises:
+            ModelError: There is no such error.
+        """
+        return float(self.x[self.model.index(name)])
+
+    def tip_poses(self, q: ArrayLike) -> Array:
+        """T_base_tip, shape (N, 4, 4), [m], at joint values that are read, shape (N, m) or (m,), [rad] or [m]."""
+        samples = Samples.at(q, self.load(q))
+        state, x = self._state()
+        return Kinematics(self.robot, state, np.eye(4), np.eye(4)).poses(x, samples)
+
+    def nominal_tip_poses(self, q: ArrayLike) -> Array:
+        """The same of the nominal robot."""
+        return self.nominal.poses(q)
+
+    def poses(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
+        """T_frame_target at joint values that are read.
+
+        Args:
+            q: shape (N, m) or (m,), [rad] or [m].
+            target: Name of the target; default the first.
+            group: Name of the set-up; default the first.
+
+        Returns:
+            shape (N, 4, 4), [m].
+
+        Raises:
+            ModelError: There is no such target or set-up.
+        """
+        t = _position(target, self.targets, "target")
+        g = _position(group, self.groups, "set-up")
+        result: Array = self.T_frame_base[g] @ self.tip_poses(q) @ self.T_tip_target[t]
+        return result
+
+    def points(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
+        """The true positions of a target, shape (N, 3), [m]; arguments as for `poses`."""
+        return self.poses(q, target, group)[:, :3, 3]
+
+    def load(self, q: ArrayLike) -> Array | None:
+        """The load on each joint of the chain, shape (N, n), [Nm] or [N]; None without compliances."""
+        if not any(term.factor == LOAD for term in self.model.terms):
+            return None
+        return gravity_load(self.nominal, q, self.payload, self.gravity)
+
+    def nominal_errors(self, q: ArrayLike) -> Array:
+        """How far the nominal robot puts the first target from its true place, shape (N,), [m].
+
+        Frame and target are where they truly are: this is the robot's own error.
+        """
+        tip = self.T_tip_target[0]
+        apart = (self.tip_poses(q) @ tip - self.nominal.poses(q) @ tip)[:, :3, 3]
+        return np.asarray(np.linalg.norm(apart, axis=1))
+
+    def _state(self) -> tuple[ErrorModel, Array]:
+        """The errors of the joints' state alone, and their values."""
+        chosen = list(self.model.joint_terms)
+        places = (FRAME, *(joint.name for joint in self.robot.joints), TIP, TARGET)
+        terms = tuple(self.model.terms[t] for t in chosen)
+        return ErrorModel("joint errors", places, terms), self.model.values(self.x)[chosen]
+
+
+def draw_truth(
+    robot: Robot,
+    model: str = "placement",
+    sizes: ErrorSizes | Priors | None = TYPICAL,
+    seed: int = 0,
+    *,
+    cell: Cell | None = None,
+    errors: Mapping[str, float] | None = None,
+    true_robot: Robot | None = None,
+    target_error: float = TARGET_ERROR,
+    draw_frame: bool | None = None,
+) -> Truth:
+    """Draw what is true of a virtual cell.
+
+    Args:
+        robot: The nominal robot.
+        model: In which errors the robot is wrong: a parameter set, and families behind it, ``"placement+gain"``.
+        sizes: Standard deviations of the errors, by family; None: none is drawn. Compliances are drawn positive.
+        seed: Of the random numbers.
+        cell: Targets, frames, payload, gravity, and what is frozen, tied, bounded or has a prior of its own.
+        errors: Values of single errors by name, in their units [m], [rad]...; they win over what is drawn.
+        true_robot: The true geometry; then only errors of the joints' state are drawn.
+        target_error: Standard deviation of a target's place about where it is said to be [m]; none if the cell says
+            that the targets are known.
+        draw_frame: Whether measurement frames whose poses the cell does not give are drawn, those of a tracker that
+            stands 3 m away; default: if the cell estimates the frame.
+
+    Raises:
+        ModelError: No such model or error, or a true robot with other joints.
+        CalibError: A size that is no number.
+    """
+    cell = Cell() if cell is None else cell
+    _, families = split_name(model)
+    name = model if true_robot is None else "+".join(("placement", *families))
+    whole = error_model(robot, name, target=False)
+    free = [p.name for p in whole.parameters if true_robot is None or p.factor]
+    whole = _limited(whole, cell, free)
+    given = dict(errors or {})
+    if true_robot is not None:
+        _check_free(given, free, whole)
+        true_robot = _as_nominal(robot, true_robot)
+        given |= _geometry_of(robot, true_robot)
+    x = _with_given(whole, _drawn(whole, sizes, seed, cell), given)
+    groups, frames = _frames(cell, seed, draw_frame=draw_frame)
+    targets, said, placed = _targets(cell, seed, target_error)
+    return Truth(
+        nominal=robot,
+        robot=whole.apply(robot, x) if true_robot is None else true_robot,
+        model=whole,
+        x=read_only(x),
+        groups=groups,
+        T_frame_base=frames,
+        targets=targets,
+        T_tip_target=placed,
+        said_T_tip_target=said,
+        payload=cell.payload,
+        gravity=cell.gravity,
+    )
+
+
+def tracker_pose(position: ArrayLike, rng: np.random.Generator) -> Array:
+    """T_frame_base of a tracker that stands at a point of the base, levelled to about 10 mrad, turned anyhow.
+
+    Args:
+        position: shape (3,), in the base [m].
+        rng: Random numbers.
+    """
+    T_base_frame = np.eye(4)
+    turn = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
+    tilt = Rotation.from_rotvec(np.append(rng.normal(0.0, _TILT, 2), 0.0))
+    T_base_frame[:3, :3] = (turn * tilt).as_matrix()
+    T_base_frame[:3, 3] = position
+    return rigid_inverse(T_base_frame)
+
+
+def _position(name: str | None, names: Sequence[str], what: str) -> int:
+    """Where a name stands among the truth's targets or set-ups; the first if none is named."""
+    if name is None:
+        return 0
+    if name not in names:
+        message = f"The truth has no {what} '{name}'; it has {choices(names)}."
+        raise ModelError(message)
+    return list(names).index(name)
+
+
+def _limited(model: ErrorModel, cell: Cell, free: Sequence[str]) -> ErrorModel:
+    """The model with the cell's ties and frozen parameters, as far as it has them: a cell may be made for another."""
+    known = set(free)
+    model = model.tied({n: t for n, t in cell.ties.items() if n in known and t[0] in known})
+    return model.without(n for n in cell.frozen if n in known and n in model.names)
+
+
+def _drawn(model: ErrorModel, sizes: ErrorSizes | Priors | None, seed: int, cell: Cell) -> Array:
+    """Errors of the sizes of their families, or of their own in the cell, inside the cell's bounds, shape (p,)."""
+    unit = stream(seed, "errors").standard_normal(len(model))
+    if sizes is None:
+        return np.zeros(len(model))
+    x = np.empty(len(model))
+    for k, parameter in enumerate(model.parameters):
+        size = getattr(sizes, parameter.family)
+        if parameter.unit == "m/N":
+            size *= _LEVER
+        size = cell.parameter_priors.get(parameter.name, size)
+        # No joint gives way against its load.
+        value = size * (abs(unit[k]) if parameter.family == COMPLIANCE else unit[k])
+        low, high = cell.bounds.get(parameter.name, (-np.inf, np.inf))
+        x[k] = min(max(value, low), high)
+    return x
+
+
+def _with_given(model: ErrorModel, x: Array, errors: Mapping[str, float]) -> Array:
+    """The errors with those that were given in place of what was drawn."""
+    x = x.copy()
+    for name, value in errors.items():
+        if name not in model.names:
+            message = (
+                f"There is no error '{name}' in the model '{model.name}'{did_you_mean(name, model.names)}; it has "
+                f"{choices(model.names, limit=60)}."
+            )
+            raise ModelError(message)
+        if not np.isfinite(value):
+            message = f"The error '{name}' is {value}; it must be a finite number."
+            raise CalibError(message)
+        x[model.index(name)] = value
+    return x
+
+
+def _check_free(errors: Mapping[str, float], free: Sequence[str], model: ErrorModel) -> None:
+    """Refuse single errors of a geometry that a true robot states."""
+    fixed = [name for name in errors if name in model.names and name not in free]
+    if fixed:
+        message = (
+            f"The errors {choices(fixed)} are of the geometry, which the true robot states already. Give one or the "
+            "other."
+        )
+        raise ModelError(message)
+
+
+def _as_nominal(nominal: Robot, true: Robot) -> Robot:
+    """The nominal robot with the placements of a true one, whose URDF may differ in more than that.
+
+    Raises:
+        ModelError: Other joints, types or axes.
+    """
+    if true.joint_names != nominal.joint_names or [j.name for j in true.joints] != [
+        j.name for j in nominal.joints
+    ]:
+        message = (
+            f"The true robot '{true.urdf.source}' has the joints {choices(j.name for j in true.joints)} between "
+            f"'{true.base}' and '{true.tip}', the nominal robot {choices(j.name for j in nominal.joints)}; they must "
+            "be the same."
+        )
+        raise ModelError(message)
+    for ours, theirs in zip(nominal.joints, true.joints, strict=True):
+        if ours.type != theirs.type or np.abs(ours.axis - theirs.axis).max() > _SAME_AXIS:
+            message = (
+                f"The joint '{ours.name}' of the true robot '{true.urdf.source}' has another type or <axis> than the "
+                "nominal robot's. Leave both as they are, and turn its <origin>."
+            )
+            raise ModelError(message)
+    placements = true.placements.copy()
+    placements[0] = nominal.T_root_base @ rigid_inverse(true.T_root_base) @ placements[0]
+    return nominal.with_placements(placements)
+
+
+def _geometry_of(nominal: Robot, true: Robot) -> dict[str, float]:
+    """What of a true robot's placements the set ``placement`` can say: all but the tip's.
+
+    A placement is displaced along x, y, z, then about x, y, z: Euler angles about moving axes.
+    """
+    displaced = rigid_inverse(nominal.placements) @ true.placements
+    found: dict[str, float] = {}
+    for i, joint in enumerate(nominal.joints):
+        if nominal.carriers[i] is None:
+            continue
+        turn = Rotation.from_matrix(displaced[i, :3, :3]).as_euler("XYZ")
+        values = (*displaced[i, :3, 3], *turn)
+        names = ("x", "y", "z", "rx", "ry", "rz")
+        found |= {f"{joint.name}.{n}": float(v) for n, v in zip(names, values, strict=True)}
+    return found
+
+
+def _frames(cell: Cell, seed: int, *, draw_frame: bool | None) -> tuple[tuple[str, ...], Array]:
+    """The set-ups by name, and the true pose of the base in each."""
+    groups = tuple(cell.frames) or ("",)
+    drawn = cell.estimate_frame if draw_frame is None else draw_frame
+    rng = stream(seed, "frames")
+    frames = []
+    for group in groups:
+        given = cell.frames.get(group, cell.T_frame_base)
+        angle, height = rng.uniform(-np.pi, np.pi), rng.uniform(*_HEIGHTS)
+        there = np.array([_AWAY * np.cos(angle), _AWAY * np.sin(angle), height])
+        if cell.tracker is not None:
+            there = cell.tracker.position
+        pose = tracker_pose(there, rng)
+        frames.append(given if given is not None else pose if drawn else np.eye(4))
+    return groups, read_only(frames)
+
+
+def _targets(cell: Cell, seed: int, size: float) -> tuple[tuple[str, ...], Array, Array]:
+    """The targets by name, where they are said to sit, and where they truly do."""
+    if not (np.isfinite(size) and size >= 0.0):
+        message = f"The error of the target is {size} m; it must be a number, not below 0."
+        raise CalibError(message)
+    names = tuple(cell.targets) or (DEFAULT_TARGET,)
+    rng = stream(seed, "targets")
+    said = np.tile(np.eye(4), (len(names), 1, 1))
+    true = said.copy()
+    for t, name in enumerate(names):
+        place = cell.targets.get(name, cell.target)
+        said[t, :3, 3] = DEFAULT_PLACE if place is None else place
+        if cell.target_rotation is not None:
+            said[t, :3, :3] = cell.target_rotation
+        moved, turned = rng.normal(size=(2, 3))
+        true[t] = said[t]
+        if cell.estimate_target and size > 0.0:
+            true[t, :3, 3] += size * moved
+            true[t, :3, :3] = said[t, :3, :3] @ pin.exp3(TARGET_TURN * turned)
+    return names, read_only(said), read_only(true)
