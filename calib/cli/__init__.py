@@ -15,6 +15,7 @@ from calib.cli.demo import demo
 from calib.cli.evaluate import evaluate
 from calib.cli.fit import fit
 from calib.cli.inspect import inspect
+from calib.cli.simulate import simulate
 
 app = typer.Typer(
     name="calib",
@@ -29,6 +30,7 @@ app.command()(demo)
 app.command()(fit)
 app.command()(evaluate)
 app.command()(inspect)
+app.command()(simulate)
 
 
 def _print_version(wanted: bool) -> None:

@@ -312,7 +312,8 @@ def _geometry_of(nominal: Robot, true: Robot) -> dict[str, float]:
 
     A placement is displaced along x, y, z, then about x, y, z: Euler angles about moving axes.
     """
-    displaced = rigid_inverse(nominal.placements) @ true.placements
+    pairs = zip(nominal.placements, true.placements, strict=True)
+    displaced = np.array([rigid_inverse(was) @ now for was, now in pairs])
     found: dict[str, float] = {}
     for i, joint in enumerate(nominal.joints):
         if nominal.carriers[i] is None:

@@ -1,0 +1,233 @@
+"""From the words of ``calib simulate`` to values: sizes of errors, single errors, noise, steps, events."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from calib.errors import CalibError, choices
+
+if TYPE_CHECKING:
+    from calib.measure.disturbances import Encoder, MovedTarget, Outliers
+    from calib.measure.error_sizes import ErrorSizes
+    from calib.measure.noise import TrackerNoise
+    from calib.model.parameters import Parameter
+
+#: What the sizes of families are, as `calib.measure.quantities` says it, and an example.
+_FAMILIES = {
+    "length": ("a length", "0.5 mm"),
+    "angle": ("an angle", "3 mrad"),
+    "zero": ("an angle", "5 mrad"),
+    "gain": ("a number", "5e-4"),
+    "eccentricity": ("an angle", "0.5 mrad"),
+    "compliance": ("a compliance", "1e-5 rad/Nm"),
+}
+
+_UNITS = {
+    "m": ("a length", "0.5 mm"),
+    "rad": ("an angle", "2 mrad"),
+    "1": ("a number", "5e-4"),
+    "rad/Nm": ("a compliance", "1e-5 rad/Nm"),
+    "m/N": ("a compliance", "1e-6 m/N"),
+}
+
+_NONE = "none"
+
+
+def _quantity(text: str, wanted: str, example: str, where: str) -> float:
+    """A number with its unit, in SI units.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    from calib.measure.quantities import parse_quantity
+
+    try:
+        value, kind = parse_quantity(text.strip())
+    except CalibError as error:
+        message = f'{where}: {error}. Write "{example}".'
+        raise CalibError(message) from error
+    # 0 needs no unit.
+    if kind != wanted and not (value == 0.0 and kind == "a number"):
+        message = f'{where}: "{text.strip()}" is {kind}, {wanted} is wanted: "{example}".'
+        raise CalibError(message)
+    return value
+
+
+def parse_size(text: str, option: str, example: str = "1 mm") -> float:
+    """A length that is not below 0 [m].
+
+    Raises:
+        CalibError: Anything else.
+    """
+    value = _quantity(text, "a length", example, f'{option} "{text}"')
+    if value < 0.0:
+        message = f'{option} was given as "{text}"; it must not be below 0.'
+        raise CalibError(message)
+    return value
+
+
+def parse_angle(text: str, option: str, example: str = "0.01 deg") -> float:
+    """An angle that is not below 0 [rad].
+
+    Raises:
+        CalibError: Anything else.
+    """
+    value = _quantity(text, "an angle", example, f'{option} "{text}"')
+    if value < 0.0:
+        message = f'{option} was given as "{text}"; it must not be below 0.'
+        raise CalibError(message)
+    return value
+
+
+def parse_sizes(text: str) -> ErrorSizes | None:
+    """``length 0.5 mm, angle 3 mrad``; families that are not named keep the sizes of a typical arm; ``none``.
+
+    Raises:
+        CalibError: No such family, one twice, or a value that is no size of it.
+    """
+    from calib.measure.error_sizes import ErrorSizes
+
+    if text.strip() == _NONE:
+        return None
+    found: dict[str, float] = {}
+    for part in text.split(","):
+        words = part.split(None, 1)
+        if len(words) != 2 or words[0] not in _FAMILIES or words[0] in found:
+            message = (
+                f"--sizes was given as \"{text}\"; it must be '{_NONE}', or sizes with commas between them such as "
+                f'"length 0.5 mm, angle 3 mrad", each once of {choices(_FAMILIES)}.'
+            )
+            raise CalibError(message)
+        wanted, example = _FAMILIES[words[0]]
+        value = _quantity(words[1], wanted, example, f"--sizes, {words[0]}")
+        if value < 0.0:
+            message = f'--sizes was given as "{text}"; the size of {words[0]} must not be below 0.'
+            raise CalibError(message)
+        found[words[0]] = value
+    return ErrorSizes(**found)
+
+
+def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tuple[str, float], ...]:
+    """``--error`` as values of single errors, in their units.
+
+    Args:
+        pairs: ``elbow_joint.rx=2 mrad`` each.
+        known: The errors that the model has.
+
+    Raises:
+        CalibError: A pair without an equals sign, a name twice or unknown, or a value with another unit.
+    """
+    from calib.model.urdf_joints import did_you_mean
+
+    units = {parameter.name: parameter.unit for parameter in known}
+    found: dict[str, float] = {}
+    for pair in pairs:
+        name, equals, value = (part.strip() for part in pair.rpartition("="))
+        if not (name and equals and value) or name in found:
+            message = (
+                f"--error was given '{pair}'; it must be 'name=value' with a unit, such as 'elbow_joint.rx=2 mrad', "
+                "and each name once."
+            )
+            raise CalibError(message)
+        if name not in units:
+            message = (
+                f"--error '{pair}': the robot has no error '{name}' in this model"
+                f"{did_you_mean(name, units)}. It has {choices(units, limit=60)}; --model chooses others."
+            )
+            raise CalibError(message)
+        found[name] = _quantity(value, *_UNITS[units[name]], f"--error '{pair}'")
+    return tuple(found.items())
+
+
+def parse_instrument(text: str, repeatability: float) -> TrackerNoise | None:
+    """``15 um + 6 um/m``, ``0.05 mm``, ``none``; None where there is no noise at all.
+
+    Args:
+        text: Of the instrument.
+        repeatability: Of the robot [m].
+
+    Raises:
+        CalibError: Anything else.
+    """
+    from calib.measure.noise import TrackerNoise, parse_noise
+
+    if text.strip() in (_NONE, "0"):
+        return TrackerNoise(0.0, 0.0, repeatability) if repeatability else None
+    # Read beside a repeatability, so that a noise of "0 mm" is not refused as such.
+    read = parse_noise(text, "--noise", repeatability or 1.0)
+    if not repeatability and not read.constant and not read.per_length:
+        return None
+    return TrackerNoise(read.constant, read.per_length, repeatability)
+
+
+def parse_encoder(texts: Iterable[str]) -> Encoder:
+    """``--encoder``: the step of joints that turn, ``0.001 deg``, and of those that slide, ``0.01 mm``.
+
+    Raises:
+        CalibError: No length or angle, one below 0, or two of one kind.
+    """
+    from calib.measure.disturbances import Encoder
+    from calib.measure.quantities import ANGLE, LENGTH, parse_quantity
+
+    steps: dict[str, float] = {}
+    for text in texts:
+        try:
+            value, kind = parse_quantity(text)
+        except CalibError as error:
+            message = f'--encoder: {error}. Write "0.001 deg", or "0.01 mm" for joints that slide.'
+            raise CalibError(message) from error
+        if kind not in (ANGLE, LENGTH) or value < 0.0 or kind in steps:
+            message = (
+                f'--encoder was given "{text}"; it must be a step that is not below 0, "0.001 deg" for the joints that '
+                'turn, "0.01 mm" for those that slide, and one of each at most.'
+            )
+            raise CalibError(message)
+        steps[kind] = value
+    return Encoder(angle=steps.get(ANGLE, 0.0), length=steps.get(LENGTH, 0.0))
+
+
+def parse_outliers(text: str, size: float) -> Outliers:
+    """``--outliers``: a number of rows, ``3``, or a share of them, ``5 %``.
+
+    Raises:
+        CalibError: Neither, a share above 100 %, or a size of 0.
+    """
+    from calib.measure.disturbances import Outliers
+
+    number = re.fullmatch(r"\s*(\d{1,9})\s*", text)
+    share = re.fullmatch(r"\s*(\d+(?:\.\d+)?|\.\d+)\s*%\s*", text)
+    if number is None and (share is None or float(share[1]) > 100.0):
+        message = (
+            f'--outliers was given as "{text}"; it must be a number of rows, such as "3", or a share of those to '
+            'estimate from, such as "5 %", 100 % at most.'
+        )
+        raise CalibError(message)
+    if not size > 0.0:
+        message = "--outlier-size must be above 0; to have no outliers, leave --outliers out."
+        raise CalibError(message)
+    if number is not None:
+        return Outliers(count=int(number[1]), size=size)
+    return Outliers(share=float(text.replace("%", "")) / 100.0, size=size)
+
+
+def parse_moved(text: str) -> MovedTarget:
+    """``--moved-target``: ``25: 0 0 0.5 mm``, or with the target's name, ``25 upper: 0 0 0.5 mm``.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    from calib.cli.words import parse_point
+    from calib.measure.disturbances import MovedTarget
+
+    match = re.fullmatch(r"\s*(\d{1,9})(?:\s+(\S.*?))?\s*:\s*(\S.*)", text)
+    if match is None:
+        message = (
+            f'--moved-target was given as "{text}"; it must be the first row that finds it moved, and by how much '
+            'along the tip\'s axes, such as "25: 0 0 0.5 mm"; with the name of one of several targets "25 upper: 0 0 '
+            '0.5 mm".'
+        )
+        raise CalibError(message)
+    by = parse_point(match[3], "--moved-target")
+    return MovedTarget(int(match[1]), by, match[2])
