@@ -35,8 +35,11 @@ _KICKS, _KICK_WORK = 200, 1.0e6
 #: So many nearest neighbour paths are improved, from first poses spread over all; fewer of many poses.
 _BEGINNINGS, _MANY = 6, 1200
 
-#: Pieces of up to this many poses are put elsewhere, and a kick stays among this many.
-_PIECE, _WINDOW = 3, 30
+#: Pieces of up to this many poses are put elsewhere.
+_PIECE = 3
+
+#: Kicks swap stretches among so many neighbours, or shuffle so many.
+_WINDOW, _SHUFFLED = 30, 8
 
 #: A gain below this, as a part of a typical move, is rounding.
 _ROUNDING = 1e-9
@@ -249,21 +252,36 @@ def _rearranged(stretch: Path, how: str, length: int) -> Path:
 
 
 def _kicked(path: Path, costs: Array) -> Path:
-    """The path after kicks: two neighbouring stretches change places, and what follows is improved."""
+    """The path after kicks, each improved, and kept if it is no longer than before."""
     size = len(path)
-    if size - 2 < 4:
+    if size - 2 < 3:
         return path
     random = np.random.default_rng(0)
     length = _length(path, costs)
-    for _ in range(max(min(_KICKS, int(_KICK_WORK / size**2)), 4)):
-        window = min(_WINDOW, size - 2)
-        low = int(random.integers(1, size - window))
-        a, b, c = (low + np.sort(random.choice(window, 3, replace=False))).tolist()
-        other = np.concatenate([path[:a], path[b:c], path[a:b], path[c:]])
-        other = _improved(other, costs)
+    for k in range(max(min(_KICKS, int(_KICK_WORK / size**2)), 4)):
+        kick = _swapped if k % 2 and size - 2 > _SHUFFLED else _shuffled
+        other = _improved(kick(path, random), costs)
         if (reached := _length(other, costs)) <= length:
             path, length = other, reached
     return path
+
+
+def _swapped(path: Path, random: np.random.Generator) -> Path:
+    """Two neighbouring stretches change places, which neither 2-opt nor or-opt can undo."""
+    window = min(_WINDOW, len(path) - 2)
+    low = int(random.integers(1, len(path) - window))
+    a, b, c = (low + np.sort(random.choice(window, 3, replace=False))).tolist()
+    swapped: Path = np.concatenate([path[:a], path[b:c], path[a:b], path[c:]])
+    return swapped
+
+
+def _shuffled(path: Path, random: np.random.Generator) -> Path:
+    """A stretch of a few poses in any order; of few poses, all of them."""
+    window = min(_SHUFFLED, len(path) - 2)
+    low = int(random.integers(1, len(path) - window))
+    other = path.copy()
+    other[low : low + window] = random.permutation(path[low : low + window])
+    return other
 
 
 def _around(
