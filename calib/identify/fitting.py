@@ -29,7 +29,7 @@ from calib.measure.cell import Cell
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
-from calib.model.parameters import ErrorModel
+from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.model.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
@@ -169,8 +169,9 @@ def model_of(task: Task) -> ErrorModel:
         targets=setup.target_names,
         rotation=setup.rotation,
     )
-    frozen, ties = robot_parameters(task.cell.frozen), task.cell.ties
-    robot_parameters(tuple(dict.fromkeys((*ties, *(other for other, _ in ties.values())))), "tied")
+    frozen, ties = task.cell.frozen, task.cell.ties
+    _check_robots_own(model, frozen, "frozen")
+    _check_robots_own(model, (*ties, *(other for other, _ in ties.values())), "tied")
     if task.lenient:
         frozen = tuple(name for name in frozen if name in model.names and name not in ties)
         ties = {n: t for n, t in ties.items() if n in model.names and t[0] in model.names}
@@ -214,20 +215,20 @@ def _solve_as_the_paper(problem: Problem, setup: Setup) -> Solution:
     return replace(solution, x=solution.x / unit - nominal)
 
 
-def robot_parameters(names: tuple[str, ...], what: str = "frozen") -> tuple[str, ...]:
-    """Frozen or tied names, refused where they are of target or frame, which registration places as a whole.
+def _check_robots_own(model: ErrorModel, names: tuple[str, ...], what: str) -> None:
+    """Refuse to freeze or tie parameters of target or frame, which registration places as a whole.
 
     Raises:
         ModelError: A coordinate of target or frame is among them.
     """
-    placed = [name for name in names if name.startswith(("target_", "frame_"))]
+    of_setup = {p.name for p in model.parameters if p.family in (FRAME, TARGET)}
+    placed = [name for name in dict.fromkeys(names) if name in of_setup]
     if placed:
         message = (
             f"{choices(placed)} cannot be {what} one by one: target and frame are known or estimated as a whole. Use "
             "--fix-target or --frame known, or target and frame in the cell file."
         )
         raise ModelError(message)
-    return names
 
 
 def _check_enough(model: ErrorModel, cell: Cell, rows: Rows) -> None:

@@ -21,6 +21,7 @@ from calib.model.kinematics import Samples
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, rigid_inverse
 from calib.model.torques import gravity_load
+from calib.model.urdf import Urdf
 
 # The paper's Table 3: nominal positions of rows 31 to 35 before calibration [mm].
 TABLE_3 = np.array(
@@ -345,6 +346,27 @@ def test_without_priors_nothing_runs_away_but_what_ran_is_said(ur3, table):
 def test_a_coordinate_of_the_target_cannot_be_frozen(ur3, table):
     with pytest.raises(ModelError, match=r"'target_x' cannot be frozen one by one.*--fix-target"):
         calibrate(ur3, table, cell=Cell(frozen=("target_x",)))
+
+
+@pytest.mark.parametrize("model", ["auto", "placement"])
+def test_joints_named_like_coordinates_of_target_and_frame_can_be_frozen_and_tied(
+    ur3, table, model
+):
+    """Parameters are told apart by their family: 'target_arm.x' is the robot's."""
+    data = ur3.urdf.data.replace(b'"elbow_joint"', b'"target_arm"')
+    urdf = Urdf.from_bytes(data.replace(b'"wrist_1_joint"', b'"frame_1"'), "named.urdf")
+    robot = Robot.from_urdf(urdf, base="base", tip="tool0")
+    named = replace(table, joint_names=robot.joint_names)
+    cell = Cell(model=model, frozen=("target_arm.x",), ties={"frame_1.y": ("target_arm.y", -1.0)})
+    result = calibrate(robot, named, cell=cell, validate=False)
+    # As in the same robot with the names that its joints had.
+    usual = Cell(
+        model=model, frozen=("elbow_joint.x",), ties={"wrist_1_joint.y": ("elbow_joint.y", -1.0)}
+    )
+    expected = calibrate(ur3, table, cell=usual, validate=False)
+    np.testing.assert_array_equal(result.x, expected.x)
+    with pytest.raises(ModelError, match=r"no parameter 'target_arm\.x'"):
+        result.parameter("target_arm.x")
 
 
 def test_suspects_are_judged_by_their_own_number(virtual):
