@@ -135,10 +135,32 @@ def check_outputs(
             raise FileError(message)
 
 
+def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
+    """Row numbers in words, runs of them as one: ``4, 7 to 9``; at most ``limit`` of these, then how many rows more."""
+    runs: list[list[int]] = []
+    for row in sorted(rows):
+        if runs and row == runs[-1][1] + 1:
+            runs[-1][1] = row
+        else:
+            runs.append([row, row])
+    said = [
+        str(a) if a == b else f"{a}{', ' if b == a + 1 else ' to '}{b}" for a, b in runs[:limit]
+    ]
+    rest = sum(b - a + 1 for a, b in runs[limit:])
+    return ", ".join(said) + (f" and {rest} more" if rest else "")
+
+
 def say_ignored(measurements: Measurements, robot: Robot) -> None:
-    """Name the columns of the table that were not used; a joint among them hints at a wrong base or tip."""
+    """Name the rows and columns that were not used; a joint among these hints at a wrong base or tip."""
     from calib.units import split_header
 
+    if measurements.unmeasured:
+        left_out, many = measurements.unmeasured, len(measurements.unmeasured) > 1
+        text = (
+            f"{len(left_out)} of {len(measurements) + len(left_out)} rows {'are' if many else 'is'} not measured, and "
+            f"{'are' if many else 'is'} left out: {'rows' if many else 'row'} {row_ranges(left_out)}."
+        )
+        typer.echo(textwrap.fill(text, 100) + "\n")
     if not measurements.ignored:
         return
     text = f"Columns not used: {choices(measurements.ignored)}."

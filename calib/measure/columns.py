@@ -23,6 +23,9 @@ TORQUE = ".torque"
 #: The name that a column is mapped to so that it is not read.
 IGNORE = "-"
 
+#: What stands before the name of a column that says what to expect there, for a person to compare: see plan_file.
+EXPECTED = "expected "
+
 _COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm", "force": "N"}
 
 

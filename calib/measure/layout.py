@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from calib.errors import MeasurementError, choices
 from calib.measure.columns import (
+    EXPECTED,
     ORIENTATION,
     POINT,
     QUATERNION,
@@ -40,7 +41,7 @@ class Layout:
             table), ``torques``, ``points``, ``orientation`` (three or four), ``distance``, ``sigma``,
             ``sigma_angle``; none of a block that is not there.
         kinds: the kinds of the rows; more than one only with a column ``kind``.
-        ignored: the headers of the columns that were not used.
+        ignored: the headers of the columns that were not used, but for those that a plan has and a fit does not need.
     """
 
     words: Mapping[str, Column]
@@ -84,6 +85,15 @@ class Layout:
         """Which of ``numbers`` a row of this kind uses."""
         other = {name for names in USES.values() for name in names} - set(USES[kind])
         return [i for name in self.blocks if name not in other for i in self.span(name)]
+
+    def measured_by(self, kind: str) -> tuple[Column, ...]:
+        """The columns of what a row of this kind measures; none if it measures nothing, or does so elsewhere.
+
+        Of a pair one row is empty, so that nothing follows from it.
+        """
+        blocks = ("points", "orientation", "distance")
+        used = [name for name in blocks if name in USES[kind] and kind != "pair"]
+        return tuple(column for name in used for column in self.blocks[name])
 
     @classmethod
     def find(
@@ -145,8 +155,26 @@ class Layout:
         if points_elsewhere and "point" in named:
             words["point"] = named["point"]
         taken = {c.index for block in (words.values(), groups, *blocks.values()) for c in block}
+        taken |= _of_a_plan(table, named, empty=points_elsewhere)
         ignored = tuple(label for i, label in enumerate(table.header) if label and i not in taken)
         return cls(words, groups, blocks, kinds, ignored)
+
+
+def _of_a_plan(table: Table, named: Mapping[str, Column], *, empty: bool) -> set[int]:
+    """Columns that a plan has and that need no word when they are not used, by their index.
+
+    Args:
+        table: the table.
+        named: its columns.
+        empty: whether those for the measurement may have been left empty; the rows are then looked at.
+    """
+    found = {c.index for name, c in named.items() if name.startswith(EXPECTED) or name == "point"}
+    if empty:
+        measured = {named[name].index for name in (*POINT, *ORIENTATION) if name in named}
+        for row in table.rows() if measured else ():
+            measured = {i for i in measured if i >= len(row.cells) or not row.cells[i]}
+        found |= measured
+    return found
 
 
 def _find_kinds(

@@ -25,7 +25,7 @@ from calib.measure.columns import POINT, QUATERNION, TORQUE
 from calib.measure.kinds import DEFAULT_TARGET, KINDS, LENGTHS, POSITIONS, SETS
 from calib.measure.layout import Layout
 from calib.measure.orientation import to_quaternions
-from calib.measure.points_file import Points, match_points, read_points
+from calib.measure.points_file import Points, match_points, read_points, unmeasured_points
 from calib.measure.table import Table
 from calib.measure.values import Values
 from calib.model.files import write_atomically
@@ -66,6 +66,7 @@ class Measurements:
         pairs: the word that two rows of the kind ``pair`` share; ``""`` in other rows.
         torques: torques (forces) that the drives put on the joints, positive along the axis, shape (N, n),
             [Nm] ([N]), read-only; NaN for joints without; or None.
+        unmeasured: the numbers of the table's rows that are left out, for they hold no measurement.
 
     Raises:
         MeasurementError: a shape, a value or a word does not fit.
@@ -89,6 +90,7 @@ class Measurements:
     sigma_angle: NDArray[np.float64] | None = None
     pairs: tuple[str, ...] = ()
     torques: NDArray[np.float64] | None = None
+    unmeasured: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
@@ -103,6 +105,7 @@ class Measurements:
         fill(self, "groups", tuple(self.groups) or ("",) * count)
         fill(self, "rows", tuple(self.rows) or tuple(range(1, count + 1)))
         fill(self, "ignored", tuple(self.ignored))
+        fill(self, "unmeasured", tuple(self.unmeasured))
         fill(self, "prismatic", tuple(self.prismatic))
         fill(self, "kinds", tuple(self.kinds) or (KINDS[0],) * count)
         fill(self, "pairs", tuple(self.pairs) or ("",) * count)
@@ -166,6 +169,7 @@ class Measurements:
         values = Values.read(table, layout)
         positions, source, sha256 = values.points, table.source, table.sha256
         if elsewhere is not None:
+            values = _measured(elsewhere, table, layout, values)
             positions = _located(elsewhere, table, layout, values)
             source, sha256 = f"{source} + {elsewhere.source}", f"{sha256} + {elsewhere.sha256}"
         measurements = cls(
@@ -187,6 +191,7 @@ class Measurements:
             sigma_angle=values.sigma_angle,
             pairs=values.pairs,
             torques=values.torques,
+            unmeasured=values.unmeasured,
         )
         check_whole(measurements)
         return measurements
@@ -356,6 +361,15 @@ def _written(name: str, unit: str, values: NDArray[np.float64]) -> tuple[str, li
     numbers = (values / UNITS[unit].to_si if unit else values).tolist()
     cells = ["" if math.isnan(number) else number for number in numbers]
     return (f"{name} [{unit}]" if unit else name), cells
+
+
+def _measured(elsewhere: Points, table: Table, layout: Layout, values: Values) -> Values:
+    """The rows without those whose points are still to be measured."""
+    if "point" not in layout.words:
+        return values
+    at = [i for i, kind in enumerate(values.kinds) if kind in POSITIONS]
+    missing = unmeasured_points(elsewhere, [values.names[i] for i in at])
+    return values.without([at[k] for k in missing], table.source) if missing else values
 
 
 def _located(

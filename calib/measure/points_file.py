@@ -141,7 +141,8 @@ def match_points(
             hint = f"Close to it: {choices(close)}" if close else f"It has {choices(points.names)}"
             message = (
                 f"{source}, row {row}: {points.source} has no point '{name}'. {hint}. Correct the "
-                "name, or remove the row."
+                "name, or remove the row; where the points are in the order of the rows, --columns "
+                '"point=-" does without names.'
             )
             raise MeasurementError(message)
         if i in taken:
@@ -152,6 +153,18 @@ def match_points(
             raise MeasurementError(message)
         taken[i] = row
     return points.points[list(taken)]
+
+
+def unmeasured_points(points: Points, names: Sequence[str]) -> tuple[int, ...]:
+    """Which of these names, from 0, are of points that were not measured yet.
+
+    None if the file has points that nobody names: then the names are more likely misspelt.
+    """
+    found = [points.find(name) for name in names]
+    used = set(found) - {None}
+    if len(used) < len(points):
+        return ()
+    return tuple(i for i, at in enumerate(found) if at is None)
 
 
 def _last(name: str) -> str:

@@ -279,7 +279,7 @@ def _shuffled(path: Path, random: np.random.Generator) -> Path:
     """A stretch of a few poses in any order; of few poses, all of them."""
     window = min(_SHUFFLED, len(path) - 2)
     low = int(random.integers(1, len(path) - window))
-    other = path.copy()
+    other: Path = path.copy()
     other[low : low + window] = random.permutation(path[low : low + window])
     return other
 

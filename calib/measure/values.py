@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, fields
 from operator import itemgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,8 @@ from calib.units import split_header
 class Values:
     """What the rows of a table hold; the attributes are those of `Measurements`.
 
-    ``names`` are the words of the column ``point``, "" without one.
+    ``names`` are the words of the column ``point``, "" without one. ``unmeasured`` are the numbers of rows that are
+    left out, for nothing is measured there yet.
     """
 
     joints: NDArray[np.float64]
@@ -43,41 +45,41 @@ class Values:
     pairs: tuple[str, ...]
     torques: NDArray[np.float64] | None
     names: tuple[str, ...]
+    unmeasured: tuple[int, ...]
 
     @classmethod
     def read(cls, table: Table, layout: Layout) -> Values:
-        """Read every row of a table.
+        """Read every row of a table, but for those in which all cells of the measurement are empty.
 
         Raises:
             MeasurementError: a row, a cell or a column's values cannot be used, or no row is
-                ``estimate``.
+                ``estimate``, or none is measured.
         """
         reader = _Reader(table, layout)
         numbers, lines = array("d"), array("q")
         numbered: dict[int, int] = {}  # row number: line
+        unmeasured: list[int] = []
         kinds: list[str] = []
         words: dict[str, list[str]] = {name: [] for name in reader.words}
         for row in table.rows():
             check_cells(table, row, layout.words.get("row"))
             kind = reader.kind(row)
-            kinds.append(kind)
-            numbers.extend(reader.numbers(row, kind))
             number = reader.row_number(row, numbered)
             numbered[number] = row.line
+            if reader.is_unmeasured(row, kind):
+                unmeasured.append(number)
+                continue
+            kinds.append(kind)
+            numbers.extend(reader.numbers(row, kind))
             lines.append(row.line)
             for name, values in words.items():
                 values.append(reader.word(row, name, kind))
         if not lines:
-            message = f"{table.source}: the table has a header and no rows below it"
-            raise MeasurementError(message)
-        if "set" in words and "estimate" not in words["set"]:
-            message = (
-                f"{table.source}, column '{layout.words['set'].label}': no row is 'estimate', all "
-                f"{len(lines)} are 'validate'. Mark those to estimate from, or remove the column."
-            )
-            raise MeasurementError(message)
+            raise MeasurementError(_no_rows(table, layout, len(unmeasured)))
+        check_sets(table.source, words.get("set", SETS[:1]), len(unmeasured))
         grid = np.array(numbers, dtype=np.float64).reshape(len(lines), -1)
-        rows = tuple(numbered)
+        left_out = set(unmeasured)
+        rows = tuple(number for number in numbered if number not in left_out)
         _check_quaternions(table, layout, grid, tuple(lines), rows)
         WrongUnits(table.source, layout, grid, tuple(lines), rows).check()
         si = grid * np.array([column.to_si for column in layout.numbers])
@@ -107,7 +109,56 @@ class Values:
             pairs=word("pair"),
             torques=_torques(layout, si),
             names=word("point"),
+            unmeasured=tuple(unmeasured),
         )
+
+    def without(self, at: Collection[int], source: str) -> Values:
+        """The values without some rows, from 0, that are not measured either.
+
+        Raises:
+            MeasurementError: no row is ``estimate`` any more.
+        """
+        kept = [i for i in range(len(self.rows)) if i not in at]
+
+        def only(values: Any) -> Any:  # noqa: ANN401
+            """Those of the rows that are left, of an array or a tuple, or None."""
+            if isinstance(values, tuple):
+                return tuple(values[i] for i in kept)
+            return None if values is None else values[kept]
+
+        by_row = [f.name for f in fields(self) if f.name != "unmeasured"]
+        left = {name: only(getattr(self, name)) for name in by_row}
+        unmeasured = sorted((*self.unmeasured, *(self.rows[i] for i in at)))
+        check_sets(source, left["sets"], len(unmeasured))
+        return Values(**left, unmeasured=tuple(unmeasured))
+
+
+def check_sets(source: str, sets: Sequence[str], unmeasured: int) -> None:
+    """Refuse a table of which no row is to be estimated from.
+
+    Raises:
+        MeasurementError: there is none.
+    """
+    if "estimate" in sets:
+        return
+    but = f", {unmeasured} that are not measured yet aside" if unmeasured else ""
+    message = (
+        f"{source}, column 'set': no row is 'estimate', all {len(sets)} are 'validate'{but}. Mark those to estimate "
+        "from, or remove the column."
+    )
+    raise MeasurementError(message)
+
+
+def _no_rows(table: Table, layout: Layout, unmeasured: int) -> str:
+    """What to say of a table without rows, or without any that is measured."""
+    if not unmeasured:
+        return f"{table.source}: the table has a header and no rows below it"
+    columns = [c.label for kind in layout.kinds for c in layout.measured_by(kind)]
+    listed = ", or give the instrument's list of points with --points" * ("point" in layout.kinds)
+    return (
+        f"{table.source}: nothing is measured yet; {choices(dict.fromkeys(columns))} are empty in all {unmeasured} "
+        f"rows. Fill in what was measured at each pose{listed}."
+    )
 
 
 _DEFAULTS = {"set": SETS[0], "target": DEFAULT_TARGET, "group": "", "pair": "", "point": ""}
@@ -122,12 +173,15 @@ _MUST: dict[str, str] = {
 class _Reader:
     """Reads one row after the other, with what has to be remembered between them."""
 
-    __slots__ = ("_groups", "_layout", "_picks", "_signs", "_table", "words")
+    __slots__ = ("_groups", "_layout", "_measured", "_picks", "_signs", "_table", "words")
 
     def __init__(self, table: Table, layout: Layout) -> None:
         """Prepare for the kinds of rows that there are."""
         self._table, self._layout = table, layout
         self._picks = {kind: _Pick.of(layout, layout.used_by(kind)) for kind in layout.kinds}
+        self._measured = {
+            kind: [column.index for column in layout.measured_by(kind)] for kind in layout.kinds
+        }
         if "pair" in layout.kinds:
             distance = layout.span("distance")
             rest = [i for i in layout.used_by("pair") if i not in distance]
@@ -188,6 +242,11 @@ class _Reader:
                 "between thousands."
             )
             raise MeasurementError(message)
+
+    def is_unmeasured(self, row: Row, kind: str) -> bool:
+        """Whether all that this row should have measured is empty: a pose that is still to come."""
+        places = self._measured[kind]
+        return bool(places) and not any(row.cells[i] for i in places)
 
     def row_number(self, row: Row, numbered: dict[int, int]) -> int:
         """The number of the row a person sees; ``numbered`` holds those before it, with their lines."""
