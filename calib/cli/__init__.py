@@ -16,6 +16,7 @@ from calib.cli.evaluate import evaluate
 from calib.cli.fit import fit
 from calib.cli.inspect import inspect
 from calib.cli.simulate import simulate
+from calib.cli.workspace import workspace
 
 app = typer.Typer(
     name="calib",
@@ -31,6 +32,7 @@ app.command()(fit)
 app.command()(evaluate)
 app.command()(inspect)
 app.command()(simulate)
+app.command()(workspace)
 
 
 def _print_version(wanted: bool) -> None:

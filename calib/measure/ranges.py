@@ -66,7 +66,7 @@ def joint_ranges(
     robot: Robot,
     given: Mapping[str, tuple[float, float]] | None = None,
     like: ArrayLike | None = None,
-    margin: float = 0.0,
+    margin: float | Array = 0.0,
 ) -> Array:
     """Between which values each joint is moved.
 
@@ -74,7 +74,7 @@ def joint_ranges(
         robot: The robot; its limits are what is not narrowed, one turn or one metre where they are wider or missing.
         given: Lowest and highest value by the joint's name [rad or m]; they win over ``like``.
         like: shape (N, m), joint values that were measured, in the order of ``robot.joint_names``.
-        margin: What is added at both ends of ``like`` [rad, or m where a joint slides].
+        margin: What is added at both ends of ``like`` [rad or m]; one number, or one for each joint.
 
     Returns:
         shape (m, 2), [rad] or [m], read-only.

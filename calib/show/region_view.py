@@ -1,0 +1,254 @@
+"""A region in the browser: its voxels as coloured points about the nominal robot, in one HTML file.
+
+The voxels stand in bands by how often the target is there; each band can be hidden. See
+`calib.show.scene` for the page.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshcat
+import numpy as np
+from meshcat import geometry as mc
+from numpy.typing import ArrayLike, NDArray
+
+from calib.errors import ModelError
+from calib.measure.region import Region
+from calib.measure.workspace import Density
+from calib.model.robot import Robot, read_only
+from calib.show.bodies import Body, bodies, link_poses
+from calib.show.camera import Camera, look_at, row_direction
+from calib.show.page import COLOURS, SCENE, escaped, filled_page, grid_text, key, round_length
+from calib.show.region_pictures import ESTIMATION, SELDOM_TO_OFTEN, VALIDATION, Marked
+from calib.show.stage import Page, draw_stage, mesh_geometry, translation, upright_pose
+from calib.show.visuals import read_visuals
+from calib.show.window import SceneWindow, without_shadow
+
+Array = NDArray[np.float64]
+
+#: The bands end at these shares, as far as the region goes.
+_BANDS = (0.5, 0.8)
+
+#: More voxels than this are thinned out, evenly.
+_MOST_POINTS = 60_000
+
+#: Edge of a point, as a part of a voxel; the robot is seen between them.
+_POINT = 0.36
+
+#: Radius of the target's ball and of a row's, as a part of the scene's size.
+_BALL, _SMALL_BALL = 0.011, 0.007
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegionView:
+    """What is shown.
+
+    Attributes:
+        robot: The nominal robot.
+        q: shape (m,), [rad] or [m], how it stands.
+        target: shape (3,), in the tip [m].
+        density: The density.
+        region: A region of it.
+        title: The page's heading, plain text.
+        text: Sentences below it, plain text.
+        marked: Points of a table; None for none.
+
+    Raises:
+        ModelError: The pose or the target has another shape or is not finite.
+    """
+
+    robot: Robot
+    q: Array
+    target: Array
+    density: Density
+    region: Region
+    title: str
+    text: str = ""
+    marked: Marked | None = None
+
+    def __post_init__(self) -> None:
+        """Copy the arrays and check them."""
+        for name, count in (("q", len(self.robot.joint_names)), ("target", 3)):
+            values = read_only(getattr(self, name))
+            if values.shape != (count,) or not np.isfinite(values).all():
+                message = f"{name} has shape {values.shape}; finite numbers of shape ({count},) are wanted."
+                raise ModelError(message)
+            object.__setattr__(self, name, values)
+
+
+def write_region_view(view: RegionView, path: str | Path, *, overwrite: bool = False) -> Path:
+    """Write a region as one HTML file that opens from disk without a network.
+
+    Raises:
+        FileError: The file exists and ``overwrite`` is False, or it cannot be written.
+    """
+    return region_page(view).write(path, overwrite=overwrite)
+
+
+def region_page(view: RegionView) -> Page:
+    """Draw a region.
+
+    Raises:
+        UrdfError: Pinocchio cannot build a model of the URDF.
+    """
+    visuals, warnings = read_visuals(view.robot.urdf)
+    layout = _Layout.of(view, bodies(view.robot, view.q, visuals))
+    window = SceneWindow()
+    root = meshcat.Visualizer.view_into(window, meshcat.path.Path())
+    draw_stage(
+        root,
+        layout.camera,
+        size=layout.size,
+        floor=layout.floor,
+        grid=layout.grid,
+        through=np.zeros(3),
+    )
+    scene = root[SCENE]
+    scene.set_transform(translation(-layout.camera.centre) @ layout.upright)
+    _draw_robot(scene["nominal"], view, layout)
+    keys = [key(f"{escaped(view.robot.name)}, nominal", COLOURS["nominal"], "nominal")]
+    keys += _draw_voxels(scene, view)
+    keys += _draw_rows(scene, view, layout.size)
+    html = filled_page(
+        title=view.title,
+        facts=f"<p>{escaped(view.text)}</p>" if view.text else "",
+        warnings=warnings,
+        legend="".join([*keys, grid_text(layout.grid)]),
+        scene=window.scene(),
+    )
+    return Page(html, warnings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """Where everything goes; lengths [m], the floor and the camera in the base frame turned upright."""
+
+    parts: tuple[Body, ...]
+    target: Array
+    upright: Array
+    size: float
+    floor: float
+    grid: float
+    camera: Camera
+
+    @classmethod
+    def of(cls, view: RegionView, parts: tuple[Body, ...]) -> _Layout:
+        """See all of the robot and of the region."""
+        upright = upright_pose(view.robot, view.q)
+        T_tip = view.robot.poses(view.q)[0]
+        target = T_tip[:3, :3] @ view.target + T_tip[:3, 3]
+        joints = np.array([T[:3, 3] for T in link_poses(view.robot, view.q).values()])
+        drawn = np.concatenate([joints, target[None], *[body.outline() for body in parts]])
+        corners = _centres(view.density, view.region.cells)
+        corners = corners[:: 1 + len(corners) // 5000]
+        everything = np.concatenate([drawn, corners]) @ upright[:3, :3].T
+        low, high = everything.min(axis=0), everything.max(axis=0)
+        size = max(float(np.linalg.norm(high - low)), 1e-3)
+        back = row_direction(joints @ upright[:3, :3].T)
+        return cls(
+            parts=parts,
+            target=target,
+            upright=upright,
+            size=size,
+            # What the robot stands on; the region may reach below.
+            floor=float((drawn @ upright[:3, :3].T)[:, 2].min()),
+            grid=round_length(size / 7.0),
+            camera=look_at(everything, back),
+        )
+
+
+def _draw_robot(scene: meshcat.Visualizer, view: RegionView, layout: _Layout) -> None:
+    """The nominal robot with its target."""
+    material = mc.MeshPhongMaterial(
+        color=_number(COLOURS["nominal"]), shininess=35, specular=0x2A2A2A, side=2
+    )
+    for i, body in enumerate(layout.parts):
+        shape, T_shape_mesh = mesh_geometry(body.shape)
+        scene[f"{i:03d}"].set_object(shape, material)
+        scene[f"{i:03d}"].set_transform(body.T_base_shape @ T_shape_mesh)
+    if np.any(view.target):
+        scene["target"].set_object(mc.Sphere(_BALL * layout.size), material)
+        scene["target"].set_transform(translation(layout.target))
+
+
+def _draw_voxels(scene: meshcat.Visualizer, view: RegionView) -> list[str]:
+    """The region's voxels in bands, and their lines of the legend."""
+    centres = _centres(view.density, view.region.cells)
+    # The centre of a voxel may lie beyond the box that cuts it.
+    needed = view.density.share_of(np.clip(centres, *view.region.box))
+    inside = np.ones(len(centres), dtype=np.bool_)
+    rng = np.random.default_rng(0)
+    if len(centres) > _MOST_POINTS:
+        chosen = rng.permutation(len(centres))[:_MOST_POINTS]
+        inside &= np.isin(np.arange(len(centres)), chosen)
+    # Anywhere in its voxel: points in rows would make patterns of their own.
+    centres = centres + view.density.voxel * rng.uniform(-0.5, 0.5, centres.shape)
+    inside &= np.all((centres >= view.region.box[0]) & (centres <= view.region.box[1]), axis=1)
+    share = view.region.share
+    ends = [0.0, *[end for end in _BANDS if end < share - 0.02], share]
+    keys = []
+    for i, (start, end) in enumerate(itertools.pairwise(ends)):
+        colour = SELDOM_TO_OFTEN[len(SELDOM_TO_OFTEN) - 1 - i]
+        last = end == share
+        band = inside & (needed > start) & ((needed <= end) | last)
+        points = centres[band]
+        if not len(points):
+            continue
+        node = scene[f"band{i}"]
+        node.set_object(_cloud(points, colour, _POINT * view.density.voxel))
+        without_shadow(node)
+        words = f"the densest {100 * end:.3g} %" if i == 0 else f"up to {100 * end:.3g} %"
+        keys.append(key(words, colour, f"band{i}"))
+    return keys
+
+
+def _draw_rows(scene: meshcat.Visualizer, view: RegionView, size: float) -> list[str]:
+    """The points of a table, and their lines of the legend."""
+    if view.marked is None:
+        return []
+    keys = []
+    for chosen, colour, word in (
+        (~view.marked.validation, ESTIMATION, "estimation"),
+        (view.marked.validation, VALIDATION, "validation"),
+    ):
+        points = view.marked.points[chosen]
+        # A wild point is not looked for at the end of the world.
+        points = points[np.linalg.norm(points, axis=1) < 5.0 * size]
+        if not len(points):
+            continue
+        node = scene[word]
+        if len(points) <= 300:
+            ball, material = (
+                mc.Sphere(_SMALL_BALL * size),
+                mc.MeshPhongMaterial(color=_number(colour)),
+            )
+            for i, point in enumerate(points):
+                node[f"{i:03d}"].set_object(ball, material)
+                without_shadow(node[f"{i:03d}"])
+                node[f"{i:03d}"].set_transform(translation(point))
+        else:
+            node["dots"].set_object(_cloud(points, colour, 1.2 * _SMALL_BALL * size))
+            without_shadow(node["dots"])
+        keys.append(key(f"{word} rows", colour, word, "dot"))
+    return keys
+
+
+def _centres(density: Density, cells: NDArray[np.bool_]) -> Array:
+    """Centres of voxels, shape (K, 3), [m]."""
+    result: Array = density.origin + density.voxel * (np.argwhere(cells) + 0.5)
+    return result
+
+
+def _cloud(points: ArrayLike, colour: str, edge: float) -> mc.Object:
+    """Points of one colour."""
+    at = np.asarray(points, dtype=np.float32).T
+    rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)], dtype=np.float32) / 255
+    return mc.PointCloud(at, np.repeat(rgb[:, None], at.shape[1], axis=1), size=edge)
+
+
+def _number(colour: str) -> int:
+    """A colour as meshcat takes it."""
+    return int(colour[1:], 16)
