@@ -26,6 +26,9 @@ from calib.errors import CalibError
 if TYPE_CHECKING:
     from calib.cli.simulate_setup import Prepared
 
+#: Of a line of the command to type next.
+_WIDTH = 88
+
 _HELP = """Simulate measurements of a robot whose errors are known.
 
 \b
@@ -53,19 +56,23 @@ def simulate(
     count: Annotated[
         int | None,
         typer.Option(
-            min=1, metavar="N", help="Number of random poses inside the limits. Default: 30."
+            min=1,
+            max=1_000_000,
+            metavar="N",
+            help="Number of random poses inside the limits. Default: 30.",
         ),
     ] = None,
     validation: Annotated[
         int | None,
         typer.Option(
             min=0,
+            max=1_000_000,
             metavar="N",
             help="Random poses besides, marked 'validate'. Default: 10, and 0 with --poses.",
         ),
     ] = None,
     visits: Annotated[
-        int, typer.Option(min=1, metavar="N", help="How often each pose is measured.")
+        int, typer.Option(min=1, max=1000, metavar="N", help="How often each pose is measured.")
     ] = 1,
     seed: Annotated[
         int, typer.Option(min=0, metavar="S", help="The same S gives the same files.")
@@ -167,8 +174,11 @@ def simulate(
         typer.Option(metavar='N|"P %"', help="Rows that are far off: a number, or a share."),
     ] = None,
     outlier_size: Annotated[
-        str, typer.Option("--outlier-size", metavar="LENGTH", help="How far they are off.")
-    ] = "5 mm",
+        str | None,
+        typer.Option(
+            "--outlier-size", metavar="LENGTH", help='How far they are off. Default: "5 mm".'
+        ),
+    ] = None,
     moved_target: Annotated[
         str | None,
         typer.Option(
@@ -299,13 +309,16 @@ def _simulate(
 
 
 def _next(robot: str, table: Path, words: dict[str, str | None], held: list[str]) -> str:
-    """The command that fits what was simulated."""
-    call = ["calib", "fit", robot, str(table)]
-    for option, value in words.items():
-        call += [] if value is None else [option, value]
-    for value in held:
-        call += ["--hold", value]
-    return shlex.join([*call, "-o", "corrected.urdf"])
+    """The command that fits what was simulated, in lines that a shell joins again."""
+    parts = [shlex.join(["calib", "fit", robot, str(table)])]
+    parts += [shlex.join([o, value]) for o, value in words.items() if value is not None]
+    parts += [shlex.join(["--hold", value]) for value in held]
+    lines = [""]
+    for part in [*parts, "-o corrected.urdf"]:
+        if lines[-1] and len(lines[-1]) + len(part) > _WIDTH:
+            lines.append("")
+        lines[-1] += f" {part}" if lines[-1] else part
+    return " \\\n         ".join(lines)
 
 
 simulate.__doc__ = _HELP

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from calib.measure.cell import Cell
+    from calib.measure.disturbances import Outliers
     from calib.measure.error_sizes import ErrorSizes
     from calib.measure.noise import TrackerNoise
     from calib.measure.scenario import Scenario
@@ -23,6 +24,9 @@ _COUNT, _VALIDATION = 30, 10
 
 #: Noise of an orientation about each axis, of a tracker's 6D probe [deg].
 _PROBE_DEG = 0.01
+
+#: How far outliers are off.
+_OUTLIER = "5 mm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +47,7 @@ class Asked:
     angle_noise: str | None
     encoder: tuple[str, ...]
     outliers: str | None
-    outlier_size: str
+    outlier_size: str | None
     moved_target: str | None
     drift: str | None
 
@@ -134,7 +138,6 @@ def _scenario(robot: Robot, cell: Cell, asked: Asked) -> Scenario:
 
     model = DEFAULT_MODEL if cell.model == AUTO else cell.model
     errors = words.parse_errors(asked.errors, error_model(robot, model, target=False).parameters)
-    size = words.parse_size(asked.outlier_size, "--outlier-size", "5 mm")
     noise = _noise(cell, asked.noise, asked.repeatability)
     return Scenario(
         robot=robot,
@@ -151,11 +154,23 @@ def _scenario(robot: Robot, cell: Cell, asked: Asked) -> Scenario:
         noise=noise,
         sigma_angle=_sigma_angle(cell, asked.angle_noise, any_noise=noise is not None),
         encoder=words.parse_encoder(asked.encoder),
-        outliers=None if asked.outliers is None else words.parse_outliers(asked.outliers, size),
+        outliers=_outliers(asked.outliers, asked.outlier_size),
         moved=None if asked.moved_target is None else words.parse_moved(asked.moved_target),
         drift=np.zeros(3) if asked.drift is None else parse_point(asked.drift, "--drift"),
         visits=asked.visits,
     )
+
+
+def _outliers(number: str | None, size: str | None) -> Outliers | None:
+    """Rows that are far off, if there are to be any."""
+    from calib.cli.simulate_words import parse_outliers, parse_size
+
+    if number is None:
+        if size is not None:
+            message = "--outlier-size says how far outliers are off; say how many there are, such as --outliers 3."
+            raise CalibError(message)
+        return None
+    return parse_outliers(number, parse_size(size or _OUTLIER, "--outlier-size", _OUTLIER))
 
 
 def _sigma_angle(cell: Cell, said: str | None, *, any_noise: bool) -> float:
@@ -165,6 +180,11 @@ def _sigma_angle(cell: Cell, said: str | None, *, any_noise: bool) -> float:
     from calib.cli.simulate_words import parse_angle
 
     if said is not None:
+        if cell.kind != "pose":
+            message = (
+                "--angle-noise is the noise of orientations; they are measured with --kind pose."
+            )
+            raise CalibError(message)
         return parse_angle(said, "--angle-noise")
     if not any_noise:
         return 0.0

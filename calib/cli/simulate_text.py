@@ -106,8 +106,9 @@ def _family_line(family: str, unit: str, pairs: Sequence[tuple[Parameter, float]
     scale, symbol = _SHOWN[unit]
     rms = math.sqrt(sum(v * v for _, v in pairs) / len(pairs))
     one, largest = max(pairs, key=lambda pair: abs(pair[1]))
+    count = f"{len(pairs):>3} " + ("error, " if len(pairs) == 1 else "errors,")
     return (
-        f"  {family:<13}{len(pairs):>3} {'error,  ' if len(pairs) == 1 else 'errors,'} rms {scale * rms:.3g} {symbol}, largest {one.name} "
+        f"  {family:<13}{count} rms {scale * rms:.3g} {symbol}, largest {one.name} "
         f"{scale * largest:.3g} {symbol}"
     )
 

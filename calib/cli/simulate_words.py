@@ -134,7 +134,8 @@ def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tupl
         if name not in units:
             message = (
                 f"--error '{pair}': the robot has no error '{name}' in this model"
-                f"{did_you_mean(name, units)}. It has {choices(units, limit=60)}; --model chooses others."
+                f"{did_you_mean(name, units)}. It has {choices(units)}; calib inspect prints all, --model chooses "
+                "others."
             )
             raise CalibError(message)
         found[name] = _quantity(value, *_UNITS[units[name]], f"--error '{pair}'")

@@ -259,7 +259,7 @@ def _with_given(model: ErrorModel, x: Array, errors: Mapping[str, float]) -> Arr
         if name not in model.names:
             message = (
                 f"There is no error '{name}' in the model '{model.name}'{did_you_mean(name, model.names)}; it has "
-                f"{choices(model.names, limit=60)}."
+                f"{choices(model.names)}."
             )
             raise ModelError(message)
         if not np.isfinite(value):

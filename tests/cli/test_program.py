@@ -131,6 +131,11 @@ def test_every_example_of_the_document_works(examples):
         "frozen.json",
         "intervals.json",
         "errors.json",
+        "simulated.csv",
+        "simulated_truth.json",
+        "true.urdf",
+        "disturbed.csv",
+        "truth.json",
     }
     assert {path.name for path in examples.folder.iterdir()} == given | made
 

@@ -1,0 +1,125 @@
+"""Outliers, a moved target, encoders with steps."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.errors import CalibError
+from calib.measure.disturbances import Encoder, MovedTarget, Outliers, outlier_directions
+
+
+@pytest.mark.parametrize(
+    ("outliers", "among", "number"),
+    [
+        (Outliers(share=0.2), 30, 6),
+        (Outliers(share=0.001), 30, 1),
+        (Outliers(share=0.0), 30, 0),
+        (Outliers(share=1.0), 7, 7),
+        (Outliers(count=0), 30, 0),
+        (Outliers(count=3), 3, 3),
+    ],
+)
+def test_how_many(outliers, among, number):
+    chosen = outliers.choose(range(100, 100 + among), seed=1)
+    assert len(chosen) == len(set(chosen)) == number
+    assert chosen == sorted(chosen)
+    assert set(chosen) <= set(range(100, 100 + among))
+
+
+def test_more_outliers_are_those_of_fewer_and_others():
+    few = Outliers(count=3).choose(range(50), seed=4)
+    assert set(few) < set(Outliers(count=8).choose(range(50), seed=4))
+    assert few != Outliers(count=3).choose(range(50), seed=5)
+
+
+def test_directions_are_unit_vectors_that_point_everywhere():
+    v = outlier_directions(20_000, 1)
+    assert np.linalg.norm(v, axis=1) == pytest.approx(1.0)
+    assert np.abs(v.mean(axis=0)).max() < 0.02
+    assert (v.T @ v) / len(v) == pytest.approx(np.eye(3) / 3, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"share": 1.01}, "share of outliers is 1.01; it must be a number from 0 to 1"),
+        ({"share": -0.1}, "share of outliers is -0.1"),
+        ({"share": float("nan")}, "share of outliers is nan"),
+        ({"count": -1}, "number of outliers is -1; it must be a whole number"),
+        ({"count": 1.5}, "number of outliers is 1.5"),
+        ({"count": True}, "number of outliers is True"),
+        ({"size": 0.0}, "displaced by 0.0 m; it must be a positive number"),
+    ],
+)
+def test_wrong_outliers(values, said):
+    with pytest.raises(CalibError, match=said):
+        Outliers(**values)
+
+
+def test_more_outliers_than_rows():
+    with pytest.raises(CalibError, match="31 outliers were asked for among 30 measurements"):
+        Outliers(count=31).number(30)
+
+
+def test_a_target_is_moved_from_its_row_on():
+    rows = MovedTarget(3, (0, 0, 1e-3)).rows(["a", "b", "a", "b", "a"])
+    assert rows.tolist() == [False, False, True, True, True]
+    only = MovedTarget(3, (0, 0, 1e-3), "b").rows(["a", "b", "a", "b", "a"])
+    assert only.tolist() == [False, False, False, True, False]
+
+
+def test_a_moved_target_that_does_not_fit():
+    with pytest.raises(CalibError, match="before row 6; the table has 5 rows"):
+        MovedTarget(6, (0, 0, 1e-3)).rows(["a"] * 5)
+    with pytest.raises(CalibError, match="'c' is to move; there are 'a', 'b'"):
+        MovedTarget(2, (0, 0, 1e-3), "c").rows(["a", "b"])
+
+
+@pytest.mark.parametrize("row", [0, -1, 1.0, True, None])
+def test_what_is_no_row(row):
+    with pytest.raises(CalibError, match="rows are counted from 1"):
+        MovedTarget(row, (0, 0, 1e-3))
+
+
+def test_what_is_no_displacement():
+    with pytest.raises(CalibError, match="displacement of the moved target must be three finite"):
+        MovedTarget(1, (0, np.nan, 0))
+
+
+@given(
+    st.lists(st.floats(-6.0, 6.0), min_size=1, max_size=8),
+    st.floats(1e-6, 0.1),
+    st.integers(0, 1000),
+)
+def test_what_is_read_is_at_most_half_a_step_from_where_the_robot_stands(values, step, seed):
+    q = np.array([values])
+    encoder = Encoder(angle=step)
+    slides = [False] * len(values)
+    stood = encoder.stood(q, slides, seed)
+    read = encoder.read(stood, slides)
+    assert np.abs(stood - q).max() <= 0.5 * step * (1 + 1e-9)
+    assert np.abs(read - stood).max() <= 0.5 * step + 1e-12
+    assert np.abs(read / step - np.round(read / step)).max() < 1e-6
+
+
+def test_joints_that_slide_have_a_step_of_their_own():
+    q = np.full((1000, 3), 0.1234567)
+    slides = [False, True, False]
+    for encoder, moved in ((Encoder(1e-3, 0.0), [0, 2]), (Encoder(0.0, 1e-4), [1])):
+        off = encoder.stood(q, slides, 1) - q
+        assert [k for k in range(3) if off[:, k].any()] == moved
+    # evenly within the step, so that its standard deviation is a step over the root of twelve
+    assert off[:, 1].std() == pytest.approx(1e-4 / np.sqrt(12), rel=0.05)
+
+
+def test_without_steps_nothing_changes():
+    q = np.random.default_rng(1).normal(size=(5, 2))
+    assert (Encoder().stood(q, [False, True], 1) == q).all()
+    assert (Encoder().read(q, [False, True]) == q).all()
+
+
+@pytest.mark.parametrize("values", [(-1e-6, 0.0), (0.0, -1.0), (np.nan, 0.0), ("1", 0.0)])
+def test_what_is_no_step(values):
+    with pytest.raises(CalibError, match="encoder's step is"):
+        Encoder(*values)
