@@ -2,8 +2,9 @@
 
 A position's standard deviation is sqrt(trace(J C J^T)), with the derivative J of the point and the parameters'
 covariance C. Sockets, planes and anchors tell neither where the base stands nor how it is turned, and nobody asks them:
-all points are then looked at in one frame, and what one rigid motion of them would do is left out, by the projection
-onto what it cannot do.
+all points are then looked at in one frame, and what one rigid motion of the measured poses would do is left out: the
+motion that best makes up for theirs, by least squares, is taken off wherever else it is asked. So a single pose has a
+standard deviation too, and one that does not depend on which others are asked with it.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ def position_std(fitted: Fitted, samples: Samples) -> Array:
         fitted: The fit.
         samples: N joint values, each with its frame and target.
     """
-    points, jacobian = fitted.kinematics.points_jacobian(
-        fitted.estimate.x, as_one_body(fitted, samples)
-    )
-    jacobian = own_moves(fitted, points, jacobian)
+    points, jacobian = _points_jacobian(fitted, samples)
+    if not tells_place(fitted):
+        seen = _points_jacobian(fitted, fitted.estimate.problem.rows.samples)
+        jacobian = own_moves(fitted, points, jacobian, seen)
     spread = np.einsum("nij,jk,nik->n", jacobian, fitted.estimate.covariance, jacobian)
     return np.asarray(np.sqrt(np.maximum(spread, 0.0)))
 
@@ -44,37 +45,61 @@ def as_one_body(fitted: Fitted, samples: Samples) -> Samples:
         fitted: The fit.
         samples: N of them.
     """
-    if _tells_place(fitted):
+    if tells_place(fitted):
         return samples
     return replace(samples, frame=np.zeros_like(samples.frame))
 
 
-def own_moves(fitted: Fitted, points: Array, moves: Array) -> Array:
+def own_moves(
+    fitted: Fitted, points: Array, moves: Array, seen: tuple[Array, Array] | None = None
+) -> Array:
     """Moves of points, less a rigid motion of all of them where the fit's rows do not tell it, shape (N, 3, k).
 
     Args:
         fitted: The fit.
         points: shape (N, 3), all in one frame [m].
         moves: shape (N, 3, k), k moves of them, [m] or [m per unit].
+        seen: The points at the fit's own rows and their moves, which say what rigid motion it is; None where ``points``
+            are these.
     """
-    return moves if _tells_place(fitted) else without_rigid_motion(points, moves)
+    return moves if tells_place(fitted) else without_rigid_motion(points, moves, seen)
 
 
-def without_rigid_motion(points: Array, moves: Array) -> Array:
-    """Moves of points, less what one rigid motion of all of them can do, shape (N, 3, k).
+def without_rigid_motion(
+    points: Array, moves: Array, seen: tuple[Array, Array] | None = None
+) -> Array:
+    """Moves of points, less the rigid motion that best makes up for them, shape (N, 3, k).
 
     Args:
         points: shape (N, 3), [m].
         moves: shape (N, 3, k), k moves of them, [m] or [m per unit].
+        seen: Points and their k moves that the motion makes up for; None for the same.
     """
+    of_points, of_moves = (points, moves) if seen is None else seen
+    middle = of_points.mean(axis=0)
+    flat = of_moves.reshape(-1, of_moves.shape[2])
+    # Points on a line tell nothing of a turn about it: the shortest solution has none.
+    motion = np.linalg.lstsq(_rigid(of_points - middle), flat, rcond=1e-9)[0]
+    return np.asarray(moves - (_rigid(points - middle) @ motion).reshape(moves.shape))
+
+
+def _rigid(points: Array) -> Array:
+    """What the six rigid motions do to points, shape (3 N, 6)."""
     motion = np.zeros((len(points), 3, 6))
     motion[:, :, :3] = np.eye(3)
     motion[:, :, 3:] = np.cross(np.eye(3), points[:, None, :]).transpose(0, 2, 1)
-    base = np.linalg.qr(motion.reshape(-1, 6))[0]
-    flat = moves.reshape(-1, moves.shape[2])
-    return np.asarray((flat - base @ (base.T @ flat)).reshape(moves.shape))
+    return motion.reshape(-1, 6)
 
 
-def _tells_place(fitted: Fitted) -> bool:
-    """Whether any row measured a position."""
+def _points_jacobian(fitted: Fitted, samples: Samples) -> tuple[Array, Array]:
+    """Points at some samples, as one body, and their derivative, shapes (N, 3) and (N, 3, p)."""
+    return fitted.kinematics.points_jacobian(fitted.estimate.x, as_one_body(fitted, samples))
+
+
+def tells_place(fitted: Fitted) -> bool:
+    """Whether any row measured a position, which tells where the base stands.
+
+    Args:
+        fitted: The fit.
+    """
     return bool(np.any(np.isin(fitted.estimate.problem.rows.kinds, (POINT, POSE))))

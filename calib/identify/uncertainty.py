@@ -44,7 +44,7 @@ from calib.identify.resampling import Profile, bootstrap_indices, profile
 from calib.identify.result import Calibration
 from calib.identify.robustness import Robustness, compare
 from calib.identify.solvers import Solution, levenberg_marquardt
-from calib.identify.spread import as_one_body, own_moves, position_std
+from calib.identify.spread import as_one_body, own_moves, position_std, tells_place
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
 from calib.model.readback import spread_poses
@@ -129,10 +129,17 @@ class Bootstrap:
             where: As for `positions`.
         """
         samples = where if isinstance(where, Samples) else Samples.at(where)
+        points, moves = self._scatter(samples)
+        if not tells_place(self.fitted):
+            seen = self._scatter(_some(self.fitted.estimate.problem.rows.samples))
+            moves = own_moves(self.fitted, points, moves, seen)
+        return np.asarray(np.sqrt(np.sum(np.var(moves, axis=2, ddof=1), axis=1)))
+
+    def _scatter(self, samples: Samples) -> tuple[Array, Array]:
+        """Mean positions, as one body, and the samples' differences from them, shapes (N, 3) and (N, 3, count)."""
         points = self.positions(as_one_body(self.fitted, samples))
         mean = points.mean(axis=0)
-        moves = own_moves(self.fitted, mean, (points - mean).transpose(1, 2, 0))
-        return np.asarray(np.sqrt(np.sum(np.var(moves, axis=2, ddof=1), axis=1)))
+        return mean, (points - mean).transpose(1, 2, 0)
 
 
 def bootstrap(
@@ -186,7 +193,6 @@ def bootstrap(
     result = Bootstrap(
         fitted, calibration.parameters, read_only(x), seed, stopped, float("nan"), float("nan")
     )
-    some = np.linspace(0, len(rows) - 1, min(len(rows), _POSES)).astype(int)
     everywhere = Samples.at(spread_poses(fitted.task.robot, _POSES))
     return Bootstrap(
         fitted,
@@ -194,7 +200,7 @@ def bootstrap(
         result.x,
         seed,
         stopped,
-        measured_rms=_rms(result.position_std(rows.samples.select(some))),
+        measured_rms=_rms(result.position_std(_some(rows.samples))),
         everywhere_rms=_rms(result.position_std(everywhere)),
     )
 
@@ -346,6 +352,12 @@ def _least_cost(fitted: Fitted, k: int, value: float) -> float:
 
     size = steps(fitted.kinematics.model.units)[others]
     return 2.0 * levenberg_marquardt(system, start[others], step_size=size).cost
+
+
+def _some(samples: Samples) -> Samples:
+    """At most `_POSES` of the samples, evenly spread over their order."""
+    count = min(len(samples), _POSES)
+    return samples.select(np.linspace(0, len(samples) - 1, count).astype(int))
 
 
 def _rms(values: Array) -> float:
