@@ -38,7 +38,7 @@ VERIFIED = 500
 _VERIFY_SEED = 19790401
 
 #: Candidates that each trial's plan is chosen from: it is made anew each time.
-PLAN_CANDIDATES = 4000
+PLAN_CANDIDATES = 2000
 
 #: Distance of a tracker that stands somewhere [m].
 _USUAL_DISTANCE = 3.0
@@ -294,7 +294,13 @@ def _planned(trials: Trials, seed: int) -> Array:
     ranges = planning_ranges(robot, trials.scenario.cell.ranges, 0.0)
     pool = draw(robot, ranges, [], max(PLAN_CANDIDATES, trials.count), seed)
     chosen = choose_poses(
-        sensitivity, pool, count=trials.count, criterion=trials.criterion, ladder=(), seed=seed
+        sensitivity,
+        pool,
+        count=trials.count,
+        criterion=trials.criterion,
+        ladder=(),
+        seed=seed,
+        restarts=1,
     )
     return chosen.planned
 

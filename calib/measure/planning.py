@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from calib.errors import ModelError
 from calib.measure.candidates import Pool
-from calib.measure.design import Basis, check_criterion, choose, grow, information, short_list
+from calib.measure.design import (
+    RESTARTS,
+    Basis,
+    check_criterion,
+    choose,
+    grow,
+    information,
+    short_list,
+)
 from calib.measure.forecast import Forecast, Sensitivity, Workspace, forecast, parameter_weight
 from calib.measure.travel import Tour
 from calib.model.robot import Robot, read_only
@@ -27,6 +35,9 @@ _LADDER_POOL = 2000
 
 #: Draws of random poses, of which the median is shown.
 _RANDOM = 9
+
+#: Poses that differ by less than this in every joint are the same one [rad or m].
+_SAME = 1e-3
 
 #: Steps of the ladder that is made where none is asked for, in poses of the plan.
 _RUNGS = (0.5, 0.67, 0.83, 1.0, 1.33, 1.67, 2.0, 3.0)
@@ -122,6 +133,7 @@ def choose_poses(
     taken: Array | None = None,
     ladder: Sequence[int] | None = None,
     seed: int = 0,
+    restarts: int = RESTARTS,
     progress: Progress | None = None,
 ) -> Choice:
     """Choose poses from a pool of candidates.
@@ -135,17 +147,19 @@ def choose_poses(
         taken: shape (T, m), poses that were measured already; they count, and are not planned again.
         ladder: Numbers of poses to forecast; None: some from half to three times ``count``; empty: none.
         seed: The same seed makes the same choice.
+        restarts: Random starts of the exchange; one is a few percent worse than several.
         progress: Called after each step.
 
     Raises:
         ModelError: No such criterion, fewer candidates than poses, or fewer poses than the model needs.
     """
     check_criterion(criterion)
-    check_numbers(count, validation, len(pool.q))
     taken = np.zeros((0, pool.q.shape[1])) if taken is None else taken
-    measured = sensitivity.measured(pool.q)
+    q = _without(pool.q, taken)
+    check_numbers(count, validation, len(q))
+    measured = sensitivity.measured(q)
     workspace = Workspace.of(sensitivity, pool.workspace)
-    rungs = _rungs(ladder, count, len(pool.q), _fewest(workspace, measured.shape[1], len(taken)))
+    rungs = _rungs(ladder, count, len(q), _fewest(workspace, measured.shape[1], len(taken)))
     _check_enough(workspace, measured.shape[1], count, len(taken), sensitivity)
     steps = 2 + len(rungs)
 
@@ -160,20 +174,20 @@ def choose_poses(
         "V": workspace.mean_square,
     }[criterion]
     mean = information(measured) / len(measured)
-    basis = Basis.of(mean, sensitivity.precision, weight, known)
+    basis = Basis.of(mean, sensitivity.leashed, weight, known)
     blocks = basis.blocks(measured)
     done(1)
-    chosen = choose(blocks, basis, count, seed)
+    chosen = choose(blocks, basis, count, seed, restarts)
     done(2)
 
     def foreseen(indices: Indices) -> Forecast:
-        return forecast(sensitivity, workspace, np.concatenate([taken, pool.q[indices]]))
+        return forecast(sensitivity, workspace, np.concatenate([taken, q[indices]]))
 
     rng = np.random.default_rng([seed, 1])
-    others = rng.permutation(np.setdiff1d(np.arange(len(pool.q)), chosen))
+    others = rng.permutation(np.setdiff1d(np.arange(len(q)), chosen))
     plan = foreseen(chosen)
     steps_of_ladder: list[tuple[int, Forecast]] = []
-    short = short_list(blocks, basis, _LADDER_POOL)
+    short = short_list(blocks, basis, max(_LADDER_POOL, *rungs, 0))
     at = np.zeros(0, dtype=np.int_)
     for step, number in enumerate(rungs):
         if number == count:
@@ -183,15 +197,23 @@ def choose_poses(
             steps_of_ladder.append((number, foreseen(short[at])))
         done(3 + step)
     return Choice(
-        planned=read_only(pool.q[chosen]),
-        validation=read_only(pool.q[others[:validation]]),
+        planned=read_only(q[chosen]),
+        validation=read_only(q[others[:validation]]),
         forecast=plan,
         before=forecast(sensitivity, workspace, taken) if len(taken) else None,
         at_random=_median(
-            [foreseen(rng.choice(len(pool.q), count, replace=False)) for _ in range(_RANDOM)]
+            [foreseen(rng.choice(len(q), count, replace=False)) for _ in range(_RANDOM)]
         ),
         ladder=tuple(steps_of_ladder),
     )
+
+
+def _without(q: Array, taken: Array) -> Array:
+    """The candidates but those that were measured already, all joints within `_SAME`."""
+    again = np.zeros(len(q), dtype=bool)
+    for pose in taken:
+        again |= np.all(np.abs(q - pose) < _SAME, axis=1)
+    return q[~again]
 
 
 def _median(forecasts: list[Forecast]) -> Forecast:
