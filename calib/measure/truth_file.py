@@ -16,6 +16,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, FileError
+from calib.measure.cell_parts import vector
 from calib.measure.simulation import Simulated, VirtualCell
 from calib.measure.truth import Truth
 from calib.model.error_model import error_model
@@ -115,12 +116,17 @@ def read_truth(path: str | Path, robot: Robot) -> Truth:
             "'calib simulate --truth' wrote."
         )
         raise FileError(message)
+    damage = (KeyError, TypeError, ValueError, AttributeError, CalibError)
     try:
-        _check_robot(path, table["robot"], robot)
-        return _truth(table, robot)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        other = _another_robot(table["robot"], robot)
+        truth = None if other else _truth(table, robot)
+    except damage as error:
         message = f"{path}: the truth is incomplete or damaged ({error!r}). Simulate it again."
         raise FileError(message) from error
+    if truth is None:
+        message = f"{path}: this is the truth of another robot: {other}"
+        raise CalibError(message)
+    return truth
 
 
 def write_true_urdf(truth: Truth, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -135,20 +141,17 @@ def write_true_urdf(truth: Truth, path: str | Path, *, overwrite: bool = False) 
     return truth.robot.urdf.write(path, overwrite=overwrite)
 
 
-def _check_robot(path: str | Path, said: Mapping[str, Any], robot: Robot) -> None:
-    """Refuse another robot than the one that the truth is of."""
+def _another_robot(said: Mapping[str, Any], robot: Robot) -> str:
+    """What tells that a truth is not of this robot; "" if it is."""
     for what, given, found in (
         ("joints", list(said["joints"]), list(robot.joint_names)),
         ("base", said["base"], robot.base),
         ("tip", said["tip"], robot.tip),
-        ("URDF", said["urdf_sha256"], robot.urdf.sha256),
+        ("URDF's SHA-256", said["urdf_sha256"], robot.urdf.sha256),
     ):
         if given != found:
-            message = (
-                f"{path}: this is the truth of another robot: its {what} is {given!r}, that of '{robot.name}' is "
-                f"{found!r}."
-            )
-            raise CalibError(message)
+            return f"its {what} is {given!r}, that of '{robot.name}' is {found!r}."
+    return ""
 
 
 def _truth(table: Mapping[str, Any], robot: Robot) -> Truth:
@@ -180,7 +183,7 @@ def _truth(table: Mapping[str, Any], robot: Robot) -> Truth:
         payload=None
         if payload is None
         else Payload(float(payload["mass_kg"]), np.array(payload["com_m"], dtype=np.float64)),
-        gravity=read_only(table["gravity_m_s2"]),
+        gravity=vector(table["gravity_m_s2"], "gravity", "m/s^2"),
     )
 
 
