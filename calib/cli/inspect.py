@@ -28,6 +28,7 @@ from calib.cli.options import (
 
 if TYPE_CHECKING:
     from calib.identify.inspection import Inspection
+    from calib.measure.forecast import Forecast
     from calib.model.robot import Robot
 
 _HELP = """Show a robot's chain, its DH rows, the parameters of a model and which of them can be identified.
@@ -86,6 +87,12 @@ def inspect(
         typer.echo(_dh_text(arm))
         typer.echo("")
         typer.echo(_parameters_text(inspect_robot(arm, setup, table)))
+        if table is not None:
+            from calib.identify.foresight import forecast_of_table, planned_model
+
+            foreseen = forecast_of_table(arm, setup, table)
+            if foreseen is not None:
+                typer.echo(f"\n{_forecast_text(foreseen, planned_model(setup))}")
 
 
 def _chain_text(robot: Robot) -> str:
@@ -204,6 +211,18 @@ def _parameters_text(inspection: Inspection) -> str:
         lines.append("These changes move nothing that is measured:")
         lines += [_wrap(str(combination), "  ") for combination in o.unidentifiable]
     return "\n".join(lines)
+
+
+def _forecast_text(foreseen: Forecast, model: str) -> str:
+    """What a fit of these poses can reach, and what the best poses could."""
+    bound = foreseen.sigma * (foreseen.workspace_rank / foreseen.poses) ** 0.5
+    return _wrap(
+        f"Forecast for a fit of these {foreseen.poses} poses, with the model '{model}' and a noise of "
+        f"{1e3 * foreseen.sigma:.3f} mm a coordinate: position error {1e3 * foreseen.rms:.3f} mm rms over the joint "
+        f"limits (90 % of calibrations: {1e3 * foreseen.rms_low:.3f} to {1e3 * foreseen.rms_high:.3f}), "
+        f"{1e3 * foreseen.max:.3f} mm where it is worst. The best {foreseen.poses} poses would give about "
+        f"{1e3 * bound:.3f} mm rms; calib plan finds such."
+    )
 
 
 def _wrap(text: str, indent: str = "") -> str:

@@ -15,10 +15,12 @@ from calib.errors import MeasurementError, ModelError, choices
 from calib.identify.estimate import FIRST_SIGMA_ANGLE
 from calib.identify.fitting import Task, model_of
 from calib.identify.inspection import GENERIC_TARGET, as_predicted
+from calib.identify.registration import register
 from calib.identify.rows import KIND_NAMES, Rows
 from calib.identify.selection import AUTO
 from calib.identify.setup import Setup, along_own_axes, setup_of, targets_along_tip
 from calib.identify.spread import without_rigid_motion
+from calib.identify.table_rows import rows_of
 from calib.measure.candidates import planning_ranges
 from calib.measure.cell import Cell
 from calib.measure.forecast import Forecast, Sensitivity, Workspace
@@ -101,9 +103,11 @@ class Outlook:
             notes.append(
                 "No target was given: planned for one that is 50, 70, 30 mm off the tip. --target says where yours is."
             )
-        name = PLANNED_FOR_AUTO if cell.model == AUTO else cell.model
-        model = model_of(Task(robot, cell, setup, name, lenient=cell.model == AUTO))
+        model = model_of(Task(robot, cell, setup, planned_model(cell), lenient=cell.model == AUTO))
         model = targets_along_tip(along_own_axes(model, setup), setup)
+        if cell.model != AUTO:
+            for wanted in (*cell.parameter_priors, *cell.bounds):
+                model.index(wanted)
         kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
         return cls(robot, cell, kind, setup, kinematics, tuple(notes))
 
@@ -197,6 +201,11 @@ class Outlook:
         )
 
 
+def planned_model(cell: Cell) -> str:
+    """The parameter set that is planned for: the cell's, or what stands for ``"auto"``."""
+    return PLANNED_FOR_AUTO if cell.model == AUTO else cell.model
+
+
 def forecast(robot: Robot, cell: Cell, joints: ArrayLike, margin: float = 0.0) -> Forecast:
     """What a calibration measured at these poses will reach, over the joint ranges.
 
@@ -218,6 +227,42 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike, margin: float = 0.0) -
     sensitivity = Outlook.of(robot, cell).sensitivity
     everywhere = spread_between(planning_ranges(robot, cell.ranges, margin), _POSES)
     return forecast_of(sensitivity, Workspace.of(sensitivity, everywhere), q)
+
+
+def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> Forecast | None:
+    """What a fit of a table's estimation rows can reach, by its poses alone; the target is registered.
+
+    Args:
+        robot: The nominal robot.
+        cell: As for the fit; ``"auto"`` is taken as ``"placement"``.
+        measurements: The table.
+
+    Returns:
+        None where rows are of several kinds, targets or set-ups, or of a kind whose poses are not free.
+
+    Raises:
+        MeasurementError: A joint's column is missing, or too few rows.
+    """
+    seen = measurements.select(measurements.estimation)
+    kinds = set(seen.kinds)
+    if (
+        len(kinds) > 1
+        or len(set(seen.targets)) > 1
+        or len(set(seen.groups)) > 1
+        or kinds - {*KINDS}
+    ):
+        return None
+    rows, setup = rows_of(robot, measurements, cell)
+    started = register(robot, setup, rows.select(measurements.estimation))
+    known = replace(
+        cell,
+        kind=seen.kinds[0],
+        T_frame_base=cell.T_frame_base if seen.kinds[0] != "distance" else started.T_frame_base[0],
+        target=started.T_tip_target[0, :3, 3],
+        targets={},
+        frames={},
+    )
+    return forecast(robot, known, seen.joints_for(robot.joint_names))
 
 
 def _checked_kind(cell: Cell) -> str:

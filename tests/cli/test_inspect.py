@@ -17,6 +17,29 @@ def test_chain_dh_rows_and_parameters(examples):
     assert not re.search(r"^ *\*", done.out, re.MULTILINE)  # a star stays with its name
 
 
+def test_the_poses_of_a_table_are_judged_against_the_best(examples):
+    done = examples.starting("calib inspect robot.urdf data.csv")
+    text = " ".join(done.out.split())
+    found = re.search(
+        r"Forecast for a fit of these 30 poses, with the model 'placement' and a noise of 0\.039 mm a coordinate: "
+        r"position error ([\d.]+) mm rms over the joint limits \(90 % of calibrations: ([\d.]+) to ([\d.]+)\), "
+        r"([\d.]+) mm where it is worst\. The best 30 poses would give about ([\d.]+) mm rms",
+        text,
+    )
+    assert found, text
+    rms, low, high, worst, best = map(float, found.groups())
+    assert low < rms < high < worst
+    assert best < 0.25 * rms  # the paper's poses stand in a corner of the workspace
+
+
+def test_no_forecast_where_the_poses_are_not_free(call, shop):
+    lines = (shop / "data.csv").read_text(encoding="utf-8").splitlines()
+    (shop / "socket.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    done = call(shop, "inspect", "robot.urdf", "socket.csv", "--kind", "fixed")
+    assert (done.code, done.err) == (0, "")
+    assert "Forecast" not in done.out
+
+
 def test_without_a_table_and_by_name(examples):
     done = examples.starting("calib inspect ur3")
     assert (done.code, done.err) == (0, "")
