@@ -11,6 +11,7 @@ import sys
 
 import typer
 
+from calib.cli.base_frame import base_frame
 from calib.cli.demo import demo
 from calib.cli.evaluate import evaluate
 from calib.cli.fit import fit
@@ -31,6 +32,7 @@ app.command()(demo)
 app.command()(fit)
 app.command()(evaluate)
 app.command()(inspect)
+app.command()(base_frame)
 app.command()(simulate)
 app.command()(workspace)
 

@@ -12,10 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from calib.cli import main
 from calib.data import paper_measurements, paper_urdf
+from calib.measure.virtual_sweeps import virtual_sweeps, write_sweeps
+from calib.model.robot import Robot
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -63,6 +66,9 @@ def fill(folder: Path) -> Path:
     example = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)[0]
     (folder / "cell.toml").write_text(example, encoding="utf-8")
     _split(folder)
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0")
+    sweeps = virtual_sweeps(robot, np.eye(4), 3e-5, arcs=np.radians([270.0, 180.0]))
+    write_sweeps(sweeps, folder / "sweeps.csv")
     return folder
 
 

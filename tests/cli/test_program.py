@@ -121,7 +121,7 @@ def test_every_example_of_the_document_works(examples):
     assert len(examples.done) >= 10
     for call, done in examples.done.items():
         assert (done.code, done.err) == (0, ""), call
-    given = {"robot.urdf", "data.csv", "joints.csv", "tracker.txt", "cell.toml"}
+    given = {"robot.urdf", "data.csv", "joints.csv", "tracker.txt", "cell.toml", "sweeps.csv"}
     made = {
         "demo",
         "corrected.urdf",
@@ -131,6 +131,9 @@ def test_every_example_of_the_document_works(examples):
         "frozen.json",
         "intervals.json",
         "errors.json",
+        "frame.toml",
+        "frame.json",
+        "data_in_base.csv",
         "simulated.csv",
         "simulated_truth.json",
         "true.urdf",

@@ -1,0 +1,248 @@
+"""The robot's base frame in the tracker's, from its mounting plane and the axes of its first two joints.
+
+As the paper does (section 4.2): the origin is where axis 1 meets the plane, z is along axis 1, y along axis 2 made
+perpendicular to it; both axes point so that the joints' positive sense turns about them. That is the frame A:
+
+    o = c_1 + s n_1,  n_P . (o - p) = 0;     z = n_1;     y ~ n_2 - (n_2 . z) z
+
+Where joint 1 was not at zero while joint 2 was swept, A is turned back about z. With a robot the result is the URDF's
+own base frame, in which the nominal axes 1 and 2 and the plane z = 0 are known:
+T_tracker_base = T_tracker_A T_base_A^-1.
+
+Uncertainty: the covariance of plane and circles through the derivatives of these equations. Where the noise is found
+from the residuals, each figure for itself, the squared distance of the truth in units of that covariance is
+6 F(6, dof) with
+
+    1 / dof = 1/6 sum_k tr(M_k^2) / dof_k,     M_k = C^-1/2 C_k C^-1/2
+
+which holds exactly for one figure, and to the first order in 1 / dof_k for several (it matches the mean).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+from scipy.stats import f as fisher
+
+from calib.errors import CalibError
+from calib.measure.geometric_fits import Circle, Plane
+from calib.model.robot import read_only, rigid_inverse
+
+Array = NDArray[np.float64]
+
+#: Axis 1 closer than this to the plane does not meet it anywhere near [rad].
+SLANT_RAD = float(np.radians(30.0))
+
+#: Axes 1 and 2 closer than this to parallel say nothing of y [rad].
+PARALLEL_RAD = float(np.radians(5.0))
+
+
+class Line(NamedTuple):
+    """A point (3,) [m] and a unit vector (3,): an axis, or a plane and its normal."""
+
+    point: Array
+    direction: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BaseFrame:
+    """A base frame and how well it is known.
+
+    Attributes:
+        T_tracker_base: Pose of the base in the tracker's frame, shape (4, 4) [m].
+        covariance: shape (6, 6), of the twist xi (displacement [m], rotation [rad], in the base's axes) in
+            T_tracker_base exp(xi).
+        dof: Its degrees of freedom; infinite where the noise was given.
+    """
+
+    T_tracker_base: Array
+    covariance: Array
+    dof: float
+
+    @property
+    def T_base_tracker(self) -> Array:
+        """Pose of the tracker in the base, shape (4, 4) [m]."""
+        return rigid_inverse(self.T_tracker_base)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the twist, shape (6,) [m, rad], in the base's axes."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def carry(self, points: ArrayLike) -> Array:
+        """Points of the tracker's frame in the base, shape (N, 3) or (3,) [m]."""
+        T = self.T_base_tracker
+        return np.asarray(np.asarray(points, dtype=np.float64) @ T[:3, :3].T + T[:3, 3])
+
+    def std_at(self, points: ArrayLike) -> Array:
+        """What the frame's uncertainty makes of points of the base, along its axes, shape (N, 3) or (3,) [m]."""
+        given = np.asarray(points, dtype=np.float64)
+        p = given.reshape(-1, 3)
+        G = np.zeros((len(p), 3, 6))
+        G[:, :, :3] = np.eye(3)
+        for k in range(3):
+            G[:, :, 3 + k] = np.cross(np.eye(3)[k], p)
+        variance = np.einsum("nij,jk,nik->ni", G, self.covariance, G)
+        return np.asarray(np.sqrt(variance).reshape(given.shape))
+
+    def distance(self, T_tracker_base: Array) -> float:
+        """Squared distance of another pose of the base in units of the covariance."""
+        xi = pin.log6(rigid_inverse(self.T_tracker_base) @ T_tracker_base).vector
+        return float(xi @ np.linalg.solve(self.covariance, xi))
+
+    def limit(self, share: float = 0.95) -> float:
+        """The squared distance below which the true base lies with this probability."""
+        if np.isinf(self.dof):
+            return float(chi2.ppf(share, 6))
+        return float(6.0 * fisher.ppf(share, 6, self.dof))
+
+
+def base_frame(
+    plane: Plane,
+    first: Circle,
+    second: Circle,
+    *,
+    q1: float = 0.0,
+    plane_offset: float = 0.0,
+    T_base_axes: Array | None = None,
+) -> BaseFrame:
+    """The base frame.
+
+    Args:
+        plane: Through what was measured of the mounting plane.
+        first: The circle of joint 1, its normal in the joint's positive sense.
+        second: That of joint 2.
+        q1: Value of joint 1 while joint 2 was swept [rad].
+        plane_offset: How far the measured points stand off the mounting plane, towards the circles [m].
+        T_base_axes: Pose of the frame A at q1 = 0 in the base, shape (4, 4) [m], see `nominal_axes_frame`; None: A is
+            the base.
+
+    Raises:
+        CalibError: Axis 1 runs along the plane, axes 1 and 2 are parallel, or it cannot be told on which side of the
+            plane the circles are.
+    """
+    lowered = mounting_plane(plane, first, plane_offset)
+    T = axes_frame(lowered, axis_line(first), axis_line(second))
+    covariances = (plane.covariance, first.covariance, second.covariance)
+    derivatives = _derivatives(T, plane, first, second)
+    X = turned_about_z(-q1) @ rigid_inverse(np.eye(4) if T_base_axes is None else T_base_axes)
+    A = pin.SE3(X).toActionMatrixInverse()
+    parts = [A @ D @ C @ D.T @ A.T for D, C in zip(derivatives, covariances, strict=True)]
+    dofs = [scatter.dof for scatter in (plane.scatter, first.scatter, second.scatter)]
+    return BaseFrame(read_only(T @ X), read_only(np.sum(parts, axis=0)), effective_dof(parts, dofs))
+
+
+def effective_dof(parts: list[Array], dofs: list[float]) -> float:
+    """The degrees of freedom of a sum of covariances that are each known up to a scale; see the module's text."""
+    inverse = np.linalg.inv(np.sum(parts, axis=0))
+    share = sum(
+        float(np.trace(inverse @ part @ inverse @ part)) / dof
+        for part, dof in zip(parts, dofs, strict=True)
+    )
+    return np.inf if share == 0.0 else len(inverse) / share
+
+
+def axis_line(circle: Circle) -> Line:
+    """The axis of a circle."""
+    return Line(circle.center, circle.normal)
+
+
+def mounting_plane(plane: Plane, first: Circle, offset: float) -> Line:
+    """The mounting plane under the measured one, away from the circle of joint 1.
+
+    Raises:
+        CalibError: There is an offset, and the circle lies in the measured plane.
+    """
+    height = float(plane.normal @ (first.center - plane.point))
+    if offset and abs(height) < 2.0 * abs(offset):
+        message = (
+            f"the circle of joint 1 lies {1e3 * abs(height):.3g} mm from the measured plane: that is too near to tell "
+            f"on which side the robot stands, as an offset of {1e3 * offset:.6g} mm needs it. Fix the target higher up"
+        )
+        raise CalibError(message)
+    return Line(plane.point - np.sign(height) * offset * plane.normal, plane.normal)
+
+
+def axes_frame(plane: Line, first: Line, second: Line) -> Array:
+    """T_tracker_A, shape (4, 4) [m]; see the module's text.
+
+    Raises:
+        CalibError: Axis 1 runs along the plane, or axes 1 and 2 are parallel.
+    """
+    z, n2 = first.direction, second.direction
+    slope = float(plane.direction @ z)
+    if abs(slope) < np.sin(SLANT_RAD):
+        message = (
+            f"axis 1 stands at {np.degrees(np.arcsin(abs(slope))):.3g} deg to the plane, it should stand upright on "
+            "it: one of the two is not what its name says. Check which joint was turned and which surface was touched"
+        )
+        raise CalibError(message)
+    y = n2 - (n2 @ z) * z
+    across = float(np.linalg.norm(y))
+    if across < np.sin(PARALLEL_RAD):
+        message = (
+            f"the axes of joints 1 and 2 are parallel within {np.degrees(np.arcsin(across)):.3g} deg, so that they do "
+            "not say where y points. If the second sweep is of joint 1 again, sweep joint 2; a robot whose first axes "
+            "are parallel needs another joint for it"
+        )
+        raise CalibError(message)
+    y = y / across
+    T = np.eye(4)
+    T[:3, :3] = np.stack([np.cross(y, z), y, z], axis=1)
+    T[:3, 3] = first.point + z * (plane.direction @ (plane.point - first.point)) / slope
+    return T
+
+
+def nominal_axes_frame(first: Line, second: Line) -> Array:
+    """T_base_A of a robot's nominal axes 1 and 2 at zero; the mounting plane is z = 0 of the base.
+
+    Raises:
+        CalibError: As for `axes_frame`.
+    """
+    try:
+        return axes_frame(Line(np.zeros(3), np.array([0.0, 0.0, 1.0])), first, second)
+    except CalibError as error:
+        message = f"In the URDF, with the plane z = 0 of the base, {error}. Choose another base link (--base)."
+        raise CalibError(message) from error
+
+
+def turned_about_z(angle: float) -> Array:
+    """A rotation about z, shape (4, 4)."""
+    c, s = np.cos(angle), np.sin(angle)
+    T = np.eye(4)
+    T[:2, :2] = [[c, -s], [s, c]]
+    return T
+
+
+def _derivatives(
+    T: Array, plane: Plane, first: Circle, second: Circle
+) -> tuple[Array, Array, Array]:
+    """What the figures' own displacements make of the frame A, as twists in its axes: (6, 3), (6, 6), (6, 6)."""
+    R, o = T[:3, :3], T[:3, 3]
+    x, z = R[:, 0], R[:, 2]
+    slope = float(plane.normal @ z)
+    swing = float(second.normal @ z)
+    across = np.sqrt(1.0 - swing**2)
+
+    of_plane, of_first, of_second = np.zeros((6, 3)), np.zeros((6, 6)), np.zeros((6, 6))
+    # The plane lifts the origin along axis 1 by what it rises there.
+    rise = np.array([1.0, *(-plane.basis[:, :2].T @ (o - plane.point))])
+    of_plane[:3] = np.outer(R.T @ z, rise) / slope
+    # Axis 1 takes the origin along, which stays in the plane, and turns z.
+    s = float((o - first.center) @ z)
+    shift = np.zeros((3, 6))
+    shift[:, :3] = first.basis
+    shift[:, 3:5] = s * first.basis[:, :2]
+    of_first[:3] = R.T @ (shift - np.outer(z, plane.normal @ shift) / slope)
+    tilt = np.zeros((3, 6))
+    tilt[:, 3:5] = first.basis[:, :2]
+    of_first[3:] = R.T @ np.cross(z, tilt.T).T
+    of_first[5] = swing / across * (x @ tilt)
+    # Axis 2 turns about z only.
+    of_second[5, 3:5] = -(x @ second.basis[:, :2]) / across
+    return of_plane, of_first, of_second
