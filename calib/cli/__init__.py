@@ -16,6 +16,7 @@ from calib.cli.demo import demo
 from calib.cli.evaluate import evaluate
 from calib.cli.fit import fit
 from calib.cli.inspect import inspect
+from calib.cli.plan import plan
 from calib.cli.simulate import simulate
 from calib.cli.workspace import workspace
 
@@ -33,6 +34,7 @@ app.command()(fit)
 app.command()(evaluate)
 app.command()(inspect)
 app.command()(base_frame)
+app.command()(plan)
 app.command()(simulate)
 app.command()(workspace)
 

@@ -93,8 +93,8 @@ def check_model(text: str, source: str) -> None:
         raise CalibError(message)
 
 
-def parse_held(pairs: Iterable[str]) -> dict[str, float]:
-    """``--hold`` as the values of joints by name [rad or m].
+def parse_held(pairs: Iterable[str], option: str = "--hold") -> dict[str, float]:
+    """``--hold``, or another option of its form, as the values of joints by name [rad or m].
 
     Raises:
         CalibError: A pair without an equals sign, a name twice, or a value without a unit.
@@ -107,11 +107,11 @@ def parse_held(pairs: Iterable[str]) -> dict[str, float]:
         # rpartition leaves all of a text without an equals sign in the last part.
         if not (name and equals and value) or name in held:
             message = (
-                f"--hold was given '{pair}'; it must be 'joint=value' with a unit of angle or length, such as "
+                f"{option} was given '{pair}'; it must be 'joint=value' with a unit of angle or length, such as "
                 "'torso_lift_joint=0.3 m', and each joint once."
             )
             raise CalibError(message)
-        held[name] = parse_joint_value(value, f"--hold '{pair}'")
+        held[name] = parse_joint_value(value, f"{option} '{pair}'")
     return held
 
 

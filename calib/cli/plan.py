@@ -1,0 +1,323 @@
+"""``calib plan``: a robot in, the poses to measure out, and what they will give."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib.cli.options import (
+    Base,
+    CellFile,
+    Columns,
+    Debug,
+    Force,
+    Frame,
+    Hold,
+    MeasuredKind,
+    ModelName,
+    PayloadMass,
+    Quiet,
+    RobotFile,
+    Target,
+    Tip,
+    reporting,
+)
+
+if TYPE_CHECKING:
+    from calib.measure.plan_file import Taken
+    from calib.measure.planning import Plan
+
+#: Of a line of the command to type next.
+_WIDTH = 88
+
+_HELP = """Plan the poses of a calibration: which to measure, in which order, and how accurate the robot will be.
+
+\b
+Examples:
+  calib plan ur3 --base base --tip tool0 --target "70 -70 22.5 mm" -o plan.csv
+  calib plan robot.urdf --tracker "2500 0 500 mm" --reflector "0 0 1" \\
+        --box "table: 0 0 -25 1200 800 50 mm" -o plan.csv --json plan.json
+  calib plan robot.urdf --region region.json --model dh --count 40 -o plan.csv
+  calib plan robot.urdf --taken measured.csv --count 5 --validation 0 -o next.csv
+
+Drive the poses from top to bottom, write what was measured into the empty columns, and give the table to calib fit.
+Rows that stay empty are left out there.
+"""
+
+
+def plan(
+    robot: RobotFile,
+    count: Annotated[int, typer.Option(metavar="N", help="Poses to calibrate with.")] = 30,
+    validation: Annotated[
+        int, typer.Option(metavar="N", help="Poses besides, drawn at random, to validate with.")
+    ] = 5,
+    criterion: Annotated[
+        str,
+        typer.Option(
+            metavar="V|D|A",
+            help="V: least mean error over the workspace (default). D: most information on the parameters. A: least "
+            "mean variance of the parameters.",
+        ),
+    ] = "V",
+    model: ModelName = None,
+    base: Base = None,
+    tip: Tip = None,
+    target: Target = None,
+    frame: Frame = None,
+    kind: MeasuredKind = None,
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NOISE",
+            help='Of one measured coordinate, "0.05 mm", or "15 um + 6 um/m" by the distance. Default: a laser '
+            "tracker's.",
+        ),
+    ] = None,
+    payload: PayloadMass = None,
+    hold: Hold = None,
+    cell: CellFile = None,
+    region: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Region that the target is to lie in, as calib workspace writes it.",
+        ),
+    ] = None,
+    ranges: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--range",
+            metavar='"JOINT=LOW..HIGH UNIT"',
+            help='Range of a joint to plan in, such as "elbow_joint=-90..90 deg". Can be repeated.',
+        ),
+    ] = None,
+    margin: Annotated[
+        str,
+        typer.Option(metavar="ANGLE", help="Distance to the joint limits of the URDF."),
+    ] = "5 deg",
+    boxes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--box",
+            metavar='"NAME: X Y Z SX SY SZ UNIT"',
+            help='A box that the robot must not touch, centre in the base and edges: "table: 0 0 -25 1200 800 50 mm". '
+            "Can be repeated.",
+        ),
+    ] = None,
+    clearance: Annotated[
+        str, typer.Option(metavar="LENGTH", help="Least distance to the robot itself and to boxes.")
+    ] = "0 mm",
+    collisions: Annotated[
+        bool, typer.Option(help="Check poses, and moves between them, for collisions.")
+    ] = True,
+    package_dir: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--package-dir",
+            metavar="FOLDER",
+            help="Folder in which packages of meshes lie. Can be repeated.",
+        ),
+    ] = None,
+    tracker: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"X Y Z UNIT"',
+            help="Where the tracker stands in the base; it must see the target.",
+        ),
+    ] = None,
+    reflector: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"X Y Z"',
+            help="Direction in the tip that the reflector faces. Default: it is turned by hand.",
+        ),
+    ] = None,
+    acceptance: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ANGLE", help='Half angle in which the reflector is seen. Default: "30 deg".'
+        ),
+    ] = None,
+    taken: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Table of poses that are measured already; the plan adds to them."
+        ),
+    ] = None,
+    columns: Columns = None,
+    start: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='home|"JOINT=VALUE UNIT"',
+            help="Where the robot stands before; home: all joints at zero. Can be repeated. Default: at any pose.",
+        ),
+    ] = None,
+    ladder: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"N,N,..."|none',
+            help="Numbers of poses to forecast too. Default: some around --count.",
+        ),
+    ] = None,
+    candidates: Annotated[
+        int, typer.Option(metavar="N", help="Poses among which is chosen.")
+    ] = 20_000,
+    seed: Annotated[
+        int, typer.Option(min=0, metavar="S", help="The same S gives the same plan.")
+    ] = 0,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the table of poses.")
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option("--json", help="Write plan and forecast as JSON.")
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """See `_HELP`."""
+    with reporting(debug=debug):
+        from calib.cli import plan_words as words
+        from calib.cli.setup import check_outputs, read_cell
+        from calib.cli.simulate_words import parse_angle, parse_size
+        from calib.cli.surroundings_words import add_surroundings
+        from calib.cli.words import parse_columns
+        from calib.measure.plan_file import read_taken
+
+        inputs: list[str | Path] = [robot, *(path for path in (cell, region, taken) if path)]
+        check_outputs([output, json], inputs, force=force)
+        rungs = words.parse_ladder(ladder)
+        gap, clear = parse_angle(margin, "--margin", "5 deg"), parse_size(clearance, "--clearance")
+        setup = read_cell(
+            cell,
+            base=base,
+            tip=tip,
+            target=target,
+            frame=frame,
+            model=model,
+            kind=kind,
+            hold=hold,
+            payload=payload,
+        )
+        setup = add_surroundings(
+            setup,
+            tracker=tracker,
+            reflector=reflector,
+            acceptance=acceptance,
+            boxes=boxes,
+            ranges=ranges,
+        )
+        setup = words.with_noise(setup, noise)
+        renamed = parse_columns(columns or [])
+        arm = words.load_for_plan(robot, setup, taken, renamed)
+        place, remarks = words.read_region(region, arm, setup)
+        before = None if taken is None else read_taken(taken, arm, renamed)
+        first = words.parse_start(start or [], arm)
+
+        from calib.cli.progress import stages_bar
+        from calib.identify.plan import plan as make_plan
+
+        with stages_bar(quiet=quiet) as progress:
+            made = make_plan(
+                arm,
+                setup,
+                count=count,
+                validation=validation,
+                criterion=criterion,
+                candidates=candidates,
+                region=place,
+                margin=gap,
+                taken=None if before is None else before.joints,
+                collisions=collisions,
+                clearance=clear,
+                package_dirs=package_dir or (),
+                ladder=rungs,
+                start=first,
+                seed=seed,
+                progress=progress,
+            )
+        _write(made, output, json, before, force=force)
+        if quiet:
+            return
+        from calib.cli.plan_text import plan_text, taken_text
+
+        typer.echo(plan_text(made, setup.model, (*taken_text(before, taken), *remarks)) + "\n")
+        for path in (output, json):
+            if path is not None:
+                typer.echo(f"Written: {path}")
+        options = {
+            "--base": base,
+            "--tip": tip,
+            "--target": target,
+            "--frame": frame,
+            "--kind": None if kind is None else kind.value,
+            "--model": model,
+            "--payload": payload,
+            "--cell": None if cell is None else str(cell),
+        }
+        typer.echo(_next(made, robot, output, taken, _options(options, hold or [])))
+
+
+def _write(
+    made: Plan, output: Path | None, json: Path | None, before: Taken | None, *, force: bool
+) -> None:
+    """Write the files asked for; rows go on behind those that were taken."""
+    from calib.measure.plan_file import plan_table, write_plan
+
+    if output is not None:
+        first = 1 if before is None else max(before.last_row, 0) + 1
+        write_plan(made, output, overwrite=force, first_row=first)
+    if json is not None:
+        from calib.identify.result_file import write_table
+
+        write_table(plan_table(made), json, overwrite=force)
+
+
+def _options(said: dict[str, str | None], held: list[str]) -> list[str]:
+    """The options of the call that the fit needs too, quoted for a shell."""
+    parts = [shlex.join([option, value]) for option, value in said.items() if value is not None]
+    return [*parts, *(shlex.join(["--hold", value]) for value in held)]
+
+
+def _next(
+    made: Plan, robot: str, output: Path | None, taken: Path | None, options: list[str]
+) -> str:
+    """What a person does next."""
+    from calib.cli.plan_text import fill
+
+    if output is None:
+        return "No table was written; add -o plan.csv to write it."
+    table = output if taken is None else taken
+    fit = [shlex.join(["calib", "fit", robot, str(table)]), *options, "-o corrected.urdf"]
+    listed = [*fit[:1], "--points tracker.txt", *fit[1:]]
+    first = (
+        f"Drive the {len(made.joints)} poses of {output} from top to bottom, and measure at each."
+    )
+    empty = {"distance": "distance", "pose": "x, y, z, qx, qy, qz, qw"}.get(made.kind, "x, y, z")
+    second = f"Write what was measured into the empty columns {empty}"
+    if made.kind == "point" and taken is None:
+        second += ", or keep the tracker's list, its points called as in the column 'point'"
+    steps = [first, f"{second}."]
+    if taken is not None:
+        steps.append(f"Add the rows to {taken}, column for column.")
+    lines = ["Next:", *(fill(f"  {k}. {step}", "     ") for k, step in enumerate(steps, 1))]
+    lines.append(f"  {len(lines)}. {_command(fit)}")
+    if made.kind == "point" and taken is None:
+        lines.append(f"     or {_command(listed)}")
+    return "\n".join(lines)
+
+
+def _command(parts: list[str]) -> str:
+    """A command in lines that a shell joins again."""
+    lines = [""]
+    for part in parts:
+        if lines[-1] and len(lines[-1]) + len(part) > _WIDTH:
+            lines.append("")
+        lines[-1] += f" {part}" if lines[-1] else part
+    return " \\\n           ".join(lines)
+
+
+plan.__doc__ = _HELP

@@ -1,0 +1,124 @@
+"""From the words of ``calib plan`` to values: the ladder, the start, the noise, the poses taken."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calib.errors import CalibError, choices
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from calib.measure.cell import Cell
+    from calib.measure.region import Region
+    from calib.model.robot import Robot
+
+#: The word for all joints at zero.
+_HOME = "home"
+
+#: The word for no ladder.
+_NONE = "none"
+
+
+def parse_ladder(text: str | None) -> list[int] | None:
+    """``--ladder``: numbers of poses such as ``10,15,20``; ``none`` is an empty list.
+
+    Raises:
+        CalibError: No whole numbers above 0.
+    """
+    if text is None:
+        return None
+    words = text.replace(",", " ").split()
+    if words == [_NONE]:
+        return []
+    if not words or not all(re.fullmatch(r"[0-9]{1,9}", word) and int(word) for word in words):
+        message = f'--ladder was given as "{text}"; it must be numbers of poses such as "10,15,20,30", or \'{_NONE}\'.'
+        raise CalibError(message)
+    return [int(word) for word in words]
+
+
+def parse_start(texts: Iterable[str], robot: Robot) -> NDArray[np.float64] | None:
+    """``--start``: ``home`` (all joints at zero), or ``JOINT=VALUE UNIT`` for those that are not at zero, shape (m,).
+
+    Raises:
+        CalibError: Other words, an unknown joint, or a value in a unit that does not fit it.
+    """
+    from calib.cli.words import parse_held
+    from calib.measure.quantities import ANGLE, LENGTH, parse_quantity
+    from calib.model.robot import read_only
+
+    given = [text for text in texts if text.strip() != _HOME]
+    if not given:
+        return read_only([0.0] * len(robot.joint_names)) if list(texts) else None
+    values = parse_held(given, "--start")
+    for text in given:
+        name, _, value = (part.strip() for part in text.rpartition("="))
+        if name not in robot.joint_names:
+            message = (
+                f"--start was given '{text}', and no joint '{name}' is planned for. These are: "
+                f"{choices(robot.joint_names, limit=30)}."
+            )
+            raise CalibError(message)
+        slides = robot.joint_types[name] == "prismatic"
+        if parse_quantity(value)[1] != (LENGTH if slides else ANGLE):
+            wanted = 'a length, such as "0.3 m"' if slides else 'an angle, such as "30 deg"'
+            message = f"--start was given '{text}'; the value of '{name}' is {wanted}."
+            raise CalibError(message)
+    return read_only([values.get(name, 0.0) for name in robot.joint_names])
+
+
+def with_noise(cell: Cell, text: str | None) -> Cell:
+    """The cell with ``--noise``: a tracker's by its distance, or one length for every pose.
+
+    Raises:
+        CalibError: Words that cannot be read, or a noise by distance without a tracker.
+    """
+    from dataclasses import replace
+
+    from calib.measure.noise import parse_noise
+
+    if text is None:
+        return cell
+    noise = parse_noise(text, "--noise")
+    if cell.tracker is not None:
+        own = replace(noise, repeatability=cell.tracker.noise.repeatability)
+        return replace(cell, sigma=None, tracker=replace(cell.tracker, noise=own))
+    if noise.per_length:
+        message = (
+            f'--noise was given as "{text}", which grows with the distance, and nothing says where the tracker stands; '
+            'add --tracker "X Y Z UNIT", or give one length such as "0.05 mm".'
+        )
+        raise CalibError(message)
+    return replace(cell, sigma=noise.constant)
+
+
+def load_for_plan(robot: str, cell: Cell, taken: Path | None, columns: dict[str, str]) -> Robot:
+    """The robot; a tip that was not named is chosen by the columns of the table taken, as ``calib fit`` does."""
+    from calib.measure.table import Table
+    from calib.model.robot import Robot
+    from calib.units import split_header
+
+    names = None
+    if taken is not None:
+        names = {split_header(label)[0] for label in Table.read(taken).header}
+        names |= {split_header(wanted)[0] for wanted in columns.values()}
+    return Robot.load(robot, cell.base, cell.tip, measured=names, held=cell.held)
+
+
+def read_region(path: Path | None, robot: Robot, cell: Cell) -> tuple[Region | None, list[str]]:
+    """The region of a file, and sentences on what of it does not quite fit the robot.
+
+    Raises:
+        CalibError: It cannot be read, or is another robot's.
+    """
+    from calib.measure.region_file import RegionFile
+
+    if path is None:
+        return None, []
+    file = RegionFile.read(path)
+    target = next(iter(cell.targets.values()), cell.target)
+    return file.region, list(file.check_fits(robot, target))
