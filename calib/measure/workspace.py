@@ -166,8 +166,8 @@ class Density:
 
     @property
     def values(self) -> Array:
-        """The smoothed density, shape (nx, ny, nz), [1/m^3]; its integral is about 1."""
-        return read_only(self.smooth / (self.samples * self.voxel**3))
+        """The smoothed density, shape (nx, ny, nz), [1/m^3]; its integral is 1."""
+        return read_only(self.smooth / (self.smooth.sum() * self.voxel**3))
 
     @property
     def extent(self) -> Array:

@@ -276,9 +276,12 @@ def _mark(axes: Any, marked: Marked, inside: NDArray[np.bool_], figure: Figure) 
             handles.append(Line2D([], [], label=label, **style))
     numbered = marked.validation | ~inside
     if np.count_nonzero(numbered) <= _MOST_NUMBERS:
-        for k in np.flatnonzero(numbered):
-            for ax, (i, j, _) in zip(axes, _VIEWS, strict=True):
-                _word(ax, str(marked.rows[k]), marked.points[k, [i, j]])
+        for ax, (i, j, _) in zip(axes, _VIEWS, strict=True):
+            points = marked.points[numbered][:, [i, j]]
+            sides = _free_sides(points, float(np.ptp(ax.get_xlim())))
+            rows = np.flatnonzero(numbered)
+            for k, point, side in zip(rows, points, sides, strict=True):
+                _word(ax, str(marked.rows[k]), point, side)
     figure.legend(
         handles=handles,
         loc="upper right",
@@ -291,14 +294,37 @@ def _mark(axes: Any, marked: Marked, inside: NDArray[np.bool_], figure: Figure) 
     )
 
 
-def _word(ax: Axes, text: str, at: Array) -> None:
+def _free_sides(points: Array, width: float) -> list[tuple[int, int]]:
+    """On which side of each point its number stands: where the least of the others is, right above in doubt.
+
+    Args:
+        points: shape (N, 2).
+        width: Of the panel, in the same unit.
+    """
+    sides = [(1, 1), (-1, 1), (1, -1), (-1, -1)]
+    taken = [*points]
+    chosen = []
+    for i, point in enumerate(points):
+        places = [point + 0.035 * width * np.array(side) for side in sides]
+        others = np.array([*taken[:i], *taken[i + 1 :]]).reshape(-1, 2)
+        gaps = [float(np.linalg.norm(others - p, axis=1).min(initial=width)) for p in places]
+        # Rounded, so that the first one wins unless another has clearly more room.
+        best = int(np.argmax(np.round(np.minimum(gaps, 0.08 * width) / (0.02 * width))))
+        chosen.append(sides[best])
+        taken.append(places[best])
+    return chosen
+
+
+def _word(ax: Axes, text: str, at: Array, side: tuple[int, int] = (1, 1)) -> None:
     """A short text beside a point."""
     from matplotlib.patheffects import withStroke
 
     ax.annotate(
         text,
         (float(at[0]), float(at[1])),
-        (5, 4),
+        (5 * side[0], 4 * side[1]),
+        ha="left" if side[0] > 0 else "right",
+        va="bottom" if side[1] > 0 else "top",
         textcoords="offset points",
         size=8.5,
         color=INK,

@@ -1,0 +1,108 @@
+"""Between which values joints are moved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib import data
+from calib.errors import CalibError
+from calib.measure.measurements import Measurements
+from calib.measure.ranges import column_limits, joint_ranges, range_text, ranges_of
+from calib.model.readback import column_ranges
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf
+
+#: A slide with limits, a turn without, a knee, and an ankle that turns twice as far the other way.
+LEG = """<robot name="leg">
+  <link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/>
+  <joint name="lift" type="prismatic"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+    <limit lower="0.1" upper="0.4" effort="1" velocity="1"/></joint>
+  <joint name="turn" type="continuous"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/></joint>
+  <joint name="knee" type="revolute"><parent link="c"/><child link="d"/><axis xyz="0 1 0"/>
+    <limit lower="-7" upper="7" effort="1" velocity="1"/></joint>
+  <joint name="ankle" type="revolute"><parent link="d"/><child link="e"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="3" effort="1" velocity="1"/><mimic joint="knee" multiplier="-2" offset="1"/></joint>
+</robot>"""
+
+
+@pytest.fixture(scope="module")
+def leg():
+    return Robot.from_urdf(Urdf.from_bytes(LEG.encode(), "leg.urdf"), "a", "e")
+
+
+@pytest.fixture(scope="module")
+def ur3():
+    return Robot.load(data.paper_urdf(), base="base", tip="tool0")
+
+
+def test_limits_of_columns(leg):
+    # The ankle, 1 - 2 knee, stays between -1 and 3.
+    expected = [[0.1, 0.4], [-np.inf, np.inf], [-1.0, 1.0]]
+    np.testing.assert_allclose(column_limits(leg), expected)
+
+
+def test_without_more_they_are_the_limits_or_a_turn(leg, ur3):
+    np.testing.assert_allclose(joint_ranges(leg), [[0.1, 0.4], [-np.pi, np.pi], [-1.0, 1.0]])
+    np.testing.assert_array_equal(joint_ranges(ur3), column_ranges(ur3))
+
+
+def test_given_ranges_may_go_beyond_one_turn_but_not_beyond_limits(leg, ur3):
+    ranges = joint_ranges(leg, {"turn": (-1.0, 20.0), "lift": (0.2, 0.3)})
+    np.testing.assert_allclose(ranges, [[0.2, 0.3], [-1.0, 20.0], [-1.0, 1.0]])
+    # 360 deg in decimals is a little more than the limit of 6.283185307179586 rad.
+    wide = joint_ranges(ur3, {"wrist_1_joint": (-6.2832, 6.2832)})
+    np.testing.assert_array_equal(wide[3], [-2 * np.pi, 2 * np.pi])
+
+
+def test_ranges_of_rows_with_a_margin():
+    joints = np.array([[0.1, 2.0], [0.3, -1.0]])
+    np.testing.assert_allclose(ranges_of(joints), [[0.1, 0.3], [-1.0, 2.0]])
+    wider = ranges_of(joints, np.array([0.01, 0.5]))
+    np.testing.assert_allclose(wider, [[0.09, 0.31], [-1.5, 2.5]])
+    limits = np.array([[0.095, 0.25], [-np.inf, np.inf]])
+    # A margin ends at a limit; what was measured beyond it was reached.
+    np.testing.assert_allclose(ranges_of(joints, 0.1, limits), [[0.095, 0.3], [-1.1, 2.1]])
+
+
+def test_ranges_of_the_paper_s_rows(ur3):
+    m = Measurements.read(data.paper_measurements(), ur3.joint_names, ur3.joint_types)
+    q = m.joints_for(ur3.joint_names)[m.estimation]
+    ranges = np.degrees(joint_ranges(ur3, like=q, margin=np.radians(5.0)))
+    # Table 2 by eye; joint 6 was measured beyond its limit of 360 deg.
+    expected = [
+        [-77.77, -0.11], [-133.81, -17.71], [-95.21, 128.63],
+        [-226.34, -30.52], [-65.49, 63.61], [-133.05, 420.75],
+    ]  # fmt: skip
+    np.testing.assert_allclose(ranges, expected, atol=1e-9)
+    narrowed = joint_ranges(ur3, {"elbow_joint": (0.0, 1.0)}, q)
+    np.testing.assert_array_equal(narrowed[2], [0.0, 1.0])
+
+
+def test_words(leg):
+    assert range_text(leg, "lift", np.array([0.1, 0.4])) == "100 to 400 mm"
+    assert range_text(leg, "knee", np.array([-np.pi, np.pi])) == "-180 to 180 deg"
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"elbow": (0, 1)}, "for the joint 'elbow', which does not move .* 'lift', 'turn', 'knee'"),
+        ({"ankle": (0, 1)}, "for the joint 'ankle', which does not move"),
+        ({"turn": (1, -1)}, "of 'turn' is 57.2958 to -57.2958 deg, which is empty; give the lower"),
+        ({"lift": (0.2, 0.2)}, r"of 'lift' is 200 to 200 mm, which is empty; .* \(--hold\)"),
+        ({"turn": (0, np.nan)}, "is empty"),
+        ({"lift": (0.2, 0.5)}, "of 'lift' is 200 to 500 mm; its limits .* 100 to 400 mm"),
+        ({"knee": (0, 2)}, "of 'knee' is 0 to 114.592 deg; its limits .* -57.2958 to 57.2958 deg"),
+    ],
+)
+def test_ranges_that_cannot_be_are_refused(leg, given, said):
+    with pytest.raises(CalibError, match=said):
+        joint_ranges(leg, given)
+
+
+def test_no_rows_and_negative_margins_are_refused():
+    with pytest.raises(CalibError, match="No rows were given to take the ranges"):
+        ranges_of(np.zeros((0, 3)))
+    with pytest.raises(CalibError, match=r"margin is -0.1; it must not be below zero"):
+        ranges_of(np.zeros((2, 3)), -0.1)
