@@ -97,15 +97,9 @@ def checked_model(model: str | None) -> str | None:
 
 def with_tracker(cell: Cell, tracker: str | None) -> Cell:
     """The cell with its tracker where the command line says."""
-    from calib.cli.words import parse_point
-    from calib.measure.surroundings import Tracker
+    from calib.cli.surroundings_words import parse_tracker
 
-    if tracker is None:
-        return cell
-    position = parse_point(tracker, "--tracker")
-    if cell.tracker is None:
-        return replace(cell, tracker=Tracker(position))
-    return replace(cell, tracker=replace(cell.tracker, position=position))
+    return cell if tracker is None else replace(cell, tracker=parse_tracker(tracker, cell.tracker))
 
 
 def _noise(cell: Cell, noise: str | None, repeatability: str | None) -> TrackerNoise | None:

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.measurements import Measurements
+from calib.measure.layout import Layout
+from calib.measure.table import Table
+from calib.measure.values import Values
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
@@ -33,17 +35,17 @@ def read_pose_list(
         MeasurementError: The table cannot be read, or lacks a joint.
     """
     # A row of this kind measures nothing but its joint values.
-    table = Measurements.read(
-        path, robot.joint_names, robot.joint_types, columns=columns, kind="fixed"
-    )
-    joints = table.joints_for(robot.joint_names)
+    table = Table.read(path)
+    layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
+    values = Values.read(table, layout)
+    joints = values.joints
     kept: list[int] = []
     seen: set[str] = set()
-    for i, target in enumerate(table.targets):
+    for i, target in enumerate(values.targets):
         same = bool(kept) and np.array_equal(joints[i], joints[kept[-1]])
         if same and target not in seen:
             seen.add(target)
             continue
         kept.append(i)
         seen = {target}
-    return read_only(joints[kept]), tuple(table.sets[i] for i in kept)
+    return read_only(joints[kept]), tuple(values.sets[i] for i in kept)

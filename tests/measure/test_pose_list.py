@@ -43,3 +43,9 @@ def test_a_joint_that_is_missing(ur3, tmp_path):
     path.write_text("elbow_joint [deg],x [mm]\n1,2\n2,3\n")
     with pytest.raises(MeasurementError, match="shoulder_pan_joint"):
         read_pose_list(path, ur3)
+
+
+def test_a_single_pose_is_enough(ur3, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(f"{HEADER}\nestimate,a,1,2,3,4,5,6,,,\n")
+    assert read_pose_list(path, ur3)[0].shape == (1, 6)

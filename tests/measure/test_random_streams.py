@@ -13,7 +13,9 @@ def test_every_purpose_and_every_seed_has_numbers_of_its_own():
 
 
 def test_the_same_seed_gives_the_same_numbers():
-    assert (stream(7, "errors").normal(size=5) == stream(np.int64(7), "errors").normal(size=5)).all()
+    assert (
+        stream(7, "errors").normal(size=5) == stream(np.int64(7), "errors").normal(size=5)
+    ).all()
 
 
 @pytest.mark.parametrize("seed", [-1, 1.0, "1", None, True])

@@ -1,0 +1,266 @@
+"""``calib simulate``: the table, the truth beside it, what is printed, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.measure.measurements import Measurements
+from calib.model.robot import Robot
+
+ARM = ("--base", "base", "--tip", "tool0")
+
+
+@pytest.fixture
+def simulate(call, shop: Path):
+    """A function that simulates the paper's UR3 in the shop with further words."""
+
+    def run(*words: str):
+        return call(shop, "simulate", "robot.urdf", *ARM, *words)
+
+    return run
+
+
+def table(shop: Path, name: str = "t.csv") -> Measurements:
+    return Measurements.read(shop / name)
+
+
+def truth(shop: Path, name: str = "t_truth.json"):
+    return json.loads((shop / name).read_text(encoding="utf-8"))
+
+
+def test_a_table_and_the_truth_beside_it(simulate, shop: Path):
+    done = simulate("-o", "t.csv", "--truth-urdf", "true.urdf", "--seed", "3")
+    assert (done.code, done.err) == (0, "")
+    assert max(map(len, done.lines)) <= 100
+    made = table(shop)
+    assert (made.estimation.sum(), made.validation.sum()) == (30, 10)
+    said = truth(shop)
+    assert [row["row"] for row in said["rows"]] == list(made.rows)
+    off = made.points - [row["xyz_m"] for row in said["rows"]]
+    assert 2e-5 < off.std() < 6e-5
+    q = [row["joints"] for row in said["rows"]]
+    T = Robot.load(shop / "true.urdf", "base", "tool0").poses(q)
+    point = (T @ [*said["targets"][0]["xyz_m"], 1.0])[:, :3]
+    assert point == pytest.approx(np.array([row["xyz_m"] for row in said["rows"]]), abs=1e-9)
+    for word in (
+        "40 rows (30 to estimate from, 10 to validate with)",
+        "model placement:",
+        "18 errors,",
+        "So the nominal robot puts the target",
+        "The measurement frame is the base frame.",
+        "the robot's repeatability 20 um",
+        "Written: t.csv",
+        "Written: t_truth.json",
+        "Written: true.urdf",
+    ):
+        assert word in done.out
+
+
+def test_the_next_command_works_as_it_is_printed(simulate, call, shop: Path):
+    words = ("--frame", "estimate", "--kind", "point", "--target", "50 50 50 mm")
+    done = simulate("-o", "my table.csv", *words)
+    assert done.code == 0
+    line = done.out.split("Next:")[1].replace("\\\n", " ")
+    program, *rest = shlex.split(line)
+    assert program == "calib"
+    fitted = call(shop, *rest, "--no-validate")
+    assert (fitted.code, fitted.err) == (0, "")
+    assert (shop / "corrected.urdf").is_file()
+
+
+def test_long_commands_are_broken_where_a_shell_joins_them(simulate):
+    done = simulate(
+        "-o", "t.csv", "--cell", "cell.toml", "--frame", "estimate", "--target", "50 50 50 mm"
+    )
+    text = done.out.split("Next:")[1]
+    assert text.count("\\\n") == 1
+    assert shlex.split(text.replace("\\\n", " "))[-2:] == ["-o", "corrected.urdf"]
+    assert max(map(len, done.lines)) <= 100
+
+
+def test_the_same_seed_gives_the_same_files_and_another_others(simulate, shop: Path):
+    words = (
+        "--outliers",
+        "2",
+        "--encoder",
+        "0.001 deg",
+        "--model",
+        "placement+gain+compliance",
+        "--payload",
+        "2 kg",
+    )
+    for name, seed in (("a", "5"), ("b", "5"), ("c", "6")):
+        assert simulate("-o", f"{name}.csv", "--seed", seed, *words).code == 0
+    for suffix in (".csv", "_truth.json"):
+        a, b, c = ((shop / f"{name}{suffix}").read_bytes() for name in "abc")
+        assert a == b != c
+
+
+def test_without_noise_a_fit_finds_the_truth(simulate, call, shop: Path):
+    assert simulate("-o", "t.csv", "--noise", "none", "--frame", "estimate").code == 0
+    (shop / "free.toml").write_text('priors = "off"\nframe = "estimate"\n')
+    words = ("fit", "robot.urdf", "t.csv", *ARM, "--cell", "free.toml", "--model", "placement")
+    assert call(shop, *words, "--json", "r.json", "--no-validate").code == 0
+    errors = json.loads((shop / "r.json").read_text())["errors"]["calibrated"]
+    assert errors["estimation"]["max_m"] < 1e-9
+    assert errors["validation"]["max_m"] < 1e-9
+
+
+def test_poses_of_a_table_keep_their_sets(simulate, shop: Path, paper_table):
+    done = simulate("--poses", "data.csv", "-o", "t.csv", "--validation", "3")
+    assert done.code == 0
+    made = table(shop)
+    assert made.joints[:35] == pytest.approx(paper_table.joints)
+    assert made.sets == (*paper_table.sets, *["validate"] * 3)
+
+
+def test_poses_outside_the_limits_are_measured_and_said(simulate, shop: Path):
+    text = (shop / "data.csv").read_text(encoding="utf-8")
+    first, second = text.splitlines()[:2]
+    column = first.split(",").index("elbow_joint [deg]")
+    cells = second.split(",")
+    cells[column] = "200"
+    (shop / "wide.csv").write_text(text.replace(second, ",".join(cells)), encoding="utf-8")
+    done = simulate("--poses", "wide.csv", "-o", "t.csv")
+    assert done.code == 0
+    assert "Note: 1 pose is outside the limits of 'elbow_joint', -180 to 180 deg" in done.out
+    assert len(table(shop)) == 35
+
+
+def test_single_errors_alone_are_the_only_ones(simulate, shop: Path):
+    done = simulate(
+        "-o", "t.csv", "--error", "elbow_joint.rx=2 mrad", "--error", "wrist_1_joint.z=-0.5 mm"
+    )
+    assert done.code == 0
+    values = {p["name"]: p["value"] for p in truth(shop)["parameters"] if p["value"]}
+    assert values == {"elbow_joint.rx": 2e-3, "wrist_1_joint.z": -0.5e-3}
+    assert "  length         1 error,  rms 0.5 mm, largest wrist_1_joint.z -0.5 mm" in done.lines
+    both = simulate("-o", "u.csv", "--error", "elbow_joint.rx=2 mrad", "--sizes", "angle 1 mrad")
+    assert both.code == 0
+    values = {p["name"]: p["value"] for p in truth(shop, "u_truth.json")["parameters"]}
+    assert values["elbow_joint.rx"] == 2e-3
+    assert all(values.values())
+
+
+def test_no_errors_at_all(simulate, shop: Path):
+    done = simulate("-o", "t.csv", "--sizes", "none", "--truth-urdf", "true.urdf")
+    assert "none: the robot is as its URDF says" in done.out
+    assert (shop / "true.urdf").read_bytes() == (shop / "robot.urdf").read_bytes()
+
+
+def test_a_true_urdf(simulate, shop: Path):
+    assert simulate("-o", "t.csv", "--seed", "2", "--truth-urdf", "true.urdf").code == 0
+    done = simulate("-o", "u.csv", "--seed", "2", "--truth-robot", "true.urdf", "--count", "30")
+    assert done.code == 0
+    assert table(shop).points == pytest.approx(table(shop, "u.csv").points, abs=1e-12)
+
+
+def test_everything_that_disturbs_is_said(simulate, shop: Path):
+    (shop / "two.toml").write_text(
+        "[targets_mm]\nupper = [0, 0, 120]\nlower = [80, 0, 20]\n"
+        "[frames.morning]\nxyz_mm = [1500, 0, 0]\n[frames.evening]\nxyz_mm = [2500, 0, 0]\n"
+        '[tracker]\nxyz_mm = [2000, 500, 0]\nnoise = "30 um"\nrepeatability_mm = 0\n'
+    )
+    done = simulate(
+        "-o", "t.csv", "--cell", "two.toml", "--kind", "pose", "--outliers", "5 %", "--outlier-size", "8 mm",
+        "--moved-target", "25 upper: 0 0 0.5 mm", "--drift", "0.1 0 0 mm", "--encoder", "0.001 deg",
+        "--visits", "2", "--angle-noise", "0.02 deg",
+    )  # fmt: skip
+    assert (done.code, done.err) == (0, "")
+    text = " ".join(done.out.split())
+    for words in (
+        "160 rows (120 to estimate from, 40 to validate with)",
+        "position and orientation of the target, at each pose of 2 targets (upper, lower), in 2 set-ups in turn",
+        "Each pose is visited 2 times.",
+        "The target 'upper' sits at",
+        "In the frame of 'evening' the base is at (2500, 0, 0) mm.",
+        "Noise of a coordinate: 0.03 mm (standard deviation): the instrument's 30 um.",
+        "Noise of an orientation about each axis: 0.02 deg.",
+        "read in steps of 0.001 deg; the robot stands up to half a step beside them",
+        "Outliers of 8 mm: rows ",
+        "The target 'upper' moves by (0, 0, 0.5) mm in the tip before row 25: 68 rows find it there.",
+        "Drift from the first row to the last: (0.1, 0, 0) mm in the measurement frame.",
+    ):
+        assert words in text, words
+    said = truth(shop)
+    assert len(said["events"]["outliers"]) == 6
+    assert said["instrument"]["tracker_base_xyz_m"] == [2.0, 0.5, 0.0]
+
+
+@pytest.mark.parametrize("kind", ["distance", "pair"])
+def test_lengths(simulate, call, shop: Path, kind: str):
+    done = simulate("-o", "t.csv", "--kind", kind)
+    assert done.code == 0
+    assert "Noise of a length:" in done.out
+    fitted = call(shop, "fit", "robot.urdf", "t.csv", *ARM, "--no-validate", "--model", "frames")
+    assert fitted.code == 0
+
+
+def test_quiet_prints_nothing(simulate):
+    done = simulate("-o", "t.csv", "--quiet")
+    assert (done.code, done.out, done.err) == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--noise", "-1 mm"), '--noise was given as "-1 mm"; it must be a length'),
+        (("--noise", "much"), '--noise was given as "much"'),
+        (("--repeatability", "-1 mm"), '--repeatability was given as "-1 mm"; it must not be below 0'),
+        (("--angle-noise", "1 deg"), "--angle-noise is the noise of orientations"),
+        (("--outliers", "120 %"), '--outliers was given as "120 %"'),
+        (("--outliers", "31"), "31 outliers were asked for among 30 measurements"),
+        (("--outlier-size", "5 mm"), "say how many there are, such as --outliers 3"),
+        (("--moved-target", "41: 0 0 1 mm"), "before row 41; the table has 40 rows"),
+        (("--moved-target", "4 left: 0 0 1 mm"), "The target 'left' is to move; there are 'target'"),
+        (("--drift", "1 mm"), '--drift was given as "1 mm"; it must be three numbers'),
+        (("--tracker", "1 m"), '--tracker was given as "1 m"; it must be three numbers'),
+        (("--encoder", "1 kg"), "--encoder: 'kg' is not a unit"),
+        (("--kind", "fixed"), "Measurements of the kind 'fixed' cannot be simulated"),
+        (("--kind", "pair", "--count", "3"), "even number of poses; 3 are to 'estimate'"),
+        (("--model", "auto"), "--model auto is for calib fit"),
+        (("--model", "best"), "there is no model 'best'"),
+        (("--sizes", "mass 1 kg"), '--sizes was given as "mass 1 kg"'),
+        (("--error", "elbow.rx=1 mrad"), "the robot has no error 'elbow.rx' in this model (did you mean"),
+        (("--error", "elbow_joint.rx=1 mm"), '"1 mm" is a length, an angle is wanted: "2 mrad"'),
+        (("--target-error", "1 mrad"), "is an angle, a length is wanted"),
+        (("--poses", "data.csv", "--count", "3"), "--poses gives the poses, --count says how many"),
+        (("--poses", "nothing.csv"), "'nothing.csv' does not exist"),
+        (("--truth-robot", "data.csv"), "is not XML"),
+        (("--truth", "t.csv"), "t.csv is also another output of this command"),
+        (("--truth", "nowhere/t.json"), "the folder 'nowhere' does not exist"),
+        (("--truth-urdf", "robot.urdf"), "robot.urdf is also an input of this command"),
+        (("--cell", "data.csv"), "this is not a TOML file"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said_in_one_line_and_nothing_is_written(
+    simulate, shop: Path, words, said
+):
+    before = sorted(shop.iterdir())
+    done = simulate("-o", "t.csv", *words)
+    assert (done.code, done.out) == (1, "")
+    assert said in done.err
+    assert done.err.startswith("calib: ")
+    assert done.err.count("\n") == 1
+    assert sorted(shop.iterdir()) == before
+
+
+def test_the_table_must_be_named(simulate):
+    assert simulate().err == "calib: Name the table to write: -o table.csv.\n"
+
+
+@pytest.mark.parametrize("taken", ["t.csv", "t_truth.json", "true.urdf"])
+def test_files_that_exist_are_not_overwritten_unless_asked(simulate, shop: Path, taken: str):
+    (shop / taken).write_text("mine")
+    before = sorted(shop.iterdir())
+    done = simulate("-o", "t.csv", "--truth-urdf", "true.urdf")
+    assert done.code == 1
+    assert done.err == f"calib: {taken} exists already; add --force or choose another name.\n"
+    assert sorted(shop.iterdir()) == before
+    assert simulate("-o", "t.csv", "--truth-urdf", "true.urdf", "--force").code == 0
+    assert (shop / taken).read_text() != "mine"

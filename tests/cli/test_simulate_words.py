@@ -1,0 +1,171 @@
+"""The words of ``calib simulate``."""
+
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+
+from calib.cli import simulate_words as words
+from calib.errors import CalibError
+from calib.measure.disturbances import Encoder, Outliers
+from calib.measure.error_sizes import TYPICAL, ErrorSizes
+from calib.model.error_model import error_model
+
+
+def test_sizes():
+    said = (
+        "length 0.5 mm, angle 2mrad,zero 0, gain 1e-3, eccentricity 0.1 deg, compliance 2e-5 rad/Nm"
+    )
+    found = words.parse_sizes(said)
+    assert astuple(found) == pytest.approx((0.5e-3, 2e-3, 0.0, 1e-3, np.radians(0.1), 2e-5))
+    assert words.parse_sizes("zero 1 mrad") == ErrorSizes(zero=1e-3)
+    assert words.parse_sizes("zero 1 mrad").length == TYPICAL.length
+    assert words.parse_sizes(" none ") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "it must be 'none', or sizes"),
+        ("length", "it must be 'none', or sizes"),
+        ("length 1 mm,", "it must be 'none', or sizes"),
+        ("length 1 mm, length 2 mm", "each once of 'length', 'angle'"),
+        ("lenght 1 mm", "each once of"),
+        ("length 1 mrad", '"1 mrad" is an angle, a length is wanted: "0.5 mm"'),
+        ("length 1", '"1" is a number, a length is wanted'),
+        ("gain 1 mm", "a number is wanted"),
+        ("compliance 1 mm", "a compliance is wanted"),
+        ("angle -1 mrad", "the size of angle must not be below 0"),
+        ("angle x mrad", "'x mrad' is no number with a unit"),
+    ],
+)
+def test_what_are_no_sizes(text, said):
+    with pytest.raises(CalibError, match=r"--sizes") as caught:
+        words.parse_sizes(text)
+    assert said in str(caught.value)
+
+
+def test_single_errors(ur3):
+    known = error_model(ur3, "dh+gain+compliance", target=False).parameters
+    pairs = [
+        "a2=0.5 mm",
+        "theta3 = -2 mrad",
+        "elbow_joint.gain=1e-3",
+        "elbow_joint.compliance=1e-5 rad/Nm",
+    ]
+    assert words.parse_errors([*pairs, "d1=0"], known) == (
+        ("a2", 0.5e-3), ("theta3", -2e-3), ("elbow_joint.gain", 1e-3), ("elbow_joint.compliance", 1e-5),
+        ("d1", 0.0),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("pairs", "said"),
+    [
+        (["a2"], "it must be 'name=value' with a unit"),
+        (["=1 mm"], "it must be 'name=value' with a unit"),
+        (["a2="], "it must be 'name=value' with a unit"),
+        (["a2=1 mm", "a2=2 mm"], "each name once"),
+        (["a9=1 mm"], "the robot has no error 'a9' in this model. It has 'a1', "),
+        (["teta2=1 mrad"], "no error 'teta2' in this model (did you mean 'theta2' or "),
+        (["a2=1 mrad"], "is an angle, a length is wanted"),
+        (["a2=1"], "is a number, a length is wanted"),
+        (["a2=1e999 mm"], "is no number with a unit"),
+    ],
+)
+def test_wrong_single_errors(ur3, pairs, said):
+    with pytest.raises(CalibError, match="--error") as caught:
+        words.parse_errors(pairs, error_model(ur3, "dh", target=False).parameters)
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "repeatability", "noise"),
+    [
+        ("0.05 mm", 0.0, (5e-5, 0.0, 0.0)),
+        ("15 um + 6 um/m", 1e-5, (15e-6, 6e-6, 1e-5)),
+        ("none", 1e-5, (0.0, 0.0, 1e-5)),
+        ("0 mm", 1e-5, (0.0, 0.0, 1e-5)),
+    ],
+)
+def test_noise(text, repeatability, noise):
+    assert astuple(words.parse_instrument(text, repeatability)) == pytest.approx(noise)
+
+
+@pytest.mark.parametrize("text", ["none", "0", "0 mm", "0 um + 0 um/m"])
+def test_no_noise_at_all(text):
+    assert words.parse_instrument(text, 0.0) is None
+
+
+def test_what_is_no_noise():
+    with pytest.raises(CalibError, match="--noise was given as"):
+        words.parse_instrument("0.05 kg", 0.0)
+
+
+def test_encoder_steps():
+    assert words.parse_encoder([]) == Encoder()
+    assert astuple(words.parse_encoder(["0.001 deg"])) == pytest.approx((np.radians(1e-3), 0.0))
+    assert astuple(words.parse_encoder(["0.01 mm", "1 mrad"])) == pytest.approx((1e-3, 1e-5))
+
+
+@pytest.mark.parametrize("texts", [["3"], ["-1 deg"], ["1 deg", "2 deg"], ["1e-5 rad/Nm"], ["x"]])
+def test_wrong_encoder_steps(texts):
+    with pytest.raises(CalibError, match="--encoder"):
+        words.parse_encoder(texts)
+
+
+@pytest.mark.parametrize(
+    ("text", "outliers"),
+    [
+        ("3", Outliers(count=3, size=1e-3)),
+        ("5 %", Outliers(share=0.05, size=1e-3)),
+        ("2.5%", Outliers(share=0.025, size=1e-3)),
+        ("100 %", Outliers(share=1.0, size=1e-3)),
+    ],
+)
+def test_outliers(text, outliers):
+    assert words.parse_outliers(text, 1e-3) == outliers
+
+
+@pytest.mark.parametrize("text", ["", "-1", "1.5", "100.1 %", "many", "5 % of"])
+def test_wrong_outliers(text):
+    with pytest.raises(CalibError, match="--outliers was given as"):
+        words.parse_outliers(text, 1e-3)
+
+
+def test_outliers_that_are_none():
+    with pytest.raises(CalibError, match="--outlier-size must be above 0"):
+        words.parse_outliers("3", 0.0)
+
+
+def test_a_moved_target():
+    moved = words.parse_moved(" 25 : 0 0 0.5 mm")
+    assert (moved.row, moved.by.tolist(), moved.target) == (25, [0, 0, 0.5e-3], None)
+    assert words.parse_moved("3 upper left: 1, 2, 3 mm").target == "upper left"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("0 0 0.5 mm", "it must be the first row that finds it moved"),
+        ("x: 0 0 0.5 mm", "it must be the first row"),
+        ("3:", "it must be the first row"),
+        ("3: 0 0 mm", "it must be three numbers and a unit"),
+        ("0: 0 0 1 mm", "rows are counted from 1"),
+    ],
+)
+def test_wrong_moved_targets(text, said):
+    with pytest.raises(CalibError) as caught:
+        words.parse_moved(text)
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("parse", [words.parse_size, words.parse_angle])
+def test_sizes_of_one_thing(parse):
+    unit = "mm" if parse is words.parse_size else "mrad"
+    assert parse(f"2 {unit}", "--x") == pytest.approx(2e-3)
+    assert parse("0", "--x") == 0.0
+    with pytest.raises(CalibError, match='--x was given as "-1'):
+        parse(f"-1 {unit}", "--x")
+    with pytest.raises(CalibError, match=r'--x "3 kg": .*Write'):
+        parse("3 kg", "--x")
