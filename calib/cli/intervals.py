@@ -92,11 +92,13 @@ def _interval_table(rows: list[tuple[ParameterEstimate, float, float]], what: st
         if len(name) > _LONGEST_NAME:
             lines.append(name)
             name = ""
-        intervals = "".join(
+        ends = [
             f"{_end(factor * a):>{_NUMBER}} .. {_end(factor * b):>{_NUMBER}}"
             for a, b in ((p.low, p.high), (low, high))
-        )
-        lines.append(f"{name:<{width}}{_end(factor * p.value):>{_NUMBER}}{intervals} {unit}")
+        ]
+        if p.at_bound:
+            ends[0] = f"{'at bound':>{pair}}"
+        lines.append(f"{name:<{width}}{_end(factor * p.value):>{_NUMBER}}{''.join(ends)} {unit}")
     return lines
 
 

@@ -26,7 +26,7 @@ class ParameterEstimate:
         low: Lower end of the 95 % interval of the value.
         high: Upper end.
         identifiable: Whether the measurements determine it; otherwise they know it in combinations only.
-        at_bound: Whether it was stopped by a bound.
+        at_bound: Whether it was stopped by a bound; std and interval are then the bound's, next to nothing.
     """
 
     name: str

@@ -247,16 +247,17 @@ def errors_table(errors: Errors) -> dict[str, Any]:
 
 
 def _parameter(p: ParameterEstimate) -> dict[str, Any]:
-    """One parameter."""
+    """One parameter; at a bound it has no uncertainty, and that of the hold on it is none."""
+    uncertain = not p.at_bound
     return {
         "name": p.name,
         "unit": p.unit,
         "nominal": p.nominal,
         "value": p.value,
         "delta": p.delta,
-        "std": p.std,
-        "low": p.low,
-        "high": p.high,
+        "std": p.std if uncertain else None,
+        "low": p.low if uncertain else None,
+        "high": p.high if uncertain else None,
         "identifiable": p.identifiable,
         "at_bound": p.at_bound,
     }

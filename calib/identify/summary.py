@@ -241,8 +241,8 @@ def _larger(c: Calibration) -> str:
     lines = [f"Larger model '{c.larger.name}', not in the URDF:"]
     for p in shown:
         factor, unit = SHOWN[p.unit]
-        half = 0.5 * factor * (p.high - p.low)
-        lines.append(f"  {p.name:<{_LONGEST_NAME}}{factor * p.value:>10.3f} +- {half:.3f} {unit}")
+        half = "(at bound)" if p.at_bound else f"+- {0.5 * factor * (p.high - p.low):.3f}"
+        lines.append(f"  {p.name:<{_LONGEST_NAME}}{factor * p.value:>10.3f} {half} {unit}")
     return "\n".join(lines)
 
 

@@ -239,6 +239,14 @@ def test_bootstrap_and_profile_are_printed_and_written(examples):
     )
 
 
+def test_a_parameter_at_its_bound_has_no_interval_by_the_covariance(call, shop):
+    (shop / "bounds.toml").write_text('[bounds]\n"elbow_joint.zero" = "0.001 deg"\n')
+    words = ("--cell", "bounds.toml", "--model", "zeros", "--bootstrap", "50", "--force")
+    done = call(shop, "fit", "robot.urdf", "data.csv", "--base", "base", "--no-validate", *words)
+    assert done.code == 0
+    assert re.search(r"^elbow_joint\.zero +-?0\.001 +at bound +-?\d.* deg$", done.out, re.MULTILINE)
+
+
 def test_the_same_seed_gives_the_same_samples(call, shop):
     words = ("--model", "zeros", "--bootstrap", "50", "--force", "--seed")
     first, again, other = (quick(call, shop, *words, seed) for seed in ("5", "5", "6"))

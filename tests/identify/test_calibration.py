@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from calib.data import PAPER_TARGET_AS_PRINTED
 from calib.errors import MeasurementError, ModelError, UrdfError
 from calib.identify.calibration import calibrate
 from calib.identify.evaluation import evaluate
+from calib.identify.result_file import read_result
 from calib.identify.statistics import Errors
 from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements
@@ -612,7 +614,7 @@ def test_every_kind_has_a_summary_without_holes(case):
     assert max(map(len, text.splitlines())) <= 100
 
 
-def test_parameters_by_exact_name_hold_under_auto(make_scene):
+def test_parameters_by_exact_name_hold_under_auto(make_scene, tmp_path):
     """Frozen, bounded, tied and with a prior of its own; names of larger models too."""
     scene = make_scene(73, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
     names, x = scene.kinematics.model.names, scene.x.copy()
@@ -634,12 +636,30 @@ def test_parameters_by_exact_name_hold_under_auto(make_scene):
     assert bounded.delta == pytest.approx(1e-4, rel=1e-9)
     assert bounded.at_bound
     assert re.search(r"^alpha1 .* at bound deg$", held.summary(), re.MULTILINE)
+    stored = json.loads(held.write_json(tmp_path / "held.json").read_text(encoding="utf-8"))
+    for p in stored["parameters"]:
+        assert p["at_bound"] == (p["name"] == "alpha1")
+        assert (p["std"] is p["low"] is p["high"] is None) == p["at_bound"]
+    again = evaluate(held.nominal, m, known=read_result(tmp_path / "held.json").known)
+    assert again.errors["all"].n == 70
     assert not free.parameter("alpha1").at_bound
     assert abs(held.parameter("d5").delta) < 1e-7
     terms = dict(zip([t.name for t in held.model.terms], held.model.values(held.x), strict=True))
     assert terms["a3"] == pytest.approx(0.5 * terms["a2"], rel=1e-12)
     assert "a4" not in terms
     assert held.parameter("a2").std < free.parameter("a2").std
+
+
+def test_a_bounded_gain_is_told_to_be_at_its_bound(make_scene):
+    scene = make_scene(74, frames=[np.eye(4)], model="dh+gain", noise=2e-5)
+    names, x = scene.kinematics.model.names, scene.x.copy()
+    x[names.index("elbow_joint.gain")] = 1e-3
+    scene = replace(scene, x=x)
+    cell = Cell(model="dh+gain", bounds={"elbow_joint.gain": (-1e-4, 1e-4)})
+    result = calibrate(scene.robot, scene.points(70), cell=cell, validate=False)
+    text = result.summary()
+    assert re.search(r"^  elbow_joint\.gain +0\.100 \(at bound\) mrad/rad$", text, re.MULTILINE)
+    assert re.search(r"^  wrist_1_joint\.gain .* \+- 0\.\d+ mrad/rad$", text, re.MULTILINE)
 
 
 def test_families_that_are_named_make_the_larger_model(calibrated):
