@@ -100,12 +100,15 @@ def write_picture(
     Raises:
         FileError: Another ending, or the file exists or cannot be written.
     """
+    from matplotlib import rc_context
+
     ending = check_ending(path)
     figure = draw_region(density, region, title=title, subtitle=subtitle, marked=marked)
     data = io.BytesIO()
     # The same figure is the same bytes: no dates.
     dates: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-    with warnings.catch_warnings():
+    # Names inside of an SVG are made from a salt, random if there is none; it is set for this one writing.
+    with rc_context({"svg.hashsalt": "calib"}), warnings.catch_warnings():
         # A name in letters that the font lacks is drawn as boxes; the terminal is no place to say so.
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
         figure.savefig(data, format=ending[1:], dpi=150, metadata=dates.get(ending))
