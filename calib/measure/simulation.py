@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 #: The kinds that a virtual cell measures. The others need poses that hold the target in a socket or on a plane.
 SIMULATED = ("point", "pose", "distance", "pair")
 
+#: No target is measured farther away [m].
+FARTHEST = 1e4
+
 _TRACKER = TrackerNoise()
 _NOWHERE = read_only(np.zeros(3))
 
@@ -175,6 +178,7 @@ class VirtualCell:
         instrument = stream(seed, "tracker noise").standard_normal((len(sigma), 3))
         own = sigma if self.noise is None else self._instrument(T[:, :3, 3], plan, pairs)
         apart = instrument * own[:, None] + outliers
+        _check_near(shaken + apart)
         table = Measurements(
             joint_names=self.robot.joint_names,
             joints=self.encoder.read(stood, sliding)[plan.stop],
@@ -323,6 +327,20 @@ def _checked_poses(robot: Robot, q: ArrayLike) -> Array:
         raise ModelError(message)
     robot.chain_values(values)
     return values
+
+
+def _check_near(points: Array) -> None:
+    """Refuse places that no instrument reaches: a unit or a power of ten is wrong.
+
+    Raises:
+        CalibError: A coordinate that is not finite, or beyond `FARTHEST`.
+    """
+    if not np.all(np.abs(points) < FARTHEST):
+        message = (
+            f"The target would be measured more than {FARTHEST:g} m away. Check the sizes of errors and noise, the "
+            "target's and the tracker's place, drift and outliers: a unit may be wrong."
+        )
+        raise CalibError(message)
 
 
 def _lengths(points: Array, apart: Array, pairs: Sequence[tuple[int, int]]) -> Array:

@@ -43,6 +43,9 @@ _AWAY, _HEIGHTS, _TILT = 3.0, (-0.5, 1.0), 0.01
 #: A sliding joint's compliance is drawn with the size of a turning one's at a lever of 0.1 m.
 _LEVER = 0.1
 
+#: The largest errors that are taken for errors, by unit.
+_LARGEST = {"m": 1.0, "rad": 2.0 * np.pi, "1": 1.0, "m/m": 1.0, "rad/Nm": 1.0, "m/N": 1.0}
+
 #: Unit vectors that differ by no more are the same axis.
 _SAME_AXIS = 1e-9
 
@@ -266,6 +269,13 @@ def _with_given(model: ErrorModel, x: Array, errors: Mapping[str, float]) -> Arr
             message = f"The error '{name}' is {value}; it must be a finite number."
             raise CalibError(message)
         x[model.index(name)] = value
+    for parameter, value in zip(model.parameters, x, strict=True):
+        if abs(value) > _LARGEST[parameter.unit]:
+            message = (
+                f"The error '{parameter.name}' is {value:.3g} {parameter.unit}; more than {_LARGEST[parameter.unit]:g} "
+                f"{parameter.unit} is not an error but another robot."
+            )
+            raise CalibError(message)
     return x
 
 

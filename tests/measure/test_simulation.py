@@ -323,6 +323,19 @@ def test_what_cannot_be_measured(plain, q):
         replace(plain, outliers=Outliers(count=31)).measure(q, sets=SETS)
 
 
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"drift": (1e5, 0, 0)},
+        {"noise": TrackerNoise(1e200, 0.0, 0.0)},
+        {"outliers": Outliers(count=1, size=1e9)},
+    ],
+)
+def test_places_that_no_instrument_reaches(plain, q, values):
+    with pytest.raises(CalibError, match=r"more than 10000 m away.*a unit may be wrong"):
+        replace(plain, **values).measure(q)
+
+
 def test_what_was_measured_cannot_be_changed(plain, q):
     made = plain.measure(q)
     for name in ("q", "T_frame_target", "sigma", "drift", "outliers", "moved"):

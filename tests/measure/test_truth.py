@@ -127,6 +127,22 @@ def test_wrong_single_errors(ur3, errors, said):
         draw_truth(ur3, "placement", errors=errors)
 
 
+@pytest.mark.parametrize(
+    ("model", "name", "value"),
+    [
+        ("placement", "elbow_joint.x", -1.1),
+        ("zeros", "elbow_joint.zero", 7.0),
+        ("frames+gain", "elbow_joint.gain", 2.0),
+        ("frames+compliance", "elbow_joint.compliance", 1e9),
+    ],
+)
+def test_errors_that_are_none(ur3, model, name, value):
+    with pytest.raises(
+        CalibError, match=f"The error '{name}' is .* not an error but another robot"
+    ):
+        draw_truth(ur3, model, errors={name: value})
+
+
 def test_what_a_cell_says_of_single_errors_holds(ur3):
     cell = Cell(
         frozen=("d2", "elbow_joint.x"),

@@ -1,11 +1,14 @@
 """The truth file: complete, read back, and read by others."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
+import calib
 from calib.errors import CalibError, FileError
 from calib.measure.cell import Cell
 from calib.measure.disturbances import Encoder, MovedTarget, Outliers
@@ -230,3 +233,26 @@ def test_the_true_urdf(ur3, cell, tmp_path):
     assert again == pytest.approx(cell.truth.robot.poses(q), abs=1e-12)
     with pytest.raises(FileError, match="exists already"):
         write_true_urdf(cell.truth, path)
+
+
+DOC = Path(__file__).parents[2] / "docs" / "simulation.md"
+
+
+def test_the_document_has_every_key_and_no_other(path):
+    said = json.loads(path.read_text())
+    section = DOC.read_text(encoding="utf-8").split("## The truth file")[1].split("## In Python")[0]
+    rows = [line.split("|")[1:3] for line in section.splitlines() if line.startswith("| `")]
+    keys = [key for first, _ in rows for key in re.findall(r"`(\w+)", first)]
+    assert sorted(keys) == sorted(said)
+    for first, content in rows:
+        for key in re.findall(r"`(\w+)", first):
+            value = said[key][0] if isinstance(said[key], list) else said[key]
+            if isinstance(value, dict):
+                assert set(value) <= set(re.findall(r"`(\w+)", content)), key
+
+
+def test_the_document_s_python_runs(ur3):
+    text = DOC.read_text(encoding="utf-8")
+    names = {"calib": calib, "robot": ur3}
+    exec(re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0], names)
+    assert 0.0 < np.abs(names["error"]).max() < 1e-3
