@@ -1,0 +1,182 @@
+"""plan: a robot in a cell in, the poses to measure out.
+
+The order of the work: candidates inside the joint ranges, in the region, in the tracker's sight and free of collision;
+the choice under the model that the fit will use; poses to validate with; the order to drive; the forecast.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.identify.foresight import Outlook
+from calib.measure.candidates import Condition, draw, planning_ranges
+from calib.measure.cell import Cell
+from calib.measure.collision import CollisionModel
+from calib.measure.planning import Plan, check_numbers, choose_poses
+from calib.measure.region import Region
+from calib.measure.sight import in_sight
+from calib.measure.travel import order
+from calib.model.robot import Robot, read_only
+
+__all__ = ["Plan", "plan"]
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+#: Default margin to joint limits [rad].
+MARGIN = math.radians(5.0)
+
+#: Default number of candidates.
+CANDIDATES = 20_000
+
+
+def plan(
+    robot: Robot,
+    cell: Cell | None = None,
+    *,
+    count: int = 30,
+    validation: int = 5,
+    criterion: str = "V",
+    candidates: int = CANDIDATES,
+    region: Region | None = None,
+    margin: float = MARGIN,
+    taken: ArrayLike | None = None,
+    collisions: bool = True,
+    clearance: float = 0.0,
+    package_dirs: Sequence[str | Path] = (),
+    ladder: Sequence[int] | None = None,
+    start: ArrayLike | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Plan:
+    """Plan the poses of a calibration.
+
+    Args:
+        robot: The nominal robot.
+        cell: What the fit will be told, model and priors with it, and what stands around the robot: boxes, tracker,
+            reflector, joint ranges. The model ``"auto"`` is planned for as ``"placement"``, the largest geometry.
+        count: Poses to fit.
+        validation: Poses to validate with, drawn at random from the same candidates.
+        criterion: ``"V"``: least mean variance of predicted positions (default); ``"D"``: largest determinant of the
+            information; ``"A"``: least mean variance of the parameters.
+        candidates: Poses among which is chosen.
+        region: Where the first target is to lie, in the base; None: anywhere.
+        margin: Distance to the joint limits of the URDF [rad].
+        taken: shape (T, m), poses that are measured already: the plan adds to them.
+        collisions: Whether poses, and moves between them, are checked for collisions with the robot itself and with
+            the cell's boxes.
+        clearance: Least distance there [m].
+        package_dirs: Folders in which packages of meshes lie.
+        ladder: Numbers of poses to forecast too; None: some around ``count``; empty: none.
+        start: shape (m,), where the robot stands before it begins; None: it begins at any pose.
+        seed: The same seed makes the same plan.
+        progress: Called with what is being done, how much of it is done, and how much there is.
+
+    Raises:
+        ModelError: An unknown model or criterion, fewer poses than it needs, or no candidate that can be measured.
+        CalibError: Ranges, boxes or meshes that do not fit the robot.
+    """
+    cell = Cell() if cell is None else cell
+    check_numbers(count, validation, candidates)
+    outlook = Outlook.of(robot, cell)
+    ranges = planning_ranges(robot, cell.ranges, margin)
+    body = (
+        CollisionModel.of(robot, cell.boxes, clearance, package_dirs=package_dirs)
+        if collisions
+        else None
+    )
+    conditions = _conditions(robot, cell, region, outlook.setup.T_tip_target, body)
+    pool = draw(robot, ranges, conditions, candidates, seed, _part(progress, "candidates"))
+    measured = None if taken is None else np.atleast_2d(np.asarray(taken, dtype=np.float64))
+    if measured is not None:
+        robot.chain_values(measured)
+    choice = choose_poses(
+        outlook.sensitivity,
+        pool,
+        count=count,
+        validation=validation,
+        criterion=criterion,
+        taken=measured,
+        ladder=ladder,
+        seed=seed,
+        progress=_part(progress, "choice"),
+    )
+    joints = np.concatenate([choice.planned, choice.validation])
+    sets = ("estimate",) * len(choice.planned) + ("validate",) * len(choice.validation)
+    tour = order(joints, start=start, free_path=None if body is None else body.path_free)
+    joints = joints[tour.indices]
+    return Plan(
+        robot=robot,
+        joints=read_only(joints),
+        sets=tuple(sets[i] for i in tour.indices),
+        taken=read_only(np.zeros((0, len(ranges))) if measured is None else measured),
+        targets=outlook.setup.targets,
+        expected=read_only(outlook.expected(joints)),
+        criterion=criterion,
+        model=outlook.kinematics.model.name,
+        kind=outlook.kind,
+        seed=seed,
+        forecast=choice.forecast,
+        before=choice.before,
+        at_random=choice.at_random,
+        ladder=choice.ladder,
+        drawn=pool.drawn,
+        candidates=len(pool.q),
+        refused=dict(pool.refused),
+        tour=tour,
+        notes=(*outlook.notes, *_notes(body)),
+    )
+
+
+def _conditions(
+    robot: Robot,
+    cell: Cell,
+    region: Region | None,
+    T_tip_target: Array,
+    body: CollisionModel | None,
+) -> list[Condition]:
+    """What a candidate must pass, the cheap conditions first."""
+    conditions = []
+    if region is not None:
+
+        def inside(q: Array) -> NDArray[np.bool_]:
+            return region.contains((robot.poses(q) @ T_tip_target[0])[:, :3, 3])
+
+        conditions.append(Condition("outside of the region", inside, where=True))
+    tracker = cell.tracker
+
+    def seen(q: Array, what: str, among: CollisionModel | None = None) -> NDArray[np.bool_]:
+        """Whether every target is in range, faces the tracker, or has its beam free."""
+        result = np.ones(len(q), dtype=bool)
+        for T in T_tip_target if tracker is not None else ():
+            result[result] &= getattr(
+                in_sight(robot, q[result], T, tracker, cell.reflector, among), what
+            )
+        return result
+
+    if tracker is not None:
+        conditions.append(Condition("out of the tracker's range", lambda q: seen(q, "range")))
+    if tracker is not None and cell.reflector is not None:
+        conditions.append(Condition("with the reflector turned away", lambda q: seen(q, "cone")))
+    if body is not None:
+        conditions.append(Condition("in collision", body.free))
+    if body is not None and tracker is not None:
+        conditions.append(Condition("with something in the beam", lambda q: seen(q, "beam", body)))
+    return conditions
+
+
+def _notes(body: CollisionModel | None) -> tuple[str, ...]:
+    """What was not checked for collisions."""
+    return ("Collisions were not checked.",) if body is None else body.notes
+
+
+def _part(progress: Progress | None, what: str) -> Callable[[int, int], None] | None:
+    """The progress of one part."""
+    if progress is None:
+        return None
+    return lambda done, every: progress(what, done, every)
