@@ -18,9 +18,15 @@ if TYPE_CHECKING:
     from calib.errors import CalibError
     from calib.identify.calibration import Calibration, calibrate
     from calib.identify.evaluation import Evaluation, evaluate
+    from calib.identify.foresight import forecast
+    from calib.identify.plan import Plan, plan
+    from calib.identify.study import Study, Trials, study
     from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
     from calib.measure.cell import Cell, GroupDistance, Priors
     from calib.measure.measurements import Measurements
+    from calib.measure.noise import TrackerNoise
+    from calib.measure.scenario import Scenario
+    from calib.measure.surroundings import Box, Reflector, Tracker
     from calib.model.robot import Robot
     from calib.model.torques import Payload
     from calib.show.pictures import show
@@ -28,6 +34,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0.dev0"
 
 __all__ = [
+    "Box",
     "CalibError",
     "Calibration",
     "Cell",
@@ -35,17 +42,28 @@ __all__ = [
     "GroupDistance",
     "Measurements",
     "Payload",
+    "Plan",
     "Priors",
+    "Reflector",
     "Robot",
+    "Scenario",
+    "Study",
+    "Tracker",
+    "TrackerNoise",
+    "Trials",
     "bootstrap",
     "calibrate",
     "evaluate",
+    "forecast",
+    "plan",
     "profile_interval",
     "show",
+    "study",
     "workspace_uncertainty",
 ]
 
 _MODULES = {
+    "Box": "calib.measure.surroundings",
     "CalibError": "calib.errors",
     "Calibration": "calib.identify.calibration",
     "Cell": "calib.measure.cell",
@@ -53,12 +71,22 @@ _MODULES = {
     "GroupDistance": "calib.measure.cell",
     "Measurements": "calib.measure.measurements",
     "Payload": "calib.model.torques",
+    "Plan": "calib.identify.plan",
     "Priors": "calib.measure.cell",
+    "Reflector": "calib.measure.surroundings",
     "Robot": "calib.model.robot",
+    "Scenario": "calib.measure.scenario",
+    "Study": "calib.identify.study",
+    "Tracker": "calib.measure.surroundings",
+    "TrackerNoise": "calib.measure.noise",
+    "Trials": "calib.identify.study",
     "bootstrap": "calib.identify.uncertainty",
     "calibrate": "calib.identify.calibration",
     "evaluate": "calib.identify.evaluation",
+    "forecast": "calib.identify.foresight",
+    "plan": "calib.identify.plan",
     "profile_interval": "calib.identify.uncertainty",
+    "study": "calib.identify.study",
     "workspace_uncertainty": "calib.identify.uncertainty",
 }
 

@@ -18,6 +18,7 @@ CALIB = Path(calib.__file__).parent
 
 #: A name that leaves this list breaks programs that use it.
 NAMES = [
+    "Box",
     "CalibError",
     "Calibration",
     "Cell",
@@ -25,13 +26,23 @@ NAMES = [
     "GroupDistance",
     "Measurements",
     "Payload",
+    "Plan",
     "Priors",
+    "Reflector",
     "Robot",
+    "Scenario",
+    "Study",
+    "Tracker",
+    "TrackerNoise",
+    "Trials",
     "bootstrap",
     "calibrate",
     "evaluate",
+    "forecast",
+    "plan",
     "profile_interval",
     "show",
+    "study",
     "workspace_uncertainty",
 ]
 

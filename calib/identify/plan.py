@@ -20,6 +20,7 @@ from calib.measure.collision import CollisionModel
 from calib.measure.planning import Plan, check_numbers, choose_poses
 from calib.measure.region import Region
 from calib.measure.sight import in_sight
+from calib.measure.surroundings import Tracker
 from calib.measure.travel import order
 from calib.model.robot import Robot, read_only
 
@@ -148,25 +149,36 @@ def _conditions(
             return region.contains((robot.poses(q) @ T_tip_target[0])[:, :3, 3])
 
         conditions.append(Condition("outside of the region", inside, where=True))
-    tracker = cell.tracker
-
-    def seen(q: Array, what: str, among: CollisionModel | None = None) -> NDArray[np.bool_]:
-        """Whether every target is in range, faces the tracker, or has its beam free."""
-        result = np.ones(len(q), dtype=bool)
-        for T in T_tip_target if tracker is not None else ():
-            result[result] &= getattr(
-                in_sight(robot, q[result], T, tracker, cell.reflector, among), what
-            )
-        return result
-
-    if tracker is not None:
-        conditions.append(Condition("out of the tracker's range", lambda q: seen(q, "range")))
-    if tracker is not None and cell.reflector is not None:
-        conditions.append(Condition("with the reflector turned away", lambda q: seen(q, "cone")))
+    if cell.tracker is not None:
+        conditions += _sight(robot, cell, cell.tracker, T_tip_target, None)
     if body is not None:
         conditions.append(Condition("in collision", body.free))
-    if body is not None and tracker is not None:
-        conditions.append(Condition("with something in the beam", lambda q: seen(q, "beam", body)))
+    if body is not None and cell.tracker is not None:
+        conditions += _sight(robot, cell, cell.tracker, T_tip_target, body)
+    return conditions
+
+
+def _sight(
+    robot: Robot,
+    cell: Cell,
+    tracker: Tracker,
+    T_tip_target: Array,
+    body: CollisionModel | None,
+) -> list[Condition]:
+    """Every target in the tracker's range and facing it; with a body its beam free."""
+
+    def seen(q: Array, what: str) -> NDArray[np.bool_]:
+        result = np.ones(len(q), dtype=bool)
+        for T in T_tip_target:
+            sight = in_sight(robot, q[result], T, tracker, cell.reflector, body)
+            result[result] = getattr(sight, what)
+        return result
+
+    if body is not None:
+        return [Condition("with something in the beam", lambda q: seen(q, "beam"))]
+    conditions = [Condition("out of the tracker's range", lambda q: seen(q, "range"))]
+    if cell.reflector is not None:
+        conditions.append(Condition("with the reflector turned away", lambda q: seen(q, "cone")))
     return conditions
 
 

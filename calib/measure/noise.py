@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import overload
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from calib.errors import CalibError, choices
 from calib.measure.cell_parts import is_number
 from calib.units import UNITS, symbols
+
+Length = TypeVar("Length", float, NDArray[np.float64])
 
 _NUMBER = r"([\d.]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµμ]+)"
 _PATTERN = re.compile(rf"\s*{_NUMBER}\s*(?:\+\s*{_NUMBER}\s*/\s*m\s*)?", re.UNICODE)
@@ -51,16 +53,9 @@ class TrackerNoise:
             )
             raise CalibError(message)
 
-    @overload
-    def std(self, distance: float) -> float: ...
-    @overload
-    def std(self, distance: NDArray[np.float64]) -> NDArray[np.float64]: ...
-    def std(self, distance: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
-        """Standard deviation of one coordinate of a point at a distance from the instrument [m]."""
-        result: NDArray[np.float64] = np.hypot(
-            self.constant + self.per_length * distance, self.repeatability
-        )
-        return float(result) if np.ndim(result) == 0 else result
+    def std(self, distance: Length) -> Length:
+        """Standard deviation of one coordinate of points at a distance, a float or an array, from the instrument [m]."""
+        return ((self.constant + self.per_length * distance) ** 2 + self.repeatability**2) ** 0.5
 
 
 def parse_noise(text: str, what: str, repeatability: float = 0.0) -> TrackerNoise:
