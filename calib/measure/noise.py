@@ -54,8 +54,11 @@ class TrackerNoise:
             raise CalibError(message)
 
     def std(self, distance: Length) -> Length:
-        """Standard deviation of one coordinate of points at a distance, a float or an array, from the instrument [m]."""
-        return ((self.constant + self.per_length * distance) ** 2 + self.repeatability**2) ** 0.5
+        """Standard deviation of one coordinate at a distance from the instrument, a float or an array [m]."""
+        result: Length = (
+            (self.constant + self.per_length * distance) ** 2 + self.repeatability**2
+        ) ** 0.5
+        return result
 
 
 def parse_noise(text: str, what: str, repeatability: float = 0.0) -> TrackerNoise:
