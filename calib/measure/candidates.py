@@ -17,6 +17,7 @@ from scipy.stats import qmc
 from calib.errors import ModelError
 from calib.measure.ranges import column_limits, joint_ranges, range_text
 from calib.model.robot import Robot, read_only
+from calib.units import UNITS
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -27,8 +28,8 @@ _BATCH = 4096
 #: Candidates are drawn until so many times the number wanted have been tried.
 _MOST = 40
 
-#: Joint values are whole numbers of these, so that the robot, the table and the plan say the same [rad], [m].
-ANGLE_STEP, LENGTH_STEP = math.radians(1e-3), 1e-6
+#: Joint values have so many steps to a degree or millimetre, so that robot, table and plan say the same.
+_STEPS = 1000
 
 #: Margin to the ends of a sliding joint [m], where that of the others is an angle.
 _SLIDING_MARGIN = 5e-3
@@ -157,13 +158,14 @@ def rounded(robot: Robot, q: Array, ranges: Array | None = None) -> Array:
         q: shape (n, m), [rad] or [m].
         ranges: shape (m, 2), [rad] or [m].
     """
-    step = np.array([LENGTH_STEP if j.type == "prismatic" else ANGLE_STEP for j in robot.inputs])
-    counts = np.round(q / step)
+    shown = ["mm" if joint.type == "prismatic" else "deg" for joint in robot.inputs]
+    unit = np.array([UNITS[symbol].to_si for symbol in shown])
+    counts = np.round(q / unit * _STEPS)
     if ranges is not None:
-        counts = np.clip(counts, np.ceil(ranges[:, 0] / step), np.floor(ranges[:, 1] / step))
-    # By the factor that a reader of the table uses, so that both have the same numbers.
-    result: Array = counts * step
-    return result
+        low, high = ranges.T / unit * _STEPS
+        counts = np.clip(counts, np.ceil(low), np.floor(high))
+    # The number that stands in a table, times the factor that its reader uses: the same to the last bit.
+    return np.asarray(counts / _STEPS * unit)
 
 
 def _none_left(refused: Mapping[str, int], drawn: int) -> str:

@@ -43,7 +43,7 @@ CRITERIA = {
 #: A direction that moves what is measured by less than this share of the strongest one is none [-], squared.
 _UNSEEN = 1e-10
 
-#: A gain below this is rounding.
+#: A gain below this, in log det M or relative to tr(W C), is rounding.
 _LEAST_GAIN = 1e-7
 
 #: Random starts of the exchange on the short list.
@@ -55,8 +55,9 @@ SHORT = 5000
 #: Steps of the multiplicative algorithm that ranks candidates for the short list.
 _RANKING_STEPS = 25
 
-#: What is known of each direction of the basis when nothing is, in units of a mean candidate's information.
-_LEASH = 1e-9
+#: What is known of each direction of the basis when nothing is, in units of a mean candidate's information. Its
+#: inverse square times the rounding of a double is how exactly `_gains` compares candidates.
+_LEASH = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +91,12 @@ class Basis:
         values, vectors = np.linalg.eigh(mean_information * np.outer(scale, scale))
         seen = values > _UNSEEN * values[-1]
         directions = scale[:, None] * vectors[:, seen] / np.sqrt(values[seen])
-        before = directions.T @ (np.diag(precision) + known) @ directions
+        unseen = scale[:, None] * vectors[:, ~seen]
+        K = np.diag(precision) + known
+        # What is known ties directions that the pool does not see to those that it sees: they follow.
+        follow = np.linalg.pinv(unseen.T @ K @ unseen, hermitian=True)
+        directions = directions - unseen @ (follow @ (unseen.T @ K @ directions))
+        before = directions.T @ K @ directions
         return cls(
             directions=read_only(directions),
             known=read_only(before + _LEASH * np.eye(before.shape[0])),
@@ -183,24 +189,26 @@ def exchange(blocks: Array, basis: Basis, start: Indices) -> tuple[Indices, floa
         The design's indices, and its cost: -log det M, or tr(W C).
     """
     chosen = start.tolist()
+    least = _cost(_information(blocks, basis, chosen), basis)
     k, unchanged = 0, 0
     while unchanged < len(chosen):
         others = chosen[:k] + chosen[k + 1 :]
         C = np.linalg.inv(_information(blocks, basis, others))
         gain = _gains(blocks, C, basis.target)
-        own = gain[chosen[k]]
         gain[others] = -1.0
-        best = int(np.argmax(gain))
-        if best != chosen[k] and gain[best] > own * (1.0 + _LEAST_GAIN):
-            chosen[k], unchanged = best, 0
+        trial = [*chosen[:k], int(np.argmax(gain)), *chosen[k + 1 :]]
+        cost = _cost(_information(blocks, basis, trial), basis)
+        # By the cost, not the gain: without one of few poses little is known, and rounding would go in circles.
+        if cost < least - _LEAST_GAIN * (1.0 if basis.target is None else least):
+            chosen, least, unchanged = trial, cost, 0
         else:
             unchanged += 1
         k = (k + 1) % len(chosen)
-    return np.array(chosen, dtype=np.int_), _cost(_information(blocks, basis, chosen), basis)
+    return np.array(chosen, dtype=np.int_), least
 
 
 def short_list(blocks: Array, basis: Basis, count: int) -> Indices:
-    """The candidates that a design without end would lean on: those with the largest sensitivity, in falling order.
+    """The candidates that a design without end would lean on: those with the largest sensitivity, in the pool's order.
 
     The multiplicative algorithm (S. Silvey, D. Titterington, B. Torsney, 1978) moves the weights of candidates
     towards the optimal ones, w_i <- w_i s_i / mean(s); there, s is largest on the support.

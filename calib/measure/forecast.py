@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from calib.measure.design import information
 from calib.model.observability import analyse, steps
@@ -60,16 +61,29 @@ class Sensitivity:
         """The priors' precision, with a leash on the parameters that have none, shape (p,)."""
         return np.where(self.precision > 0.0, self.precision, 1.0 / LEASH**2)
 
+    def root(self, measured: Array) -> Array:
+        """A root of the parameters' covariance after these measurements, C = root root^T, shape (p, p).
+
+        By a QR decomposition of the measurements and the priors below each other: what a fine instrument tells, and
+        what nothing but the leash holds, are too far apart for their squares.
+
+        Args:
+            measured: shape (n, d, p).
+        """
+        rows = np.concatenate(
+            [measured.reshape(-1, measured.shape[2]), np.diag(np.sqrt(self.leashed))]
+        )
+        R = np.linalg.qr(rows, mode="r")
+        return np.asarray(solve_triangular(R, np.eye(len(R))))
+
     def covariance(self, measured: Array) -> Array:
         """The parameters' covariance after these measurements, shape (p, p).
 
         Args:
             measured: shape (n, d, p).
         """
-        M = np.diag(self.leashed) + information(measured)
-        scale = 1.0 / np.sqrt(np.diag(M))
-        inverse = np.linalg.inv(M * np.outer(scale, scale))
-        return np.asarray(0.5 * (inverse + inverse.T) * np.outer(scale, scale))
+        root = self.root(measured)
+        return np.asarray(root @ root.T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,17 +173,19 @@ def forecast(sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Foreca
         q: shape (N, m), joint values to be measured, [rad] or [m].
     """
     measured = sensitivity.measured(q)
-    C = sensitivity.covariance(measured)
-    variance = _variances(workspace.located, C, workspace.located.shape[1] // 3)
-    relative = _variances(workspace.measured, C, 1)
-    low, high = _rms_range(C, workspace.mean_square)
+    root = sensitivity.root(measured)
+    targets = workspace.located.shape[1] // 3
+    moves = workspace.located @ root
+    variance = np.sum(moves.reshape(len(moves) * targets, -1) ** 2, axis=1)
+    relative = np.sum((workspace.measured @ root) ** 2, axis=(1, 2))
+    low, high = _rms_range(moves)
     sigma = sensitivity.noise(q)
     flat = measured.reshape(-1, measured.shape[2]) * np.repeat(sigma, measured.shape[1])[:, None]
     seen = analyse(flat, sensitivity.names, sensitivity.units)
     return Forecast(
         names=sensitivity.names,
         units=sensitivity.units,
-        parameter_std=read_only(np.sqrt(np.diag(C))),
+        parameter_std=read_only(np.linalg.norm(root, axis=1)),
         poses=len(q),
         rms=float(np.sqrt(np.mean(variance))),
         rms_low=low,
@@ -191,17 +207,14 @@ def parameter_weight(units: tuple[str, ...]) -> Array:
     return np.diag(1.0 / steps(units) ** 2)
 
 
-def _variances(blocks: Array, C: Array, groups: int) -> Array:
-    """The sum of variances of each group of rows, tr(A C A^T), shape (n groups,)."""
-    spread = np.sum((blocks @ C) * blocks, axis=2)
-    return np.asarray(np.maximum(spread.reshape(len(blocks), groups, -1).sum(axis=2), 0.0).ravel())
+def _rms_range(moves: Array) -> tuple[float, float]:
+    """Between which the rms of 90 % of calibrations lies, quantiles of x^T B x with x ~ N(0, C), [m].
 
-
-def _rms_range(C: Array, B: Array) -> tuple[float, float]:
-    """Between which the rms of 90 % of calibrations lies: quantiles of x^T B x, x ~ N(0, C) [m]."""
-    scale = np.sqrt(np.diag(C))
-    root = np.linalg.cholesky(C / np.outer(scale, scale)) * scale[:, None]
-    weights = np.maximum(np.linalg.eigvalsh(root.T @ B @ root), 0.0)
+    Args:
+        moves: shape (n, 3 k, p), the derivative of the k targets' positions by independent errors of size 1.
+    """
+    squares = information(moves) / (len(moves) * (moves.shape[1] // 3))
+    weights = np.maximum(np.linalg.eigvalsh(squares), 0.0)
     draws = np.random.default_rng(_SEED).chisquare(1, size=(_DRAWS, len(weights))) @ weights
     tail = 0.5 * (1.0 - _RANGE)
     low, high = np.sqrt(np.quantile(draws, [tail, 1.0 - tail]))
