@@ -21,7 +21,7 @@ from calib.cli.options import (
     Tip,
     reporting,
 )
-from calib.errors import CalibError
+from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
     from calib.cli.simulate_setup import Prepared
@@ -38,9 +38,11 @@ Examples:
   calib simulate robot.urdf --count 50 --validation 20 --frame estimate -o table.csv
   calib simulate robot.urdf --error "elbow_joint.rx=2 mrad" --noise none -o table.csv
   calib simulate robot.urdf --outliers 3 --moved-target "25: 0 0 0.5 mm" -o table.csv
+  calib simulate robot.urdf --count 30 --planned --study 200
 
 It writes a table that calib fit reads, and beside it what was true: the robot's errors, the target's place, what
-happened in which row. The same seed gives the same files.
+happened in which row. The same seed gives the same files. A study writes no table: it does all of it many times, each
+time with another robot, and says what calibrations reach.
 """
 
 
@@ -206,6 +208,38 @@ def simulate(
     truth_urdf: Annotated[
         Path | None, typer.Option("--truth-urdf", help="Write the URDF of the true robot.")
     ] = None,
+    study: Annotated[
+        int | None,
+        typer.Option(
+            min=2,
+            metavar="N",
+            help="Simulate N robots, calibrate each, verify it against its truth, and print figures with their spread; "
+            "200 is a good number.",
+        ),
+    ] = None,
+    planned: Annotated[
+        bool,
+        typer.Option("--planned", help="Of a study: plan the --count poses, anew each time."),
+    ] = False,
+    fit_model: Annotated[
+        str | None,
+        typer.Option(
+            "--fit-model",
+            metavar="SET[+FAMILY...]",
+            help="Of a study: which errors are estimated. Default: auto.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Of a study: processes that share the work. Default: as many as cores.",
+        ),
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option("--json", help="Of a study: write every trial as JSON.")
+    ] = None,
     force: Force = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -216,7 +250,7 @@ def simulate(
         from calib.cli.simulate_setup import Asked, checked_model, prepare, with_tracker
 
         inputs = [robot, *(str(path) for path in (poses, cell, truth_robot) if path)]
-        check_outputs([output, truth, truth_urdf], inputs, force=force)
+        check_outputs([output, truth, truth_urdf, json], inputs, force=force)
         setup = read_cell(
             cell,
             base=base,
@@ -249,7 +283,15 @@ def simulate(
             drift=drift,
         )
         prepared = prepare(load(robot, setup), setup, asked)
-        # A study of many such cells branches off here: it begins with `prepared` too.
+        if study is not None:
+            from calib.cli.study import check_alone, print_study
+
+            check_alone({"-o": output, "--truth": truth, "--truth-urdf": truth_urdf})
+            print_study(
+                prepared, study, fit_model, workers, json, planned=planned, force=force, quiet=quiet
+            )
+            return
+        _check_no_study(planned, {"--fit-model": fit_model, "--workers": workers, "--json": json})
         table, beside = _outputs(
             output, truth, [*inputs, *([str(truth_urdf)] if truth_urdf else [])], force=force
         )
@@ -268,6 +310,20 @@ def simulate(
                 "--cell": None if cell is None else str(cell),
             }
             typer.echo(f"\nNext:  {_next(robot, table, words, hold or [])}")
+
+
+def _check_no_study(planned: bool, given: dict[str, object]) -> None:
+    """Refuse what only a study takes.
+
+    Raises:
+        CalibError: Something was given.
+    """
+    names = [*(["--planned"] if planned else []), *(n for n, v in given.items() if v is not None)]
+    if names:
+        message = (
+            f"{choices(names)} is for a study of many robots; add --study 200, or leave it out."
+        )
+        raise CalibError(message)
 
 
 def _outputs(
