@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
 
+#: Columns of the command printed at the end.
+_WIDTH = 86
+
 _HELP = """Show where the target comes to lie, and find the region to measure in.
 
 \b
@@ -180,7 +183,7 @@ def workspace(
         typer.echo("")
         for path in written:
             typer.echo(f"Written: {path}")
-        typer.echo(_next(robot, found, output))
+        typer.echo(_next(robot, found, output, cell, {"--hold": hold, "--range": range_}))
 
 
 def _load(
@@ -292,17 +295,32 @@ def _write(
     return written
 
 
-def _next(robot: str, found: Found, output: Path | None) -> str:
-    """What to do with the region."""
+def _next(
+    robot: str,
+    found: Found,
+    output: Path | None,
+    cell: Path | None,
+    repeated: dict[str, list[str] | None],
+) -> str:
+    """What to do with the region: a command that can be copied, in lines that fit the screen."""
     import shlex
 
     if output is None:
-        return "Next: add -o region.json, and choose poses in the region with 'calib plan --region region.json'."
-    words = ["calib", "plan", robot, "--base", found.robot.base, "--tip", found.robot.tip]
+        return "Next:  add -o region.json; 'calib plan --region region.json' chooses poses in the region."
+    parts = [shlex.join(["calib", "plan", robot])]
+    options = {"--base": found.robot.base, "--tip": found.robot.tip}
     if found.target.any():
-        numbers = " ".join(f"{1e3 * value:.10g}" for value in found.target)
-        words += ["--target", f"{numbers} mm"]
-    return f"Next: {shlex.join([*words, '--region', str(output)])}"
+        options["--target"] = " ".join(f"{1e3 * v:.10g}" for v in found.target) + " mm"
+    if cell is not None:
+        options["--cell"] = str(cell)
+    parts += [shlex.join(pair) for pair in options.items()]
+    parts += [shlex.join([o, value]) for o, values in repeated.items() for value in values or []]
+    lines = [""]
+    for part in [*parts, shlex.join(["--region", str(output)]), "-o plan.csv"]:
+        if lines[-1] and len(lines[-1]) + len(part) > _WIDTH:
+            lines.append("")
+        lines[-1] += f" {part}" if lines[-1] else part
+    return "Next:  " + " \\\n         ".join(lines)
 
 
 workspace.__doc__ = _HELP

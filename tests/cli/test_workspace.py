@@ -1,0 +1,258 @@
+"""calib workspace: what it prints and writes, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from calib.cli.workspace_words import parse_margins, parse_voxel, parse_within
+from calib.errors import CalibError
+from calib.measure.region_file import RegionFile
+from calib.model.robot import Robot
+
+PAPER = (
+    "robot.urdf", "--base", "base", "--tip", "tool0", "--target", "-69.97 70.20 22.52 mm", "--like", "data.csv",
+    "--margin", "5 deg",
+)  # fmt: skip
+FEW = ("--samples", "4096")
+
+
+def test_the_paper_s_region(call, shop):
+    done = call(
+        shop, "workspace", *PAPER, "--check", "data.csv", "-o", "region.json", "--seed", "3"
+    )
+    assert (done.code, done.err) == (0, "")
+    assert done.lines[0] == (
+        "Robot 'ur3', base 'base', tip 'tool0', the target at -69.97 70.2 22.52 mm in it."
+    )
+    assert "  elbow_joint                     -95.21 to 128.63 deg" in done.lines
+    assert "  wrist_3_joint                   -133.05 to 420.75 deg" in done.lines
+    assert "estimation rows of data.csv, 5 deg wider at both ends" in done.out
+    assert "  samples     524,288 (seed 3)" in done.lines
+    assert "  voxel       25 mm; how often the target is in one is known to about 6 %" in done.lines
+    assert re.search(r"\n {14}27\d litres: 17,\d{3} of the 27,\d{3} voxels", done.out)
+    assert re.search(
+        r"\n +33  validate +-202.5 +-70.8 +484.0   inside +1\d\d +\d+\.\d %\n", done.out
+    )
+    assert re.search(r"\n +34  validate +389.7 +-44.2 +440.3   OUTSIDE +1\d\d +", done.out)
+    assert "  30 of 30 estimation rows lie in the region." in done.lines
+    assert "  3 of 5 validation rows lie in the region; outside: 34, 35." in done.lines
+    stored = RegionFile.read(shop / "region.json")
+    assert (stored.robot, stored.base, stored.tip) == ("ur3", "base", "tool0")
+    assert (stored.samples, stored.seed) == (2**19, 3)
+    np.testing.assert_allclose(stored.target, [-0.06997, 0.07020, 0.02252], rtol=1e-12)
+    assert max(map(len, done.lines)) <= 100
+
+
+def test_the_command_printed_at_the_end(call, shop):
+    extra = ("--range", "elbow_joint=0..90 deg", "--hold", "wrist_3_joint=10 deg", *FEW)
+    done = call(shop, "workspace", *PAPER[:-4], *extra, "-o", "a region.json")
+    command = done.out.split("Next:  ")[1].replace("\\\n", " ")
+    assert shlex.split(command) == [
+        "calib", "plan", "robot.urdf", "--base", "base", "--tip", "tool0", "--target", "-69.97 70.2 22.52 mm",
+        "--hold", "wrist_3_joint=10 deg", "--range", "elbow_joint=0..90 deg", "--region", "a region.json",
+        "-o", "plan.csv",
+    ]  # fmt: skip
+    done = call(shop, "workspace", *PAPER, *FEW)
+    assert done.lines[-1].startswith("Next:  add -o region.json")
+
+
+def test_the_same_seed_is_the_same_file_and_another_is_not(call, shop):
+    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        call(shop, "workspace", *PAPER, *FEW, "--seed", seed, "-o", f"{name}.json")
+    files = [json.loads((shop / f"{name}.json").read_text()) for name in "abc"]
+    assert files[0] == files[1]
+    assert files[0]["runs"] != files[2]["runs"]
+
+
+def test_figure_and_page(examples):
+    folder = examples.folder
+    with Image.open(folder / "region.png") as image:
+        image.load()
+        assert image.width > 1000
+    page = (folder / "region.html").read_text(encoding="utf-8")
+    assert "ur3: where the target comes to lie, 95 %" in page
+    region = RegionFile.read(folder / "region.json").region
+    assert region.held == pytest.approx(0.95, abs=1e-3)
+    done = examples.starting("calib workspace robot.urdf --base base --range")
+    assert "Written: region.html" in done.lines
+    assert re.search(r"  samples     \d+,\d{3} in the box, of 524,288 \(seed 0\)", done.out)
+
+
+def test_a_box_and_a_voxel(call, shop):
+    done = call(
+        shop, "workspace", "robot.urdf", "--base", "base", "--within", "-200 -200 0 to 200 200 600 mm",
+        "--voxel", "50 mm", "--share", "0.5", *FEW, "-o", "r.json",
+    )  # fmt: skip
+    assert done.code == 0
+    region = RegionFile.read(shop / "r.json").region
+    assert region.voxel == 0.05
+    assert region.bounds.min() >= -0.2
+    np.testing.assert_allclose(region.box, [[-0.2, -0.2, 0.0], [0.2, 0.2, 0.6]])
+    assert "the target at its origin" in done.lines[0]
+
+
+def test_a_list_of_poses_and_an_unknown_frame_are_predicted(call, shop):
+    lines = (shop / "joints.csv").read_text().splitlines()
+    (shop / "poses.csv").write_text("\n".join(line.split(",", 1)[1] for line in lines))
+    for words in (("--check", "poses.csv"), ("--check", "data.csv", "--frame", "estimate")):
+        done = call(shop, "workspace", *PAPER, *FEW, *words)
+        assert (done.code, done.err) == (0, "")
+        assert f"Targets of {words[1]}, where the nominal robot puts them:" in done.lines
+        assert re.search(r"\n +34  validate +386.\d +-43.\d +441.\d   OUTSIDE ", done.out)
+
+
+def test_points_in_another_frame_are_noticed(call, shop):
+    text = (shop / "data.csv").read_text().replace("-274.68,", "2274.68,")
+    (shop / "moved.csv").write_text(re.sub(r"(?m)^((?:[^,]*,){2})(-?[\d.]+)", r"\g<1>1\2", text))
+    target = ("--target", "400 0 0 mm")
+    done = call(
+        shop, "workspace", "robot.urdf", "--base", "base", *target, *FEW, "--check", "data.csv"
+    )
+    assert done.code == 0
+    assert re.search(
+        r"Note: the measured points lie \d{3} mm from where the nominal robot", done.out
+    )
+    assert "Note:" not in call(shop, "workspace", *PAPER, *FEW).out
+
+
+def test_rows_near_the_border_are_named(call, shop):
+    done = call(shop, "workspace", *PAPER, *FEW, "--voxel", "150 mm", "--check", "data.csv")
+    assert "The border is known to about half a voxel: rows " in done.out
+
+
+def test_long_tables_show_what_matters(call, shop):
+    header, *rows = (shop / "data.csv").read_text().splitlines()
+    if header.startswith("row"):
+        rows = [f"{i}," + row.split(",", 1)[1] for i, row in enumerate(rows * 3, 1)]
+    (shop / "long.csv").write_text("\n".join([header, *rows]))
+    done = call(shop, "workspace", *PAPER, *FEW, "--check", "long.csv")
+    assert re.search(r"\n  \d+ more rows lie inside by a voxel or more\.\n", done.out)
+    assert len(re.findall(r"OUTSIDE", done.out)) == 6
+
+
+def test_a_cell_file_gives_ranges_and_target(call, shop):
+    (shop / "c.toml").write_text(
+        'base = "base"\n[targets_mm]\nball = [-69.97, 70.20, 22.52]\n'
+        '[ranges]\nelbow_joint = ["0 deg", "90 deg"]\n'
+    )
+    done = call(shop, "workspace", "robot.urdf", "--cell", "c.toml", *FEW)
+    assert (done.code, done.err) == (0, "")
+    assert "  elbow_joint                     0 to 90 deg" in done.lines
+    assert "the target at -69.97 70.2 22.52 mm in it." in done.lines[0]
+    done = call(
+        shop,
+        "workspace",
+        "robot.urdf",
+        "--cell",
+        "c.toml",
+        *FEW,
+        "--range",
+        "elbow_joint=0..45 deg",
+    )
+    assert "  elbow_joint                     0 to 45 deg" in done.lines
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("panda", "--tip", "panda_link1"), ("panda", "--tip", "panda_link2"), ("tiago", "--tip", "arm_7_link")],
+)  # fmt: skip
+def test_robots_of_other_kinds(call, shop, words):
+    done = call(
+        shop, "workspace", *words, *FEW, "-o", "r.json", "--picture", "r.pdf", "--view", "r.html"
+    )
+    assert (done.code, done.err) == (0, "")
+    assert max(map(len, done.lines)) <= 100
+    assert ("With fewer than three joints" in done.out) == (words[0] == "panda")
+
+
+def test_quiet_says_nothing(call, shop):
+    done = call(shop, "workspace", *PAPER, *FEW, "--quiet", "-o", "r.json")
+    assert (done.code, done.out, done.err) == (0, "", "")
+    assert (shop / "r.json").is_file()
+
+
+OUT = ("-o", "r.json", "--picture", "r.png", "--view", "r.html")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--share", "0"), "--share was given as 0; it must be greater than 0 and at most 1"),
+        (("--share", "95"), "--share was given as 95; it must be"),
+        (("--share", "nan"), "--share was given as nan"),
+        (("--share", "0.00001"), "The share is 1e-05, and the densest voxel of 200 mm alone holds 0.0"),
+        (("--voxel", "20"), '--voxel was given as "20"; it must be a length greater than 0'),
+        (("--voxel", "-20 mm"), '--voxel was given as "-20 mm"; it must be'),
+        (("--voxel", "5 deg"), '--voxel was given as "5 deg"; it must be'),
+        (("--voxel", "wide"), "--voxel: 'wide' is no number with a unit"),
+        (("--voxel", "1 mm"), "at most 4,000,000 are made. Give voxels of "),
+        (("--range", "elbow=0..90 deg"), "for the joint 'elbow', which does not move the chain 'base' to 'tool0'. Its"),
+        (("--range", "elbow_joint=90..0 deg"), "90 deg is not less than 0 deg. Give the least value first"),
+        (("--range", "elbow_joint=0..200 deg"), "of 'elbow_joint' is 0 to 200 deg; its limits in the URDF are -180 to"),
+        (("--range", "elbow_joint"), '--range was given as "elbow_joint"; it must be a joint'),
+        (("--within", "2000 0 0 to 3000 1 1 mm"), "The region is empty: none of 4,096 samples lies in the box from"),
+        (("--within", "0 0 0 to 0 1 1 mm"), "whose x goes from 0 to 0 mm; give the corner with the smaller"),
+        (("--within", "0 0 0, 1 1 1 mm"), "it must be two corners in the base frame and a unit, such as"),
+        (("--within", "0 0 0 to 1 1 1"), "it must be two corners in the base frame and a unit"),
+        (("--within", "0 0 to 1 1 1 mm"), 'the first corner of --within was given as "0 0 mm"; it must be three'),
+        (("--margin", "5 deg"), "--margin widens the ranges of a table; name the table with --like"),
+        (("--like", "data.csv", "--margin", "-5 deg"), '--margin was given as "-5 deg"; it must be an angle'),
+        (("--like", "data.csv", "--margin", "5"), '--margin was given as "5"; it must be an angle'),
+        (("--like", "data.csv", "--margin", "x"), "--margin: 'x' is no number with a unit"),
+        (("--like", "data.csv", "--margin", "5 mm"), "--margin was given as a length, and none of the joints"),
+        (("--like", "none.csv"), "none.csv' does not exist"),
+        (("--check", "robot.urdf"), "robot.urdf"),
+        (("--picture", "r.gif"), "r.gif: the ending says what kind of picture is written; choose one of"),
+        (("--target", "1 2 mm"), '--target was given as "1 2 mm"'),
+    ],
+)  # fmt: skip
+def test_errors_are_one_line_and_nothing_is_written(call, shop, words, said):
+    before = {path.name for path in shop.iterdir()}
+    out = OUT[:2] if "--picture" in words else OUT
+    done = call(
+        shop, "workspace", "robot.urdf", "--base", "base", "--tip", "tool0", *FEW, *out, *words
+    )
+    assert (done.code, done.out) == (1, "")
+    assert done.err.startswith("calib: ")
+    assert said in done.err
+    assert done.err.count("\n") == 1
+    assert {path.name for path in shop.iterdir()} == before
+
+
+@pytest.mark.parametrize("words", [("--samples", "10"), ("--seed", "-1"), ("--share", "most"), ()])
+def test_wrong_calls(call, shop, words):
+    robot = ("robot.urdf",) if words else ()
+    assert call(shop, "workspace", *robot, *words).code == 2
+
+
+def test_files_that_exist_are_kept(call, shop):
+    (shop / "r.json").write_text("mine")
+    done = call(shop, "workspace", *PAPER, *FEW, "-o", "r.json", "--picture", "r.png")
+    assert done.code == 1
+    assert "r.json exists already; add --force" in done.err
+    assert not (shop / "r.png").exists()
+    assert call(shop, "workspace", *PAPER, *FEW, "-o", "r.json", "--force").code == 0
+    done = call(shop, "workspace", *PAPER, *FEW, "-o", "data.csv", "--force")
+    assert "data.csv is also an input of this command" in done.err
+
+
+def test_words():
+    np.testing.assert_allclose(
+        parse_within("0 -1 2 to 3 4 5 cm"), [[0, -0.01, 0.02], [0.03, 0.04, 0.05]]
+    )
+    np.testing.assert_allclose(parse_within("0,0,0 to 0.1,0.2,0.3m"), [[0, 0, 0], [0.1, 0.2, 0.3]])
+    np.testing.assert_allclose(parse_within("0 0 0 mm to 1 1 1 m"), [[0, 0, 0], [1, 1, 1]])
+    assert parse_voxel("2.5 cm") == pytest.approx(0.025)
+    robot = Robot.load("tiago", tip="arm_7_link")
+    margins = parse_margins(["5 deg", "10 mm"], robot)
+    slides = [kind == "prismatic" for kind in robot.joint_types.values()]
+    np.testing.assert_allclose(margins, np.where(slides, 0.01, np.radians(5)))
+    assert parse_margins(["10 mm"], robot)[1:].max() == 0
+    with pytest.raises(CalibError, match='--margin was given as "6 deg"'):
+        parse_margins(["5 deg", "6 deg"], robot)
