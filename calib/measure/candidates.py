@@ -55,7 +55,7 @@ class Pool:
     """Candidates.
 
     Attributes:
-        q: shape (n, m), the poses that passed all tests, [rad] or [m].
+        q: shape (n, m), the poses that passed all tests, all different, [rad] or [m].
         workspace: shape (k, m), those that passed the tests of where, among the first drawn.
         drawn: How many were drawn.
         refused: How many each test refused, of those that had passed the tests before it.
@@ -115,7 +115,7 @@ def draw(
     if total == 0:
         raise ModelError(_none_left(refused, drawn))
     every = np.concatenate(workspace)[:count]
-    return Pool(read_only(np.concatenate(kept)[:count]), read_only(every), drawn, refused)
+    return Pool(read_only(_different(kept)[:count]), read_only(every), drawn, refused)
 
 
 def planning_ranges(
@@ -166,6 +166,12 @@ def rounded(robot: Robot, q: Array, ranges: Array | None = None) -> Array:
         counts = np.clip(counts, np.ceil(low), np.floor(high))
     # The number that stands in a table, times the factor that its reader uses: the same to the last bit.
     return np.asarray(counts / _STEPS * unit)
+
+
+def _different(kept: Sequence[Array]) -> Array:
+    """The poses, each once, in the order drawn: narrow ranges have few values of whole steps."""
+    q = np.concatenate(kept)
+    return np.asarray(q[np.sort(np.unique(q, axis=0, return_index=True)[1])])
 
 
 def _none_left(refused: Mapping[str, int], drawn: int) -> str:
