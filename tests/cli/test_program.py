@@ -141,6 +141,7 @@ def test_every_example_of_the_document_works(examples):
         "simulated_truth.json",
         "true.urdf",
         "disturbed.csv",
+        "study.json",
         "truth.json",
     }
     assert {path.name for path in examples.folder.iterdir()} == given | made

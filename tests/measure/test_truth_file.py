@@ -240,7 +240,7 @@ DOC = Path(__file__).parents[2] / "docs" / "simulation.md"
 
 def test_the_document_has_every_key_and_no_other(path):
     said = json.loads(path.read_text())
-    section = DOC.read_text(encoding="utf-8").split("## The truth file")[1].split("## In Python")[0]
+    section = DOC.read_text(encoding="utf-8").split("## The truth file")[1].split("\n## ")[0]
     rows = [line.split("|")[1:3] for line in section.splitlines() if line.startswith("| `")]
     keys = [key for first, _ in rows for key in re.findall(r"`(\w+)", first)]
     assert sorted(keys) == sorted(said)
