@@ -22,6 +22,7 @@ _SHOWN = {
     "m": (1e3, "mm"),
     "rad": (1e3, "mrad"),
     "1": (1e3, "mrad/rad"),
+    "m/m": (1e3, "mm/m"),
     "rad/Nm": (1e6, "urad/Nm"),
     "m/N": (1e6, "um/N"),
 }

@@ -28,6 +28,7 @@ _UNITS = {
     "m": ("a length", "0.5 mm"),
     "rad": ("an angle", "2 mrad"),
     "1": ("a number", "5e-4"),
+    "m/m": ("a number", "5e-4"),
     "rad/Nm": ("a compliance", "1e-5 rad/Nm"),
     "m/N": ("a compliance", "1e-6 m/N"),
 }

@@ -18,7 +18,7 @@ class ParameterEstimate:
 
     Attributes:
         name: Its name.
-        unit: ``"m"``, ``"rad"``, ``"1"``, ``"rad/Nm"`` or ``"m/N"``.
+        unit: ``"m"``, ``"rad"``, ``"1"``, ``"m/m"``, ``"rad/Nm"`` or ``"m/N"``.
         nominal: The value before; None for a target that was not given.
         value: The value after.
         delta: The change; for a target that was not given, from where registration put it.

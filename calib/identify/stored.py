@@ -32,7 +32,7 @@ class StoredLarger:
 
     Attributes:
         name: Set and families, such as ``"dh+compliance"``.
-        x: The value of each parameter by name [m], [rad], [1], [rad/Nm] or [m/N]; frozen ones are missing.
+        x: The value of each parameter by name [m], [rad], [1], [m/m], [rad/Nm] or [m/N]; frozen ones are missing.
         ties: Parameters that follow others, see `calib.measure.cell.Cell`.
         known: Its own frames and targets.
         payload: What the tip carried.

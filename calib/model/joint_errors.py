@@ -44,7 +44,14 @@ def joint_parameters(robot: Robot, family: str) -> list[Parameter]:
         twist = _axis_twist(joint.axis, slides=slides)
         if family == GAIN:
             parameters.append(
-                Parameter(f"{joint.name}.gain", "1", joint.name, twist, GAIN, factor=VALUE)
+                Parameter(
+                    f"{joint.name}.gain",
+                    "m/m" if slides else "1",
+                    joint.name,
+                    twist,
+                    GAIN,
+                    factor=VALUE,
+                )
             )
         elif family == COMPLIANCE:
             unit = "m/N" if slides else "rad/Nm"

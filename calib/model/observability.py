@@ -17,13 +17,14 @@ from calib.errors import ModelError
 from calib.model.robot import read_only
 
 #: The steps that make parameters comparable: what arms are typically wrong by, in each unit.
-STEPS = {"m": 1e-3, "rad": 1e-3, "1": 1e-3, "rad/Nm": 1e-5, "m/N": 1e-6}
+STEPS = {"m": 1e-3, "rad": 1e-3, "1": 1e-3, "m/m": 1e-3, "rad/Nm": 1e-5, "m/N": 1e-6}
 
 #: How a change in each unit is written for a person: a factor and the unit that it leads to.
 SHOWN = {
     "m": (1e3, "mm"),
     "rad": (1e3, "mrad"),
     "1": (1e3, "mrad/rad"),
+    "m/m": (1e3, "mm/m"),
     "rad/Nm": (1e6, "urad/Nm"),
     "m/N": (1e6, "um/N"),
 }

@@ -53,7 +53,7 @@ class Parameter:
 
     Attributes:
         name: Unique, such as ``"d1"``, ``"elbow_joint.rx"`` or ``"target_x"``.
-        unit: "m", "rad", "rad/Nm", "m/N" or "1".
+        unit: "m", "rad", "rad/Nm", "m/N", "1", or "m/m" for the gain of a joint that slides.
         place: A joint's name, `TIP`, or that of a frame or a target.
         direction: shape (6,), twist in the place's local frame, linear then angular, of a unit of the parameter. For
             errors that change with the joints' state: of a unit of the joint's displacement.

@@ -662,6 +662,18 @@ def test_a_bounded_gain_is_told_to_be_at_its_bound(make_scene):
     assert re.search(r"^  wrist_1_joint\.gain .* \+- 0\.\d+ mrad/rad$", text, re.MULTILINE)
 
 
+def test_the_gain_of_a_joint_that_slides_is_told_in_millimetres_a_metre(make_scene):
+    robot = Robot.load("tiago", tip="arm_tool_link")
+    scene = make_scene(75, frames=[np.eye(4)], robot=robot, model="dh+gain", noise=2e-5)
+    cell = Cell(model="dh+gain")
+    result = calibrate(robot, scene.points(90), cell=cell, validate=False)
+    text = result.summary()
+    assert re.search(r"^  torso_lift_joint\.gain .* mm/m$", text, re.MULTILINE)
+    assert re.search(r"^  arm_1_joint\.gain .* mrad/rad$", text, re.MULTILINE)
+    units = {p.name: p.unit for p in result.larger.parameters}
+    assert (units["torso_lift_joint.gain"], units["arm_1_joint.gain"]) == ("m/m", "1")
+
+
 def test_families_that_are_named_make_the_larger_model(calibrated):
     scene, c = calibrated("gain")
     named = calibrate(

@@ -79,9 +79,8 @@ def test_the_robot_of_these_tests(mixed):
 def test_gains_belong_to_the_measured_joints(mixed):
     parameters = joint_parameters(mixed, GAIN)
     assert [p.name for p in parameters] == [f"{name}.gain" for name in COLUMNS]
-    assert {(p.unit, p.family, p.factor, p.nominal) for p in parameters} == {
-        ("1", GAIN, "value", 0.0)
-    }
+    assert {(p.family, p.factor, p.nominal) for p in parameters} == {(GAIN, "value", 0.0)}
+    assert [p.unit for p in parameters] == ["m/m" if n == "slide" else "1" for n in COLUMNS]
     assert [p.place for p in parameters] == list(COLUMNS)
 
 

@@ -104,7 +104,7 @@ def some_load(robot: Robot, count: int = 3) -> np.ndarray:
 
 def sizes(model: ErrorModel) -> np.ndarray:
     """What moves a joint or a placement by 2 cm or 0.1 rad or so, in each parameter's unit."""
-    by_unit = {"m": 0.02, "rad": 0.1, "1": 0.05, "rad/Nm": 5e-3, "m/N": 1e-3}
+    by_unit = {"m": 0.02, "rad": 0.1, "1": 0.05, "m/m": 0.05, "rad/Nm": 5e-3, "m/N": 1e-3}
     return np.array([by_unit[unit] for unit in model.units])
 
 
@@ -141,7 +141,7 @@ def assert_columns_equal_their_differences(
     poses, twists = kinematics.twists(x, samples)
     assert twists.shape == (len(samples), 6, len(model))
     np.testing.assert_allclose(poses, kinematics.poses(x, samples), rtol=0, atol=1e-13)
-    step = {"m": 1.0, "rad": 1.0, "1": 1.0, "rad/Nm": 0.05, "m/N": 0.05}
+    step = {"m": 1.0, "rad": 1.0, "1": 1.0, "m/m": 1.0, "rad/Nm": 0.05, "m/N": 0.05}
     for k, parameter in enumerate(model.parameters):
         unit = step[parameter.unit]
         expected = twists_by_differences(lambda x: kinematics.poses(x, samples), x, k, unit)

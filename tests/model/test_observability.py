@@ -424,7 +424,7 @@ def test_wrong_sizes_are_refused(jacobian, names, units):
 
 
 def test_steps_are_what_arms_are_typically_wrong_by():
-    assert STEPS == {"m": 1e-3, "rad": 1e-3, "1": 1e-3, "rad/Nm": 1e-5, "m/N": 1e-6}
+    assert STEPS == {"m": 1e-3, "rad": 1e-3, "1": 1e-3, "m/m": 1e-3, "rad/Nm": 1e-5, "m/N": 1e-6}
     units = ["m", "rad/Nm", "1", "rad", "m/N"]
     np.testing.assert_array_equal(steps(units), [1e-3, 1e-5, 1e-3, 1e-3, 1e-6])
 
@@ -441,6 +441,7 @@ def test_every_unit_of_a_model_has_a_step_and_is_shown():
         ("m", 1e-3, "+1 mm"),
         ("rad", 1e-3, "+1 mrad"),
         ("1", 1e-3, "+1 mrad/rad"),
+        ("m/m", 1e-3, "+1 mm/m"),
         ("rad/Nm", 1e-5, "+10 urad/Nm"),
         ("m/N", 1e-6, "+1 um/N"),
     ],
