@@ -64,8 +64,8 @@ def workspace(
         typer.Option(
             "--range",
             metavar='"JOINT=LOW..HIGH UNIT"',
-            help='Values of a joint, such as "elbow_joint=-90..90 deg". Default: its limits, one turn or 1 m where '
-            "they are wider or missing. Can be repeated.",
+            help='Values of a joint, such as "elbow_joint=-90..90 deg". Default: all that its limits allow, '
+            "one turn at most. Can be repeated.",
         ),
     ] = None,
     like: Annotated[

@@ -24,6 +24,10 @@ _MOST_ROWS = 60
 _STRANGE = 0.05
 
 
+#: With a larger statistical error of a voxel's density a region is not to be relied on.
+_UNSURE = 0.12
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
     """What a call found.
@@ -125,8 +129,8 @@ def _region_text(found: Found) -> str:
         f"{100 * density.error:.1g} %",
     ]
     head = (
-        f"The region holds {100 * region.held:.4g} % of all places of the target in the smallest volume; in the frame "
-        f"of '{found.robot.base}':"
+        f"Of all places of the target {100 * region.held:.4g} % lie in this region, the smallest one that holds so "
+        f"many; in the frame of '{found.robot.base}':"
     )
     said = [_wrap(head), *lines]
     if len(found.robot.joint_names) < 3:
@@ -134,6 +138,14 @@ def _region_text(found: Found) -> str:
             _wrap(
                 "With fewer than three joints the target moves on a line or a surface; the volume is that of the "
                 "voxels along it."
+            )
+        )
+    if density.error > _UNSURE:
+        said.append(
+            _wrap(
+                "The voxels hold so few samples that other samples (--seed) would make another region, and less of "
+                "them would lie in this one. Give more --samples"
+                + (", or a larger --voxel." if density.samples == density.drawn else ".")
             )
         )
     return "\n".join(said)

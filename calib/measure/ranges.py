@@ -62,6 +62,25 @@ def column_limits(robot: Robot) -> Array:
     return read_only(limits)
 
 
+def full_ranges(robot: Robot) -> Array:
+    """Values that take each joint everywhere it can go, shape (m, 2), [rad] or [m].
+
+    The limits; of a joint that may turn further one whole turn inside of them, the one nearest to zero; 1 m to both
+    sides of zero where a sliding joint has no limits.
+    """
+    ranges = np.array(column_ranges(robot))
+    turn = 2.0 * np.pi
+    for column, (joint, (low, high)) in enumerate(
+        zip(robot.inputs, column_limits(robot), strict=True)
+    ):
+        if np.isfinite([low, high]).all() and (joint.type == "prismatic" or high - low <= turn):
+            ranges[column] = low, high
+        elif joint.type != "prismatic":
+            start = min(max(-np.pi, low), high - turn)
+            ranges[column] = start, start + turn
+    return read_only(ranges)
+
+
 def joint_ranges(
     robot: Robot,
     given: Mapping[str, tuple[float, float]] | None = None,
@@ -71,7 +90,7 @@ def joint_ranges(
     """Between which values each joint is moved.
 
     Args:
-        robot: The robot; its limits are what is not narrowed, one turn or one metre where they are wider or missing.
+        robot: The robot; what is not narrowed is as in `full_ranges`.
         given: Lowest and highest value by the joint's name [rad or m]; they win over ``like``.
         like: shape (N, m), joint values that were measured, in the order of ``robot.joint_names``.
         margin: What is added at both ends of ``like`` [rad or m]; one number, or one for each joint.
@@ -83,7 +102,7 @@ def joint_ranges(
         CalibError: A joint that the chain does not have, a range that is empty or leaves the limits.
     """
     limits = column_limits(robot)
-    ranges = np.array(column_ranges(robot) if like is None else ranges_of(like, margin, limits))
+    ranges = np.array(full_ranges(robot) if like is None else ranges_of(like, margin, limits))
     for name, (low, high) in (given or {}).items():
         if name not in robot.joint_names:
             message = (

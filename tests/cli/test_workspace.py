@@ -171,6 +171,13 @@ def test_robots_of_other_kinds(call, shop, words):
     assert ("With fewer than three joints" in done.out) == (words[0] == "panda")
 
 
+def test_voxels_with_few_samples_are_told(call, shop):
+    said = "so few samples that other samples (--seed) would make another"
+    done = call(shop, "workspace", *PAPER, *FEW, "--voxel", "30 mm")
+    assert said in done.out.replace("\n  ", " ")
+    assert said not in call(shop, "workspace", *PAPER, *FEW).out
+
+
 def test_quiet_says_nothing(call, shop):
     done = call(shop, "workspace", *PAPER, *FEW, "--quiet", "-o", "r.json")
     assert (done.code, done.out, done.err) == (0, "", "")

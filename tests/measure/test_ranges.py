@@ -8,7 +8,7 @@ import pytest
 from calib import data
 from calib.errors import CalibError
 from calib.measure.measurements import Measurements
-from calib.measure.ranges import column_limits, joint_ranges, range_text, ranges_of
+from calib.measure.ranges import column_limits, full_ranges, joint_ranges, range_text, ranges_of
 from calib.model.readback import column_ranges
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
@@ -45,6 +45,30 @@ def test_limits_of_columns(leg):
 def test_without_more_they_are_the_limits_or_a_turn(leg, ur3):
     np.testing.assert_allclose(joint_ranges(leg), [[0.1, 0.4], [-np.pi, np.pi], [-1.0, 1.0]])
     np.testing.assert_array_equal(joint_ranges(ur3), column_ranges(ur3))
+
+
+@pytest.mark.parametrize(
+    ("kind", "limits", "expected"),
+    [
+        ("revolute", (0.0, 6.0), (0.0, 6.0)),  # all of it, not the half within pi of zero
+        ("revolute", (-3.2, 3.2), (-np.pi, np.pi)),
+        ("revolute", (-2 * np.pi, 2 * np.pi), (-np.pi, np.pi)),
+        ("revolute", (1.5, 12.0), (1.5, 1.5 + 2 * np.pi)),
+        ("revolute", (-12.0, 0.0), (-2 * np.pi, 0.0)),
+        ("continuous", None, (-np.pi, np.pi)),
+        ("prismatic", (0.0, 12.0), (0.0, 12.0)),
+    ],
+)
+def test_a_joint_goes_everywhere_it_can(kind, limits, expected):
+    limit = (
+        ""
+        if limits is None
+        else f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="1"/>'
+    )
+    text = f"""<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="{kind}">
+      <parent link="a"/><child link="b"/><axis xyz="0 0 1"/>{limit}</joint></robot>"""
+    robot = Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"), "a", "b")
+    np.testing.assert_allclose(full_ranges(robot), [expected], atol=1e-12)
 
 
 def test_given_ranges_may_go_beyond_one_turn_but_not_beyond_limits(leg, ur3):

@@ -178,9 +178,7 @@ def test_a_planar_arm_s_region_is_two_rings(planar):
 @pytest.mark.parametrize("share", [0.25, 0.95, 1.0])
 def test_a_gantry_s_density_is_even_and_its_region_has_the_share_of_the_volume(size, share):
     robot = gantry(size)
-    # Without --range a joint moves within 1 m of zero.
-    ranges = np.array([[0.0, size]] * 3)
-    density = Density.of(sample_workspace(robot, ranges=ranges, count=2**17), size / 16)
+    density = Density.of(sample_workspace(robot, count=2**17), size / 16)
     assert density.counts.shape == (16, 16, 16)
     np.testing.assert_allclose(density.values * size**3, 1.0, atol=0.15)
     region = density.region(share)
@@ -308,10 +306,10 @@ def test_a_voxel_that_divides_the_workspace_makes_no_voxel_more():
 
 
 def test_speed_and_memory(ur3):
-    start = time.perf_counter()
+    start = time.process_time()
     points = sample_workspace(ur3, count=2**17)
     Density.of(points).region(0.95)
-    assert time.perf_counter() - start < 3.0
+    assert time.process_time() - start < 3.0
     tracemalloc.start()
     sample_workspace(ur3, count=2**18)
     _, peak = tracemalloc.get_traced_memory()
