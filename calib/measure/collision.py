@@ -20,7 +20,7 @@ from pinocchio import hppfcl
 
 from calib.errors import CalibError, choices
 from calib.measure.cell_parts import is_number
-from calib.measure.collision_pairs import Ignored, Scene, choose_pairs
+from calib.measure.collision_pairs import Ignored, Scene, choose_pairs, room_for
 from calib.measure.solid import read_solids
 from calib.measure.surroundings import Box, checked_boxes
 from calib.model.chain import full_configurations, link_frame
@@ -240,7 +240,7 @@ class CollisionModel:
         scene = self._scene
         rod = hppfcl.Capsule(radius, 1.0)
         shapes = scene.with_shape(rod)
-        data, found = scene.model.createData(), shapes.createData()
+        data, found = scene.model.createData(), room_for(shapes)
         base = scene.model.frames[link_frame(scene.model, self.robot.base)]
         result = np.empty(count, dtype=np.bool_)
         for i, configuration in enumerate(configurations):

@@ -76,7 +76,7 @@ class Scene:
 
     def checking(self, pairs: Sequence[tuple[int, int]], margins: Sequence[float]) -> Scene:
         """The scene with these pairs of shapes, in this order, to check."""
-        shapes = self.shapes.clone()
+        shapes = self.shapes.copy()
         shapes.removeAllCollisionPairs()
         for first, second in pairs:
             shapes.addCollisionPair(pin.CollisionPair(first, second))
@@ -84,7 +84,7 @@ class Scene:
 
     def with_shape(self, geometry: Any) -> pin.GeometryModel:  # noqa: ANN401  coal has no types
         """The shapes and one more behind them, checked against all of them and nothing else."""
-        shapes = self.shapes.clone()
+        shapes = self.shapes.copy()
         shapes.removeAllCollisionPairs()
         count = len(self.owners)
         shapes.addGeometryObject(pin.GeometryObject("beam", 0, 0, pin.SE3.Identity(), geometry))
@@ -94,10 +94,19 @@ class Scene:
 
     def scratch(self) -> tuple[pin.Data, pin.GeometryData]:
         """Room for the results of one caller, the margins set."""
-        found = self.shapes.createData()
+        found = room_for(self.shapes)
         for request, margin in zip(found.collisionRequests, self.margins, strict=True):
             request.security_margin = margin
         return self.model.createData(), found
+
+
+def room_for(shapes: pin.GeometryModel) -> pin.GeometryData:
+    """Room for the results of one caller."""
+    found = shapes.createData()
+    for request in found.collisionRequests:
+        # Without it coal 3.0 misses some simple shapes that are deep in each other, such as a capsule through a box.
+        request.enable_contact = True
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -60,8 +60,8 @@ def in_sight(
 ) -> Sight:
     """At which poses a tracker sees the target on the tip.
 
-    The cone: the angle between the reflector's normal and the direction from target to tracker is at most the
-    reflector's acceptance. The beam: a rod of thickness `BEAM` from the tracker to `NEST` in front of the target touches
+    The cone: the angle between the reflector's normal and the direction from target to tracker is at most its
+    acceptance. The beam: a rod of thickness `BEAM` from the tracker to `NEST` in front of the target touches
     no link and no box; the link that carries the target counts like the others.
 
     Args:

@@ -2,10 +2,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.model.meshes import mesh_folders
 from calib.model.robot import Robot
 from calib.show.bodies import bodies, link_poses, rod_pose
 from calib.show.triangles import Triangles
-from calib.show.visuals import Cylinder, Sphere, mesh_folders, read_visuals
+from calib.show.visuals import Cylinder, Sphere, read_visuals
 
 Q = {
     "ur3": [0.3, -1.2, 0.8, -0.5, 1.1, 2.0],

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.model.meshes import mesh_folders
 from calib.model.urdf import Urdf
 from calib.show.triangles import Triangles
 from calib.show.visuals import (
@@ -12,7 +13,6 @@ from calib.show.visuals import (
     Box,
     Cylinder,
     Sphere,
-    mesh_folders,
     read_visuals,
     same_visuals,
 )

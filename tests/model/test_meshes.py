@@ -1,0 +1,103 @@
+"""Where meshes are looked for, and what is in a link's shapes."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib import data
+from calib.model.meshes import (
+    find_mesh,
+    link_shapes,
+    load_mesh,
+    mesh_faces,
+    mesh_folders,
+    mesh_vertices,
+)
+from calib.model.urdf import Urdf
+
+TEXT = """<robot name="r"><link name="a">
+  <visual><origin xyz="1 2 3" rpy="0 0 1.5707963267948966"/><geometry><box size="1 2 3"/></geometry></visual>
+  <visual><geometry/></visual>
+  <collision><geometry><mesh filename="a.stl" scale="1 2 3"/></geometry></collision>
+  <collision><origin xyz="1 2"/><geometry><mesh filename="b.stl"/></geometry></collision>
+  <collision><geometry><sphere radius="0"/></geometry></collision>
+  <collision><geometry><cylinder radius="0.5"/></geometry></collision></link><link name="b"/>
+  <joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint></robot>"""
+
+
+def test_shapes_of_each_kind():
+    urdf = Urdf.from_bytes(TEXT.encode(), "r.urdf")
+    (box,) = link_shapes(urdf, "visual")
+    assert (box.link, box.sizes, box.mesh) == ("a", (1.0, 2.0, 3.0), None)
+    expected = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
+    np.testing.assert_allclose(box.T_link_shape, expected, atol=1e-15)
+    shapes = list(link_shapes(urdf, "collision"))
+    assert [shape.mesh for shape in shapes] == [
+        ("a.stl", (1.0, 2.0, 3.0)),
+        ("b.stl", (1.0, 1.0, 1.0)),
+        None,
+        None,
+    ]
+    assert [shape.sizes for shape in shapes] == [None] * 4
+    np.testing.assert_array_equal(shapes[1].T_link_shape, np.eye(4))
+
+
+def test_folders_are_listed_once_in_the_order_of_who_knows_best(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path}/ros{os.pathsep}{tmp_path}/mine")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path}/ament")
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "r.urdf").write_text(TEXT)
+    folders = mesh_folders(Urdf.read(tmp_path / "robot" / "r.urdf"), [tmp_path / "mine", "here"])
+    own = Path(os.path.realpath(tmp_path / "robot"))
+    assert folders[:4] == (tmp_path / "mine", Path("here"), own, own.parent)
+    assert folders.index(tmp_path / "ros") < folders.index(tmp_path / "ament" / "share")
+    assert len(set(folders)) == len(folders)
+    assert any((folder / "example-robot-data" / "robots").is_dir() for folder in folders)
+
+
+def test_a_urdf_in_memory_has_no_folder_of_its_own():
+    read = Urdf.read(data.paper_urdf())
+    in_memory = Urdf.from_bytes(read.data, "memory")
+    assert read.path is not None
+    assert Path(os.path.realpath(read.path)).parent in mesh_folders(read)
+    assert Path(os.path.realpath(read.path)).parent not in mesh_folders(in_memory)
+
+
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [
+        ("package://p/x/t.obj", "p/x/t.obj"),
+        ("model://p/t.obj", "p/t.obj"),
+        ("x/t.obj", "x/t.obj"),
+        ("file://{tmp}/with%20blank/t.obj", "with blank/t.obj"),
+    ],
+)
+def test_a_mesh_is_found_and_read(tmp_path, name, place):
+    assert find_mesh(name.format(tmp=tmp_path), [tmp_path]) is None
+    (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / place).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    path = find_mesh(name.format(tmp=tmp_path), [tmp_path])
+    assert path is not None
+    mesh, problem = load_mesh(path, (1.0, 2.0, 3.0))
+    assert problem == ""
+    np.testing.assert_array_equal(np.ptp(mesh_vertices(mesh), axis=0), [1, 2, 0])
+    assert mesh_faces(mesh).shape == (1, 3)
+
+
+@pytest.mark.parametrize("name", ["", "http://x/y.stl", "a" * 300, "package://", "none.stl"])
+def test_a_name_that_means_no_file(tmp_path, name):
+    assert find_mesh(name, [tmp_path]) is None
+
+
+def test_files_that_are_no_meshes(tmp_path, monkeypatch):
+    (tmp_path / "bad.stl").write_bytes(b"no mesh")
+    assert load_mesh(tmp_path / "bad.stl", (1, 1, 1)) == (None, "cannot be read")
+    (tmp_path / "point.obj").write_text("v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n")
+    mesh, problem = load_mesh(tmp_path / "point.obj", (1, 1, 1))
+    assert mesh is None
+    assert problem in ("is empty", "cannot be read")
+    assert load_mesh(tmp_path / "none.stl", (1, 1, 1)) == (None, "cannot be read")
+    monkeypatch.setattr("calib.model.meshes.LIMIT_BYTES", 3)
+    assert load_mesh(tmp_path / "bad.stl", (1, 1, 1)) == (None, "is larger than 3 bytes")
