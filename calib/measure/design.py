@@ -21,7 +21,7 @@ support, below rank / N, and none a largest one below it (J. Kiefer, J. Wolfowit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -150,8 +150,12 @@ def choose(blocks: Array, basis: Basis, count: int, seed: int, restarts: int = R
     short = short_list(blocks, basis, max(SHORT, count))
     few = blocks[short]
     best, least = np.arange(count), np.inf
-    for _ in range(restarts):
-        found, cost = exchange(few, basis, rng.choice(len(few), count, replace=False))
+    for start in range(restarts):
+        found = rng.choice(len(few), count, replace=False)
+        if basis.target is not None and start % 2 == 0:
+            # The determinant has fewer local optima: where poses are few, what it likes is the better start, as a rule.
+            found, _ = exchange(few, replace(basis, target=None), found)
+        found, cost = exchange(few, basis, found)
         if cost < least:
             best, least = found, cost
     if len(short) == len(blocks):
