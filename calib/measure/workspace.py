@@ -149,7 +149,9 @@ class Density:
         """
         every = checked_points(points)
         corners = no_box() if box is None else checked_box(box)
-        inside = every[np.all((every >= corners[0]) & (every <= corners[1]), axis=1)]
+        inside = every
+        if box is not None:
+            inside = every[np.all((every >= corners[0]) & (every <= corners[1]), axis=1)]
         if not len(inside):
             raise CalibError(_nothing(every, corners))
         low, high = inside.min(axis=0), inside.max(axis=0)
@@ -275,9 +277,11 @@ def _counted(
     points: Array, origin: Array, voxel: float, shape: tuple[int, ...]
 ) -> NDArray[np.int64]:
     """How many points lie in each voxel; all of them lie in the grid."""
-    index, _ = voxel_of(points, origin, voxel, shape)
-    flat = np.ravel_multi_index(tuple(index.T), shape)
-    return np.bincount(flat, minlength=int(np.prod(shape))).astype(np.int64).reshape(shape)
+    counts = np.zeros(int(np.prod(shape)), dtype=np.int64)
+    for start in range(0, len(points), _CHUNK):
+        index, _ = voxel_of(points[start : start + _CHUNK], origin, voxel, shape)
+        np.add.at(counts, np.ravel_multi_index(tuple(index.T), shape), 1)
+    return counts.reshape(shape)
 
 
 def _smoothed(counts: NDArray[np.int64]) -> tuple[Array, Array]:
