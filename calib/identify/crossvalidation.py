@@ -38,7 +38,8 @@ def folds_of(task: Task, rows: Rows) -> Folds:
     if len(result.masks) < 2:
         message = (
             f"{len(rows)} row{'s' * (len(rows) > 1)} of one pose cannot be cross-validated: none is left to fit. "
-            "Measure more poses, or ask for a fit without validation (--no-validate)."
+            "Measure more poses, or name a model and do without (--model zeros --no-validate): auto chooses by rows "
+            "that are left out."
         )
         raise MeasurementError(message)
     measured = int(np.sum(np.any(rows.used, axis=1)))

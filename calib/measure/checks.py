@@ -17,6 +17,9 @@ from calib.measure.orientation import no_rotation
 # No instrument is better or worse than this [m or rad], and squares beyond it leave the range of numbers.
 SIGMAS = (1e-15, 1e6)
 
+# Beyond this [m or rad] doubles are further apart than what calib computes to, and no robot gets there.
+FARTHEST = 1e6
+
 # Two rows that share a distance have it to all digits of a table.
 AGREE_M = 1e-9
 
@@ -163,8 +166,28 @@ def check_values(m: _Rows) -> None:
     _check_sigmas(m, "sigma", "m", every)
     _check_sigmas(m, "sigma_angle", "rad", m.of_kind("pose"))
     _check_numbers(m, "distances", m.of_kind(*LENGTHS), positive=True)
+    _check_reach(m)
     _check_rotations(m)
     _check_torques(m)
+
+
+def _check_reach(m: _Rows) -> None:
+    """Refuse joint values, points and distances so large that their digits no longer tell a position."""
+    names = {"joints": m.joint_names, "points": "xyz", "distances": None}
+    for name, columns in names.items():
+        values = getattr(m, name)
+        if values is None:
+            continue
+        wrong = np.argwhere(np.abs(values) > FARTHEST)  # what a row's kind does not use may be NaN
+        if len(wrong):
+            at = tuple(int(i) for i in wrong[0])
+            what = columns[at[1]] if columns else "distance"
+            unit = "rad" if name == "joints" and what not in m.prismatic else "m"
+            message = (
+                f"{m.source or 'Measurements'}, row {m.rows[at[0]]}: '{what}' is {values[at]:g} {unit}; no robot gets "
+                f"beyond {FARTHEST:g} {unit}. Correct the value, or its unit."
+            )
+            raise MeasurementError(message)
 
 
 def _check_numbers(m: _Rows, name: str, rows: NDArray[np.bool_], *, positive: bool = False) -> None:

@@ -26,7 +26,7 @@ VAGUE_RAD = 1.0
 
 def farthest(metres: NDArray[np.float64]) -> tuple[int, float]:
     """The row that lies furthest from the origin, and how far, [m]; ``metres`` has shape (N, k)."""
-    distance = np.linalg.norm(metres, axis=1)
+    distance = np.hypot.reduce(metres, axis=1)  # does not square: a huge number stays one
     row = int(np.argmax(distance))
     return row, float(distance[row])
 

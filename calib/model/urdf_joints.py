@@ -23,6 +23,10 @@ JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "plan
 _AXIS_TYPES = ("revolute", "continuous", "prismatic", "planar")
 _LIMIT_TYPES = ("revolute", "prismatic")
 _ZERO_AXIS = 1e-9
+
+#: Beyond this [m or rad] doubles are further apart than the 1e-9 that written files agree to.
+FARTHEST = 1e6
+
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _SPACE = " \t\r\n"  # XML's white space; str.split() would take more
 
@@ -194,6 +198,12 @@ def _numbers(document: Document, part: Element, key: str, count: int, joint: str
     if len(words) == count and all(_NUMBER.fullmatch(word) for word in words):
         values = np.array([float(word) for word in words])
         if np.isfinite(values).all():
+            if part.tag == "origin" and np.abs(values).max() > FARTHEST:
+                message = (
+                    f"joint '{joint}': {key} of <origin> is '{text}'; no robot has an origin beyond {FARTHEST:g} "
+                    f"{'m' if key == 'xyz' else 'rad'}"
+                )
+                raise document.at(part, message)
             values.setflags(write=False)
             return values
     wanted = f"{count} finite numbers" if count > 1 else "a finite number"

@@ -310,6 +310,15 @@ def test_what_cannot_be_done_is_refused(ur3, table, options, error, text):
         calibrate(ur3, table, **options)
 
 
+def test_rows_of_one_pose_need_a_model_by_name(ur3, table):
+    """auto leaves rows out to choose; what it says to do instead can be done."""
+    one = table.select(np.arange(35) < 1)
+    said = r"1 row of one pose .* name a model and do without \(--model zeros --no-validate\): auto"
+    with pytest.raises(MeasurementError, match=said):
+        calibrate(ur3, one, validate=False)
+    assert calibrate(ur3, one, model="zeros", validate=False).errors["nominal"]["estimation"].n == 1
+
+
 def test_fewer_numbers_than_parameters_need_priors(ur3, table):
     few = table.select(np.arange(35) < 8)
     with pytest.raises(

@@ -668,3 +668,35 @@ def test_a_sigma_that_no_instrument_has_is_refused(name, unit, value):
             rotations=turned,
             **given,
         )
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            {"joints": [[0.0, 0.0], [0.0, -1e300]]},
+            "row 2: 'b' is -1e+300 rad; no robot gets beyond",
+        ),
+        (
+            {"joints": [[2e6, 0.0], [0.0, 0.0]], "prismatic": ("a",)},
+            "row 1: 'a' is 2e+06 m; no robot gets beyond 1e+06 m. Correct the value, or its unit.",
+        ),
+        ({"points": [[0.1, 0.2, 1e7], [0.1, 0.2, 0.3]]}, "row 1: 'z' is 1e+07 m"),
+        (
+            {"kinds": ("distance",) * 2, "distances": np.array([0.5, 1e200])},
+            "row 2: 'distance' is 1e+200 m",
+        ),
+    ],
+)
+def test_numbers_that_no_robot_reaches_are_refused(given, said):
+    whole = {"joints": np.zeros((2, 2)), "points": np.ones((2, 3)), **given}
+    with pytest.raises(MeasurementError, match=re.escape(said)):
+        Measurements(("a", "b"), **whole)
+
+
+def test_a_huge_point_in_a_file_is_told_without_a_warning(tmp_path):
+    path = tmp_path / "huge.csv"
+    path.write_text("j [deg],x [mm],y [mm],z [mm]\n0,1e308,0,0\n1,1,2,3\n", encoding="utf-8")
+    said = re.escape("line 2 (row 1), column 'x [mm]': 1e+308 was read as 1e+305 m, further from")
+    with pytest.raises(MeasurementError, match=said):
+        Measurements.read(path)

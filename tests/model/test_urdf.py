@@ -282,6 +282,11 @@ REFUSED = {
         robot("\n" + joint(more='\n<origin rpy="0 zero 0"/>')),
         "r.urdf, line 3: joint 'j': rpy of <origin> is '0 zero 0', 3 finite numbers wanted",
     ),
+    "far": (
+        robot("\n" + joint(more='\n<origin xyz="0 -1e9 0"/>')),
+        "r.urdf, line 3: joint 'j': xyz of <origin> is '0 -1e9 0'; no robot has an origin beyond 1e+06 m",
+    ),
+    "turns": (robot(joint(more='<origin rpy="2e6 0 0"/>')), "origin beyond 1e+06 rad"),
     "too few": (robot(joint(more='<origin xyz="0 0"/>')), "is '0 0', 3 finite numbers wanted"),
     "no number": (robot(joint(more='<origin xyz=""/>')), "is '', 3 finite numbers wanted"),
     "comma": (robot(joint(more='<origin xyz="0,1 0 0"/>')), "is '0,1 0 0', 3 finite"),
