@@ -155,6 +155,22 @@ def test_where_only_lengths_were_measured_it_is_what_fits_scatter_by_as_one_body
     assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.2)
 
 
+def test_what_is_left_is_the_least_that_a_rigid_motion_leaves():
+    """Against least squares: the six numbers of the motion that takes away most."""
+    rng = np.random.default_rng(5)
+    points, moves = rng.normal(1.0, 2.0, size=(15, 3)), rng.normal(size=(15, 3, 4))
+    left = without_rigid_motion(points, moves)
+    assert left.shape == moves.shape
+    for k in range(4):
+        columns = [np.tile(e, (15, 1)) for e in np.eye(3)]
+        columns += [np.cross(e, points) for e in np.eye(3)]
+        motions = np.stack([c.ravel() for c in columns], axis=1)
+        move = moves[:, :, k].ravel()
+        best = np.linalg.lstsq(motions, move, rcond=None)[0]
+        np.testing.assert_allclose(left[:, :, k].ravel(), move - motions @ best, atol=1e-12)
+    np.testing.assert_allclose(without_rigid_motion(points, left), left, atol=1e-12)
+
+
 def test_lengths_tell_less_of_places_than_of_shapes(ur3: Robot, by_lengths: Calibration):
     samples = Samples.at(random_joint_values(ur3, 100, 9))
     fitted = by_lengths.fitted

@@ -12,6 +12,7 @@ from calib.model.readback import (
     check_written,
     column_ranges,
     random_joint_values,
+    spread_between,
     spread_poses,
 )
 from calib.model.robot import Robot
@@ -169,6 +170,29 @@ def test_random_joint_values_stay_inside_limits_beyond_a_turn(lower, upper):
 def test_random_joint_values_are_the_same_every_time(ur3):
     np.testing.assert_array_equal(random_joint_values(ur3), random_joint_values(ur3))
     assert not np.array_equal(random_joint_values(ur3), random_joint_values(ur3, seed=1))
+
+
+def test_values_are_spread_evenly_between_bounds():
+    ranges = np.array([[-1.0, 3.0], [0.2, 0.3], [5.0, 5.5]])
+    values = spread_between(ranges, 255)
+    assert values.shape == (255, 3)
+    assert not values.flags.writeable
+    np.testing.assert_array_equal(values, spread_between(ranges, 255))
+    np.testing.assert_array_equal(values[:31], spread_between(ranges, 31))
+    share = (values - ranges[:, 0]) / (ranges[:, 1] - ranges[:, 0])
+    # The first 256 points of a Sobol sequence but the corner: a value of each column in each 256th of its range, and
+    # four of two columns in each of 8 by 8 bins.
+    whole = np.round(share * 256).astype(int)
+    for k in range(3):
+        assert sorted(whole[:, k]) == list(range(1, 256))
+    counts = np.zeros((8, 8), dtype=int)
+    np.add.at(counts, (whole[:, 0] // 32, whole[:, 1] // 32), 1)
+    assert counts[0, 0] == 3
+    assert np.count_nonzero(counts == 4) == 63
+
+
+def test_poses_are_spread_between_the_columns_ranges(ur3):
+    np.testing.assert_array_equal(spread_poses(ur3, 50), spread_between(column_ranges(ur3), 50))
 
 
 # Columns that move several joints
