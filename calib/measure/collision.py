@@ -2,7 +2,7 @@
 
 The whole robot is checked, not the chain alone: every link stands where `Robot.urdf_values` puts it. What cannot tell
 poses apart is left out: links that a joint joins, links that never move against each other, and links that touch
-wherever the joints stand.
+wherever the joints stand. Of meshes the surfaces are compared: one that lies wholly inside another is not found.
 """
 
 from __future__ import annotations

@@ -106,6 +106,8 @@ def room_for(shapes: pin.GeometryModel) -> pin.GeometryData:
     for request in found.collisionRequests:
         # Without it coal 3.0 misses some simple shapes that are deep in each other, such as a capsule through a box.
         request.enable_contact = True
+        # How far bounding volumes are followed beyond the margin: 1 mm by default, which costs a third of the time.
+        request.break_distance = 1e-6
     return found
 
 
