@@ -59,10 +59,14 @@ class Found:
 
     @property
     def pose(self) -> Array:
-        """Joint values to draw the robot at, shape (m,): the first row's, or the middle of the ranges."""
+        """Joint values to draw the robot at, shape (m,): the first row's, or some where the target is often."""
         if self.checked is not None and len(self.checked[0]):
             return read_only(self.checked[0].joints_for(self.robot.joint_names)[0])
-        return read_only(self.ranges.mean(axis=1))
+        low, high = self.ranges.T
+        q = low + np.random.default_rng(0).uniform(size=(200, len(low))) * (high - low)
+        poses = self.robot.poses(q)
+        needed = self.density.share_of(poses[:, :3, :3] @ self.target + poses[:, :3, 3])
+        return read_only(q[np.argmin(needed)])
 
 
 def text(found: Found, *, every_row: bool) -> str:

@@ -32,8 +32,8 @@ Array = NDArray[np.float64]
 #: The bands end at these shares, as far as the region goes.
 _BANDS = (0.5, 0.8)
 
-#: More voxels than this are thinned out, evenly.
-_MOST_POINTS = 60_000
+#: More voxels than this are thinned out, evenly; fewer than the other number get more than one point each.
+_MOST_POINTS, _WANTED_POINTS = 60_000, 15_000
 
 #: Edge of a point, as a part of a voxel; the robot is seen between them.
 _POINT = 0.36
@@ -184,6 +184,10 @@ def _draw_voxels(scene: meshcat.Visualizer, view: RegionView) -> list[str]:
     if len(centres) > _MOST_POINTS:
         chosen = rng.permutation(len(centres))[:_MOST_POINTS]
         inside &= np.isin(np.arange(len(centres)), chosen)
+    copies = max(1, _WANTED_POINTS // len(centres))
+    centres, needed = np.repeat(centres, copies, axis=0), np.repeat(needed, copies)
+    inside = np.repeat(inside, copies)
+    edge = _POINT * view.density.voxel / np.cbrt(copies)
     # Anywhere in its voxel: points in rows would make patterns of their own.
     centres = centres + view.density.voxel * rng.uniform(-0.5, 0.5, centres.shape)
     inside &= np.all((centres >= view.region.box[0]) & (centres <= view.region.box[1]), axis=1)
@@ -198,7 +202,7 @@ def _draw_voxels(scene: meshcat.Visualizer, view: RegionView) -> list[str]:
         if not len(points):
             continue
         node = scene[f"band{i}"]
-        node.set_object(_cloud(points, colour, _POINT * view.density.voxel))
+        node.set_object(_cloud(points, colour, edge))
         without_shadow(node)
         words = f"the densest {100 * end:.3g} %" if i == 0 else f"up to {100 * end:.3g} %"
         keys.append(key(words, colour, f"band{i}"))
