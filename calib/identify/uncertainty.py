@@ -55,6 +55,9 @@ Array = NDArray[np.float64]
 #: Called with the number of samples done and of samples in all.
 Progress = Callable[[int, int], None]
 
+#: Nothing is gained by more samples, and their rows would not fit into memory.
+MOST_SAMPLES = 100_000
+
 #: With fewer samples than this the ends of a 95 % interval lie beyond the samples.
 FEWEST_SAMPLES = 40
 
@@ -154,7 +157,7 @@ def bootstrap(
         progress: Called after each sample.
 
     Raises:
-        CalibError: Fewer samples than an interval needs, or a seed below 0.
+        CalibError: Fewer samples than an interval needs, more than make sense, or a seed below 0.
         ModelError: The paper's solver made the calibration.
     """
     if count < FEWEST_SAMPLES or seed < 0:
@@ -162,6 +165,9 @@ def bootstrap(
             f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} samples or "
             "more, 1000 for intervals to be trusted, and a seed of 0 or more."
         )
+        raise CalibError(message)
+    if count > MOST_SAMPLES:
+        message = f"A bootstrap of {count} samples was asked for; more than {MOST_SAMPLES} tell nothing new. Take 1000."
         raise CalibError(message)
     fitted = _least_squares(calibration.fitted)
     problem, start = fitted.estimate.problem, fitted.estimate.x

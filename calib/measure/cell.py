@@ -20,7 +20,7 @@ from calib.errors import CalibError, choices
 from calib.measure import cell_parts as parts
 from calib.measure.cell_file import read_cell_file
 from calib.measure.cell_parts import PRIOR_SIZES, GroupDistance, Priors
-from calib.measure.checks import SIGMAS
+from calib.measure.checks import FARTHEST, SIGMAS
 from calib.measure.kinds import check_kind
 from calib.measure.surroundings import Box, Reflector, Tracker, checked_boxes, checked_ranges
 from calib.model.robot import read_only
@@ -234,6 +234,9 @@ def _numbers(cell: Cell) -> dict[str, Any]:
                 f"The joint '{name}' is held at {value!r}; it must be a finite number, in rad or m."
             )
             raise CalibError(message)
+        if abs(value) > FARTHEST:
+            message = f"The joint '{name}' is held at {value:g} rad or m; no robot gets beyond {FARTHEST:g}."
+            raise CalibError(message)
     return {
         "gravity": parts.vector(cell.gravity, "gravity", "m/s^2"),
         "distances": tuple(distances),
@@ -252,6 +255,7 @@ def _parameters(cell: Cell) -> dict[str, Any]:
         if not parts.is_positive(value):
             message = f"The prior of '{name}' is {value!r}; it must be a positive number. Freeze it to keep it."
             raise CalibError(message)
+        parts.check_prior(value, f"The prior of '{name}'")
     for name in ties:
         for what, given in (("bounds", bounds), ("a prior", priors)):
             if name in given:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import CalibError, choices
+from calib.measure.checks import FARTHEST
 from calib.model.robot import read_only
 
 #: What `Priors.sizes` may be.
@@ -27,6 +28,10 @@ _SIZES = {
 }
 
 
+#: A prior outside of these says nothing, or is a constraint; their squares would leave the range of numbers.
+PRIORS = (1e-15, 1e6)
+
+
 def is_number(value: object) -> bool:
     """Whether a value is a finite number."""
     number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
@@ -36,6 +41,20 @@ def is_number(value: object) -> bool:
 def is_positive(value: object) -> bool:
     """Whether a value is a positive finite number."""
     return is_number(value) and bool(value > 0)  # type: ignore[operator]  # it is a number
+
+
+def check_prior(value: float, what: str) -> None:
+    """Refuse a standard deviation of a prior that is next to nothing or beyond anything.
+
+    Raises:
+        CalibError: It is.
+    """
+    if not PRIORS[0] <= value <= PRIORS[1]:
+        message = (
+            f"{what} is {value:g}; it lies between {PRIORS[0]:g} and {PRIORS[1]:g} in SI units. Freeze a parameter to "
+            "keep it; leave its prior out to let the data say."
+        )
+        raise CalibError(message)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +90,7 @@ class Priors:
             if not is_positive(value):
                 message = f"The prior's {name} is {value} {unit}; it must be positive. Use sizes 'off' for none."
                 raise CalibError(message)
+            check_prior(value, f"The prior's {name}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +174,20 @@ def vector(value: ArrayLike, what: str, unit: str = "m") -> NDArray[np.float64]:
     if array is None or array.shape != (3,):
         message = f"The {what} must be three finite numbers x, y, z [{unit}]; {_as_written(value)!r} was given."
         raise CalibError(message)
+    _check_near(array, f"The {what}", unit)
     return read_only(array)
+
+
+def _check_near(array: NDArray[np.float64], what: str, unit: str) -> None:
+    """Refuse numbers so large that their digits no longer tell a position.
+
+    Raises:
+        CalibError: One of them is.
+    """
+    largest = float(np.abs(array).max())
+    if largest > FARTHEST:
+        message = f"{what} holds {largest:g} {unit}; nothing in a robot cell is beyond {FARTHEST:g} {unit}. Correct it."
+        raise CalibError(message)
 
 
 def pose(value: ArrayLike, what: str) -> NDArray[np.float64]:
@@ -172,6 +205,7 @@ def pose(value: ArrayLike, what: str) -> NDArray[np.float64]:
     ):
         message = f"{what} must be a 4 x 4 pose with a right-handed rotation [m]; {_as_written(value)!r} was given."
         raise CalibError(message)
+    _check_near(T[:3, 3], what, "m")
     return read_only(T)
 
 

@@ -23,6 +23,10 @@ GRAVITY = (0.0, 0.0, -9.81)
 """The acceleration of gravity where the URDF's root link has z up, [m/s^2]."""
 
 
+#: No arm carries more [kg].
+_HEAVIEST = 1e6
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Payload:
     """A mass that the tip carries and that the URDF does not hold.
@@ -43,6 +47,9 @@ class Payload:
         object.__setattr__(self, "com", _three(self.com, "centre of mass of a payload", "[m]"))
         if not (np.isfinite(self.mass) and self.mass >= 0):
             message = f"The mass of a payload is {self.mass} kg; give a number of kg, 0 or more."
+            raise ModelError(message)
+        if self.mass > _HEAVIEST:
+            message = f"The mass of a payload is {self.mass:g} kg; no robot carries more than {_HEAVIEST:g} kg."
             raise ModelError(message)
 
 

@@ -293,6 +293,11 @@ class TestBootstrap:
             bootstrap(of_target, count, seed)
 
 
+def test_more_samples_than_make_sense_are_refused(of_dh):
+    with pytest.raises(CalibError, match=r"of 1000000000000 samples was .* Take 1000"):
+        bootstrap(of_dh, 10**12, 1)
+
+
 class TestProfile:
     @pytest.mark.parametrize("level", [0.5, 0.95])
     def test_of_a_linear_problem_is_student_s(self, of_target: Calibration, level: float):

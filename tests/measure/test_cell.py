@@ -466,6 +466,20 @@ def test_a_file_that_cannot_be_read(tmp_path: Path):
         ({"sigma": 0.0}, "The noise sigma is 0.0 m; it must be a positive number."),
         ({"sigma": -1e-4}, "The noise sigma is -0.0001 m; it must be a positive number."),
         ({"sigma": 1e-300}, "The noise sigma is 1e-300 m; no instrument has one below 1e-15 or"),
+        (
+            {"target": (0.1, -1e300, 0)},
+            "The target holds 1e+300 m; nothing in a robot cell is beyond",
+        ),
+        (
+            {"T_frame_base": [[1, 0, 0, 0], [0, 1, 0, 1e7], [0, 0, 1, 0], [0, 0, 0, 1]]},
+            "T_frame_base holds 1e+07 m; nothing in a robot cell is",
+        ),
+        ({"held": {"lift": 1e300}}, "The joint 'lift' is held at 1e+300 rad or m; no robot gets"),
+        (
+            {"parameter_priors": {"d1": 1e-300}},
+            "The prior of 'd1' is 1e-300; it lies between 1e-15",
+        ),
+        ({"parameter_priors": {"d1": 1e300}}, "The prior of 'd1' is 1e+300; it lies between 1e-15"),
         ({"sigma_angle": 1e300}, "sigma of angles is 1e+300 rad; no instrument has one below"),
         ({"sigma": float("inf")}, "The noise sigma is inf m; it must be a positive number."),
         ({"frozen": "d2"}, "The frozen parameters are a tuple of names; 'd2' was given."),
@@ -534,6 +548,7 @@ def test_a_cell_that_is_built_wrongly(wrong: dict[str, Any], said: str):
         ({"angle": float("nan")}, "The prior's angle is nan rad; it must be positive."),
         ({"zero": -1.0}, "The prior's zero is -1.0 rad; it must be positive."),
         ({"gain": True}, "The prior's gain is True rad/rad; it must be positive."),
+        ({"length": 1e-300}, "The prior's length is 1e-300; it lies between 1e-15 and 1e+06 in SI"),
         ({"compliance": "soft"}, "The prior's compliance is soft rad/Nm; it must be positive."),
     ],
 )

@@ -179,6 +179,11 @@ def test_a_mass_that_is_none(mass):
         Payload(mass)
 
 
+def test_a_payload_heavier_than_anything_is_refused():
+    with pytest.raises(ModelError, match=r"is 1e\+300 kg; no robot carries more than 1e\+06 kg"):
+        Payload(1e300)
+
+
 @pytest.mark.parametrize("com", [(0, 0), (0, 0, np.nan), [[0, 0, 0]]])
 def test_a_centre_of_mass_that_is_none(com):
     with pytest.raises(ModelError, match=r"centre of mass of a payload is .*three finite numbers"):
