@@ -211,7 +211,7 @@ def plan(
             ranges=ranges,
         )
         setup = words.with_noise(setup, noise)
-        renamed = parse_columns(columns or [])
+        renamed = words.checked_columns(parse_columns(columns or []), taken)
         arm = words.load_for_plan(robot, setup, taken, renamed)
         place, remarks = words.read_region(region, arm, setup)
         before = None if taken is None else read_taken(taken, arm, renamed)

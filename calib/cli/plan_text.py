@@ -120,8 +120,11 @@ def _candidates(plan: Plan) -> str:
     """What was drawn, and why some of it was refused."""
     said = [f"{count} {reason}" for reason, count in plan.refused.items() if count]
     if not said:
-        return f"Candidates: {plan.candidates} poses to choose from; none was refused."
-    return f"Candidates: {plan.candidates} poses to choose from, out of {plan.drawn} drawn. Refused: {', '.join(said)}."
+        return f"Chosen from {plan.candidates} poses drawn over the joint ranges; none was refused."
+    return (
+        f"Chosen from {plan.candidates} poses. Of {plan.drawn} drawn for them over the joint ranges were refused: "
+        f"{', '.join(said)}."
+    )
 
 
 def _forecasts(plan: Plan) -> Iterator[str]:

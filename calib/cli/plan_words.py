@@ -96,6 +96,18 @@ def with_noise(cell: Cell, text: str | None) -> Cell:
     return replace(cell, sigma=noise.constant)
 
 
+def checked_columns(columns: dict[str, str], taken: Path | None) -> dict[str, str]:
+    """Refuse names for the columns of a table that there is not.
+
+    Raises:
+        CalibError: There is none.
+    """
+    if columns and taken is None:
+        message = "--columns renames the columns of a table of poses taken; name it with --taken."
+        raise CalibError(message)
+    return columns
+
+
 def load_for_plan(robot: str, cell: Cell, taken: Path | None, columns: dict[str, str]) -> Robot:
     """The robot; a tip that was not named is chosen by the columns of the table taken, as ``calib fit`` does."""
     from calib.measure.table import Table

@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.cli.plan_words import (
+    checked_columns,
+    load_for_plan,
+    parse_ladder,
+    parse_start,
+    read_region,
+    with_noise,
+)
+from calib.cli.setup import row_ranges
+from calib.errors import CalibError
+from calib.measure.cell import Cell
+from calib.measure.noise import TrackerNoise
+from calib.measure.region import Region
+from calib.measure.region_file import RegionFile
+from calib.measure.surroundings import Tracker
+from calib.model.robot import Robot
+
+
+def test_ladders():
+    assert parse_ladder(None) is None
+    assert parse_ladder("none") == []
+    assert parse_ladder(" 10,15, 20 30") == [10, 15, 20, 30]
+
+
+@pytest.mark.parametrize("text", ["", "10;15", "ten", "0", "10,0", "-5", "1.5", "none,5"])
+def test_ladders_that_mean_nothing(text):
+    with pytest.raises(CalibError, match=re.escape(f'--ladder was given as "{text}"; it must be')):
+        parse_ladder(text)
+
+
+def test_starts(ur3):
+    assert parse_start([], ur3) is None
+    np.testing.assert_array_equal(parse_start(["home"], ur3), np.zeros(6))
+    start = parse_start(["elbow_joint=90 deg", " shoulder_lift_joint = -1 rad"], ur3)
+    np.testing.assert_allclose(start, [0.0, -1.0, np.pi / 2, 0.0, 0.0, 0.0], rtol=1e-15)
+    assert not start.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("texts", "said"),
+    [
+        (["elbow"], "--start was given 'elbow'; it must be 'joint=value' with a unit"),
+        (["elbow_joint=1"], "--start 'elbow_joint=1' is '1'; a joint's value needs a unit"),
+        (["elbow_joint=1 deg"] * 2, "--start was given 'elbow_joint=1 deg'; it must be"),
+        (["elbow=1 deg"], "--start was given 'elbow=1 deg', and no joint 'elbow' is planned for. These are: 'shoulder"),
+        (["elbow_joint=1 mm"], "--start was given 'elbow_joint=1 mm'; the value of 'elbow_joint' is an angle, such"),
+    ],
+)  # fmt: skip
+def test_starts_that_mean_nothing(ur3, texts, said):
+    with pytest.raises(CalibError, match=re.escape(said)):
+        parse_start(texts, ur3)
+
+
+def test_a_start_of_a_joint_that_slides(serial_urdf):
+    joints = [("prismatic", (0, 0, 0.1), (0, 0, 0), (0, 0, 1))]
+    robot = Robot.from_urdf(serial_urdf(joints))
+    assert parse_start(["j1=20 mm"], robot).tolist() == [0.02]
+    with pytest.raises(CalibError, match=r"the value of 'j1' is a length, such as \"0\.3 m\""):
+        parse_start(["j1=20 deg"], robot)
+
+
+def test_noise():
+    assert with_noise(Cell(sigma=1e-4), None).sigma == 1e-4
+    assert with_noise(Cell(), "0.05 mm").sigma == pytest.approx(5e-5, rel=1e-15)
+    tracker = Tracker(np.array([2.0, 0.0, 0.0]), noise=TrackerNoise(1e-5, 1e-6, 3e-5))
+    cell = with_noise(Cell(tracker=tracker, sigma=1e-4), "20 um + 5 um/m")
+    assert cell.sigma is None
+    assert cell.tracker is not None
+    noise = cell.tracker.noise
+    assert (noise.constant, noise.per_length) == pytest.approx((20e-6, 5e-6), rel=1e-12)
+    assert noise.repeatability == 3e-5
+    np.testing.assert_array_equal(cell.tracker.position, tracker.position)
+    with pytest.raises(CalibError, match=r"nothing says where the tracker stands; add --tracker"):
+        with_noise(Cell(), "20 um + 5 um/m")
+    with pytest.raises(CalibError, match=r"--noise was given as \"3\"; it must be a length"):
+        with_noise(Cell(), "3")
+
+
+def test_columns_are_of_a_table(tmp_path: Path):
+    assert checked_columns({}, None) == {}
+    assert checked_columns({"J": "j1"}, tmp_path) == {"J": "j1"}
+    with pytest.raises(CalibError, match=r"name it with --taken\."):
+        checked_columns({"J": "j1"}, None)
+
+
+def test_the_tip_is_that_of_the_table(tmp_path: Path):
+    table = tmp_path / "taken.csv"
+    table.write_text("panda_joint1 [deg],panda_joint2 [deg],J [deg]\n1,2,3\n", encoding="utf-8")
+    assert len(load_for_plan("panda", Cell(), table, {}).joint_names) == 2
+    assert len(load_for_plan("panda", Cell(), table, {"J": "panda_joint3"}).joint_names) == 3
+    assert len(load_for_plan("panda", Cell(), None, {}).joint_names) > 6
+    assert load_for_plan("panda", Cell(tip="panda_link4"), table, {}).tip == "panda_link4"
+
+
+def test_a_region_of_this_robot_and_of_another(ur3, tmp_path: Path):
+    assert read_region(None, ur3, Cell()) == (None, [])
+    region = Region(np.zeros(3), 0.1, np.ones((2, 2, 2), dtype=bool), share=0.9, held=0.9)
+    target = np.array([0.05, 0.07, 0.03])
+    ranges = np.tile([-1.0, 1.0], (6, 1))
+    path = RegionFile.of(region, ur3, target, ranges, 100, 0).write(tmp_path / "region.json")
+    found, remarks = read_region(path, ur3, Cell(target=target))
+    assert found is not None
+    assert found.volume == pytest.approx(8e-3)
+    assert remarks == []
+    _, remarks = read_region(path, ur3, Cell(targets={"far": target + 0.2}))
+    assert len(remarks) == 1
+    assert "for a target 346 mm away from this one" in remarks[0]
+    other = Robot.load("ur3", base="base_link", tip="tool0")
+    with pytest.raises(CalibError, match="The region was made for the base 'base' of 'ur3'"):
+        read_region(path, other, Cell())
+
+
+@pytest.mark.parametrize(
+    ("rows", "text"),
+    [
+        ([4], "4"),
+        ([1, 2], "1, 2"),
+        ([9, 7, 8, 3], "3, 7 to 9"),
+        (range(1, 31), "1 to 30"),
+        (range(0, 60, 3), "0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 30, 33 and 8 more"),
+    ],
+)
+def test_rows_in_words(rows, text):
+    assert row_ranges(rows) == text
