@@ -93,7 +93,8 @@ def _pratt(xy: Array, weights: Array) -> Array:
     """The generalised eigenvector of the smallest positive eigenvalue, through an SVD."""
     square = (xy * xy).sum(axis=1, keepdims=True)
     design = np.sqrt(weights)[:, None] * np.hstack([square, xy, np.ones((len(xy), 1))])
-    _, s, rows = np.linalg.svd(design, full_matrices=False)
+    # A row of zeros, so that three points have four singular values too.
+    _, s, rows = np.linalg.svd(np.vstack([design, np.zeros(4)]), full_matrices=False)
     if s[3] < 1e-12 * s[0]:
         return np.asarray(rows[3])
     root = (rows.T * s) @ rows

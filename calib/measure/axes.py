@@ -116,7 +116,7 @@ def survey(
         sweeps: Of the plane, of the joints 1 and 2, and of others if they were swept.
         robot: Whose URDF says where the base frame lies on the axes; None: z is axis 1, y axis 2.
         plane_offset: How far the plane's points stand off it, towards the robot: the radius of the ball [m].
-        robust: Whether gross rows are left out (they are named either way only if they are).
+        robust: Whether gross rows are left out; they are named either way.
 
     Raises:
         MeasurementError: A sweep is missing, is not that of its joint, or no figure fits it.
@@ -165,9 +165,11 @@ def survey(
         )
         for i, row in enumerate(values[start:].reshape(-1, len(NUMBERS)))
     )
-    findings += plane_findings(plane_sweep, plane)
+    findings += plane_findings(plane_sweep, plane, ~_fitted_plane(plane_sweep, robust=True).used)
     for k in numbers:
-        findings += circle_findings(_sweep(sweeps, k), circles[k], sweeps.label(k))
+        sweep = _sweep(sweeps, k)
+        gross = ~circles[k].used if robust else ~_fitted_circle(sweep, robust=True).used
+        findings += circle_findings(sweep, circles[k], sweeps.label(k), gross)
     for joint in joints:
         findings += axis_checks.turning_findings(joint.name, joint.turning)
     return Survey(frame, plane, plane_sweep, joints, rows, setup.values is not None, findings)

@@ -27,6 +27,13 @@ ANGLE_RAD, DISTANCE_M = float(np.radians(5.0)), 20e-3
 _SIGMAS = 6.0
 
 
+_ORDER = (
+    "Without joint values the rows of a sweep stand in the order of increasing joint angle: turn the order of one of "
+    "them round, or give the joints' values in columns."
+)
+_SIGN = "The sign of one joint's values is not the URDF's: turn it round, there and in all other tables."
+
+
 def check_moves(sweep: Sweep) -> None:
     """Refuse a sweep whose points stay where they are.
 
@@ -114,8 +121,7 @@ def check_pairs(
         if not far and abs(np.pi - angle - wanted_angle) < ANGLE_RAD:
             message = (
                 f"{sweeps.source}: the joints {names} turn the other way round to each other than in the URDF of "
-                f"'{robot.name}'. Without joint values the rows of a sweep stand in the order of increasing joint "
-                "angle: turn the order of one of them round, or give the joints' values in columns."
+                f"'{robot.name}'. {_ORDER if sweeps.sweeps[-1].joints is None else _SIGN}"
             )
         else:
             message = (
@@ -145,8 +151,8 @@ def turning_findings(name: str, turned: Turning | None) -> tuple[str, ...]:
     found = []
     if turned.gain_found:
         found.append(
-            f"'{name}' turns by {1e3 * turned.gain:+.3f} mrad per rad ({100.0 * turned.gain:+.4f} %, standard "
-            f"deviation {1e3 * turned.gain_std:.3f} mrad) further than its values say: a gear gain (--model dh+gain)."
+            f"'{name}' turns {1e3 * abs(turned.gain):.3f} mrad per rad {'further' if turned.gain > 0 else 'less'} than "
+            f"its values say (standard deviation {1e3 * turned.gain_std:.3f} mrad): a gear gain (--model dh+gain)."
         )
     if turned.eccentricity_found:
         found.append(

@@ -214,7 +214,8 @@ def circle_residuals(points: Array, ring: Ring, basis: Array) -> tuple[Array, Ar
     local = (points - ring.center) @ basis
     axial = local[:, 2]
     across = np.hypot(local[:, 0], local[:, 1])
-    e = local[:, :2] / across[:, None]
+    # A point on the axis has no direction in the plane; any will do.
+    e = local[:, :2] / np.where(across > 0.0, across, 1.0)[:, None]
     J = np.zeros((len(points), 2, 6))
     J[:, 0, :2] = -e
     J[:, 0, 3:5] = -axial[:, None] * e

@@ -27,6 +27,9 @@ FEWEST = 4
 _THIN = 1e-9
 _IN_NOISE = 1.5
 
+#: No instrument is better than this, and without noise there is no covariance [m].
+FLOOR_M = 1e-9
+
 #: Chance of a finding where there is nothing but noise.
 LEVEL = 1e-3
 
@@ -59,7 +62,8 @@ class Scatter:
     @property
     def sigma(self) -> float:
         """What the covariance is made with: the noise as given, if it was and the residuals allow it [m]."""
-        return self.estimate if self.given is None or self.contradicted else self.given
+        sigma = self.estimate if self.given is None or self.contradicted else self.given
+        return max(sigma, FLOOR_M)
 
     @property
     def dof(self) -> float:

@@ -42,10 +42,19 @@ class _Suspicion:
     columns: Array
 
 
-def circle_findings(sweep: Sweep, circle: Circle, label: str) -> tuple[str, ...]:
-    """Sentences on a joint's sweep: gross rows, lobes, steps, noise that is no noise."""
+def circle_findings(
+    sweep: Sweep, circle: Circle, label: str, gross: NDArray[np.bool_]
+) -> tuple[str, ...]:
+    """Sentences on a joint's sweep: gross rows, lobes, steps, noise that is no noise.
+
+    Args:
+        sweep: The points.
+        circle: Their circle.
+        label: What to call the joint.
+        gross: Which points are gross, left out or not, shape (N,).
+    """
     used = circle.used
-    found = list(_gross(sweep, np.linalg.norm(circle.residuals, axis=1), used))
+    found = list(_gross(sweep, np.linalg.norm(circle.residuals, axis=1), gross, used))
     ring = Ring(circle.center, circle.normal, circle.radius)
     points = sweep.points[used]
     residuals, J = circle_residuals(points, ring, np.asarray(circle.basis))
@@ -64,10 +73,10 @@ def circle_findings(sweep: Sweep, circle: Circle, label: str) -> tuple[str, ...]
     return (*found, *(told or _alike(residuals, label, sweep)), *_too_large(sweep, circle))
 
 
-def plane_findings(sweep: Sweep, plane: Plane) -> tuple[str, ...]:
-    """Sentences on the plane: gross rows, a surface that is no plane."""
+def plane_findings(sweep: Sweep, plane: Plane, gross: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Sentences on the plane: gross rows, a surface that is no plane; see `circle_findings`."""
     used = plane.used
-    found = list(_gross(sweep, np.abs(plane.residuals[:, 0]), used))
+    found = list(_gross(sweep, np.abs(plane.residuals[:, 0]), gross, used))
     root = _roots(sweep, used)
     local = (sweep.points[used] - plane.point) @ plane.basis
     x, y = local[:, 0], local[:, 1]
@@ -97,7 +106,8 @@ class _Problem:
             root: Square roots of the residuals' weights, shape (2 N,).
         """
         local = (points - circle.center) @ circle.basis
-        self._e = local[:, :2] / np.hypot(local[:, 0], local[:, 1])[:, None]
+        across = np.hypot(local[:, 0], local[:, 1])
+        self._e = local[:, :2] / np.where(across > 0.0, across, 1.0)[:, None]
         self._root = root[:, None]
         self._lobes = [
             _Suspicion(s.kind, s.at, self._root * s.columns) for s in _lobes(circle, len(points))
@@ -195,12 +205,14 @@ def _sentence(
     )
 
 
-def _gross(sweep: Sweep, off: Array, used: NDArray[np.bool_]) -> Iterator[str]:
-    """The rows that were left out."""
-    for i in np.flatnonzero(~used):
+def _gross(
+    sweep: Sweep, off: Array, gross: NDArray[np.bool_], used: NDArray[np.bool_]
+) -> Iterator[str]:
+    """The gross rows, and whether they were left out."""
+    for i in np.flatnonzero(gross):
         yield (
             f"{sweep.source}, {sweep.counted} {sweep.rows[i]} (sweep '{sweep.name}') is {1e3 * off[i]:.3g} mm off and "
-            "left out: measure it again."
+            f"{'counts all the same' if used[i] else 'left out'}: measure it again."
         )
 
 

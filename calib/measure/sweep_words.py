@@ -48,7 +48,11 @@ class SweepWords:
         count = len(self.joint_names)
         joints = f"a joint's name ({choices(self.joint_names)}), or " if count else ""
         last = f" to 'joint {count}'" if count > 1 else ""
-        names = "" if count else " Joints go by their names where --robot or columns of joint values tell them."
+        names = (
+            ""
+            if count
+            else " Joints go by their names where --robot or columns of joint values tell them."
+        )
         return (
             f"{where}: '{word}' is not a sweep; allowed are '{PLANE}', {joints}a joint's number, 'joint 1'{last}."
             f'{hint}{names} Correct it, or map it: --sweep "{word}=joint 1".'

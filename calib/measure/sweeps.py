@@ -195,7 +195,7 @@ def _from_table(
         grid.append(_numbers(table, row, numbers, named.get("row"), free))
         found.append(word)
         lines.append(row.line)
-        rows.append(row.ordinal)
+        rows.append(_row_number(row, named.get("row")))
         labels.append(row.cells[named["point"].index] if "point" in named else "")
     if not grid:
         message = f"{table.source}: the table has a header and no rows below it"
@@ -267,6 +267,12 @@ def _point_columns(table: Table, named: Mapping[str, Column]) -> tuple[Column, .
     return tuple(with_unit(table, named[name], "length") for name in POINT)
 
 
+def _row_number(row: Row, numbers: Column | None) -> int:
+    """The row's number: the user's own, if it is one."""
+    text = "" if numbers is None else row.cells[numbers.index]
+    return int(text) if text.isdecimal() and len(text) < 19 else row.ordinal
+
+
 def _numbers(
     table: Table, row: Row, columns: Sequence[Column], numbers: Column | None, free: int
 ) -> list[float]:
@@ -303,13 +309,6 @@ def _split(
 ) -> tuple[Sweep, ...]:
     """The rows by their sweeps, the plane first."""
     numbers = [named.number(word) for word in found]
-    if sigma is not None and np.any(sigma <= 0.0):
-        i = int(np.flatnonzero(sigma <= 0.0)[0])
-        message = (
-            f"{source}, {counted} {rows[i]}: sigma is {1e3 * sigma[i]:.6g} mm; a standard deviation is greater than "
-            "zero. Correct it, or remove the column."
-        )
-        raise MeasurementError(message)
     result = []
     for number in sorted({n for n in numbers if n is not None}):
         at = [i for i, n in enumerate(numbers) if n == number]

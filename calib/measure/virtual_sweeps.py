@@ -23,19 +23,20 @@ def virtual_sweeps(
     T_tracker_base: Array,
     sigma: float,
     *,
-    arcs: Sequence[float],
+    arcs: Sequence[float] | Array,
     count: int = 40,
     radius: float = 0.3,
     plane_count: int = 20,
     plane_radius: float = 0.25,
-    home: Sequence[float] | None = None,
+    home: Sequence[float] | Array | None = None,
     values: bool = True,
     seed: int = 0,
 ) -> Sweeps:
     """Sweeps of the first joints of a robot as a tracker would measure them.
 
     The plane is z = 0 of the base, its points scattered evenly over a disc. Each target is fixed to its joint's
-    link, at the joint's frame and ``radius`` off the axis; the joint turns evenly over its arc, half to each side of its home.
+    link, at the joint's frame and ``radius`` off the axis; the joint turns evenly over its arc, half to each side of
+    its home.
 
     Args:
         robot: The true one.

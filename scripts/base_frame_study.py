@@ -1,0 +1,286 @@
+"""The figures of docs/base-frame.md: biases of circle fits, the base frame's error, a calibration behind it.
+
+    .venv/bin/python scripts/base_frame_study.py            all of it, some minutes
+    .venv/bin/python scripts/base_frame_study.py --quick    few runs of each
+
+The set-up: the paper's UR3, plane z = 0 of `base`, 20 points on a disc of 0.25 m; joint 1 and joint 2 with 40 points
+each on circles of radius 0.3 m at the heights of the joints' frames (151.9 mm, both); noise of a tracker at 3 m,
+15 um + 6 um/m in each coordinate. Circle biases are means over pairs of opposite noise, in which the first order
+cancels.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+
+from calib.data import paper_urdf
+from calib.errors import CalibError
+from calib.identify.calibration import calibrate
+from calib.measure.algebraic_circles import algebraic_circle
+from calib.measure.axes import survey
+from calib.measure.axis_geometry import nominal_axes
+from calib.measure.base_frame import BaseFrame, base_frame, nominal_axes_frame
+from calib.measure.carrying import carried
+from calib.measure.cell import Cell
+from calib.measure.geometric_fits import fit_circle, fit_plane
+from calib.measure.measurements import Measurements
+from calib.measure.noise import TrackerNoise
+from calib.measure.sweeps import Sweep
+from calib.measure.turning import positive
+from calib.measure.virtual_sweeps import virtual_sweeps
+from calib.model.error_model import error_model
+from calib.model.readback import random_joint_values
+from calib.model.robot import Robot, read_only, rigid_inverse
+
+Array = NDArray[np.float64]
+
+#: Of one coordinate, 3 m from the tracker [m].
+SIGMA = TrackerNoise(repeatability=0.0).std(3.0)
+
+#: Where the tracker stands does not matter; somewhere oblique, 3 m away.
+T_TRACKER_BASE = read_only(pin.exp6(np.array([2.2, 1.6, -0.9, 0.3, -0.8, 1.2])).homogeneous)
+
+ARCS = (20, 30, 45, 60, 90, 120, 180, 270, 360)
+NOISES = (SIGMA, 1e-4, 3e-4, 1e-3)
+RADIUS, POINTS = 0.3, 40
+
+#: Errors of the true robot in the study's last part [m, rad].
+LENGTH, ANGLE = 0.5e-3, 2e-3
+
+
+def main() -> None:
+    """Print the tables in Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="few runs of each part")
+    parser.add_argument("--runs", type=int, default=0, help="of the base frame; default 500")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    runs = given.runs or (60 if given.quick else 500)
+    for text in (
+        *bias_table(40 if given.quick else 1000, given.seed),
+        "",
+        *frame_table(runs, given.seed),
+        "",
+        *robot_table(2 if given.quick else 20, given.seed),
+    ):
+        print(text, flush=True)
+
+
+def watched(rows: Iterable[int], label: str) -> Iterable[int]:
+    """The rows, with a bar on stderr."""
+    return track(list(rows), label, console=Console(stderr=True), transient=True)
+
+
+# Circles
+
+
+def bias_table(pairs: int, seed: int) -> Iterator[str]:
+    """The bias of the centre towards the middle of the arc, for each fit, arc and noise."""
+    yield (
+        f"| noise | arc | Kasa | Pratt | Taubin | geometric | its std | geometric / Kasa | ({2 * pairs} fits of "
+        f"{POINTS} points, radius {1e3 * RADIUS:.0f} mm; bias of the centre [um], +- its standard error) |"
+    )
+    yield "|---|---|---|---|---|---|---|---|---|"
+    for sigma in NOISES:
+        for arc in ARCS:
+            found = center_bias(arc, sigma, pairs, seed)
+            if found is None:
+                yield f"| {1e6 * sigma:.0f} um | {arc} deg | the arc is too short for its noise |"
+                continue
+            mean, error, std = found
+            cells = [f"{1e6 * m:.2f} +-{1e6 * e:.2f}" for m, e in zip(mean, error, strict=True)]
+            ratio = f"{abs(mean[3]) / abs(mean[0]):.4f}" if abs(mean[0]) > 4.0 * error[0] else "-"
+            yield f"| {1e6 * sigma:.0f} um | {arc} deg | {' | '.join(cells)} | {1e6 * std:.1f} | {ratio} | |"
+
+
+def center_bias(
+    arc: float, sigma: float, pairs: int, seed: int
+) -> tuple[Array, Array, float] | None:
+    """Bias and its standard error of four fits [m], and the geometric one's standard deviation."""
+    rng = np.random.default_rng((seed, int(arc), round(1e6 * sigma)))
+    half = np.radians(arc) / 2.0
+    angles = np.linspace(-half, half, POINTS, endpoint=arc < 360)
+    B = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    points = RADIUS * (np.cos(angles)[:, None] * B[:, 0] + np.sin(angles)[:, None] * B[:, 1])
+    fits: list[Callable[[Array], Array]] = [
+        lambda p: algebraic_circle(p, "kasa").center,
+        lambda p: algebraic_circle(p, "pratt").center,
+        lambda p: algebraic_circle(p, "taubin").center,
+        lambda p: fit_circle(p, robust=False).center,
+    ]
+    found = np.empty((pairs, 2, len(fits)))
+    for i in watched(range(pairs), f"circles, {arc} deg, {1e6 * sigma:.0f} um"):
+        noise = sigma * rng.normal(size=points.shape)
+        for j, sign in enumerate((1.0, -1.0)):
+            centers = _centers(fits, points + sign * noise)
+            if centers is None:
+                return None  # to select the runs in which a fit is possible would be a bias too
+            found[i, j] = centers @ B[:, 0]
+    both = found.mean(axis=1)
+    error = both.std(axis=0, ddof=1) / np.sqrt(pairs)
+    return both.mean(axis=0), error, float(found[..., -1].std())
+
+
+def _centers(fits: Sequence[Callable[[Array], Array]], points: Array) -> Array | None:
+    """The centres of all fits, shape (fits, 3) [m]; None where one is not possible."""
+    try:
+        return np.array([fit(points) for fit in fits])
+    except CalibError:
+        return None
+
+
+# The base frame
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Arcs of joints 1 and 2 [deg], and whether the noise is given to the fit."""
+
+    arcs: tuple[float, float]
+    given: bool
+
+
+def frame_table(runs: int, seed: int) -> Iterator[str]:
+    """Errors of the base frame, over the Cramer-Rao bound, and how often the truth is in its region."""
+    yield (
+        "| arcs | noise | median error [mm] | [mrad] | rms error [mm] | [mrad] | rms / bound, position | rotation | in "
+        f"the 95 % region | ({runs} runs) |"
+    )
+    yield "|---|---|---|---|---|---|---|---|---|---|"
+    for case in (
+        Case((270.0, 180.0), given=False),
+        Case((270.0, 180.0), given=True),
+        Case((60.0, 60.0), given=False),
+        Case((60.0, 60.0), given=True),
+        Case((30.0, 30.0), given=False),
+    ):
+        xi, inside, bound = frame_runs(case, runs, seed)
+        sizes = np.stack([np.linalg.norm(xi[:, :3], axis=1), np.linalg.norm(xi[:, 3:], axis=1)])
+        rms = np.sqrt((sizes**2).mean(axis=1))
+        median = np.median(sizes, axis=1)
+        yield (
+            f"| {case.arcs[0]:.0f}, {case.arcs[1]:.0f} deg | {'given' if case.given else 'from residuals'} | "
+            f"{1e3 * median[0]:.4f} | {1e3 * median[1]:.4f} | {1e3 * rms[0]:.4f} | {1e3 * rms[1]:.4f} | "
+            f"{rms[0] / bound[0]:.3f} | {rms[1] / bound[1]:.3f} | {100.0 * inside.mean():.1f} % | |"
+        )
+
+
+def frame_runs(case: Case, runs: int, seed: int) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Errors of the frame as twists (runs, 6), whether the truth is in the region, bounds (position, rotation)."""
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0")
+    exact = virtual_sweeps(
+        robot,
+        T_TRACKER_BASE,
+        0.0,
+        arcs=np.radians(case.arcs),
+        count=POINTS,
+        radius=RADIUS,
+        seed=seed,
+    )
+    T_base_axes = nominal_axes_frame(*nominal_axes(robot).lines[:2])
+
+    def frame(noise: Sequence[Array], *, given: bool) -> BaseFrame:
+        """The base frame of the sweeps with some noise."""
+        figures = []
+        for sweep, e in zip(exact.sweeps, noise, strict=True):
+            sigma = np.full(len(sweep), SIGMA) if given else None
+            points = sweep.points + e
+            figures.append((sweep, points, sigma))
+        plane = fit_plane(figures[0][1], figures[0][2])
+        first, second = (
+            positive(_moved(sweep, p), fit_circle(p, sigma)) for sweep, p, sigma in figures[1:]
+        )
+        return base_frame(plane, first, second, T_base_axes=T_base_axes)
+
+    none = [np.zeros(sweep.points.shape) for sweep in exact.sweeps]
+    covariance = frame(none, given=True).covariance
+    bound = np.sqrt([np.trace(covariance[:3, :3]), np.trace(covariance[3:, 3:])])
+    rng = np.random.default_rng((seed, int(case.arcs[0]), case.given))
+    xi, inside = np.empty((runs, 6)), np.empty(runs, dtype=np.bool_)
+    for i in watched(range(runs), f"base frame, {case.arcs[0]:.0f}, {case.arcs[1]:.0f} deg"):
+        found = frame([SIGMA * rng.normal(size=e.shape) for e in none], given=case.given)
+        xi[i] = pin.log6(rigid_inverse(found.T_tracker_base) @ T_TRACKER_BASE).vector
+        inside[i] = found.distance(T_TRACKER_BASE) <= found.limit(0.95)
+    return xi, inside, bound
+
+
+def _moved(sweep: Sweep, points: Array) -> Sweep:
+    """The sweep with other points."""
+    return Sweep(
+        sweep.joint, sweep.name, read_only(points), None, sweep.joints, sweep.rows, sweep.source
+    )
+
+
+# A calibration behind it
+
+
+def robot_table(robots: int, seed: int) -> Iterator[str]:
+    """Errors on unseen poses, in the tracker's frame, of robots with true offsets calibrated in the measured base."""
+    yield (
+        f"| {robots} UR3 with true DH offsets ({1e3 * LENGTH:.1f} mm, {1e3 * ANGLE:.0f} mrad), 40 poses, noise "
+        f"{1e6 * SIGMA:.0f} um | rms error on 200 unseen poses [mm] | worst robot's rms |"
+    )
+    yield "|---|---|---|"
+    errors = np.array([one_robot(seed + i) for i in watched(range(robots), "robots")])
+    for k, label in enumerate(
+        (
+            "nominal robot, base frame from sweeps",
+            "calibrated, data carried into the base frame from sweeps (270, 180 deg)",
+            "calibrated, the frame estimated with the robot",
+        )
+    ):
+        rms = np.sqrt((errors[:, k] ** 2).mean())
+        yield f"| {label} | {1e3 * rms:.4f} | {1e3 * errors[:, k].max():.4f} |"
+
+
+def one_robot(seed: int) -> tuple[float, float, float]:
+    """Rms errors on unseen poses of one robot [m]: nominal, calibrated in the measured base, with the frame unknown."""
+    rng = np.random.default_rng(seed)
+    nominal = Robot.load(paper_urdf(), base="base", tip="tool0")
+    model = error_model(nominal, "hayati")
+    sizes = np.where([p.unit == "m" for p in model.parameters], LENGTH, ANGLE)
+    geometric = np.array([p.family in ("length", "angle", "zero") for p in model.parameters])
+    true = model.apply(nominal, rng.normal(size=len(model)) * sizes * geometric)
+    target = np.array([0.07, -0.05, 0.03])
+
+    def seen(q: Array) -> Array:
+        """Where the tracker sees the target."""
+        in_base = true.poses(q)[:, :3, :3] @ target + true.poses(q)[:, :3, 3]
+        return np.asarray(in_base @ T_TRACKER_BASE[:3, :3].T + T_TRACKER_BASE[:3, 3])
+
+    sweeps = virtual_sweeps(true, T_TRACKER_BASE, SIGMA, arcs=np.radians([270.0, 180.0]), seed=seed)
+    frame = survey(sweeps, nominal).frame
+    q = random_joint_values(nominal, 40, seed)
+    data = Measurements(nominal.joint_names, q, seen(q) + SIGMA * rng.normal(size=(40, 3)))
+    unseen = random_joint_values(nominal, 200, seed + 10_000)
+    truth = seen(unseen)
+
+    def rms(points: Array) -> float:
+        """Of the distance to the truth in the tracker's frame."""
+        return float(np.sqrt(np.mean(np.sum((points - truth) ** 2, axis=1))))
+
+    def from_base(points: Array) -> Array:
+        """Points of the measured base as the tracker sees them."""
+        T = frame.T_tracker_base
+        return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+
+    poses = nominal.poses(unseen)
+    in_base = calibrate(nominal, carried(data, frame), model="hayati", validate=False)
+    free = calibrate(nominal, data, cell=Cell(estimate_frame=True), model="hayati", validate=False)
+    return (
+        rms(from_base(poses[:, :3, :3] @ target + poses[:, :3, 3])),
+        rms(from_base(in_base.predict(unseen))),
+        rms(free.predict(unseen)),
+    )
+
+
+if __name__ == "__main__":
+    main()
