@@ -123,8 +123,7 @@ def planning_ranges(
 ) -> Array:
     """Lowest and highest joint values to plan with, shape (m, 2), [rad] or [m].
 
-    Those of the URDF less a margin, within one turn or one metre of zero, narrowed by the ranges given; these may go
-    beyond the turn, but not beyond the URDF's limits.
+    Those of `calib.measure.ranges.joint_ranges`, less a margin to the URDF's limits.
 
     Args:
         robot: The robot.
@@ -147,6 +146,24 @@ def planning_ranges(
                 f"{range_text(robot, name, asked[k])}. Widen the range, lessen the margin, or hold the joint (--hold)."
             )
             raise ModelError(message)
+    return read_only(result)
+
+
+def turn_limits(robot: Robot, narrowed: Mapping[str, tuple[float, float]], margin: float) -> Array:
+    """Between which values joints may stand when they are driven, shape (m, 2), [rad] or [m].
+
+    Those of the URDF less a margin, wider than a turn where they are; where ranges are given, these.
+
+    Args:
+        robot: The robot.
+        narrowed: Ranges by joint.
+        margin: See `planning_ranges`.
+    """
+    result = np.array(planning_ranges(robot, narrowed, margin))
+    limits = column_limits(robot)
+    for k, name in enumerate(robot.joint_names):
+        if name not in narrowed and robot.joint_types[name] != "prismatic":
+            result[k] = limits[k] + np.array([margin, -margin])
     return read_only(result)
 
 

@@ -45,16 +45,12 @@ def mimic(multiplier: float = 2.0) -> Robot:
 def test_ranges_keep_the_margin_to_the_urdfs_limits(mixed):
     ranges = planning_ranges(mixed, {}, 5 * DEG)
     np.testing.assert_allclose(ranges[0], [-3 + 5 * DEG, 3 - 5 * DEG])
-    # Within a metre and a turn of zero, where the limits are far or there are none.
-    np.testing.assert_allclose(ranges[1], [-1.0, 1.0])
+    # A sliding joint keeps 5 mm, if any.
+    np.testing.assert_allclose(ranges[1], [-2.995, 2.995])
+    np.testing.assert_allclose(planning_ranges(mixed, {}, 0.0)[1], [-3.0, 3.0])
+    # A turn, where there are no limits.
     np.testing.assert_allclose(ranges[2], [-math.pi, math.pi])
     assert not ranges.flags.writeable
-
-
-def test_a_sliding_joint_keeps_5_mm(mixed):
-    wide = {"j2": (-3.0, 3.0)}
-    np.testing.assert_allclose(planning_ranges(mixed, wide, 5 * DEG)[1], [-2.995, 2.995])
-    np.testing.assert_allclose(planning_ranges(mixed, wide, 0.0)[1], [-3.0, 3.0])
 
 
 def test_ranges_given_may_leave_the_turn_but_not_the_limits(ur3):
