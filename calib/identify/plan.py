@@ -8,20 +8,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.identify.foresight import Outlook
-from calib.measure.candidates import Condition, draw, planning_ranges
+from calib.measure.candidates import Condition, Pool, draw, planning_ranges, rounded, turn_limits
 from calib.measure.cell import Cell
 from calib.measure.collision import CollisionModel
+from calib.measure.detours import detour
 from calib.measure.planning import Plan, check_numbers, choose_poses
 from calib.measure.region import Region
 from calib.measure.sight import in_sight
 from calib.measure.surroundings import Tracker
-from calib.measure.travel import order
+from calib.measure.travel import START, Tour, order
+from calib.measure.turns import turning, with_whole_turns
 from calib.model.robot import Robot, read_only
 
 __all__ = ["Plan", "plan"]
@@ -31,6 +34,9 @@ Progress = Callable[[str, int, int], None]
 
 #: Default margin to joint limits [rad].
 MARGIN = math.radians(5.0)
+
+#: Poses among which those to drive by are looked for.
+_STOPS = 4000
 
 #: Default number of candidates.
 CANDIDATES = 20_000
@@ -109,12 +115,12 @@ def plan(
     )
     joints = np.concatenate([choice.planned, choice.validation])
     sets = ("estimate",) * len(choice.planned) + ("validate",) * len(choice.validation)
-    tour = order(joints, start=start, free_path=None if body is None else body.path_free)
-    joints = joints[tour.indices]
+    way = _driven(robot, joints, cell, margin, start, body, pool)
+    joints = way.joints
     return Plan(
         robot=robot,
         joints=read_only(joints),
-        sets=tuple(sets[i] for i in tour.indices),
+        sets=tuple(sets[i] for i in way.tour.indices),
         taken=read_only(np.zeros((0, len(ranges))) if measured is None else measured),
         targets=outlook.setup.targets,
         expected=read_only(outlook.expected(joints)),
@@ -129,7 +135,8 @@ def plan(
         drawn=pool.drawn,
         candidates=len(pool.q),
         refused=dict(pool.refused),
-        tour=tour,
+        tour=way.tour,
+        detours=way.detours,
         notes=(*outlook.notes, *_notes(body)),
     )
 
@@ -180,6 +187,69 @@ def _sight(
     if cell.reflector is not None:
         conditions.append(Condition("with the reflector turned away", lambda q: seen(q, "cone")))
     return conditions
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """Poses in the order to drive.
+
+    Attributes:
+        joints: shape (K, m), [rad] or [m].
+        tour: Their order and its length.
+        detours: For each blocked move a pose to drive by.
+    """
+
+    joints: Array
+    tour: Tour
+    detours: tuple[Array | None, ...]
+
+
+def _driven(
+    robot: Robot,
+    joints: Array,
+    cell: Cell,
+    margin: float,
+    start: ArrayLike | None,
+    body: CollisionModel | None,
+    pool: Pool,
+) -> _Way:
+    """The poses in order; where a move is blocked, a turn more of some joints, else a pose to drive by."""
+    if body is None:
+        tour = order(joints, start=start)
+        return _Way(joints[tour.indices], tour, ())
+    tour = order(joints, start=start, free_path=body.path_free)
+    if tour.blocked:
+        limits = turn_limits(robot, cell.ranges, margin)
+        turned = with_whole_turns(
+            joints, _stretches(tour), limits, turning(robot, limits), body.path_free
+        )
+        turned = rounded(robot, turned)
+        again = order(turned, start=start, free_path=body.path_free)
+        if len(again.blocked) < len(tour.blocked):
+            joints, tour = turned, again
+    return _Way(joints[tour.indices], tour, _detours(joints, start, tour, pool, body))
+
+
+def _stretches(tour: Tour) -> list[NDArray[np.intp]]:
+    """The poses between blocked moves, in the order to drive."""
+    place = {int(i): k for k, i in enumerate(tour.indices)}
+    cuts = sorted(place[b] for _, b in tour.blocked)
+    return [part for part in np.split(tour.indices, cuts) if len(part)]
+
+
+def _detours(
+    joints: Array, start: ArrayLike | None, tour: Tour, pool: Pool, body: CollisionModel
+) -> tuple[Array | None, ...]:
+    """For each blocked move a pose by which its way is free; nothing need see the target there."""
+    if not tour.blocked:
+        return ()
+    stops = pool.workspace[:_STOPS]
+    stops = stops[body.free(stops)]
+
+    def place(i: int) -> Array:
+        return np.asarray(start if i == START else joints[i], dtype=np.float64)
+
+    return tuple(detour(place(a), place(b), stops, body.path_free) for a, b in tour.blocked)
 
 
 def _notes(body: CollisionModel | None) -> tuple[str, ...]:

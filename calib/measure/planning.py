@@ -68,6 +68,7 @@ class Plan:
         candidates: Of these, those that can be measured.
         refused: How many of those drawn were refused, by reason.
         tour: The order's length.
+        detours: For each of the tour's blocked moves joint values to drive by, shape (m,); None where none was found.
         notes: Sentences that the person who measures must read.
     """
 
@@ -89,6 +90,7 @@ class Plan:
     candidates: int
     refused: dict[str, int]
     tour: Tour
+    detours: tuple[Array | None, ...]
     notes: tuple[str, ...]
 
     @property
