@@ -211,10 +211,11 @@ def choose_poses(
 
 
 def _without(q: Array, taken: Array) -> Array:
-    """The candidates but those that were measured already, all joints within `_SAME`."""
+    """The candidates but those that were measured already, all joints within `_SAME`, whole turns aside."""
     again = np.zeros(len(q), dtype=bool)
     for pose in taken:
-        again |= np.all(np.abs(q - pose) < _SAME, axis=1)
+        gap = np.remainder(q - pose + np.pi, 2.0 * np.pi) - np.pi
+        again |= np.all(np.abs(gap) < _SAME, axis=1)
     return q[~again]
 
 

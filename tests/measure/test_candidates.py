@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.errors import CalibError, ModelError
-from calib.measure.candidates import Condition, draw, planning_ranges, rounded
+from calib.measure.candidates import Condition, draw, planning_ranges, rounded, turn_limits
 from calib.measure.measurements import Measurements
 from calib.measure.ranges import column_limits
 from calib.model.robot import Robot
@@ -88,6 +88,18 @@ def test_followers_of_a_column_keep_the_margin_to_their_limits_in_its_unit():
 def test_ranges_of_which_nothing_is_left_are_refused(mixed, given, margin, words):
     with pytest.raises(CalibError, match=words):
         planning_ranges(mixed, given, margin)
+
+
+def test_joints_are_driven_by_whole_turns_where_their_limits_allow_it(ur3, mixed):
+    limits = turn_limits(ur3, {"wrist_3_joint": (-1.0, 2.0)}, 5 * DEG)
+    urdf = column_limits(ur3)
+    np.testing.assert_allclose(limits[0], [urdf[0, 0] + 5 * DEG, urdf[0, 1] - 5 * DEG])
+    assert limits[0, 1] > 1.5 * math.pi
+    np.testing.assert_allclose(limits[5], [-1.0, 2.0])
+    np.testing.assert_allclose(
+        turn_limits(mixed, {}, 5 * DEG)[:2], planning_ranges(mixed, {}, 5 * DEG)[:2]
+    )
+    assert turn_limits(mixed, {}, 5 * DEG)[2].tolist() == [-math.inf, math.inf]
 
 
 # Drawing
