@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from calib.measure.forecast import Forecast
     from calib.measure.plan_file import Taken
     from calib.measure.planning import Plan
@@ -207,18 +210,27 @@ def _time(seconds: float) -> str:
 
 
 def _blocked(plan: Plan) -> Iterator[str]:
-    """Moves whose straight way collides."""
+    """Moves whose straight way collides, each with a pose to drive by, if one was found."""
     from calib.measure.plan_file import blocked_moves
 
     moves = blocked_moves(plan)
     if not moves:
         return
     k = len(plan.targets)
-    named = [
-        f"{f'row {k * (a - 1) + 1}' if a else 'the start'} to row {k * (b - 1) + 1}"
-        for a, b in moves[:_NAMED]
-    ]
+    named = []
+    for (a, b), stop in list(zip(moves, plan.detours, strict=True))[:_NAMED]:
+        by = "" if stop is None else f" (drive by {_joints_text(plan, stop)})"
+        start = f"row {k * (a - 1) + 1}" if a else "the start"
+        named.append(f"{start} to row {k * (b - 1) + 1}{by}")
     rest = f" and {len(moves) - _NAMED} more" if len(moves) > _NAMED else ""
-    yield (
-        f"The straight way in joint space collides from {', '.join(named)}{rest}; drive there by a pose in between."
+    yield f"The straight way in joint space collides from {', '.join(named)}{rest}; drive there by a pose in between."
+
+
+def _joints_text(plan: Plan, q: NDArray[np.float64]) -> str:
+    """Joint values in degrees and millimetres, in the order of the table's columns."""
+    names = plan.robot.joint_names
+    slides = [plan.robot.joint_types[name] == "prismatic" for name in names]
+    return ", ".join(
+        f"{1e3 * v:.1f} mm" if s else f"{math.degrees(v):.1f} deg"
+        for v, s in zip(q, slides, strict=True)
     )

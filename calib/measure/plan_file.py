@@ -239,7 +239,10 @@ def plan_table(plan: Plan) -> dict[str, Any]:
         "ladder": [{"planned": n, **forecast_table(one)} for n, one in plan.ladder],
         "travel": {
             "largest_joint_moves": plan.tour.cost,
-            "blocked": [{"from": a, "to": b} for a, b in blocked_moves(plan)],
+            "blocked": [
+                {"from": a, "to": b, "by": None if stop is None else stop.tolist()}
+                for (a, b), stop in zip(blocked_moves(plan), plan.detours, strict=True)
+            ],
         },
         "notes": list(plan.notes),
     }

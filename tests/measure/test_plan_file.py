@@ -287,4 +287,9 @@ def test_the_forecast_as_json(planned, tmp_path):
 
 def test_moves_that_collide_are_told_by_their_place_in_the_order(planned):
     tour = Tour(np.array([4, 2, 0, 1, 3]), 1.0, ((START, 4), (2, 0)))
-    assert blocked_moves(replace(planned, tour=tour)) == [(0, 1), (2, 3)]
+    blocked = replace(planned, tour=tour, detours=(None, planned.joints[5]))
+    assert blocked_moves(blocked) == [(0, 1), (2, 3)]
+    assert plan_table(blocked)["travel"]["blocked"] == [
+        {"from": 0, "to": 1, "by": None},
+        {"from": 2, "to": 3, "by": planned.joints[5].tolist()},
+    ]
