@@ -242,9 +242,10 @@ def plan(
         _write(made, output, json, before, force=force)
         if quiet:
             return
-        from calib.cli.plan_text import plan_text, taken_text
+        from calib.cli.plan_text import expected_text, plan_text, taken_text
 
-        typer.echo(plan_text(made, setup.model, (*taken_text(before, taken), *remarks)) + "\n")
+        said = (*taken_text(before, taken), *remarks, *expected_text(setup, arm.base))
+        typer.echo(plan_text(made, setup.model, said) + "\n")
         for path in (output, json):
             if path is not None:
                 typer.echo(f"Written: {path}")

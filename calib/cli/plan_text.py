@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from calib.measure.cell import Cell
     from calib.measure.forecast import Forecast
     from calib.measure.plan_file import Taken
     from calib.measure.planning import Plan
@@ -72,6 +73,14 @@ def taken_text(taken: Taken | None, path: Path | None) -> Iterator[str]:
     if taken.validation:
         yield (
             f"Of {path.name} {taken.validation} validation rows do not count as taken: nothing is estimated from them."
+        )
+
+
+def expected_text(cell: Cell, base: str) -> Iterator[str]:
+    """That what to expect is said in another frame than it will be measured in."""
+    if cell.estimate_frame and cell.T_frame_base is None and not cell.frames:
+        yield (
+            f"The columns 'expected ...' are in the frame of '{base}', for where the instrument stands is not known."
         )
 
 

@@ -196,6 +196,12 @@ def test_what_stands_around_the_robot(call, shop: Path):
     assert np.abs(elbow).max() <= 120.0
 
 
+def test_expected_values_in_a_frame_that_is_not_measured_in(call, shop: Path):
+    done = call(shop, *SMALL, "--ladder", "none", "--frame", "estimate")
+    assert "Note: The columns 'expected ...' are in the frame of 'base', for where" in done.out
+    assert "expected ..." not in call(shop, *SMALL, "--ladder", "none").out
+
+
 def test_one_pose_and_a_single_rung(call, shop: Path):
     words = ("--model", "frames", "--count", "1", "--validation", "0", "--ladder", "1")
     done = call(shop, *FREE, "--candidates", "50", *words, "-o", "one.csv")
