@@ -18,13 +18,15 @@ from calib.identify.foresight import Outlook
 from calib.measure.candidates import Condition, Pool, draw, planning_ranges, rounded, turn_limits
 from calib.measure.cell import Cell
 from calib.measure.collision import CollisionModel
+from calib.measure.design import check_criterion
 from calib.measure.detours import detour
-from calib.measure.planning import Plan, check_numbers, choose_poses
+from calib.measure.planning import Plan, check_enough, check_numbers, choose_poses
 from calib.measure.region import Region
 from calib.measure.sight import in_sight
 from calib.measure.surroundings import Tracker
 from calib.measure.travel import START, Tour, order
 from calib.measure.turns import turning, with_whole_turns
+from calib.model.readback import spread_between
 from calib.model.robot import Robot, read_only
 
 __all__ = ["Plan", "plan"]
@@ -34,6 +36,9 @@ Progress = Callable[[str, int, int], None]
 
 #: Default margin to joint limits [rad].
 MARGIN = math.radians(5.0)
+
+#: Poses that tell how many parameters there are to be told apart.
+_FIRST_LOOK = 512
 
 #: Poses among which those to drive by are looked for.
 _STOPS = 4000
@@ -90,8 +95,13 @@ def plan(
     """
     cell = Cell() if cell is None else cell
     check_numbers(count, validation, candidates)
+    check_criterion(criterion)
+    measured = _taken(robot, taken)
     outlook = Outlook.of(robot, cell)
     ranges = planning_ranges(robot, cell.ranges, margin)
+    if region is None:
+        # What candidates cannot mend is said before they are drawn, which takes a while.
+        check_enough(outlook.sensitivity, spread_between(ranges, _FIRST_LOOK), count, measured)
     body = (
         CollisionModel.of(robot, cell.boxes, clearance, package_dirs=package_dirs)
         if collisions
@@ -99,9 +109,6 @@ def plan(
     )
     conditions = _conditions(robot, cell, region, outlook.setup.T_tip_target, body)
     pool = draw(robot, ranges, conditions, candidates, seed, _part(progress, "candidates"))
-    measured = None if taken is None else np.atleast_2d(np.asarray(taken, dtype=np.float64))
-    if measured is not None:
-        robot.chain_values(measured)
     choice = choose_poses(
         outlook.sensitivity,
         pool,
@@ -115,13 +122,17 @@ def plan(
     )
     joints = np.concatenate([choice.planned, choice.validation])
     sets = ("estimate",) * len(choice.planned) + ("validate",) * len(choice.validation)
-    way = _driven(robot, joints, cell, margin, start, body, pool)
+    # With errors that change with a joint's value, a pose one turn on is another pose.
+    limits = (
+        ranges if outlook.kinematics.model.joint_terms else turn_limits(robot, cell.ranges, margin)
+    )
+    way = _driven(robot, joints, limits, start, body, pool)
     joints = way.joints
     return Plan(
         robot=robot,
         joints=read_only(joints),
         sets=tuple(sets[i] for i in way.tour.indices),
-        taken=read_only(np.zeros((0, len(ranges))) if measured is None else measured),
+        taken=measured,
         targets=outlook.setup.targets,
         expected=read_only(outlook.expected(joints)),
         criterion=criterion,
@@ -139,6 +150,14 @@ def plan(
         detours=way.detours,
         notes=(*outlook.notes, *_notes(body)),
     )
+
+
+def _taken(robot: Robot, taken: ArrayLike | None) -> Array:
+    """Poses that were measured already, checked, shape (T, m)."""
+    if taken is None:
+        return read_only(np.zeros((0, len(robot.inputs))))
+    robot.chain_values(taken)
+    return read_only(np.atleast_2d(np.asarray(taken, dtype=np.float64)))
 
 
 def _conditions(
@@ -207,8 +226,7 @@ class _Way:
 def _driven(
     robot: Robot,
     joints: Array,
-    cell: Cell,
-    margin: float,
+    limits: Array,
     start: ArrayLike | None,
     body: CollisionModel | None,
     pool: Pool,
@@ -219,7 +237,6 @@ def _driven(
         return _Way(joints[tour.indices], tour, ())
     tour = order(joints, start=start, free_path=body.path_free)
     if tour.blocked:
-        limits = turn_limits(robot, cell.ranges, margin)
         turned = with_whole_turns(
             joints, _stretches(tour), limits, turning(robot, limits), body.path_free
         )

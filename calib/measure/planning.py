@@ -249,6 +249,22 @@ def _fewest(workspace: Workspace, scalars: int, taken: int) -> int:
     return max(1, -(-workspace.rank // scalars) - taken)
 
 
+def check_enough(sensitivity: Sensitivity, q: Array, count: int, taken: Array) -> None:
+    """Refuse fewer poses than the parameters need, before candidates are drawn.
+
+    Args:
+        sensitivity: Of the model that will be fitted.
+        q: shape (n, m), poses all over the workspace, [rad] or [m].
+        count: Poses to fit.
+        taken: shape (T, m), poses that were measured already.
+
+    Raises:
+        ModelError: There are fewer.
+    """
+    scalars = sensitivity.measured(q[:1]).shape[1]
+    _check_enough(Workspace.of(sensitivity, q), scalars, count, len(taken), sensitivity)
+
+
 def _check_enough(
     workspace: Workspace, scalars: int, count: int, taken: int, sensitivity: Sensitivity
 ) -> None:
