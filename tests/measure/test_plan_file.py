@@ -4,6 +4,7 @@ import csv
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -283,6 +284,25 @@ def test_the_forecast_as_json(planned, tmp_path):
     assert table["poses"][3]["joints"] == planned.joints[3].tolist()
     assert table["poses"][3]["expected_xyz_m"] == planned.expected[3].tolist()
     assert table["travel"] == {"largest_joint_moves": planned.tour.cost, "blocked": []}
+
+
+def keys(value):
+    """Every key of nested tables; the reasons of refusals are no keys."""
+    if isinstance(value, dict):
+        for name, entry in value.items():
+            yield name
+            yield from () if name == "refused" else keys(entry)
+    elif isinstance(value, list):
+        for entry in value:
+            yield from keys(entry)
+
+
+def test_the_document_has_every_key(planned):
+    blocked = replace(planned, tour=Tour(np.arange(18), 1.0, ((0, 1),)), detours=(None,))
+    lines = (Path(__file__).parents[2] / "docs" / "planning.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`.*?) \|", lines.partition("## The plan as JSON")[2], re.MULTILINE)
+    documented = set(re.findall(r"[A-Za-z0-9_]+", " ".join(rows))) | {"schema"}
+    assert documented == set(keys(plan_table(blocked)))
 
 
 def test_moves_that_collide_are_told_by_their_place_in_the_order(planned):
