@@ -95,3 +95,22 @@ def test_the_tables_of_the_paper_page_are_those_of_its_script():
     assert len(rows) == 24
     for row in rows:
         assert row in page
+
+
+def test_what_poses_are_worth_is_what_the_planning_study_prints():
+    sys.path.insert(0, str(ROOT / "scripts"))
+    try:
+        from planning_study import yardstick
+    finally:
+        sys.path.pop(0)
+    printed = {line.split("|")[1].strip(): line.split("|")[2].strip() for line in yardstick(20_000)}
+    paper, random, planned, _ = printed.values()
+    said = re.search(
+        r"is ([\d.]+) after the paper's 30 poses, ([\d.]+) after 30 random ones and ([\d.]+) after 30 that",
+        README.replace("\n   ", " "),
+    )
+    assert said
+    assert said.groups() == (paper, random, planned)
+    page = (ROOT / "docs" / "planning.md").read_text(encoding="utf-8")
+    table = dict(re.findall(r"^\| ([^|]+?) \| ([\d.]+) \|$", page, flags=re.MULTILINE))
+    assert list(table.values())[:4] == list(printed.values())
