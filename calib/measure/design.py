@@ -43,6 +43,9 @@ CRITERIA = {
 #: A direction that moves what is measured by less than this share of the strongest one is none [-], squared.
 _UNSEEN = 1e-10
 
+#: A parameter that moves what is measured by less than this part of the strongest one does so by rounding.
+_ROUNDING = 1e-12
+
 #: A gain below this, in log det M or relative to tr(W C), is rounding.
 _LEAST_GAIN = 1e-7
 
@@ -87,7 +90,10 @@ class Basis:
             known: shape (p, p), information of poses that are measured already.
         """
         scale = np.sqrt(np.diag(mean_information))
-        scale = 1.0 / np.where(scale > 0.0, scale, 1.0)
+        # What moves nothing but for rounding is not scaled up: a target on an axis does not tell that joint's angle.
+        moves = scale > _ROUNDING * scale.max()
+        scale = 1.0 / np.where(moves, scale, 1.0)
+        mean_information = np.where(np.outer(moves, moves), mean_information, 0.0)
         values, vectors = np.linalg.eigh(mean_information * np.outer(scale, scale))
         seen = values > _UNSEEN * values[-1]
         directions = scale[:, None] * vectors[:, seen] / np.sqrt(values[seen])
@@ -203,7 +209,7 @@ def exchange(blocks: Array, basis: Basis, start: Indices) -> tuple[Indices, floa
         trial = [*chosen[:k], int(np.argmax(gain)), *chosen[k + 1 :]]
         cost = _cost(_information(blocks, basis, trial), basis)
         # By the cost, not the gain: without one of few poses little is known, and rounding would go in circles.
-        if cost < least - _LEAST_GAIN * (1.0 if basis.target is None else least):
+        if cost < least - _LEAST_GAIN * (1.0 if basis.target is None else abs(least)):
             chosen, least, unchanged = trial, cost, 0
         else:
             unchanged += 1

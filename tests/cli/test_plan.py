@@ -288,3 +288,18 @@ def test_a_plan_that_is_there_is_kept(call, shop: Path):
     done = call(shop, *SMALL, "-o", "plan.csv", "--force", "--quiet")
     assert (done.code, done.out, done.err) == (0, "", "")
     assert (shop / "plan.csv").read_text(encoding="utf-8").startswith("row,set,point,")
+
+
+def test_a_target_on_the_last_axis(call, shop: Path):
+    # What it does not tell must not stop the choice.
+    axis = (
+        "--target",
+        "0 0 60 mm",
+        "--tracker",
+        "2500 500 600 mm",
+        "--range",
+        "elbow_joint=-120..120 deg",
+    )
+    done = call(shop, *SMALL, *axis, "--ladder", "none")
+    assert (done.code, done.err) == (0, "")
+    assert "27 parameters, of which these poses tell 19 apart." in done.out

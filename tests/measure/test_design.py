@@ -367,3 +367,16 @@ def test_an_unknown_criterion_names_those_there_are():
     assert [check_criterion(name) for name in CRITERIA] == ["D", "A", "V"]
     with pytest.raises(ModelError, match=r"no criterion 'E'.*'D', 'A'.*'V'.*D makes the volume"):
         check_criterion("E")
+
+
+def test_a_column_of_rounding_is_no_direction():
+    # A target on the last axis moves by 1e-17 m with that joint's angle: scaled up, the choice went on for ever.
+    rng = np.random.default_rng(5)
+    A = rng.normal(size=(40, 3, 5))
+    A[:, :, 4] *= 1e-17
+    precision = np.array([0.0, 0.0, 0.0, 0.0, 4444.0])
+    basis = Basis.of(information(A) / 40, precision, np.eye(5), np.zeros((5, 5)))
+    assert len(basis) == 4
+    assert np.linalg.eigvalsh(basis.known).min() > 0.0
+    chosen = choose(basis.blocks(A), basis, 6, 0)
+    assert len(set(chosen.tolist())) == 6
