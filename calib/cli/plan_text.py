@@ -48,6 +48,7 @@ def plan_text(plan: Plan, asked_model: str, remarks: Iterable[str] = ()) -> str:
         [_what(plan), *_model(plan, asked_model)],
         [_candidates(plan)],
         list(_forecasts(plan)),
+        [_parameters(plan.forecast)],
         list(_ladder(plan)),
         [_travel(plan)],
         [f"Note: {note}" for note in (*remarks, *plan.notes, *_blocked(plan))],
@@ -126,6 +127,31 @@ def _model(plan: Plan, asked: str) -> Iterator[str]:
     )
     indices = ", ".join(f"{name} {value:.3g}" for name, value in f.indices.items())
     yield f"Observability indices: {indices} (in steps of 1 mm, 1 mrad)."
+
+
+def _parameters(forecast: Forecast) -> str:
+    """How well each parameter will be known, those that these poses tell by themselves."""
+    from calib.model.observability import SHOWN
+
+    known: dict[str, list[str]] = {}
+    for name, unit, std, alone in zip(
+        forecast.names,
+        forecast.units,
+        forecast.parameter_std,
+        forecast.identifiable,
+        strict=True,
+    ):
+        if alone:
+            scale, shown = SHOWN[unit]
+            known.setdefault(shown, []).append(f"{name} {scale * std:.2g}")
+    lists = "; ".join(f"in {unit}: {', '.join(values)}" for unit, values in known.items())
+    rest = len(forecast.names) - sum(map(bool, forecast.identifiable))
+    others = f" The other {rest} are known in combinations only." if rest else ""
+    if not lists:
+        return (
+            f"Of the parameters none is known by itself; the {rest} are known in combinations only."
+        )
+    return f"Expected standard deviation of the parameters {lists}.{others}"
 
 
 def _candidates(plan: Plan) -> str:

@@ -125,6 +125,8 @@ class Forecast:
         names: The parameters.
         units: Of each.
         parameter_std: shape (p,), expected standard deviation after the fit, in the units.
+        identifiable: shape (p,), which parameters these poses tell by themselves; the others are known in combinations
+            only, and their standard deviation is mostly their prior's.
         poses: Number of poses.
         rms: Expected rms error of a predicted position over the workspace [m].
         rms_low: Below it lies the rms of 5 % of calibrations [m].
@@ -144,6 +146,7 @@ class Forecast:
     names: tuple[str, ...]
     units: tuple[str, ...]
     parameter_std: Array
+    identifiable: NDArray[np.bool_]
     poses: int
     rms: float
     rms_low: float
@@ -186,6 +189,7 @@ def forecast(sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Foreca
         names=sensitivity.names,
         units=sensitivity.units,
         parameter_std=read_only(np.linalg.norm(root, axis=1)),
+        identifiable=seen.identifiable,
         poses=len(q),
         rms=float(np.sqrt(np.mean(variance))),
         rms_low=low,

@@ -265,8 +265,10 @@ def forecast_table(forecast: Forecast) -> dict[str, Any]:
         "efficiency": forecast.efficiency,
         "indices": dict(forecast.indices),
         "parameters": [
-            {"name": name, "unit": unit, "std": std}
-            for name, unit, std in zip(forecast.names, forecast.units, stds, strict=True)
+            {"name": name, "unit": unit, "std": std, "identifiable": alone}
+            for name, unit, std, alone in zip(
+                forecast.names, forecast.units, stds, forecast.identifiable.tolist(), strict=True
+            )
         ],
     }
 

@@ -303,3 +303,23 @@ def test_a_target_on_the_last_axis(call, shop: Path):
     done = call(shop, *SMALL, *axis, "--ladder", "none")
     assert (done.code, done.err) == (0, "")
     assert "27 parameters, of which these poses tell 19 apart." in done.out
+
+
+def test_every_parameter_that_is_known_by_itself_is_told(call, shop: Path):
+    done = call(shop, *SMALL, "--ladder", "none", "--json", "told.json")
+    assert (done.code, done.err) == (0, "")
+    found = re.search(
+        r"Expected standard deviation of the parameters (.*?)\. The other (\d+) are known in comb",
+        " ".join(done.out.split()),
+    )
+    assert found
+    parameters = json.loads((shop / "told.json").read_text())["forecast"]["parameters"]
+    alone = [p for p in parameters if p["identifiable"]]
+    assert int(found[2]) == len(parameters) - len(alone)
+    told = dict(
+        re.findall(
+            r"([\w.]+) ([\d.e-]+)(?:[,;]|$)",
+            found[1].replace("in mm: ", "").replace("in mrad: ", ""),
+        )
+    )
+    assert told == {p["name"]: f"{1e3 * p['std']:.2g}" for p in alone}

@@ -273,7 +273,7 @@ def test_the_forecast_as_json(planned, tmp_path):
     f = planned.forecast
     assert table["forecast"]["rms_m"] == f.rms
     assert table["forecast"]["parameters"][0] == {
-        "name": f.names[0], "unit": f.units[0], "std": f.parameter_std[0],
+        "name": f.names[0], "unit": f.units[0], "std": f.parameter_std[0], "identifiable": bool(f.identifiable[0]),
     }  # fmt: skip
     assert [step["planned"] for step in table["ladder"]] == [15, 20]
     assert table["ladder"][0]["rms_m"] == f.rms
