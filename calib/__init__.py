@@ -22,11 +22,15 @@ if TYPE_CHECKING:
     from calib.identify.plan import Plan, plan
     from calib.identify.study import Study, Trials, study
     from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
+    from calib.measure.axes import Survey, survey
     from calib.measure.cell import Cell, GroupDistance, Priors
     from calib.measure.measurements import Measurements
     from calib.measure.noise import TrackerNoise
+    from calib.measure.region import Region
     from calib.measure.scenario import Scenario
     from calib.measure.surroundings import Box, Reflector, Tracker
+    from calib.measure.sweeps import Sweeps, read_sweeps
+    from calib.measure.workspace import Density, sample_workspace
     from calib.model.robot import Robot
     from calib.model.torques import Payload
     from calib.show.pictures import show
@@ -38,6 +42,7 @@ __all__ = [
     "CalibError",
     "Calibration",
     "Cell",
+    "Density",
     "Evaluation",
     "GroupDistance",
     "Measurements",
@@ -45,9 +50,12 @@ __all__ = [
     "Plan",
     "Priors",
     "Reflector",
+    "Region",
     "Robot",
     "Scenario",
     "Study",
+    "Survey",
+    "Sweeps",
     "Tracker",
     "TrackerNoise",
     "Trials",
@@ -57,8 +65,11 @@ __all__ = [
     "forecast",
     "plan",
     "profile_interval",
+    "read_sweeps",
+    "sample_workspace",
     "show",
     "study",
+    "survey",
     "workspace_uncertainty",
 ]
 
@@ -67,6 +78,7 @@ _MODULES = {
     "CalibError": "calib.errors",
     "Calibration": "calib.identify.calibration",
     "Cell": "calib.measure.cell",
+    "Density": "calib.measure.workspace",
     "Evaluation": "calib.identify.evaluation",
     "GroupDistance": "calib.measure.cell",
     "Measurements": "calib.measure.measurements",
@@ -74,9 +86,12 @@ _MODULES = {
     "Plan": "calib.identify.plan",
     "Priors": "calib.measure.cell",
     "Reflector": "calib.measure.surroundings",
+    "Region": "calib.measure.region",
     "Robot": "calib.model.robot",
     "Scenario": "calib.measure.scenario",
     "Study": "calib.identify.study",
+    "Survey": "calib.measure.axes",
+    "Sweeps": "calib.measure.sweeps",
     "Tracker": "calib.measure.surroundings",
     "TrackerNoise": "calib.measure.noise",
     "Trials": "calib.identify.study",
@@ -86,7 +101,10 @@ _MODULES = {
     "forecast": "calib.identify.foresight",
     "plan": "calib.identify.plan",
     "profile_interval": "calib.identify.uncertainty",
+    "read_sweeps": "calib.measure.sweeps",
+    "sample_workspace": "calib.measure.workspace",
     "study": "calib.identify.study",
+    "survey": "calib.measure.axes",
     "workspace_uncertainty": "calib.identify.uncertainty",
 }
 

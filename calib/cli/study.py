@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from calib.identify.study import Study, Trials
 
 #: The result file's kind and version.
-SCHEMA = "calib-study/1"
+SCHEMA = "study 1"
 
 
 def check_alone(outputs: dict[str, Path | None]) -> None:

@@ -33,7 +33,7 @@ from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
-SCHEMA = "calib-plan/1"
+SCHEMA = "plan 1"
 
 #: Digits of degrees and millimetres: those that planned joint values have, and a tracker's last.
 _DIGITS = 3

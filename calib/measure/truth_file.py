@@ -27,7 +27,7 @@ from calib.model.torques import Payload
 
 Array = NDArray[np.float64]
 
-SCHEMA = "calib-truth/1"
+SCHEMA = "truth 1"
 
 _LARGEST_BYTES = 500_000_000
 

@@ -47,7 +47,7 @@ def test_a_study_says_what_calibrations_reach(simulate, shop: Path):
     assert not list(shop.glob("*truth*"))
 
     kept = json.loads((shop / "s.json").read_text(encoding="utf-8"))
-    assert kept["schema"] == "calib-study/1"
+    assert kept["schema"] == "study 1"
     assert [trial["seed"] for trial in kept["trials"]] == [0, 1, 2, 3]
     squares = [trial["rms_m"] ** 2 for trial in kept["trials"]]
     assert kept["rms_m"] == pytest.approx(math.sqrt(sum(squares) / 4), rel=1e-12)

@@ -269,7 +269,7 @@ def test_tables_from_which_nothing_is_taken(table, arm, lines, says):
 def test_the_forecast_as_json(planned, tmp_path):
     path = write_table(plan_table(planned), tmp_path / "plan.json")
     table = json.loads(path.read_text(encoding="utf-8"))
-    assert table["schema"] == SCHEMA == "calib-plan/1"
+    assert table["schema"] == SCHEMA == "plan 1"
     f = planned.forecast
     assert table["forecast"]["rms_m"] == f.rms
     assert table["forecast"]["parameters"][0] == {

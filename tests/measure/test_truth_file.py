@@ -125,7 +125,7 @@ def test_the_displacements_make_the_origins(ur3, path):
 
 def test_events_and_instrument(path, made):
     said = json.loads(path.read_text())
-    assert said["schema"] == SCHEMA == "calib-truth/1"
+    assert said["schema"] == SCHEMA == "truth 1"
     assert said["seed"] == 4
     events = said["events"]
     assert tuple(one["row"] for one in events["outliers"]) == made.outlier_rows
@@ -198,9 +198,9 @@ def test_another_robot_s_truth(ur3, panda, path):
     ("text", "said"),
     [
         ("{", "not a JSON file"),
-        ("[]", "its 'schema' is None; the truth of a simulated table has 'calib-truth/1'"),
+        ("[]", "its 'schema' is None; the truth of a simulated table has 'truth 1'"),
         ('{"schema": "calib-result/1"}', "its 'schema' is 'calib-result/1'"),
-        ('{"schema": "calib-truth/1"}', "incomplete or damaged .*Simulate it again"),
+        ('{"schema": "truth 1"}', "incomplete or damaged .*Simulate it again"),
     ],
 )
 def test_what_is_no_truth(ur3, tmp_path, text, said):
