@@ -22,7 +22,8 @@ from calib.identify.evaluation import Known
 from calib.identify.result import Calibration
 from calib.identify.result_tables import SCHEMA, evaluation_table, result_table
 from calib.identify.stored import StoredLarger, StoredResult
-from calib.model.files import read_bytes, write_atomically
+from calib.model.files import write_atomically
+from calib.model.json_file import read_json
 from calib.model.robot import read_only
 from calib.model.torques import Payload
 
@@ -65,19 +66,11 @@ def read_result(path: str | Path) -> StoredResult:
     Raises:
         FileError: It cannot be read, is no JSON, no result of calib, or of a newer schema.
     """
-    data = read_bytes(Path(path), "calibration result", _LARGEST_BYTES)
-    try:
-        table = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        message = f"{path}: this is not a JSON file: {error}"
-        raise FileError(message) from error
-    schema = table.get("schema") if isinstance(table, dict) else None
-    if schema != SCHEMA:
-        message = (
-            f"{path}: its 'schema' is {schema!r}; a result of calib {calib.__version__} has {SCHEMA}. Give the file "
-            "that 'calib fit --json' wrote, by the same version."
-        )
-        raise FileError(message)
+    expected = (
+        f"a result of calib {calib.__version__} has {SCHEMA}. Give the file that 'calib fit --json' wrote, by the same "
+        "version."
+    )
+    table = read_json(path, "calibration result", _LARGEST_BYTES, SCHEMA, expected)
     try:
         return _stored(table)
     except (KeyError, TypeError, ValueError, AttributeError, CalibError) as error:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 import calib
 from calib.errors import CalibError, FileError, choices
 from calib.measure.region import Region, checked_box
-from calib.model.files import read_bytes, write_atomically
+from calib.model.files import write_atomically
+from calib.model.json_file import read_json
 from calib.model.robot import Robot, read_only
 
 SCHEMA = "region 1"
@@ -132,19 +133,11 @@ class RegionFile:
         Raises:
             FileError: The file cannot be read, is no JSON, no region of calib, of another schema, or damaged.
         """
-        data = read_bytes(Path(path), "region", _LARGEST_BYTES)
-        try:
-            table = json.loads(data)
-        except (ValueError, RecursionError) as error:
-            message = f"{path}: this is not a JSON file: {error}"
-            raise FileError(message) from error
-        schema = table.get("schema") if isinstance(table, dict) else None
-        if schema != SCHEMA:
-            message = (
-                f"{path}: its 'schema' is {schema!r}; a region of calib {calib.__version__} has '{SCHEMA}'. Give the "
-                "file that 'calib workspace -o' wrote, by the same version."
-            )
-            raise FileError(message)
+        expected = (
+            f"a region of calib {calib.__version__} has '{SCHEMA}'. Give the file that 'calib workspace -o' wrote, by "
+            "the same version."
+        )
+        table = read_json(path, "region", _LARGEST_BYTES, SCHEMA, expected)
         try:
             return _parsed(table)
         except (CalibError, _DamagedError) as error:

@@ -20,7 +20,8 @@ from calib.measure.cell_parts import vector
 from calib.measure.simulation import Simulated, VirtualCell
 from calib.measure.truth import Truth
 from calib.model.error_model import error_model
-from calib.model.files import read_bytes, write_atomically
+from calib.model.files import write_atomically
+from calib.model.json_file import read_json
 from calib.model.readback import check_written, random_joint_values
 from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload
@@ -103,19 +104,8 @@ def read_truth(path: str | Path, robot: Robot) -> Truth:
         FileError: It cannot be read, is no JSON, no truth of calib, or damaged.
         CalibError: It is the truth of another robot.
     """
-    data = read_bytes(path, "truth", _LARGEST_BYTES)
-    try:
-        table = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        message = f"{path}: this is not a JSON file: {error}"
-        raise FileError(message) from error
-    schema = table.get("schema") if isinstance(table, dict) else None
-    if schema != SCHEMA:
-        message = (
-            f"{path}: its 'schema' is {schema!r}; the truth of a simulated table has {SCHEMA!r}. Give the file that "
-            "'calib simulate --truth' wrote."
-        )
-        raise FileError(message)
+    expected = f"the truth of a simulated table has {SCHEMA!r}. Give the file that 'calib simulate --truth' wrote."
+    table = read_json(path, "truth", _LARGEST_BYTES, SCHEMA, expected)
     damage = (KeyError, TypeError, ValueError, AttributeError, CalibError)
     try:
         other = _another_robot(table["robot"], robot)

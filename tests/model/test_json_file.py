@@ -1,0 +1,42 @@
+"""JSON files say what they are."""
+
+import pytest
+
+from calib.errors import FileError
+from calib.model.json_file import read_json
+
+
+def read(path, schema="thing 1"):
+    return read_json(path, "thing", 1000, schema, "a thing has 'thing 1'. Give a thing.")
+
+
+def test_a_table_of_the_schema(tmp_path):
+    path = tmp_path / "t.json"
+    path.write_text('{"schema": "thing 1", "value": 2}')
+    assert read(path) == {"schema": "thing 1", "value": 2}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "this is not a JSON file"),
+        ("[" * 900, "this is not a JSON file"),
+        ("\x00\xff", "this is not a JSON file"),
+        ("[1]", "its 'schema' is None; a thing has 'thing 1'. Give a thing."),
+        ('{"schema": 2}', "its 'schema' is 2; a thing has 'thing 1'."),
+        ('{"schema": "thing 1"' + " " * 1000 + "}", "larger than 1,000 bytes"),
+    ],
+)
+def test_what_is_none_is_refused(tmp_path, text, said):
+    path = tmp_path / "t.json"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(FileError, match=r"t\.json") as raised:
+        read(path)
+    assert said in str(raised.value)
+
+
+def test_a_list_is_none_whatever_schema_is_wanted(tmp_path):
+    path = tmp_path / "t.json"
+    path.write_text("[1]")
+    with pytest.raises(FileError, match="its 'schema' is None"):
+        read(path, schema=None)
