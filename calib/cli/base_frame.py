@@ -181,12 +181,12 @@ def _read(
     words: Iterable[str] | None,
 ) -> Sweeps:
     """The sweeps of a table, of a list of points, or of both."""
-    from calib.cli.words import parse_columns
-    from calib.measure.sweep_words import check_words, parse_words
+    from calib.cli.words import parse_columns, parse_sweeps
+    from calib.measure.sweep_words import check_words
     from calib.measure.sweeps import read_sweeps
 
     names = None if robot is None else robot.joint_names
-    called = parse_words(words or [])
+    called = parse_sweeps(words or [])
     check_words(called, names or (), "--sweep")
     return read_sweeps(data, names, parse_columns(columns or []), points, points_unit, called)
 

@@ -145,14 +145,34 @@ def parse_columns(pairs: Iterable[str]) -> dict[str, str]:
     Raises:
         CalibError: A pair without an equals sign, or a name twice.
     """
+    wanted = (
+        "'name in the table=name in the URDF', with a unit in brackets behind it if the table has none, and each name "
+        "once"
+    )
+    return _mapping(pairs, "--columns", wanted)
+
+
+def parse_sweeps(pairs: Iterable[str]) -> dict[str, str]:
+    """``--sweep "ring_a=joint 1"`` as a mapping from the file's names of sweeps to what they are.
+
+    Raises:
+        CalibError: A pair without an equals sign, or a name twice.
+    """
+    wanted = "'name in the file=sweep', such as 'ring_a=joint 1', and each name once"
+    return _mapping(pairs, "--sweep", wanted)
+
+
+def _mapping(pairs: Iterable[str], option: str, wanted: str) -> dict[str, str]:
+    """Pairs with an equals sign between as a mapping.
+
+    Raises:
+        CalibError: A pair without an equals sign, or a name twice.
+    """
     mapping: dict[str, str] = {}
     for pair in pairs:
-        name, equals, wanted = (part.strip() for part in pair.partition("="))
-        if not (name and equals and wanted) or name in mapping:
-            message = (
-                f"--columns was given '{pair}'; it must be 'name in the table=name in the URDF', with a unit in "
-                "brackets behind it if the table has none, and each name once."
-            )
+        name, equals, value = (part.strip() for part in pair.partition("="))
+        if not (name and equals and value) or name in mapping:
+            message = f"{option} was given '{pair}'; it must be {wanted}."
             raise CalibError(message)
-        mapping[name] = wanted
+        mapping[name] = value
     return mapping

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from calib.errors import MeasurementError, choices
@@ -74,22 +74,3 @@ def check_words(words: Mapping[str, str], joint_names: Sequence[str], what: str)
     for word, wanted in words.items():
         if spelled.number(wanted) is None:
             raise MeasurementError(spelled.refusal(f"{what} maps '{word}'", wanted))
-
-
-def parse_words(pairs: Iterable[str]) -> dict[str, str]:
-    """``--sweep "ring_a=joint 1"``, perhaps several, as a mapping.
-
-    Raises:
-        MeasurementError: A pair without an equals sign, or a word twice.
-    """
-    result: dict[str, str] = {}
-    for pair in pairs:
-        word, equals, wanted = (part.strip() for part in pair.partition("="))
-        if not (word and equals and wanted) or word in result:
-            message = (
-                f"--sweep was given '{pair}'; it must be 'name in the file=sweep', such as 'ring_a=joint 1', and each "
-                "name once."
-            )
-            raise MeasurementError(message)
-        result[word] = wanted
-    return result

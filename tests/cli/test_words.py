@@ -12,7 +12,14 @@ import pytest
 
 from calib.cli.options import Kind, PriorSizes, Repeats
 from calib.cli.setup import load, load_with_data, read_cell
-from calib.cli.words import check_model, parse_frame, parse_held, parse_payload, parse_point
+from calib.cli.words import (
+    check_model,
+    parse_frame,
+    parse_held,
+    parse_payload,
+    parse_point,
+    parse_sweeps,
+)
 from calib.errors import CalibError
 from calib.measure.cell import DIRECTIONS, PRIOR_SIZES, REPEATS, Cell
 from calib.measure.kinds import KINDS
@@ -181,3 +188,10 @@ def test_held_joints_are_not_columns():
     arm = load("panda", Cell(tip="panda_hand", held={"panda_joint3": 0.5}))
     assert "panda_joint3" not in arm.joint_names
     assert arm.held == {"panda_joint3": 0.5}
+
+
+def test_sweeps():
+    assert parse_sweeps(["ring a = joint 1", "p=plane"]) == {"ring a": "joint 1", "p": "plane"}
+    for wrong in (["ring"], ["=1"], ["a="], ["a=1", "a=2"]):
+        with pytest.raises(CalibError, match=r"^--sweep was given '.*'; it must be 'name in the"):
+            parse_sweeps(wrong)

@@ -3,7 +3,7 @@
 import pytest
 
 from calib.errors import MeasurementError
-from calib.measure.sweep_words import PLANE_NUMBER, SweepWords, check_words, parse_words
+from calib.measure.sweep_words import PLANE_NUMBER, SweepWords, check_words
 
 NAMES = ("shoulder_pan_joint", "shoulder_lift_joint")
 
@@ -49,12 +49,6 @@ def test_a_refusal_names_what_is_allowed_and_what_is_close():
 
 
 def test_mappings():
-    assert parse_words(["ring a = joint 1", "p=plane"]) == {"ring a": "joint 1", "p": "plane"}
     check_words({"ring a": "2", "p": "plane"}, NAMES, "--sweep")
-    for wrong in (["ring"], ["=1"], ["a=1", "a=2"]):
-        with pytest.raises(
-            MeasurementError, match=r"^--sweep was given '.*'; it must be 'name in the"
-        ):
-            parse_words(wrong)
     with pytest.raises(MeasurementError, match=r"^--sweep maps 'a': 'joint 7' is not a sweep"):
         check_words({"a": "joint 7"}, NAMES, "--sweep")
