@@ -247,7 +247,6 @@ def _frame_text(frame: BaseFrame, sweeps: Sweeps, robot: Robot | None) -> list[s
     """The frame and how well it is known."""
     import numpy as np
     import pinocchio as pin
-    from scipy.stats import t as student
 
     from calib.measure.carrying import REACH_M
 
@@ -258,7 +257,6 @@ def _frame_text(frame: BaseFrame, sweeps: Sweeps, robot: Robot | None) -> list[s
         else f"the link '{robot.base}' of {robot.name}"
     )
     rpy = np.degrees(pin.rpy.matrixToRpy(T[:3, :3]))
-    limit = float(student.ppf(0.975, frame.dof)) if np.isfinite(frame.dof) else 1.96
     units = (*(("mm",) * 3), *(("mrad",) * 3))
     names = ("x", "y", "z", "about x", "about y", "about z")
     far = frame.std_at(REACH_M * np.vstack([np.eye(3), -np.eye(3)]))
@@ -270,8 +268,8 @@ def _frame_text(frame: BaseFrame, sweeps: Sweeps, robot: Robot | None) -> list[s
         "",
         f"{'Along and about the axes of the base':<40}{'std':>10}{'95 % within':>14}",
         *(
-            f"  {name:<38}{1e3 * s:>10.4f}{f'+-{1e3 * limit * s:.4f}':>14} {unit}"
-            for name, unit, s in zip(names, units, frame.std, strict=True)
+            f"  {name:<38}{1e3 * s:>10.4f}{f'+-{1e3 * w:.4f}':>14} {unit}"
+            for name, unit, s, w in zip(names, units, frame.std, frame.within(0.95), strict=True)
         ),
         f"A point {1e3 * REACH_M:.0f} mm from the origin is known to "
         f"{1e3 * np.sqrt((far**2).sum(axis=1)).max():.3f} mm through the frame (std, worst direction).",

@@ -4,6 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.stats import chi2
+from scipy.stats import f as fisher
+from scipy.stats import t as student
 
 from calib.errors import CalibError
 from calib.measure.base_frame import (
@@ -37,10 +39,11 @@ def figures(
     second: tuple[float, float, float] = (0.0, 1.0, 0.2),
     rng: np.random.Generator | None = None,
     given: bool = False,
+    touched: int = 20,
 ) -> tuple[Plane, Circle, Circle]:
     """Plane, circle 1, circle 2 in the tracker's frame; axis 2 is not quite square to axis 1."""
     sets = [
-        DISC,
+        DISC[:touched],
         ring([0, 0, 0.3], [0, 0, 1], arcs[0]),
         ring([0.1, 0.1, 0.15], list(second), arcs[1]),
     ]
@@ -115,6 +118,28 @@ def test_with_given_noise_the_region_is_that_of_chi_squared():
     frame = base_frame(*figures(given=True))
     assert frame.dof == np.inf
     assert frame.limit(0.9) == pytest.approx(chi2.ppf(0.9, 6))
+
+
+def test_a_plane_of_four_points_widens_the_region_as_its_one_degree_of_freedom_does():
+    rng = np.random.default_rng(3)
+    inside, within = [], []
+    for _ in range(300):
+        frame = base_frame(*figures(rng=rng, touched=4))
+        inside.append(frame.distance(T_TRUE) <= frame.limit())
+        within.append(np.abs(error(frame)) <= frame.within())
+    assert frame.dofs == (1.0, 74.0, 74.0)
+    # 6 F(6, dof) with the dof of the whole, 5.6, held 0.86 of them; +-t(dof) 0.74 along z.
+    assert 0.92 <= np.mean(inside) <= 0.985
+    assert np.all((np.mean(within, axis=0) > 0.91) & (np.mean(within, axis=0) < 0.99))
+
+
+def test_draws_agree_with_the_exact_quantiles_where_there_are_any():
+    C = np.diag([1e-8, 2e-8, 3e-8, 1e-9, 2e-9, 3e-9])
+    frame = BaseFrame(np.eye(4), C, (C, 0.0 * C, 0.0 * C), (17.0, 3.0, np.inf))
+    assert frame.limit(0.95) == pytest.approx(6.0 * fisher.ppf(0.95, 6, 17.0), rel=0.03)
+    assert frame.within(0.95) == pytest.approx(student.ppf(0.975, 17.0) * frame.std, rel=0.03)
+    given = BaseFrame(np.eye(4), C, (0.5 * C, 0.5 * C, 0.0 * C), (np.inf,) * 3)
+    assert given.within(0.95) == pytest.approx(1.959964 * given.std, rel=1e-5)
 
 
 def test_degrees_of_freedom():
