@@ -157,6 +157,7 @@ def turning_findings(name: str, turned: Turning | None) -> tuple[str, ...]:
     if turned.eccentricity_found:
         found.append(
             f"'{name}' is off by {1e3 * turned.eccentricity:.3f} mrad once per turn (standard deviation "
-            f"{1e3 * turned.eccentricity_std:.3f} mrad): an eccentric encoder (--model dh+eccentricity)."
+            f"{1e3 * turned.eccentricity_std:.3f} mrad): an eccentric encoder (--model dh+eccentricity), or a target "
+            "that moved on its link in the middle of the sweep."
         )
     return tuple(found)

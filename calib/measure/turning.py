@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from calib.errors import MeasurementError, choices
@@ -160,7 +161,8 @@ def turning(sweep: Sweep, circle: Circle) -> Turning | None:
         amplitude = float(np.hypot(x[2], x[3]))
         amplitude_std = float(np.sqrt(0.5 * np.trace(covariance[2:, 2:])))
         size = x[2:] @ np.linalg.solve(covariance[2:, 2:], x[2:])
-        found = bool(size > 2.0 * limit**2)
+        # Two numbers at once: an F of 2, whose tail is that of the gain's t.
+        found = bool(fisher.sf(0.5 * size, 2, freedom) < LEVEL / 2.0)
     return Turning(
         rms, gain, float(std[1]), amplitude, amplitude_std, abs(gain) > limit * std[1], found
     )

@@ -126,6 +126,18 @@ def test_a_once_per_turn_error():
     assert not found.eccentricity_found
 
 
+def test_a_once_per_turn_error_of_0_2_mrad_is_found_as_often_as_its_level_says():
+    # As two of the gain's t tests it had the level 5e-6 in place of 5e-4, and found 28 % of these.
+    q = np.radians(np.linspace(-135.0, 135.0, 40))
+    found = 0
+    for seed in range(100):
+        swept = sweep(q + 2e-4 * np.sin(q + 1.0), seed=seed)
+        swept = replace(swept, joints=np.column_stack([0 * q, q]))
+        turned = turning(swept, positive(swept, fit_circle(swept.points)))
+        found += turned is not None and turned.eccentricity_found
+    assert 50 <= found <= 85
+
+
 def test_without_values_there_is_nothing_to_compare():
     swept = sweep(np.linspace(0.0, 2.0, 20), values=False)
     assert turning(swept, fit_circle(swept.points)) is None
