@@ -114,3 +114,22 @@ def test_what_poses_are_worth_is_what_the_planning_study_prints():
     page = (ROOT / "docs" / "planning.md").read_text(encoding="utf-8")
     table = dict(re.findall(r"^\| ([^|]+?) \| ([\d.]+) \|$", page, flags=re.MULTILINE))
     assert list(table.values())[:4] == list(printed.values())
+
+
+@pytest.mark.parametrize("page", ["planning.md", "simulation.md"])
+def test_the_python_of_the_measuring_stage_runs(page, capsys):
+    import calib
+
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    robot = calib.Robot.load(ROOT / "urdf" / "ur3.urdf", base="base", tip="tool0")
+    names = {"calib": calib, "robot": robot}
+    for code in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
+        exec(compile(code, page, "exec"), names)
+    assert capsys.readouterr().out
+    if page == "planning.md":
+        assert names["five"].forecast.rms < names["planned"].forecast.rms
+        # Over the joint ranges as the plan's, but for the margin and other poses.
+        assert names["foreseen"].rms == pytest.approx(names["planned"].forecast.rms, rel=0.05)
+    else:
+        assert names["found"].rms < 1e-4
+        assert names["error"].shape == (1000, 3)
