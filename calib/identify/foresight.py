@@ -172,8 +172,31 @@ class Outlook:
             rows = self._rows(samples, np.repeat(self._noise(chunk), len(self.setup.targets)))
             rows = as_predicted(rows, poses)
             slopes = rows.derivative(poses, twists) / rows.scales[:, :, None]
+            slopes = slopes.reshape(len(chunk), len(self.setup.targets), -1, len(x))
+            slopes = self._shared_out(slopes, self._noise(chunk))
             parts.append(slopes.reshape(len(chunk), -1, len(x)))
         return np.concatenate(parts)
+
+    def _shared_out(self, slopes: Array, noise: Array) -> Array:
+        """The same where targets of one stop share the robot's repeatability r, shapes (n, targets, width, p), (n,).
+
+        Of k targets with the noise s each, the mean has the variance s^2 / k (1 + (k - 1) rho), rho = r^2 / s^2. What
+        they say of each other is exacter than s; a fit, to which rows are independent, makes no use of that.
+        """
+        k = slopes.shape[1]
+        if k == 1 or self.kind not in ("point", "pose") or self.cell.sigma is not None:
+            return slopes
+        rho = (self._instrument.repeatability / noise) ** 2
+        shared = slopes[:, :, :3].mean(axis=1, keepdims=True)
+        less = 1.0 - 1.0 / np.sqrt(1.0 + (k - 1) * rho)
+        result: Array = slopes.copy()
+        result[:, :, :3] -= less[:, None, None, None] * shared
+        return result
+
+    @property
+    def _instrument(self) -> TrackerNoise:
+        """The noise of the cell's tracker, or of a usual one."""
+        return TrackerNoise() if self.cell.tracker is None else self.cell.tracker.noise
 
     def _located(self, q: Array) -> Array:
         """The derivative of the targets' predicted positions, shape (n, 3 k, p).
@@ -189,12 +212,14 @@ class Outlook:
         return slopes.reshape(len(q), -1, len(x))
 
     def _noise(self, q: Array) -> Array:
-        """Standard deviation of one coordinate at poses, shape (n,), [m]."""
+        """Standard deviation of one coordinate, or of the length from the anchor, at poses, shape (n,), [m]."""
         if self.cell.sigma is not None:
             return np.full(len(q), self.cell.sigma)
         tracker = self.cell.tracker
+        if self.kind == "distance":
+            return np.asarray(self._instrument.std(np.linalg.norm(self.expected(q)[:, 0], axis=1)))
         if tracker is None:
-            return np.full(len(q), TrackerNoise().std(_USUAL_DISTANCE))
+            return np.full(len(q), self._instrument.std(_USUAL_DISTANCE))
         poses = self.robot.poses(q) @ self.setup.T_tip_target[0]
         return np.asarray(
             tracker.noise.std(np.linalg.norm(poses[:, :3, 3] - tracker.position, axis=1))

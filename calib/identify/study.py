@@ -18,6 +18,7 @@ from scipy.stats import f as f_distribution
 
 from calib.errors import CalibError, ModelError
 from calib.identify.calibration import Calibration, calibrate
+from calib.identify.fitting import Fitted
 from calib.identify.foresight import Outlook
 from calib.identify.spread import without_rigid_motion
 from calib.measure.candidates import draw, planning_ranges
@@ -26,9 +27,10 @@ from calib.measure.forecast import Forecast, Workspace
 from calib.measure.forecast import forecast as forecast_of
 from calib.measure.kinds import LENGTHS
 from calib.measure.planning import choose_poses
-from calib.measure.scenario import Scenario
+from calib.measure.scenario import DEFAULT_TRACKER, Scenario
 from calib.measure.simulation import Simulated, VirtualCell
 from calib.measure.surroundings import Tracker
+from calib.model.robot import rigid_inverse
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -39,9 +41,6 @@ _VERIFY_SEED = 19790401
 
 #: Candidates that each trial's plan is chosen from: it is made anew each time.
 PLAN_CANDIDATES = 2000
-
-#: Distance of a tracker that stands somewhere [m].
-_USUAL_DISTANCE = 3.0
 
 #: What of a stated region should hold the truth.
 _LEVEL = 0.95
@@ -87,8 +86,8 @@ class Trial:
         rms: Error of what the calibrated robot predicts there [m].
         max: The largest [m].
         stated_rms: What the fit itself says of its error there [m].
-        covered: Share of these positions inside the 95 % ellipsoid that the fit states; NaN of lengths.
-        sigma: Noise that the fit found [m].
+        covered: Share of these positions inside the 95 % ellipsoid that the fit states.
+        sigma: Noise that the fit found, with the larger model where there is one [m].
         model: The parameter set that was fitted.
         verdict: The verdict's word; "" without one.
         outliers: How many rows are outliers in truth.
@@ -240,7 +239,7 @@ def _verified(
     else:
         error = predicted - true
     length = np.linalg.norm(error, axis=1)
-    stated = result.position_std(q)
+    stated = _stated(trials, result, q, predicted)
     outliers = set(simulated.outlier_rows)
     named = {outlier.row for outlier in result.outliers}
     larger = result.larger
@@ -249,9 +248,9 @@ def _verified(
         nominal_rms=float(np.sqrt(np.mean(truth.nominal_errors(q) ** 2))),
         rms=float(np.sqrt(np.mean(length**2))),
         max=float(np.max(length)),
-        stated_rms=float(np.sqrt(np.mean(stated**2))),
-        covered=_covered(trials, result, q, error),
-        sigma=result.sigma,
+        stated_rms=float(np.sqrt(np.mean(np.trace(stated, axis1=1, axis2=2)))),
+        covered=_covered(result, stated, error),
+        sigma=_sigma(result),
         model=result.model.name if larger is None else larger.name,
         verdict="" if result.verdict is None else result.verdict.use,
         outliers=len(outliers),
@@ -260,17 +259,33 @@ def _verified(
     )
 
 
-def _covered(trials: Trials, result: Calibration, q: Array, error: Array) -> float:
-    """The share of positions whose error lies inside the ellipsoid that the fit states; NaN of lengths."""
-    if trials.scenario.kind in LENGTHS:
-        return float("nan")
-    fitted = result.fitted if result.larger is None else result.larger.fitted
+def _stated(trials: Trials, result: Calibration, q: Array, predicted: Array) -> Array:
+    """The covariances that the fit states for the predicted positions, shape (N, 3, 3), [m^2]."""
+    fitted = _last(result)
     estimate = fitted.estimate
     _, J = fitted.kinematics.points_jacobian(estimate.x, result.samples(q))
-    spread = J @ estimate.covariance @ J.transpose(0, 2, 1)
-    square = np.sum(error * np.linalg.solve(spread, error[:, :, None])[:, :, 0], axis=1)
-    limit = 3.0 * f_distribution.ppf(_LEVEL, 3, max(estimate.freedom, 1.0))
+    if trials.scenario.kind in LENGTHS:
+        J = without_rigid_motion(predicted, J)
+    return np.asarray(J @ estimate.covariance @ J.transpose(0, 2, 1))
+
+
+def _covered(result: Calibration, stated: Array, error: Array) -> float:
+    """The share of positions whose error lies inside the ellipsoid that the fit states."""
+    square = np.sum(error * np.linalg.solve(stated, error[:, :, None])[:, :, 0], axis=1)
+    limit = 3.0 * f_distribution.ppf(_LEVEL, 3, max(_last(result).estimate.freedom, 1.0))
     return float(np.mean(square <= limit))
+
+
+def _sigma(result: Calibration) -> float:
+    """The noise of one length that the fit found, of the larger model where there is one [m]; NaN without lengths."""
+    problem = _last(result).estimate.problem
+    lengths = problem.scales[:, :3][problem.rows.used[:, :3]]
+    return float(np.median(lengths)) if lengths.size else float("nan")
+
+
+def _last(result: Calibration) -> Fitted:
+    """The fit that `Calibration.predict` answers from."""
+    return result.fitted if result.larger is None else result.larger.fitted
 
 
 def _poses(trials: Trials, seed: int) -> tuple[Array, tuple[str, ...]]:
@@ -310,10 +325,14 @@ def _forecast(trials: Trials, seed: int) -> Forecast | None:
     scenario, cell = trials.scenario, trials.cell
     if scenario.noise is None:
         return None
-    if scenario.tracker is None:
-        cell = replace(cell, sigma=scenario.noise.std(_USUAL_DISTANCE))
-    else:
-        cell = replace(cell, sigma=None, tracker=Tracker(scenario.tracker, noise=scenario.noise))
+    # Not what the fit is told, but what there is.
+    place = _tracker_place(scenario)
+    cell = replace(
+        cell,
+        sigma=None,
+        sigma_angle=scenario.sigma_angle or cell.sigma_angle,
+        tracker=Tracker(place, noise=scenario.noise),
+    )
     try:
         sensitivity = Outlook.of(scenario.robot, cell).sensitivity
     except ModelError:
@@ -323,6 +342,17 @@ def _forecast(trials: Trials, seed: int) -> Forecast | None:
     return forecast_of(
         sensitivity, Workspace.of(sensitivity, verification_poses(scenario)), visited
     )
+
+
+def _tracker_place(scenario: Scenario) -> Array:
+    """Where the instrument stands in the base, shape (3,) [m]; where nothing says so, at a usual distance."""
+    cell = scenario.cell
+    T_frame_base = next(iter(cell.frames.values()), cell.T_frame_base)
+    if scenario.tracker is not None:
+        return scenario.tracker
+    if T_frame_base is not None:
+        return np.asarray(rigid_inverse(T_frame_base)[:3, 3])
+    return DEFAULT_TRACKER
 
 
 def _results(

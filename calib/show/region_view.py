@@ -13,7 +13,7 @@ from pathlib import Path
 import meshcat
 import numpy as np
 from meshcat import geometry as mc
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from calib.errors import ModelError
 from calib.measure.region import Region
@@ -21,9 +21,10 @@ from calib.measure.workspace import Density
 from calib.model.robot import Robot, read_only
 from calib.show.bodies import Body, bodies, link_poses
 from calib.show.camera import Camera, look_at, row_direction
+from calib.show.marks import cloud, draw_bodies, draw_points
 from calib.show.page import COLOURS, SCENE, escaped, filled_page, grid_text, key, round_length
 from calib.show.region_pictures import ESTIMATION, SELDOM_TO_OFTEN, VALIDATION, Marked
-from calib.show.stage import Page, draw_stage, mesh_geometry, translation, upright_pose
+from calib.show.stage import Page, draw_stage, translation, upright_pose
 from calib.show.visuals import read_visuals
 from calib.show.window import SceneWindow, without_shadow
 
@@ -162,13 +163,7 @@ class _Layout:
 
 def _draw_robot(scene: meshcat.Visualizer, view: RegionView, layout: _Layout) -> None:
     """The nominal robot with its target."""
-    material = mc.MeshPhongMaterial(
-        color=_number(COLOURS["nominal"]), shininess=35, specular=0x2A2A2A, side=2
-    )
-    for i, body in enumerate(layout.parts):
-        shape, T_shape_mesh = mesh_geometry(body.shape)
-        scene[f"{i:03d}"].set_object(shape, material)
-        scene[f"{i:03d}"].set_transform(body.T_base_shape @ T_shape_mesh)
+    material = draw_bodies(scene, layout.parts, COLOURS["nominal"])
     if np.any(view.target):
         scene["target"].set_object(mc.Sphere(_BALL * layout.size), material)
         scene["target"].set_transform(translation(layout.target))
@@ -202,7 +197,7 @@ def _draw_voxels(scene: meshcat.Visualizer, view: RegionView) -> list[str]:
         if not len(points):
             continue
         node = scene[f"band{i}"]
-        node.set_object(_cloud(points, colour, edge))
+        node.set_object(cloud(points, colour, edge))
         without_shadow(node)
         words = f"the densest {100 * end:.3g} %" if i == 0 else f"up to {100 * end:.3g} %"
         keys.append(key(words, colour, f"band{i}"))
@@ -223,19 +218,7 @@ def _draw_rows(scene: meshcat.Visualizer, view: RegionView, size: float) -> list
         points = points[np.linalg.norm(points, axis=1) < 5.0 * size]
         if not len(points):
             continue
-        node = scene[word]
-        if len(points) <= 300:
-            ball, material = (
-                mc.Sphere(_SMALL_BALL * size),
-                mc.MeshPhongMaterial(color=_number(colour)),
-            )
-            for i, point in enumerate(points):
-                node[f"{i:03d}"].set_object(ball, material)
-                without_shadow(node[f"{i:03d}"])
-                node[f"{i:03d}"].set_transform(translation(point))
-        else:
-            node["dots"].set_object(_cloud(points, colour, 1.2 * _SMALL_BALL * size))
-            without_shadow(node["dots"])
+        draw_points(scene[word], points, colour, _SMALL_BALL * size)
         keys.append(key(f"{word} rows", colour, word, "dot"))
     return keys
 
@@ -244,15 +227,3 @@ def _centres(density: Density, cells: NDArray[np.bool_]) -> Array:
     """Centres of voxels, shape (K, 3), [m]."""
     result: Array = density.origin + density.voxel * (np.argwhere(cells) + 0.5)
     return result
-
-
-def _cloud(points: ArrayLike, colour: str, edge: float) -> mc.Object:
-    """Points of one colour."""
-    at = np.asarray(points, dtype=np.float32).T
-    rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)], dtype=np.float32) / 255
-    return mc.PointCloud(at, np.repeat(rgb[:, None], at.shape[1], axis=1), size=edge)
-
-
-def _number(colour: str) -> int:
-    """A colour as meshcat takes it."""
-    return int(colour[1:], 16)
