@@ -174,6 +174,13 @@ def plan(
     json: Annotated[
         Path | None, typer.Option("--json", help="Write plan and forecast as JSON.")
     ] = None,
+    view: Annotated[
+        Path | None,
+        typer.Option(
+            "--view",
+            help="Write a page that shows robot, targets and what stands around, to open in a browser.",
+        ),
+    ] = None,
     force: Force = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -188,7 +195,7 @@ def plan(
         from calib.measure.plan_file import read_taken
 
         inputs: list[str | Path] = [robot, *(path for path in (cell, region, taken) if path)]
-        check_outputs([output, json], inputs, force=force)
+        check_outputs([output, json, view], inputs, force=force)
         rungs = words.parse_ladder(ladder)
         gap, clear = parse_angle(margin, "--margin", "5 deg"), parse_size(clearance, "--clearance")
         setup = read_cell(
@@ -239,14 +246,14 @@ def plan(
                 seed=seed,
                 progress=progress,
             )
-        _write(made, output, json, before, force=force)
+        _write(made, output, json, view, before, force=force)
         if quiet:
             return
         from calib.cli.plan_text import expected_text, plan_text, taken_text
 
         said = (*taken_text(before, taken), *remarks, *expected_text(setup, arm.base))
         typer.echo(plan_text(made, setup.model, said) + "\n")
-        for path in (output, json):
+        for path in (output, json, view):
             if path is not None:
                 typer.echo(f"Written: {path}")
         options = {
@@ -263,7 +270,13 @@ def plan(
 
 
 def _write(
-    made: Plan, output: Path | None, json: Path | None, before: Taken | None, *, force: bool
+    made: Plan,
+    output: Path | None,
+    json: Path | None,
+    view: Path | None,
+    before: Taken | None,
+    *,
+    force: bool,
 ) -> None:
     """Write the files asked for; rows go on behind those that were taken."""
     from calib.measure.plan_file import plan_table, write_plan
@@ -275,6 +288,10 @@ def _write(
         from calib.identify.result_file import write_table
 
         write_table(plan_table(made), json, overwrite=force)
+    if view is not None:
+        from calib.show.plan_view import write_plan_view
+
+        write_plan_view(made, view, overwrite=force)
 
 
 def _options(said: dict[str, str | None], held: list[str]) -> list[str]:

@@ -130,10 +130,12 @@ def plan(
     joints = way.joints
     return Plan(
         robot=robot,
+        cell=cell,
         joints=read_only(joints),
         sets=tuple(sets[i] for i in way.tour.indices),
         taken=measured,
         targets=outlook.setup.targets,
+        T_tip_target=outlook.setup.T_tip_target,
         expected=read_only(outlook.expected(joints)),
         criterion=criterion,
         model=outlook.kinematics.model.name,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calib.errors import ModelError
 from calib.measure.candidates import Pool
+from calib.measure.cell import Cell
 from calib.measure.design import (
     RESTARTS,
     Basis,
@@ -49,10 +50,12 @@ class Plan:
 
     Attributes:
         robot: The robot.
+        cell: What was planned for.
         joints: shape (K, m), [rad] or [m], whole steps of 0.001 deg or mm.
         sets: ``"estimate"`` or ``"validate"`` for each pose.
         taken: shape (T, m), poses that were measured already.
         targets: The targets measured at every pose.
+        T_tip_target: shape (targets, 4, 4), where they sit in the tip [m].
         expected: shape (K, targets, 3), where the nominal robot puts each target, in the measurement frame if that is
             known, else in the base [m].
         criterion: ``"D"``, ``"A"`` or ``"V"``.
@@ -73,10 +76,12 @@ class Plan:
     """
 
     robot: Robot
+    cell: Cell
     joints: Array
     sets: tuple[str, ...]
     taken: Array
     targets: tuple[str, ...]
+    T_tip_target: Array
     expected: Array
     criterion: str
     model: str
@@ -92,6 +97,15 @@ class Plan:
     tour: Tour
     detours: tuple[Array | None, ...]
     notes: tuple[str, ...]
+
+    def places(self, q: Array) -> Array:
+        """Where the nominal robot puts each target in the base, shape (N, targets, 3), [m].
+
+        Args:
+            q: shape (N, m), joint values, [rad] or [m].
+        """
+        poses = self.robot.poses(q)[:, None] @ self.T_tip_target
+        return np.asarray(poses[:, :, :3, 3])
 
     @property
     def estimation(self) -> Array:
