@@ -103,6 +103,11 @@ class Outlook:
             notes.append(
                 "No target was given: planned for one that is 50, 70, 30 mm off the tip. --target says where yours is."
             )
+        if kind == "pose" and cell.sigma_angle is None:
+            notes.append(
+                f"The noise of an orientation was taken to be {1e3 * FIRST_SIGMA_ANGLE:g} mrad about each axis. "
+                "sigma_angle_deg in the cell says what yours is."
+            )
         model = model_of(Task(robot, cell, setup, planned_model(cell), lenient=cell.model == AUTO))
         model = targets_along_tip(along_own_axes(model, setup), setup)
         if cell.model != AUTO:

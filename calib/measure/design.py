@@ -14,8 +14,11 @@ E = A_x C W C A_x^T, adding x multiplies det M by det(I + G) and lessens tr(W C)
 are tried at once, and each pose of the design in turn is exchanged for the best until nothing gets better (V. Fedorov,
 1972; T. Mitchell's DETMAX, 1974, which adds and drops instead, ended 0.2 to 0.3 lower in log det M on a UR3).
 
-The yardstick: for N poses no design has a mean of the weighted variance tr(A_i C A_i^T), over any design measure's own
-support, below rank / N, and none a largest one below it (J. Kiefer, J. Wolfowitz, 1960).
+The yardstick is rank / N. Where nothing is known before, the weighted variance tr(A_i C A_i^T) has that mean over the N
+poses of the design itself, so that no design has a largest one below it (J. Kiefer, J. Wolfowitz, 1960); nor has any a
+mean below it over the poses that the best D-optimal design without end leans on. Over all candidates the mean may lie
+below, for those poses are the hardest to predict: a V-optimal design of 30 poses is at 0.84 to 1.01. What is known
+before (priors) lowers all three.
 """
 
 from __future__ import annotations

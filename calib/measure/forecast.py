@@ -163,7 +163,10 @@ class Forecast:
 
     @property
     def efficiency(self) -> float:
-        """Bound over mean variance, (rank / N) / mean: about 1 for the best choice of N poses."""
+        """(rank / N) / mean variance: about 1 for the best N poses, no bound, and more with tight priors.
+
+        See `calib.measure.design`: rank / N is a bound of the largest variance.
+        """
         return self.workspace_rank / self.poses / self.mean_variance
 
 

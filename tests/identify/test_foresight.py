@@ -279,6 +279,35 @@ def test_the_rank_of_two_targets_is_that_of_inspect_with_a_table(ur3, name):
         assert found.indices[index] == pytest.approx(value, rel=1e-4)
 
 
+def test_the_noise_of_orientations_is_told_where_it_was_assumed(ur3):
+    (note,) = Outlook.of(ur3, Cell(target=TARGET, kind="pose")).notes
+    assert note.startswith("The noise of an orientation was taken to be 1 mrad about each axis.")
+    assert Outlook.of(ur3, Cell(target=TARGET, kind="pose", sigma_angle=1e-4)).notes == ()
+
+
+def test_targets_of_one_stop_share_the_robots_repeatability(ur3):
+    noise = TrackerNoise(10e-6, 0.0, 40e-6)
+    tracker = Tracker(np.array([3.0, 0.0, 0.0]), noise=noise)
+    cell = Cell(targets={"one": TARGET, "two": TARGET, "three": TARGET}, model="dh")
+    q = random_joint_values(ur3, 4, seed=3)
+    shared = Outlook.of(ur3, replace(cell, tracker=tracker)).sensitivity.measured(q)
+    alone = Outlook.of(ur3, replace(cell, sigma=noise.std(3.0))).sensitivity.measured(q)
+    # Three targets at one place say of the robot what one row does whose noise is that of their mean.
+    robot = slice(0, 20)
+    square = (10e-6**2 / 3.0 + 40e-6**2) / (noise.std(3.0) ** 2 / 3.0)
+    assert alone[..., robot] / np.sqrt(square) == pytest.approx(shared[..., robot], rel=1e-9)
+
+
+def test_the_noise_of_a_distance_grows_from_the_anchor(ur3):
+    cell = Cell(target=TARGET, model="dh", kind="distance", T_frame_base=FRAME)
+    q = random_joint_values(ur3, 5, seed=3)
+    length = np.linalg.norm(Outlook.of(ur3, cell).expected(q)[:, 0], axis=1)
+    tracker = Tracker(np.array([9.0, 0.0, 0.0]), noise=TrackerNoise(10e-6, 5e-6, 0.0))
+    assert Outlook.of(ur3, cell).sensitivity.noise(q) == pytest.approx(TrackerNoise().std(length))
+    told = Outlook.of(ur3, replace(cell, tracker=tracker)).sensitivity.noise(q)
+    assert told == pytest.approx(10e-6 + 5e-6 * length)
+
+
 def test_auto_is_foreseen_as_the_largest_geometry(ur3):
     outlook = Outlook.of(ur3, Cell())
     assert outlook.sensitivity.model == "placement"
