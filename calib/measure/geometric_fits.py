@@ -8,7 +8,8 @@ and the fit is the minimum of the weighted sum of their squares, found by Levenb
 Under equal noise in x, y, z that is the maximum-likelihood fit (the points' places along the circle drop out). Its
 centre has no essential bias (A. Al-Sharadqah and N. Chernov, 2009), not on short arcs either: on 30 deg of a radius of
 0.3 m it is below a twentieth of the Kasa fit's, with noise from 0.03 to 1 mm (scripts/base_frame_study.py). Its radius
-is sigma^2 / 2 r too large, some nanometres.
+is sigma^2 / 2 r too large, some nanometres, and on short arcs by what a wrong tilt of its plane adds: 0.4 um of a
+standard deviation of 0.5 mm on 30 deg with noise of 33 um.
 
 A plane is the total least-squares one. Uncertainties are covariances of small displacements along the columns
 (u, v, normal) of the figure's own basis.

@@ -170,6 +170,21 @@ def test_several_targets_of_a_stop_share_the_robots_repeatability(ur3):
     assert found.forecast.rms == pytest.approx(found.rms, rel=0.12)
 
 
+def test_where_poses_are_random_the_forecast_is_of_those_in_the_middle(ur3):
+    what = trials(ur3, count=12)
+    found = study(what, 3).forecast
+    assert found is not None
+    assert found.rms == np.median([_of_one(what, seed) for seed in range(3)])
+
+
+def _of_one(what: Trials, seed: int) -> float:
+    """The forecast for one trial's random poses."""
+    q = what.scenario.random_poses(what.count, seed)
+    found = study(replace(what, poses=q, sets=("estimate",) * len(q)), 2).forecast
+    assert found is not None
+    return found.rms
+
+
 def test_the_noise_is_that_of_the_fit_that_answers(ur3):
     what = trials(ur3, model="dh+gain", count=30)
     found = study(what, 3)
