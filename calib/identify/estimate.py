@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.problem import Problem
+from calib.identify.repeats import repeats
 from calib.identify.robust import Limits
+from calib.identify.rows import POINT, POSE, Rows
 from calib.identify.solvers import Solution
 from calib.identify.stage import FEWEST_FREEDOM, Holds, Linear, Stage
 from calib.identify.variance import precision_of
@@ -223,8 +225,10 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     effective, holds = stage.effective, stage.holds
     _, of_least_squares, freedom = linear.fit(effective, stage.noise, stage.precision, holds.centre)
     wider = tuple(float(np.sqrt(spread)) * n for n in stage.noise)
-    _, covariance, _ = linear.fit(effective, wider, stage.precision, holds.centre)
     residual = linear.y - linear.A @ solution.x
+    # The estimate itself stays: weights that targets share would be less sharp where they lie to each other.
+    told = replace(linear, A=_shared_by_stops(problem.rows, linear, stage, residual, freedom))
+    _, covariance, _ = told.fit(effective, wider, stage.precision, holds.centre)
     own = np.where(holds.flat, 0.0, stage.precision)
     model = problem.kinematics.model
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
@@ -248,3 +252,40 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
         ),
         at_bound=tuple(k for k, _ in holds.fixed),
     )
+
+
+def _shared_by_stops(
+    rows: Rows, linear: Linear, stage: Stage, residual: Array, freedom: float
+) -> Array:
+    """The derivative as several targets of one stop let it be known, shape (N, D, p).
+
+    They share where the robot stopped beside where it should: with the correlation rho the mean of n rows has the
+    variance s^2 (1 + (n - 1) rho) / n, and so much less is known of what moves all of them alike. What they say of
+    each other counts as ever, though it is known better.
+    """
+    weights = stage.weights * np.isin(rows.kinds, (POINT, POSE))
+    alive = weights > 0.0
+    labels = np.column_stack([rows.blocks, rows.samples.frame])
+    stops = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
+    counts = np.bincount(stops, alive)
+    if len(np.unique(rows.samples.target[alive])) < 2 or np.max(counts) < 2:
+        return linear.A
+    paid = float(np.sum(stage.effective @ linear.used)) - freedom
+    found = repeats(
+        residual[:, :3] / linear.noise_of(stage.noise)[:, :3],
+        linear.used[:, :3],
+        stops,
+        weights,
+        fitted=max(paid, 0.0),
+    )
+    # Repeats have been shared out already.
+    w = np.where(alive, stage.effective, 0.0)
+    sums = np.maximum(np.bincount(stops, w), np.finfo(np.float64).tiny)
+    already = sums / np.maximum(np.bincount(stops, weights), np.finfo(np.float64).tiny)
+    wider = np.maximum((1.0 + np.maximum(counts - 1.0, 0.0) * found.rho) * already, 1.0)
+    mean = np.zeros((len(sums), 3, linear.A.shape[2]))
+    np.add.at(mean, stops, (w / sums[stops])[:, None, None] * linear.A[:, :3])
+    result: Array = linear.A.copy()
+    less = np.where(alive, 1.0 - 1.0 / np.sqrt(wider[stops]), 0.0)
+    result[:, :3] -= less[:, None, None] * mean[stops]
+    return result

@@ -166,8 +166,11 @@ def test_several_targets_of_a_stop_share_the_robots_repeatability(ur3):
     poses = scenario.random_poses(30, 7)
     found = study(Trials(scenario, cell, poses=poses, sets=("estimate",) * 30, validate=False), 30)
     assert found.forecast is not None
-    # As if they were measured at three stops, it was 0.70.
+    # As if they were measured at three stops, both were 0.70, and 72 % of positions inside the 95 % regions.
     assert found.forecast.rms == pytest.approx(found.rms, rel=0.12)
+    stated = np.sqrt(np.mean(found.values("stated_rms") ** 2))
+    assert stated == pytest.approx(found.rms, rel=0.12)
+    assert 0.92 < found.values("covered").mean() < 0.985
 
 
 def test_where_poses_are_random_the_forecast_is_of_those_in_the_middle(ur3):
