@@ -57,6 +57,32 @@ _SPELLINGS = {
 _HEADER = re.compile(r"(?P<name>.*?)\s*\[(?P<symbol>[^\[\]]*)\]", re.DOTALL)
 
 
+class Angle(float):
+    """A number that was given in a unit of angle [rad]: held against the joint that it is for, once that is known."""
+
+    __slots__ = ()
+
+
+class Length(float):
+    """A number that was given in a unit of length [m]."""
+
+    __slots__ = ()
+
+
+def unit_fault(value: float, *, slides: bool) -> str | None:
+    """What is wrong with the unit that a joint's value was given in; None if nothing is, or nothing is known of it.
+
+    Example:
+        >>> unit_fault(Length(0.01), slides=False)
+        'is a length, and the joint turns; give an angle, such as "30 deg"'
+    """
+    if slides and isinstance(value, Angle):
+        return 'is an angle, and the joint slides; give a length, such as "0.3 m"'
+    if not slides and isinstance(value, Length):
+        return 'is a length, and the joint turns; give an angle, such as "30 deg"'
+    return None
+
+
 def symbols(quantity: Quantity) -> tuple[str, ...]:
     """The symbols of the units of one quantity.
 

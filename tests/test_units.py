@@ -1,11 +1,21 @@
 import math
+import pickle
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import CalibError
-from calib.units import UNITS, find_unit, parse_header, split_header, symbols
+from calib.units import (
+    UNITS,
+    Angle,
+    Length,
+    find_unit,
+    parse_header,
+    split_header,
+    symbols,
+    unit_fault,
+)
 
 
 @pytest.mark.parametrize(
@@ -83,3 +93,18 @@ def test_parse_header():
 @given(st.text(alphabet="abcJ_0 .:/-", min_size=1).map(str.strip), st.sampled_from(list(UNITS)))
 def test_a_header_that_was_put_together_comes_apart(name, symbol):
     assert parse_header(f"{name} [{symbol}]") == (name, UNITS[symbol])
+
+
+def test_a_unit_is_held_against_the_joint():
+    assert unit_fault(Length(0.3), slides=True) is None
+    assert unit_fault(Angle(0.3), slides=False) is None
+    assert unit_fault(Angle(0.3), slides=True).startswith("is an angle, and the joint slides")
+    assert unit_fault(Length(0.3), slides=False).startswith("is a length, and the joint turns")
+    # Of a plain number nothing is known.
+    assert unit_fault(0.3, slides=True) is unit_fault(0.3, slides=False) is None
+
+
+def test_a_number_knows_its_unit_in_another_process_too():
+    there = pickle.loads(pickle.dumps({"lift": Length(0.3), "pan": Angle(1.0)}))
+    assert there == {"lift": 0.3, "pan": 1.0}
+    assert [type(value) for value in there.values()] == [Length, Angle]

@@ -203,6 +203,11 @@ def _places(cell: Cell) -> dict[str, Any]:
     }
 
 
+def _as_float(value: float) -> float:
+    """A float; one that knows its unit keeps it."""
+    return value if isinstance(value, float) else float(value)
+
+
 def _numbers(cell: Cell) -> dict[str, Any]:
     """Noise, kind, gravity, distances, repeats, held joints, boxes and ranges, checked."""
     for name, what, unit in (("sigma", "sigma", "m"), ("sigma_angle", "sigma of angles", "rad")):
@@ -240,7 +245,7 @@ def _numbers(cell: Cell) -> dict[str, Any]:
     return {
         "gravity": parts.vector(cell.gravity, "gravity", "m/s^2"),
         "distances": tuple(distances),
-        "held": MappingProxyType({name: float(value) for name, value in held.items()}),
+        "held": MappingProxyType({name: _as_float(value) for name, value in held.items()}),
         "boxes": checked_boxes(cell.boxes),
         "ranges": checked_ranges(cell.ranges),
     }

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.errors import CalibError
 from calib.measure.cell_parts import is_number
-from calib.units import UNITS, find_unit
+from calib.units import UNITS, Angle, Length, find_unit
 
 #: The quantities that a text can be, as a message says them.
 LENGTH, ANGLE, COMPLIANCE, NUMBER = "a length", "an angle", "a compliance", "a number"
@@ -59,6 +59,9 @@ def parse_joint_value(value: object, where: str) -> float:
         value: The text.
         where: Where it was given, for the message.
 
+    Returns:
+        An `Angle` or a `Length`: it is known later whether the joint turns or slides.
+
     Raises:
         CalibError: No number with a unit of length or angle.
     """
@@ -70,4 +73,4 @@ def parse_joint_value(value: object, where: str) -> float:
     if kind not in (LENGTH, ANGLE):
         message = f'{where} is {value!r}; a joint\'s value needs a unit of angle or length: "30 deg" or "0.3 m".'
         raise CalibError(message)
-    return number
+    return Length(number) if kind == LENGTH else Angle(number)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib.errors import CalibError, choices
 from calib.model.readback import column_ranges
 from calib.model.robot import Robot, read_only
+from calib.units import unit_fault
 
 Array = NDArray[np.float64]
 
@@ -99,7 +100,8 @@ def joint_ranges(
         shape (m, 2), [rad] or [m], read-only.
 
     Raises:
-        CalibError: A joint that the chain does not have, a range that is empty or leaves the limits.
+        CalibError: A joint that the chain does not have, a range that is empty, leaves the limits, or has
+            a unit that is not the joint's.
     """
     limits = column_limits(robot)
     ranges = np.array(full_ranges(robot) if like is None else ranges_of(like, margin, limits))
@@ -109,6 +111,10 @@ def joint_ranges(
                 f"A range is given for the joint '{name}', which does not move the chain '{robot.base}' to "
                 f"'{robot.tip}'. Its joints are {choices(robot.joint_names, limit=30)}."
             )
+            raise CalibError(message)
+        fault = unit_fault(low, slides=robot.joint_types[name] == "prismatic")
+        if fault is not None:
+            message = f"The range given for the joint '{name}' {fault}."
             raise CalibError(message)
         column = robot.joint_names.index(name)
         said = _text(robot, name, low, high)

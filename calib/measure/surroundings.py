@@ -160,5 +160,7 @@ def checked_ranges(ranges: object) -> Mapping[str, tuple[float, float]]:
                 "the first less than the second. To keep a joint where it is, hold it (--hold)."
             )
             raise CalibError(message)
-        result[name] = (float(pair[0]), float(pair[1]))
+        # A number that knows its unit keeps it.
+        low, high = (one if isinstance(one, float) else float(one) for one in pair)
+        result[name] = (low, high)
     return MappingProxyType(result)

@@ -17,6 +17,7 @@ from calib.errors import ModelError, UrdfError, choices
 from calib.model.chain import MOVING, read_only
 from calib.model.urdf import Urdf, UrdfJoint
 from calib.model.urdf_joints import did_you_mean
+from calib.units import unit_fault
 
 Array = NDArray[np.float64]
 
@@ -115,7 +116,8 @@ def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[st
     """The held joints and their values [rad or m], by name.
 
     Raises:
-        UrdfError: No such joint, one that has not exactly one coordinate, or a value that is not finite.
+        UrdfError: No such joint, one that has not exactly one coordinate, or a value that is not finite or in a
+            unit that is not the joint's.
     """
     given = dict(held or {})
     by_name = {joint.name: joint for joint in urdf.joints}
@@ -132,6 +134,10 @@ def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[st
             message = (
                 f"{urdf.source}: the joint '{name}' is to be held at {value}; give a finite number."
             )
+            raise UrdfError(message)
+        fault = unit_fault(value, slides=by_name[name].type == "prismatic")
+        if fault is not None:
+            message = f"{urdf.source}: what the joint '{name}' is to be held at {fault}."
             raise UrdfError(message)
     return tuple(sorted((name, float(value)) for name, value in given.items()))
 

@@ -26,6 +26,7 @@ from calib.measure.kinds import KINDS
 from calib.model.error_model import MODELS
 from calib.model.parameters import JOINT_FAMILIES
 from calib.model.torques import Payload
+from calib.units import Angle, Length
 
 
 def test_the_words_to_choose_from_are_those_that_calib_knows():
@@ -65,6 +66,7 @@ def test_every_model_is_known():
 def test_held_joints():
     held = parse_held(["lift=0.3 m", " pan = -90deg", "a=b=1 mrad"])
     assert held == {"lift": 0.3, "pan": pytest.approx(-np.pi / 2, rel=1e-15), "a=b": 1e-3}
+    assert [type(value) for value in held.values()] == [Length, Angle, Angle]
 
 
 def test_a_payload_keeps_the_centre_that_was_given():

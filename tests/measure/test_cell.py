@@ -17,6 +17,8 @@ from calib.measure.cell import Cell, GroupDistance, Priors
 from calib.measure.cell_file import KEYS
 from calib.measure.noise import TrackerNoise
 from calib.measure.quantities import parse_quantity
+from calib.measure.ranges import joint_ranges
+from calib.model.robot import Robot
 from calib.model.torques import Payload
 from calib.units import UNITS
 
@@ -749,6 +751,15 @@ def test_parts_of_a_tracker_s_noise(tmp_path: Path):
         TrackerNoise(15e-6, 6e-6, 0.0),
         TrackerNoise(),
     ]
+
+
+def test_joint_values_in_another_s_unit_are_refused_by_the_robot(tmp_path: Path, ur3):
+    ranges = read(tmp_path, '[ranges]\nelbow_joint = ["0 mm", "10 mm"]\n').ranges
+    with pytest.raises(CalibError, match="'elbow_joint' is a length, and the joint turns"):
+        joint_ranges(ur3, ranges)
+    held = read(tmp_path, '[held]\nelbow_joint = "10 mm"\n').held
+    with pytest.raises(CalibError, match="'elbow_joint' is to be held at is a length"):
+        Robot.load("ur3", "base", "tool0", held=held)
 
 
 def test_the_document_has_every_key_and_no_other():

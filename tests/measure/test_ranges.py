@@ -12,6 +12,7 @@ from calib.measure.ranges import column_limits, full_ranges, joint_ranges, range
 from calib.model.readback import column_ranges
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
+from calib.units import Angle, Length
 
 #: A slide with limits, a turn without, a knee, and an ankle that turns twice as far the other way.
 LEG = """<robot name="leg">
@@ -116,6 +117,14 @@ def test_words(leg):
         ({"turn": (1, -1)}, "of 'turn' is 57.2958 to -57.2958 deg, which is empty; give the lower"),
         ({"lift": (0.2, 0.2)}, r"of 'lift' is 200 to 200 mm, which is empty; .* \(--hold\)"),
         ({"turn": (0, np.nan)}, "is empty"),
+        (
+            {"lift": (Angle(0.2), Angle(0.3))},
+            "joint 'lift' is an angle, and the joint slides; give a length",
+        ),
+        (
+            {"turn": (Length(0), Length(0.1))},
+            "joint 'turn' is a length, and the joint turns; give an angle",
+        ),
         ({"lift": (0.2, 0.5)}, "of 'lift' is 200 to 500 mm; its limits .* 100 to 400 mm"),
         ({"knee": (0, 2)}, "of 'knee' is 0 to 114.592 deg; its limits .* -57.2958 to 57.2958 deg"),
     ],

@@ -15,6 +15,7 @@ import calib.data
 from calib.errors import FileError, ModelError, UrdfError
 from calib.model.robot import Robot, find_urdf, read_only, rigid_inverse
 from calib.model.urdf import Urdf
+from calib.units import Angle, Length
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
 BAD = ("quadrotor_base.urdf", "ur3.urdf", "iris_simple.urdf")  # no joints, or none that moves
@@ -311,6 +312,20 @@ def test_held_joints_tell_robots_apart(panda):
     assert hash(one) == hash(other)
     assert one != panda
     assert one != Robot.load(*ends, held=held | {"panda_joint2": 0.3})
+
+
+def test_a_joint_is_held_in_a_unit_of_its_own():
+    ends = ("tiago_no_hand", None, "arm_7_link")
+    with pytest.raises(
+        UrdfError, match="'torso_lift_joint' is to be held at is an angle, and the joint slides"
+    ):
+        Robot.load(*ends, held={"torso_lift_joint": Angle(0.3)})
+    with pytest.raises(
+        UrdfError, match="'arm_1_joint' is to be held at is a length, and the joint turns"
+    ):
+        Robot.load(*ends, held={"arm_1_joint": Length(0.3)})
+    held = Robot.load(*ends, held={"torso_lift_joint": Length(0.3)}).held
+    assert held == {"torso_lift_joint": 0.3}
 
 
 def test_the_default_tip_behind_held_joints():
