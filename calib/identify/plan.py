@@ -179,10 +179,11 @@ def _conditions(
         conditions.append(Condition("outside of the region", inside, where=True))
     if cell.tracker is not None:
         conditions += _sight(robot, cell, cell.tracker, T_tip_target, None)
-    if body is not None:
-        conditions.append(Condition("in collision", body.free))
+    # A beam is one rod against all links; they among themselves take ten times as long.
     if body is not None and cell.tracker is not None:
         conditions += _sight(robot, cell, cell.tracker, T_tip_target, body)
+    if body is not None:
+        conditions.append(Condition("in collision", body.free))
     return conditions
 
 

@@ -28,6 +28,9 @@ _BATCH = 4096
 #: Candidates are drawn until so many times the number wanted have been tried.
 _MOST = 40
 
+#: After so many without one that can be measured it is given up.
+_NONE_YET = 10 * _BATCH
+
 #: Joint values have so many steps to a degree or millimetre, so that robot, table and plan say the same.
 _STEPS = 1000
 
@@ -94,7 +97,7 @@ def draw(
     workspace: list[Array] = []
     refused = {test.reason: 0 for test in tests}
     drawn = total = placed = 0
-    while total < count and drawn < _MOST * max(count, _BATCH):
+    while total < count and drawn < (_MOST * max(count, _BATCH) if total else _NONE_YET):
         q = rounded(robot, low + engine.random(_BATCH) * (high - low), ranges)[: _MOST * count]
         drawn += len(q)
         placing = True

@@ -263,7 +263,7 @@ BOX = ("--box", "shell: 0 0 200 3000 3000 3000 mm")
         (("--box", "table"), '--box was given as "table"; it must be a name'),
         (("--reflector", "up"), '--reflector was given as "up"; it must be a direction'),
         (("--tracker", "1 2 m"), '--tracker was given as "1 2 m"; it must be three numbers and a unit'),
-        (("--tracker", "200 0 0 m"), "None of 163840 poses drawn can be measured: 163840 out of the tracker's range."),
+        (("--tracker", "200 0 0 m"), "None of 40960 poses drawn can be measured: 40960 out of the tracker's range."),
         (("--json", "data.csv"), "data.csv exists already; add --force"),
         (("-o", "robot.urdf", "--force"), "robot.urdf is also an input of this command"),
         (("--collisions", *BOX), "The box 'shell' swallows the robot"),

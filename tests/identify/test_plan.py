@@ -159,8 +159,8 @@ def test_those_that_were_refused_are_counted_by_reason(full, bare):
         "outside of the region",
         "out of the tracker's range",
         "with the reflector turned away",
-        "in collision",
         "with something in the beam",
+        "in collision",
     ]
     assert all(count > 0 for count in full.refused.values())
     assert full.candidates == 800
