@@ -242,7 +242,7 @@ def test_nothing_left_says_what_refused_how_many(ur3):
     numbers = [int(word) for word in str(caught.value).split() if word.isdigit()]
     assert numbers[0] == numbers[1] + numbers[2]
     # Given up early: geometry that refuses everything would be asked for an hour.
-    assert numbers[0] == 40_960
+    assert 40_960 <= numbers[0] < 42_000
     assert "never" not in str(caught.value)
 
 
