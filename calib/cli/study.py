@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import textwrap
+import threading
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +17,7 @@ from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from multiprocessing.process import BaseProcess
 
     from calib.cli.simulate_setup import Prepared
     from calib.identify.study import Study, Trials
@@ -243,13 +246,26 @@ def _executor(workers: int | None, count: int) -> Iterator[Executor | None]:
     if wanted < 2:
         yield None
         return
-    with ProcessPoolExecutor(wanted) as executor:
+    with ProcessPoolExecutor(wanted, initializer=_end_with_parent) as executor:
         try:
             yield executor
         except BaseException:
             # Interrupted: what has not begun is not waited for.
             executor.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _end_with_parent() -> None:
+    """End this worker when the process that started it is gone: killed, that one can no longer end its workers."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+
+
+def _watch(parent: BaseProcess) -> None:
+    """Wait for the end of a process, then end this one at once, whatever it is doing."""
+    parent.join()
+    os._exit(1)
 
 
 def _cores() -> int:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import math
 import re
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -131,3 +134,41 @@ def test_what_does_not_go_together_is_refused(simulate, shop: Path, words, said)
 
 def test_a_study_of_one_is_a_wrong_call(simulate):
     assert simulate("--study", "1").code == 2
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="asks /proc which processes there are")
+def test_a_study_that_is_killed_leaves_no_workers_behind(shop: Path):
+    words = ("simulate", "robot.urdf", *ARM, "--study", "100", "--workers", "3")
+    program = "import sys; from calib.cli import main; sys.exit(main())"
+    run = subprocess.Popen(
+        [sys.executable, "-c", program, *words], cwd=shop, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )  # fmt: skip
+    try:
+        workers = until(lambda: len(found := children(run.pid)) >= 3 and found)
+    finally:
+        run.kill()
+        run.wait()
+    until(lambda: not any(map(is_alive, workers)))
+
+
+def children(parent: int) -> list[int]:
+    """The processes that a process has started."""
+    listed = Path(f"/proc/{parent}/task").glob("*/children")
+    return [int(word) for path in listed for word in path.read_text().split()]
+
+
+def is_alive(process: int) -> bool:
+    """Whether a process runs; what has ended and is not yet buried does not."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def until(asked, seconds: float = 30.0):
+    """Wait until what is asked is true, and give it back."""
+    end = time.monotonic() + seconds
+    while not (answer := asked()):
+        assert time.monotonic() < end, "it did not come about"
+        time.sleep(0.05)
+    return answer
