@@ -189,7 +189,7 @@ def plan(
     with reporting(debug=debug):
         from calib.cli import plan_words as words
         from calib.cli.setup import check_outputs, read_cell
-        from calib.cli.simulate_words import parse_angle, parse_size
+        from calib.cli.simulate_words import parse_angle
         from calib.cli.surroundings_words import add_surroundings
         from calib.cli.words import parse_columns
         from calib.measure.plan_file import read_taken
@@ -197,7 +197,7 @@ def plan(
         inputs: list[str | Path] = [robot, *(path for path in (cell, region, taken) if path)]
         check_outputs([output, json, view], inputs, force=force)
         rungs = words.parse_ladder(ladder)
-        gap, clear = parse_angle(margin, "--margin", "5 deg"), parse_size(clearance, "--clearance")
+        gap, clear = parse_angle(margin, "--margin", "5 deg"), words.parse_clearance(clearance)
         setup = read_cell(
             cell,
             base=base,

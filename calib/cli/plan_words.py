@@ -23,6 +23,12 @@ _HOME = "home"
 #: The word for no ladder.
 _NONE = "none"
 
+#: A joint may stand beyond a limit by this, for rounding [rad or m].
+_ROUNDING = 1e-4
+
+#: Of a larger distance between meshes coal takes half a second a pose, where 0.1 m take 6 ms [m].
+_LARGEST_CLEARANCE = 0.1
+
 
 def parse_ladder(text: str | None) -> list[int] | None:
     """``--ladder``: numbers of poses such as ``10,15,20``; ``none`` is an empty list.
@@ -45,15 +51,14 @@ def parse_start(texts: Iterable[str], robot: Robot) -> NDArray[np.float64] | Non
     """``--start``: ``home`` (all joints at zero), or ``JOINT=VALUE UNIT`` for those that are not at zero, shape (m,).
 
     Raises:
-        CalibError: Other words, an unknown joint, or a value in a unit that does not fit it.
+        CalibError: Other words, an unknown joint, or a value in a unit that does not fit it or beyond its limits.
     """
     from calib.cli.words import parse_held
     from calib.measure.quantities import ANGLE, LENGTH, parse_quantity
-    from calib.model.robot import read_only
 
     given = [text for text in texts if text.strip() != _HOME]
     if not given:
-        return read_only([0.0] * len(robot.joint_names)) if list(texts) else None
+        return _within_limits([0.0] * len(robot.joint_names), robot) if list(texts) else None
     values = parse_held(given, "--start")
     for text in given:
         name, _, value = (part.strip() for part in text.rpartition("="))
@@ -68,7 +73,47 @@ def parse_start(texts: Iterable[str], robot: Robot) -> NDArray[np.float64] | Non
             wanted = 'a length, such as "0.3 m"' if slides else 'an angle, such as "30 deg"'
             message = f"--start was given '{text}'; the value of '{name}' is {wanted}."
             raise CalibError(message)
-    return read_only([values.get(name, 0.0) for name in robot.joint_names])
+    return _within_limits([values.get(name, 0.0) for name in robot.joint_names], robot)
+
+
+def _within_limits(values: list[float], robot: Robot) -> NDArray[np.float64]:
+    """Where the robot stands before, shape (m,), [rad] or [m].
+
+    Raises:
+        CalibError: A joint beyond its limits: no robot stands there.
+    """
+    from calib.measure.ranges import column_limits, range_text
+    from calib.model.robot import read_only
+    from calib.units import UNITS
+
+    for name, value, limits in zip(robot.joint_names, values, column_limits(robot), strict=True):
+        if not limits[0] - _ROUNDING <= value <= limits[1] + _ROUNDING:
+            unit = UNITS["mm" if robot.joint_types[name] == "prismatic" else "deg"]
+            message = (
+                f"--start: '{name}' would stand at {value / unit.to_si:g} {unit.symbol}; its limits in the URDF are "
+                f'{range_text(robot, name, limits)}. Say where it stands, --start "{name}=VALUE UNIT", or leave '
+                "--start out."
+            )
+            raise CalibError(message)
+    return read_only(values)
+
+
+def parse_clearance(text: str) -> float:
+    """``--clearance``, a length [m].
+
+    Raises:
+        CalibError: No length, below 0, or more than the distance between meshes can be asked for.
+    """
+    from calib.cli.simulate_words import parse_size
+
+    clearance = parse_size(text, "--clearance")
+    if clearance > _LARGEST_CLEARANCE:
+        message = (
+            f'--clearance was given as "{text}"; it must be {1e3 * _LARGEST_CLEARANCE:g} mm or less, for links of an '
+            "arm pass each other closer than that. To keep more distance to a box make the box larger."
+        )
+        raise CalibError(message)
+    return clearance
 
 
 def with_noise(cell: Cell, text: str | None) -> Cell:

@@ -9,6 +9,7 @@ import pytest
 from calib.cli.plan_words import (
     checked_columns,
     load_for_plan,
+    parse_clearance,
     parse_ladder,
     parse_start,
     read_region,
@@ -57,6 +58,32 @@ def test_starts(ur3):
 def test_starts_that_mean_nothing(ur3, texts, said):
     with pytest.raises(CalibError, match=re.escape(said)):
         parse_start(texts, ur3)
+
+
+def test_no_robot_starts_beyond_its_limits(ur3, panda):
+    with pytest.raises(
+        CalibError, match=r"'elbow_joint' would stand at 400 deg; .* -180 to 180 deg\. Say where"
+    ):
+        parse_start(["elbow_joint=400 deg"], ur3)
+    # The zero of a Panda's fourth joint is one that it cannot reach.
+    for texts in (["home"], ["panda_joint1=10 deg"]):
+        with pytest.raises(
+            CalibError, match=r"--start: 'panda_joint4' would stand at 0 deg; its limits"
+        ):
+            parse_start(texts, panda)
+    assert parse_start(["home", "panda_joint4=-90 deg"], panda)[3] == pytest.approx(-np.pi / 2)
+
+
+def test_clearances():
+    assert parse_clearance("5 mm") == 0.005
+    assert parse_clearance("100 mm") == 0.1
+    for text, said in (
+        ("0.3 m", '--clearance was given as "0.3 m"; it must be 100 mm or less'),
+        ("-1 mm", '--clearance was given as "-1 mm"'),
+        ("1 deg", "a length is wanted"),
+    ):
+        with pytest.raises(CalibError, match=re.escape(said)):
+            parse_clearance(text)
 
 
 def test_a_start_of_a_joint_that_slides(serial_urdf):
