@@ -248,7 +248,7 @@ def _frame_text(frame: BaseFrame, sweeps: Sweeps, robot: Robot | None) -> list[s
     import numpy as np
     import pinocchio as pin
 
-    from calib.measure.carrying import REACH_M
+    from calib.measure.carrying import REACH_M, tracker_place
 
     T = frame.T_tracker_base
     what = (
@@ -265,6 +265,8 @@ def _frame_text(frame: BaseFrame, sweeps: Sweeps, robot: Robot | None) -> list[s
         "Pose of the base in the tracker's frame:",
         f"  x y z           {'  '.join(f'{1e3 * v:.4f}' for v in T[:3, 3])} mm",
         f"  roll pitch yaw  {'  '.join(f'{v + 0.0:.6f}' for v in rpy)} deg",
+        "Origin of the tracker's frame in the base:",
+        f"  x y z           {'  '.join(f'{1e3 * v:.1f}' for v in tracker_place(frame))} mm",
         "",
         f"{'Along and about the axes of the base':<40}{'std':>10}{'95 % within':>14}",
         *(

@@ -78,8 +78,18 @@ def cell_text(survey: Survey, source: str, base: str | None = None, tip: str | N
             f"frame_xyz_mm = [{_listed(1e3 * T[:3, 3])}]",
             f"frame_rpy_deg = [{_listed(np.degrees(pin.rpy.matrixToRpy(T[:3, :3])))}]",
             "",
+            "# A tracker in the origin of its frame stands here in the base; calib plan asks then what it sees.",
+            "# [tracker]",
+            f"# xyz_mm = [{', '.join(f'{1e3 * v:.1f}' for v in tracker_place(survey.frame))}]",
+            "",
         ]
     )
+
+
+def tracker_place(frame: BaseFrame) -> Array:
+    """Where the origin of the tracker's frame lies in the base, shape (3,), [m]."""
+    T = frame.T_tracker_base
+    return np.asarray(-T[:3, :3].T @ T[:3, 3])
 
 
 def _listed(values: Array, digits: int | None = None) -> str:

@@ -277,8 +277,8 @@ def _find_unit(text: PointsText, given: str | None, source: str) -> Unit:
         raise MeasurementError(message)
     if given is None and not named:
         message = (
-            f"{source}: the unit of the points is not in it. Write a first line '# Units: mm', with "
-            f"one of {choices(symbols('length'))}."
+            f"{source}: the unit of the points is not in it. Write a first line '# Units: mm', or give it "
+            f"(--points-unit mm); allowed are {choices(symbols('length'))}."
         )
         raise MeasurementError(message)
     try:

@@ -9,7 +9,13 @@ import pytest
 
 from calib.errors import MeasurementError
 from calib.measure.axes import Survey, survey
-from calib.measure.carrying import carried, cell_text, survey_table, tracker_covariance
+from calib.measure.carrying import (
+    carried,
+    cell_text,
+    survey_table,
+    tracker_covariance,
+    tracker_place,
+)
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.virtual_sweeps import virtual_sweeps
@@ -67,8 +73,21 @@ def test_the_cell_file_is_the_frame_to_the_last_digits(tmp_path, found, twist):
     cell = Cell.read(path)
     assert (cell.base, cell.tip, cell.estimate_frame) == ("base", "tool0", False)
     assert cell.T_frame_base == pytest.approx(T, abs=1e-12)
+    assert cell.tracker is None
     path.write_text(cell_text(moved, "s.csv"), encoding="utf-8")
     assert (Cell.read(path).base, Cell.read(path).tip) == (None, None)
+
+
+def test_the_cell_file_has_the_tracker_s_place_ready_to_be_used(tmp_path, found):
+    T = found.frame.T_tracker_base
+    path = tmp_path / "frame.toml"
+    text = cell_text(found, "s.csv")
+    path.write_text(
+        text.replace("# [tracker]", "[tracker]").replace("# xyz_mm", "xyz_mm"), encoding="utf-8"
+    )
+    place = Cell.read(path).tracker.position
+    np.testing.assert_allclose(T[:3, :3] @ place + T[:3, 3], np.zeros(3), atol=1e-4)
+    np.testing.assert_allclose(tracker_place(found.frame), place, atol=1e-4)
 
 
 def test_the_table_has_everything(found):

@@ -163,7 +163,13 @@ def test_a_point_is_found_by_its_whole_name_or_its_last_part(listed):
 
 def test_units_that_are_missing_or_contradict(listed):
     bare = listed("P1 100 200 300")
-    refused(bare, "tracker.txt: the unit of the points is not in it", "'# Units: mm'", "'um'")
+    refused(
+        bare,
+        "tracker.txt: the unit of the points is not in it",
+        "'# Units: mm'",
+        "(--points-unit mm)",
+        "'um'",
+    )
     refused(bare, "'deg' is not a unit of length", unit="deg")
     refused(bare, "'furlong' is not a unit", unit="furlong")
     path = listed("# units: mm", "P1 100 200 300")
