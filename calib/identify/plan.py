@@ -23,7 +23,7 @@ from calib.measure.detours import detour
 from calib.measure.planning import Plan, check_enough, check_numbers, choose_poses
 from calib.measure.region import Region
 from calib.measure.sight import in_sight
-from calib.measure.surroundings import Tracker
+from calib.measure.surroundings import Tracker, check_outside
 from calib.measure.travel import START, Tour, order
 from calib.measure.turns import turning, with_whole_turns
 from calib.model.readback import spread_between
@@ -107,6 +107,8 @@ def plan(
         if collisions
         else None
     )
+    if body is not None and cell.tracker is not None:
+        check_outside(cell.tracker, cell.boxes)
     conditions = _conditions(robot, cell, region, outlook.setup.T_tip_target, body)
     pool = draw(robot, ranges, conditions, candidates, seed, _part(progress, "candidates"))
     choice = choose_poses(
@@ -150,7 +152,7 @@ def plan(
         refused=dict(pool.refused),
         tour=way.tour,
         detours=way.detours,
-        notes=(*outlook.notes, *_notes(body)),
+        notes=(*outlook.notes, *_notes(cell, body)),
     )
 
 
@@ -272,9 +274,13 @@ def _detours(
     return tuple(detour(place(a), place(b), stops, body.path_free) for a, b in tour.blocked)
 
 
-def _notes(body: CollisionModel | None) -> tuple[str, ...]:
-    """What was not checked for collisions."""
-    return ("Collisions were not checked.",) if body is None else body.notes
+def _notes(cell: Cell, body: CollisionModel | None) -> tuple[str, ...]:
+    """What was not checked."""
+    blind = "The reflector's direction was not looked at: nothing says where the tracker stands (--tracker)."
+    return (
+        *([blind] if cell.reflector is not None and cell.tracker is None else []),
+        *(("Collisions were not checked.",) if body is None else body.notes),
+    )
 
 
 def _part(progress: Progress | None, what: str) -> Callable[[int, int], None] | None:

@@ -164,3 +164,20 @@ def checked_ranges(ranges: object) -> Mapping[str, tuple[float, float]]:
         low, high = (one if isinstance(one, float) else float(one) for one in pair)
         result[name] = (low, high)
     return MappingProxyType(result)
+
+
+def check_outside(tracker: Tracker, boxes: Iterable[Box]) -> None:
+    """Refuse a tracker inside a box: it sees nothing from there.
+
+    Raises:
+        CalibError: It is; the text says in which.
+    """
+    for box in boxes:
+        inside = box.T_base_box[:3, :3].T @ (tracker.position - box.T_base_box[:3, 3])
+        if (np.abs(inside) <= 0.5 * box.size).all():
+            x, y, z = (f"{1e3 * v:g}" for v in tracker.position)
+            message = (
+                f"The tracker, at ({x}, {y}, {z}) mm of the base, stands inside the box '{box.name}', and sees nothing "
+                "from there. Move one of the two, or leave out a box that is the tracker's own stand."
+            )
+            raise CalibError(message)

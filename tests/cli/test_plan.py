@@ -267,6 +267,8 @@ BOX = ("--box", "shell: 0 0 200 3000 3000 3000 mm")
         (("--json", "data.csv"), "data.csv exists already; add --force"),
         (("-o", "robot.urdf", "--force"), "robot.urdf is also an input of this command"),
         (("--collisions", *BOX), "The box 'shell' swallows the robot"),
+        (("--collisions", "--tracker", "2500 0 500 mm", "--box", "stand: 2500 0 250 400 400 600 mm"),
+         "The tracker, at (2500, 0, 500) mm of the base, stands inside the box 'stand'"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_planned(call, shop: Path, words: tuple[str, ...], said: str):

@@ -321,6 +321,15 @@ def test_a_box_that_swallows_the_robot_is_refused(ur3):
         plan(ur3, cell, count=12, candidates=300)
 
 
+def test_a_reflector_that_is_not_looked_at_is_said(ur3, full, bare):
+    aimless = plan(
+        ur3, replace(FULL, tracker=None), count=9, candidates=60, collisions=False, ladder=()
+    )
+    said = "The reflector's direction was not looked at: nothing says where the tracker stands (--tracker)."
+    assert said in aimless.notes
+    assert said not in (*full.notes, *bare.notes)
+
+
 def test_taken_poses_that_are_none_are_refused(ur3):
     taken = random_joint_values(ur3, 3)
     taken[1, 2] = np.nan

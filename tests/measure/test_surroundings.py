@@ -11,7 +11,7 @@ import pytest
 from calib.errors import CalibError
 from calib.measure.cell import Cell
 from calib.measure.noise import TrackerNoise
-from calib.measure.surroundings import Box, Reflector, Tracker
+from calib.measure.surroundings import Box, Reflector, Tracker, check_outside
 
 T = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
 
@@ -122,3 +122,15 @@ def test_reflectors_that_are_built_wrongly(wrong, said):
 def test_a_cell_with_wrong_surroundings(wrong, said):
     with pytest.raises(CalibError, match=re.escape(said)):
         Cell(**wrong)
+
+
+def test_a_tracker_inside_a_box_sees_nothing():
+    # A beam of 2 m by 0.2 m, turned by 45 deg about z.
+    T, c = np.eye(4), math.sqrt(0.5)
+    T[:2, :2], T[:3, 3] = [[c, -c], [c, c]], [1.0, 1.0, 0.5]
+    beam = Box("beam", np.array([2.0, 0.2, 0.2]), T)
+    for place in ([1.6, 1.6, 0.5], [1.0, 1.0, 0.59]):
+        with pytest.raises(CalibError, match=r"The tracker, at .* stands inside the box 'beam'"):
+            check_outside(Tracker(np.array(place)), [beam])
+    for place in ([1.6, 0.4, 0.5], [1.0, 1.0, 0.61], [1.8, 1.8, 0.5]):
+        check_outside(Tracker(np.array(place)), [beam])
