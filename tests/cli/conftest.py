@@ -106,13 +106,6 @@ class Examples:
         return next(done for call, done in self.done.items() if call.startswith(words))
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests that look at the examples go to one worker: they are run once, not once a worker."""
-    for item in items:
-        if "examples" in getattr(item, "fixturenames", ()):
-            item.add_marker(pytest.mark.xdist_group("examples"))
-
-
 @pytest.fixture(scope="session")
 def examples(tmp_path_factory: pytest.TempPathFactory) -> Examples:
     """Every example of docs/command-line.md, run in the order of the text in one folder."""
