@@ -40,6 +40,12 @@ _RANDOM = 9
 #: Poses that differ by less than this in every joint are the same one [rad or m].
 _SAME = 1e-3
 
+#: More poses than this are chosen from one start: there are many choices that are as good.
+_MANY = 100
+
+#: Poses of a plan at most: exchanging thousands takes hours, and nothing is gained that random ones do not have.
+MOST_POSES = 300
+
 #: Steps of the ladder that is made where none is asked for, in poses of the plan.
 _RUNGS = (0.5, 0.67, 0.83, 1.0, 1.33, 1.67, 2.0, 3.0)
 
@@ -193,7 +199,7 @@ def choose_poses(
     basis = Basis.of(mean, sensitivity.leashed, weight, known)
     blocks = basis.blocks(measured)
     done(1)
-    chosen = choose(blocks, basis, count, seed, restarts)
+    chosen = choose(blocks, basis, count, seed, restarts if count <= _MANY else 1)
     done(2)
 
     def foreseen(indices: Indices) -> Forecast:
@@ -256,6 +262,12 @@ def check_numbers(count: int, validation: int, candidates: int) -> None:
             "measured. Draw more candidates, ask for fewer poses, or drop a condition."
         )
         raise ModelError(message)
+    if count + validation > MOST_POSES:
+        message = (
+            f"{count} poses and {validation} to validate were asked for; a plan has at most {MOST_POSES}. So many "
+            "random ones do as well: calib simulate --count draws them."
+        )
+        raise ModelError(message)
 
 
 def _fewest(workspace: Workspace, scalars: int, taken: int) -> int:
@@ -306,7 +318,8 @@ def _rungs(ladder: Sequence[int] | None, count: int, candidates: int, fewest: in
     """
     if ladder is None:
         wanted = {round(share * count) for share in _RUNGS}
-        return sorted(n for n in {*wanted, count} if fewest <= n <= candidates)
+        most = min(candidates, MOST_POSES)
+        return sorted(n for n in {*wanted, count} if fewest <= n <= most)
     wrong = [n for n in ladder if not fewest <= n <= candidates]
     if wrong:
         message = (

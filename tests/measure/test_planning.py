@@ -239,6 +239,14 @@ def test_numbers_that_cannot_be_are_refused(count, validation, candidates, words
 def test_numbers_that_just_can_be_pass():
     check_numbers(1, 0, 1)
     check_numbers(30, 5, 35)
+    check_numbers(295, 5, 20_000)
+
+
+def test_thousands_of_poses_are_refused_before_they_take_hours():
+    with pytest.raises(
+        ModelError, match=r"^5000 poses and 5 to validate were asked for; a plan has at most 300\."
+    ):
+        check_numbers(5000, 5, 20_000)
 
 
 def test_candidates_that_were_taken_do_not_count(paper, some):
