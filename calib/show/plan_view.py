@@ -5,7 +5,6 @@ The way from pose to pose and the lines of sight are drawn too; each can be hidd
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import meshcat
@@ -15,14 +14,14 @@ from numpy.typing import NDArray
 
 from calib.measure.planning import Plan
 from calib.measure.surroundings import Box, Tracker
-from calib.show.bodies import Body, bodies, link_poses
-from calib.show.camera import Camera, look_at, row_direction
+from calib.show.bodies import bodies
 from calib.show.marks import draw_bodies, draw_lines, draw_points, number
-from calib.show.page import COLOURS, SCENE, escaped, filled_page, grid_text, key, round_length
+from calib.show.page import COLOURS, escaped, key
 from calib.show.region_pictures import ESTIMATION, VALIDATION
-from calib.show.stage import Page, draw_stage, translation, upright_pose
+from calib.show.single import Layout, single_page
+from calib.show.stage import Page
 from calib.show.visuals import read_visuals
-from calib.show.window import SceneWindow, without_shadow
+from calib.show.window import without_shadow
 
 Array = NDArray[np.float64]
 
@@ -52,74 +51,26 @@ def plan_page(plan: Plan) -> Page:
         UrdfError: Pinocchio cannot build a model of the URDF.
     """
     visuals, warnings = read_visuals(plan.robot.urdf)
-    layout = _Layout.of(plan, bodies(plan.robot, plan.joints[0], visuals))
-    window = SceneWindow()
-    root = meshcat.Visualizer.view_into(window, meshcat.path.Path())
-    draw_stage(
-        root,
-        layout.camera,
-        size=layout.size,
-        floor=layout.floor,
-        grid=layout.grid,
-        through=np.zeros(3),
-    )
-    scene = root[SCENE]
-    scene.set_transform(translation(-layout.camera.centre) @ layout.upright)
-    draw_bodies(scene["nominal"], layout.parts, COLOURS["nominal"])
-    words = f"{escaped(plan.robot.name)} at the first pose"
-    keys = [key(words, COLOURS["nominal"], "nominal")]
-    keys += _draw_targets(scene, plan, layout)
-    keys += _draw_around(scene, plan, layout)
-    html = filled_page(
-        title=f"{plan.robot.name}: {len(plan.joints)} poses to measure",
-        facts=f"<p>{escaped(_facts(plan))}</p>",
-        warnings=warnings,
-        legend="".join([*keys, grid_text(layout.grid)]),
-        scene=window.scene(),
-    )
-    return Page(html, warnings)
+    places = plan.places(plan.joints)
+    taken = plan.places(plan.taken).reshape(-1, 3) if len(plan.taken) else np.zeros((0, 3))
+    seen = np.concatenate([places.reshape(-1, 3), taken, *map(_corners, plan.cell.boxes)])
+    parts = bodies(plan.robot, plan.joints[0], visuals)
+    layout = Layout.of(plan.robot, plan.joints[0], parts, seen)
+
+    def draw(scene: meshcat.Visualizer) -> list[str]:
+        draw_bodies(scene["nominal"], parts, COLOURS["nominal"])
+        words = f"{escaped(plan.robot.name)} at the first pose"
+        keys = [key(words, COLOURS["nominal"], "nominal")]
+        keys += _draw_targets(scene, plan, places, taken, layout.size)
+        return keys + _draw_around(scene, plan, places, layout.size)
+
+    title = f"{plan.robot.name}: {len(plan.joints)} poses to measure"
+    return single_page(layout, draw, title=title, text=_facts(plan), warnings=warnings)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Layout:
-    """Where everything goes; lengths [m], the floor and the camera in the base frame turned upright."""
-
-    parts: tuple[Body, ...]
-    places: Array
-    taken: Array
-    upright: Array
-    size: float
-    floor: float
-    grid: float
-    camera: Camera
-
-    @classmethod
-    def of(cls, plan: Plan, parts: tuple[Body, ...]) -> _Layout:
-        """See all of the robot, of the targets and of the boxes."""
-        q = plan.joints[0]
-        upright = upright_pose(plan.robot, q)
-        places = plan.places(plan.joints)
-        taken = plan.places(plan.taken).reshape(-1, 3) if len(plan.taken) else np.zeros((0, 3))
-        joints = np.array([T[:3, 3] for T in link_poses(plan.robot, q).values()])
-        drawn = np.concatenate([joints, *[body.outline() for body in parts]])
-        everything = np.concatenate(
-            [drawn, places.reshape(-1, 3), taken, *map(_corners, plan.cell.boxes)]
-        )
-        everything = everything @ upright[:3, :3].T
-        size = max(float(np.linalg.norm(np.ptp(everything, axis=0))), 1e-3)
-        return cls(
-            parts=parts,
-            places=places,
-            taken=taken,
-            upright=upright,
-            size=size,
-            floor=float((drawn @ upright[:3, :3].T)[:, 2].min()),
-            grid=round_length(size / 7.0),
-            camera=look_at(everything, row_direction(joints @ upright[:3, :3].T)),
-        )
-
-
-def _draw_targets(scene: meshcat.Visualizer, plan: Plan, layout: _Layout) -> list[str]:
+def _draw_targets(
+    scene: meshcat.Visualizer, plan: Plan, places: Array, taken: Array, size: float
+) -> list[str]:
     """Where the targets will be, by their set, and the way; the lines of the legend."""
     keys = []
     sets = np.array(plan.sets)
@@ -127,21 +78,21 @@ def _draw_targets(scene: meshcat.Visualizer, plan: Plan, layout: _Layout) -> lis
         ("estimate", ESTIMATION, "to estimate from"),
         ("validate", VALIDATION, "to validate with"),
     ):
-        points = layout.places[sets == word].reshape(-1, 3)
+        points = places[sets == word].reshape(-1, 3)
         if len(points):
-            draw_points(scene[word], points, colour, _BALL * layout.size)
+            draw_points(scene[word], points, colour, _BALL * size)
             keys.append(key(f"{text}, {np.sum(sets == word)}", colour, word, "dot"))
-    if len(layout.taken):
-        draw_points(scene["taken"], layout.taken, _TAKEN, _BALL * layout.size)
+    if len(taken):
+        draw_points(scene["taken"], taken, _TAKEN, _BALL * size)
         keys.append(key(f"measured already, {len(plan.taken)}", _TAKEN, "taken", "dot"))
-    first = layout.places[:, 0]
+    first = places[:, 0]
     if len(first) > 1:
         draw_lines(scene["way"], np.stack([first[:-1], first[1:]], axis=1), _WAY, 0.55)
         keys.append(key("order to drive", _WAY, "way"))
     return keys
 
 
-def _draw_around(scene: meshcat.Visualizer, plan: Plan, layout: _Layout) -> list[str]:
+def _draw_around(scene: meshcat.Visualizer, plan: Plan, places: Array, size: float) -> list[str]:
     """Boxes, and where the tracker looks from; the lines of the legend."""
     keys = []
     for i, box in enumerate(plan.cell.boxes):
@@ -154,19 +105,19 @@ def _draw_around(scene: meshcat.Visualizer, plan: Plan, layout: _Layout) -> list
         keys.append(key(escaped(", ".join(box.name for box in plan.cell.boxes)), _AROUND, "around"))
     tracker = plan.cell.tracker
     if tracker is not None:
-        draw_lines(scene["sight"], _beams(layout, tracker), _BEAM, 0.7)
+        draw_lines(scene["sight"], _beams(places, size, tracker), _BEAM, 0.7)
         keys.append(key("towards the tracker", _BEAM, "sight"))
-        if np.linalg.norm(tracker.position) < _NEAR * layout.size:
-            draw_points(scene["tracker"], tracker.position[None], _BEAM, 2.0 * _BALL * layout.size)
+        if np.linalg.norm(tracker.position) < _NEAR * size:
+            draw_points(scene["tracker"], tracker.position[None], _BEAM, 2.0 * _BALL * size)
     return keys
 
 
-def _beams(layout: _Layout, tracker: Tracker) -> Array:
+def _beams(places: Array, size: float, tracker: Tracker) -> Array:
     """The last piece of each line of sight, shape (N, 2, 3), [m]."""
-    points = layout.places.reshape(-1, 3)
+    points = places.reshape(-1, 3)
     towards = tracker.position - points
     length = np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
-    ends = points + towards / length * np.minimum(length, _SIGHT * layout.size)
+    ends = points + towards / length * np.minimum(length, _SIGHT * size)
     return np.stack([points, ends], axis=1)
 
 

@@ -19,14 +19,14 @@ from calib.errors import ModelError
 from calib.measure.region import Region
 from calib.measure.workspace import Density
 from calib.model.robot import Robot, read_only
-from calib.show.bodies import Body, bodies, link_poses
-from calib.show.camera import Camera, look_at, row_direction
+from calib.show.bodies import bodies
 from calib.show.marks import cloud, draw_bodies, draw_points
-from calib.show.page import COLOURS, SCENE, escaped, filled_page, grid_text, key, round_length
+from calib.show.page import COLOURS, escaped, key
 from calib.show.region_pictures import ESTIMATION, SELDOM_TO_OFTEN, VALIDATION, Marked
-from calib.show.stage import Page, draw_stage, translation, upright_pose
+from calib.show.single import Layout, single_page
+from calib.show.stage import Page, translation
 from calib.show.visuals import read_visuals
-from calib.show.window import SceneWindow, without_shadow
+from calib.show.window import without_shadow
 
 Array = NDArray[np.float64]
 
@@ -96,77 +96,28 @@ def region_page(view: RegionView) -> Page:
         UrdfError: Pinocchio cannot build a model of the URDF.
     """
     visuals, warnings = read_visuals(view.robot.urdf)
-    layout = _Layout.of(view, bodies(view.robot, view.q, visuals))
-    window = SceneWindow()
-    root = meshcat.Visualizer.view_into(window, meshcat.path.Path())
-    draw_stage(
-        root,
-        layout.camera,
-        size=layout.size,
-        floor=layout.floor,
-        grid=layout.grid,
-        through=np.zeros(3),
-    )
-    scene = root[SCENE]
-    scene.set_transform(translation(-layout.camera.centre) @ layout.upright)
-    _draw_robot(scene["nominal"], view, layout)
-    keys = [key(f"{escaped(view.robot.name)}, nominal", COLOURS["nominal"], "nominal")]
-    keys += _draw_voxels(scene, view)
-    keys += _draw_rows(scene, view, layout.size)
-    html = filled_page(
-        title=view.title,
-        facts=f"<p>{escaped(view.text)}</p>" if view.text else "",
-        warnings=warnings,
-        legend="".join([*keys, grid_text(layout.grid)]),
-        scene=window.scene(),
-    )
-    return Page(html, warnings)
+    parts = bodies(view.robot, view.q, visuals)
+    T_tip = view.robot.poses(view.q)[0]
+    target = T_tip[:3, :3] @ view.target + T_tip[:3, 3]
+    centres = _centres(view.density, view.region.cells)
+    seen = np.concatenate([target[None], centres[:: 1 + len(centres) // 5000]])
+    layout = Layout.of(view.robot, view.q, parts, seen)
+
+    def draw(scene: meshcat.Visualizer) -> list[str]:
+        _draw_robot(scene["nominal"], view, layout, target)
+        keys = [key(f"{escaped(view.robot.name)}, nominal", COLOURS["nominal"], "nominal")]
+        keys += _draw_voxels(scene, view)
+        return keys + _draw_rows(scene, view, layout.size)
+
+    return single_page(layout, draw, title=view.title, text=view.text, warnings=warnings)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Layout:
-    """Where everything goes; lengths [m], the floor and the camera in the base frame turned upright."""
-
-    parts: tuple[Body, ...]
-    target: Array
-    upright: Array
-    size: float
-    floor: float
-    grid: float
-    camera: Camera
-
-    @classmethod
-    def of(cls, view: RegionView, parts: tuple[Body, ...]) -> _Layout:
-        """See all of the robot and of the region."""
-        upright = upright_pose(view.robot, view.q)
-        T_tip = view.robot.poses(view.q)[0]
-        target = T_tip[:3, :3] @ view.target + T_tip[:3, 3]
-        joints = np.array([T[:3, 3] for T in link_poses(view.robot, view.q).values()])
-        drawn = np.concatenate([joints, target[None], *[body.outline() for body in parts]])
-        corners = _centres(view.density, view.region.cells)
-        corners = corners[:: 1 + len(corners) // 5000]
-        everything = np.concatenate([drawn, corners]) @ upright[:3, :3].T
-        low, high = everything.min(axis=0), everything.max(axis=0)
-        size = max(float(np.linalg.norm(high - low)), 1e-3)
-        back = row_direction(joints @ upright[:3, :3].T)
-        return cls(
-            parts=parts,
-            target=target,
-            upright=upright,
-            size=size,
-            # What the robot stands on; the region may reach below.
-            floor=float((drawn @ upright[:3, :3].T)[:, 2].min()),
-            grid=round_length(size / 7.0),
-            camera=look_at(everything, back),
-        )
-
-
-def _draw_robot(scene: meshcat.Visualizer, view: RegionView, layout: _Layout) -> None:
+def _draw_robot(scene: meshcat.Visualizer, view: RegionView, layout: Layout, target: Array) -> None:
     """The nominal robot with its target."""
     material = draw_bodies(scene, layout.parts, COLOURS["nominal"])
     if np.any(view.target):
         scene["target"].set_object(mc.Sphere(_BALL * layout.size), material)
-        scene["target"].set_transform(translation(layout.target))
+        scene["target"].set_transform(translation(target))
 
 
 def _draw_voxels(scene: meshcat.Visualizer, view: RegionView) -> list[str]:

@@ -145,7 +145,7 @@ def seen_from_elsewhere(
     return replace(table, points=table.points @ T[:3, :3].T + T[:3, 3]), T
 
 
-@pytest.mark.parametrize(("model", "near"), [("auto", None), ("dh", np.eye(4))])
+@pytest.mark.parametrize(("model", "near"), [("auto", None), ("dh", None), ("auto", np.eye(4))])
 def test_where_an_unknown_frame_stands_does_not_change_the_fit(ur3, table, model, near):
     """Every row's error, seen or left out, and the robot; the frame found is moved with the points."""
     cell = Cell(estimate_frame=True, model=model, T_frame_base=near)

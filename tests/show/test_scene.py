@@ -334,6 +334,8 @@ def test_chromium_shows_both_robots_and_calls_nobody(ur3_view, tmp_path, hostile
     [
         b'<img src="https://example.org/x.png">',
         b"<script>fetch('https://example.org/x')</script>",
+        b"<script>document.title = 'owned'</script>",
+        b'<link rel="stylesheet" href="https://example.org/x.css">',
     ],
 )
 def test_chromium_would_report_what_the_policy_refuses(ur3_page, tmp_path, added):
