@@ -1,5 +1,7 @@
 """A real robot, one that was calibrated to the paper's size of errors, and a view of both."""
 
+import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +48,24 @@ def disturbed(robot: Robot, scale: float = 1.0) -> Robot:
             twist = rng.normal(size=6) * np.repeat([2e-3, 4e-3], 3)
             placements[i] = placements[i] @ pin.exp6(scale * twist).homogeneous
     return robot.with_placements(placements)
+
+
+@pytest.fixture(scope="session")
+def calibrations():
+    """The module of hard cases: ``calibrations.made("poses")``; see `tests/show/calibrations.py`."""
+    name = "tests_show_calibrations"
+    if name not in sys.modules:
+        path = Path(__file__).with_name("calibrations.py")
+        spec = importlib.util.spec_from_file_location(name, path)
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+@pytest.fixture(scope="session")
+def paper_calibration(calibrations):
+    """The demo's."""
+    return calibrations.made("paper")
 
 
 @pytest.fixture(scope="session")
