@@ -21,14 +21,23 @@ _MOST_PLACES = 6
 
 
 def target_text(c: Calibration) -> str:
-    """Where each target is, how sure that is, and how far from where it was said to be."""
+    """Where each target is, how sure that is, and how far from where it was said to be; broken at 100 columns."""
+    return "\n".join(wrap(sentence) for sentence in target_sentences(c))
+
+
+def target_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
+    """The same, one sentence for each target.
+
+    Args:
+        c: The calibration.
+        most: Of more targets than this the number is given.
+    """
     names = c.setup.targets
     shown = [
-        _one_target(c, t, name if len(names) > 1 else "")
-        for t, name in enumerate(names[:_MOST_PLACES])
+        _one_target(c, t, name if len(names) > 1 else "") for t, name in enumerate(names[:most])
     ]
     more = len(names) - len(shown)
-    return "\n".join([*shown, *([f"... and {more} more targets"] if more else [])])
+    return [*shown, *([f"... and {more} more targets"] if more else [])]
 
 
 def _one_target(c: Calibration, t: int, name: str) -> str:
@@ -41,13 +50,13 @@ def _one_target(c: Calibration, t: int, name: str) -> str:
         angles = np.degrees(pin.rpy.matrixToRpy(T[:3, :3]))
         rpy = f", rpy ({', '.join(three(float(v)) for v in angles)}) deg"
     if not c.setup.target_unknown[t]:
-        return wrap(f"{what}: ({place}) mm{rpy} in {c.nominal.tip}, as given.")
+        return f"{what}: ({place}) mm{rpy} in {c.nominal.tip}, as given."
     sure = f"({_half_widths(c, [placed_name('target', axis, name) for axis in 'xyz'], 1e3)}) mm"
     if c.setup.rotation:
         turns = [placed_name("target", f"r{axis}", name) for axis in "xyz"]
         sure += f" and ({_half_widths(c, turns, float(np.degrees(1.0)))}) deg about its axes"
     if not given.target_given[t]:
-        return wrap(f"{what}: found at ({place}) mm{rpy} in {c.nominal.tip}, 95 % +- {sure}.")
+        return f"{what}: found at ({place}) mm{rpy} in {c.nominal.tip}, 95 % +- {sure}."
     moved = float(np.linalg.norm(T[:3, 3] - given.T_tip_target[t, :3, 3]))
     text = (
         f"{what}: ({place}) mm{rpy} in {c.nominal.tip}, 95 % +- {sure}; it moved {1e3 * moved:.1f} mm from the "
@@ -55,16 +64,26 @@ def _one_target(c: Calibration, t: int, name: str) -> str:
     )
     if moved > _TARGET_MOVED:
         text += " That is further than mounting explains: check the sign and the order of the numbers given."
-    return wrap(text)
+    return text
 
 
 def frame_text(c: Calibration) -> str:
-    """Where the base stands in each measurement frame that was estimated, and how sure that is."""
+    """Where the base stands in each measurement frame that was estimated, and how sure that is; at 100 columns."""
+    return "\n".join(wrap(sentence) for sentence in frame_sentences(c))
+
+
+def frame_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
+    """The same, one sentence for each frame.
+
+    Args:
+        c: The calibration.
+        most: Of more frames than this the number is given.
+    """
     many = len(c.setup.groups) > 1
     found = [f for f, directions in enumerate(c.setup.unknown) if directions]
-    lines = [_one_frame(c, f, c.setup.groups[f] if many else "") for f in found[:_MOST_PLACES]]
+    lines = [_one_frame(c, f, c.setup.groups[f] if many else "") for f in found[:most]]
     more = len(found) - len(lines)
-    return "\n".join([*lines, *([f"... and {more} more set-ups"] if more else [])])
+    return [*lines, *([f"... and {more} more set-ups"] if more else [])]
 
 
 def _one_frame(c: Calibration, f: int, group: str) -> str:
@@ -80,19 +99,17 @@ def _one_frame(c: Calibration, f: int, group: str) -> str:
     if kinds <= {"fixed", "distance"}:
         name = "Socket" if kinds == {"fixed"} else "Anchor"
         place = ", ".join(three(1e3 * float(v)) for v in -T[:3, :3].T @ T[:3, 3])
-        return wrap(f"{name}{what}: found at ({place}) mm in {base}.")
+        return f"{name}{what}: found at ({place}) mm in {base}."
     if kinds == {"plane"}:
         normal = ", ".join(f"{v:.5f}" for v in T[2, :3])
-        return wrap(
-            f"Plane{what}: found with the normal ({normal}) in {base}, {-1e3 * T[2, 3]:.3f} mm along it."
-        )
+        return f"Plane{what}: found with the normal ({normal}) in {base}, {-1e3 * T[2, 3]:.3f} mm along it."
     xyz = ", ".join(three(1e3 * float(v)) for v in T[:3, 3])
     rpy = ", ".join(three(float(v)) for v in np.degrees(pin.rpy.matrixToRpy(T[:3, :3])))
     shift = [placed_name("frame", d, group) for d in directions if d in "xyz"]
     turn = [placed_name("frame", d, group) for d in directions if d not in "xyz"]
     sure = [f"({_half_widths(c, shift, 1e3)}) mm"] * bool(shift)
     sure += [f"({_half_widths(c, turn, float(np.degrees(1.0)))}) deg"] * bool(turn)
-    return wrap(
+    return (
         f"Measurement frame{what}: {base} found at ({xyz}) mm, rpy ({rpy}) deg in it; 95 % +- "
         f"{' and '.join(sure)} for {', '.join(directions)} along and about the axes of {base}."
     )
