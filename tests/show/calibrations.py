@@ -155,12 +155,13 @@ def hostile_names() -> Calibration:
         f'<axis xyz="{axes[i]}"/><limit lower="-0.9" upper="1.1" effort="1" velocity="1"/></joint>'
         for i, name in enumerate(HOSTILE)
     )
-    text = f"<robot name={quoteattr(HOSTILE[0])}>{''.join(f'<link name={quoteattr(n)}/>' for n in links)}{joints}</robot>"
+    parts = "".join(f"<link name={quoteattr(name)}/>" for name in links) + joints
+    text = f"<robot name={quoteattr(HOSTILE[0])}>{parts}</robot>"
     urdf = Urdf.from_bytes(text.encode(), HOSTILE[1] + ".urdf")
     robot = Robot.from_urdf(urdf, links[0], links[-1])
-    place = read_only((0.05, 0.05, 0.05))
-    cell = Cell(targets={HOSTILE_TARGET: place}, model="dh")
-    found = simulated(Scenario(robot, cell, model="dh"), 30, 5, only=HOSTILE_SOURCE)
+    targets = {HOSTILE_TARGET: read_only((0.05, 0.05, 0.05)), "plain": read_only((-0.1, 0.0, 0.05))}
+    cell = Cell(targets=targets, model="placement")
+    found = simulated(Scenario(robot, cell), 30, 5, only=HOSTILE_SOURCE)
     return calibrate(robot, found, cell=cell, validate=False)
 
 
