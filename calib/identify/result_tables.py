@@ -48,6 +48,7 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
             "tip": c.nominal.tip,
             "joints": list(c.nominal.joint_names),
             "held": _held(c.nominal),
+            "ranges": _ranges(c),
             "origins": _origins(c.robot),
             "nominal_origins": _origins(c.nominal),
         },
@@ -80,7 +81,10 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
             },
             "sizes": _sizes(c.sizes),
         },
-        "parameters": [_parameter(p) for p in c.parameters],
+        "parameters": [
+            {**_parameter(p), "prior_std": std}
+            for p, std in zip(c.parameters, _prior_stds(c), strict=True)
+        ],
         "covariance": c.covariance,
         "outliers": [_outlier(o) for o in c.outliers],
         "suspects": [_outlier(o) for o in c.suspects],
@@ -209,6 +213,26 @@ def _origins(robot: Robot) -> list[dict[str, Any]]:
         {"joint": carrier, "xyz_m": T[:3, 3], "rpy_rad": pin.rpy.matrixToRpy(T[:3, :3])}
         for carrier, T in robot.origins().items()
     ]
+
+
+def _ranges(c: Calibration) -> list[dict[str, Any]]:
+    """The smallest and the largest value of each measured joint in the rows that were fitted."""
+    fitted = c.measurements.joints_for(c.nominal.joint_names)[c.weights > 0.0]
+    return [
+        {
+            "joint": joint.name,
+            "low": fitted[:, column].min(initial=np.inf),
+            "high": fitted[:, column].max(initial=-np.inf),
+            "unit": "m" if joint.type == "prismatic" else "rad",
+        }
+        for column, joint in enumerate(c.nominal.inputs)
+    ]
+
+
+def _prior_stds(c: Calibration) -> list[float]:
+    """What the priors, or the holds where there is none, let each parameter change; of the same order."""
+    precision = c.fitted.estimate.problem.precision
+    return [float(1.0 / np.sqrt(one)) if one > 0.0 else np.nan for one in precision]
 
 
 def _sizes(sizes: Mapping[str, float]) -> dict[str, float]:
