@@ -30,8 +30,11 @@ from calib.model.torques import Payload
 __all__ = [
     "StoredResult",
     "evaluation_table",
+    "plain",
     "read_result",
+    "read_table",
     "result_table",
+    "stored_result",
     "write_result",
     "write_table",
 ]
@@ -56,7 +59,7 @@ def write_table(table: Mapping[str, Any], path: str | Path, *, overwrite: bool =
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    text = json.dumps(_clean(table), indent=1, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(plain(table), indent=1, allow_nan=False, ensure_ascii=False)
     return write_atomically(Path(path), (text + "\n").encode(), overwrite=overwrite)
 
 
@@ -66,16 +69,37 @@ def read_result(path: str | Path) -> StoredResult:
     Raises:
         FileError: It cannot be read, is no JSON, no result of calib, or of a newer schema.
     """
+    return stored_result(read_table(path), path)
+
+
+def read_table(path: str | Path) -> dict[str, Any]:
+    """The nested tables of a result file.
+
+    Raises:
+        FileError: It cannot be read, is no JSON, no result of calib, or of a newer schema.
+    """
     expected = (
         f"a result of calib {calib.__version__} has {SCHEMA}. Give the file that 'calib fit --json' wrote, by the same "
         "version."
     )
-    table = read_json(path, "calibration result", _LARGEST_BYTES, SCHEMA, expected)
+    return read_json(path, "calibration result", _LARGEST_BYTES, SCHEMA, expected)
+
+
+def stored_result(table: Mapping[str, Any], source: str | Path) -> StoredResult:
+    """What a result's tables say of robot and set-up.
+
+    Args:
+        table: See `read_table`, or `plain` of `result_table`.
+        source: What messages call it.
+
+    Raises:
+        FileError: Something is missing or of another kind.
+    """
     try:
         return _stored(table)
     except (KeyError, TypeError, ValueError, AttributeError, CalibError) as error:
         message = (
-            f"{path}: the result is incomplete or damaged ({error!r}). Write it again with "
+            f"{source}: the result is incomplete or damaged ({error!r}). Write it again with "
             "'calib fit --json'."
         )
         raise FileError(message) from error
@@ -171,14 +195,14 @@ def _text(value: Any) -> str:  # noqa: ANN401
     return value
 
 
-def _clean(value: Any) -> Any:  # noqa: ANN401
-    """Arrays as lists, numbers that do not exist as null."""
+def plain(value: Any) -> Any:  # noqa: ANN401
+    """Nested tables as JSON has them: arrays as lists, numbers that do not exist as None."""
     if isinstance(value, Mapping):
-        return {key: _clean(entry) for key, entry in value.items()}
+        return {key: plain(entry) for key, entry in value.items()}
     if isinstance(value, np.ndarray):
-        return _clean(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [_clean(entry) for entry in value]
+        return [plain(entry) for entry in value]
     if isinstance(value, (float, np.floating)):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, np.integer):
