@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ import calib.data
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
+from tests.browser import CHROMIUM, NEEDED, Browser
 
 JointSpec = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
 
@@ -31,6 +32,16 @@ def panda() -> Robot:
 def paper_table() -> Measurements:
     """The paper's Table 2."""
     return Measurements.read(calib.data.paper_measurements())
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Chromium, started once; ``with browser.open(url) as tab``."""
+    if CHROMIUM is None:
+        pytest.skip(NEEDED)
+    browser = Browser()
+    yield browser
+    browser.close()
 
 
 @pytest.fixture(scope="session")

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import base64
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import umsgpack
-from PIL import Image
 
 from calib import data
 from calib.errors import FileError
@@ -20,14 +17,6 @@ from calib.measure.cell import Cell
 from calib.measure.surroundings import Box, Tracker
 from calib.model.readback import random_joint_values
 from calib.show.plan_view import plan_page, write_plan_view
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-FLAGS = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader", "--window-size=1280,720", "--virtual-time-budget=4000", "--enable-logging=stderr",
-    "--hide-scrollbars", "--host-resolver-rules=MAP * ~NOTFOUND",
-]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -155,25 +144,11 @@ def test_an_existing_file_is_kept(planned, tmp_path):
     assert write_plan_view(planned, path, overwrite=True).read_bytes() == plan_page(planned).html
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
-def test_chromium_draws_it_without_a_complaint(planned, tmp_path):
+def test_chromium_draws_it_without_a_complaint(browser, planned, tmp_path):
     path = write_plan_view(planned, tmp_path / "plan.html")
-    picture = tmp_path / "plan.png"
-    done = subprocess.run(
-        [
-            CHROMIUM,
-            *FLAGS,
-            f"--user-data-dir={tmp_path / 'profile'}",
-            f"--screenshot={picture}",
-            path.as_uri(),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    assert [line for line in console if "GL Driver Message" not in line] == []
-    pixels = np.asarray(Image.open(picture).convert("RGB")).reshape(-1, 3).astype(int)
+    with browser.open(path.as_uri()) as tab:
+        pixels = tab.screenshot().reshape(-1, 3).astype(int)
+        assert tab.console == []
+        assert tab.elsewhere == []
     for colour in ((0x9A, 0xAF, 0xC4), (0xC8, 0x32, 0x3C)):  # the robot, lines of sight
         assert np.sum(np.abs(pixels - colour).max(axis=1) < 40) > 30

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import base64
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from html import escape
 
 import numpy as np
 import pytest
 import umsgpack
-from PIL import Image
 
 from calib import data
 from calib.errors import FileError, ModelError
@@ -22,14 +19,6 @@ from calib.measure.workspace import Density, sample_workspace
 from calib.model.robot import Robot
 from calib.show.region_pictures import Marked
 from calib.show.region_view import RegionView, region_page, write_region_view
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-FLAGS = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader", "--window-size=1280,720", "--virtual-time-budget=4000", "--enable-logging=stderr",
-    "--hide-scrollbars", "--host-resolver-rules=MAP * ~NOTFOUND",
-]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -175,29 +164,12 @@ def test_what_does_not_fit_is_refused(view, change, said):
         replace(view, **change)
 
 
-@pytest.mark.skipif(
-    CHROMIUM is None, reason="chromium is not installed: the page was not looked at"
-)
-def test_chromium_shows_robot_bands_and_rows_and_calls_nobody(view, tmp_path):
+def test_chromium_shows_robot_bands_and_rows_and_calls_nobody(browser, view, tmp_path):
     path = write_region_view(view, tmp_path / "view.html")
-    shot = tmp_path / "shot.png"
-    done = subprocess.run(
-        [
-            CHROMIUM,
-            *FLAGS,
-            f"--user-data-dir={tmp_path / 'p'}",
-            f"--screenshot={shot}",
-            path.as_uri(),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    assert [line for line in console if "GL Driver Message" not in line] == []
-    with Image.open(shot) as image:
-        picture = np.asarray(image.convert("RGB")).astype(int)
+    with browser.open(path.as_uri()) as tab:
+        picture = tab.screenshot().astype(int)
+        assert tab.console == []
+        assert tab.elsewhere == []
     middle = picture[80:640, 200:1080]
     red, green, blue = np.moveaxis(middle, -1, 0)
     counts = {

@@ -1,0 +1,345 @@
+"""One headless Chromium for a session of tests, driven over a pipe: what pages say, ask for and show.
+
+The pipe (``--remote-debugging-pipe``) opens no port, and Chromium ends when it is closed, whatever happened to the
+tests. No host name can be looked up, so a page that asks for one is found out, and nobody is called.
+"""
+
+from __future__ import annotations
+
+import base64
+import fcntl
+import io
+import json
+import os
+import select
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+NEEDED = "chromium is not installed: the page was not looked at"
+
+FLAGS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--hide-scrollbars",
+    # Chromium's own services are not called either; 127.0.0.1 is no name.
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--remote-debugging-pipe",
+]
+
+#: Puts the pipe's ends to where Chromium looks for them, then becomes Chromium.
+_START = (
+    "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); "
+    "os.execv(sys.argv[3], sys.argv[3:])"
+)
+
+
+class BrowserError(Exception):
+    """The browser or a page's script failed, or what was waited for did not come."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a page's console.
+
+    Attributes:
+        level: ``"error"``, ``"warning"``, ``"info"``, ...
+        text: What it says.
+        source: Who says it: ``"console-api"``, ``"exception"``, ``"security"``, ``"network"``, ...
+    """
+
+    level: str
+    text: str
+    source: str
+
+
+@dataclass
+class Tab:
+    """A window with one page.
+
+    Attributes:
+        console: Every line of the console, Chromium's remarks on its own drawing aside.
+        requests: Every address that the page asked for, itself, ``data:`` and ``ws:`` included.
+        refused: What the page's policy did not let through, or no host answered.
+    """
+
+    browser: Browser
+    session: str
+    console: list[Line] = field(default_factory=list)
+    requests: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+    _named: dict[str, str] = field(default_factory=dict)
+    _loaded: bool = False
+
+    @property
+    def elsewhere(self) -> list[str]:
+        """Every address asked for that is neither the page's own file or host, nor within the page."""
+        self.evaluate("0")  # what has come until now
+        own = urlsplit(self.evaluate("location.href"))
+        return [
+            url
+            for url in self.requests
+            if (to := urlsplit(url)).scheme not in ("data", "blob")
+            and (to != own if own.scheme == "file" else to.netloc != own.netloc)
+        ]
+
+    @property
+    def exceptions(self) -> list[str]:
+        """What scripts did not catch."""
+        return [line.text for line in self.console if line.source == "exception"]
+
+    @property
+    def complaints(self) -> list[Line]:
+        """Errors and warnings."""
+        self.evaluate("0")  # what has come until now
+        return [line for line in self.console if line.level in ("error", "warning")]
+
+    def open(self, url: str, timeout: float = 60.0) -> None:
+        """Load another page."""
+        self._loaded = False
+        answer = self._call("Page.navigate", url=url)
+        if answer.get("errorText"):
+            message = f"{url}: {answer['errorText']}"
+            raise BrowserError(message)
+        self.browser.pump(lambda: self._loaded, timeout, f"{url} to load")
+
+    def evaluate(self, script: str, timeout: float = 60.0) -> Any:
+        """The value of an expression; a promise is waited for."""
+        answer = self._call(
+            "Runtime.evaluate",
+            timeout,
+            expression=script,
+            awaitPromise=True,
+            returnByValue=True,
+        )
+        if "exceptionDetails" in answer:
+            raise BrowserError(_exception_text(answer["exceptionDetails"]))
+        return answer["result"].get("value")
+
+    def wait_for(self, condition: str, timeout: float = 20.0) -> Any:
+        """The value of an expression once it is true."""
+        end = time.monotonic() + timeout
+        while not (value := self.evaluate(condition)):
+            if time.monotonic() > end:
+                message = f"waited {timeout:g} s for: {condition}"
+                raise BrowserError(message)
+            time.sleep(0.02)
+        return value
+
+    def settle(self, frames: int = 3) -> None:
+        """Wait until some frames were drawn."""
+        self.evaluate(
+            "new Promise((done) => { const frame = (left) => left "
+            f"? requestAnimationFrame(() => frame(left - 1)) : done(); frame({frames}); }})"
+        )
+
+    def screenshot(self) -> NDArray[np.uint8]:
+        """What the window shows once it has settled, shape (height, width, 3)."""
+        self.settle()
+        answer = self._call("Page.captureScreenshot", format="png")
+        with Image.open(io.BytesIO(base64.b64decode(answer["data"]))) as image:
+            return np.asarray(image.convert("RGB"))
+
+    def click(self, selector: str) -> None:
+        """Click on the middle of an element, as a hand does."""
+        box = self.evaluate(
+            f"(() => {{ const b = document.querySelector({json.dumps(selector)}).getBoundingClientRect(); "
+            "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+        )
+        for kind in ("mousePressed", "mouseReleased"):
+            self._call(
+                "Input.dispatchMouseEvent",
+                type=kind,
+                x=box[0],
+                y=box[1],
+                button="left",
+                clickCount=1,
+            )
+
+    def key(self, name: str) -> None:
+        """Press a key that has no letter, such as ``"ArrowRight"``."""
+        code = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}.get(name, 0)
+        for kind in ("keyDown", "keyUp"):
+            self._call(
+                "Input.dispatchKeyEvent", type=kind, key=name, code=name, windowsVirtualKeyCode=code
+            )
+
+    def pdf(self) -> bytes:
+        """The page as printed."""
+        answer = self._call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)
+        return base64.b64decode(answer["data"])
+
+    def hear(self, method: str, said: dict[str, Any]) -> None:
+        """Take an event of this page."""
+        if method == "Page.loadEventFired":
+            self._loaded = True
+        elif method == "Runtime.consoleAPICalled":
+            text = " ".join(str(a.get("value", a.get("description"))) for a in said["args"])
+            self.console.append(Line(said["type"], text, "console-api"))
+        elif method == "Runtime.exceptionThrown":
+            self.console.append(
+                Line("error", _exception_text(said["exceptionDetails"]), "exception")
+            )
+        elif method == "Log.entryAdded":
+            entry = said["entry"]
+            # Chromium's own remark on reading the picture back is not the page's.
+            if "GL Driver Message" not in entry["text"]:
+                self.console.append(Line(entry["level"], entry["text"], entry["source"]))
+        elif method == "Network.requestWillBeSent":
+            self.requests.append(said["request"]["url"])
+            self._named[said["requestId"]] = said["request"]["url"]
+        elif method == "Network.webSocketCreated":
+            self.requests.append(said["url"])
+        elif method == "Network.loadingFailed":
+            why = said.get("blockedReason") or said["errorText"]
+            self.refused.append(f"{self._named.get(said['requestId'], '?')}: {why}")
+
+    def _call(self, method: str, timeout: float = 60.0, **params: Any) -> dict[str, Any]:
+        """A command to this page."""
+        return self.browser.call(method, params, self.session, timeout)
+
+
+class Browser:
+    """Chromium, to be closed at the end."""
+
+    def __init__(self) -> None:
+        if CHROMIUM is None:
+            raise BrowserError(NEEDED)
+        self._profile = tempfile.TemporaryDirectory(
+            prefix="calib-chromium-", ignore_cleanup_errors=True
+        )
+        theirs_in, self._out = os.pipe()
+        self._in, theirs_out = os.pipe()
+        # Away from 3 and 4, which they become.
+        ends = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 16) for end in (theirs_in, theirs_out)]
+        command = [sys.executable, "-ISc", _START, *map(str, ends), CHROMIUM, *FLAGS]
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115
+        self.process = subprocess.Popen(
+            [*command, f"--user-data-dir={self._profile.name}", "about:blank"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=self._log,
+            pass_fds=ends,
+        )
+        for end in (theirs_in, theirs_out, *ends):
+            os.close(end)
+        self._rest = b""
+        self._last = 0
+        self._answers: dict[int, dict[str, Any]] = {}
+        self._tabs: dict[str, Tab] = {}
+
+    @contextmanager
+    def open(self, url: str = "about:blank", size: tuple[int, int] = (1280, 720)) -> Iterator[Tab]:
+        """A window of its own: no cookie and no store of another's."""
+        context = self.call("Target.createBrowserContext")["browserContextId"]
+        try:
+            target = self.call(
+                "Target.createTarget",
+                {
+                    "url": "about:blank",
+                    "browserContextId": context,
+                    "width": size[0],
+                    "height": size[1],
+                },
+            )["targetId"]
+            attached = self.call("Target.attachToTarget", {"targetId": target, "flatten": True})
+            session = attached["sessionId"]
+            tab = self._tabs[session] = Tab(self, session)
+            for part in ("Page", "Runtime", "Log", "Network"):
+                self.call(f"{part}.enable", {}, session)
+            metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+            self.call("Emulation.setDeviceMetricsOverride", metrics, session)
+            if url != "about:blank":
+                tab.open(url)
+            yield tab
+        finally:
+            with suppress(BrowserError, OSError):  # not in place of what went wrong before
+                self.call("Target.disposeBrowserContext", {"browserContextId": context})
+
+    def call(
+        self,
+        method: str,
+        params: dict[str, Any] | None = None,
+        session: str | None = None,
+        timeout: float = 60.0,
+    ) -> dict[str, Any]:
+        """The answer to a command of the DevTools protocol."""
+        self._last += 1
+        number = self._last
+        message = {"id": number, "method": method, "params": params or {}}
+        if session is not None:
+            message["sessionId"] = session
+        data = memoryview(json.dumps(message).encode() + b"\0")
+        while data:
+            data = data[os.write(self._out, data) :]
+        self.pump(lambda: number in self._answers, timeout, f"{method} to be answered")
+        answer = self._answers.pop(number)
+        if "error" in answer:
+            text = f"{method}: {answer['error'].get('message')}"
+            raise BrowserError(text)
+        result: dict[str, Any] = answer["result"]
+        return result
+
+    def pump(self, done: Callable[[], bool], timeout: float, what: str) -> None:
+        """Take what Chromium says until something is done."""
+        end = time.monotonic() + timeout
+        while not done():
+            ready, _, _ = select.select([self._in], [], [], max(0.0, end - time.monotonic()))
+            piece = os.read(self._in, 2**20) if ready else b""
+            if not piece:
+                why = "Chromium ended" if ready else f"{timeout:g} s were not enough"
+                message = f"waiting for {what}: {why}.\n{self._said()}"
+                raise BrowserError(message)
+            *whole, self._rest = (self._rest + piece).split(b"\0")
+            for text in whole:
+                self._take(json.loads(text))
+
+    def close(self) -> None:
+        """End Chromium and remove its folder."""
+        os.close(self._out)  # which it takes as its end
+        try:
+            self.process.wait(10)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        os.close(self._in)
+        self._log.close()
+        self._profile.cleanup()
+
+    def _take(self, message: dict[str, Any]) -> None:
+        """An answer, or an event."""
+        if "id" in message:
+            self._answers[message["id"]] = message
+        elif message.get("sessionId") in self._tabs:
+            self._tabs[message["sessionId"]].hear(message["method"], message["params"])
+
+    def _said(self) -> str:
+        """The end of what Chromium printed."""
+        self._log.seek(0)
+        return self._log.read()[-2000:].decode("utf-8", "replace")
+
+
+def _exception_text(details: dict[str, Any]) -> str:
+    """An exception of a script in words."""
+    return str(details.get("exception", {}).get("description") or details["text"])
