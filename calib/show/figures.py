@@ -1,0 +1,254 @@
+"""Figures of a calibration, for reports and papers: PNG, SVG or PDF, readable in print and with any colour vision.
+
+`drawings` lists those that apply to a calibration, `rendered` makes a file of one, `write_figures` writes all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from calib.identify.result import Calibration
+from calib.model.files import make_folder, write_atomically
+from calib.show.figure_base import (
+    KINDS,
+    Drawing,
+    check_kind,
+    counted,
+    has_angles,
+    has_axes,
+    rendered,
+)
+from calib.show.figure_errors import (
+    by_axis_figure,
+    by_pose_figure,
+    curve_rows,
+    curves_figure,
+    histogram_figure,
+)
+from calib.show.figure_fit import candidates_figure, convergence_figure, singular_values_figure
+from calib.show.figure_parameters import (
+    changes_figure,
+    correlation_indices,
+    correlations_figure,
+    shown_parameters,
+)
+from calib.show.figure_points import POSES, points_figure, uncertainty_figure
+
+__all__ = ["KINDS", "Drawing", "drawings", "rendered", "write_figures"]
+
+
+def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
+    """The figures that apply to a calibration, in a report's order; none is drawn yet.
+
+    Args:
+        calibration: The calibration.
+    """
+    c = calibration
+    lengths = bool(np.any(c.used[:, :3]))
+    wanted = (
+        (True, _points),
+        (lengths, _curves),
+        (lengths, _by_pose),
+        (has_angles(c), _orientation_by_pose),
+        (has_axes(c) or has_angles(c), _by_axis),
+        (True, _histogram),
+        (len(c.solution.history) > 0, _convergence),
+        (len(shown_parameters(c)) > 0, _changes),
+        (len(correlation_indices(c)) > 1, _correlations),
+        (c.observability.columns > 0, _singular_values),
+        (len(c.candidates) > 0, _candidates),
+        (True, _uncertainty),
+    )
+    return tuple(make(c) for applies, make in wanted if applies)
+
+
+def write_figures(
+    calibration: Calibration,
+    folder: str | Path,
+    *,
+    kind: str = "png",
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Path, ...]:
+    """Write every figure into a folder, which is made if it is missing.
+
+    Args:
+        calibration: The calibration.
+        folder: Where to.
+        kind: ``"png"``, ``"svg"`` or ``"pdf"``.
+        overwrite: Whether files that exist may be replaced.
+        progress: Called after each figure with the number done and that of all.
+
+    Returns:
+        The files, in the order of `drawings`.
+
+    Raises:
+        FileError: Another kind, or a file exists or cannot be written; what exists is found before anything is drawn.
+    """
+    check_kind(kind)
+    made = drawings(calibration)
+    place = make_folder(folder)
+    paths = tuple(place / f"{drawing.name}.{kind}" for drawing in made)
+    for done, (drawing, path) in enumerate(zip(made, paths, strict=True), start=1):
+        write_atomically(path, rendered(drawing, kind), overwrite=overwrite)
+        if progress is not None:
+            progress(done, len(made))
+    return paths
+
+
+def _points(c: Calibration) -> Drawing:
+    """Points in space."""
+    return Drawing(
+        "points",
+        "Measured points",
+        f"The {counted(c)} in the base frame, [mm]: in space, and seen from three sides at equal scales. Outliers and "
+        "validation rows carry their row numbers if they are few.",
+        partial(points_figure, c),
+    )
+
+
+def _curves(c: Calibration) -> Drawing:
+    """Error curves."""
+    word, mask, _ = curve_rows(c)
+    rows = int(np.sum(mask))
+    which = {
+        "validation": f"the {rows:,} validation rows, which the fit has not seen",
+        "left-out": f"the {rows:,} estimation rows, each predicted by a fit that has not seen it",
+        "estimation": f"the {rows:,} estimation rows, which the fit has seen",
+    }[word]
+    what = "Errors along x, y and z and their size" if has_axes(c) else "Errors of the lengths"
+    return Drawing(
+        "error-curves",
+        "Errors before and after calibration",
+        f"{what}, measured minus predicted, [mm], on {which}: by the nominal robot (dashed) and by the calibrated one "
+        "(solid).",
+        partial(curves_figure, c),
+    )
+
+
+def _by_pose(c: Calibration) -> Drawing:
+    """Position errors by pose."""
+    return Drawing(
+        "errors-by-pose",
+        "Position error by row",
+        f"Size of the position error of all rows, {counted(c)} (shaded), in the order of the table, [mm]: before and "
+        "after calibration above, after it alone below." + _left_out_words(c),
+        partial(by_pose_figure, c),
+    )
+
+
+def _orientation_by_pose(c: Calibration) -> Drawing:
+    """Orientation errors by pose."""
+    return Drawing(
+        "orientation-errors-by-pose",
+        "Orientation error by row",
+        f"Angle between measured and predicted orientation of all rows that measure one, of {counted(c)} (shaded), in "
+        "the order of the table, [deg]: before and after calibration above, after it alone below."
+        + _left_out_words(c),
+        partial(by_pose_figure, c, angle=True),
+    )
+
+
+def _left_out_words(c: Calibration) -> str:
+    """What the dashes are."""
+    if c.cross_validation is None:
+        return ""
+    return " Dashes: the same rows predicted by fits that have not seen them."
+
+
+def _by_axis(c: Calibration) -> Drawing:
+    """Errors by axis."""
+    return Drawing(
+        "errors-by-axis",
+        "Errors by axis",
+        f"Errors along the axes of the measurement frame, measured minus predicted, of {counted(c)}, [mm]; of "
+        "orientations about them, [deg]. Boxes hold the middle half of the rows, the line is their median, whiskers "
+        "reach from 5 to 95 %, dots are single rows.",
+        partial(by_axis_figure, c),
+    )
+
+
+def _histogram(c: Calibration) -> Drawing:
+    """Histograms."""
+    return Drawing(
+        "histograms",
+        "How often which error occurs",
+        f"Left: size of the error of all rows, {counted(c)}, before and after, on a logarithmic scale. Right: each "
+        "number that was measured in the estimation rows, less what the calibrated robot predicts, over its estimated "
+        "noise; if the model is complete, it follows the normal distribution.",
+        partial(histogram_figure, c),
+    )
+
+
+def _convergence(c: Calibration) -> Drawing:
+    """Convergence."""
+    return Drawing(
+        "convergence",
+        "Convergence of the solver",
+        f"Cost, length of the step and damping over the {c.solution.iterations} iterations of the solver '{c.solver}' "
+        "on the estimation rows. The line of the cost is broken where weights and noise were set anew.",
+        partial(convergence_figure, c),
+    )
+
+
+def _changes(c: Calibration) -> Drawing:
+    """Changes of parameters."""
+    return Drawing(
+        "parameter-changes",
+        "Changes of the parameters",
+        f"Change of each parameter from its nominal value with its 95 % interval, estimated from "
+        f"{int(np.sum(c.measurements.estimation)):,} estimation rows. An interval that does not reach the dashed line "
+        "is a change that the data show.",
+        partial(changes_figure, c),
+    )
+
+
+def _correlations(c: Calibration) -> Drawing:
+    """Correlations."""
+    return Drawing(
+        "correlations",
+        "Correlations of the parameters",
+        "Correlation of each pair of the parameters that the measurements determine, from the covariance of the fit to "
+        "the estimation rows. The area of a square is the size of the correlation. Pairs near ±1 are known together "
+        "better than apart.",
+        partial(correlations_figure, c),
+    )
+
+
+def _singular_values(c: Calibration) -> Drawing:
+    """Singular values."""
+    o = c.observability
+    return Drawing(
+        "singular-values",
+        "What the poses determine",
+        f"Singular values of the Jacobian at the estimation rows: how far all points together move for a step of 1 mm "
+        f"and 1 mrad along each of {o.columns} combinations of parameters, [mm]. Rank {o.rank}.",
+        partial(singular_values_figure, c),
+    )
+
+
+def _candidates(c: Calibration) -> Drawing:
+    """The ladder of models."""
+    return Drawing(
+        "candidates",
+        "Models tried",
+        "Each model that was tried on the estimation rows, with its number of parameters. Left: rms of the error on "
+        "left-out rows, outliers aside. Right: restricted log likelihood, less that of the best.",
+        partial(candidates_figure, c),
+    )
+
+
+def _uncertainty(c: Calibration) -> Drawing:
+    """Uncertainty over the workspace."""
+    return Drawing(
+        "workspace-uncertainty",
+        "Uncertainty over the workspace",
+        f"Standard deviation of the calibrated robot's predicted position at {POSES:,} poses spread over the joint "
+        "limits, from the covariance of the parameters, [mm], in the base frame; the least certain poses lie on top. "
+        "It knows nothing of errors that the model lacks.",
+        partial(uncertainty_figure, c),
+    )
