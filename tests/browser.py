@@ -43,8 +43,8 @@ FLAGS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--hide-scrollbars",
-    # Chromium's own services are not called either; 127.0.0.1 is no name.
-    "--host-resolver-rules=MAP * ~NOTFOUND",
+    # Chromium's own services are not called either.
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     "--remote-debugging-pipe",
 ]
 
