@@ -182,13 +182,13 @@ def unidentifiable_text(c: Calibration) -> str:
     return f"These changes move nothing that was measured{held}:"
 
 
-def shown_parameters(c: Calibration) -> list[ParameterText]:
-    """The parameters of the geometry.
+def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
+    """The parameters of the geometry that are listed.
 
     Frames and the targets' orientations are told as poses: their parameters count from where registration put them.
     """
     return [
-        parameter_text(p)
+        p
         for p, m in zip(c.parameters, c.model.parameters, strict=True)
         if m.family != FRAME and not (m.family == TARGET and m.unit == "rad")
     ]

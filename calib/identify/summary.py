@@ -15,6 +15,7 @@ from calib.identify.statements import (
     left_out_text,
     listed,
     noise_text,
+    parameter_text,
     rank_text,
     repeats_text,
     shown_parameters,
@@ -201,7 +202,7 @@ def _identified(c: Calibration) -> str:
 
 def _parameters(c: Calibration) -> str:
     """The parameters with their 95 % intervals; * where the data know them in combinations only."""
-    shown = shown_parameters(c)
+    shown = [parameter_text(p) for p in shown_parameters(c)]
     if not shown:
         return ""
     width = min(max(len(p.name) for p in shown), _LONGEST_NAME) + 2

@@ -9,12 +9,9 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from calib.errors import CalibError
-
-if TYPE_CHECKING:
-    from calib.show.figures import Drawing
+from calib.show.figure_base import Drawing
 
 #: Invisible characters that some scripts cannot do without: zero-width joiner and non-joiner.
 _JOINERS = "\u200c\u200d"
@@ -117,12 +114,16 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True)
 class Signatures:
-    """Room to sign.
+    """Room to write on by hand.
 
     Attributes:
-        lines: What goes on each line, such as name, date and signature.
+        blanks: What is filled in, a line each.
+        parties: Who signs.
+        lines: What each of them writes, such as name, date and signature.
     """
 
+    blanks: tuple[str, ...]
+    parties: tuple[str, ...]
     lines: tuple[str, ...]
 
 

@@ -62,7 +62,9 @@ def _block(block: Block, count: Iterator[int]) -> str:
     if isinstance(block, Judgement):
         reasons = "\n".join(f"- {escaped(reason)}" for reason in block.reasons)
         return f"**Verdict: {escaped(block.use)}**\n\n{reasons}".rstrip()
-    return "\n\n".join(f"{escaped(line)}: {chr(92)}{'_' * 40}" for line in block.lines)
+    rows = [(line, "") for line in block.blanks]
+    rows += [(f"{party}: {line.lower()}", "") for party in block.parties for line in block.lines]
+    return _facts(Facts(tuple(rows)))
 
 
 def _facts(facts: Facts) -> str:

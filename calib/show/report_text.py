@@ -78,8 +78,13 @@ def _facts(block: Facts) -> Iterator[str]:
 
 def _signatures(block: Signatures) -> Iterator[str]:
     """Lines to write on."""
-    for line in block.lines:
-        yield f"{plain(line) + ':':<24}{'_' * 50}"
+    for line in block.blanks:
+        yield f"{plain(line) + ':':<40}{'_' * 50}"
+    for party in block.parties:
+        yield ""
+        yield f"{plain(party)}"
+        for line in block.lines:
+            yield f"{'  ' + plain(line) + ':':<40}{'_' * 50}"
 
 
 def _table(block: Table, number: int) -> Iterator[str]:

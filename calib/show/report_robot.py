@@ -1,0 +1,222 @@
+"""What a report says of the robot: parameters with intervals, DH rows and origins before and after, what is unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib.identify.findings import ParameterEstimate
+from calib.identify.result import Calibration
+from calib.identify.statements import (
+    candidate_rms,
+    correlation_text,
+    larger_parameters,
+    rank_text,
+    shown_parameters,
+    sizes_text,
+    unidentifiable_text,
+)
+from calib.identify.statistics import interval_factor
+from calib.identify.words import frame_sentences, target_sentences
+from calib.model.dh import DHRow, dh_table
+from calib.model.robot import rigid_inverse
+from calib.show.document import Block, Bullets, Paragraph, Table, blocks, table
+from calib.show.report_accuracy import deg, mm
+
+Array = NDArray[np.float64]
+
+#: More targets or set-ups, and more combinations, than this are counted.
+_MOST = 40
+
+#: A frame that moved by less has not [m or rad].
+_NOTHING = 1e-9
+
+
+def parameter_blocks(c: Calibration) -> tuple[Block, ...]:
+    """Nominal value, correction and interval of each parameter; targets and frames."""
+    every = shown_parameters(c)
+    m, factor = c.measurements, interval_factor(c.fitted.estimate.freedom)
+    without = int(np.sum(c.weights[m.estimation] <= 0.0))
+    rows = f"{m.estimation.sum()} estimation rows" + (
+        f", {without} of which have no weight" if without else ""
+    )
+    places = (*target_sentences(c, _MOST), *frame_sentences(c, _MOST))
+    return blocks(
+        Paragraph(
+            f"{len(c.parameters)} parameters of the model '{c.model.name}' were estimated from {rows}. Correction: "
+            f"calibrated minus nominal. 95 % ±: half the 95 % interval, {factor:.2f} standard deviations (Student's t, "
+            f"{c.freedom:.0f} degrees of freedom). Determined: 'yes' by the measurements alone; 'jointly' in "
+            "combinations only, so that the single value leans on its prior; 'at bound' stopped by a bound."
+        ),
+        _parameters("Lengths [mm]", [p for p in every if p.unit == "m"], mm),
+        _parameters("Angles [deg]", [p for p in every if p.unit != "m"], deg),
+        Bullets(places) if places else None,
+        _larger(c),
+    )
+
+
+def geometry_blocks(c: Calibration) -> tuple[Block, ...]:
+    """DH rows of both robots, and how each joint's origin moved."""
+    return blocks(_dh(c), _origins(c))
+
+
+def unknown_blocks(c: Calibration) -> tuple[Block, ...]:
+    """What the measured poses cannot tell apart."""
+    combinations = [str(one) for one in c.observability.unidentifiable]
+    shown = combinations[:_MOST]
+    if len(combinations) > len(shown):
+        shown.append(f"and {len(combinations) - len(shown)} more")
+    harmless = " They cost no accuracy at the measured poses, but single values of these parameters mean little."
+    return blocks(
+        Paragraph(rank_text(c)),
+        Paragraph(f"{unidentifiable_text(c).removesuffix(':')}.{harmless}") if shown else None,
+        Bullets(tuple(shown)) if shown else None,
+        *(Paragraph(text) for text in (correlation_text(c), sizes_text(c)) if text),
+    )
+
+
+def candidate_blocks(c: Calibration) -> tuple[Block, ...]:
+    """The models that were tried."""
+    if not c.candidates:
+        return ()
+    best = max(one.log_likelihood for one in c.candidates)
+    words = {"geometry": "the URDF", "larger": "result file"}
+    return blocks(
+        table(
+            "Models tried; errors of the rows with a weight, left out in turn",
+            ("model", "parameters", "evidence", "left-out rms", "chosen for"),
+            [
+                (
+                    one.name,
+                    str(one.parameters),
+                    f"{one.log_likelihood - best:.1f}",
+                    candidate_rms(one),
+                    words.get(one.chosen, ""),
+                )
+                for one in c.candidates
+            ],
+            "lrrrl",
+            note="Evidence: restricted log likelihood, less the best one's (no unit); a step up must gain "
+            f"{c.candidates[0].needed:.1f}.",
+        )
+    )
+
+
+def _parameters(
+    title: str, shown: list[ParameterEstimate], text: Callable[[float], str]
+) -> Table | None:
+    """The parameters of one unit."""
+
+    def row(p: ParameterEstimate) -> tuple[str, ...]:
+        known = "at bound" if p.at_bound else "yes" if p.identifiable else "jointly"
+        change = "-" if p.nominal is None else signed(text(p.delta))
+        nominal = "-" if p.nominal is None else text(p.nominal)
+        half = "-" if p.at_bound else text(0.5 * (p.high - p.low))
+        return p.name, nominal, text(p.value), change, half, known
+
+    return table(
+        title,
+        ("parameter", "nominal", "calibrated", "correction", "95 % ±", "determined"),
+        map(row, shown),
+        "lrrrrl",
+    )
+
+
+def _larger(c: Calibration) -> Table | None:
+    """The parameters that no URDF can hold."""
+    return table(
+        f"Larger model '{'' if c.larger is None else c.larger.name}': in the result file, not in the URDF",
+        ("parameter", "value", "95 % interval", "unit"),
+        [
+            (name, value, half.replace("+-", "±").strip("()"), unit)
+            for name, value, half, unit in larger_parameters(c)
+        ],
+        "lrrl",
+    )
+
+
+def _dh(c: Calibration) -> Table | None:
+    """The DH rows of the nominal and of the calibrated robot."""
+    before, after = dh_table(c.nominal), dh_table(c.robot)
+    tilted = any(row.near_parallel for row in (*before.rows, *after.rows))
+    note = "Standard convention: Rz(theta + q) Tz(d) Tx(a) Rx(alpha)"
+    note += (
+        " Ry(beta), with Hayati's beta between nearly parallel axes, where d is 0."
+        if tilted
+        else "."
+    )
+    note += " The rows are read off both URDFs: they give the same poses as the URDFs do."
+    for what, T, S in (
+        ("Frame 0", before.T_base_0, after.T_base_0),
+        ("The tip after the last row", before.T_n_tip, after.T_n_tip),
+    ):
+        moved, turned = _apart(T, S)
+        if moved > _NOTHING or turned > _NOTHING:
+            note += f" {what} moved by {mm(moved)} mm and {deg(turned)} deg, which no row shows."
+    return table(
+        "DH rows before and after",
+        ("joint", "robot", "a [mm]", "alpha [deg]", "d [mm]", "theta [deg]")
+        + (("beta [deg]",) if tilted else ()),
+        [
+            line[: 7 if tilted else 6]
+            for rows in zip(before.rows, after.rows, strict=True)
+            for line in _dh_lines(*rows)
+        ],
+        "llrrrr" + "r" * tilted,
+        note=note,
+        strong=tuple(range(2, 3 * len(before.rows), 3)),
+    )
+
+
+def _dh_lines(before: DHRow, after: DHRow) -> Iterator[tuple[str, ...]]:
+    """The row before, after, and the difference; none where the rows follow different conventions."""
+    for name, who, row in ((before.joint, "nominal", before), ("", "calibrated", after)):
+        angles = [deg(v) for v in (row.alpha, row.theta, row.beta)]
+        yield name, who, mm(row.a), angles[0], mm(row.d), angles[1], angles[2]
+    if before.near_parallel != after.near_parallel:
+        yield "", "change", *("-",) * 5
+        return
+    lengths = [signed(mm(b - a)) for a, b in ((before.a, after.a), (before.d, after.d))]
+    turns = [
+        signed(deg(float(np.arctan2(np.sin(b - a), np.cos(b - a)))))
+        for a, b in (
+            (before.alpha, after.alpha),
+            (before.theta, after.theta),
+            (before.beta, after.beta),
+        )
+    ]
+    yield "", "change", lengths[0], turns[0], lengths[1], turns[1], turns[2]
+
+
+def _origins(c: Calibration) -> Table | None:
+    """The displacement of each origin that changed, in its nominal frame."""
+    before, after = c.nominal.origins(), c.robot.origins()
+    cells = []
+    for joint, T in before.items():
+        D = rigid_inverse(T) @ after[joint]
+        turn = pin.log3(D[:3, :3])
+        if max(np.abs(D[:3, 3]).max(), np.abs(turn).max()) > _NOTHING:
+            shift = [signed(mm(float(v))) for v in D[:3, 3]]
+            cells.append((joint, *shift, *(signed(mm(float(v))) for v in turn)))
+    return table(
+        "How far each <origin> of the corrected URDF is from the nominal one",
+        ("joint", "x", "y", "z", "rx", "ry", "rz"),
+        cells,
+        "lrrrrrr",
+        groups=(("", 1), ("shift [mm]", 3), ("rotation vector [mrad]", 3)),
+        note="Along and about the axes of the nominal origin. All else in the URDF is unchanged.",
+    )
+
+
+def _apart(T: Array, S: Array) -> tuple[float, float]:
+    """How far two poses are apart, [m] and [rad]."""
+    D = rigid_inverse(T) @ S
+    return float(np.linalg.norm(D[:3, 3])), float(np.linalg.norm(pin.log3(D[:3, :3])))
+
+
+def signed(number: str) -> str:
+    """A number with its sign, zero apart."""
+    return number if number.startswith("-") or not float(number) else f"+{number}"
