@@ -151,10 +151,12 @@ def read_only(values: ArrayLike | Sequence[Array]) -> Array:
 
 
 def rigid_inverse(T: Array) -> Array:
-    """The inverse of a pose, shape (4, 4): (R^T, -R^T p)."""
-    result = np.eye(4)
-    result[:3, :3] = T[:3, :3].T
-    result[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    """The inverses of poses, shape (..., 4, 4): (R^T, -R^T p)."""
+    result = np.zeros_like(T)
+    R_T = np.swapaxes(T[..., :3, :3], -1, -2)
+    result[..., :3, :3] = R_T
+    result[..., :3, 3] = -(R_T @ T[..., :3, 3, None])[..., 0]
+    result[..., 3, 3] = 1.0
     return result
 
 

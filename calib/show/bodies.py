@@ -18,7 +18,7 @@ from calib.show.visuals import Cylinder, Shape, Sphere, Visual
 Array = NDArray[np.float64]
 
 #: Radius of a stick figure's rods, as a part of the robot's size.
-_ROD = 0.018
+STICK = 0.018
 
 #: The 26 directions to a cube's corners, edges and faces.
 _DIRECTIONS = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
@@ -65,13 +65,30 @@ def link_poses(robot: Robot, q: Array) -> dict[str, Array]:
     Returns:
         By link, shape (4, 4), [m]; the tip's equals ``robot.poses(q)``.
     """
+    T_root_link = root_poses(robot, q[None])
+    T_base_root = rigid_inverse(T_root_link[robot.base][0])
+    return {link: T_base_root @ T[0] for link, T in T_root_link.items()}
+
+
+def root_poses(robot: Robot, q: Array) -> dict[str, Array]:
+    """T_root_link of every link of the URDF at many poses.
+
+    Args:
+        robot: The robot.
+        q: shape (N, m), [rad] or [m], in the order of ``robot.joint_names``.
+
+    Returns:
+        By link, shape (N, 4, 4), [m].
+    """
     model = full_model(robot.urdf)
     data = model.createData()
-    configuration = full_configurations(model, robot.urdf_values(q))[0]
-    pin.framesForwardKinematics(model, data, configuration)
-    T_root_link = {link: data.oMf[link_frame(model, link)].homogeneous for link in robot.urdf.links}
-    T_base_root = rigid_inverse(T_root_link[robot.base])
-    return {link: T_base_root @ T for link, T in T_root_link.items()}
+    frames = [link_frame(model, link) for link in robot.urdf.links]
+    poses = np.empty((len(q), len(frames), 4, 4))
+    for n, configuration in enumerate(full_configurations(model, robot.urdf_values(q))):
+        pin.framesForwardKinematics(model, data, configuration)
+        for k, frame in enumerate(frames):
+            poses[n, k] = data.oMf[frame].homogeneous
+    return {link: poses[:, k] for k, link in enumerate(robot.urdf.links)}
 
 
 def bodies(robot: Robot, q: Array, visuals: Sequence[Visual]) -> tuple[Body, ...]:
@@ -89,7 +106,7 @@ def bodies(robot: Robot, q: Array, visuals: Sequence[Visual]) -> tuple[Body, ...
         for visual in visuals
         if visual.shape is not None and visual.link in poses
     ]
-    radius = _ROD * _span(np.array([T[:3, 3] for T in poses.values()]))
+    radius = STICK * span(np.array([T[:3, 3] for T in poses.values()]))
     for link in robot.urdf.links:
         if link in sticks:
             result += _stick(robot, link, poses, radius)
@@ -121,7 +138,7 @@ def rod_pose(start: Array, end: Array) -> Array:
     return T
 
 
-def _span(points: Array) -> float:
+def span(points: Array) -> float:
     """The diagonal of the points' bounding box; 1 mm at least [m]."""
     return max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-3)
 

@@ -15,29 +15,36 @@ function draw(scene) {
 }
 
 // Narrower than the 16:9 that the camera was placed for: step back.
-const narrow = 16 / 9 / (window.innerWidth / window.innerHeight);
-if (narrow > 1) viewer.camera.position.multiplyScalar(narrow);
+function stepBack() {
+  const narrow = 16 / 9 / (window.innerWidth / window.innerHeight);
+  if (narrow > 1) viewer.camera.position.multiplyScalar(narrow);
+}
+stepBack();
 
 // The boxes of the legend show and hide.
+function showOrHide(box) {
+  for (const node of box.dataset.show.split(" ")) {
+    viewer.set_property(["robots", ...node.split("/")], "visible", box.checked);
+  }
+  viewer.set_dirty();
+}
 for (const box of document.querySelectorAll("[data-show]")) {
-  box.addEventListener("change", () => {
-    for (const node of box.dataset.show.split(" ")) {
-      viewer.set_property(["robots", ...node.split("/")], "visible", box.checked);
-    }
-    viewer.set_dirty();
-  });
+  box.addEventListener("change", () => showOrHide(box));
+  if (!box.checked) showOrHide(box);
 }
 
-// Labels stay below their robots.
+// Labels stay below their robots; one that stands for another arrangement of them is hidden.
 const labels = [...document.querySelectorAll(".label")];
 const point = new MeshCat.THREE.Vector3();
 function follow() {
+  const mode = document.body.dataset.mode;
   for (const label of labels) {
     viewer.scene.updateMatrixWorld();
     point.fromArray(label.dataset.at.split(" ").map(Number)).applyMatrix4(viewer.scene.matrixWorld).project(viewer.camera);
     label.style.left = (0.5 + 0.5 * point.x) * window.innerWidth + "px";
     label.style.top = (0.5 - 0.5 * point.y) * window.innerHeight + "px";
-    label.style.visibility = point.z < 1 ? "visible" : "hidden";
+    const wanted = !mode || label.dataset.in === mode;
+    label.style.visibility = wanted && point.z < 1 ? "visible" : "hidden";
   }
   requestAnimationFrame(follow);
 }

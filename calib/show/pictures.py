@@ -1,4 +1,4 @@
-"""Pictures of a calibration: which pose of its data is shown, and where the page goes."""
+"""Which robots, poses and rows are shown: of a calibration, or of two robots and a table; and where the page goes."""
 
 from __future__ import annotations
 
@@ -9,56 +9,101 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.calibration import Calibration
-from calib.model.robot import rigid_inverse
-from calib.show.scene import View, write_view
+from calib.identify.evaluation import Evaluation
+from calib.identify.result import Calibration
+from calib.identify.setup import Setup
+from calib.measure.measurements import Measurements
+from calib.model.readback import column_ranges, spread_poses
+from calib.model.robot import Robot, rigid_inverse
+from calib.show.cloud import cloud_of
+from calib.show.scene import write_view
+from calib.show.view import NAMES, Names, View
+
+Array = NDArray[np.float64]
+
+#: Poses of two robots of which nothing was measured.
+_POSES = 24
+
+#: Frames nearer to the base's than this are the base's own: there is no instrument to show [m, and 1].
+_THE_BASE = 1e-9
 
 
-def view_of(calibration: Calibration) -> View:
-    """The view of a calibration at one pose of its data.
+def view_of(calibration: Calibration, *, cloud: bool = True) -> View:
+    """The view of a calibration: every row a pose.
 
-    The pose is the one where the nominal robot is furthest off, of the validation rows if there are any, outliers
-    aside.
+    Shown first is the one where the nominal robot is furthest off, of the validation rows if there are any, flagged
+    ones aside.
+
+    Args:
+        calibration: The calibration.
+        cloud: Whether to compute how well positions are known over the workspace.
     """
     c, m = calibration, calibration.measurements
-    places, seen = _measured_places(c)
-    # Distances and planes tell no position: then the two robots stand there without a measured point.
-    shown = seen if np.any(seen) else np.any(c.used, axis=1)
-    good = (c.scores <= c.flag_limit) & shown
-    chosen = m.validation & good if np.any(m.validation & good) else good
-    chosen = chosen if np.any(chosen) else shown
-    error = np.where(chosen, np.linalg.norm(c.residual_nominal[:, :3], axis=1), -1.0)
-    row = int(np.argmax(error))
-    target, group = m.targets[row], m.groups[row]
-    t, f = c.setup.targets.index(target), c.setup.groups.index(group)
-    T_base_frame = rigid_inverse(c.setup.T_frame_base[f])
-    word = "validation" if m.validation[row] else "estimation"
+    nominal, calibrated = _placed(c.nominal_setup, m), _placed(c.setup, m)
+    flagged = {outlier.row for outlier in (*c.outliers, *c.suspects)}
+    kinds = _kinds(m, np.array([row in flagged for row in m.rows]))
+    sizes = [_sizes(residual, c.used) for residual in (c.residual_nominal, c.residual_calibrated)]
     return View(
         nominal=c.nominal,
         calibrated=c.robot,
-        q=m.joints_for(c.nominal.joint_names)[row],
-        nominal_target=c.nominal_setup.T_tip_target[t, :3, 3],
-        calibrated_target=c.setup.T_tip_target[t, :3, 3],
-        measured=places[seen],
-        index=int(np.sum(seen[:row])) if seen[row] else None,
-        pose_name=f"row {m.rows[row]} ({word})",
-        title=f"{c.nominal.name}: nominal and calibrated",
+        q=m.joints_for(c.nominal.joint_names),
+        labels=tuple(f"row {row}" for row in m.rows),
+        kinds=kinds,
+        nominal_target=nominal[1],
+        calibrated_target=calibrated[1],
+        measured=_measured(m, calibrated[0]),
+        errors=np.array([lengths for lengths, _ in sizes]),
+        angles=np.array([angles for _, angles in sizes]),
         # Its error in the picture is then that of the tables, not where each of the two finds the tracker.
-        T_base_nominal=T_base_frame @ c.nominal_setup.T_frame_base[f],
+        T_base_nominal=rigid_inverse(calibrated[0]) @ nominal[0],
+        instruments=_instruments(m, calibrated[0]),
+        cloud=cloud_of(c) if cloud else None,
+        start=_worst(sizes[0][0], kinds),
+        title=f"{c.nominal.name or 'Robot'}: nominal and calibrated",
+        note=_note(c),
     )
 
 
-def _measured_places(c: Calibration) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Where the target was seen, in the base, shape (N, 3), [m], and for which rows that is known, shape (N,).
+def view_of_robots(
+    nominal: Robot,
+    calibrated: Robot | None = None,
+    *,
+    names: Names = NAMES,
+    evaluations: tuple[Evaluation, Evaluation | None] | None = None,
+    flagged: frozenset[int] = frozenset(),
+    title: str = "",
+    note: str = "",
+) -> View:
+    """The view of one or two robots, with what was measured if there is a table.
 
-    A target in a socket was where its set-up's frame stands.
+    Without measurements two robots go through poses spread over the joint limits, and one robot moves one joint after
+    the other.
+
+    Args:
+        nominal: The first robot.
+        calibrated: The second; None for none.
+        names: What they are called, and what that means.
+        evaluations: What `calib.evaluate` says of the two robots and one table; None for no table.
+        flagged: Rows that do not belong to the others.
+        title: The page's heading.
+        note: A sentence or two below it.
     """
-    m = c.measurements
-    frame = np.array([c.setup.groups.index(group) for group in m.groups])
-    into_base = np.array([rigid_inverse(T) for T in c.setup.T_frame_base])[frame]
-    points = np.nan_to_num(m.points)
-    places = np.einsum("nij,nj->ni", into_base[:, :3, :3], points) + into_base[:, :3, 3]
-    return places, m.of_kind("point", "pose", "fixed")
+    if evaluations is not None:
+        return _view_of_evaluations(nominal, calibrated, names, evaluations, flagged, title, note)
+    if calibrated is None:
+        q, labels = _one_joint_after_the_other(nominal)
+    else:
+        q = spread_poses(nominal, _POSES)
+        labels = tuple(f"pose {k + 1}" for k in range(len(q)))
+    return View(
+        nominal=nominal,
+        calibrated=calibrated,
+        q=q,
+        labels=labels,
+        names=names,
+        title=title or (nominal.name if calibrated is None else ""),
+        note=note,
+    )
 
 
 def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -79,3 +124,113 @@ def show(calibration: Calibration) -> Path:
     page = write_page(calibration, Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
     webbrowser.open(page.as_uri())
     return page
+
+
+def _view_of_evaluations(
+    nominal: Robot,
+    calibrated: Robot | None,
+    names: Names,
+    evaluations: tuple[Evaluation, Evaluation | None],
+    flagged: frozenset[int],
+    title: str,
+    note: str,
+) -> View:
+    """The view of robots and a table."""
+    first, second = evaluations[0], evaluations[1] or evaluations[0]
+    m = first.measurements
+    before, after = _placed(first.setup, m), _placed(second.setup, m)
+    kinds = _kinds(m, np.array([row in flagged for row in m.rows]))
+    sizes = [_sizes(one.residual, one.used) for one in (first, second)]
+    return View(
+        nominal=nominal,
+        calibrated=calibrated,
+        q=m.joints_for(nominal.joint_names),
+        labels=tuple(f"row {row}" for row in m.rows),
+        kinds=kinds,
+        nominal_target=before[1],
+        calibrated_target=after[1],
+        measured=_measured(m, after[0]),
+        errors=np.array([lengths for lengths, _ in sizes]),
+        angles=np.array([angles for _, angles in sizes]),
+        T_base_nominal=rigid_inverse(after[0]) @ before[0],
+        instruments=_instruments(m, after[0]),
+        start=_worst(sizes[0][0], kinds),
+        names=names,
+        title=title,
+        note=note,
+    )
+
+
+def _placed(setup: Setup, m: Measurements) -> tuple[Array, Array]:
+    """T_frame_base and T_tip_target of each row, shapes (N, 4, 4), [m]."""
+    frames = np.array([setup.groups.index(group) for group in m.groups])
+    targets = np.array([setup.targets.index(target) for target in m.targets])
+    return setup.T_frame_base[frames], setup.T_tip_target[targets]
+
+
+def _measured(m: Measurements, T_frame_base: Array) -> Array:
+    """Where the target was seen, in the base, shape (N, 3), [m]; NaN where that is not known.
+
+    A target in a socket was where its set-up's frame stands. Distances and planes tell no place.
+    """
+    known = m.of_kind("point", "pose", "fixed")
+    T_base_frame = rigid_inverse(T_frame_base)
+    points = np.nan_to_num(m.points)
+    places = np.einsum("nij,nj->ni", T_base_frame[:, :3, :3], points) + T_base_frame[:, :3, 3]
+    return np.where(known[:, None], places, np.nan)
+
+
+def _instruments(m: Measurements, T_frame_base: Array) -> Array:
+    """Where the measuring frame of each row stands in the base, shape (N, 4, 4); NaN where it is the base itself."""
+    T_base_frame = rigid_inverse(T_frame_base)
+    elsewhere = np.max(np.abs(T_base_frame - np.eye(4)), axis=(1, 2)) > _THE_BASE
+    known = m.of_kind("point", "pose") & elsewhere
+    return np.where(known[:, None, None], T_base_frame, np.nan)
+
+
+def _kinds(m: Measurements, flagged: NDArray[np.bool_]) -> tuple[str, ...]:
+    """What each row is."""
+    words = np.where(flagged, "flagged", np.where(m.validation, "validation", "estimation"))
+    return tuple(str(word) for word in words)
+
+
+def _sizes(residual: Array, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The length and the angle that each row leaves over, shapes (N,), [m], [rad]; NaN where it has none."""
+    result = []
+    for part in (slice(0, 3), slice(3, None)):
+        size = np.linalg.norm(np.where(used[:, part], residual[:, part], 0.0), axis=1)
+        result.append(np.where(np.any(used[:, part], axis=1), size, np.nan))
+    return result[0], result[1]
+
+
+def _worst(lengths: Array, kinds: tuple[str, ...]) -> int:
+    """The row with the largest length, of validation rows if there are any, flagged ones aside."""
+    for wanted in (("validation",), ("estimation",), ("flagged",)):
+        chosen = np.isin(kinds, wanted) & np.isfinite(lengths)
+        if np.any(chosen):
+            return int(np.argmax(np.where(chosen, lengths, -1.0)))
+    return 0
+
+
+def _note(c: Calibration) -> str:
+    """The verdict and what the calibration gained, in a sentence; on which rows stands in it."""
+    if c.verdict is None:
+        return "No verdict: nothing was cross-validated."
+    return f"Verdict: {c.verdict.use}. {c.verdict.reasons[0] if c.verdict.reasons else ''}".strip()
+
+
+def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:
+    """Poses in which each joint in turn goes through its range, with what they are called."""
+    ranges = column_ranges(robot)
+    middle = np.clip(0.0, ranges[:, 0], ranges[:, 1])
+    poses, labels = [middle], ["all joints at zero, or as near as they can be"]
+    for k, joint in enumerate(robot.inputs):
+        low, high = ranges[k]
+        for value in np.linspace(low, high, 9):
+            q = middle.copy()
+            q[k] = value
+            slides = joint.type == "prismatic"
+            amount = f"{1e3 * value:.4g} mm" if slides else f"{np.degrees(value):.4g} deg"
+            poses.append(q)
+            labels.append(f"{joint.name} at {amount}")
+    return np.array(poses), tuple(labels)

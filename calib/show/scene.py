@@ -1,100 +1,49 @@
-"""The picture of a calibration: nominal robot, calibrated robot and both overlaid, in one HTML file.
+"""The picture of a calibration: nominal and calibrated robot side by side or overlaid, at every measured pose.
 
-All lengths are true to scale. Everything is drawn in the base frame, z up, with meshcat; where joints move the base
-itself, as they do a camera's, it is turned so that the robot stands upright. The page holds the viewer and the scene,
-opens from disk and loads nothing from anywhere.
+Drawn with meshcat, z up, in one HTML page that holds the viewer, the scene and the poses, opens from disk and loads
+nothing from anywhere. The page's script moves the robots from pose to pose and draws what was measured, with arrows at
+a stated magnification; see `calib.show.motion` for what it is told. The stage is the calibrated robot's base; where
+joints move the base itself, as they do a camera's, it is the root of the URDF.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import meshcat
 import numpy as np
 from meshcat import geometry as mc
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from calib.errors import ModelError, choices
-from calib.model.robot import Robot, read_only
-from calib.show.bodies import Body, bodies, link_poses, rod_pose
+from calib.model.robot import rigid_inverse
+from calib.show.bodies import root_poses
 from calib.show.camera import Camera, look_at, row_direction
-from calib.show.page import COLOURS, SCENE, Spot, html_page, round_length
-from calib.show.stage import Page, draw_stage, mesh_geometry, translation, upright_pose
+from calib.show.marks import number
+from calib.show.motion import motion_table, thinned
+from calib.show.page import SCENE, round_length
+from calib.show.palette import CALIBRATED, NOMINAL
+from calib.show.puppet import Puppet, puppets, rod_between, stage_poses
+from calib.show.robots_page import PageParts, robots_page
+from calib.show.stage import Page, draw_stage, mesh_geometry, translation
+from calib.show.view import View
 from calib.show.visuals import Cylinder, Visual, read_visuals, same_visuals
-from calib.show.window import SceneWindow, without_shadow
+from calib.show.window import SceneWindow
+
+__all__ = ["View", "view_page", "write_view"]
 
 Array = NDArray[np.float64]
 
-#: Above this many measured points they are drawn as dots, not as balls.
-_MOST_BALLS = 300
+#: The robots' colours.
+_COLOURS = {"nominal": NOMINAL, "calibrated": CALIBRATED}
 
-#: Radius of a target's ball and of a measured point's, as a part of the scene's size.
-_BALL, _SMALL_BALL = 0.009, 0.0038
+#: Radius of the target's ball, as a part of the scene's size, and of the rod to it, as a part of that.
+_BALL, _STALK = 0.009, 0.3
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """What is shown; values only.
-
-    Attributes:
-        nominal: The robot before calibration.
-        calibrated: The robot after it; the same chain.
-        q: shape (m,), [rad] or [m], the pose shown, in the order of ``nominal.joint_names``.
-        nominal_target: shape (3,), [m], the target in the tip of the nominal robot.
-        calibrated_target: shape (3,), [m], the target in the tip of the calibrated robot.
-        measured: shape (N, 3), [m], measured targets in the base frame; may be empty.
-        index: Which of ``measured`` was measured at ``q``; None if none was.
-        pose_name: What the pose is called, such as ``"row 31, validation"``.
-        title: The page's heading.
-        T_base_nominal: shape (4, 4), [m], where the nominal robot stands in the calibrated one's base frame: the two
-            find the measurement frame a little differently.
-
-    Raises:
-        ModelError: The robots have different joints, or an array has another shape or is not finite.
-    """
-
-    nominal: Robot
-    calibrated: Robot
-    q: Array
-    nominal_target: Array = field(default_factory=lambda: np.zeros(3))
-    calibrated_target: Array = field(default_factory=lambda: np.zeros(3))
-    measured: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    index: int | None = None
-    pose_name: str = ""
-    title: str = ""
-    T_base_nominal: Array = field(default_factory=lambda: np.eye(4))
-
-    def __post_init__(self) -> None:
-        """Copy the arrays and check that all of it fits together."""
-        if self.nominal.joint_names != self.calibrated.joint_names:
-            message = (
-                f"The nominal robot has the joints {choices(self.nominal.joint_names)}, the calibrated one "
-                f"{choices(self.calibrated.joint_names)}. Show two robots with the same chain."
-            )
-            raise ModelError(message)
-        self._store("q", self.q, (len(self.nominal.joint_names),))
-        self._store("nominal_target", self.nominal_target, (3,))
-        self._store("calibrated_target", self.calibrated_target, (3,))
-        self._store("T_base_nominal", self.T_base_nominal, (4, 4))
-        measured = np.asarray(self.measured, dtype=np.float64)
-        self._store("measured", measured, (len(measured) if measured.ndim else 0, 3))
-        if self.index is not None and not 0 <= self.index < len(self.measured):
-            message = (
-                f"index is {self.index}, and there are {len(self.measured)} measured points; give a number "
-                "from 0 to one less, or None."
-            )
-            raise ModelError(message)
-
-    def _store(self, name: str, values: ArrayLike, shape: tuple[int, ...]) -> None:
-        """Set a field to a read-only copy of finite numbers of a shape."""
-        array = read_only(values)
-        if array.shape != shape or not np.isfinite(array).all():
-            message = f"{name} has shape {array.shape}; finite numbers of shape {shape} are wanted."
-            raise ModelError(message)
-        object.__setattr__(self, name, array)
+#: Where labels may stand: above slider and legend, as a part of the picture, see `look_at`.
+_FOOT = -0.54
 
 
 def write_view(view: View, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -106,181 +55,168 @@ def write_view(view: View, path: str | os.PathLike[str], *, overwrite: bool = Fa
     return view_page(view).write(path, overwrite=overwrite)
 
 
-def view_page(view: View) -> Page:
+def view_page(view: View, *, live: bool = False) -> Page:
     """Draw a view.
+
+    Args:
+        view: The view; of many poses some hundred are shown, see `calib.show.motion.thinned`.
+        live: Whether the page listens to the server that it came from.
 
     Raises:
         UrdfError: Pinocchio cannot build a model of a URDF.
     """
-    nominal_visuals, warnings = read_visuals(view.nominal.urdf)
-    calibrated_visuals = nominal_visuals
-    if not same_visuals(view.nominal.urdf, view.calibrated.urdf):
-        calibrated_visuals, more = read_visuals(view.calibrated.urdf)
-        warnings = tuple(dict.fromkeys(warnings + more))
-    layout = _Layout.of(view, nominal_visuals, calibrated_visuals)
+    view = thinned(view)
+    visuals, warnings = _visuals(view)
+    shown = puppets(view, visuals)
+    layout = Layout.of(view, shown)
     window = SceneWindow()
     root = meshcat.Visualizer.view_into(window, meshcat.path.Path())
     draw_stage(
         root,
-        layout.camera,
+        layout.side,
         size=layout.size,
         floor=layout.foot[2],
         grid=layout.grid,
-        through=layout.groups["both"][0],
+        through=layout.offsets["nominal"],
     )
-    scene = root[SCENE]
-    for group, (offset, shown) in layout.groups.items():
-        scene[group].set_transform(translation(offset - layout.camera.centre))
-        for who in shown:
-            _draw_robot(scene[group][who], layout, who, over=len(shown) == 2)
-    _draw_measured(scene["both"]["measured"], view.index, layout)
-    spots = [
-        Spot(group, offset + layout.foot - layout.camera.centre)
-        for group, (offset, _) in layout.groups.items()
-    ]
-    html = html_page(
-        title=view.title or f"{view.nominal.name or 'Robot'}: nominal and calibrated",
-        pose_name=view.pose_name,
-        points=layout.points,
-        spots=spots,
-        grid=layout.grid,
+    for who, puppet in shown.items():
+        group = root[SCENE][who]
+        group.set_transform(translation(layout.offsets[who] - layout.side.centre))
+        draw_puppet(group, puppet, view.start, who, _BALL * layout.size)
+    parts = PageParts(
+        view=view,
         warnings=warnings,
+        grid=layout.grid,
         scene=window.scene(),
+        motion=motion_table(view, shown, layout, _BALL * layout.size),
+        labels=layout.labels(),
+        live=live,
     )
-    return Page(html, warnings)
+    return Page(robots_page(parts), warnings)
+
+
+def _visuals(view: View) -> tuple[dict[str, tuple[Visual, ...]], tuple[str, ...]]:
+    """What each robot looks like, and what could not be drawn as its URDF says."""
+    visuals: dict[str, tuple[Visual, ...]] = {}
+    warnings: list[str] = []
+    for who, robot in view.robots.items():
+        if who == "calibrated" and same_visuals(view.nominal.urdf, robot.urdf):
+            visuals[who] = visuals["nominal"]
+            continue
+        visuals[who], more = read_visuals(robot.urdf)
+        warnings += more
+    return visuals, tuple(dict.fromkeys(warnings))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Layout:
-    """Where everything goes, in the base frame of the robot in the middle, turned upright [m]."""
+class Layout:
+    """Where everything goes on the stage [m].
 
-    parts: dict[str, tuple[Body, ...]]
-    stalks: dict[str, tuple[Array, Array]]
-    points: dict[str, Array]
-    measured: Array
-    groups: dict[str, tuple[Array, tuple[str, ...]]]
+    Attributes:
+        offsets: Where each robot stands when they stand side by side, shape (3,).
+        foot: shape (3,), below the middle of a robot, towards the camera: where its label stands.
+        size: Diagonal of one robot and the points that it reaches.
+        grid: Edge of a square of the floor.
+        side: The camera when they stand side by side; its centre is the scene's origin.
+        over: The camera when one is laid over the other.
+    """
+
+    offsets: Mapping[str, Array]
     foot: Array
     size: float
     grid: float
-    camera: Camera
+    side: Camera
+    over: Camera
 
     @classmethod
-    def of(
-        cls, view: View, nominal_visuals: Sequence[Visual], calibrated_visuals: Sequence[Visual]
-    ) -> _Layout:
-        """Place three groups side by side so that nothing of one reaches into the next."""
-        upright = upright_pose(view.nominal, view.q)
-        shown = (
-            (
-                "nominal",
-                view.nominal,
-                nominal_visuals,
-                view.nominal_target,
-                upright @ view.T_base_nominal,
-            ),
-            ("calibrated", view.calibrated, calibrated_visuals, view.calibrated_target, upright),
-        )
-        stalks, parts = {}, {}
-        for who, robot, visuals, target, T_robot in shown:
-            T_tip = T_robot @ robot.poses(view.q)[0]
-            stalks[who] = (T_tip[:3, 3], T_tip[:3, :3] @ target + T_tip[:3, 3])
-            parts[who] = tuple(
-                replace(body, T_base_shape=T_robot @ body.T_base_shape)
-                for body in bodies(robot, view.q, visuals)
-            )
-        points = {who: stalk[1] for who, stalk in stalks.items()}
-        measured = view.measured @ upright[:3, :3].T
-        if view.index is not None:
-            points["measured"] = measured[view.index]
-        links = link_poses(view.nominal, view.q).values()
-        joints = np.array([upright[:3, :3] @ T[:3, 3] for T in links])
-        drawn = [body.outline() for who in parts for body in parts[who]]
-        outline = np.concatenate([*drawn, joints, *[point[None] for point in points.values()]])
+    def of(cls, view: View, shown: Mapping[str, Puppet]) -> Layout:
+        """Place the robots side by side so that nothing of one reaches into the other.
+
+        Args:
+            view: The view.
+            shown: Its robots.
+        """
+        drawn = [body.outline() for puppet in shown.values() for body in puppet.bodies(view.start)]
+        links = root_poses(view.nominal, view.q[view.start, None])
+        T_stage_root = stage_poses(view)[view.start] @ rigid_inverse(links[view.nominal.base][0])
+        joints = np.array([(T_stage_root @ T[0])[:3, 3] for T in links.values()])
+        start = np.concatenate([joints, *drawn])
+        reached = np.concatenate([p.poses[:, :, :3, 3].reshape(-1, 3) for p in shown.values()])
+        outline = np.concatenate([start, reached])
         low, high = outline.min(axis=0), outline.max(axis=0)
         size = max(float(np.linalg.norm(high - low)), 1e-3)
         back = row_direction(joints)
         right = np.array([-back[1], back[0], 0.0])
         along = outline @ right
-        step = max(np.ptp(along) + 0.22 * size, 0.5 * size) * right
-        groups = {
-            "nominal": (-step, ("nominal",)),
-            "both": (0.25 * size * back, ("nominal", "calibrated")),
-            "calibrated": (step, ("calibrated",)),
-        }
-        foot = np.array([*(0.5 * (along.min() + along.max()) * right)[:2], low[2]])
-        standing = outline[outline[:, 2] < low[2] + 0.2 * size] @ back
-        foot += standing.max() * back
-        # A wild measurement must not make the robots small.
-        near_by = np.linalg.norm(measured - 0.5 * (low + high), axis=1) < size
-        everything = np.concatenate(
-            [np.vstack([outline, foot]) + offset for offset, _ in groups.values()]
-            + [measured[near_by] + groups["both"][0]]
+        step = 0.5 * max(np.ptp(along) + 0.06 * size, 0.4 * size) * right
+        offsets = (
+            {"nominal": -step, "calibrated": step} if len(shown) > 1 else {"nominal": 0 * step}
         )
+        at_start = start @ right
+        foot = np.array([*(0.5 * (at_start.min() + at_start.max()) * right)[:2], start[:, 2].min()])
+        foot += (start[start[:, 2] < foot[2] + 0.2 * size] @ back).max() * back
+        # A wild measurement must not make the robots small: what was measured far away is not looked at.
+        one = np.vstack([outline, foot])
         return cls(
-            parts=parts,
-            stalks=stalks,
-            points=points,
-            measured=measured,
-            groups=groups,
+            offsets=offsets,
             foot=foot,
             size=size,
             grid=round_length(size / 7.0),
-            camera=look_at(everything, back),
+            side=look_at(
+                np.concatenate([one + offset for offset in offsets.values()]), back, _FOOT
+            ),
+            over=look_at(one, back, _FOOT),
         )
 
+    def labels(self) -> dict[str, Array]:
+        """Where the robots' labels stand in the scene, shape (3,) each; ``"over"`` where one is laid over the other."""
+        result = {
+            who: offset + self.foot - self.side.centre for who, offset in self.offsets.items()
+        }
+        return {**result, "over": self.foot - self.over.centre}
 
-def _draw_robot(scene: meshcat.Visualizer, layout: _Layout, who: str, *, over: bool) -> None:
-    """One robot with its target; translucent if it is the calibrated one laid over the nominal."""
-    material = _material(who, translucent=over and who == "calibrated")
-    for i, body in enumerate(layout.parts[who]):
-        node = scene[f"{i:03d}"]
-        shape, T_shape_mesh = mesh_geometry(body.shape)
+
+def draw_puppet(
+    group: meshcat.Visualizer, puppet: Puppet, start: int, who: str, ball: float
+) -> None:
+    """One robot at a pose, each part below its mover, with its target and the rod that carries it.
+
+    Args:
+        group: The node that it goes below.
+        puppet: The robot.
+        start: The pose's number.
+        who: ``"nominal"`` or ``"calibrated"``.
+        ball: Radius of the target's ball [m].
+    """
+    at = puppet.poses[start]
+    robot, material = group["robot"], _material(who)
+    for mover in sorted({part.mover for part in puppet.parts}):
+        robot["links"][f"{mover:03d}"].set_transform(at[mover])
+    for i, part in enumerate(puppet.parts):
+        node = robot["links"][f"{part.mover:03d}"][f"{i:03d}"]
+        shape, T_shape_mesh = mesh_geometry(part.shape)
         node.set_object(shape, material)
-        node.set_transform(body.T_base_shape @ T_shape_mesh)
-    ball = _BALL * layout.size
-    tip, target = layout.stalks[who]
-    solid = _material(who)
-    scene["target"].set_object(mc.Sphere(ball), solid)
-    scene["target"].set_transform(translation(target))
-    length = float(np.linalg.norm(target - tip))
-    if length > ball:
-        rod = Body("", Cylinder(0.3 * ball, length), rod_pose(tip, target))
-        shape, T_shape_mesh = mesh_geometry(rod.shape)
-        scene["stalk"].set_object(shape, solid)
-        scene["stalk"].set_transform(rod.T_base_shape @ T_shape_mesh)
+        node.set_transform(part.T_mover_shape @ T_shape_mesh)
+    target = len(at) - 1
+    robot["links"][f"{target:03d}"].set_transform(at[target])
+    robot["links"][f"{target:03d}"]["ball"].set_object(mc.Sphere(ball), material)
+    rods = [(*rod, puppet.radius) for rod in puppet.rods]
+    for k, (one, other, radius) in enumerate([*rods, (target - 1, target, _STALK * ball)]):
+        node = robot["rods"][f"{k:03d}"]
+        T, length = rod_between(at[one, :3, 3], at[other, :3, 3])
+        # A rod of length one, stretched: the page's script does the same at every other pose.
+        node.set_transform(T @ np.diag([1.0, 1.0, max(length, 1e-9), 1.0]))
+        shape, T_shape_mesh = mesh_geometry(Cylinder(radius, 1.0))
+        node["rod"].set_object(shape, material)
+        node["rod"].set_transform(T_shape_mesh)
 
 
-def _draw_measured(scene: meshcat.Visualizer, index: int | None, layout: _Layout) -> None:
-    """The measured points; the one of the pose shown as large as the targets."""
-    if not len(layout.measured):
-        return
-    colour = int(COLOURS["measured"][1:], 16)
-    if len(layout.measured) <= _MOST_BALLS:
-        small = mc.Sphere(_SMALL_BALL * layout.size)
-        material = mc.MeshPhongMaterial(color=colour, opacity=0.45)
-        for i, point in enumerate(layout.measured):
-            if i == index:
-                continue
-            scene[f"{i:03d}"].set_object(small, material)
-            without_shadow(scene[f"{i:03d}"])
-            scene[f"{i:03d}"].set_transform(translation(point))
-    else:
-        dots = layout.measured.T.astype(np.float32)
-        rgb = [colour >> 16, colour >> 8 & 255, colour & 255]
-        shade = np.tile(np.array(rgb, dtype=np.float32)[:, None] / 255, len(layout.measured))
-        cloud = mc.PointCloud(dots, shade, size=0.6 * _SMALL_BALL * layout.size)
-        scene["dots"].set_object(cloud)
-        without_shadow(scene["dots"])
-    if index is not None:
-        scene["here"].set_object(mc.Sphere(_BALL * layout.size), mc.MeshPhongMaterial(color=colour))
-        scene["here"].set_transform(translation(layout.measured[index]))
+def _material(who: str) -> mc.MeshPhongMaterial:
+    """The surface of a robot; that of the calibrated one a little towards the eye.
 
-
-def _material(who: str, *, translucent: bool = False) -> mc.MeshPhongMaterial:
-    """The surface of a robot."""
-    kwargs = {"color": int(COLOURS[who][1:], 16), "shininess": 35, "specular": 0x2A2A2A, "side": 2}
-    if translucent:
-        # A little towards the eye, so that surfaces a fraction of a millimetre apart do not flicker.
-        offset = {"polygonOffset": True, "polygonOffsetFactor": -1.0, "polygonOffsetUnits": -4.0}
-        return mc.MeshPhongMaterial(opacity=0.5, **kwargs, **offset)
+    Where one robot is laid over the other, surfaces a fraction of a millimetre apart would flicker otherwise.
+    """
+    kwargs: dict[str, float] = {"color": number(_COLOURS[who]), "shininess": 35, "specular": 0x2A2A2A, "side": 2}
+    if who == "calibrated":
+        kwargs |= {"polygonOffset": 1, "polygonOffsetFactor": -1.0, "polygonOffsetUnits": -4.0}
     return mc.MeshPhongMaterial(**kwargs)
