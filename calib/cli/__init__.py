@@ -12,6 +12,7 @@ import sys
 import typer
 
 from calib.cli.base_frame import base_frame
+from calib.cli.compare import compare
 from calib.cli.demo import demo
 from calib.cli.evaluate import evaluate
 from calib.cli.fit import fit
@@ -32,6 +33,7 @@ app = typer.Typer(
 app.command()(demo)
 app.command()(fit)
 app.command()(evaluate)
+app.command()(compare)
 app.command()(inspect)
 app.command()(base_frame)
 app.command()(plan)

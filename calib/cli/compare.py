@@ -1,0 +1,64 @@
+"""``calib compare``: two calibrations of one robot side by side, and whether it drifted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.options import Debug, Force, Quiet, reporting
+
+_HELP = """Compare two calibrations of one robot: did it drift?
+
+\b
+Examples:
+  calib compare january.json june.json
+  calib compare january.json june.json --robot robot.urdf --json compared.json
+
+A and B are results that 'calib fit --json' wrote, of measurements taken at different times. The answer comes first:
+by how much the target moved, up to what frame and target absorb, and whether that is more than chance; or how large
+a drift would have to be to be noticed. A tracker that stands elsewhere and a target mounted anew are no drift. The
+URDF that the results were made with is looked for beside them.
+"""
+
+
+def compare(
+    a: Annotated[
+        Path, typer.Argument(metavar="A", help="Result that 'calib fit --json' wrote: the first.")
+    ],
+    b: Annotated[
+        Path, typer.Argument(metavar="B", help="The same of the second, later measurements.")
+    ],
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            metavar="ROBOT",
+            help="URDF of the robot, nominal or corrected. Default: the one that the results name, if it lies beside "
+            "them or here.",
+        ),
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option("--json", help="Write the comparison as JSON.")
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """See `_HELP`."""
+    with reporting(debug=debug):
+        from calib.cli.setup import check_outputs
+        from calib.identify.comparison import compare as compare_results
+
+        check_outputs([json], [a, b, *([robot] if robot else [])], force=force)
+        found = compare_results(a, b, robot)
+        written = None if json is None else found.write_json(json, overwrite=force)
+        if quiet:
+            return
+        typer.echo(found.summary())
+        if written is not None:
+            typer.echo(f"\nWritten: {written}")
+
+
+compare.__doc__ = _HELP

@@ -1,0 +1,265 @@
+"""compare: two calibrations of one robot side by side, and whether the robot drifted between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import ModelError, choices
+from calib.identify.comparability import check_same_chain, notes, same_start, why_not
+from calib.identify.compared import Compared, Result
+from calib.identify.differences import (
+    ParameterDifference,
+    PlaceDifference,
+    frame_differences,
+    parameter_differences,
+    target_differences,
+)
+from calib.identify.drift import DriftTest, Estimated, drift_test, shared_covariance
+from calib.identify.moves import Compensated, Move, Seen, estimated
+from calib.model.observability import steps
+from calib.model.parameters import ZERO
+from calib.model.readback import spread_between, spread_poses
+from calib.model.robot import Robot
+
+Array = NDArray[np.float64]
+
+#: Joint values over which moves are told.
+_POSES = 200
+
+#: What the comparison says: see `Comparison.outcome`.
+DRIFT, NO_DRIFT, CANNOT_TELL = "drift", "no drift shown", "cannot tell"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """The result of `compare`.
+
+    Attributes:
+        a: The first result.
+        b: The second.
+        outcome: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``.
+        why: Why nothing can be told; empty otherwise.
+        test: The test of the difference.
+        moves: How far the target lies elsewhere: over the joint values that both data cover, then over the limits;
+            empty without the URDF.
+        shows_from: How far a drift of one joint's zero must move the target over the same joint values to be noticed 9
+            times in 10, the worst joint's [m]; NaN without the URDF, or where no zero can be noticed.
+        parameters: The robot's own, of either result.
+        untold: Parameters that frame and target make up for, so that their drift cannot be told; without the URDF: not
+            known.
+        only_a: Parameters of the first that move the target in ways that the second's cannot.
+        only_b: The other way round.
+        frames: How set-ups of the same name moved.
+        targets: How targets of the same name moved.
+        notes: What to mind, sentences.
+    """
+
+    a: Compared
+    b: Compared
+    outcome: str
+    why: str
+    test: DriftTest
+    moves: tuple[Move, ...]
+    shows_from: float
+    parameters: tuple[ParameterDifference, ...]
+    untold: tuple[str, ...]
+    only_a: tuple[str, ...]
+    only_b: tuple[str, ...]
+    frames: tuple[PlaceDifference, ...]
+    targets: tuple[PlaceDifference, ...]
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """In one line; `summary` has the rest."""
+        return (
+            f"Comparison({self.a.name!r}, {self.b.name!r}, {self.outcome}, p = {self.test.p:.2g})"
+        )
+
+    def summary(self) -> str:
+        """The comparison as text, without colours, in 100 columns."""
+        from calib.identify.comparison_text import comparison_text
+
+        return comparison_text(self)
+
+    def table(self) -> dict[str, Any]:
+        """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
+        from calib.identify.comparison_text import comparison_table
+
+        return comparison_table(self)
+
+    def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the comparison as JSON.
+
+        Raises:
+            FileError: The file exists, or cannot be written.
+        """
+        from calib.identify.result_file import write_table
+
+        return write_table(self.table(), path, overwrite=overwrite)
+
+
+def compare(a: Result, b: Result, robot: Robot | str | Path | None = None) -> Comparison:
+    """Compare two calibrations of one robot: did it drift?
+
+    Args:
+        a: The first: a `Calibration`, or the path of a result file.
+        b: The second, made of other measurements.
+        robot: The robot, or its URDF, nominal or corrected. None: the calibration's, or the URDF that the result names,
+            where it lies beside the result or in this folder unchanged; without any the parameters alone are compared.
+
+    Raises:
+        FileError: A file cannot be read or is no result.
+        ModelError: The results are of different chains, or the robot is another one.
+        UrdfError: The URDF cannot be read, or lacks a joint.
+    """
+    first, second = Compared.of(a, "a"), Compared.of(b, "b")
+    check_same_chain(first, second)
+    arm = _robot(first, second, robot)
+    return _compared(first, second, arm)
+
+
+def _compared(a: Compared, b: Compared, robot: Robot | None) -> Comparison:
+    """The comparison of results of one chain."""
+    same = same_start(a, b)
+    alike = same and a.own_names == b.own_names and a.ties == b.ties and a.model == b.model
+    both = None if robot is None else _both(a, b, robot)
+    if both is None:
+        one, other = _by_name(a, b, same_start=same)
+        names = [n for n in a.own_names if n in b.own_names] if same else []
+        difference = _of_names(b, names, b.delta) - _of_names(a, names, a.delta)
+        floor, only = 1e-7, _missing(a, b)
+        difference = difference / steps([a.units[a.names.index(n)] for n in names])
+    else:
+        one, other = both.estimated()
+        difference, floor, only = both.difference, both.floor, (both.alone(0), both.alone(1))
+    V = shared_covariance(one, other) if alike else one.spread + other.spread
+    test = drift_test(difference, one, other, V, floor)
+    why = why_not(a, b, test, only, known=both is not None or same)
+    outcome = CANNOT_TELL if why else DRIFT if test.drifted else NO_DRIFT
+    moves: tuple[Move, ...] = ()
+    shows_from = float("nan")
+    if both is not None and robot is not None:
+        covariance = _joint(one, other, alike=alike)
+        moves = _moves(both, robot, covariance)
+        shows_from = _shows_from(both, test, (one.effect, other.effect))
+    untold = () if both is None else both.untold()
+    return Comparison(
+        a=a,
+        b=b,
+        outcome=outcome,
+        why=why,
+        test=test,
+        moves=moves,
+        shows_from=shows_from,
+        parameters=parameter_differences(a, b, test, (one.effect, other.effect), same_start=same),
+        untold=untold,
+        only_a=only[0],
+        only_b=only[1],
+        frames=frame_differences(a, b),
+        targets=target_differences(a, b),
+        notes=notes(a, b, robot, same_start=same, only=only),
+    )
+
+
+def _robot(a: Compared, b: Compared, given: Robot | str | Path | None) -> Robot | None:
+    """The robot of both, or None where its URDF is not at hand.
+
+    Raises:
+        ModelError: Another robot was given.
+        UrdfError: Its URDF cannot be read or lacks a link or joint.
+    """
+    if given is None:
+        return a.nominal or b.nominal
+    s = a.stored
+    robot = (
+        given.rebuilt(base=s.base, tip=s.tip)
+        if isinstance(given, Robot)
+        else Robot.load(given, s.base, s.tip, held=s.held)
+    )
+    if robot.joint_names != a.joints or set(robot.origins()) != set(s.origins):
+        message = (
+            f"The robot given has the joints {choices(robot.joint_names)} between '{s.base}' and '{s.tip}'; "
+            f"{a.name} and {b.name} are of {choices(a.joints)}. Give the URDF that they were made with."
+        )
+        raise ModelError(message)
+    return robot
+
+
+def _covered(a: Compared, b: Compared) -> Array:
+    """The range of each joint that both data cover, or that either does where that is none, shape (m, 2)."""
+    low = np.fmax(a.ranges[:, 0], b.ranges[:, 0])
+    high = np.fmin(a.ranges[:, 1], b.ranges[:, 1])
+    apart = ~(low < high)
+    low = np.where(apart, np.fmin(a.ranges[:, 0], b.ranges[:, 0]), low)
+    high = np.where(apart, np.fmax(a.ranges[:, 1], b.ranges[:, 1]), high)
+    return np.stack([np.nan_to_num(low), np.nan_to_num(high)], axis=1)
+
+
+def _both(a: Compared, b: Compared, robot: Robot) -> Compensated:
+    """Both results over the joint values that their data cover."""
+    q = spread_between(_covered(a, b), _POSES)
+    return Compensated.of(Seen.at(a, b, robot, q), a, b)
+
+
+def _moves(both: Compensated, robot: Robot, covariance: Array) -> tuple[Move, ...]:
+    """How far the target lies elsewhere, over what both data cover and over the limits."""
+    everywhere = Seen.at(both.a, both.b, robot, spread_poses(robot, _POSES))
+    return (
+        both.move("the joint values that both measured", both.seen, covariance),
+        both.move("the joint limits", everywhere, covariance),
+    )
+
+
+def _joint(one: Estimated, other: Estimated, *, alike: bool) -> Array:
+    """The covariance of (x_a, x_b) about a common truth, shape (p_a + p_b, p_a + p_b)."""
+    p, q = len(one.covariance), len(other.covariance)
+    result = np.zeros((p + q, p + q))
+    result[:p, :p], result[p:, p:] = one.covariance, other.covariance
+    if alike:
+        prior = np.maximum(one.prior, other.prior)
+        result[:p, :p] = one.noise + (one.pull * prior) @ one.pull.T
+        result[p:, p:] = other.noise + (other.pull * prior) @ other.pull.T
+        result[:p, p:] = (one.pull * prior) @ other.pull.T
+        result[p:, :p] = result[:p, p:].T
+    return result
+
+
+def _shows_from(both: Compensated, test: DriftTest, effects: tuple[Array, Array]) -> float:
+    """How far the worst joint's zero must move the target to be noticed [m]; NaN where none can be."""
+    untold, found = both.untold(), []
+    for which, one in enumerate((both.a, both.b)):
+        reach, families = both.reach(which), both.seen.families[which]
+        for k, name in enumerate(one.own_names):
+            factor = test.smallest_factor(effects[which][:, k])
+            if families[k] == ZERO and name not in untold and np.isfinite(factor):
+                found.append(float(reach[k]) * factor)
+    return max(found, default=float("nan"))
+
+
+def _missing(a: Compared, b: Compared) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names that only one result has."""
+    first, second = a.own_names, b.own_names
+    return tuple(n for n in first if n not in second), tuple(n for n in second if n not in first)
+
+
+def _of_names(one: Compared, names: list[str], values: Array) -> Array:
+    """Values of some parameters."""
+    return values[[one.names.index(name) for name in names]]
+
+
+def _by_name(a: Compared, b: Compared, *, same_start: bool) -> tuple[Estimated, Estimated]:
+    """Both results in the parameters that they share, in steps of 1 mm and 1 mrad: what can be done without a robot."""
+    names = [n for n in a.own_names if n in b.own_names] if same_start else []
+    result = []
+    for one in (a, b):
+        effect = np.zeros((len(names), len(one.own)))
+        for row, name in enumerate(names):
+            k = one.own_names.index(name)
+            effect[row, k] = 1.0 / steps([one.units[one.own[k]]])[0]
+        result.append(estimated(one, effect))
+    return result[0], result[1]
