@@ -51,7 +51,7 @@ def target_of(tab, who: str) -> list[float]:
 def test_robots_and_objects_are_the_same_in_every_window(browser, viewer, gantry, disturb):
     robots = {"nominal": gantry, "calibrated": disturb(gantry)}
     ball = viewer.visualizer["ball"]
-    ball.set_object(mc.Sphere(0.05), mc.MeshLambertMaterial(color=0x00A000))
+    ball.set_object(mc.Sphere(0.2), mc.MeshLambertMaterial(color=0x00A000))
     with browser.open(viewer.url, SMALL) as one:
         for q in ([-1.0, 0.4, 2.0], [1.5, 0.5, -1.0]):
             viewer.display(q, f"at {q} <b>")
