@@ -15,8 +15,8 @@ _FOV_DEG = 28.0
 #: How far the camera looks down [rad].
 _DOWN = np.deg2rad(16.0)
 
-#: The part of the picture for the scene, x and y from -1 to 1; the rest is for text.
-_LOW, _HIGH = np.array([-0.95, -0.69]), np.array([0.95, 0.75])
+#: The part of the picture's half width for the scene.
+_WIDTH = 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,15 +60,15 @@ def row_direction(points: Array) -> Array:
     return np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
-def look_at(points: Array, back: Array, lowest: float = _LOW[1]) -> Camera:
+def look_at(points: Array, back: Array, between: tuple[float, float] = (-0.69, 0.75)) -> Camera:
     """The nearest camera in a direction that sees all points where no text stands.
 
     Args:
         points: shape (N, 3), [m].
         back: shape (3,), horizontal unit vector from the scene to the camera.
-        lowest: Where the text at the foot begins, from -1, the lower edge of the picture, to 1.
+        between: Where text at the foot ends and where that of the heading begins; the picture is from -1 to 1.
     """
-    lower = np.array([_LOW[0], lowest])
+    lower, upper = np.array([-_WIDTH, between[0]]), np.array([_WIDTH, between[1]])
     towards = np.cos(_DOWN) * back + np.sin(_DOWN) * np.array([0.0, 0.0, 1.0])
     right = np.array([-back[1], back[0], 0.0])
     axes = np.stack([right, np.cross(towards, right), towards])
@@ -80,8 +80,8 @@ def look_at(points: Array, back: Array, lowest: float = _LOW[1]) -> Camera:
         local = seen - centre
         at = local[:, :2] / (distance - local[:, 2:]) / half
         low, high = at.min(axis=0), at.max(axis=0)
-        scale = float(np.max((high - low) / (_HIGH - lower)))
-        middle = 0.5 * (low + high) - 0.5 * (lower + _HIGH)
+        scale = float(np.max((high - low) / (upper - lower)))
+        middle = 0.5 * (low + high) - 0.5 * (lower + upper)
         centre[:2] += middle * half * distance
         nearest = float(local[:, 2].max())
         distance = nearest + (distance - nearest) * (1.0 + 0.7 * (scale - 1.0))

@@ -30,6 +30,7 @@ def filled_page(
     title: str,
     facts: str,
     labels: str = "",
+    controls: str = "",
     inset: str = "",
     warnings: Sequence[str],
     legend: str,
@@ -44,6 +45,7 @@ def filled_page(
         title: The heading, plain text.
         facts: HTML below the heading.
         labels: HTML of the labels in the scene.
+        controls: HTML beside the heading.
         inset: HTML in the corner.
         warnings: What could not be drawn, plain text.
         legend: HTML at the foot, see `key` and `grid_text`.
@@ -65,6 +67,7 @@ def filled_page(
         title=escaped(title),
         facts=facts,
         labels=labels,
+        controls=controls,
         inset=inset,
         warnings=_warnings(warnings),
         legend=legend,

@@ -60,6 +60,7 @@ def view_of(calibration: Calibration, *, cloud: bool = True) -> View:
         cloud=cloud_of(c) if cloud else None,
         start=_worst(sizes[0][0], kinds),
         title=f"{c.nominal.name or 'Robot'}: nominal and calibrated",
+        verdict="" if c.verdict is None else c.verdict.use,
         note=_note(c),
     )
 
@@ -213,10 +214,10 @@ def _worst(lengths: Array, kinds: tuple[str, ...]) -> int:
 
 
 def _note(c: Calibration) -> str:
-    """The verdict and what the calibration gained, in a sentence; on which rows stands in it."""
+    """What the verdict stands on, in a sentence; on which rows stands in it."""
     if c.verdict is None:
         return "No verdict: nothing was cross-validated."
-    return f"Verdict: {c.verdict.use}. {c.verdict.reasons[0] if c.verdict.reasons else ''}".strip()
+    return c.verdict.reasons[0] if c.verdict.reasons else ""
 
 
 def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:

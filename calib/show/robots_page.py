@@ -63,7 +63,8 @@ def robots_page(parts: PageParts) -> bytes:
     return filled_page(
         title=view.title or f"{view.nominal.name or 'Robot'}: {_both(view)}",
         facts=_facts(view),
-        labels=_labels(view, parts.labels) + _controls(view, int(parts.motion["arrows"])),
+        labels=_labels(view, parts.labels),
+        controls=_controls(view, int(parts.motion["arrows"])),
         inset=_inset(view) if view.calibrated is not None or view.measures else "",
         warnings=parts.warnings,
         legend=_player(view) + f'<div class="keys">{_legend(view)}{grid_text(parts.grid)}</div>',
@@ -87,11 +88,16 @@ def _colours() -> dict[str, str]:
 
 def _facts(view: View) -> str:
     """What is known of the whole, and a line that the script fills in for each pose."""
-    note = f"<p>{escaped(view.note)}</p>" if view.note else ""
+    verdict = ""
+    if view.verdict:
+        kind = {"use": "use", "use with care": "care"}.get(view.verdict, "no")
+        verdict = f'<b class="verdict {kind}">Verdict: {escaped(view.verdict)}.</b> '
+    note = f"<p>{verdict}{escaped(view.note)}</p>" if verdict or view.note else ""
     few = ""
     if view.rows > len(view.q):
         few = f"<p>{len(view.q)} of {view.rows:,} rows are shown, spread evenly; flagged ones first.</p>"
-    return f'{note}{few}<p id="pose"></p>'
+    factors = '<p id="factors"></p>' if view.calibrated is not None or view.measures else ""
+    return f'{note}{few}<p id="pose"></p>{factors}'
 
 
 def _labels(view: View, places: Mapping[str, Array]) -> str:
@@ -105,7 +111,7 @@ def _labels(view: View, places: Mapping[str, Array]) -> str:
     lines = []
     for who, place in places.items():
         mode, name, meaning = texts[who]
-        if who == "over" and view.calibrated is None:
+        if view.calibrated is None:  # one robot: the heading says what it is
             continue
         at = " ".join(f"{float(value):.6g}" for value in place)
         lines.append(
@@ -116,7 +122,7 @@ def _labels(view: View, places: Mapping[str, Array]) -> str:
 
 
 def _controls(view: View, arrows: int) -> str:
-    """How the robots stand and what is magnified, with the factors in words."""
+    """How the robots stand, and by what factors arrows and differences are magnified."""
     two = view.calibrated is not None
     modes = (
         '<div class="modes"><button type="button" data-mode="side" aria-pressed="true">Side by side</button>'
@@ -132,8 +138,7 @@ def _controls(view: View, arrows: int) -> str:
         rows.append(_factor("robots", "Robots' difference", 1, small))
     if not two and not rows:
         return ""
-    said = '<p id="factors"></p>'
-    return f'<div class="over panel">{modes if two else ""}{"".join(rows)}{said}</div>'
+    return f'<div class="panel">{modes if two else ""}{"".join(rows)}</div>'
 
 
 def _factor(name: str, text: str, chosen: int, factors: Sequence[int]) -> str:
@@ -190,7 +195,9 @@ def _legend(view: View) -> str:
         items.append(key(escaped(words), "", "nominal/arrows", "arrow"))
     items.append(key("frames of base, tip, target", "", nodes("frames"), "frame", on=False))
     if np.any(np.isfinite(view.instruments)):
-        items.append(key("tracker and beams", "var(--beam)", nodes("instrument"), on=False))
+        items.append(
+            key("measurement frame and beams", "var(--beam)", nodes("instrument"), on=False)
+        )
     if view.cloud is not None and not view.nominal.base_moves:
         items.append(_cloud_keys(view))
     return "".join(items)
@@ -199,16 +206,13 @@ def _legend(view: View) -> str:
 def _cloud_keys(view: View) -> str:
     """The clouds and their colours."""
     assert view.cloud is not None
-    ends = [f"{1e3 * value:.2g}" for value in colour_scale(view.cloud)]
+    ends = [f"{float(f'{1e3 * value:.2g}'):g}" for value in colour_scale(view.cloud)]
     bar = f"linear-gradient(90deg, {', '.join(WELL_TO_BADLY)})"
-    scale = f'<span class="scale">{ends[0]}<i style="background: {bar}"></i>{ends[1]} mm</span>'
-    inner = key(
-        "uncertainty (1 sigma) where joints were measured",
-        WELL_TO_BADLY[1],
-        "calibrated/cloud",
-        on=False,
+    scale = (
+        f'<span class="scale">1 sigma {ends[0]}<i style="background: {bar}"></i>{ends[1]} mm</span>'
     )
-    outer = key("over all joint limits", WELL_TO_BADLY[2], "calibrated/cloud-everywhere", on=False)
+    inner = key("region measured, by uncertainty", WELL_TO_BADLY[1], "calibrated/cloud", on=False)
+    outer = key("whole workspace", WELL_TO_BADLY[2], "calibrated/cloud-everywhere", on=False)
     return inner + outer + scale
 
 

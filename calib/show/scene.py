@@ -42,8 +42,8 @@ _COLOURS = {"nominal": NOMINAL, "calibrated": CALIBRATED}
 #: Radius of the target's ball, as a part of the scene's size, and of the rod to it, as a part of that.
 _BALL, _STALK = 0.009, 0.3
 
-#: Where labels may stand: above slider and legend, as a part of the picture, see `look_at`.
-_FOOT = -0.54
+#: Between slider and legend below and the heading above, as a part of the picture, see `look_at`.
+_TEXT = (-0.54, 0.67)
 
 
 def write_view(view: View, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -162,10 +162,8 @@ class Layout:
             foot=foot,
             size=size,
             grid=round_length(size / 7.0),
-            side=look_at(
-                np.concatenate([one + offset for offset in offsets.values()]), back, _FOOT
-            ),
-            over=look_at(one, back, _FOOT),
+            side=look_at(np.concatenate([one + at for at in offsets.values()]), back, _TEXT),
+            over=look_at(one, back, _TEXT),
         )
 
     def labels(self) -> dict[str, Array]:
@@ -216,7 +214,12 @@ def _material(who: str) -> mc.MeshPhongMaterial:
 
     Where one robot is laid over the other, surfaces a fraction of a millimetre apart would flicker otherwise.
     """
-    kwargs: dict[str, float] = {"color": number(_COLOURS[who]), "shininess": 35, "specular": 0x2A2A2A, "side": 2}
+    kwargs: dict[str, float] = {
+        "color": number(_COLOURS[who]),
+        "shininess": 35,
+        "specular": 0x2A2A2A,
+        "side": 2,
+    }
     if who == "calibrated":
         kwargs |= {"polygonOffset": 1, "polygonOffsetFactor": -1.0, "polygonOffsetUnits": -4.0}
     return mc.MeshPhongMaterial(**kwargs)

@@ -69,7 +69,8 @@ class View:
         start: Which pose is shown first.
         rows: How many rows there are, where those shown are a choice; 0 where all are shown.
         title: The page's heading.
-        note: A sentence or two below it, such as the verdict.
+        verdict: What a calibration's verdict is; none for none.
+        note: A sentence or two below the heading, such as what the verdict stands on.
         names: What the two robots are called, and what that means.
 
     Raises:
@@ -92,6 +93,7 @@ class View:
     start: int = 0
     rows: int = 0
     title: str = ""
+    verdict: str = ""
     note: str = ""
     names: Names = NAMES
 
