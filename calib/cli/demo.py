@@ -18,12 +18,16 @@ _HELP = """Calibrate the paper's UR3 from its 35 laser-tracker points.
 Writes into --out:
   ur3_calibrated.urdf   the corrected robot
   calibration.json      the whole result
+  report.html           the report, to print and sign
   view.html             nominal and calibrated robot, to open in a browser
 
 \b
 Example:
   calib demo --out demo
 """
+
+#: What is written into the folder.
+_FILES = ("ur3_calibrated.urdf", "calibration.json", "report.html", "view.html")
 
 #: What the paper reports for rows 31 to 35, its Table 5 [mm].
 _PAPER = {"before": (3.5645, 2.5678, 2.7485), "after": (1.8721, 1.5926, 1.6382)}
@@ -45,6 +49,7 @@ def demo(
     """See `_HELP`."""
     with reporting(debug=debug):
         from calib.cli.setup import check_outputs
+        from calib.cli.terminal import command_line, say
         from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
         from calib.identify.calibration import calibrate
         from calib.measure.cell import Cell
@@ -52,9 +57,10 @@ def demo(
         from calib.model.files import make_folder
         from calib.model.robot import Robot, read_only
         from calib.show.pictures import write_page
+        from calib.show.report import write_report
 
         make_folder(out)
-        paths = [out / name for name in ("ur3_calibrated.urdf", "calibration.json", "view.html")]
+        paths = [out / name for name in _FILES]
         check_outputs(paths, [], force=force)
         robot = Robot.load(paper_urdf(), base="base", tip="tool0")
         table = Measurements.read(
@@ -65,18 +71,14 @@ def demo(
         as_paper = calibrate(robot, table, cell=cell, solver="paper", validate=False)
         result.write_urdf(paths[0], overwrite=force)
         result.write_json(paths[1], overwrite=force)
-        write_page(result, paths[2], overwrite=force)
+        write_report(result, paths[2], command=command_line(), overwrite=force)
+        write_page(result, paths[3], overwrite=force)
         if quiet:
             return
-        typer.echo(result.summary())
-        typer.echo("")
-        typer.echo(_against_the_paper(result, as_paper))
-        typer.echo("")
-        typer.echo(_NOTE)
-        typer.echo("")
+        say("\n\n".join([result.summary(), _against_the_paper(result, as_paper), _NOTE]) + "\n")
         for path in paths:
             typer.echo(f"Written: {path}")
-        typer.echo(f"Open {paths[2]} in a browser.")
+        typer.echo(f"Open {paths[2]} and {paths[3]} in a browser.")
         typer.echo("Your own robot: calib fit robot.urdf data.csv -o corrected.urdf")
 
 

@@ -32,6 +32,7 @@ from calib.cli.options import (
     Tip,
     reporting,
 )
+from calib.cli.report_files import FigureFolder, FigureKind, ReportFile
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ _HELP = """Calibrate a robot from measurements.
 Examples:
   calib fit robot.urdf data.csv -o corrected.urdf
   calib fit robot.urdf data.csv --base base --tip tool0 --target "70 -70 22.5 mm" \\
-        -o corrected.urdf --json result.json --view view.html
+        -o corrected.urdf --json result.json --report report.html --view view.html
   calib fit robot.urdf tracker.csv --frame estimate -o corrected.urdf
   calib fit robot.urdf joints.csv --points tracker.txt --frame estimate -o corrected.urdf
   calib fit robot.urdf data.csv --columns "J1=joint_1 [deg]" --columns "X=x [mm]" ...
@@ -110,6 +111,9 @@ def fit(
         Path | None,
         typer.Option("--view", help="Write a page that shows both robots, to open in a browser."),
     ] = None,
+    report: ReportFile = None,
+    figures: FigureFolder = None,
+    figure_format: FigureKind = None,
     target_link: Annotated[
         bool,
         typer.Option(
@@ -147,11 +151,20 @@ def fit(
     """See `_HELP`."""
     with reporting(debug=debug):
         from calib.cli.progress import progress_bar
+        from calib.cli.report_files import (
+            STDOUT,
+            check_figures,
+            check_report,
+            report_text,
+            write_report_files,
+        )
         from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
+        from calib.cli.terminal import say
 
         _check_seed(seed, bootstrap)
         inputs: list[str | Path] = [robot, data, *(path for path in (cell, points) if path)]
-        check_outputs([output, json, view], inputs, force=force)
+        report_file = check_report(report, figures, figure_format)
+        check_outputs([output, json, view, report_file], inputs, force=force)
         setup = read_cell(
             cell,
             base=base,
@@ -185,13 +198,17 @@ def fit(
                 progress=progress,
             )
         texts, tables = _intervals(result, bootstrap, seed or 0, profile or [], quiet=quiet)
+        check_figures(result, figures, figure_format, force=force)
         # Files first: a reader of the text that goes away (head, less) must not cost the results.
-        written = list(
-            _write(result, output, json, view, tables, target_link=target_link, force=force)
-        )
-        if not quiet:
+        written = [
+            *_write(result, output, json, view, tables, target_link=target_link, force=force),
+            *write_report_files(result, report, figures, figure_format, force=force, quiet=quiet),
+        ]
+        if report == STDOUT:
+            say("\n\n".join([report_text(result), *texts]))
+        elif not quiet:
             say_ignored(table, arm)
-            typer.echo("\n\n".join([result.summary(), *texts]) + "\n")
+            say("\n\n".join([result.summary(), *texts]) + "\n")
             for path in written:
                 typer.echo(f"Written: {path}")
             if output is None:

@@ -336,6 +336,16 @@ class Calibration:
 
         return write_result(self, path, overwrite=overwrite)
 
+    def write_report(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the report: a page with figures that prints on A4 (.html), Markdown (.md) or text (.txt).
+
+        Raises:
+            FileError: The name has another ending, the file exists, or it cannot be written.
+        """
+        from calib.show.report import write_report
+
+        return write_report(self, path, overwrite=overwrite)
+
 
 def _number(name: str | None, names: tuple[str, ...], what: str) -> int:
     """The place of a name among names; 0 where none is given.

@@ -72,7 +72,7 @@ def report_of(calibration: Calibration, *, command: str = "", figures: bool = Tr
         Section("How it was measured", measurement_blocks(c)),
         Section("How it was computed", method_blocks(c)),
         Section("Files, versions, command", trace_blocks(c, command, date)),
-        Section("Signatures", sign_blocks()),
+        Section("Signatures", sign_blocks(c, date)),
     )
     return Document(
         f"Calibration report: robot {c.nominal.name}",

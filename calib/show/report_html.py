@@ -31,6 +31,9 @@ _LARGE = 260_000
 #: A longer title is shortened at the foot of the page.
 _LONGEST = 80
 
+#: A longer word in a table is broken anywhere.
+_LONGEST_WORD = 24
+
 #: What the template calls each kind of block.
 _KINDS: dict[type, str] = {
     Paragraph: "paragraph",
@@ -84,6 +87,7 @@ def as_html(document: Document) -> str:
         undefined=jinja2.StrictUndefined,
     )
     environment.filters["plain"] = plain
+    environment.tests["long"] = _long
     template = environment.from_string(
         (Path(__file__).parent / "report.html.j2").read_text(encoding="utf-8")
     )
@@ -94,6 +98,11 @@ def as_html(document: Document) -> str:
     ]
     footer = Markup(_css_string(plain(document.title)))
     return template.render(document=document, sections=sections, footer=footer)
+
+
+def _long(text: str) -> bool:
+    """Whether a text has a word that may be cut, or it would push its table off the page."""
+    return max(map(len, text.split()), default=0) > _LONGEST_WORD
 
 
 def _css_string(text: str) -> str:

@@ -19,10 +19,10 @@ from calib.show.document import (
 )
 
 #: What means something to Markdown anywhere in a line; "<" and "&" begin HTML.
-_SPECIAL = re.compile(r"([\\`*_{}\[\]()#|~$])")
+_SPECIAL = re.compile(r"([\\`*_\[\]|~$])")
 
-#: What means something at the beginning of a line.
-_AT_THE_START = re.compile(r"^(\s*)([-+>=]|\d+[.)])")
+#: What means something at the beginning of a line: lists, headings, quotes, rules.
+_AT_THE_START = re.compile(r"^(\s*)(#|>|=|[-+](?=[\s-]|$)|\d+[.)](?=\s|$))")
 
 #: What GitHub makes a link of by itself.
 _LINKS = re.compile(r"(?i)(https?|ftp|www|mailto)([.:])")

@@ -91,9 +91,14 @@ def trace_blocks(c: Calibration, command: str, date: str) -> tuple[Block, ...]:
     return (Facts(tuple(pairs)),)
 
 
-def sign_blocks() -> tuple[Block, ...]:
-    """Room for what no file knows, and to sign."""
+def sign_blocks(c: Calibration, date: str) -> tuple[Block, ...]:
+    """What is signed, room for what no file knows, and to sign."""
+    verdict = "none" if c.verdict is None else c.verdict.use
     return (
+        Paragraph(
+            f"This report of {date} is about the robot {c.nominal.name} as the files above describe it. Its verdict: "
+            f"{verdict}."
+        ),
         Signatures(
             blanks=(
                 "Robot, serial number",

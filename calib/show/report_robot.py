@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -21,8 +22,8 @@ from calib.identify.statements import (
 )
 from calib.identify.statistics import interval_factor
 from calib.identify.words import frame_sentences, target_sentences
-from calib.model.dh import DHRow, dh_table
-from calib.model.robot import rigid_inverse
+from calib.model.dh import DHRow, DHTable, dh_table
+from calib.model.robot import read_only, rigid_inverse
 from calib.show.document import Block, Bullets, Paragraph, Table, blocks, table
 from calib.show.report_accuracy import deg, mm
 
@@ -140,7 +141,8 @@ def _larger(c: Calibration) -> Table | None:
 
 def _dh(c: Calibration) -> Table | None:
     """The DH rows of the nominal and of the calibrated robot."""
-    before, after = dh_table(c.nominal), dh_table(c.robot)
+    before = dh_table(c.nominal)
+    after = _turned_like(before, dh_table(c.robot))
     tilted = any(row.near_parallel for row in (*before.rows, *after.rows))
     note = "Standard convention: Rz(theta + q) Tz(d) Tx(a) Rx(alpha)"
     note += (
@@ -169,6 +171,28 @@ def _dh(c: Calibration) -> Table | None:
         note=note,
         strong=tuple(range(2, 3 * len(before.rows), 3)),
     )
+
+
+def _turned_like(before: DHTable, after: DHTable) -> DHTable:
+    """The same geometry with each x axis on the side of the other table's, or rows that hardly differ seem to.
+
+    Half a turn of frame i about its z: A_i Rz(pi) = Rz(theta + pi) Tz(d) Tx(-a) Rx(-alpha) Ry(-beta).
+    """
+    rows, turned = [], 0.0
+    for old, new in zip(before.rows, after.rows, strict=True):
+        theta = new.theta - turned
+        turned = np.pi if np.cos(theta - old.theta) < 0.0 else 0.0
+        sign = -1.0 if turned else 1.0
+        row = replace(
+            new,
+            theta=float(np.arctan2(np.sin(theta + turned), np.cos(theta + turned))),
+            a=sign * new.a + 0.0,
+            alpha=sign * new.alpha + 0.0,
+            beta=sign * new.beta + 0.0,
+        )
+        rows.append(row)
+    half = np.diag([-1.0, -1.0, 1.0, 1.0]) if turned else np.eye(4)
+    return DHTable(tuple(rows), after.T_base_0, read_only(half @ after.T_n_tip))
 
 
 def _dh_lines(before: DHRow, after: DHRow) -> Iterator[tuple[str, ...]]:

@@ -1,0 +1,140 @@
+"""Report and figures of ``calib fit``: what their options mean, what is refused, and what is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib.errors import CalibError, FileError
+
+if TYPE_CHECKING:
+    from calib.identify.result import Calibration
+
+#: The file name that stands for the terminal.
+STDOUT = Path("-")
+
+
+class FigureFormat(str, Enum):
+    """The kinds of picture files."""
+
+    png = "png"
+    svg = "svg"
+    pdf = "pdf"
+
+
+ReportFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--report",
+        metavar="FILE",
+        help="Write a report to print and sign: .html with figures, .md or .txt; '-' prints it instead of the summary.",
+    ),
+]
+FigureFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--figures",
+        metavar="FOLDER",
+        help="Write every figure into a folder; it is made if missing.",
+    ),
+]
+FigureKind = Annotated[
+    FigureFormat | None,
+    typer.Option("--figure-format", help="The kind of file of --figures. Default: png."),
+]
+
+
+def check_report(
+    report: Path | None, figures: Path | None, kind: FigureFormat | None
+) -> Path | None:
+    """Refuse before the work what cannot be written after it.
+
+    Args:
+        report: The report's file, or `STDOUT`.
+        figures: The figures' folder.
+        kind: Their kind.
+
+    Returns:
+        The report's file for the checks of all outputs; None where it is printed.
+
+    Raises:
+        FileError: The report's name has an ending that no report has, or a file stands where the folder should.
+        CalibError: A kind of figures, and no folder for them.
+    """
+    if kind is not None and figures is None:
+        message = (
+            f"--figure-format {kind.value} is for figures; name their folder with --figures FOLDER."
+        )
+        raise CalibError(message)
+    if figures is not None and figures.exists() and not figures.is_dir():
+        message = f"{figures} is a file; --figures names a folder, choose another name."
+        raise FileError(message)
+    if report is None or report == STDOUT:
+        return None
+    from calib.show.report import check_ending
+
+    check_ending(report)
+    return report
+
+
+def check_figures(
+    result: Calibration, folder: Path | None, kind: FigureFormat | None, *, force: bool
+) -> None:
+    """Refuse figures whose files exist before any file is written.
+
+    Raises:
+        FileError: A file of that name exists.
+    """
+    if folder is None or force:
+        return
+    from calib.show.figures import drawings
+
+    for drawing in drawings(result):
+        path = folder / f"{drawing.name}.{_ending(kind)}"
+        if path.exists():
+            message = f"{path} exists already; add --force or choose another folder."
+            raise FileError(message)
+
+
+def write_report_files(
+    result: Calibration,
+    report: Path | None,
+    figures: Path | None,
+    kind: FigureFormat | None,
+    *,
+    force: bool,
+    quiet: bool,
+) -> Iterator[Path]:
+    """Write the report and the figures asked for, one after the other."""
+    from calib.cli.terminal import command_line
+
+    if report is not None and report != STDOUT:
+        from calib.show.report import write_report
+
+        yield write_report(result, report, command=command_line(), overwrite=force)
+    if figures is not None:
+        from calib.cli.progress import progress_bar
+        from calib.show.figures import write_figures
+
+        with progress_bar("figures", quiet=quiet) as progress:
+            yield from write_figures(
+                result, figures, kind=_ending(kind), overwrite=force, progress=progress
+            )
+
+
+def report_text(result: Calibration) -> str:
+    """The report as text, without its last line feed."""
+    from calib.cli.terminal import command_line
+    from calib.show.report import report_of
+    from calib.show.report_text import as_text
+
+    return as_text(report_of(result, command=command_line(), figures=False)).rstrip("\n")
+
+
+def _ending(kind: FigureFormat | None) -> str:
+    """The ending of a figure's file."""
+    return "png" if kind is None else kind.value
