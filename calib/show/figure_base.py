@@ -1,4 +1,4 @@
-"""What the figures of a calibration share: their look, how they become files, which rows are which, names that fit.
+"""What the figures of a calibration share: their look, how they become files, names that fit.
 
 A figure belongs to no window and leaves no trace in matplotlib's global state. Names from files are plain text: none is
 read as a formula.
@@ -15,19 +15,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.errors import FileError, choices
-from calib.identify.result import Calibration
-from calib.model.robot import rigid_inverse
-from calib.show.palette import ESTIMATION, GRID, INK, OUTLIER, SOFT, VALIDATION
+from calib.show.palette import GRID, INK, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+    from matplotlib.ticker import Locator
 
 #: Kinds of picture files.
 KINDS = ("png", "svg", "pdf")
@@ -148,13 +143,29 @@ def rendered(drawing: Drawing, kind: str = "png") -> bytes:
     data = io.BytesIO()
     with styled():
         drawing.draw().savefig(data, format=kind, dpi=_DPI, metadata=metadata[kind])
-    if kind != "svg":
+    if kind == "png":
+        return _of_few_colours(data, metadata["png"])
+    if kind == "pdf":
         return data.getvalue()
     # The names of fonts stand in style attributes; what a viewer lacks it takes from the next one.
     pattern = (
         rb"(<text\b[^>]*?\bstyle=\"[^\"]*?font: [^\"]*?)'" + _FONT.encode() + rb"'(?:, [^;\"]*)?"
     )
     return re.sub(pattern, rb"\1" + _IN_SVG.encode(), data.getvalue())
+
+
+def _of_few_colours(data: io.BytesIO, words: dict[str, str]) -> bytes:
+    """A PNG with a table of 256 colours: a third of the bytes, and no eye sees the difference."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    info, smaller = PngInfo(), io.BytesIO()
+    for key, text in words.items():
+        info.add_itxt(key, text)
+    with Image.open(data) as image:
+        table = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+        table.save(smaller, "PNG", optimize=True, pnginfo=info, dpi=(_DPI, _DPI))
+    return smaller.getvalue()
 
 
 def check_kind(kind: str) -> None:
@@ -236,6 +247,13 @@ def log_axis(ax: Axes, which: str) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+def few_ticks(count: int) -> Locator:
+    """At most so many steps between round numbers."""
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
+
+
 def power_text(value: float) -> str:
     """A number on a logarithmic axis: plain from 0.001 to 1000, else a power of ten."""
     if value <= 0.0:
@@ -244,25 +262,6 @@ def power_text(value: float) -> str:
     if -3 <= exponent <= 3:
         return f"{value:g}"
     return f"10{str(exponent).translate(_RAISED)}"
-
-
-def row_axis(ax: Axes, numbers: Sequence[int]) -> None:
-    """The x axis as places in the table, labelled with the rows' numbers.
-
-    Args:
-        ax: The panel.
-        numbers: The row number at 0, 1, ...
-    """
-    from matplotlib.ticker import FuncFormatter, MaxNLocator
-
-    def text(value: float, _: int) -> str:
-        k = round(value)
-        return str(numbers[k]) if 0 <= k < len(numbers) and abs(value - k) < 1e-6 else ""
-
-    ax.xaxis.set_major_locator(MaxNLocator(nbins=10, integer=True, min_n_ticks=1))
-    ax.xaxis.set_major_formatter(FuncFormatter(text))
-    room = max(0.5, 0.01 * len(numbers))
-    ax.set_xlim(-room, len(numbers) - 1 + room)
 
 
 def plain(text: str) -> str:
@@ -292,137 +291,3 @@ def _shortened(text: str, longest: int) -> str:
         return text
     head = longest // 2
     return f"{text[:head]}…{text[len(text) - (longest - head - 1) :]}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RowKind:
-    """Rows of one kind, and how they are marked everywhere.
-
-    Attributes:
-        word: ``"estimation"``, ``"validation"`` or ``"outlier"``.
-        mask: shape (N,), which rows.
-        colour: As CSS has it.
-        marker: Of matplotlib.
-        size: Of the marker [pt].
-        filled: Whether the marker is.
-    """
-
-    word: str
-    mask: Mask
-    colour: str
-    marker: str
-    size: float
-    filled: bool
-
-    @property
-    def label(self) -> str:
-        """For a legend, with the number of rows."""
-        count = int(np.count_nonzero(self.mask))
-        what = {"outlier": "outlier"}.get(self.word, f"{self.word} row")
-        return f"{count:,} {what}{'s' * (count != 1)}"
-
-    def style(self, count: int | None = None) -> dict[str, Any]:
-        """Of a line of markers, smaller where there are many.
-
-        Args:
-            count: How many are drawn; None for the number of rows.
-        """
-        many = (int(np.count_nonzero(self.mask)) if count is None else count) > 400
-        size = self.size * (0.5 if many and self.word != "outlier" else 1.0)
-        return {
-            "linestyle": "none",
-            "marker": self.marker,
-            "markersize": size,
-            "markerfacecolor": self.colour if self.filled else "none",
-            "markeredgecolor": ("white" if not many else "none") if self.filled else self.colour,
-            "markeredgewidth": 0.4 if self.filled else 1.4,
-        }
-
-
-def row_kinds(c: Calibration) -> tuple[RowKind, ...]:
-    """Estimation rows, validation rows, and those of either that are flagged; none is empty, none stands in two."""
-    m = c.measurements
-    doubtful = {one.row for one in (*c.outliers, *c.suspects)}
-    flagged = np.array([row in doubtful for row in m.rows], dtype=np.bool_)
-    kinds = (
-        RowKind("estimation", m.estimation & ~flagged, ESTIMATION, "o", 4.2, filled=True),
-        RowKind("validation", m.validation & ~flagged, VALIDATION, "D", 5.0, filled=True),
-        RowKind("outlier", flagged, OUTLIER, "x", 6.0, filled=False),
-    )
-    return tuple(kind for kind in kinds if np.any(kind.mask))
-
-
-def lengths_of(c: Calibration, residual: Array) -> Array:
-    """Size of each row's error of length, shape (N,), [m]; NaN where none was measured."""
-    return _norms(residual[:, :3], c.used[:, :3])
-
-
-def angles_of(c: Calibration, residual: Array) -> Array:
-    """Size of each row's error of orientation, shape (N,), [rad]; NaN where none was measured."""
-    return _norms(residual[:, 3:], c.used[:, 3:])
-
-
-def _norms(values: Array, used: Mask) -> Array:
-    """Norms of rows, NaN where nothing is used."""
-    return np.where(
-        np.any(used, axis=1), np.linalg.norm(np.where(used, values, 0.0), axis=1), np.nan
-    )
-
-
-def has_axes(c: Calibration) -> bool:
-    """Whether any row has errors along x, y and z."""
-    return c.used.shape[1] >= 3 and bool(np.any(np.all(c.used[:, :3], axis=1)))
-
-
-def has_angles(c: Calibration) -> bool:
-    """Whether any row has a measured orientation."""
-    return bool(np.any(c.used[:, 3:]))
-
-
-def left_out(c: Calibration) -> Array | None:
-    """Measured minus predicted by fits that had not seen the row, shape (N, D), NaN for validation rows; or None."""
-    if c.cross_validation is None:
-        return None
-    residual = np.full(c.residual_calibrated.shape, np.nan)
-    residual[c.measurements.estimation] = c.cross_validation.residual
-    return residual
-
-
-def measured_places(c: Calibration) -> tuple[Array, Mask]:
-    """Where the target was, in the base, and whether that was measured.
-
-    A target in a socket was where its set-up's frame stands; of distances and planes there is what the calibrated
-    robot predicts.
-
-    Returns:
-        shape (N, 3), [m], and shape (N,).
-    """
-    m = c.measurements
-    T_base_frame = np.array([rigid_inverse(T) for T in c.setup.T_frame_base])
-    into_base = T_base_frame[[c.setup.groups.index(group) for group in m.groups]]
-    seen = m.of_kind("point", "pose", "fixed")
-    places = (
-        np.einsum("nij,nj->ni", into_base[:, :3, :3], np.nan_to_num(m.points)) + into_base[:, :3, 3]
-    )
-    if not np.all(seen):
-        T = c.robot.poses(m.joints_for(c.nominal.joint_names)[~seen])
-        names = [
-            c.setup.targets.index(name)
-            for name, one in zip(m.targets, seen, strict=True)
-            if not one
-        ]
-        places[~seen] = (
-            np.einsum("nij,nj->ni", T[:, :3, :3], c.setup.T_tip_target[names, :3, 3]) + T[:, :3, 3]
-        )
-    return places, seen
-
-
-def counted(c: Calibration) -> str:
-    """How many rows there are of each set, for captions."""
-    m = c.measurements
-    texts = [
-        f"{int(np.sum(mask)):,} {word} row{'s' * (int(np.sum(mask)) != 1)}"
-        for word, mask in (("estimation", m.estimation), ("validation", m.validation))
-        if np.any(mask)
-    ]
-    return " and ".join(texts)

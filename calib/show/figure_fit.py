@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 #: A singular value below this share of the largest is drawn there.
-_FLOOR = 1e-12
+_FLOOR = 1e-7
+
+#: More iterations than this get no dots.
+_MOST_DOTS = 60
 
 
 def convergence_figure(c: Calibration) -> Figure:
@@ -35,34 +39,57 @@ def convergence_figure(c: Calibration) -> Figure:
     series += [("step [mm, mrad]" if c.solver != "paper" else "step", step, accepted)]
     if np.any(mu > 0.0):
         series.append(("damping μ", mu, accepted))
+    starts = stage_starts(c)
     figure = new_figure(1.35 * len(series) + 0.7)
     panels = figure.subplots(len(series), 1, sharex=True)
     for ax, (name, values, taken) in zip(panels, series, strict=True):
-        _over_iterations(ax, values, taken, stages=name.startswith("cost"))
+        _over_iterations(ax, values, taken, starts)
         ax.set_ylabel(name)
     panels[-1].set_xlabel("iteration")
     panels[-1].set_xlim(-0.3 - 0.01 * len(history), len(history) + 0.3 + 0.01 * len(history))
-    handles = [Line2D([], [], color=INK, marker="o", ms=4, lw=1.1, label="step taken")]
+    many = len(history) > _MOST_DOTS
+    handles = [
+        Line2D([], [], color=INK, marker="" if many else "o", ms=4, lw=1.1, label="step taken")
+    ]
     if not np.all(accepted):
         none = Line2D([], [], ls="none", marker="x", ms=5, mew=1.3, color=OUTLIER)
         none.set_label("step not taken: it would have raised the cost")
         handles.append(none)
+    if len(starts):
+        anew = Line2D([], [], color=SOFT, lw=0.9, ls=":", label="weights and noise set anew")
+        handles.append(anew)
     legend_above(figure, handles)
     return figure
 
 
-def _over_iterations(ax: Axes, values: Array, taken: NDArray[np.bool_], *, stages: bool) -> None:
-    """A curve on a logarithmic scale, broken where a cost starts anew at another level."""
+def stage_starts(c: Calibration) -> list[int]:
+    """The iterations, but for the first, at which the solver was started anew with other weights and noise.
+
+    The damping then is what it was first; solvers without one have a cost that rises.
+    """
+    history = c.solution.history
+    if c.solver == "paper":
+        return []
+    if any(one.mu > 0.0 for one in history):
+        return [k for k in range(1, len(history)) if history[k].mu == history[0].mu]
+    return [k for k in range(1, len(history)) if history[k].cost > 1.000001 * history[k - 1].cost]
+
+
+def _over_iterations(
+    ax: Axes, values: Array, taken: NDArray[np.bool_], starts: Sequence[int]
+) -> None:
+    """A curve on a logarithmic scale, broken where the solver started anew."""
     from matplotlib.ticker import MaxNLocator
 
-    floor = max(float(values.max(initial=0.0)) * 1e-18, 1e-30)
-    shown = np.maximum(values, floor)
+    shown = np.maximum(values, max(float(values.max(initial=0.0)) * 1e-18, 1e-30))
     at = np.arange(len(values))
-    breaks = np.flatnonzero(np.diff(values) > 1e-9 * np.abs(values[:-1])) + 1 if stages else []
-    for part in np.split(at, breaks):
+    for start in starts:
+        ax.axvline(start - 0.5, color=SOFT, lw=0.9, ls=":", zorder=1)
+    for part in np.split(at, starts):
         ax.plot(part, shown[part], color=INK, lw=1.1)
-    ax.plot(at[taken], shown[taken], ls="none", marker="o", ms=4, color=INK)
-    ax.plot(at[~taken], shown[~taken], ls="none", marker="x", ms=5, mew=1.3, color=OUTLIER)
+    if len(values) <= _MOST_DOTS:
+        ax.plot(at[taken], shown[taken], ls="none", marker="o", ms=3.6, color=INK)
+    ax.plot(at[~taken], shown[~taken], ls="none", marker="x", ms=4.5, mew=1.2, color=OUTLIER)
     log_axis(ax, "y")
     ax.xaxis.set_major_locator(MaxNLocator(nbins=10, integer=True, min_n_ticks=1))
 
@@ -73,13 +100,14 @@ def singular_values_figure(c: Calibration) -> Figure:
 
     o = c.observability
     values = 1e3 * o.singular_values
-    floor = max(float(values.max(initial=0.0)) * _FLOOR, 1e-15)
+    floor = max(float(values.max(initial=0.0)) * _FLOOR, 1e-15)  # zeros stand there
     at = np.arange(1, len(values) + 1)
     figure = new_figure(2.9)
     ax = figure.subplots()
     seen, tiny = at <= o.rank, values < floor
     shown = np.maximum(values, floor)
-    ax.vlines(at[seen], floor, shown[seen], color=NOMINAL, lw=1.0, alpha=0.6)
+    lowest = 0.4 * float(shown.min(initial=floor if np.any(tiny) else np.inf))
+    ax.vlines(at[seen], lowest, shown[seen], color=NOMINAL, lw=1.0, alpha=0.6)
     parts = [(seen, "o", INK, f"{o.rank} combinations that the poses determine")]
     parts.append((~seen, "x", OUTLIER, f"{o.columns - o.rank} that move nothing measured"))
     for mask, marker, colour, label in parts:
@@ -100,8 +128,7 @@ def singular_values_figure(c: Calibration) -> Figure:
         text = f"condition number {o.condition:,.0f}"
         ax.axhline(limit, color=SOFT, ls="--", lw=1.0, label=text)
     log_axis(ax, "y")
-    lowest = float(shown.min(initial=floor))
-    ax.set_ylim(0.4 * lowest, 2.5 * max(float(shown.max(initial=0.0)), 2.0 * lowest))
+    ax.set_ylim(lowest, 3.0 * float(shown.max()))
     ax.set_xlim(0.2, len(values) + 0.8)
     ax.xaxis.set_major_locator(MaxNLocator(nbins=12, integer=True, min_n_ticks=1))
     ax.set_xlabel("number")
@@ -128,7 +155,7 @@ def candidates_figure(c: Calibration) -> Figure:
     }
     chosen = [one.chosen for one in c.candidates]
     for ax, values, text in (
-        (left, scale * rms, "{:.3g}"),
+        (left, scale * rms, "{:.3f}"),
         (right, gain, "{:.1f}"),
     ):
         for key, (colour, hatch, _) in look.items():
@@ -138,7 +165,14 @@ def candidates_figure(c: Calibration) -> Figure:
         for y, value in zip(at, values, strict=True):
             side = "left" if ax is left else "right"
             away = 0.015 * widest * (1 if ax is left else -1)
-            ax.text(value + away, y, text.format(value), va="center", ha=side, size=7.5)
+            ax.text(
+                value + away,
+                y,
+                text.format(value).replace("-", "−"),
+                va="center",
+                ha=side,
+                size=7.5,
+            )
         room = 1.18 * widest if widest > 0.0 else 1.0
         ax.set_xlim(*((0.0, room) if ax is left else (-room, 0.02 * room)))
         ax.grid(visible=False, axis="y")

@@ -12,7 +12,7 @@ from calib.identify.findings import ParameterEstimate
 from calib.identify.result import Calibration
 from calib.model.observability import SHOWN
 from calib.model.parameters import FRAME, TARGET
-from calib.show.figure_base import legend_above, new_figure, short_names
+from calib.show.figure_base import WIDTH, legend_above, new_figure, short_names
 from calib.show.palette import CALIBRATED, INK, NOMINAL, SOFT
 
 if TYPE_CHECKING:
@@ -23,9 +23,6 @@ Array = NDArray[np.float64]
 
 #: Height of a parameter's line [in].
 _LINE = 0.16
-
-#: Names of correlations are written out up to this number of parameters.
-_MOST_NAMES = 80
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,14 +70,14 @@ def changes_figure(c: Calibration) -> Figure:
     from matplotlib.lines import Line2D
 
     units = _by_unit(shown_parameters(c))
-    longest = max(len(unit.parameters) for unit in units)
-    rows = -(-len(units) // 2)
-    figure = new_figure(max(_LINE * longest * rows + 0.75 * rows + 0.45, 1.9))
-    panels = figure.subplots(rows, min(len(units), 2), squeeze=False).ravel()
-    for ax, unit in zip(panels, units, strict=False):
-        _changes(ax, unit, longest)
-    for ax in panels[len(units) :]:
-        ax.set_visible(False)
+    pairs = [units[k : k + 2] for k in range(0, len(units), 2)]
+    lines = [max(len(unit.parameters) for unit in pair) for pair in pairs]
+    heights = [_LINE * max(count, 3) + 0.75 for count in lines]
+    figure = new_figure(sum(heights) + 0.4)
+    grid = figure.add_gridspec(len(pairs), min(len(units), 2), height_ratios=heights)
+    for row, (pair, count) in enumerate(zip(pairs, lines, strict=True)):
+        for column, unit in enumerate(pair):
+            _changes(figure.add_subplot(grid[row, column]), unit, count)
     shown = [p for unit in units for p in unit.parameters]
     handles = []
     for wanted, look, label in (
@@ -153,8 +150,11 @@ def correlations_figure(c: Calibration) -> Figure:
     R = C / np.outer(std, std)
     names = short_names([c.parameters[k].name for k in chosen], 18)
     p = len(chosen)
-    size = 7.0 if p < _MOST_NAMES // 2 else 8.6
-    figure = new_figure(0.94 * size, size)
+    longest = max(len(name) for name in names)
+    text = 8.0 if p <= 30 else 6.0 if p <= 50 else 4.6
+    room = 0.009 * text * longest + 0.25  # for the names [in]
+    size = float(np.clip(0.36 * p, 2.4, WIDTH - room))
+    figure = new_figure(size + room + 0.35, size + room)
     ax = figure.subplots()
     i, j = np.tril_indices(p, -1)
     value = R[i, j]
@@ -173,16 +173,16 @@ def correlations_figure(c: Calibration) -> Figure:
     ax.set_xlim(-0.6, p - 1.4)
     ax.set_ylim(p - 0.4, 0.4)
     ax.set_aspect("equal")
-    text = 8.0 if p <= 30 else 6.0 if p <= 50 else 4.6
     ax.set_xticks(range(p - 1), names[:-1], rotation=90, size=text)
     ax.set_yticks(range(1, p), names[1:], size=text)
     ax.grid(linewidth=0.4)
     legend_above(
         figure,
         [
-            Patch(facecolor=CALIBRATED, ec=CALIBRATED, label="together (+)"),
-            Patch(facecolor="white", ec=NOMINAL, label="against each other (−)"),
-            Patch(facecolor="none", ec="none", label="a full square is ±1"),
+            Patch(facecolor=CALIBRATED, ec=CALIBRATED, label="positive"),
+            Patch(
+                facecolor="white", ec=NOMINAL, label="negative; a square that fills its cell is 1"
+            ),
         ],
     )
     return figure

@@ -9,13 +9,8 @@ from numpy.typing import NDArray
 
 from calib.identify.result import Calibration
 from calib.identify.uncertainty import workspace_uncertainty
-from calib.show.figure_base import (
-    RowKind,
-    legend_above,
-    measured_places,
-    new_figure,
-    row_kinds,
-)
+from calib.show.figure_base import few_ticks, legend_above, new_figure
+from calib.show.figure_rows import RowKind, measured_places, number_points, row_kinds
 from calib.show.palette import INK, SOFT
 
 if TYPE_CHECKING:
@@ -27,14 +22,14 @@ Array = NDArray[np.float64]
 #: The two axes of each view, and what it is called.
 _VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 
-#: Rows are numbered in the figure if there are not more than this.
-_MOST_NUMBERS = 12
+#: More rows of a kind than this are thinned.
+MOST_POINTS = 2000
 
-#: More points than this are drawn as pixels in SVG and PDF.
-_MOST_SHAPES = 1500
+#: Up to so many points stand on lines down to the floor.
+_MOST_STILTS = 100
 
-#: Joint values at which the uncertainty is drawn.
-POSES = 1000
+#: Joint values over which the uncertainty is drawn, and cells across a view.
+POSES, _CELLS = 4000, 26
 
 
 def points_figure(c: Calibration) -> Figure:
@@ -43,64 +38,71 @@ def points_figure(c: Calibration) -> Figure:
 
     places, seen = measured_places(c)
     kinds = row_kinds(c)
-    figure = new_figure(6.4)
-    grid = figure.add_gridspec(2, 2)
     limits = _limits(places)
-    space: Any = figure.add_subplot(grid[0, 0], projection="3d")
+    figure = new_figure(6.6)
+    grid = figure.add_gridspec(2, 3, height_ratios=(1.75, 1.0), width_ratios=_widths(limits))
+    space: Any = figure.add_subplot(grid[0, :], projection="3d")
     _space(space, places, kinds, limits)
-    for (i, j, name), at in zip(_VIEWS, (grid[0, 1], grid[1, 0], grid[1, 1]), strict=True):
-        ax = figure.add_subplot(at)
+    for k, (i, j, name) in enumerate(_VIEWS):
+        ax = figure.add_subplot(grid[1, k])
         ax.set_title(f"Seen {name}")
         for kind in kinds:
-            _dots(ax, places[kind.mask][:, [i, j]], kind)
+            _dots(ax, 1e3 * _thinned(places, kind)[:, [i, j]], kind)
         _flat(ax, limits, (i, j))
-        _number(ax, c, places[:, [i, j]], kinds)
+        number_points(ax, c, 1e3 * places[:, [i, j]])
     handles = [Line2D([], [], label=kind.label, **kind.style(1)) for kind in kinds]
     handles.append(Line2D([], [], ls="none", marker="+", ms=9, mew=1.4, color=SOFT, label="base"))
     legend_above(figure, handles)
     if not np.all(seen):
-        what = "as the calibrated robot predicts them" if not np.any(seen) else "partly predicted"
-        figure.supxlabel(f"Points {what}: not every row measures a position.", size=8, color=SOFT)
+        what = "All" if not np.any(seen) else "Some"
+        figure.supxlabel(
+            f"{what} rows measure no position: there it is the calibrated robot's prediction.",
+            size=8,
+            color=SOFT,
+        )
     return figure
 
 
+def _widths(limits: Array) -> list[float]:
+    """Widths of the views, so that all have one scale."""
+    size = limits[1] - limits[0]
+    return [max(float(size[i]), 0.35 * float(size.max())) for i, _, _ in _VIEWS]
+
+
+def _thinned(places: Array, kind: RowKind) -> Array:
+    """The points of a kind, evenly thinned where they are many."""
+    chosen = np.flatnonzero(kind.mask)
+    return places[chosen[:: max(-(-len(chosen) // MOST_POINTS), 1)]]
+
+
 def _space(ax: Any, places: Array, kinds: tuple[RowKind, ...], limits: Array) -> None:  # noqa: ANN401
-    """The points in perspective, with the lines down to the floor where they are few."""
-    floor = limits[0, 2]
-    few = len(places) <= 100
+    """The points in perspective, with lines down to the floor where they are few."""
+    floor = 1e3 * limits[0, 2]
     for kind in kinds:
-        p = 1e3 * places[kind.mask]
-        style = kind.style(len(places)) | {
-            "markersize": 0.8 * kind.style(len(places))["markersize"]
-        }
-        ax.plot(p[:, 0], p[:, 1], p[:, 2], rasterized=len(places) > _MOST_SHAPES, **style)
-        if few:
+        p = 1e3 * _thinned(places, kind)
+        ax.plot(*p.T, **kind.style(len(places)))
+        if len(places) <= _MOST_STILTS:
             for x, y, z in p:
-                ax.plot([x, x], [y, y], [1e3 * floor, z], color=kind.colour, lw=0.5, alpha=0.35)
+                ax.plot([x, x], [y, y], [floor, z], color=kind.colour, lw=0.5, alpha=0.35)
+    if np.all(limits[0] <= 0.0) and np.all(limits[1] >= 0.0):
+        ax.plot([0.0], [0.0], [0.0], marker="+", ms=9, mew=1.4, color=SOFT)
     for k, setter in enumerate((ax.set_xlim, ax.set_ylim, ax.set_zlim)):
         setter(*(1e3 * limits[:, k]))
-    ax.set_box_aspect(limits[1] - limits[0], zoom=0.92)
+    ax.set_box_aspect(limits[1] - limits[0], zoom=1.0)
     ax.set_title("In space, base frame")
     for axis, letter in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", strict=True):
         axis.set_label_text(f"{letter} [mm]")
-        axis.set_major_locator(_few_ticks(4))
+        axis.set_major_locator(few_ticks(4))
         axis.set_pane_color((0.97, 0.975, 0.98, 1.0))
-    ax.tick_params(labelsize=7, pad=0)
-    ax.view_init(elev=22, azim=-58)
-
-
-def _few_ticks(count: int) -> Any:  # noqa: ANN401  a locator of matplotlib
-    """A few round numbers."""
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
+    ax.tick_params(labelsize=7.5, pad=1)
+    ax.view_init(elev=20, azim=-62)
 
 
 def _dots(ax: Axes, places: Array, kind: RowKind) -> None:
     """Points of one kind in a view."""
-    many = len(places) > _MOST_SHAPES
     order = {"estimation": 2, "validation": 3, "outlier": 4}[kind.word]
-    ax.plot(*(1e3 * places.T), rasterized=many, zorder=order, **kind.style())
+    style = kind.style()
+    ax.plot(*places.T, zorder=order, **(style | {"markersize": 0.85 * style["markersize"]}))
 
 
 def _flat(ax: Axes, limits: Array, pair: tuple[int, int]) -> None:
@@ -109,31 +111,11 @@ def _flat(ax: Axes, limits: Array, pair: tuple[int, int]) -> None:
     ax.set_xlim(*(1e3 * limits[:, pair[0]]))
     ax.set_ylim(*(1e3 * limits[:, pair[1]]))
     ax.set_xlabel(f"{'xyz'[pair[0]]} [mm]")
-    ax.set_ylabel(f"{'xyz'[pair[1]]} [mm]")
-    ax.xaxis.set_major_locator(_few_ticks(5))
-    ax.yaxis.set_major_locator(_few_ticks(5))
+    ax.set_ylabel(f"{'xyz'[pair[1]]} [mm]", labelpad=1)
+    ax.xaxis.set_major_locator(few_ticks(4))
+    ax.yaxis.set_major_locator(few_ticks(4))
     if np.all((limits[0, list(pair)] <= 0.0) & (limits[1, list(pair)] >= 0.0)):
-        ax.plot(0.0, 0.0, marker="+", ms=9, mew=1.4, color=SOFT, zorder=1)
-
-
-def _number(ax: Axes, c: Calibration, places: Array, kinds: tuple[RowKind, ...]) -> None:
-    """Row numbers beside validation rows and outliers, if they are few."""
-    from matplotlib.patheffects import withStroke
-
-    chosen = np.any([kind.mask for kind in kinds if kind.word != "estimation"] or [[False]], axis=0)
-    if np.count_nonzero(chosen) > _MOST_NUMBERS:
-        return
-    for k in np.flatnonzero(chosen):
-        ax.annotate(
-            str(c.measurements.rows[k]),
-            (1e3 * places[k, 0], 1e3 * places[k, 1]),
-            (4, 3),
-            textcoords="offset points",
-            size=7.5,
-            color=INK,
-            zorder=5,
-            path_effects=[withStroke(linewidth=2.0, foreground="white")],
-        ).set_in_layout(False)
+        ax.plot(0.0, 0.0, marker="+", ms=8, mew=1.4, color=SOFT, zorder=4)
 
 
 def _limits(places: Array) -> Array:
@@ -151,72 +133,91 @@ def _limits(places: Array) -> Array:
 def uncertainty_figure(c: Calibration) -> Figure:
     """How sure predicted positions are over the joint limits: three views, and how often which size occurs."""
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     found = workspace_uncertainty(c, POSES)
     T = c.robot.poses(found.q)
     places = T[:, :3, :3] @ c.target + T[:, :3, 3]
     std = 1e3 * found.std
-    order = np.argsort(std, kind="stable")  # the least sure on top
-    figure = new_figure(6.4)
-    grid = figure.add_gridspec(2, 2)
     limits = _limits(places)
     measured, _ = measured_places(c)
-    # Outside of what 2 % exceed colours no longer differ: one pose must not make all others alike.
-    low, high = float(std.min()), float(np.quantile(std, 0.98))
-    panels = []
+    measured = measured[:: max(-(-len(measured) // 300), 1)]
+    figure = new_figure(6.2)
+    grid = figure.add_gridspec(2, 2)
+    images = []
     for (i, j, name), at in zip(_VIEWS, (grid[0, 0], grid[0, 1], grid[1, 0]), strict=True):
         ax = figure.add_subplot(at)
-        image = ax.scatter(
-            1e3 * places[order, i],
-            1e3 * places[order, j],
-            c=std[order],
-            s=9,
-            linewidths=0,
-            cmap="cividis",
-            vmin=low,
-            vmax=max(high, low * 1.01 + 1e-9),
-            rasterized=True,
-        )
-        few = measured if len(measured) <= _MOST_SHAPES else measured[:: len(measured) // 1000]
-        ax.plot(
-            1e3 * few[:, i],
-            1e3 * few[:, j],
-            ls="none",
-            marker="o",
-            ms=3.0,
-            mfc="white",
-            mec=INK,
-            mew=0.6,
-            rasterized=len(few) > 300,
-        )
-        ax.set_title(f"Seen {name}")
         _flat(ax, limits, (i, j))
-        panels.append(ax)
-    bar = figure.colorbar(image, ax=panels[1], shrink=0.9, pad=0.02, extend="max")
-    bar.set_label("standard deviation of the position [mm]")
+        images.append(_cells(ax, 1e3 * places[:, [i, j]], std, 1e3 * limits[:, [i, j]]))
+        ax.plot(*(1e3 * measured[:, [i, j]].T), **_RING)
+        ax.set_title(f"Seen {name}")
+    every = np.concatenate([np.asarray(image.get_array()) for image in images])
+    low, high = float(every.min()), float(np.quantile(every, 0.98))
+    for image in images:  # one scale of colours; one cell must not make all others alike
+        image.set_clim(low, max(high, 1.01 * low + 1e-9))
+    bar = figure.colorbar(images[1], ax=images[1].axes, shrink=0.95, pad=0.02, extend="max")
+    bar.set_label("standard deviation [mm]")
     bar.outline.set_visible(False)  # type: ignore[operator]
     _how_often(figure.add_subplot(grid[1, 1]), std, c)
-    spot = Line2D([], [], ls="none", marker="o", ms=4, color="#7c7b78", mec="none")
-    spot.set_label(f"{POSES:,} poses spread over the joint limits")
-    rows = Line2D([], [], ls="none", marker="o", ms=3.5, mfc="white", mec=INK, mew=0.6)
-    rows.set_label("measured rows")
-    legend_above(figure, [spot, rows])
+    cell = Patch(facecolor="#8a8678", label=f"rms of the poses in a cell, {POSES:,} poses")
+    rows = Line2D([], [], **_RING, label="measured rows")
+    legend_above(figure, [cell, rows])
     return figure
+
+
+#: A measured row on coloured ground.
+_RING: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "o",
+    "markersize": 3.0,
+    "markerfacecolor": "white",
+    "markeredgecolor": INK,
+    "markeredgewidth": 0.6,
+}
+
+
+def _cells(ax: Axes, places: Array, std: Array, limits: Array) -> Any:  # noqa: ANN401  a collection of matplotlib
+    """The root mean square of the standard deviations of the poses in each hexagon of a view."""
+    width, height = limits[1] - limits[0]
+    across = max(int(_CELLS * width / max(width, height)), 4)
+    down = max(int(_CELLS * height / max(width, height) / np.sqrt(3.0)), 3)
+    return ax.hexbin(
+        places[:, 0],
+        places[:, 1],
+        C=std**2,
+        reduce_C_function=lambda squares: float(np.sqrt(np.mean(squares))),
+        gridsize=(across, down),
+        extent=(limits[0, 0], limits[1, 0], limits[0, 1], limits[1, 1]),
+        cmap="cividis",
+        linewidths=0.15,
+        edgecolors="face",
+        zorder=2,
+    )
 
 
 def _how_often(ax: Axes, std: Array, c: Calibration) -> None:
     """The share of poses below each standard deviation, with the rms at the measured poses and over the limits."""
-    values = np.sort(std)
+    values = np.sort(std)[:: max(len(std) // 400, 1)]
     ax.plot(values, 100.0 * np.arange(1, len(values) + 1) / len(values), color=INK, lw=1.4)
     for value, style, word in (
         (1e3 * c.expected_measured, ":", "rms, measured poses"),
         (float(np.sqrt(np.mean(std**2))), "--", "rms, joint limits"),
         (float(np.quantile(std, 0.95)), "-.", "95 % of the joint limits"),
     ):
-        ax.axvline(value, color=SOFT, ls=style, lw=1.1, label=f"{value:.3g} mm  {word}")
-    ax.set_xlim(0.0, 1.05 * float(np.quantile(std, 0.99)) + 1e-9)
-    ax.set_ylim(0.0, 100.0)
-    ax.set_xlabel("standard deviation of the position [mm]")
+        ax.axvline(value, color=SOFT, ls=style, lw=1.1, label=f"{value:.3g} mm: {word}")
+    most = max(1.08 * float(np.quantile(std, 0.99)), 1.08e3 * c.expected_measured, 1e-9)
+    ax.set_xlim(0.0, most)
+    # Room for the legend above the curve.
+    ax.set_ylim(0.0, 145.0)
+    ax.set_yticks(range(0, 101, 20))
+    ax.set_xlabel("standard deviation [mm]")
     ax.set_ylabel("poses below [%]")
-    ax.set_title("How often")
-    ax.legend(loc="lower right", handlelength=2.2)
+    ax.set_title("How often, over the joint limits")
+    ax.legend(
+        loc="upper left",
+        handlelength=2.2,
+        fontsize=7.5,
+        frameon=True,
+        edgecolor="none",
+        framealpha=1.0,
+    )

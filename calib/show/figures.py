@@ -13,30 +13,19 @@ import numpy as np
 
 from calib.identify.result import Calibration
 from calib.model.files import make_folder, write_atomically
-from calib.show.figure_base import (
-    KINDS,
-    Drawing,
-    check_kind,
-    counted,
-    has_angles,
-    has_axes,
-    rendered,
-)
-from calib.show.figure_errors import (
-    by_axis_figure,
-    by_pose_figure,
-    curve_rows,
-    curves_figure,
-    histogram_figure,
-)
+from calib.show.figure_base import KINDS, Drawing, check_kind, rendered
+from calib.show.figure_curves import by_pose_figure, curve_rows, curves_figure
 from calib.show.figure_fit import candidates_figure, convergence_figure, singular_values_figure
+from calib.show.figure_joints import MOST_ROWS, has_parts, joints_figure
 from calib.show.figure_parameters import (
     changes_figure,
     correlation_indices,
     correlations_figure,
     shown_parameters,
 )
-from calib.show.figure_points import POSES, points_figure, uncertainty_figure
+from calib.show.figure_points import MOST_POINTS, POSES, points_figure, uncertainty_figure
+from calib.show.figure_rows import counted, has_angles, has_axes
+from calib.show.figure_spread import by_axis_figure, histogram_figure
 
 __all__ = ["KINDS", "Drawing", "drawings", "rendered", "write_figures"]
 
@@ -54,8 +43,10 @@ def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
         (lengths, _curves),
         (lengths, _by_pose),
         (has_angles(c), _orientation_by_pose),
-        (has_axes(c) or has_angles(c), _by_axis),
+        (has_axes(c), _by_axis),
+        (has_angles(c), _orientation_by_axis),
         (True, _histogram),
+        (has_parts(c), _joints),
         (len(c.solution.history) > 0, _convergence),
         (len(shown_parameters(c)) > 0, _changes),
         (len(correlation_indices(c)) > 1, _correlations),
@@ -102,11 +93,18 @@ def write_figures(
 
 def _points(c: Calibration) -> Drawing:
     """Points in space."""
+    most = max(int(np.sum(mask)) for mask in (c.measurements.estimation, c.measurements.validation))
+    every = -(-most // MOST_POINTS)
+    thin = (
+        f" Of each kind {MOST_POINTS:,} points at most are drawn, evenly thinned."
+        if every > 1
+        else ""
+    )
     return Drawing(
         "points",
         "Measured points",
         f"The {counted(c)} in the base frame, [mm]: in space, and seen from three sides at equal scales. Outliers and "
-        "validation rows carry their row numbers if they are few.",
+        f"validation rows carry their row numbers if they are few.{thin}",
         partial(points_figure, c),
     )
 
@@ -132,10 +130,11 @@ def _curves(c: Calibration) -> Drawing:
 
 def _by_pose(c: Calibration) -> Drawing:
     """Position errors by pose."""
+    what = "Size of the position error" if has_axes(c) else "Size of the error of the length"
     return Drawing(
         "errors-by-pose",
-        "Position error by row",
-        f"Size of the position error of all rows, {counted(c)} (shaded), in the order of the table, [mm]: before and "
+        "Position error by row" if has_axes(c) else "Error of the length by row",
+        f"{what} of all rows, {counted(c)} (shaded), in the order of the table, [mm]: before and "
         "after calibration above, after it alone below." + _left_out_words(c),
         partial(by_pose_figure, c),
     )
@@ -160,15 +159,44 @@ def _left_out_words(c: Calibration) -> str:
     return " Dashes: the same rows predicted by fits that have not seen them."
 
 
+_BOXES = (
+    "Above, both robots; below, the calibrated one alone, magnified. Boxes hold the middle half of the rows, the line is "
+    "their median, whiskers reach from 5 to 95 %; dots are single rows, or the least and the largest where rows are many."
+)
+
+
 def _by_axis(c: Calibration) -> Drawing:
     """Errors by axis."""
     return Drawing(
         "errors-by-axis",
-        "Errors by axis",
-        f"Errors along the axes of the measurement frame, measured minus predicted, of {counted(c)}, [mm]; of "
-        "orientations about them, [deg]. Boxes hold the middle half of the rows, the line is their median, whiskers "
-        "reach from 5 to 95 %, dots are single rows.",
+        "Position error by axis",
+        f"Errors along the axes of the measurement frame, measured minus predicted, [mm], of {counted(c)}. {_BOXES}",
         partial(by_axis_figure, c),
+    )
+
+
+def _orientation_by_axis(c: Calibration) -> Drawing:
+    """Orientation errors by axis."""
+    return Drawing(
+        "orientation-errors-by-axis",
+        "Orientation error by axis",
+        f"Errors about the axes of the measurement frame, measured minus predicted, [deg], of the rows of {counted(c)} "
+        f"that measure an orientation. {_BOXES}",
+        partial(by_axis_figure, c, angle=True),
+    )
+
+
+def _joints(c: Calibration) -> Drawing:
+    """Residual by joint."""
+    every = -(-len(c.measurements) // MOST_ROWS)
+    thin = f" Of the rows every {every}th is drawn, and all outliers." if every > 1 else ""
+    return Drawing(
+        "residual-by-joint",
+        "What is left over against each joint's value",
+        "The part of each row's error after calibration that lies along the joint's motion of the target, [mm], "
+        f"against the joint's value, [deg] or [mm], of {counted(c)}.{thin} Outliers beyond the scale stand at its edge. "
+        "A slope or a wave of the mean is an error of that joint that the model lacks, such as of its gear or stiffness.",
+        partial(joints_figure, c),
     )
 
 
@@ -190,7 +218,7 @@ def _convergence(c: Calibration) -> Drawing:
         "convergence",
         "Convergence of the solver",
         f"Cost, length of the step and damping over the {c.solution.iterations} iterations of the solver '{c.solver}' "
-        "on the estimation rows. The line of the cost is broken where weights and noise were set anew.",
+        "on the estimation rows, on logarithmic scales. Lines are broken where weights and noise were set anew.",
         partial(convergence_figure, c),
     )
 
@@ -226,7 +254,8 @@ def _singular_values(c: Calibration) -> Drawing:
         "singular-values",
         "What the poses determine",
         f"Singular values of the Jacobian at the estimation rows: how far all points together move for a step of 1 mm "
-        f"and 1 mrad along each of {o.columns} combinations of parameters, [mm]. Rank {o.rank}.",
+        f"and 1 mrad along each of {o.columns} combinations of parameters, [mm]. Rank {o.rank}; values too small for "
+        "the scale stand at its foot. The dashed line is the smallest that counts.",
         partial(singular_values_figure, c),
     )
 
@@ -237,7 +266,8 @@ def _candidates(c: Calibration) -> Drawing:
         "candidates",
         "Models tried",
         "Each model that was tried on the estimation rows, with its number of parameters. Left: rms of the error on "
-        "left-out rows, outliers aside. Right: restricted log likelihood, less that of the best.",
+        "left-out rows, outliers aside. Right: restricted log likelihood, less that of the best; a larger model must "
+        f"gain {c.candidates[0].needed:.1f} over a smaller one to be chosen.",
         partial(candidates_figure, c),
     )
 
@@ -247,8 +277,8 @@ def _uncertainty(c: Calibration) -> Drawing:
     return Drawing(
         "workspace-uncertainty",
         "Uncertainty over the workspace",
-        f"Standard deviation of the calibrated robot's predicted position at {POSES:,} poses spread over the joint "
-        "limits, from the covariance of the parameters, [mm], in the base frame; the least certain poses lie on top. "
-        "It knows nothing of errors that the model lacks.",
+        f"Standard deviation of the calibrated robot's predicted position over {POSES:,} poses spread over the joint "
+        "limits, from the covariance of the parameters, [mm]: root mean square of the poses in each cell, in the base "
+        "frame seen from three sides. It knows nothing of errors that the model lacks.",
         partial(uncertainty_figure, c),
     )
