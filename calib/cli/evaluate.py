@@ -27,7 +27,6 @@ from calib.cli.options import (
     Tip,
     reporting,
 )
-from calib.errors import CalibError
 
 if TYPE_CHECKING:
     from calib.identify.evaluation import Evaluation
@@ -76,6 +75,7 @@ def evaluate(
     with reporting(debug=debug):
         from dataclasses import replace
 
+        from calib.cli.known import check_chain, with_target_link
         from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
         from calib.identify.evaluation import hint
         from calib.identify.result_file import evaluation_table, read_result, write_table
@@ -91,7 +91,7 @@ def evaluate(
         )
         stored = None if calibration is None else read_result(calibration)
         if stored is not None:
-            _check_chain(setup, stored, str(calibration))
+            check_chain(setup, stored, str(calibration))
             setup = replace(
                 setup,
                 base=setup.base or stored.base,
@@ -102,7 +102,7 @@ def evaluate(
         source = "as given" if stored is None or target is not None else "as the result has it"
         if stored is None and setup.target is None and not setup.targets:
             setup, source = (
-                _with_target_link(arm, setup),
+                with_target_link(arm, setup),
                 "as the URDF's link 'calib_target' has it",
             )
 
@@ -158,33 +158,6 @@ def _evaluations(
         evaluate(stored.corrected(robot), table, cell, known=known),
         stored.evaluate_larger(robot, table, cell, of_larger),
     )
-
-
-def _check_chain(cell: Cell, stored: StoredResult, name: str) -> None:
-    """Refuse another base or tip than the result's: its frame and its target would mean something else."""
-    for option, given, wanted in (("base", cell.base, stored.base), ("tip", cell.tip, stored.tip)):
-        if given is not None and given != wanted:
-            message = (
-                f"{name} is the result for --{option} {wanted}, and '{given}' was given; leave out --{option}, or "
-                f"--calibration."
-            )
-            raise CalibError(message)
-
-
-def _with_target_link(robot: Robot, cell: Cell) -> Cell:
-    """The cell with the target that the URDF's link ``calib_target`` carries, if it has one at this tip."""
-    from calib.identify.result import TARGET_LINK
-
-    if robot.tip == TARGET_LINK:
-        return cell.with_target((0.0, 0.0, 0.0), estimate=cell.estimate_target)
-    if TARGET_LINK not in robot.urdf.links:
-        return cell
-    with_link = robot.rebuilt(tip=TARGET_LINK)
-    if with_link.joint_names != robot.joint_names:
-        return cell
-    T_last_target, T_last_tip = with_link.placements[-1], robot.placements[-1]
-    point = T_last_tip[:3, :3].T @ (T_last_target[:3, 3] - T_last_tip[:3, 3])
-    return cell.with_target(point, estimate=cell.estimate_target)
 
 
 def _text(
