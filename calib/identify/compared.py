@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,10 +12,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FileError
+from calib.errors import FileError, UrdfError
 from calib.identify.result import Calibration
 from calib.identify.result_file import plain, read_table, result_table, stored_result
 from calib.identify.stored import StoredResult
+from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, find_urdf, read_only
 from calib.model.urdf import Urdf
 
@@ -129,6 +131,8 @@ class Compared:
         if isinstance(result, Calibration):
             table: Mapping[str, Any] = plain(result_table(result))
             nominal = result.nominal
+            if not result.measurements.sha256:
+                table["inputs"]["measurements"]["sha256"] = _fingerprint(result.measurements)
         elif isinstance(result, Mapping):
             table = plain(result)
         else:
@@ -225,8 +229,6 @@ def _found(table: Mapping[str, Any], stored: StoredResult, folder: Path) -> Robo
 
 def _installed(name: str, sha256: str, stored: StoredResult) -> Robot | None:
     """The nominal robot of a result that began with a robot of example-robot-data."""
-    from calib.errors import UrdfError
-
     try:
         urdf = Urdf.read(find_urdf(Path(name).stem.removesuffix("_robot")))
     except (UrdfError, FileError):
@@ -261,6 +263,15 @@ def _unknown_frame(table: Mapping[str, Any]) -> tuple[str, ...]:
         return ()
     every = {direction for one in frames["set_ups"] for direction in one["estimated"]}
     return tuple(direction for direction in _DIRECTIONS if direction in every)
+
+
+def _fingerprint(measurements: Measurements) -> str:
+    """What tells measurements without a file from others."""
+    numbers = (measurements.joints, measurements.points, measurements.distances)
+    digest = hashlib.sha256()
+    for one in numbers:
+        digest.update(b"" if one is None else np.ascontiguousarray(one).tobytes())
+    return digest.hexdigest()
 
 
 def _float(value: Any) -> float:  # noqa: ANN401  JSON values are of any kind

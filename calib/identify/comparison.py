@@ -162,7 +162,7 @@ def _compared(a: Compared, b: Compared, robot: Robot | None) -> Comparison:
         only_b=only[1],
         frames=frame_differences(a, b),
         targets=target_differences(a, b),
-        notes=notes(a, b, robot, same_start=same, only=only),
+        notes=notes(a, b, robot, test, same_start=same, only=only),
     )
 
 

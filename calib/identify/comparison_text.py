@@ -20,12 +20,16 @@ from calib.identify.words import three, wrap
 COMPARISON_SCHEMA = "comparison 1"
 
 #: A parameter with a longer name gets a line for its name alone.
-_LONGEST_NAME = 40
+_LONGEST_NAME = 28
 
 #: More frames or targets than this are not listed one by one.
 _MOST_PLACES = 6
 
+#: Beyond this many standard deviations the number says nothing more.
 _HIGHEST = 37.0
+
+#: Single parameters that would explain a drift: the best few.
+_MOST_EXPLANATIONS = 3
 
 _ERRORS = "{:<5}{:<24}{:>8}{:>10}{:>10}{:>10}"
 
@@ -69,7 +73,11 @@ def _answer(c: Comparison) -> str:
             )
         )
     for move in c.moves:
-        turn = f", {three(1e3 * move.rms_angle)} mrad" if np.isfinite(move.rms_angle) else ""
+        turn = (
+            f", {three(float(np.degrees(move.rms_angle)))} deg"
+            if np.isfinite(move.rms_angle)
+            else ""
+        )
         lines.append(
             wrap(
                 f"Over {move.where}: {three(1e3 * move.rms)} mm rms{turn}, at most {three(1e3 * move.max)} mm; noise "
@@ -77,6 +85,9 @@ def _answer(c: Comparison) -> str:
                 "  ",
             )
         )
+    explanation = _explanation(c)
+    if explanation:
+        lines.append(wrap(explanation, "  "))
     absorbed = _absorbed(c)
     if absorbed:
         lines.append(wrap(absorbed, "  "))
@@ -113,12 +124,27 @@ def _absorbed(c: Comparison) -> str:
     found += ["where the target sits"] * bool(c.a.target_estimated or c.b.target_estimated)
     if not found:
         return ""
-    text = (
-        f"Every fit found {' and '.join(found)} from its own data, so moves are told up to these. "
-    )
+    text = f"The data had to tell {' and '.join(found)} too, so that moves are told up to these"
     if c.untold:
-        text += f"A drift of {choices(c.untold, limit=8)} cannot be told from them."
-    return text.strip()
+        text += f": a drift of {choices(c.untold, limit=8)} cannot be told from them"
+    return f"{text}."
+
+
+def _explanation(c: Comparison) -> str:
+    """Which single parameters would explain a drift."""
+    if c.outcome != DRIFT:
+        return ""
+    known = [p for p in c.parameters if np.isfinite(p.left_p)]
+    best = sorted(known, key=lambda p: -p.left_p)[:_MOST_EXPLANATIONS]
+    told = [p for p in best if p.left_p >= LEVEL]
+    if not told:
+        return "No change of one parameter alone explains it."
+    listed = []
+    for p in told:
+        scale, unit = (1e3, "mm") if p.unit == "m" else (1e3, "mrad")
+        change = f"{three(scale * p.explains, '+')} +- {three(scale * p.explains_std)} {unit}"
+        listed.append(f"{p.name} by {change} (p = {p.left_p:.2g} for what is left)")
+    return f"A change of one parameter alone would explain it: {'; or '.join(listed)}."
 
 
 def _notes(c: Comparison) -> str:
@@ -147,12 +173,25 @@ def _errors(c: Comparison) -> str:
 
 def _parameters(c: Comparison) -> str:
     """The robot's parameters of both."""
-    if not c.parameters:
-        return ""
-    width = min(max(len(p.name) for p in c.parameters), _LONGEST_NAME) + 2
+    first, second = set(c.a.own_names), set(c.b.own_names)
+    shared = [p for p in c.parameters if p.name in first and p.name in second]
+    lines = [
+        wrap(f"Only {letter} has the parameters {choices(names, limit=60)}.")
+        for letter, names in (
+            ("a", [p.name for p in c.parameters if p.name not in second]),
+            ("b", [p.name for p in c.parameters if p.name not in first]),
+        )
+        if names
+    ]
+    return "\n\n".join(["\n".join(_table(shared))] * bool(shared) + lines)
+
+
+def _table(parameters: list[ParameterDifference]) -> list[str]:
+    """The parameters that both have."""
+    width = min(max(len(p.name) for p in parameters), _LONGEST_NAME) + 2
     head = f"{'Parameter':<{width}}{'a':>11}{'b':>11}{'b - a':>10}{'std':>9}{'sigma':>8}{'shows from':>12}"
     lines = [head]
-    for p in c.parameters:
+    for p in parameters:
         scale, unit = (1e3, "mm") if p.unit == "m" else (float(np.degrees(1.0)), "deg")
         name = p.name
         if len(name) > _LONGEST_NAME:
@@ -166,7 +205,7 @@ def _parameters(c: Comparison) -> str:
         cells += [_cell(scale * p.std, 9), _sigmas(p), _from(scale * p.would_show)]
         mark = "" if p.alone else " *"
         lines.append(f"{name:<{width}}{''.join(cells)} {unit}{mark}")
-    if not all(p.alone for p in c.parameters):
+    if not all(p.alone for p in parameters):
         lines.append(
             wrap(
                 "* known in combination with others only: priors share out what is known, so neither its value nor "
@@ -179,17 +218,17 @@ def _parameters(c: Comparison) -> str:
             f"be noticed {_share(POWER)}; never where frame, target or too few data hide it."
         )
     )
-    return "\n".join(lines)
+    return lines
 
 
 def _cell(value: float, width: int, sign: str = "-") -> str:
     """A number with four digits after the point, or a dash."""
-    return f"{f'{value + 0.0:{sign}.4f}' if np.isfinite(value) else '-':>{width}}"
+    return f"{f'{round(value, 4) + 0.0:{sign}.4f}' if np.isfinite(value) else '-':>{width}}"
 
 
 def _sigmas(p: ParameterDifference) -> str:
     """The difference in standard deviations."""
-    return f"{f'{p.sigmas:+.1f}' if np.isfinite(p.sigmas) else '-':>8}"
+    return f"{f'{round(p.sigmas, 1) + 0.0:+.1f}' if np.isfinite(p.sigmas) else '-':>8}"
 
 
 def _from(value: float) -> str:
@@ -199,7 +238,8 @@ def _from(value: float) -> str:
 
 def _places(c: Comparison) -> str:
     """How frames and targets moved: no drift of the robot's."""
-    lines = [*_moved(c.frames, "Measurement frame", f"in {c.a.stored.base}")]
+    what = "Measurement frame" if {"point", "pose"} & c.a.kinds else "Set-up"
+    lines = _moved(c.frames, what, f"in {c.a.stored.base}")
     lines += _moved(c.targets, "Target", f"in {c.a.stored.tip}")
     lost = [
         f"{what} {choices(names)} of {one.name}"
@@ -231,7 +271,11 @@ def _moved(places: tuple[PlaceDifference, ...], what: str, where: str) -> list[s
         if not place.found and place.shift == 0.0 and not place.turn > 0.0:
             lines.append(wrap(f"{what}{name}: the same in both, as given."))
             continue
-        turn = f" and turned by {three(1e3 * place.turn)} mrad" if np.isfinite(place.turn) else ""
+        turn = (
+            f" and turned by {three(float(np.degrees(place.turn)))} deg"
+            if np.isfinite(place.turn)
+            else ""
+        )
         how = "" if place.found else ", as given"
         lines.append(
             wrap(
@@ -293,6 +337,9 @@ def comparison_table(c: Comparison) -> dict[str, Any]:
                 "std": p.std,
                 "sigmas": p.sigmas,
                 "alone": p.alone,
+                "explains": p.explains,
+                "explains_std": p.explains_std,
+                "left_p": p.left_p,
                 "shows_from": p.would_show,
             }
             for p in c.parameters

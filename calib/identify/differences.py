@@ -11,9 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from calib.identify.compared import Compared
 from calib.identify.drift import DriftTest
+from calib.model.observability import STEPS
 from calib.model.robot import rigid_inverse
 
 Array = NDArray[np.float64]
+
+#: A drift that would have to exceed this many steps of 1 mm or 1 mrad to be noticed never will be.
+_NEVER = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +33,9 @@ class ParameterDifference:
         std: sqrt(C_a + C_b) of this parameter; NaN at a bound.
         sigmas: ``difference / std``.
         alone: Whether both data determine it by itself; otherwise priors share out what they know in combinations.
+        explains: Change of this parameter alone that explains the difference best; NaN where the data do not know it.
+        explains_std: Its standard deviation.
+        left_p: Probability of what it leaves of the difference, or more, where nothing else has changed.
         would_show: Change of this parameter alone that the test would notice 9 times in 10; infinite where frame and
             target make up for it, or the data do not know it.
     """
@@ -41,6 +48,9 @@ class ParameterDifference:
     std: float
     sigmas: float
     alone: bool
+    explains: float
+    explains_std: float
+    left_p: float
     would_show: float
 
 
@@ -84,17 +94,24 @@ def parameter_differences(
         which = 0 if found[0] >= 0 else 1
         one = (a, b)[which]
         change = effects[which][:, one.own_names.index(name)]
+        factor, told = test.smallest_factor(change), test.explained(change)
+        unit = pairs[0][0].units[pairs[0][1]]
+        # Both must have it: what one leaves out is no change of the robot.
+        shown = factor < _NEVER * STEPS[unit] and len(pairs) == 2
         result.append(
             ParameterDifference(
                 name=name,
-                unit=pairs[0][0].units[pairs[0][1]],
+                unit=unit,
                 a=values[0],
                 b=values[1],
                 difference=difference,
                 std=std,
                 sigmas=difference / std if std > 0.0 else nan,
                 alone=all(bool(r.identifiable[k]) for r, k in pairs),
-                would_show=test.smallest_factor(change) if len(change) else float("inf"),
+                explains=told.change if shown else nan,
+                explains_std=told.std if shown else nan,
+                left_p=told.p if shown else nan,
+                would_show=factor if shown else float("inf"),
             )
         )
     return tuple(result)

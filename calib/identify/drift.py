@@ -67,6 +67,23 @@ class Estimated:
         return np.asarray(self.effect @ self.covariance @ self.effect.T)
 
 
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """What one change explains of a difference.
+
+    Attributes:
+        change: Its size, in its unit.
+        std: Standard deviation of that; infinite where the data do not know it.
+        left: The chi-square that is left.
+        p: Probability of that much or more, where nothing else has changed.
+    """
+
+    change: float
+    std: float
+    left: float
+    p: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DriftTest:
     """The test of one difference.
@@ -78,6 +95,7 @@ class DriftTest:
         p: Probability of such a difference, or a larger one, where nothing has changed.
         sigma: The same as standard deviations of a normal distribution, one-sided; 0 where p > 0.5.
         whitening: shape (k, r), takes coordinates to combinations of unit variance.
+        whitened: shape (k,), the difference in these.
         covariance: shape (r, r), V.
     """
 
@@ -87,12 +105,30 @@ class DriftTest:
     p: float
     sigma: float
     whitening: Array
+    whitened: Array
     covariance: Array
 
     @property
     def drifted(self) -> bool:
         """Whether the difference is more than chance."""
         return self.p < LEVEL
+
+    def explained(self, effect: Array) -> Explanation:
+        """How well one change, of unknown size, explains the difference: the generalised least squares of it.
+
+        Args:
+            effect: shape (r,), what a unit of the change does to the coordinates.
+        """
+        seen = self.whitening @ effect
+        length = float(np.linalg.norm(seen))
+        if length == 0.0:
+            return Explanation(0.0, float("inf"), self.chi_square, self.p)
+        std = 1.0 / length
+        change = float(seen @ self.whitened) / length**2
+        left = max(self.chi_square - (change / std) ** 2, 0.0)
+        k = self.combinations - 1
+        p = float(stats.f.sf(left / k, k, self.freedom)) if k else 1.0
+        return Explanation(change, std, left, p)
 
     def smallest_factor(self, effect: Array) -> float:
         """By what a change must be multiplied to be noticed with the probability `POWER`; infinite if it never is.
@@ -145,10 +181,11 @@ def drift_test(
     k, V = kept.shape[1], covariance + rounding
     if k == 0:
         nothing = read_only(np.zeros((0, len(difference))))
-        return DriftTest(0, 0.0, np.inf, 1.0, 0.0, nothing, read_only(V))
+        return DriftTest(0, 0.0, np.inf, 1.0, 0.0, nothing, read_only([]), read_only(V))
     values, axes = eigh(kept.T @ V @ kept)
     whitening = ((kept @ axes) / np.sqrt(np.maximum(values, 1e-12 * values[-1]))).T
-    chi_square = float(np.sum((whitening @ difference) ** 2))
+    whitened = whitening @ difference
+    chi_square = float(whitened @ whitened)
     shares = [float(np.trace(whitening @ one.spread @ whitening.T)) for one in (a, b)]
     total = sum(shares)
     freedom = total**2 / sum(
@@ -162,5 +199,6 @@ def drift_test(
         p,
         max(float(stats.norm.isf(p)), 0.0),
         read_only(whitening),
+        read_only(whitened),
         read_only(V),
     )

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 _LEVER = 0.1
 
 #: An effect below this share of the strongest one is none.
-_NOTHING = 1e-6
+_NOTHING = 1e-5
 
 #: A parameter with more than this share of its effect outside of what the other result's can do is its own.
 _OWN = 0.03
@@ -110,8 +110,10 @@ class Seen:
         poses, effects, families = [], [], []
         for one in (a, b):
             kinematics, x = _kinematics(one, robot, T_tip_target)
-            T, twists = kinematics.twists(x, q)
-            poses.append(T)
+            # At the nominal robot, from which both count: elsewhere they would differ by what is of second order, and
+            # that would look like combinations of their own.
+            _, twists = kinematics.twists(np.zeros_like(x), q)
+            poses.append(kinematics.poses(x, q))
             effects.append(_lengths(twists, turns=turns))
             families.append(tuple(p.family for p in kinematics.model.parameters))
         shift = poses[1][:, :3, 3] - poses[0][:, :3, 3]
