@@ -108,22 +108,23 @@ def write_report_files(
     *,
     force: bool,
     quiet: bool,
-) -> Iterator[Path]:
-    """Write the report and the figures asked for, one after the other."""
+) -> Iterator[str]:
+    """Write the report and the figures asked for, one after the other, and say what was written."""
     from calib.cli.terminal import command_line
 
     if report is not None and report != STDOUT:
         from calib.show.report import write_report
 
-        yield write_report(result, report, command=command_line(), overwrite=force)
+        yield str(write_report(result, report, command=command_line(), overwrite=force))
     if figures is not None:
         from calib.cli.progress import progress_bar
         from calib.show.figures import write_figures
 
         with progress_bar("figures", quiet=quiet) as progress:
-            yield from write_figures(
+            made = write_figures(
                 result, figures, kind=_ending(kind), overwrite=force, progress=progress
             )
+        yield f"{figures} ({len(made)} figures)"
 
 
 def report_text(result: Calibration) -> str:

@@ -41,7 +41,7 @@ def as_markdown(document: Document) -> str:
 
 def escaped(text: str) -> str:
     """Text that Markdown shows as it is."""
-    safe = _SPECIAL.sub(r"\\\1", plain(text)).replace("&", "&amp;").replace("<", "&lt;")
+    safe = _SPECIAL.sub(r"\\\1", plain(text).strip()).replace("&", "&amp;").replace("<", "&lt;")
     safe = _LINKS.sub(lambda m: m[1] + ("&#46;" if m[2] == "." else "&#58;"), safe)
     safe = safe.replace("@", "&#64;").replace(">", "&gt;")
     return _AT_THE_START.sub(lambda m: f"{m[1]}{m[2][:-1]}\\{m[2][-1]}", safe)
@@ -89,7 +89,8 @@ def _table(block: Table, number: int) -> str:
         _line(rules),
         *(
             _line(
-                f"**{text}**" if k in block.strong and text else text for text in map(escaped, row)
+                f"**{text}**" if k in block.strong and text else text
+                for text in (escaped(cell).strip() for cell in row)
             )
             for k, row in enumerate(block.rows)
         ),
