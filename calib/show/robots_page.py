@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib.show.motion import FACTORS, WELL_TO_BADLY, colour_scale
 from calib.show.page import COLOURS, escaped, filled_page, grid_text, key
 from calib.show.palette import ESTIMATION, OUTLIER, VALIDATION
-from calib.show.view import View
+from calib.show.view import Cloud, View
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ def robots_page(parts: PageParts) -> bytes:
         facts=_facts(view),
         labels=_labels(view, parts.labels),
         controls=_controls(view, int(parts.motion["arrows"])),
-        inset=_inset(view) if view.calibrated is not None or view.measures else "",
+        inset=_inset() if view.calibrated is not None or view.measures else "",
         warnings=parts.warnings,
         legend=_player(view) + f'<div class="keys">{_legend(view)}{grid_text(parts.grid)}</div>',
         scene=parts.scene,
@@ -199,14 +199,13 @@ def _legend(view: View) -> str:
             key("measurement frame and beams", "var(--beam)", nodes("instrument"), on=False)
         )
     if view.cloud is not None and not view.nominal.base_moves:
-        items.append(_cloud_keys(view))
+        items.append(_cloud_keys(view.cloud))
     return "".join(items)
 
 
-def _cloud_keys(view: View) -> str:
+def _cloud_keys(cloud: Cloud) -> str:
     """The clouds and their colours."""
-    assert view.cloud is not None
-    ends = [f"{float(f'{1e3 * value:.2g}'):g}" for value in colour_scale(view.cloud)]
+    ends = [f"{float(f'{1e3 * value:.2g}'):g}" for value in colour_scale(cloud)]
     bar = f"linear-gradient(90deg, {', '.join(WELL_TO_BADLY)})"
     scale = (
         f'<span class="scale">1 sigma {ends[0]}<i style="background: {bar}"></i>{ends[1]} mm</span>'
@@ -216,9 +215,8 @@ def _cloud_keys(view: View) -> str:
     return inner + outer + scale
 
 
-def _inset(view: View) -> str:
+def _inset() -> str:
     """Where the script draws the target's points magnified; the tables' numbers beside it."""
-    del view
     return (
         '<aside class="over" id="inset"><svg viewBox="0 0 170 92" role="img" aria-label="The target magnified"></svg>'
         "<div><h2>The target, magnified</h2><table></table></div></aside>"

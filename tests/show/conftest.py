@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from calib import data
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
-from calib.show.scene import View, view_page
+from calib.show.scene import view_page
+from calib.show.view import View, translated
 
 #: A gantry with a turning wrist: prismatic and continuous joints, no visuals, its base not at the root.
 GANTRY = """<robot name="gantry">
@@ -103,11 +105,19 @@ def disturb():
 @pytest.fixture(scope="session")
 def ur3_view(ur3):
     m = Measurements.read(data.paper_measurements(), ur3.joint_names, ur3.joint_types)
-    target = np.array(data.PAPER_TARGET)
-    q = m.joints_for(ur3.joint_names)
-    return View(
-        ur3, disturbed(ur3, 0.5), q[30], target, target, m.points, 30, "row 31 (validation)"
+    target = translated(data.PAPER_TARGET)
+    view = View(
+        ur3,
+        disturbed(ur3, 0.5),
+        m.joints_for(ur3.joint_names),
+        labels=tuple(f"row {row}" for row in m.rows),
+        kinds=("estimation",) * 30 + ("validation",) * 5,
+        nominal_target=target,
+        calibrated_target=target,
+        measured=m.points,
+        start=30,
     )
+    return replace(view, errors=view.distances)
 
 
 @pytest.fixture(scope="session")

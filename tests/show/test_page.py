@@ -1,12 +1,12 @@
 import base64
 import hashlib
+import json
 import re
 from html.parser import HTMLParser
 
-import numpy as np
 import pytest
 
-from calib.show.page import Spot, html_page, round_length
+from calib.show.page import escaped, filled_page, grid_text, key, round_length
 
 NASTY = "</script><script>alert(1)</script> \"'&<!-- é漢字 \udcff"
 
@@ -37,31 +37,27 @@ class Reader(HTMLParser):
             self.text += data
 
 
-def make(points=None, **changes):
-    points = points or {
-        "nominal": np.array([0.5, 0.2, 0.3]),
-        "calibrated": np.array([0.502, 0.2, 0.3]),
-        "measured": np.array([0.502, 0.2001, 0.3]),
-    }
+def make(**changes):
     arguments = {
         "title": "UR3",
-        "pose_name": "row 31",
-        "points": points,
-        "spots": [Spot("nominal", np.zeros(3)), Spot("both", np.ones(3))],
-        "grid": 0.1,
+        "facts": "<p>fact</p>",
         "warnings": (),
+        "legend": grid_text(0.1),
         "scene": b"scene",
+        "table": {"labels": ["row 1"]},
+        "script": "motion.js",
     }
-    return html_page(**{**arguments, **changes})
+    return filled_page(**{**arguments, **changes})
 
 
 def test_names_are_text_whatever_they_hold():
-    page = make(title=NASTY, pose_name=NASTY, warnings=[NASTY, NASTY])
+    page = make(title=NASTY, warnings=[NASTY, NASTY], table={"labels": [NASTY]})
     reader, plain = Reader(page), Reader(make(warnings=["a", "b"]))
     assert reader.tags == plain.tags  # no tag and no attribute more than with harmless names
-    assert reader.scripts == plain.scripts
+    assert len(reader.scripts) == len(plain.scripts)
     shown = NASTY.replace("\udcff", "?")
-    assert reader.text.count(shown) == 5  # <title>, heading, pose and two warnings
+    assert reader.text.count(shown) == 4  # <title>, heading and two warnings
+    assert json.loads(reader.scripts[2]) == {"labels": [NASTY]}
 
 
 def test_it_loads_nothing():
@@ -73,65 +69,47 @@ def test_it_loads_nothing():
             {"style"} if tag == "i" else set()
         )
         assert not [name for name in attributes if name.startswith("on")]
-    # The notices name their authors' sites; otherwise there is the name of XHTML, which is no address to call.
+    # The notices name their authors' sites; otherwise there are the names of XHTML and SVG, no addresses to call.
     rest = page.decode().replace(reader.scripts[0], "")
-    assert set(re.findall(r"(?:https?|wss?)://[\w./-]+", rest)) <= {"http://www.w3.org/1999/xhtml"}
+    names = {"http://www.w3.org/1999/xhtml", "http://www.w3.org/2000/svg"}
+    assert set(re.findall(r"(?:https?|wss?)://[\w./-]+", rest)) <= names
 
 
-def test_the_policy_lets_only_these_two_scripts_run_and_nothing_load():
+def test_the_policy_lets_only_these_three_scripts_run_and_nothing_load():
     reader = Reader(make())
     (policy,) = [a["content"] for tag, a in reader.tags if "http-equiv" in a]
     assert policy.startswith("default-src 'none';")
     types = [a.get("type") for tag, a in reader.tags if tag == "script"]
-    assert types == ["text/plain", "application/octet-stream", None, None]
-    for script in reader.scripts[2:]:
+    assert types == ["text/plain", "application/octet-stream", "application/json", None, None, None]
+    for script in reader.scripts[3:]:
         digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         assert f"'sha256-{digest}'" in policy
+    assert policy.count("sha256-") == 3
     assert base64.b64decode(reader.scripts[1]) == b"scene"
     assert "connect-src" not in policy
 
 
-def test_the_distances_are_given_in_mm():
-    text = Reader(make()).text
-    assert "Pose of row 31. The two robots put the target 2.00 mm apart here" in text
-    assert "nominal 2.00 mm, calibrated 0.10 mm" in text
-    assert "drawn true to scale" in text
-    assert "Floor squares 0.1 m." in text
+def test_a_page_without_a_table_has_two_scripts():
+    reader = Reader(make(table=None, script=""))
+    types = [a.get("type") for tag, a in reader.tags if tag == "script"]
+    assert types == ["text/plain", "application/octet-stream", None, None]
 
 
-def test_the_magnified_points_are_to_one_scale():
-    page = make(
-        points={
-            "nominal": np.zeros(3),
-            "calibrated": np.array([3e-3, 0, 0]),
-            "measured": np.array([0, 0, 4e-3]),
-        }
-    ).decode()
-    dots = {
-        who: np.array([float(x), float(y)])
-        for x, y, who in re.findall(
-            r'<circle cx="([-\d.]+)" cy="([-\d.]+)" .*?var\(--(\w+)\)', page
-        )
-    }
-    bar = float(re.search(r'd="M8 78v6h([\d.]+)v-6"', page).group(1))
-    bar_mm = float(re.search(r">([\d.]+) mm</text>", page).group(1))
-
-    def distance(one, other):
-        return np.linalg.norm(dots[one] - dots[other]) / bar * bar_mm
-
-    assert distance("nominal", "calibrated") == pytest.approx(3, rel=0.01)
-    assert distance("nominal", "measured") == pytest.approx(4, rel=0.01)
-    assert distance("calibrated", "measured") == pytest.approx(5, rel=0.01)
+def test_a_live_page_may_talk_to_this_computer_and_to_nobody_else():
+    reader = Reader(make(live=True))
+    (policy,) = [a["content"] for tag, a in reader.tags if "http-equiv" in a]
+    (sources,) = re.findall(r"connect-src ([^;]*)", policy)
+    assert sources.split() == ["'self'", "ws://127.0.0.1:*", "ws://localhost:*"]
+    assert [a for tag, a in reader.tags if tag == "body"] == [{"data-live": None}]
+    assert [a for tag, a in Reader(make()).tags if tag == "body"] == [{}]
 
 
-@pytest.mark.parametrize("apart", [0.0, 1e-9, 12.0])
-def test_points_that_agree_or_lie_far_apart(apart):
-    points = {"nominal": np.zeros(3), "calibrated": np.array([0, apart, 0])}
-    text = Reader(make(points=points)).text
-    assert f"{'12000' if apart == 12 else '0.00'} mm" in text
-    assert "measured" not in text
-    assert ("magnified" in text) == (apart > 0)
-    assert "nan" not in text
+def test_a_key_says_what_it_shows_and_whether_it_does_at_first():
+    on, off = key(escaped("a<b"), "#123456", "x y"), key("c", "", "z", "dot", on=False)
+    assert 'checked data-show="x y"' in on
+    assert "a&lt;b" in on
+    assert "checked" not in off
+    assert 'class="dot"' in off
 
 
 @pytest.mark.parametrize(

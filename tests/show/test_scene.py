@@ -1,42 +1,28 @@
+"""The picture: where robots, camera and floor are, and what a browser shows of it."""
+
+from __future__ import annotations
+
 import base64
-import os
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
 from html import escape
-from pathlib import Path
 
 import numpy as np
 import pytest
 import umsgpack
-from PIL import Image
 
 from calib import data
-from calib.errors import FileError, ModelError
+from calib.errors import FileError
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
-from calib.show.scene import View, view_page, write_view
+from calib.show.cloud import cloud_of
+from calib.show.palette import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
+from calib.show.scene import view_page, write_view
+from calib.show.view import View
+from tests.show.calibrations import made
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--window-size=1280,720",
-    "--virtual-time-budget=4000",
-    "--enable-logging=stderr",
-    "--hide-scrollbars",
-    "--host-resolver-rules=MAP * ~NOTFOUND",  # Chromium's own services are not called either
-]
 HOSTILE = "<script>document.title='owned'</script>\"'& é漢"
 
 
@@ -46,25 +32,39 @@ def scene_of(page) -> dict:
     return umsgpack.unpackb(base64.b64decode(text))
 
 
-def world_points(scene: dict, group: str) -> np.ndarray:
-    """The origins of a group's objects in the scene, through every transform above them."""
-    transforms = {
+def transforms(scene: dict) -> dict[str, np.ndarray]:
+    """The transform of each node that has one, shape (4, 4)."""
+    return {
         c["path"]: np.array(c["matrix"]).reshape(4, 4).T
         for c in scene["commands"]
         if c["type"] == "set_transform"
     }
+
+
+def world_points(scene: dict, group: str) -> np.ndarray:
+    """The origins of a robot's objects in the scene, through every transform above them."""
+    known = transforms(scene)
     points = []
     for command in scene["commands"]:
         path = command["path"]
         if command["type"] == "set_object" and path.startswith(f"/robots/{group}/"):
             T = np.eye(4)
             for i in range(2, len(path.split("/")) + 1):
-                T = T @ transforms.get("/".join(path.split("/")[:i]), np.eye(4))
+                T = T @ known.get("/".join(path.split("/")[:i]), np.eye(4))
             points.append(T[:3, 3])
     return np.array(points)
 
 
-def test_the_ur3_is_drawn_four_times_from_one_copy_of_its_meshes(ur3_page):
+def camera(page) -> list[float]:
+    (position,) = [
+        c["value"]
+        for c in scene_of(page)["commands"]
+        if c["path"] == "/Cameras/default/rotated/<object>"
+    ]
+    return position
+
+
+def test_the_ur3_is_drawn_twice_from_one_copy_of_its_meshes(ur3_page):
     assert ur3_page.warnings == ()
     assert len(ur3_page.html) < 7_000_000
     scene = scene_of(ur3_page)
@@ -74,79 +74,41 @@ def test_the_ur3_is_drawn_four_times_from_one_copy_of_its_meshes(ur3_page):
         if "normal" in g.get("data", {}).get("attributes", {})
     ]
     assert len(meshes) == 7
-    for group in ("nominal/nominal", "calibrated/calibrated", "both/nominal", "both/calibrated"):
+    for who, colour in (("nominal", NOMINAL), ("calibrated", CALIBRATED)):
+        path = rf"/robots/{who}/robot/links/\d+/\d+"
         drawn = [
             c
             for c in scene["commands"]
-            if c["type"] == "set_object" and re.fullmatch(f"/robots/{group}/\\d+", c["path"])
+            if c["type"] == "set_object" and re.fullmatch(path, c["path"])
         ]
         assert len(drawn) == 7
-        material = drawn[0]["object"]["materials"][0]
-        assert material["transparent"] == (group == "both/calibrated")
+        assert {c["object"]["materials"][0]["color"] for c in drawn} == {int(colour[1:], 16)}
 
 
 def test_targets_are_drawn_where_the_robots_put_them(ur3_view, ur3_page):
-    scene = scene_of(ur3_page)
-    transforms = {
-        c["path"]: np.array(c["matrix"]).reshape(4, 4).T
-        for c in scene["commands"]
-        if c["type"] == "set_transform"
-    }
-    for who, robot in (("nominal", ur3_view.nominal), ("calibrated", ur3_view.calibrated)):
-        T = robot.poses(ur3_view.q)[0]
-        point = T[:3, :3] @ ur3_view.nominal_target + T[:3, 3]
-        for group in (who, "both"):
-            drawn = transforms[f"/robots/{group}/{who}/target"][:3, 3]
-            np.testing.assert_allclose(drawn, point, atol=1e-12)
-    here = transforms["/robots/both/measured/here"][:3, 3]
-    np.testing.assert_array_equal(here, ur3_view.measured[30])
-    distance = 1e3 * np.linalg.norm(
-        transforms["/robots/nominal/nominal/target"]
-        - transforms["/robots/calibrated/calibrated/target"]
-    )
-    assert f"target <b>{distance:.2f} mm</b> apart".encode() in ur3_page.html
-
-
-@pytest.mark.parametrize("tilt", [-0.6, 0.4])
-def test_a_robot_whose_base_moves_stands_upright(head_and_arm, disturb, tilt):
-    q = np.array([tilt, -0.5, 0.2, -1.0, 0.1, 1.8, 0.6, -0.4, 0.7])
-    target = np.array([0.0, 0.05, 0.1])
-    measured = np.array([[0.1, 0.2, 0.9], [0.0, 0.1, 0.8]])
-    calibrated = disturb(head_and_arm)
-    page = view_page(View(head_and_arm, calibrated, q, target, target, measured, 1))
-    scene = scene_of(page)
-    transforms = {
-        c["path"]: np.array(c["matrix"]).reshape(4, 4).T
-        for c in scene["commands"]
-        if c["type"] == "set_transform"
-    }
-    # How the camera is turned in the root, from a chain that ends there.
-    camera = Robot.load("tiago_no_hand", "base_footprint", head_and_arm.base)
-    values = dict(zip(head_and_arm.joint_names, q, strict=True))
-    at_head = [values.get(name, 0.0) for name in camera.joint_names]
-    R_root_base = camera.poses(at_head)[0][:3, :3]
-    for who, robot in (("nominal", head_and_arm), ("calibrated", calibrated)):
-        T = robot.poses(q)[0]
-        point = R_root_base @ (T[:3, :3] @ target + T[:3, 3])
-        drawn = transforms[f"/robots/both/{who}/target"][:3, 3]
-        np.testing.assert_allclose(drawn, point, atol=1e-9)
-    drawn = transforms["/robots/both/measured/here"][:3, 3]
-    np.testing.assert_allclose(drawn, R_root_base @ measured[1], atol=1e-9)
+    known = transforms(scene_of(ur3_page))
+    for who, wanted in zip(("nominal", "calibrated"), ur3_view.predicted[:, 30], strict=True):
+        balls = [
+            c["path"]
+            for c in scene_of(ur3_page)["commands"]
+            if c["type"] == "set_object"
+            and re.fullmatch(rf"/robots/{who}/robot/links/\d+/ball", c["path"])
+        ]
+        (ball,) = balls
+        np.testing.assert_allclose(known[ball.rsplit("/", 1)[0]][:3, 3], wanted, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["panda", "gantry", "head_and_arm", "fingers"])
-def test_the_three_groups_do_not_touch(request, disturb, name):
+def test_the_two_robots_do_not_touch(request, disturb, name):
     robot = request.getfixturevalue(name)
-    q = np.full(len(robot.joint_names), 0.3)
+    q = np.full((1, len(robot.joint_names)), 0.3)
     page = view_page(View(robot, disturb(robot), q))
     assert page.warnings == ()
     scene = scene_of(page)
-    groups = [world_points(scene, group) for group in ("nominal", "both", "calibrated")]
-    row = groups[2].mean(axis=0) - groups[0].mean(axis=0)
+    groups = [world_points(scene, group) for group in ("nominal", "calibrated")]
+    row = groups[1].mean(axis=0) - groups[0].mean(axis=0)
     row /= np.linalg.norm(row)
-    ranges = [(g @ row).min() for g in groups], [(g @ row).max() for g in groups]
-    assert ranges[1][0] < ranges[0][1]
-    assert ranges[1][1] < ranges[0][2]
+    assert (groups[0] @ row).max() < (groups[1] @ row).min()
 
 
 @pytest.mark.parametrize("scale", [0.1, 10.0])
@@ -158,12 +120,8 @@ def test_camera_and_floor_follow_the_robot_s_size(gantry, scale):
     robot = Robot.from_urdf(Urdf.from_bytes(text.encode(), "scaled.urdf"), "rail", "tip")
     positions, squares = [], []
     for one, factor in ((gantry, 1.0), (robot, scale)):
-        page = view_page(View(one, one, np.array([0.2 * factor, 0.1 * factor, 0.5])))
-        positions += [
-            np.array(c["value"])
-            for c in scene_of(page)["commands"]
-            if c["path"] == "/Cameras/default/rotated/<object>"
-        ]
+        page = view_page(View(one, one, np.array([[0.2 * factor, 0.1 * factor, 0.5]])))
+        positions.append(np.array(camera(page)))
         squares.append(re.search(rb"Floor squares ([\d.]+) (m+)", page.html).groups())
     np.testing.assert_allclose(positions[1], scale * positions[0], rtol=1e-9)
     assert squares[0] != squares[1]
@@ -174,32 +132,38 @@ def test_a_robot_with_a_hostile_name_and_a_missing_mesh(disturb):
     text = text.replace('robot name="ur3"', f'robot name="{escape(HOSTILE)}"')
     text = text.replace("visual/wrist1.dae", f"visual/{escape(HOSTILE)}.dae")
     robot = Robot.from_urdf(Urdf.from_bytes(text.encode(), HOSTILE), "base", "tool0")
-    page = view_page(View(robot, disturb(robot), np.full(6, 0.4), pose_name=HOSTILE))
+    page = view_page(View(robot, disturb(robot), np.full((1, 6), 0.4), labels=(HOSTILE,)))
     assert HOSTILE.encode() not in page.html
     assert f"<h1>{escape(HOSTILE)}: nominal and calibrated</h1>".encode() in page.html
     (warning,) = page.warnings
     assert warning.startswith("link 'wrist_1_link': the mesh 'package://example-robot-data/")
     assert escape(warning).encode() in page.html
-    assert len(world_points(scene_of(page), "nominal")) == 6 + 2 + 1  # meshes, stick, target
+    drawn = world_points(scene_of(page), "nominal")
+    assert len(drawn) == 6 + 2 + 2  # meshes, stick, target and the rod to it
 
 
-def test_many_measured_points_are_one_cloud_and_a_wild_one_does_not_move_the_camera(ur3_view):
-    points = np.random.default_rng(1).normal(size=(100_000, 3)) * 0.1 + [0.2, 0.2, 0.4]
-    page = view_page(replace(ur3_view, measured=points, index=None))
+def test_a_wild_measurement_does_not_move_the_camera_and_many_rows_stay_small(ur3, ur3_view):
+    wild = np.array(ur3_view.measured)
+    wild[3] = 1e4
+    assert camera(view_page(replace(ur3_view, measured=wild))) == camera(view_page(ur3_view))
+    rng = np.random.default_rng(1)
+    q = rng.uniform(-1, 1, (20_000, 6))
+    view = View(ur3, ur3, q, measured=ur3.poses(q)[:, :3, 3] + 0.001)
+    page = view_page(view)
     assert len(page.html) < 7_000_000
+    assert b"400 of 20,000 rows are shown" in page.html
+
+
+def test_one_robot_alone_has_no_second_one_and_nothing_to_compare(ur3):
+    page = view_page(View(ur3, None, np.zeros((2, 6)), title="just me"))
     scene = scene_of(page)
-    drawn = [c["path"] for c in scene["commands"] if c["path"].startswith("/robots/both/measured")]
-    assert drawn == ["/robots/both/measured/dots", "/robots/both/measured/dots/<object>"]
-
-    def camera(measured):
-        page = view_page(replace(ur3_view, measured=measured, index=None))
-        return [
-            c["value"]
-            for c in scene_of(page)["commands"]
-            if c["path"] == "/Cameras/default/rotated/<object>"
-        ]
-
-    assert camera(np.array([[1e4, 0, 0]])) == camera(np.zeros((0, 3)))
+    assert len(world_points(scene, "nominal"))
+    assert not len(world_points(scene, "calibrated"))
+    body = page.html.decode().split("<body>")[1].split("<script")[0]
+    assert "just me" in body
+    for word in ("data-mode", "Calibrated", "arrows", 'id="inset"'):
+        assert word not in body
+    assert 'id="row"' in body
 
 
 def test_the_same_view_is_the_same_file(ur3_view, ur3_page):
@@ -216,7 +180,7 @@ from calib import data
 from calib.model.robot import Robot
 from calib.show.scene import View, write_view
 robot = Robot.load(data.paper_urdf(), base="base", tip="tool0")
-write_view(View(robot, robot, np.full(6, 0.3)), {str(tmp_path / "view.html")!r})
+write_view(View(robot, robot, np.full((1, 6), 0.3)), {str(tmp_path / "view.html")!r})
 bad = {{e for e in seen if e.startswith(("socket.bind", "socket.connect", "subprocess.", "os.posix_spawn", "os.fork"))}}
 assert not bad, bad
 if os.path.isdir("/proc/self/fd"):
@@ -251,101 +215,203 @@ def test_an_existing_file_is_kept_unless_asked(ur3_view, ur3_page, tmp_path):
     assert path.read_bytes() == ur3_page.html
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"q": np.zeros(5)}, r"q has shape \(5,\); finite numbers of shape \(6,\) are wanted"),
-        ({"q": np.full(6, np.nan)}, "q has shape"),
-        ({"nominal_target": np.zeros(2)}, "nominal_target has shape"),
-        ({"calibrated_target": np.array([0, 0, np.inf])}, "calibrated_target has shape"),
-        ({"measured": np.zeros((4, 2))}, r"measured has shape \(4, 2\); .* shape \(4, 3\)"),
-        ({"measured": np.float64(1)}, "measured has shape"),
-        ({"index": 35}, "index is 35, and there are 35 measured points"),
-        ({"index": -1}, "index is -1"),
-    ],
-)
-def test_what_does_not_fit_is_refused(ur3_view, change, message):
-    with pytest.raises(ModelError, match=message):
-        replace(ur3_view, **change)
+def near(picture: np.ndarray, colour: str, tolerance: float = 0.10) -> np.ndarray:
+    """Which pixels have the hue of a colour, lit or in the shade, shape (H, W)."""
+    wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
+    pixels = picture / 255.0
+    bright = np.linalg.norm(pixels, axis=-1)
+    chroma = pixels.max(axis=-1) - pixels.min(axis=-1)
+    along = (pixels @ wanted) / np.maximum(bright, 1e-9) / np.linalg.norm(wanted)
+    return (np.arccos(np.clip(along, -1, 1)) < tolerance) & (chroma > 0.12)
 
 
-def test_two_different_robots_are_refused(ur3, gantry):
-    with pytest.raises(ModelError, match=r"'shoulder_pan_joint'.*'x', 'y', 'c'.*the same chain"):
-        View(ur3, gantry, np.zeros(6))
+def parts(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The left and the right half of the canvas, without the text above and below."""
+    height, width = picture.shape[:2]
+    middle = picture[int(0.17 * height) : int(0.78 * height)]
+    return middle[:, : width // 2], middle[:, width // 2 :]
 
 
-def test_the_arrays_of_a_view_are_copies_that_cannot_be_written_to(ur3):
-    q = np.zeros(6)
-    view = View(ur3, ur3, q)
-    q[0] = 1
-    assert view.q[0] == 0
-    with pytest.raises(ValueError, match="read-only"):
-        view.q[0] = 1
+def amounts(picture: np.ndarray, colour: str) -> tuple[float, float]:
+    """The share of each half that has a colour."""
+    left, right = (float(near(half, colour).mean()) for half in parts(picture))
+    return left, right
 
 
-def browse(page: Path) -> tuple[np.ndarray, list[str]]:
-    """What Chromium shows of a file, shape (H, W, 3), and the lines of the page's console."""
-    shot, profile = page.with_name("shot.png"), page.with_name("profile")
-    command = [
-        CHROMIUM,
-        *FLAGS,
-        f"--user-data-dir={profile}",
-        f"--screenshot={shot}",
-        page.as_uri(),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    with Image.open(shot) as image:
-        picture = np.asarray(image.convert("RGB")).astype(int)
-    # Chromium's own remark on reading the picture back is not the page's.
-    return picture, [line for line in console if "GL Driver Message" not in line]
+@pytest.fixture(scope="module")
+def demo_page(tmp_path_factory):
+    """The page of the paper's calibration, as the demo writes it."""
+    from calib.show.pictures import view_of
+
+    folder = tmp_path_factory.mktemp("demo")
+    return write_view(view_of(made("paper")), folder / "view.html")
 
 
-@pytest.mark.skipif(
-    CHROMIUM is None, reason="chromium is not installed: the page was not looked at"
-)
-@pytest.mark.parametrize("hostile", [False, True])
-def test_chromium_shows_both_robots_and_calls_nobody(ur3_view, tmp_path, hostile):
-    view = replace(ur3_view, title=HOSTILE * 5, pose_name=HOSTILE) if hostile else ur3_view
-    page = write_view(view, tmp_path / "view.html")
-    picture, console = browse(page)
-    assert console == []  # no error, and nothing that the page's policy would have refused to load
+def test_chromium_shows_two_robots_with_arrows_and_calls_nobody(browser, demo_page):
+    with browser.open(demo_page.as_uri(), size=(1280, 720)) as tab:
+        picture = tab.screenshot()
+        left, right = amounts(picture, NOMINAL)
+        assert left > 0.06
+        assert right < 0.004
+        left, right = amounts(picture, CALIBRATED)
+        assert left < 0.004
+        assert right > 0.06
+        assert sum(amounts(picture, VALIDATION)) > 1e-4  # balls of rows held back
+        assert sum(amounts(picture, OUTLIER)) > 2e-5  # and of flagged ones
+        legend = tab.evaluate("document.querySelector('footer').innerText")
+        for word in (
+            "nominal",
+            "calibrated",
+            "measured, fitted (28)",
+            "held back (5)",
+            "flagged (2)",
+        ):
+            assert word in legend
+        said = tab.evaluate("document.querySelector('header').innerText")
+        assert "Verdict: use." in said
+        assert "Arrows × 50. Robots true to scale." in said
+        assert "row 35, held back" in said
+        assert "nominal 3.61 mm" in said
 
-    red, green, blue = np.moveaxis(picture, -1, 0)
-    orange = (red - blue > 90) & (red > green)
-    steel = (blue - red > 24) & (blue < 235)
-    height, width = red.shape
-    middle = slice(int(0.2 * height), int(0.8 * height))
-    left, right = slice(0, int(0.33 * width)), slice(int(0.62 * width), width)
-    assert steel[middle, left].mean() > 0.03
-    assert orange[middle, left].mean() < 0.002
-    assert orange[middle, right].mean() > 0.03
-    assert steel[middle, right].mean() < 0.02
-    overlaid = picture[middle, int(0.38 * width) : int(0.62 * width)].reshape(-1, 3)
-    tan = (overlaid[:, 0] - overlaid[:, 2] > 30) & (overlaid[:, 0] - overlaid[:, 2] < 100)
-    assert tan.mean() > 0.03  # translucent orange over grey
-    dark = picture[: int(0.12 * height), : int(0.4 * width)].max(axis=-1) < 90
-    assert dark.mean() > 0.005  # the heading
+        # Without the arrows there is less of the dark blue that only they have.
+        tab.evaluate("document.querySelector('[data-show*=arrows]').click()")
+        without = tab.screenshot()
+        assert np.mean(np.any(picture != without, axis=-1)) > 0.002
+        tab.evaluate("document.querySelector('[data-show*=arrows]').click()")
+        np.testing.assert_array_equal(tab.screenshot(), picture)
+        assert tab.complaints == []  # no error, and nothing that the page's policy refused to load
+        assert tab.elsewhere == []
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
-@pytest.mark.parametrize(
-    "added",
-    [
-        b'<img src="https://example.org/x.png">',
-        b"<script>fetch('https://example.org/x')</script>",
-        b"<script>document.title = 'owned'</script>",
-        b'<link rel="stylesheet" href="https://example.org/x.css">',
-    ],
-)
-def test_chromium_would_report_what_the_policy_refuses(ur3_page, tmp_path, added):
+def choose(tab, name: str, value: int) -> None:
+    tab.evaluate(
+        f"(() => {{ const e = document.getElementById('{name}'); e.value = '{value}'; "
+        "e.dispatchEvent(new Event('change')); e.dispatchEvent(new Event('input')); })()"
+    )
+
+
+def test_chromium_lays_one_robot_over_the_other_and_magnifies_the_difference(browser, demo_page):
+    with browser.open(demo_page.as_uri(), size=(1280, 720)) as tab:
+        tab.click("[data-mode=over]")
+        one = tab.screenshot()
+        assert "Overlaid" in tab.evaluate(
+            "[...document.querySelectorAll('.label')].filter(e => e.style.visibility == 'visible')"
+            ".map(e => e.innerText).join()"
+        )
+        # Laid over each other the two are one brown robot; magnified, blue and orange come apart.
+        apart = [near(one, colour).mean() for colour in (NOMINAL, CALIBRATED)]
+        choose(tab, "robots", 50)
+        many = tab.screenshot()
+        assert near(many, NOMINAL).mean() > apart[0] + 0.005
+        assert near(many, CALIBRATED).mean() > apart[1] + 0.002
+        said = tab.evaluate("document.getElementById('factors').innerText")
+        assert said == "Arrows × 50. Differences from nominal drawn × 50."
+        choose(tab, "arrows", 1000)
+        assert "longer than the scene are cut" in tab.evaluate(
+            "document.getElementById('factors').innerText"
+        )
+        assert tab.complaints == []
+
+
+def node_matrix(tab, *path: str) -> np.ndarray:
+    """Where a node of the scene is, shape (4, 4)."""
+    names = ", ".join(f"'{name}'" for name in ("robots", *path))
+    script = (
+        f"(() => {{ const o = viewer.scene_tree.find([{names}]).object; o.updateMatrix(); "
+        "return o.matrix.toArray(); })()"
+    )
+    return np.array(tab.evaluate(script)).reshape(4, 4).T
+
+
+def test_the_slider_takes_both_robots_through_the_measured_poses(browser, demo_page):
+    """The tips and targets in the browser are where the robots' own forward kinematics put them, at every factor."""
+    from calib.show.pictures import view_of
+
+    view = view_of(made("paper"), cloud=False)
+    with browser.open(demo_page.as_uri(), size=(640, 360)) as tab:
+        movers = tab.evaluate(
+            "JSON.parse(document.getElementById('table').textContent).robots.nominal.movers"
+        )
+        target = f"{movers - 1:03d}"
+        for row in (0, 17):
+            choose(tab, "row", row)
+            for factor in (1, 20):
+                choose(tab, "robots", factor)
+                nominal, calibrated = view.predicted[:, row]
+                wanted = {
+                    "nominal": nominal,
+                    "calibrated": nominal + factor * (calibrated - nominal),
+                }
+                for who, place in wanted.items():
+                    at = node_matrix(tab, who, "robot", "links", target)[:3, 3]
+                    np.testing.assert_allclose(at, place, atol=2e-7 * factor)
+                if factor == 1:  # the links too, their turns included
+                    T = view.calibrated.poses(view.q[row])[0]
+                    wrist = node_matrix(tab, "calibrated", "robot", "links", target)
+                    np.testing.assert_allclose(wrist[:3, :3], T[:3, :3], atol=1e-6)
+        assert tab.evaluate("document.getElementById('which').value") == "row 18, fitted"
+        tab.evaluate("document.activeElement.blur()")
+        tab.key("ArrowLeft")
+        assert tab.evaluate("document.getElementById('which').value") == "row 17, fitted"
+        tab.click("#play")
+        tab.wait_for("document.getElementById('which').value.startsWith('row 18')")
+        assert tab.complaints == []
+
+
+def test_chromium_keeps_hostile_names_as_text(browser, tmp_path):
+    """Whatever robot, joints, rows and files are called, nothing of it runs, and it is read whole."""
+    from calib.show.pictures import view_of
+
+    view = view_of(made("hostile_names"))
+    labels = tuple(f"{HOSTILE} {label}" for label in view.labels)
+    page = write_view(
+        replace(view, labels=labels, note=HOSTILE, title=HOSTILE * 5), tmp_path / "v.html"
+    )
+    with browser.open(page.as_uri()) as tab:
+        assert tab.evaluate("document.title") == HOSTILE * 5
+        said = tab.evaluate("document.querySelector('header').innerText")
+        assert said.count(HOSTILE) == 5 + 1 + 1
+        assert HOSTILE in tab.evaluate("document.getElementById('which').value")
+        assert tab.complaints == []
+        assert tab.elsewhere == []
+
+
+def test_chromium_would_report_what_the_policy_refuses(browser, ur3_page, tmp_path):
     page = tmp_path / "view.html"
+    added = (
+        b'<img src="https://example.org/x.png">'
+        b"<script>fetch('https://example.org/x')</script>"
+        b"<script>document.title = 'owned'</script>"
+        b'<link rel="stylesheet" href="https://example.org/x.css">'
+    )
     page.write_bytes(ur3_page.html.replace(b"</body>", added + b"</body>"))
-    _, console = browse(page)
-    assert any("Content Security Policy" in line for line in console)
+    with browser.open(page.as_uri(), size=(320, 180)) as tab:
+        tab.settle()
+        said = [line.text for line in tab.complaints if "Content Security Policy" in line.text]
+        assert tab.evaluate("document.title") == "ur3: nominal and calibrated"
+    assert sum("inline script" in line for line in said) == 2
+    assert any("x.png" in line for line in said)
+    assert any("x.css" in line for line in said)
 
 
-def test_the_browser_test_ran_where_it_can():
-    """On a machine with Chromium at its usual place, the test above is not skipped."""
-    if os.path.exists("/usr/bin/chromium"):  # noqa: PTH110
-        assert CHROMIUM is not None
+def test_the_cloud_is_shown_on_request(browser, tmp_path):
+    view = view_of_two_joints()
+    page = write_view(view, tmp_path / "view.html")
+    with browser.open(page.as_uri(), size=(640, 360)) as tab:
+        before = tab.screenshot()
+        tab.evaluate(
+            "document.querySelector('[data-show=\"calibrated/cloud-everywhere\"]').click()"
+        )
+        left, right = parts(np.any(tab.screenshot() != before, axis=-1).astype(float))
+        assert right.mean() > 0.01
+        assert left.mean() < right.mean() / 5
+        assert tab.complaints == []
+
+
+def view_of_two_joints() -> View:
+    """A planar arm with its cloud."""
+    from calib.show.pictures import view_of
+
+    result = made("two_joints")
+    assert len(cloud_of(result).std) > 1000
+    return view_of(result)
