@@ -217,7 +217,7 @@ def larger_parameters(c: Calibration) -> Sequence[tuple[str, str, str, str]]:
     return [
         (
             p.name,
-            f"{SHOWN[p.unit][0] * p.value:.3f}",
+            three(SHOWN[p.unit][0] * p.value),
             "(at bound)" if p.at_bound else f"+- {0.5 * SHOWN[p.unit][0] * (p.high - p.low):.3f}",
             SHOWN[p.unit][1],
         )
