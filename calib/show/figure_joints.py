@@ -39,9 +39,6 @@ _NO_LEVER = 2e-3
 #: The mean over runs of rows is drawn from so many rows on, over so many runs at most.
 _FEWEST_ROWS, _RUNS = 24, 12
 
-#: Panels side by side.
-_COLUMNS = 3
-
 
 def has_parts(c: Calibration) -> bool:
     """Whether any row has an error of length of its own: lengths between two rows belong to both."""
@@ -114,9 +111,10 @@ def joints_figure(c: Calibration) -> Figure:
         [kind.mask for kind in kinds if kind.word == "outlier"] or [[False] * len(q)], axis=0
     )
     names = short_names(c.nominal.joint_names)
-    lines = -(-len(names) // _COLUMNS)
+    columns = 2 if len(names) in (2, 4) else min(len(names), 3)
+    lines = -(-len(names) // columns)
     figure = new_figure(1.65 * lines + 0.6)
-    panels = figure.subplots(lines, min(len(names), _COLUMNS), squeeze=False, sharey=True).ravel()
+    panels = figure.subplots(lines, columns, squeeze=False, sharey=True).ravel()
     reach = _reach(parts[good] if np.any(good) else parts)
     for j, (ax, joint) in enumerate(zip(panels, c.nominal.inputs, strict=False)):
         slides = joint.type == "prismatic"
@@ -125,16 +123,16 @@ def joints_figure(c: Calibration) -> Figure:
         _mean(ax, at[good], parts[good, j])
         ax.set_title(names[j], size=8.5)
         ax.set_xlabel(f"joint value [{'mm' if slides else 'deg'}]")
-        ax.xaxis.set_major_locator(few_ticks(5))
+        ax.xaxis.set_major_locator(few_ticks(4))
     for ax in panels[len(names) :]:
         ax.set_visible(False)
-    for ax in panels[::_COLUMNS]:
+    for ax in panels[::columns]:
         ax.set_ylabel("left over [mm]")
     counts = {kind.word: kind.label for kind in row_kinds(c)}
     handles = [Line2D([], [], label=counts[kind.word], **kind.style(1)) for kind in kinds]
     if np.count_nonzero(good) >= _FEWEST_ROWS:
         patch = Patch(
-            facecolor=CALIBRATED, alpha=0.45, label="mean of neighbours ± 2 standard errors"
+            facecolor=CALIBRATED, alpha=0.4, label="mean of neighbours ± 2 standard errors"
         )
         handles.append(patch)  # type: ignore[arg-type]
     legend_above(figure, handles)
@@ -144,19 +142,19 @@ def joints_figure(c: Calibration) -> Figure:
 def _reach(parts: Array) -> float:
     """Half the height of the panels [mm]: all but the outliers."""
     sizes = np.abs(parts[np.isfinite(parts)])
-    return max(1.15 * float(sizes.max(initial=0.0)), 1e-6)
+    return max(1.15 * float(sizes.max(initial=0.0)), 1e-3)
 
 
 def _panel(ax: Axes, at: Array, parts: Array, kinds: list[RowKind], reach: float) -> None:
     """The rows of one joint; what lies beyond the scale stands at its edge."""
     ax.axhline(0.0, color=INK, lw=0.7, zorder=1.5)
-    ax.set_ylim(-reach, reach)
+    ax.set_ylim(-1.08 * reach, 1.08 * reach)
     if not np.any(np.isfinite(parts)):
         ax.text(
             0.5, 0.7, "does not move the target", transform=ax.transAxes, ha="center", color=SOFT
         )
     for kind in kinds:
-        values = np.clip(parts[kind.mask], -0.97 * reach, 0.97 * reach)
+        values = np.clip(parts[kind.mask], -reach, reach)
         style = kind.style(len(at))
         style["markersize"] *= 0.8
         ax.plot(at[kind.mask], values, rasterized=len(at) > 500, zorder=2, **style)

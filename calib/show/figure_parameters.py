@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+#: The sizes of squares are explained from so many parameters on: fewer leave no room for it.
+_FEWEST_FOR_SCALE = 8
+
 #: Height of a parameter's line [in].
 _LINE = 0.16
 
@@ -153,7 +156,7 @@ def correlations_figure(c: Calibration) -> Figure:
     longest = max(len(name) for name in names)
     text = 8.0 if p <= 30 else 6.0 if p <= 50 else 4.6
     room = 0.009 * text * longest + 0.25  # for the names [in]
-    size = float(np.clip(0.36 * p, 2.4, WIDTH - room))
+    size = float(np.clip(0.27 * p, 2.4, WIDTH - room))
     figure = new_figure(size + room + 0.35, size + room)
     ax = figure.subplots()
     i, j = np.tril_indices(p, -1)
@@ -173,6 +176,8 @@ def correlations_figure(c: Calibration) -> Figure:
     ax.set_xlim(-0.6, p - 1.4)
     ax.set_ylim(p - 0.4, 0.4)
     ax.set_aspect("equal")
+    if p >= _FEWEST_FOR_SCALE:
+        _scale_of_squares(ax, 72.0 * size / p)
     ax.set_xticks(range(p - 1), names[:-1], rotation=90, size=text)
     ax.set_yticks(range(1, p), names[1:], size=text)
     ax.grid(linewidth=0.4)
@@ -186,3 +191,37 @@ def correlations_figure(c: Calibration) -> Figure:
         ],
     )
     return figure
+
+
+def _scale_of_squares(ax: Axes, cell: float) -> None:
+    """What the sizes of squares mean, where no squares are.
+
+    Args:
+        ax: The panel.
+        cell: Edge of a cell [pt].
+    """
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D(
+            [],
+            [],
+            ls="none",
+            marker="s",
+            ms=0.94 * cell * np.sqrt(value),
+            mfc=CALIBRATED,
+            mec=CALIBRATED,
+            label=f"{value:g}",
+        )
+        for value in (1.0, 0.5, 0.1)
+    ]
+    ax.legend(
+        handles=handles,
+        loc="upper right",
+        title="size of the correlation",
+        frameon=True,
+        facecolor="white",
+        edgecolor="none",
+        framealpha=1.0,
+        labelspacing=0.9,
+    )

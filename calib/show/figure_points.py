@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 #: The two axes of each view, and what it is called.
 _VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 
-#: More rows of a kind than this are thinned.
-MOST_POINTS = 2000
+#: More rows than this are thinned.
+MOST_POINTS = 4000
 
 #: Up to so many points stand on lines down to the floor.
 _MOST_STILTS = 100
@@ -40,18 +40,22 @@ def points_figure(c: Calibration) -> Figure:
     kinds = row_kinds(c)
     limits = _limits(places)
     figure = new_figure(6.6)
-    grid = figure.add_gridspec(2, 3, height_ratios=(1.75, 1.0), width_ratios=_widths(limits))
-    space: Any = figure.add_subplot(grid[0, :], projection="3d")
+    x, y, z = _shares(limits)
+    grid = figure.add_gridspec(2, 2, width_ratios=(x, y), height_ratios=(y, z))
+    space: Any = figure.add_subplot(grid[0, 1], projection="3d")
     _space(space, places, kinds, limits)
-    for k, (i, j, name) in enumerate(_VIEWS):
-        ax = figure.add_subplot(grid[1, k])
+    # From above and from the front share x, from the front and from the side share z, as in drawings.
+    for (i, j, name), at in zip(_VIEWS, (grid[0, 0], grid[1, 0], grid[1, 1]), strict=True):
+        ax = figure.add_subplot(at)
         ax.set_title(f"Seen {name}")
         for kind in kinds:
             _dots(ax, 1e3 * _thinned(places, kind)[:, [i, j]], kind)
         _flat(ax, limits, (i, j))
         number_points(ax, c, 1e3 * places[:, [i, j]])
     handles = [Line2D([], [], label=kind.label, **kind.style(1)) for kind in kinds]
-    handles.append(Line2D([], [], ls="none", marker="+", ms=9, mew=1.4, color=SOFT, label="base"))
+    if _holds_base(limits):
+        cross = Line2D([], [], ls="none", marker="+", ms=9, mew=1.4, color=SOFT, label="base")
+        handles.append(cross)
     legend_above(figure, handles)
     if not np.all(seen):
         what = "All" if not np.any(seen) else "Some"
@@ -63,16 +67,16 @@ def points_figure(c: Calibration) -> Figure:
     return figure
 
 
-def _widths(limits: Array) -> list[float]:
-    """Widths of the views, so that all have one scale."""
+def _shares(limits: Array) -> list[float]:
+    """The room that x, y and z take on the page, so that the views have about one scale."""
     size = limits[1] - limits[0]
-    return [max(float(size[i]), 0.35 * float(size.max())) for i, _, _ in _VIEWS]
+    return [float(value) for value in np.maximum(size, 0.75 * size.max())]
 
 
 def _thinned(places: Array, kind: RowKind) -> Array:
     """The points of a kind, evenly thinned where they are many."""
-    chosen = np.flatnonzero(kind.mask)
-    return places[chosen[:: max(-(-len(chosen) // MOST_POINTS), 1)]]
+    every = 1 if kind.word == "outlier" else -(-len(places) // MOST_POINTS)
+    return places[np.flatnonzero(kind.mask)[::every][:MOST_POINTS]]
 
 
 def _space(ax: Any, places: Array, kinds: tuple[RowKind, ...], limits: Array) -> None:  # noqa: ANN401
@@ -84,11 +88,11 @@ def _space(ax: Any, places: Array, kinds: tuple[RowKind, ...], limits: Array) ->
         if len(places) <= _MOST_STILTS:
             for x, y, z in p:
                 ax.plot([x, x], [y, y], [floor, z], color=kind.colour, lw=0.5, alpha=0.35)
-    if np.all(limits[0] <= 0.0) and np.all(limits[1] >= 0.0):
+    if _holds_base(limits):
         ax.plot([0.0], [0.0], [0.0], marker="+", ms=9, mew=1.4, color=SOFT)
     for k, setter in enumerate((ax.set_xlim, ax.set_ylim, ax.set_zlim)):
         setter(*(1e3 * limits[:, k]))
-    ax.set_box_aspect(limits[1] - limits[0], zoom=1.0)
+    ax.set_box_aspect(limits[1] - limits[0], zoom=0.84)
     ax.set_title("In space, base frame")
     for axis, letter in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", strict=True):
         axis.set_label_text(f"{letter} [mm]")
@@ -96,6 +100,11 @@ def _space(ax: Any, places: Array, kinds: tuple[RowKind, ...], limits: Array) ->
         axis.set_pane_color((0.97, 0.975, 0.98, 1.0))
     ax.tick_params(labelsize=7.5, pad=1)
     ax.view_init(elev=20, azim=-62)
+
+
+def _holds_base(limits: Array) -> bool:
+    """Whether the base's origin lies inside of what is shown."""
+    return bool(np.all(limits[0] <= 0.0) and np.all(limits[1] >= 0.0))
 
 
 def _dots(ax: Axes, places: Array, kind: RowKind) -> None:
@@ -126,7 +135,7 @@ def _limits(places: Array) -> Array:
         low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     # Flat clouds get some height, so that no view is a line.
-    half = np.maximum(1.08 * half, 0.3 * max(float(half.max()), 0.025))
+    half = np.maximum(1.1 * half, 0.3 * max(float(half.max()), 0.025))
     return np.array([middle - half, middle + half])
 
 
@@ -204,7 +213,7 @@ def _how_often(ax: Axes, std: Array, c: Calibration) -> None:
         (float(np.sqrt(np.mean(std**2))), "--", "rms, joint limits"),
         (float(np.quantile(std, 0.95)), "-.", "95 % of the joint limits"),
     ):
-        ax.axvline(value, color=SOFT, ls=style, lw=1.1, label=f"{value:.3g} mm: {word}")
+        ax.vlines(value, 0.0, 100.0, color=SOFT, ls=style, lw=1.1, label=f"{value:.3g} mm: {word}")
     most = max(1.08 * float(np.quantile(std, 0.99)), 1.08e3 * c.expected_measured, 1e-9)
     ax.set_xlim(0.0, most)
     # Room for the legend above the curve.

@@ -170,7 +170,9 @@ def row_axis(ax: Axes, numbers: Sequence[int], ticks: int = 9) -> None:
     last = len(numbers) - 1
     runs_on = numbers[last] - numbers[0] == last
     low = numbers[0] if runs_on else 0
-    found = MaxNLocator(nbins=ticks, integer=True, min_n_ticks=1).tick_values(low, low + last)
+    found = MaxNLocator(nbins=ticks, integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]).tick_values(
+        low, low + last
+    )
     places = [round(value) - low for value in found if low <= round(value) <= low + last]
     ax.xaxis.set_major_locator(FixedLocator(places))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: str(numbers[round(value)])))
@@ -220,10 +222,15 @@ def free_sides(places: Array, rows: Sequence[int] | NDArray[np.intp]) -> list[tu
     """
     sides = ((1, 1), (-1, 1), (1, -1), (-1, -1))
     taken = places[np.isfinite(places).all(axis=1)]
+    low, high = taken.min(axis=0) - 0.02, taken.max(axis=0) + 0.02
     chosen = []
     for k in rows:
         spots = [places[k] + np.array(side) * (0.035, 0.025) for side in sides]
-        room = [np.sort(np.linalg.norm(taken - spot, axis=1))[0] for spot in spots]
+        out = [np.any((spot < low) | (spot > high)) for spot in spots]
+        room = [
+            np.min(np.linalg.norm(taken - spot, axis=1)) - 0.03 * o
+            for spot, o in zip(spots, out, strict=True)
+        ]
         # Rounded, so that the first one wins unless another has clearly more room.
         best = int(np.argmax(np.round(np.minimum(room, 0.06) / 0.015)))
         chosen.append(sides[best])

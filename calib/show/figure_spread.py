@@ -49,7 +49,7 @@ def by_axis_figure(c: Calibration, *, angle: bool = False) -> Figure:
         _boxes(upper, after, 0.19, AFTER)
         _boxes(lower, after, 0.0, AFTER)
         upper.set_title(f"{len(after):,} {word} row{'s' * (len(after) != 1)}")
-        lower.set_title("After alone")
+        lower.set_title("The same, after alone")
         for ax in (upper, lower):
             ax.axhline(0.0, color=INK, lw=0.7, zorder=1.5)
             ax.set_xlim(-0.6, 2.6)
@@ -135,7 +135,9 @@ def histogram_figure(c: Calibration) -> Figure:
     left.set_title(f"All {len(after):,} rows" if len(after) > 1 else "The one row")
     _noise(right, c)
     for ax in (left, right):
-        ax.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True, min_n_ticks=1))
+        ax.yaxis.set_major_locator(
+            MaxNLocator(nbins=6, integer=True, min_n_ticks=1, steps=[1, 2, 5, 10])
+        )
     legend_above(figure, _area_handles())
     return figure
 
@@ -179,6 +181,6 @@ def _noise(ax: Axes, c: Calibration) -> None:
     ax.set_ylabel("measured numbers")
     ax.set_title(f"{len(values):,} numbers of estimation rows")
     outside = int(np.sum(np.abs(values) > _REACH))
-    legend = ax.legend(loc="upper right", handlelength=1.6)
     if outside:
-        legend.set_title(f"{outside:,} beyond ±{_REACH:g}", prop={"size": 8.0})
+        ax.plot([], [], ls="none", label=f"{outside:,} beyond ±{_REACH:g}")
+    ax.legend(loc="upper right", handlelength=1.6)

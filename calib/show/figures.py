@@ -160,8 +160,8 @@ def _left_out_words(c: Calibration) -> str:
 
 
 _BOXES = (
-    "Above, both robots; below, the calibrated one alone, magnified. Boxes hold the middle half of the rows, the line is "
-    "their median, whiskers reach from 5 to 95 %; dots are single rows, or the least and the largest where rows are many."
+    "Above, both robots; below, the calibrated one alone, magnified. Boxes hold the middle half of the rows and "
+    "their median; whiskers reach from 5 to 95 %; dots are single rows, or the least and the largest of many."
 )
 
 
@@ -189,13 +189,13 @@ def _orientation_by_axis(c: Calibration) -> Drawing:
 def _joints(c: Calibration) -> Drawing:
     """Residual by joint."""
     every = -(-len(c.measurements) // MOST_ROWS)
-    thin = f" Of the rows every {every}th is drawn, and all outliers." if every > 1 else ""
+    thin = f" One of {every} rows is drawn, and all outliers." if every > 1 else ""
     return Drawing(
         "residual-by-joint",
         "What is left over against each joint's value",
         "The part of each row's error after calibration that lies along the joint's motion of the target, [mm], "
-        f"against the joint's value, [deg] or [mm], of {counted(c)}.{thin} Outliers beyond the scale stand at its edge. "
-        "A slope or a wave of the mean is an error of that joint that the model lacks, such as of its gear or stiffness.",
+        f"against the joint's value, [deg] or [mm], of {counted(c)}.{thin} Outliers beyond the scale stand at "
+        "its edge. A slope or a wave of the mean is an error of that joint that the model lacks, such as of its gear.",
         partial(joints_figure, c),
     )
 
