@@ -23,12 +23,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2, norm
+from scipy.special import gammaincinv, ndtri
 
 from calib.errors import CalibError
 from calib.measure.geometric_fits import Circle, Plane
@@ -109,7 +110,7 @@ class BaseFrame:
     def limit(self, share: float = 0.95) -> float:
         """The squared distance below which the true base lies with this probability."""
         if np.all(np.isinf(self.dofs)):
-            return float(chi2.ppf(share, 6))
+            return 2.0 * float(gammaincinv(3.0, share))
         xi = self._draws()
         square = np.einsum("ni,ij,nj->n", xi, np.linalg.inv(self.covariance), xi)
         return float(np.quantile(square, share))
@@ -117,21 +118,33 @@ class BaseFrame:
     def within(self, share: float = 0.95) -> Array:
         """To both sides of zero, between which each component of the twist lies with this probability, shape (6,)."""
         if np.all(np.isinf(self.dofs)):
-            return np.asarray(norm.ppf(0.5 + 0.5 * share) * self.std)
+            return np.asarray(ndtri(0.5 + 0.5 * share) * self.std)
         return np.asarray(np.quantile(np.abs(self._draws()), share, axis=0))
 
     def _draws(self) -> Array:
         """Errors of the frame that the measurements allow for, shape (draws, 6); see the module's text."""
-        rng = np.random.default_rng(_SEED)
         xi = np.zeros((_DRAWS, 6))
         # In units of the standard deviations: lengths stand beside angles.
         scale = np.outer(self.std, self.std)
-        for part, dof in zip(self.parts, self.dofs, strict=True):
+        for part, (wider, normal) in zip(self.parts, _standard_draws(self.dofs), strict=True):
             values, vectors = np.linalg.eigh(part / scale)
             root = vectors * np.sqrt(np.maximum(values, 0.0))
-            wider = 1.0 if np.isinf(dof) else np.sqrt(dof / rng.chisquare(dof, size=(_DRAWS, 1)))
-            xi += wider * (rng.normal(size=(_DRAWS, 6)) @ root.T)
+            xi += wider * (normal @ root.T)
         return xi * self.std
+
+
+@lru_cache(maxsize=4)
+def _standard_draws(dofs: tuple[float, ...]) -> tuple[tuple[Array, Array], ...]:
+    """For each part how much wider than normal its errors are, shape (draws, 1) or (), and normal draws, (draws, 6).
+
+    They depend on the degrees of freedom alone and are kept: a frame is asked for its limits more than once.
+    """
+    rng = np.random.default_rng(_SEED)
+    drawn = []
+    for dof in dofs:
+        wider = 1.0 if np.isinf(dof) else np.sqrt(dof / rng.chisquare(dof, size=(_DRAWS, 1)))
+        drawn.append((read_only(wider), read_only(rng.normal(size=(_DRAWS, 6)))))
+    return tuple(drawn)
 
 
 def base_frame(

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -222,7 +223,16 @@ def _rms_range(moves: Array) -> tuple[float, float]:
     """
     squares = information(moves) / (len(moves) * (moves.shape[1] // 3))
     weights = np.maximum(np.linalg.eigvalsh(squares), 0.0)
-    draws = np.random.default_rng(_SEED).chisquare(1, size=(_DRAWS, len(weights))) @ weights
+    draws = _chi_squares(len(weights)) @ weights
     tail = 0.5 * (1.0 - _RANGE)
     low, high = np.sqrt(np.quantile(draws, [tail, 1.0 - tail]))
     return float(low), float(high)
+
+
+@lru_cache(maxsize=4)
+def _chi_squares(count: int) -> Array:
+    """Draws of so many independent chi-squares of one degree of freedom, shape (draws, count).
+
+    They are the same every time, and drawing them takes longer than the rest of a forecast: they are kept.
+    """
+    return read_only(np.random.default_rng(_SEED).chisquare(1, size=(_DRAWS, count)))
