@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -136,10 +137,11 @@ def last_joint_poses(model: pin.Model, configurations: Array) -> Array:
         configurations: shape (N, nq), see `Chain.configurations`.
     """
     data, last = model.createData(), model.njoints - 1
+    pose = data.oMi[last]  # as forwardKinematics writes it
     T_root_last = np.empty((len(configurations), 4, 4))
     for i, configuration in enumerate(configurations):
         pin.forwardKinematics(model, data, configuration)
-        T_root_last[i] = data.oMi[last].homogeneous
+        T_root_last[i] = pose.homogeneous
     return T_root_last
 
 
@@ -166,6 +168,12 @@ def full_model(urdf: Urdf) -> pin.Model:
     Raises:
         UrdfError: Pinocchio cannot build it.
     """
+    return _built_model(urdf).copy()
+
+
+@lru_cache(maxsize=8)
+def _built_model(urdf: Urdf) -> pin.Model:
+    """What `full_model` hands out copies of: reading the XML takes ten times as long as a copy."""
     try:
         model = pin.buildModelFromXML(urdf.data.decode(urdf.encoding))
     except (ValueError, RuntimeError) as error:
