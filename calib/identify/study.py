@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri
 
 from calib.errors import CalibError, ModelError
 from calib.identify.calibration import Calibration, calibrate
@@ -275,7 +275,7 @@ def _stated(trials: Trials, result: Calibration, q: Array, predicted: Array) -> 
 def _covered(result: Calibration, stated: Array, error: Array) -> float:
     """The share of positions whose error lies inside the ellipsoid that the fit states."""
     square = np.sum(error * np.linalg.solve(stated, error[:, :, None])[:, :, 0], axis=1)
-    limit = 3.0 * f_distribution.ppf(_LEVEL, 3, max(_last(result).estimate.freedom, 1.0))
+    limit = 3.0 * fdtri(3, max(_last(result).estimate.freedom, 1.0), _LEVEL)
     return float(np.mean(square <= limit))
 
 

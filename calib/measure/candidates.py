@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from calib.errors import ModelError
 from calib.measure.ranges import column_limits, joint_ranges, range_text
@@ -91,6 +90,9 @@ def draw(
     Raises:
         ModelError: None passed; the text says which tests refused how many.
     """
+    # Not above: SciPy's distributions take as long to import as the rest of calib.
+    from scipy.stats import qmc
+
     engine = qmc.Sobol(len(ranges), scramble=True, seed=seed)
     low, high = ranges.T
     kept: list[Array] = []

@@ -248,7 +248,9 @@ def _frame(normal: Array, near: Array) -> Array:
         u = u - n * (n @ u)
         length = np.linalg.norm(u)
     u = u / length
-    return np.stack([u, np.cross(n, u), n], axis=1)
+    # Written out: `numpy.cross` takes longer than the rest of this function.
+    v = (n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2], n[0] * u[1] - n[1] * u[0])
+    return np.column_stack([u, v, n])
 
 
 def _angles(points: Array, center: Array, basis: Array) -> Array:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, f
+from scipy.special import chdtrc, fdtrc
 
 from calib.errors import CalibError
 
@@ -57,7 +57,7 @@ class Scatter:
         if self.given is None:
             return False
         ratio = self.freedom * (self.estimate / self.given) ** 2
-        return bool(chi2.sf(ratio, self.freedom) < LEVEL)
+        return bool(chdtrc(self.freedom, ratio) < LEVEL)
 
     @property
     def sigma(self) -> float:
@@ -165,4 +165,4 @@ def _gross(residuals: Array, jacobian: Array, weights: Array) -> int | None:
     left = float(np.sum(e**2) - drop[worst])
     floor = np.finfo(np.float64).eps * float(np.sum(e**2))
     ratio = (drop[worst] / k) / (max(left, floor) / rest) if drop[worst] > 0.0 else 0.0
-    return worst if count * f.sf(ratio, k, rest) < LEVEL else None
+    return worst if count * fdtrc(k, rest, ratio) < LEVEL else None

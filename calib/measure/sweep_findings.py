@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
-from scipy.stats import norm
+from scipy.special import fdtrc, ndtr
 
 from calib.measure.algebraic_circles import Ring
 from calib.measure.geometric_fits import Circle, Plane, circle_residuals
@@ -173,7 +172,7 @@ def _clearest(
         if rank == 0 or drop <= 0.0:
             continue
         rest = max(square - drop, np.finfo(np.float64).eps * square)
-        tail = float(fisher.sf((drop / rank) / (rest / freedom), rank, freedom))
+        tail = float(fdtrc(rank, freedom, (drop / rank) / (rest / freedom)))
         # Equal tails, both too small to be told from zero: the larger drop.
         key = (tail, -drop)
         if best is None or key < best[0]:
@@ -223,7 +222,7 @@ def _alike(residuals: Array, label: str, sweep: Sweep) -> Iterator[str]:
     for which, name in enumerate(("radially", "axially")):
         e = residuals[:, which]
         correlation = float(e[1:] @ e[:-1] / (e @ e)) if np.any(e) else 0.0
-        if norm.sf(correlation * np.sqrt(len(e))) < 0.5 * LEVEL:
+        if ndtr(-correlation * np.sqrt(len(e))) < 0.5 * LEVEL:
             yield (
                 f"{sweep.where}: neighbouring points of '{label}' err alike {name} (correlation {correlation:.2f}): "
                 "that is no noise, so the stated uncertainty is too small. Look for play, bending, drift."

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
-from scipy.stats import t as student
+from scipy.special import fdtrc, stdtrit
 
 from calib.errors import MeasurementError, choices
 from calib.measure.geometric_fits import Circle
@@ -155,14 +154,14 @@ def turning(sweep: Sweep, circle: Circle) -> Turning | None:
     P = inverse @ X.T @ moved
     covariance = inverse * float(left @ left) / freedom + P @ circle.covariance[:2, :2] @ P.T
     std = np.sqrt(np.diag(covariance))
-    limit = float(student.isf(LEVEL / 4.0, freedom))
+    limit = -float(stdtrit(freedom, LEVEL / 4.0))
     gain, amplitude, amplitude_std, found = float(x[1]), np.nan, np.nan, False
     if X.shape[1] == 4:
         amplitude = float(np.hypot(x[2], x[3]))
         amplitude_std = float(np.sqrt(0.5 * np.trace(covariance[2:, 2:])))
         size = x[2:] @ np.linalg.solve(covariance[2:, 2:], x[2:])
         # Two numbers at once: an F of 2, whose tail is that of the gain's t.
-        found = bool(fisher.sf(0.5 * size, 2, freedom) < LEVEL / 2.0)
+        found = bool(fdtrc(2, freedom, 0.5 * size) < LEVEL / 2.0)
     return Turning(
         rms, gain, float(std[1]), amplitude, amplitude_std, abs(gain) > limit * std[1], found
     )
