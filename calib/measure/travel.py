@@ -220,8 +220,8 @@ def _shifts(near: Array, length: int) -> list[_Moves]:
     last = i + length - 1
     closed = near[i - 1, last + 1] - step[i - 1] - step[last]
     j = np.arange(size - 1)  # put between the places j and j + 1
-    ahead, behind = near[np.ix_(i, j)], near[np.ix_(last, j)]
-    ahead_next, behind_next = near[np.ix_(i, j + 1)], near[np.ix_(last, j + 1)]
+    ahead, behind = near[1 : size - length, :-1], near[length : size - 1, :-1]
+    ahead_next, behind_next = near[1 : size - length, 1:], near[length : size - 1, 1:]
     base = closed[:, None] - step[None, j]
     found: list[_Moves] = []
     for turned, gain in (
