@@ -15,7 +15,7 @@ unknown in some directions: one error model for all. Scalars stand in a row of `
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,8 @@ class Rows:
         sigma_angle: shape (N,), of one angle [rad].
         poses: shape (N,), rows of one number are repeats: one pose, one target, one frame.
         blocks: shape (N,), rows of one number are left out together: one pose, and both rows of a pair.
+        width: Columns of a residual: 6 with poses, 3 with points, else 1.
+        used: shape (N, width), which columns of each row hold a scalar.
     """
 
     samples: Samples
@@ -87,6 +89,20 @@ class Rows:
     sigma_angle: Array
     poses: NDArray[np.int_]
     blocks: NDArray[np.int_]
+    width: int = field(init=False)
+    used: Mask = field(init=False, repr=False)
+    _of_kind: tuple[tuple[int, NDArray[np.int_]], ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Work out once what every evaluation of a fit asks for."""
+        width = 6 if np.any(self.kinds == POSE) else 3 if np.any(_USED[self.kinds, 1]) else 1
+        used = np.ascontiguousarray(_USED[self.kinds][:, :width])
+        used.setflags(write=False)
+        of_kind = tuple(
+            (k, np.flatnonzero(self.kinds == k)) for k in np.unique(self.kinds).tolist()
+        )
+        for name, value in (("width", width), ("used", used), ("_of_kind", of_kind)):
+            object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -96,17 +112,6 @@ class Rows:
     def joints(self) -> Array:
         """Values of the measured joints, shape (N, m), [rad] or [m]."""
         return self.samples.q
-
-    @property
-    def width(self) -> int:
-        """Columns of a residual: 6 with poses, 3 with points, else 1."""
-        return 6 if np.any(self.kinds == POSE) else 3 if np.any(_USED[self.kinds, 1]) else 1
-
-    @property
-    def used(self) -> Mask:
-        """Which columns of each row hold a scalar, shape (N, width)."""
-        result: Mask = _USED[self.kinds][:, : self.width]
-        return result
 
     @property
     def count(self) -> int:
@@ -164,8 +169,7 @@ class Rows:
         """
         p = T_frame_target[:, :3, 3]
         result = np.zeros((len(self), self.width))
-        for kind in np.unique(self.kinds):
-            k = np.flatnonzero(self.kinds == kind)
+        for kind, k in self._of_kind:
             if kind in (POINT, POSE, FIXED):
                 result[k, :3] = self.points[k] - p[k]
             if kind == POSE:
@@ -191,8 +195,7 @@ class Rows:
             return twists[:, :3]
         p = T_frame_target[:, :3, 3]
         result = np.zeros((len(self), self.width, twists.shape[2]))
-        for kind in np.unique(self.kinds):
-            k = np.flatnonzero(self.kinds == kind)
+        for kind, k in self._of_kind:
             if kind in (POINT, POSE, FIXED):
                 result[k, :3] = twists[k, :3]
             if kind == POSE:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg.lapack import dgeqrf, dtrtrs
 
 from calib.errors import SolverError
 
@@ -271,10 +271,18 @@ def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
         R, shape (p, p), and rhs, shape (p,).
     """
     p = J.shape[1]
-    R: Array = np.asarray(np.linalg.qr(np.column_stack([J, -r]), mode="r"))
+    R = _upper(np.column_stack([J, -r]))
     if len(R) < p:
         R = np.vstack([R, np.zeros((p - len(R), p + 1))])
     return R[:p, :p], R[:p, p]
+
+
+def _upper(A: Array) -> Array:
+    """The triangle R of A = Q R, as `numpy.linalg.qr` has it, for matrices so small that NumPy's own work counts."""
+    if not A.size:  # LAPACK refuses it
+        return np.zeros((min(A.shape), A.shape[1]))
+    packed, _, _, _ = dgeqrf(A)
+    return np.asarray(np.triu(packed[: min(A.shape)]))
 
 
 def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
@@ -283,7 +291,7 @@ def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
     stacked = np.zeros((2 * p, p + 1))
     stacked[:p, :p], stacked[:p, p] = R, rhs
     stacked[p + np.arange(p), np.arange(p)] = damping
-    triangle: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
+    triangle = _upper(stacked)
     dx, info = dtrtrs(triangle[:p, :p], triangle[:p, p])
     if info != 0:
         message = (

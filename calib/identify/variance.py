@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 Array = NDArray[np.float64]
 Masks = tuple[NDArray[np.bool_], ...]
@@ -143,15 +144,16 @@ class Linearised:
             shapes (p,) and (p, p); directions that neither data nor prior determine get no share of either.
         """
         M, right = self._equations(noise, known)
-        scale = 1.0 / np.sqrt(np.diag(M) + 1e-300)
-        C = _inverse(M * np.outer(scale, scale)) * np.outer(scale, scale)
+        scale = 1.0 / np.sqrt(M.diagonal() + 1e-300)
+        scales = scale[:, None] * scale
+        C = _inverse(M * scales) * scales
         return C @ right, C
 
     def _equations(self, noise: tuple[float, ...], known: Known) -> tuple[Array, Array]:
         """The posterior's precision matrix and the right side, shapes (p, p) and (p,)."""
         weight = 1.0 / np.square(noise)
-        M = np.tensordot(weight, self.H, 1) + known.H
-        M[np.diag_indices_from(M)] += known.precision
+        M = (weight @ self.H.reshape(len(weight), -1)).reshape(known.H.shape) + known.H
+        M.reshape(-1)[:: len(M) + 1] += known.precision  # the diagonal
         return M, np.asarray(weight @ self.g + known.g + known.precision * known.centre)
 
     def residual_square(self, x: Array) -> Array:
@@ -242,12 +244,11 @@ def precision_of(families: Masks, sizes: tuple[float, ...], p: int) -> Array:
 
 def _inverse(M: Array) -> Array:
     """The inverse of a positive semidefinite matrix of unit diagonal; its pseudo-inverse where it is singular."""
-    try:
-        root = np.asarray(np.linalg.cholesky(M))
-    except np.linalg.LinAlgError:
-        root = np.zeros_like(M)
-    if np.min(np.diag(root), initial=1.0) > 1e-6:
-        inverse = np.asarray(np.linalg.inv(root))
+    if not len(M):  # LAPACK refuses it
+        return M
+    root, failed = dpotrf(M, lower=1, clean=1)
+    if not failed and root.diagonal().min(initial=1.0) > 1e-6:
+        inverse, _ = dtrtri(root, lower=1)
         return np.asarray(inverse.T @ inverse)
     try:
         return np.asarray(np.linalg.pinv(M, rcond=1e-13, hermitian=True))
@@ -274,19 +275,17 @@ def _score(
     HC = (data.H @ covariance) / np.square(values[:C])[:, None, None]
     trace = np.trace(HC, axis1=1, axis2=2)
     k = len(families)
-    indices = [np.flatnonzero(members) for members in families]
     score, information = np.empty(C + k), np.empty((C + k, C + k))
     score[:C] = data.residual_square(m) / np.square(values[:C]) + trace - data.count
     crossed = np.einsum("cij,dji->cd", HC, HC)
     information[:C, :C] = 2.0 * (np.diag(data.count - 2.0 * trace) + crossed)
-    variance, both = np.diag(covariance), np.einsum("ij,cji->ci", covariance, HC)
-    for i, own in enumerate(indices):
-        score[C + i] = float(np.sum(m[own] ** 2 + variance[own])) / sizes[i] ** 2 - len(own)
-        information[:C, C + i] = 2.0 * np.sum(both[:, own], axis=1) / sizes[i] ** 2
-        information[C + i, :C] = information[:C, C + i]
-        for j, others in enumerate(indices):
-            block = -covariance[own[:, None], others] / (sizes[i] * sizes[j])
-            if i == j:
-                block = block + np.eye(len(block))
-            information[C + i, C + j] = 2.0 * float(np.sum(block**2))
+    if k:
+        variance, both = covariance.diagonal(), np.einsum("ij,cji->ci", covariance, HC)
+        members = np.array(families, dtype=np.float64)
+        score[C:] = members @ (m**2 + variance) / sizes**2 - members.sum(axis=1)
+        information[:C, C:] = 2.0 * (both @ members.T) / sizes**2
+        information[C:, :C] = information[:C, C:].T
+        root = np.sqrt(own_precision)  # 1 / tau, 0 for those of no family
+        block = np.diag((root > 0.0).astype(np.float64)) - covariance * (root[:, None] * root)
+        information[C:, C:] = 2.0 * (members @ block**2 @ members.T)
     return score, information

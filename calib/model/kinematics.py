@@ -24,6 +24,9 @@ from calib.model.robot import Robot, last_joint_poses, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 
+#: The other two axes of each, in the order of a right-handed frame.
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
@@ -202,21 +205,40 @@ def add_outer_twists(
         if not (k == tip or place.startswith((FRAME, TARGET))):
             continue
         local = directions[6 * k : 6 * k + 6]
-        used = np.flatnonzero(np.any(local, axis=0))
+        used = np.flatnonzero(local.any(axis=0))
         if not len(used):
             continue
+        # Columns between them, which do not act here, add nothing.
+        first, last = int(used[0]), int(used[-1]) + 1
+        local = local[:, first:last]
         if k == tip:
-            seen, pose = np.arange(len(samples)), poses[1]
+            seen, pose = None, poses[1]
         elif k < tip:
-            seen, pose = np.flatnonzero(samples.frame == k), poses[0]
+            seen, pose = samples.frame == k, poses[0]
         else:
-            seen, pose = np.flatnonzero(samples.target == k - tip - 1), poses[2]
-        T = pose[seen]
-        linear, angular = T[:, :3, :3] @ local[:3, used], T[:, :3, :3] @ local[3:, used]
-        arm = (point[seen] - T[:, :3, 3])[:, :, None]
-        rows = seen[:, None]
-        twists[rows, :3, used] += (linear + _cross(angular, arm)).transpose(0, 2, 1)
-        twists[rows, 3:, used] += angular.transpose(0, 2, 1)
+            seen, pose = samples.target == k - tip - 1, poses[2]
+        if seen is None or seen.all():
+            twists[:, :, first:last] += _moved_with(pose, point, local)
+        else:
+            twists[seen, :, first:last] += _moved_with(pose[seen], point[seen], local)
+
+
+def _moved_with(T: Array, point: Array, local: Array) -> Array:
+    """The twists of points that local twists of a body carry along, shape (N, 6, k).
+
+    Args:
+        T: Poses of the body, shape (N, 4, 4), [m].
+        point: shape (N, 3), [m].
+        local: shape (6, k), in the body's own axes.
+    """
+    R = T[:, :3, :3]
+    twists = np.zeros((len(T), 6, local.shape[1]))
+    twists[:, :3] = R @ local[:3]
+    if local[3:].any():
+        angular = R @ local[3:]
+        twists[:, :3] += _cross(angular, (point - T[:, :3, 3])[:, :, None])
+        twists[:, 3:] = angular
+    return twists
 
 
 def _regressor(
@@ -225,13 +247,14 @@ def _regressor(
     """The last joint's pose, (N, 4, 4), and the target's placement regressor, (N, 6, 6 n), along the root's axes."""
     data = chain.createData()
     last = chain.njoints - 1
+    pose = data.oMi[last]  # as forwardKinematics writes it
     T_root_last = np.empty((len(configurations), 4, 4))
     regressor = np.empty((len(configurations), 6, 6 * last))
     placements = [pin.SE3(T) for T in T_last_target]
     for i, (configuration, t) in enumerate(zip(configurations, target.tolist(), strict=True)):
         # The regressor reads what forwardKinematics left in data; without that call it is silently wrong.
         pin.forwardKinematics(chain, data, configuration)
-        T_root_last[i] = data.oMi[last].homogeneous
+        T_root_last[i] = pose.homogeneous
         regressor[i] = pin.computeJointKinematicRegressor(
             chain, data, last, pin.LOCAL_WORLD_ALIGNED, placements[t]
         )
@@ -268,8 +291,4 @@ class _Displaced:
 
 def _cross(a: Array, b: Array) -> Array:
     """The product a x b along axis 1, shapes (N, 3, k) and (N, 3, 1): `numpy.cross` takes ten times as long."""
-    result = np.empty_like(a)
-    result[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
-    result[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
-    result[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return result
+    return np.asarray(a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT])

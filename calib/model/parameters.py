@@ -89,9 +89,11 @@ class ErrorModel:
     parameters: tuple[Parameter, ...]
     terms: tuple[Parameter, ...] = ()
     mixing: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    _backwards: tuple[tuple[int, int, pin.Motion], ...] = field(init=False, repr=False)
+    _undisplaced: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse a name twice and a place that the chain lacks."""
+        """Refuse a name twice and a place that the chain lacks; see at which place each term acts, the last first."""
         if not self.terms:
             object.__setattr__(self, "terms", self.parameters)
             object.__setattr__(self, "mixing", read_only(np.eye(len(self.parameters))))
@@ -104,6 +106,14 @@ class ErrorModel:
         if unknown:
             message = f"The chain has no places {choices(unknown)}; it has {choices(self.places)}."
             raise ModelError(message)
+        number = {place: k for k, place in enumerate(self.places)}
+        acting = [(t, number[term.place]) for t, term in enumerate(self.terms) if not term.factor]
+        undisplaced = np.zeros((6 * len(self.places), len(self.terms)))
+        for t, k in acting:
+            undisplaced[6 * k : 6 * k + 6, t] = self.terms[t].direction
+        backwards = tuple((t, k, pin.Motion(self.terms[t].direction)) for t, k in acting[::-1])
+        object.__setattr__(self, "_backwards", backwards)
+        object.__setattr__(self, "_undisplaced", read_only(undisplaced))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -219,26 +229,21 @@ class ErrorModel:
             ModelError: ``x`` has not one entry for each parameter.
         """
         y = self.values(x)
-        products: dict[str, pin.SE3] = {}
-        directions = np.zeros((6 * len(self.places), len(self.terms)))
-        row = {place: 6 * k for k, place in enumerate(self.places)}
-        # Backwards, so that the product of the factors after each term is at hand.
-        for t in range(len(self.terms) - 1, -1, -1):
-            term = self.terms[t]
-            if term.factor:
-                continue
-            later = products.get(term.place)
-            first, factor = row[term.place], pin.exp6(term.direction * y[t])
-            if later is None:
-                directions[first : first + 6, t] = term.direction
-                products[term.place] = factor
-            else:
-                directions[first : first + 6, t] = later.toActionMatrixInverse() @ term.direction
-                products[term.place] = factor * later
-        displacements = np.tile(np.eye(4), (len(self.places), 1, 1))
-        for k, place in enumerate(self.places):
-            if place in products:
-                displacements[k] = products[place].homogeneous
+        directions = self._undisplaced.copy()
+        displacements = np.zeros((len(self.places), 4, 4))
+        displacements[:, range(4), range(4)] = 1.0
+        if y.any():
+            products: dict[int, pin.SE3] = {}
+            # Backwards, so that the product of the factors after each term is at hand.
+            for t, k, twist in self._backwards:
+                later, factor = products.get(k), pin.exp6(twist * y[t])
+                if later is None:
+                    products[k] = factor
+                else:
+                    directions[6 * k : 6 * k + 6, t] = later.actInv(twist).vector
+                    products[k] = factor * later
+            for k, product in products.items():
+                displacements[k] = product.homogeneous
         if self.terms is not self.parameters:
             directions = directions @ self.mixing
         return displacements, directions
