@@ -1,8 +1,10 @@
-"""The real program in a process of its own, and the examples of docs/command-line.md run once for all tests."""
+"""The real program in a process of its own or in this one, and the examples of docs/command-line.md run once."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import re
 import shlex
 import shutil
@@ -10,12 +12,15 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
-from calib.cli import main
+from calib.cli import app, main
 from calib.data import paper_measurements, paper_urdf
 from calib.measure.virtual_sweeps import virtual_sweeps, write_sweeps
 from calib.model.robot import Robot
@@ -56,6 +61,22 @@ def calib(folder: Path, *words: str | Path) -> Done:
         check=False,
     )
     return Done(done.returncode, done.stdout, done.stderr)
+
+
+def calib_here(patch: pytest.MonkeyPatch, folder: Path, *words: str | Path) -> int:
+    """The same within this process, which need not import everything anew; its exit code."""
+    patch.chdir(folder)
+    patch.setattr(sys, "argv", ["calib", *map(str, words)])
+    patch.setattr("typer.main.get_command", lambda _: _command())
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    return int(stopped.value.code or 0)
+
+
+@cache
+def _command() -> Any:
+    """The program's verbs and options: to build them takes longer than most calls."""
+    return get_command(app)
 
 
 def fill(folder: Path) -> Path:
@@ -120,7 +141,13 @@ def examples(tmp_path_factory: pytest.TempPathFactory) -> Examples:
     for call in calls:
         program, *words = shlex.split(call)
         assert program == "calib"
-        done[call] = calib(folder, *words)
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            contextlib.redirect_stdout(io.StringIO()) as out,
+            contextlib.redirect_stderr(io.StringIO()) as err,
+        ):
+            code = calib_here(patch, folder, *words)
+        done[call] = Done(code, out.getvalue(), err.getvalue())
     return Examples(folder, done)
 
 
@@ -141,12 +168,9 @@ def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
     """The same within this process: a tenth of the time, for the many calls that differ in one word."""
 
     def within(folder: Path, *words: str | Path) -> Done:
-        monkeypatch.chdir(folder)
-        monkeypatch.setattr(sys, "argv", ["calib", *map(str, words)])
         capsys.readouterr()
-        with pytest.raises(SystemExit) as stopped:
-            main()
+        code = calib_here(monkeypatch, folder, *words)
         printed = capsys.readouterr()
-        return Done(int(stopped.value.code or 0), printed.out, printed.err)
+        return Done(code, printed.out, printed.err)
 
     return within

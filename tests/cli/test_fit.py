@@ -72,8 +72,8 @@ def test_the_cell_file_and_freeze_on_the_line(examples):
     assert result["frames"]["target_given_m"] == pytest.approx([-0.07, 0.07, 0.0225])
 
 
-def test_the_target_with_the_printed_sign_leads_to_the_same_result(run, shop, reference):
-    done = run(
+def test_the_target_with_the_printed_sign_leads_to_the_same_result(call, shop, reference):
+    done = call(
         shop, "fit", "robot.urdf", "data.csv", "--base", "base", "--target", AS_PRINTED,
         "-o", "c.urdf", "--json", "r.json", "--target-link",
     )  # fmt: skip
@@ -87,7 +87,7 @@ def test_the_target_with_the_printed_sign_leads_to_the_same_result(run, shop, re
 
     # The link carries the target: evaluate finds it, and says the same as the fit.
     for words in (["--tip", "tool0"], ["--tip", "calib_target"], []):
-        done = run(
+        done = call(
             shop, "evaluate", "c.urdf", "data.csv", "--base", "base", *words,
             "--json", "e.json", "--force",
         )  # fmt: skip
@@ -102,8 +102,8 @@ def same_errors(evaluated: Any, result: Any) -> None:
             assert evaluated[rows][key] == pytest.approx(value, abs=1e-9, rel=0)
 
 
-def test_a_wrong_base_is_named_and_the_file_is_written_with_a_warning(run, shop):
-    done = run(shop, "fit", "robot.urdf", "data.csv", "-o", "c.urdf", "--model", "zeros")
+def test_a_wrong_base_is_named_and_the_file_is_written_with_a_warning(call, shop):
+    done = call(shop, "fit", "robot.urdf", "data.csv", "-o", "c.urdf", "--model", "zeros")
     assert done.code == 0
     assert "\nVerdict: do not use\n" in done.out
     assert "the points are in the frame of 'base': try --base base." in " ".join(done.out.split())
