@@ -19,6 +19,7 @@ from calib.cli.fit import fit
 from calib.cli.inspect import inspect
 from calib.cli.plan import plan
 from calib.cli.simulate import simulate
+from calib.cli.view import view
 from calib.cli.workspace import workspace
 
 app = typer.Typer(
@@ -38,6 +39,7 @@ app.command()(inspect)
 app.command()(base_frame)
 app.command()(plan)
 app.command()(simulate)
+app.command()(view)
 app.command()(workspace)
 
 

@@ -137,6 +137,11 @@ class Viewer:
         return self._server.url
 
     @property
+    def port(self) -> int:
+        """Where it listens on 127.0.0.1."""
+        return self._server.port
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """The joints in the order of `display`."""
         return self._one.nominal.joint_names

@@ -1,0 +1,182 @@
+"""Which view a call of ``calib view`` asks for: robots, poses, targets, and the errors that `calib evaluate` finds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calib.cli.known import check_chain, with_target_link
+from calib.cli.setup import load, load_with_data, say_ignored
+
+if TYPE_CHECKING:
+    from calib.identify.evaluation import Evaluation, Known
+    from calib.identify.stored import StoredResult
+    from calib.measure.cell import Cell
+    from calib.measure.measurements import Measurements
+    from calib.model.robot import Robot
+    from calib.show.scene import View
+
+    Names = tuple[tuple[str, str], tuple[str, str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """What a call names.
+
+    Attributes:
+        robot: The first robot's URDF, or its name.
+        other: The second one's.
+        data: The table.
+        calibration: The result file.
+        points: A list of points.
+        points_unit: Its unit.
+        columns: Columns that are renamed.
+        frame_given: Whether the line says where the measurement frame is, so that the result's is not taken.
+        target_given: Whether the line says where the target is, likewise.
+    """
+
+    robot: str
+    other: str | None = None
+    data: Path | None = None
+    calibration: Path | None = None
+    points: Path | None = None
+    points_unit: str | None = None
+    columns: tuple[str, ...] = ()
+    frame_given: bool = False
+    target_given: bool = False
+
+
+def view_asked_for(sources: Sources, cell: Cell, *, quiet: bool) -> View:
+    """The view that a call asks for.
+
+    Args:
+        sources: The files.
+        cell: The set-up.
+        quiet: Whether rows and columns that are not used go without saying.
+
+    Raises:
+        CalibError: A file cannot be read, or they do not fit together.
+    """
+    from calib.show.pictures import view_of_robots
+
+    table: Mapping[str, Any] = {}
+    stored = None
+    if sources.calibration is not None:
+        from calib.identify.result_file import read_table, stored_result
+
+        table = read_table(sources.calibration)
+        stored = stored_result(table, sources.calibration)
+        check_chain(cell, stored, str(sources.calibration))
+        cell = replace(
+            cell,
+            base=cell.base or stored.base,
+            tip=cell.tip or stored.tip,
+            held={**stored.held, **cell.held},
+        )
+    if sources.data is None:
+        rows, arm = None, load(sources.robot, cell)
+    else:
+        arm, rows = load_with_data(
+            sources.robot, cell, sources.data, sources.columns, sources.points, sources.points_unit
+        )
+        if not quiet:
+            say_ignored(rows, arm)
+    first, second = _robots(arm, sources, stored)
+    known = None if stored is None else _known(sources, stored)
+    shown = view_of_robots(
+        first,
+        second,
+        names=_names(first, sources),
+        evaluations=None if rows is None else _evaluations(first, second, rows, cell, known),
+        flagged=_flagged(table, rows),
+        note=_note(table),
+    )
+    return shown if rows is not None else _with_targets(shown, cell, known)
+
+
+def _robots(
+    arm: Robot, sources: Sources, stored: StoredResult | None
+) -> tuple[Robot, Robot | None]:
+    """The two URDFs, or the one with a result's origins before and after, or the one."""
+    if sources.other is not None:
+        from calib.model.robot import Robot
+
+        return arm, Robot.load(sources.other, arm.base, arm.tip, held=arm.held)
+    if stored is not None:
+        return stored.nominal(arm), stored.corrected(arm)
+    return arm, None
+
+
+def _names(first: Robot, sources: Sources) -> Names:
+    """What the robots are called, and what that means."""
+    given = Path(sources.robot).name
+    if sources.other is not None:
+        return ("Nominal", given), ("Calibrated", Path(sources.other).name)
+    if sources.calibration is not None:
+        name = sources.calibration.name
+        return ("Nominal", "before the calibration"), ("Calibrated", f"joint origins of {name}")
+    return (first.name or "Robot", given), ("", "")
+
+
+def _known(sources: Sources, stored: StoredResult) -> Known:
+    """A result's frames and targets, but for what the line says."""
+    nothing: dict[str, Any] = {
+        **({"frames": {}} if sources.frame_given else {}),
+        **({"targets": {}} if sources.target_given else {}),
+    }
+    return replace(stored.known, **nothing)
+
+
+def _evaluations(
+    first: Robot, second: Robot | None, rows: Measurements, cell: Cell, known: Known | None
+) -> tuple[Evaluation, Evaluation | None]:
+    """The errors of each robot, as ``calib evaluate`` prints them."""
+    from calib.identify.evaluation import evaluate
+
+    def errors(robot: Robot) -> Evaluation:
+        own = _with_own_target(robot, cell) if known is None else cell
+        return evaluate(robot, rows, own, known=known)
+
+    return errors(first), None if second is None else errors(second)
+
+
+def _with_own_target(robot: Robot, cell: Cell) -> Cell:
+    """The cell with the target that the URDF carries, where none was given."""
+    given = cell.target is not None or cell.targets
+    return cell if given else with_target_link(robot, cell)
+
+
+def _with_targets(view: View, cell: Cell, known: Known | None) -> View:
+    """The view of robots that were not measured, with the target in the tip where it is known."""
+    from calib.show.view import translated
+
+    places = {}
+    for who, robot in view.robots.items():
+        if known is not None and known.targets:
+            places[who] = next(iter(known.targets.values()))
+        else:
+            own = _with_own_target(robot, cell)
+            points = [*own.targets.values(), *([own.target] if own.target is not None else [])]
+            places[who] = translated(points[0] if points else (0.0, 0.0, 0.0))
+    return replace(
+        view,
+        nominal_target=places["nominal"],
+        calibrated_target=places.get("calibrated", places["nominal"]),
+    )
+
+
+def _flagged(table: Mapping[str, Any], rows: Measurements | None) -> frozenset[int]:
+    """Rows that the result flagged, if it was made from this table."""
+    if rows is None or not table or table["inputs"]["measurements"]["sha256"] != rows.sha256:
+        return frozenset()
+    return frozenset(int(one["row"]) for one in (*table["outliers"], *table["suspects"]))
+
+
+def _note(table: Mapping[str, Any]) -> str:
+    """The result's verdict."""
+    verdict = table.get("verdict")
+    if not verdict:
+        return ""
+    return " ".join([f"Verdict: {verdict['use']}.", *verdict["reasons"][:1]])
