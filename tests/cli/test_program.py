@@ -146,6 +146,8 @@ def test_every_example_of_the_document_works(examples):
         "disturbed.csv",
         "study.json",
         "truth.json",
+        "robot.html",
+        "both.html",
     }
     assert {path.name for path in examples.folder.iterdir()} == given | made
 
