@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-FILES = ["calibration.json", "ur3_calibrated.urdf", "view.html"]
+FILES = ["calibration.json", "report.html", "ur3_calibrated.urdf", "view.html"]
 
 
 @pytest.fixture
@@ -23,8 +23,9 @@ def test_what_it_prints(demo):
         "The signs of the paper's Table 1 do not fit its Table 2 as printed.",
         "Written: demo/ur3_calibrated.urdf",
         "Written: demo/calibration.json",
+        "Written: demo/report.html",
         "Written: demo/view.html",
-        "Open demo/view.html in a browser.",
+        "Open demo/report.html and demo/view.html in a browser.",
     ):
         assert words in demo.out
     assert demo.lines[-1] == "Your own robot: calib fit robot.urdf data.csv -o corrected.urdf"
@@ -51,6 +52,11 @@ def test_the_files(examples, demo):
     rms = 1e3 * result["errors"]["calibrated"]["validation"]["rms_m"]
     assert float(shown[1]) == pytest.approx(rms, abs=5.001e-4)
     assert b"<html" in (folder / "view.html").read_bytes()[:1000].lower()
+    report = (folder / "report.html").read_bytes()
+    assert len(report) <= 3_000_000
+    assert b"Verdict: use</p>" in report
+    assert b"<td>calib demo --out demo</td>" in report
+    assert report.count(b"<figure>") >= 10
 
 
 def test_an_existing_file_is_kept_without_force(run, tmp_path: Path):

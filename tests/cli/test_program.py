@@ -131,6 +131,8 @@ def test_every_example_of_the_document_works(examples):
         "frozen.json",
         "intervals.json",
         "errors.json",
+        "report.md",
+        "figures",
         "plan.csv",
         "plan.json",
         "next.csv",

@@ -1,0 +1,81 @@
+"""``calib fit --report`` and ``--figures``: what is written, printed and refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+FIT = ("fit", "robot.urdf", "data.csv", "--base", "base", "--tip", "tool0", "--model", "zeros")
+
+
+def test_report_and_figures_are_written_and_named(examples):
+    call = (
+        "calib fit robot.urdf data.csv --base base --no-validate --report report.md --figures figures "
+        "--figure-format svg"
+    )
+    done = examples.done[call]
+    figures = sorted(path.name for path in (examples.folder / "figures").iterdir())
+    assert len(figures) >= 10
+    assert all(name.endswith(".svg") for name in figures)
+    assert "points.svg" in figures
+    assert "Written: report.md" in done.lines
+    assert f"Written: figures ({len(figures)} figures)" in done.lines
+    report = (examples.folder / "report.md").read_text(encoding="utf-8")
+    assert report.startswith("# Calibration report: robot ur3\n")
+    assert "--figure-format svg |" in report
+
+
+def test_a_dash_prints_the_report_in_place_of_the_summary(examples):
+    call = "calib fit robot.urdf data.csv --base base --no-validate --report -"
+    lines = examples.done[call].lines
+    assert lines[:2] == ["Calibration report: robot ur3", "============================="]
+    assert f"Command             {call}" in lines
+    assert lines[-1] == "  Signature:                            " + 50 * "_"
+    assert not (examples.folder / "-").exists()
+
+
+def test_a_dash_is_printed_by_quiet_too_and_files_are_written_beside(call, shop: Path):
+    done = call(shop, *FIT, "--no-validate", "--quiet", "--report", "-", "-o", "c.urdf")
+    assert (done.code, done.err) == (0, "")
+    assert done.lines[0] == "Calibration report: robot ur3"
+    assert (shop / "c.urdf").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ("--report", "r.pdf"),
+            "'r.pdf': a report is a page, Markdown or text; let the name end in",
+        ),
+        (("--report", "none/r.md"), "none/r.md: the folder 'none' does not exist; make it first."),
+        (("--report", "cell.toml"), "'cell.toml': a report is a page, Markdown or text;"),
+        (("--report", "r.md", "--json", "r.md"), "r.md is also another output of this command;"),
+        (("--figure-format", "svg"), "--figure-format svg is for figures; name their folder with"),
+        (
+            ("--figures", "cell.toml"),
+            "cell.toml is a file; --figures names a folder, choose another",
+        ),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_the_work(call, shop: Path, words, said: str):
+    before = sorted(shop.iterdir())
+    done = call(shop, *FIT, *words)
+    assert (done.code, done.out) == (1, "")
+    assert done.err.startswith("calib: ")
+    assert said in done.err
+    assert done.err.count("\n") == 1
+    assert sorted(shop.iterdir()) == before
+
+
+def test_a_figure_that_exists_is_kept_and_nothing_is_written(call, shop: Path):
+    (shop / "figures").mkdir()
+    (shop / "figures" / "points.png").write_text("mine", encoding="utf-8")
+    done = call(shop, *FIT, "--no-validate", "--figures", "figures", "--json", "r.json")
+    assert (done.code, done.out) == (1, "")
+    assert done.err == (
+        "calib: figures/points.png exists already; add --force or choose another folder.\n"
+    )
+    assert [path.name for path in (shop / "figures").iterdir()] == ["points.png"]
+    assert not (shop / "r.json").exists()

@@ -1,0 +1,114 @@
+"""Colours on a terminal, and not one escape code anywhere else."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import subprocess
+import sys
+
+import pytest
+
+from calib.cli.terminal import command_line, say, styled
+
+TEXT = """Verdict: use with care
+  Few rows.
+
+Position error [mm]               rows       max
+estimation rows, nominal            30     4.099
+
+1  Accuracy
+-----------
+
+Table 1: Errors [mm]
+rows  max
+---------
+30    4.1
+Outliers: none. [bold]no mark-up[/bold] :smile: 'x'"""
+
+
+def on_a_terminal(text: str, **surroundings: str) -> str:
+    """What a terminal gets of a text."""
+    terminal, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import sys; from calib.cli.terminal import say; say(sys.argv[1])",
+            text,
+        ],
+        stdout=theirs,
+        env={
+            **{k: v for k, v in os.environ.items() if k != "NO_COLOR"},
+            "TERM": "xterm",
+            **surroundings,
+        },
+    )
+    os.close(theirs)
+    seen = b""
+    while True:
+        try:
+            piece = os.read(terminal, 65536)
+        except OSError:  # the other side has closed
+            break
+        if not piece:
+            break
+        seen += piece
+    os.close(terminal)
+    assert process.wait(30) == 0
+    return seen.decode().replace("\r\n", "\n")
+
+
+def test_verdict_and_headings_stand_out():
+    styles = dict(styled(TEXT))
+    assert styles == {
+        **dict.fromkeys(TEXT.split("\n"), ""),
+        "Verdict: use with care": "bold yellow",
+        "Position error [mm]               rows       max": "bold",
+        "1  Accuracy": "bold",
+        "-----------": "dim",
+        "Table 1: Errors [mm]": "bold",
+        "rows  max": "bold",
+        "---------": "dim",
+    }
+    assert "\n".join(line for line, _ in styled(TEXT)) == TEXT
+
+
+@pytest.mark.parametrize(
+    ("use", "style"),
+    [
+        ("use", "bold green"),
+        ("use with care", "bold yellow"),
+        ("do not use", "bold red"),
+        ("none, because nothing was cross-validated.", "bold"),
+    ],
+)
+def test_the_colour_of_a_verdict(use, style):
+    assert list(styled(f"Verdict: {use}")) == [(f"Verdict: {use}", style)]
+
+
+def test_a_terminal_gets_colours_and_the_same_text():
+    seen = on_a_terminal(TEXT, COLUMNS="30")  # narrower than the text: nothing is broken
+    assert "\x1b[1;33mVerdict: use with care\x1b[0m" in seen
+    assert "\x1b[1m1  Accuracy\x1b[0m" in seen
+    assert re.sub(r"\x1b\[[0-9;]*m", "", seen) == TEXT + "\n"
+    # no_color leaves bold, and a dumb terminal gets nothing.
+    assert "33m" not in on_a_terminal(TEXT, NO_COLOR="1")
+    assert on_a_terminal(TEXT, TERM="dumb") == TEXT + "\n"
+
+
+def test_codes_in_names_do_not_reach_a_terminal():
+    assert list(styled("from \x1b[31mred\x9b1m.csv")) == [("from \\x1b[31mred\\x9b1m.csv", "")]
+
+
+def test_elsewhere_the_text_is_printed_as_it_is(capsys):
+    say(TEXT)
+    assert capsys.readouterr().out == TEXT + "\n"
+
+
+def test_the_command_can_be_typed_again(monkeypatch):
+    monkeypatch.setattr(
+        sys, "argv", ["/usr/bin/calib", "fit", "my robot.urdf", "--target", "1 2 3 mm"]
+    )
+    assert command_line() == "calib fit 'my robot.urdf' --target '1 2 3 mm'"
