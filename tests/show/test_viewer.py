@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import signal
+import subprocess
+import sys
 import threading
+import time
+from pathlib import Path
 
 import meshcat
 import numpy as np
@@ -12,6 +19,7 @@ import umsgpack
 from meshcat import geometry as mc
 from meshcat.animation import Animation
 
+from calib import data
 from calib.errors import CalibError, ModelError
 from calib.show.view import View, translated
 from calib.show.viewer import LiveWindow, Viewer
@@ -165,3 +173,31 @@ def test_a_page_that_asks_again_is_told_the_pose(viewer):
     viewer.display([0.1, 0.2, 0.3], "here")
     (pose,) = [m for m in viewer._welcome() if isinstance(m, str)]
     assert json.loads(pose)["pose"]["label"] == "here"
+
+
+def test_the_document_s_example_runs_until_ctrl_c(tmp_path):
+    text = (Path(__file__).parents[2] / "docs" / "view.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    for name in ("robot.urdf", "corrected.urdf"):
+        urdf = data.paper_urdf().read_text(encoding="utf-8")
+        # Without meshes, which take their time.
+        plain = re.sub("<visual>.*?</visual>", "", urdf, flags=re.DOTALL)
+        (tmp_path / name).write_text(plain, encoding="utf-8")
+    (tmp_path / "browser.py").write_text("import sys; open('opened', 'w').write(sys.argv[1])")
+    code = code.replace("sleep(0.03)", "sleep(0.001)")
+    code = code.replace("    viewer.wait()", "    print('waits', flush=True)\n    viewer.wait()")
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "BROWSER": f"{sys.executable} browser.py %s"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    url = process.stdout.readline().strip()
+    assert process.stdout.readline() == "waits\n"
+    time.sleep(0.3)  # for it has said so before it does
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out, err) == (0, "", "")
+    assert (tmp_path / "opened").read_text() == url
