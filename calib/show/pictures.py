@@ -5,10 +5,12 @@ from __future__ import annotations
 import tempfile
 import webbrowser
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.errors import ModelError
 from calib.identify.evaluation import Evaluation
 from calib.identify.result import Calibration
 from calib.identify.setup import Setup
@@ -18,6 +20,9 @@ from calib.model.robot import Robot, rigid_inverse
 from calib.show.cloud import cloud_of
 from calib.show.scene import write_view
 from calib.show.view import NAMES, Names, View
+
+if TYPE_CHECKING:
+    from calib.show.viewer import Viewer
 
 Array = NDArray[np.float64]
 
@@ -116,15 +121,61 @@ def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = 
     return write_view(view_of(calibration), path, overwrite=overwrite)
 
 
-def show(calibration: Calibration) -> Path:
-    """Open the picture of a calibration in the browser.
+@overload
+def show(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[False] = False
+) -> Path: ...
+
+
+@overload
+def show(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[True]
+) -> Viewer: ...
+
+
+def show(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: bool = False
+) -> Path | Viewer:
+    """Open the picture of a calibration, of a robot or of two robots in the browser.
+
+    Args:
+        shown: A calibration, or a robot.
+        other: A second robot with the same joints, to be shown beside the first.
+        live: Whether this program serves the page, so that it can move the robots and draw more; the page is then there
+            until the viewer is closed or the program ends. Otherwise it is a file, and stays.
 
     Returns:
-        The page, in a temporary folder of its own.
+        The page, in a temporary folder of its own; or the viewer.
+
+    Raises:
+        ModelError: It is no calibration and no robot, or the robots have different joints.
     """
-    page = write_page(calibration, Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
+    view = _view_of_anything(shown, other)
+    if live:
+        from calib.show.viewer import Viewer
+
+        viewer = Viewer(view)
+        viewer.open()
+        return viewer
+    page = write_view(view, Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
     webbrowser.open(page.as_uri())
     return page
+
+
+def _view_of_anything(shown: Calibration | Robot, other: Robot | None) -> View:
+    """The view of what a user hands over."""
+    if isinstance(shown, Calibration) and other is None:
+        return view_of(shown)
+    if isinstance(shown, Robot) and (other is None or isinstance(other, Robot)):
+        second = shown if other is None else other
+        names = (("First", shown.urdf.source), ("Second", second.urdf.source))
+        return view_of_robots(shown, other, names=names)
+    given = " and ".join(repr(one) for one in (shown, other) if one is not None)
+    message = (
+        f"show takes a Calibration, a Robot or two Robots; {given} was given. Make them with calib.calibrate(...) or "
+        "calib.Robot.load(...)."
+    )
+    raise ModelError(message)
 
 
 def _view_of_evaluations(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import urllib.request
 import webbrowser
 from dataclasses import replace
 from pathlib import Path
@@ -11,53 +12,77 @@ import pytest
 
 import calib
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
+from calib.errors import FileError, ModelError
 from calib.identify.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.model.readback import random_joint_values
-from calib.model.robot import Robot, read_only
-from calib.show.pictures import view_of, write_page
+from calib.model.readback import column_ranges, random_joint_values
+from calib.model.robot import Robot
+from calib.show.pictures import view_of, view_of_robots, write_page
+from tests.show.calibrations import made
 
 
 @pytest.fixture(scope="module")
 def result():
-    robot = Robot.load(paper_urdf(), base="base", tip="tool0")
-    table = Measurements.read(paper_measurements(), robot.joint_names, robot.joint_types)
-    return calibrate(robot, table, cell=Cell(target=read_only(PAPER_TARGET)), validate=False)
+    return made("paper")
 
 
-def test_the_pose_is_the_validation_row_where_the_nominal_robot_is_furthest_off(result):
+def test_every_row_is_a_pose_and_the_worst_one_held_back_is_shown_first(result):
     view = view_of(result)
-    assert view.pose_name == "row 35 (validation)"
-    np.testing.assert_array_equal(view.q, result.measurements.joints[34])
-    np.testing.assert_allclose(view.nominal_target, PAPER_TARGET)
-    np.testing.assert_array_equal(view.calibrated_target, result.target)
+    assert view.labels == tuple(f"row {row}" for row in range(1, 36))
+    assert view.labels[view.start] == "row 35"
+    assert [view.labels[n] for n in range(35) if view.kinds[n] == "flagged"] == ["row 11", "row 14"]
+    assert view.kinds[30:] == ("validation",) * 5
+    np.testing.assert_array_equal(view.q, result.measurements.joints)
+    np.testing.assert_allclose(view.nominal_target[:, :3, 3], np.tile(PAPER_TARGET, (35, 1)))
+    np.testing.assert_array_equal(view.calibrated_target[3, :3, 3], result.target)
+    assert view.verdict == "use"
+    assert view.note == result.verdict.reasons[0]
 
 
-def test_without_validation_rows_an_outlier_is_not_shown(result):
+def test_the_distances_in_the_picture_are_the_errors_of_the_tables(result):
+    view = view_of(result, cloud=False)
+    np.testing.assert_allclose(view.distances, view.errors, atol=1e-12)
+    for k, who in enumerate(("nominal", "calibrated")):
+        for name, mask in (("estimation", slice(0, 30)), ("validation", slice(30, 35))):
+            rms = np.sqrt(np.mean(view.distances[k, mask] ** 2))
+            assert rms == pytest.approx(result.errors[who][name].rms, abs=1e-12)
+    assert np.isnan(view.instruments).all()  # measured in the base itself
+    assert view.cloud is None
+
+
+def test_without_validation_rows_an_outlier_is_not_shown_first(result):
     every = replace(result.measurements, sets=("estimate",) * 35)
     worst = np.array(result.residual_nominal)
     worst[10] *= 100.0  # row 11, the outlier
-    view = view_of(replace(result, measurements=every, residual_nominal=worst))
-    assert view.pose_name.endswith("(estimation)")
-    assert view.index != 10
+    view = view_of(replace(result, measurements=every, residual_nominal=worst), cloud=False)
+    assert view.kinds[view.start] == "estimation"
 
 
-def test_measured_points_are_shown_in_the_base_frame(result):
+def test_without_cross_validation_there_is_no_verdict(result):
+    view = view_of(replace(result, verdict=None), cloud=False)
+    assert view.verdict == ""
+    assert view.note == "No verdict: nothing was cross-validated."
+
+
+def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_stands(result):
     T = np.eye(4)
     T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     T[:3, 3] = [2.0, -1.0, 0.4]
     moved = replace(result.measurements, points=result.measurements.points @ T[:3, :3].T + T[:3, 3])
     setup = result.setup.placed(T[None], result.setup.T_tip_target)
-    view = view_of(replace(result, measurements=moved, setup=setup))
+    view = view_of(replace(result, measurements=moved, setup=setup), cloud=False)
     np.testing.assert_allclose(view.measured, result.measurements.points, atol=1e-12)
+    np.testing.assert_allclose(view.instruments, np.tile(np.linalg.inv(T), (35, 1, 1)), atol=1e-12)
 
 
-def test_the_page_names_the_row_and_both_errors(result, tmp_path):
-    text = write_page(result, tmp_path / "view.html").read_text(encoding="utf-8")
-    assert "row 35 (validation)" in text
-    assert "3.61" in text
-    assert "0.27" in text
+def test_the_page_is_a_file(result, tmp_path):
+    path = write_page(result, tmp_path / "view.html")
+    text = path.read_text(encoding="utf-8")
+    assert "row 35" in text
+    assert "Verdict: use." in text
+    with pytest.raises(FileError, match="exists already"):
+        write_page(result, path)
 
 
 def test_show_opens_the_page_in_the_browser(result, monkeypatch):
@@ -68,21 +93,69 @@ def test_show_opens_the_page_in_the_browser(result, monkeypatch):
     assert page.is_file()
 
 
-def test_errors_in_the_picture_are_those_of_the_tables_when_the_frame_is_found(tmp_path):
+def test_show_can_serve_the_page_and_move_the_robots(result, monkeypatch):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    with calib.show(result, live=True) as viewer:
+        assert opened == [viewer.url]
+        viewer.display(np.zeros(6))
+        with urllib.request.urlopen(viewer.url, timeout=10) as answer:
+            assert b"data-live" in answer.read()
+
+
+def test_show_takes_robots_too(result, monkeypatch):
+    monkeypatch.setattr(webbrowser, "open", lambda _: True)
+    text = calib.show(result.nominal, result.robot).read_text(encoding="utf-8")
+    assert "<strong>First</strong>" in text
+    assert "ur3.urdf" in text
+    alone = calib.show(result.nominal).read_text(encoding="utf-8")
+    assert "<strong>" not in alone
+    with pytest.raises(
+        ModelError, match=r"show takes a Calibration, a Robot or two Robots; 'ur3' was"
+    ):
+        calib.show("ur3")
+    with pytest.raises(ModelError, match="show takes a Calibration"):
+        calib.show(result, result.robot)
+
+
+def test_one_robot_moves_one_joint_after_the_other(gantry):
+    view = view_of_robots(gantry)
+    moved = np.abs(view.q - view.q[0]) > 1e-12
+    assert moved.sum(axis=1).max() == 1
+    assert view.labels[0].startswith("all joints at zero")
+    ranges = column_ranges(gantry)
+    np.testing.assert_allclose(np.stack([view.q.min(axis=0), view.q.max(axis=0)], axis=1), ranges)
+    assert f"x at {1e3 * ranges[0, 0]:.4g} mm" in view.labels
+    assert f"c at {np.degrees(ranges[2, 1]):.4g} deg" in view.labels
+
+
+def test_two_robots_and_a_table_show_what_evaluate_says(result):
+    cell = result.cell
+    found = [
+        calib.evaluate(robot, result.measurements, cell) for robot in (result.nominal, result.robot)
+    ]
+    view = view_of_robots(
+        result.nominal, result.robot, evaluations=tuple(found), flagged=frozenset({11})
+    )
+    for k, one in enumerate(found):
+        np.testing.assert_allclose(
+            view.distances[k], np.linalg.norm(one.residual, axis=1), atol=1e-12
+        )
+    assert view.kinds.count("flagged") == 1
+    assert view.labels[view.start] == "row 35"
+
+
+def test_errors_in_the_picture_are_those_of_the_tables_when_the_frame_is_found():
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     table = Measurements.read(paper_measurements(), robot.joint_names, robot.joint_types)
     found = calibrate(robot, table, cell=Cell(estimate_frame=True), validate=False)
-    view = view_of(found)
-    row = view.index
-    tip = view.T_base_nominal @ view.nominal.poses(view.q)[0]
-    nominal = tip[:3, :3] @ view.nominal_target + tip[:3, 3]
-    off = float(np.linalg.norm(found.residual_nominal[row]))
-    assert np.linalg.norm(view.measured[row] - nominal) == pytest.approx(off, abs=1e-12)
+    view = view_of(found, cloud=False)
+    off = np.linalg.norm(found.residual_nominal, axis=1)
+    np.testing.assert_allclose(view.distances[0], off, atol=1e-12)
     # Each of the two finds the tracker elsewhere: without that, the number would be another.
-    elsewhere = robot.poses(view.q)[0] @ np.array([*view.nominal_target, 1.0])
-    assert abs(np.linalg.norm(view.measured[row] - elsewhere[:3]) - off) > 1e-4
-    text = write_page(found, tmp_path / "view.html").read_text(encoding="utf-8")
-    assert f"nominal <b>{1e3 * off:.2f} mm</b>" in text
+    elsewhere = replace(view, T_base_nominal=np.eye(4)).distances[0]
+    assert np.abs(elsewhere - off).max() > 1e-4
+    assert np.isfinite(view.instruments).all()
 
 
 def arm_and_joints(count: int):
@@ -107,9 +180,10 @@ def test_tables_without_positions_have_a_picture(tmp_path):
     )
     found = calibrate(robot, table, model="zeros", validate=False)
     view = view_of(found)
-    assert view.measured.shape == (0, 3)
-    assert view.index is None
-    assert np.any(np.all(view.q == table.joints, axis=1))
+    assert not view.measures
+    np.testing.assert_array_equal(view.q, table.joints)
+    # What each robot leaves over of a distance is told beside the picture.
+    np.testing.assert_allclose(view.errors[0], np.abs(found.residual_nominal[:, 0]))
     assert write_page(found, tmp_path / "view.html").is_file()
 
 
@@ -134,6 +208,8 @@ def test_the_target_and_set_up_of_the_row_are_shown(tmp_path):
     # Points of both set-ups stand in the base, where the robot is.
     kept = np.arange(60) != 40
     np.testing.assert_allclose(view.measured[kept], points[kept], atol=1e-9)
-    t = found.setup.targets.index(table.targets[view.index])
-    np.testing.assert_array_equal(view.calibrated_target, found.setup.T_tip_target[t, :3, 3])
+    for row in (0, 1, 40):
+        t = found.setup.targets.index(table.targets[row])
+        np.testing.assert_array_equal(view.calibrated_target[row], found.setup.T_tip_target[t])
+    assert np.isfinite(view.instruments[:, 0, 0]).tolist() == far.tolist()
     assert write_page(found, tmp_path / "view.html").is_file()
