@@ -13,6 +13,7 @@ from calib.show.figure_base import legend_above, new_figure
 from calib.show.figure_rows import (
     RowKind,
     angles_of,
+    flagged_rows,
     has_axes,
     left_out,
     lengths_of,
@@ -62,25 +63,28 @@ BEFORE = Who("before (nominal)", NOMINAL, "s", "--", "////")
 AFTER = Who("after (calibrated)", CALIBRATED, "o", "-", "")
 
 
-def curve_rows(c: Calibration) -> tuple[str, Mask, Array]:
-    """The rows of the error curves, what they are called, and the calibrated robot's residual there.
+def curve_rows(c: Calibration) -> tuple[str, Mask, Array, Array]:
+    """The rows of the error curves: what they are called, which they are, and what both robots leave over there.
 
-    Those for validation if there are any, else the estimation rows as fits predict them that had not seen them, else
-    the estimation rows.
+    Those for validation if there are any, else the estimation rows as fits predict them that had not seen them, the
+    nominal robot with target and frame fitted to the other rows likewise, else the estimation rows.
+
+    Returns:
+        The word, shape (N,), and twice shape (N, D), measured minus predicted, before and after [m], [rad].
     """
     m = c.measurements
     measured = np.any(c.used[:, :3], axis=1)
     if np.any(m.validation & measured):
-        return "validation", m.validation & measured, c.residual_calibrated
-    unseen = left_out(c)
-    if unseen is not None:
-        return "left-out", m.estimation & measured, unseen
-    return "estimation", m.estimation & measured, c.residual_calibrated
+        return "validation", m.validation & measured, c.residual_nominal, c.residual_calibrated
+    before, after = left_out(c, c.nominal_cross_validation), left_out(c, c.cross_validation)
+    if before is not None and after is not None:
+        return "left-out", m.estimation & measured, before, after
+    return "estimation", m.estimation & measured, c.residual_nominal, c.residual_calibrated
 
 
 def curves_figure(c: Calibration) -> Figure:
     """Errors along x, y and z and their size over the rows, before and after; as the paper's figure 8."""
-    word, mask, after = curve_rows(c)
+    word, mask, before, after = curve_rows(c)
     rows = np.flatnonzero(mask)
     numbers = [c.measurements.rows[k] for k in rows]
     axes_too = has_axes(c)
@@ -89,12 +93,12 @@ def curves_figure(c: Calibration) -> Figure:
     panels = figure.subplots(*shape, sharex=True, squeeze=False)
     every = panels.ravel()
     for k, ax in enumerate(every[:-1]):
-        for who, residual in ((BEFORE, c.residual_nominal), (AFTER, after)):
+        for who, residual in ((BEFORE, before), (AFTER, after)):
             values = np.where(c.used[rows, k], 1e3 * residual[rows, k], np.nan)
-            _curve(ax, values, who, largest=False)
+            _curve(ax, values, who)
         ax.axhline(0.0, color=INK, lw=0.7, zorder=1.5)
         ax.set_title(f"Δ{'xyz'[k]}")
-    for who, residual in ((BEFORE, c.residual_nominal), (AFTER, after)):
+    for who, residual in ((BEFORE, before), (AFTER, after)):
         _curve(every[-1], 1e3 * lengths_of(c, residual)[rows], who)
     every[-1].set_title("Size of the error" if axes_too else "Error of the length")
     every[-1].set_ylim(bottom=0.0)
@@ -111,7 +115,7 @@ def curves_figure(c: Calibration) -> Figure:
     return figure
 
 
-def _curve(ax: Axes, values: Array, who: Who, *, largest: bool = True) -> None:
+def _curve(ax: Axes, values: Array, who: Who, *, largest: bool = False) -> None:
     """A curve over rows; with markers where they are few, a band where they are many."""
     if len(values) > _MOST_LINES:
         x, middle, low, high, top = _runs(values)
@@ -190,16 +194,19 @@ def by_pose_figure(c: Calibration, *, angle: bool = False) -> Figure:
     figure = new_figure(4.6)
     top, below = figure.subplots(2, 1, sharex=True)
     for who, values in ((BEFORE, before), (AFTER, after)):
-        _curve(top, values, who)
+        _curve(top, values, who, largest=True)
     top.set_title("Before and after")
     kinds = [kind for kind in row_kinds(c) if np.any(np.isfinite(after[kind.mask]))]
     handles: list[Any] = list(_who_handles(count, largest=True))
+    unseen = left_out(c, c.cross_validation)
+    others = ~flagged_rows(c)
+    reach = float(np.nanmax(after[others], initial=1e-3))
     if count > _MOST_LINES:
-        _curve(below, after, AFTER)
+        _curve(below, np.where(others, after, np.nan), AFTER, largest=True)
         kinds = [kind for kind in kinds if kind.word == "outlier"]
     else:
-        unseen = left_out(c)
         if unseen is not None:
+            reach = max(reach, float(np.nanmax((scale * size(c, unseen))[others], initial=0.0)))
             look = {
                 "ls": "none",
                 "marker": "_",
@@ -208,6 +215,8 @@ def by_pose_figure(c: Calibration, *, angle: bool = False) -> Figure:
             }
             below.plot(scale * size(c, unseen), color=SOFT, **look)
             handles.append(Line2D([], [], color=SOFT, label="left out of the fit", **look))
+    # Outliers far above the others stand at the edge: above they are drawn to scale.
+    after = np.where(others, after, np.minimum(after, 1.25 * reach))
     for kind in kinds:
         _stems(below, after, kind, count)
         handles.append(Line2D([], [], label=kind.label, **kind.style(1)))
@@ -216,10 +225,11 @@ def by_pose_figure(c: Calibration, *, angle: bool = False) -> Figure:
     below.set_title("After")
     below.set_xlabel("row")
     for ax in (top, below):
-        ax.set_ylim(bottom=0.0)
         ax.set_ylabel(f"size of the error [{unit}]")
         row_axis(ax, c.measurements.rows)
         _shade_validation(ax, c.measurements.validation)
+    top.set_ylim(bottom=0.0)
+    below.set_ylim(0.0, 1.32 * reach)
     legend_above(figure, handles, 3)
     return figure
 

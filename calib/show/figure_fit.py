@@ -173,7 +173,7 @@ def candidates_figure(c: Calibration) -> Figure:
                 ha=side,
                 size=7.5,
             )
-        room = 1.18 * widest if widest > 0.0 else 1.0
+        room = 1.25 * widest if widest > 0.0 else 1.0
         ax.set_xlim(*((0.0, room) if ax is left else (-room, 0.02 * room)))
         ax.grid(visible=False, axis="y")
     left.set_yticks(
@@ -183,9 +183,7 @@ def candidates_figure(c: Calibration) -> Figure:
     left.set_title("Error on left-out rows")
     left.set_xlabel(f"rms without outliers [{unit}]")
     right.set_title("Evidence")
-    right.set_xlabel(
-        f"log likelihood, less the best; a step must gain {c.candidates[0].needed:.1f}"
-    )
+    right.set_xlabel("log likelihood, less that of the best")
     legend_above(
         figure,
         [

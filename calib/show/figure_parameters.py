@@ -156,7 +156,7 @@ def correlations_figure(c: Calibration) -> Figure:
     longest = max(len(name) for name in names)
     text = 8.0 if p <= 30 else 6.0 if p <= 50 else 4.6
     room = 0.009 * text * longest + 0.25  # for the names [in]
-    size = float(np.clip(0.27 * p, 2.4, WIDTH - room))
+    size = float(np.clip(0.27 * p, 1.8, WIDTH - room))
     figure = new_figure(size + room + 0.35, size + room)
     ax = figure.subplots()
     i, j = np.tril_indices(p, -1)
@@ -185,9 +185,7 @@ def correlations_figure(c: Calibration) -> Figure:
         figure,
         [
             Patch(facecolor=CALIBRATED, ec=CALIBRATED, label="positive"),
-            Patch(
-                facecolor="white", ec=NOMINAL, label="negative; a square that fills its cell is 1"
-            ),
+            Patch(facecolor="white", ec=NOMINAL, label="negative"),
         ],
     )
     return figure
@@ -223,5 +221,5 @@ def _scale_of_squares(ax: Axes, cell: float) -> None:
         facecolor="white",
         edgecolor="none",
         framealpha=1.0,
-        labelspacing=0.9,
+        labelspacing=max(cell / 8.0 - 0.4, 0.4),
     )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.result import Calibration
+from calib.identify.statistics import CrossValidation
 from calib.model.robot import rigid_inverse
 from calib.show.palette import ESTIMATION, INK, OUTLIER, VALIDATION
 
@@ -68,11 +69,16 @@ class RowKind:
         }
 
 
+def flagged_rows(c: Calibration) -> Mask:
+    """The rows of either set that do not belong to the others, shape (N,)."""
+    doubtful = {one.row for one in (*c.outliers, *c.suspects)}
+    return np.array([row in doubtful for row in c.measurements.rows], dtype=np.bool_)
+
+
 def row_kinds(c: Calibration) -> tuple[RowKind, ...]:
     """Estimation rows, validation rows, and those of either that are flagged; none is empty, none stands in two."""
     m = c.measurements
-    doubtful = {one.row for one in (*c.outliers, *c.suspects)}
-    flagged = np.array([row in doubtful for row in m.rows], dtype=np.bool_)
+    flagged = flagged_rows(c)
     kinds = (
         RowKind("estimation", m.estimation & ~flagged, ESTIMATION, "o", 4.2, filled=True),
         RowKind("validation", m.validation & ~flagged, VALIDATION, "D", 5.0, filled=True),
@@ -108,12 +114,17 @@ def has_angles(c: Calibration) -> bool:
     return bool(np.any(c.used[:, 3:]))
 
 
-def left_out(c: Calibration) -> Array | None:
-    """Measured minus predicted by fits that had not seen the row, shape (N, D), NaN for validation rows; or None."""
-    if c.cross_validation is None:
+def left_out(c: Calibration, found: CrossValidation | None) -> Array | None:
+    """Measured minus predicted by fits that had not seen the row, shape (N, D), NaN for validation rows; or None.
+
+    Args:
+        c: The calibration.
+        found: One of its cross-validations; None where there is none.
+    """
+    if found is None:
         return None
     residual = np.full(c.residual_calibrated.shape, np.nan)
-    residual[c.measurements.estimation] = c.cross_validation.residual
+    residual[c.measurements.estimation] = found.residual
     return residual
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from calib.identify.result import Calibration
 from calib.show.figure_base import legend_above, log_axis, new_figure
 from calib.show.figure_curves import AFTER, BEFORE, Who
-from calib.show.figure_rows import angles_of, lengths_of
+from calib.show.figure_rows import angles_of, flagged_rows, lengths_of
 from calib.show.palette import CALIBRATED, INK
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ def by_axis_figure(c: Calibration, *, angle: bool = False) -> Figure:
         for word, mask in (("estimation", m.estimation), ("validation", m.validation))
         if np.any(c.used[mask][:, columns])
     ]
+    flagged = flagged_rows(c)
+    reach = 1e-3  # of the lower panels: rounding is no error
     figure = new_figure(4.6)
     panels = figure.subplots(2, len(sets), squeeze=False, sharey="row", sharex=True)
     for (upper, lower), (word, mask) in zip(panels.T, sets, strict=True):
@@ -47,14 +49,18 @@ def by_axis_figure(c: Calibration, *, angle: bool = False) -> Figure:
         )
         _boxes(upper, before, -0.19, BEFORE)
         _boxes(upper, after, 0.19, AFTER)
-        _boxes(lower, after, 0.0, AFTER)
+        alone = after[~flagged[mask][used]]
+        _boxes(lower, alone, 0.0, AFTER)
+        reach = max(reach, 1.1 * float(np.abs(alone).max(initial=0.0)))
         upper.set_title(f"{len(after):,} {word} row{'s' * (len(after) != 1)}")
-        lower.set_title("The same, after alone")
+        what = "without outliers" if np.any(flagged[mask]) else "alone"
+        lower.set_title(f"After, {what}")
         for ax in (upper, lower):
             ax.axhline(0.0, color=INK, lw=0.7, zorder=1.5)
             ax.set_xlim(-0.6, 2.6)
             ax.grid(visible=False, axis="x")
         lower.set_xticks(range(3), names)
+    panels[1, 0].set_ylim(-reach, reach)
     for ax in panels[:, 0]:
         ax.set_ylabel(f"error {'about' if angle else 'along'} the axis [{unit}]")
     legend_above(figure, _area_handles())
@@ -80,7 +86,7 @@ def _boxes(ax: Axes, values: Array, shift: float, who: Who) -> None:
             for line in drawn[part]:
                 line.set(color=INK if part == "medians" else who.colour, lw=1.4)
     few = count <= _MOST_DOTS
-    for k in range(3):
+    for k in range(3 if count else 0):
         shown = values[:, k] if few else np.array([values[:, k].min(), values[:, k].max()])
         aside = 0.09 * np.sin(2.4 * np.arange(len(shown))) if few else np.zeros(2)
         ax.plot(

@@ -93,13 +93,8 @@ def write_figures(
 
 def _points(c: Calibration) -> Drawing:
     """Points in space."""
-    most = max(int(np.sum(mask)) for mask in (c.measurements.estimation, c.measurements.validation))
-    every = -(-most // MOST_POINTS)
-    thin = (
-        f" Of each kind {MOST_POINTS:,} points at most are drawn, evenly thinned."
-        if every > 1
-        else ""
-    )
+    every = -(-len(c.measurements) // MOST_POINTS)
+    thin = f" One of {every} rows is drawn, and all outliers." if every > 1 else ""
     return Drawing(
         "points",
         "Measured points",
@@ -111,11 +106,11 @@ def _points(c: Calibration) -> Drawing:
 
 def _curves(c: Calibration) -> Drawing:
     """Error curves."""
-    word, mask, _ = curve_rows(c)
+    word, mask, _, _ = curve_rows(c)
     rows = int(np.sum(mask))
     which = {
         "validation": f"the {rows:,} validation rows, which the fit has not seen",
-        "left-out": f"the {rows:,} estimation rows, each predicted by a fit that has not seen it",
+        "left-out": f"the {rows:,} estimation rows, each predicted by fits that have not seen it",
         "estimation": f"the {rows:,} estimation rows, which the fit has seen",
     }[word]
     what = "Errors along x, y and z and their size" if has_axes(c) else "Errors of the lengths"
@@ -135,7 +130,7 @@ def _by_pose(c: Calibration) -> Drawing:
         "errors-by-pose",
         "Position error by row" if has_axes(c) else "Error of the length by row",
         f"{what} of all rows, {counted(c)} (shaded), in the order of the table, [mm]: before and "
-        "after calibration above, after it alone below." + _left_out_words(c),
+        "after calibration above, after it alone below." + _left_out_words(c) + _AT_THE_EDGE,
         partial(by_pose_figure, c),
     )
 
@@ -159,8 +154,11 @@ def _left_out_words(c: Calibration) -> str:
     return " Dashes: the same rows predicted by fits that have not seen them."
 
 
+_AT_THE_EDGE = " Outliers beyond the scale stand at its edge."
+
+
 _BOXES = (
-    "Above, both robots; below, the calibrated one alone, magnified. Boxes hold the middle half of the rows and "
+    "Above, both robots; below, the calibrated one alone without outliers. Boxes hold the middle half of the rows and "
     "their median; whiskers reach from 5 to 95 %; dots are single rows, or the least and the largest of many."
 )
 
