@@ -180,7 +180,9 @@ def _serve(viewer: Viewer, *, browser: bool, quiet: bool) -> None:
     finally:
         viewer.close()
         for number, handler in before.items():
-            signal.signal(number, handler)
+            # Once interrupted, the program ends, and is not interrupted at that.
+            if signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, handler)
     if not quiet:
         typer.echo("Stopped.")
 

@@ -253,8 +253,35 @@ assert server.closed == ({ending!r} != "pass")
         port = int(process.stdout.readline())
         if ending != "pass":
             assert ask(type("At", (), {"port": port}))[2] == b"page"
+            time.sleep(0.3)  # it has printed before it waits
             process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=20)
     assert (process.returncode, out, err) == (0, "", "")
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port))
+
+
+def test_another_page_in_the_same_browser_reaches_neither_page_nor_messages(server, browser):
+    stranger = f"""<!DOCTYPE html><link rel="icon" href="data:,"><title>stranger</title><script>
+      const read = (how) => fetch("{server.url}", how).then((r) => r.text()).catch(() => "");
+      const socket = new WebSocket("{server.url.replace("http", "ws")}live");
+      const heard = new Promise((done) => {{
+        socket.onmessage = ({{ data }}) => done(data);
+        socket.onclose = () => done("");
+      }});
+      const frame = document.createElement("iframe");
+      const framed = new Promise((done) => {{
+        frame.onload = () => {{
+          try {{ done(frame.contentDocument.body.textContent); }} catch {{ done(""); }}
+        }};
+        frame.src = "{server.url}";
+        document.documentElement.append(frame);
+      }});
+    </script>"""
+    with PageServer(stranger.encode()) as other, browser.open(other.url, (320, 200)) as tab:
+        got = tab.evaluate('Promise.all([read(), read({ mode: "no-cors" }), heard, framed])')
+        assert got == ["", "", "", ""]
+        assert server.windows == 0
+        assert sum(url.startswith(server.url) for url in tab.requests) >= 2  # it has tried
+        assert any("403" in line.text for line in tab.console)
+        assert any("X-Frame-Options" in line.text for line in tab.console)
