@@ -46,7 +46,7 @@ _ALL = 6
 _FEWEST_POINTS = 3
 
 
-def register(robot: Robot, setup: Setup, rows: Rows) -> Setup:
+def register(robot: Robot, setup: Setup, rows: Rows, *, tolerance: float = 1e-12) -> Setup:
     """The set-up with targets and frames where the nominal robot puts them best.
 
     What is not to be estimated stays as given, and so does what no row sees.
@@ -55,6 +55,7 @@ def register(robot: Robot, setup: Setup, rows: Rows) -> Setup:
         robot: The nominal robot.
         setup: What is known.
         rows: The rows.
+        tolerance: See `calib.identify.solvers.levenberg_marquardt`.
 
     Raises:
         MeasurementError: Too few rows to find what is asked for.
@@ -63,10 +64,12 @@ def register(robot: Robot, setup: Setup, rows: Rows) -> Setup:
         return setup
     _check_enough(setup, rows)
     rows = rows.select(_some(rows))
-    return register_poses(robot.poses(rows.joints), setup, rows)
+    return register_poses(robot.poses(rows.joints), setup, rows, tolerance=tolerance)
 
 
-def register_poses(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
+def register_poses(
+    T_base_tip: Array, setup: Setup, rows: Rows, *, tolerance: float = 1e-12
+) -> Setup:
     """`register` with the poses of the tip, shape (N, 4, 4), in place of a robot, and with every row."""
     if not setup.count:
         return setup
@@ -92,6 +95,7 @@ def register_poses(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
             partial(_system, own, T_base_tip, rows, start),
             np.zeros(len(model)),
             step_size=steps(model.units),
+            tolerance=tolerance,
         )
         if best is None or solution.cost < best[0]:
             best = (solution.cost, start.placed(*_at(own, start, solution.x)))

@@ -37,6 +37,10 @@ _MOST_SIGNS = 7
 #: Rows that are looked at; more would not tell more.
 _ROWS = 60
 
+#: A step that lowers the sum of squares by less than this share is the last one: errors to five digits are enough to
+#: compare, and a set-up that does not fit takes many steps for more.
+_TOLERANCE = 1e-6
+
 #: Factors between units of length that are taken for each other.
 _LENGTHS = (
     (25.4, "inches under [mm]"),
@@ -173,5 +177,5 @@ def _standing_links(robot: Robot) -> list[str]:
 
 def _rms(robot: Robot, setup: Setup, rows: Rows) -> float:
     """Error of the nominal robot where target (and frame, if asked) are registered, rms [m]."""
-    residual = predict(robot, register(robot, setup, rows), rows)
+    residual = predict(robot, register(robot, setup, rows, tolerance=_TOLERANCE), rows)
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
