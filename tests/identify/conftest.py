@@ -180,12 +180,11 @@ class Scene:
             q = random_joint_values(self.robot, 2 * count, int(self.rng.integers(2**31)))
             goal = self._noise(len(q), len(axes))
             for _ in range(30):
-                here = self._at(q, frame, target)[:, axes]
-                J = [
-                    (self._at(q + e, frame, target)[:, axes] - here) / 1e-7
-                    for e in 1e-7 * np.eye(6)
-                ]
-                J = np.stack(J, axis=2)
+                # All differences in one call.
+                steps = np.vstack([np.zeros(6), 1e-7 * np.eye(6)])
+                at = self._at((q + steps[:, None]).reshape(-1, 6), frame, target)
+                here, *moved = at[:, axes].reshape(7, len(q), len(axes))
+                J = np.stack([(there - here) / 1e-7 for there in moved], axis=2)
                 step = np.einsum("nij,nj->ni", np.linalg.pinv(J, rcond=1e-3), here - goal)
                 q = q - np.clip(step, -0.5, 0.5)
             left = np.abs(self._at(q, frame, target)[:, axes] - goal).max(axis=1)
