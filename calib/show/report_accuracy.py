@@ -51,7 +51,7 @@ def outlier_blocks(c: Calibration) -> tuple[Block, ...]:
     if not c.outliers and not c.suspects:
         return (
             Paragraph(
-                f"None of the {len(c.measurements)} rows lies further from what the others predict than its limit "
+                f"None of the {len(c.measurements):,} rows lies further from what the others predict than its limit "
                 f"(score {c.flag_limit:.1f} for estimation rows)."
             ),
         )
@@ -69,7 +69,7 @@ def outlier_blocks(c: Calibration) -> tuple[Block, ...]:
 
 def _rows(count: int, kind: str) -> str:
     """Such as ``2 estimation rows are``."""
-    return f"{count} {kind} row{'s are' if count > 1 else ' is'}"
+    return f"{count:,} {kind} row{'s are' if count > 1 else ' is'}"
 
 
 def _lengths(rows: Sequence[tuple[str, Errors]], note: str) -> Table | None:
@@ -80,7 +80,7 @@ def _lengths(rows: Sequence[tuple[str, Errors]], note: str) -> Table | None:
         "Position error by set of rows [mm]",
         ("rows, robot", "number", "max", "mean", "rms", "x", "y", "z"),
         [
-            (label, str(e.n), *(mm(v) for v in (e.max, e.mean, e.rms, *e.span_axis)))
+            (label, f"{e.n:,}", *(mm(v) for v in (e.max, e.mean, e.rms, *e.span_axis)))
             for label, e in shown
         ],
         "lrrrrrrr",
@@ -94,7 +94,7 @@ def _angles(rows: Sequence[tuple[str, Errors]], note: str) -> Table | None:
     """The table of orientation errors, [deg]."""
     shown = [(label, e) for label, e in rows if e.n_angle]
     cells = [
-        (label, str(e.n_angle), *(deg(v) for v in (e.max_angle, e.mean_angle, e.rms_angle)))
+        (label, f"{e.n_angle:,}", *(deg(v) for v in (e.max_angle, e.mean_angle, e.rms_angle)))
         for label, e in shown
     ]
     return table(
@@ -138,14 +138,12 @@ def _validation_rows(c: Calibration) -> Table | None:
     """Errors of single validation rows before and after, as in the paper's Table 4."""
     m = c.measurements
     every = np.flatnonzero(m.validation & np.any(c.used, axis=1))
-    chosen, which = every, f"the {len(every)} validation rows"
+    chosen, which = every, f"the {len(every):,} validation rows"
     if len(every) > _MOST_ROWS:
         after = np.linalg.norm(lengths(c, c.residual_calibrated)[every], axis=1)
         worst = np.argsort(-np.nan_to_num(after), kind="stable")[:_WORST]
         chosen = every[np.sort(worst)]
-        which = (
-            f"the {_WORST} of {len(every)} validation rows with the largest error after calibration"
-        )
+        which = f"the {_WORST} of {len(every):,} validation rows with the largest error after calibration"
     before, after = (lengths(c, r)[chosen] for r in (c.residual_nominal, c.residual_calibrated))
     labels, names = _places(c, chosen)
     columns: list[tuple[str, int]] = [("", len(names))]

@@ -37,7 +37,8 @@ def heading_facts(c: Calibration, date: str) -> Facts:
             ("Robot", f"{c.nominal.name}, {c.nominal.base} to {c.nominal.tip}, {_axes(c)}"),
             (
                 "Measurements",
-                f"{m.source or 'from memory'}: {m.estimation.sum()} rows to estimate, {m.validation.sum()} to validate",
+                f"{m.source or 'from memory'}: {m.estimation.sum():,} rows to estimate, "
+                f"{m.validation.sum():,} to validate",
             ),
             ("Date of the report", date),
         )
@@ -134,13 +135,13 @@ def _measured(c: Calibration) -> Iterator[tuple[str, str]]:
     m = c.measurements
     yield (
         "Rows",
-        f"{len(m)}: {m.estimation.sum()} to estimate, {m.validation.sum()} to validate (column 'set')"
-        + (f"; {len(m.unmeasured)} more without a measurement, left out" if m.unmeasured else ""),
+        f"{len(m):,}: {m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate (column 'set')"
+        + (f"; {len(m.unmeasured):,} more without a measurement, left out" if m.unmeasured else ""),
     )
     kinds = Counter(m.kinds)
     yield (
         "Each row measures",
-        "; ".join(f"{_KINDS.get(kind, kind)} ({count} rows)" for kind, count in kinds.items()),
+        "; ".join(f"{_KINDS.get(kind, kind)} ({count:,} rows)" for kind, count in kinds.items()),
     )
     if len(set(m.targets)) > 1:
         yield "Targets", _named(tuple(dict.fromkeys(m.targets)))
@@ -162,10 +163,9 @@ def _measured(c: Calibration) -> Iterator[tuple[str, str]]:
     if m.ignored:
         yield "Columns not used", _named(m.ignored)
     yield (
-        "Uncertainty",
-        expected_text(c)
-        .removeprefix("Expected error, i")
-        .replace("f the model", "If the model", 1),
+        "Expected error",
+        f"{expected_text(c).removeprefix('Expected error, ').removesuffix('.')}; one standard deviation of the "
+        "target's position, from the covariance of the parameters.",
     )
 
 

@@ -41,8 +41,8 @@ def parameter_blocks(c: Calibration) -> tuple[Block, ...]:
     every = shown_parameters(c)
     m, factor = c.measurements, interval_factor(c.fitted.estimate.freedom)
     without = int(np.sum(c.weights[m.estimation] <= 0.0))
-    rows = f"{m.estimation.sum()} estimation rows" + (
-        f", {without} of which have no weight" if without else ""
+    rows = f"{m.estimation.sum():,} estimation rows" + (
+        f", {without:,} of which have no weight" if without else ""
     )
     places = (*target_sentences(c, _MOST), *frame_sentences(c, _MOST))
     return blocks(
