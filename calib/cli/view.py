@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from calib.show.scene import View
     from calib.show.viewer import Viewer
 
+#: So many shapes that are not drawn as they should be are named.
+_MOST_WARNINGS = 3
+
 _HELP = """Show robots, and what was measured, in the browser.
 
 \b
@@ -213,16 +216,12 @@ def _opened(url: str) -> bool:
 
 
 def _say_warnings(warnings: tuple[str, ...]) -> None:
-    """What could not be drawn as the URDF says."""
-    for warning in warnings:
-        typer.echo(
-            textwrap.fill(
-                f"Not drawn as in the URDF: {warning}",
-                100,
-                break_on_hyphens=False,
-                subsequent_indent="  ",
-            )
-        )
+    """What could not be drawn as the URDF says: the first few; the page names all."""
+    lines = [f"Not drawn as in the URDF: {warning}" for warning in warnings[:_MOST_WARNINGS]]
+    if len(warnings) > _MOST_WARNINGS:
+        lines.append(f"{len(warnings) - _MOST_WARNINGS} more are named on the page.")
+    for line in lines:
+        typer.echo(textwrap.fill(line, 100, break_on_hyphens=False, subsequent_indent="  "))
 
 
 view.__doc__ = _HELP

@@ -91,6 +91,7 @@ def view_asked_for(sources: Sources, cell: Cell, *, quiet: bool) -> View:
         names=_names(first, sources),
         evaluations=None if rows is None else _evaluations(first, second, rows, cell, known),
         flagged=_flagged(table, rows),
+        title=first.name if second is None else "",
         note=_note(table),
     )
     return shown if rows is not None else _with_targets(shown, cell, known)

@@ -202,6 +202,8 @@ def test_the_corrected_urdf_shows_the_same_two_robots(examples):
     np.testing.assert_allclose(two.calibrated.placements, one.calibrated.placements, atol=1e-12)
     assert two.names == (("Nominal", "robot.urdf"), ("Calibrated", "corrected.urdf"))
     assert not two.measures
+    alone = asked_for(folder, "robot.urdf", data="data.csv")
+    assert (alone.title, alone.calibrated, alone.measures) == ("ur3", None, True)
 
 
 def test_targets_are_the_result_s_or_the_line_s_or_the_urdf_s(examples):
@@ -259,4 +261,9 @@ def test_a_shape_that_cannot_be_drawn_is_named(call, small):
     assert (done.code, done.err) == (0, "")
     assert done.out.startswith("Not drawn as in the URDF: link 'arm': the mesh 'none.stl' ")
     assert done.lines[-1] == "Written: x.html"
+    many = "".join(visual.replace("none", f"none{i}") for i in range(5))
+    (small / "small.urdf").write_text(text.replace(visual, many))
+    done = call(small, "view", "small.urdf", "-o", "x.html", "--force")
+    assert done.out.count("Not drawn as in the URDF:") == 3
+    assert done.lines[-2:] == ["2 more are named on the page.", "Written: x.html"]
     assert call(small, "view", "small.urdf", "-o", "x.html", "--force", "--quiet").out == ""
