@@ -30,6 +30,9 @@ KINDS = ("png", "svg", "pdf")
 #: Width of a figure over both columns of a page [in], and dots of a PNG for each of it.
 WIDTH, _DPI = 7.0, 180
 
+#: More markers than this are pixels in SVG and PDF: each shape takes a line of its file.
+MOST_SHAPES = 250
+
 #: Fonts that draw what DejaVu Sans lacks, where they are installed; viewers of an SVG bring their own.
 _FONT = "DejaVu Sans"
 _FALLBACKS = (
@@ -49,7 +52,8 @@ _FALLBACKS = (
     "PingFang SC",
     "WenQuanYi Zen Hei",
 )
-_IN_SVG = f"'{_FONT}', Verdana, sans-serif"
+_IN_SVG = b"'DejaVu Sans', Verdana, sans-serif"
+_FONT_IN_SVG = re.compile(rb"(<text\b[^>]*?\bstyle=\"[^\"]*?)'DejaVu Sans'[^;\"]*")
 
 #: Longer names are shortened in the middle.
 _LONGEST = 26
@@ -147,11 +151,8 @@ def rendered(drawing: Drawing, kind: str = "png") -> bytes:
         return _of_few_colours(data, metadata["png"])
     if kind == "pdf":
         return data.getvalue()
-    # The names of fonts stand in style attributes; what a viewer lacks it takes from the next one.
-    pattern = (
-        rb"(<text\b[^>]*?\bstyle=\"[^\"]*?font: [^\"]*?)'" + _FONT.encode() + rb"'(?:, [^;\"]*)?"
-    )
-    return re.sub(pattern, rb"\1" + _IN_SVG.encode(), data.getvalue())
+    # What the first font lacks a viewer takes from the next one.
+    return _FONT_IN_SVG.sub(rb"\1" + _IN_SVG, data.getvalue())
 
 
 def _of_few_colours(data: io.BytesIO, words: dict[str, str]) -> bytes:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calib.identify.result import Calibration
 from calib.identify.rows import KIND_NAMES
 from calib.model.kinematics import Samples
-from calib.show.figure_base import few_ticks, legend_above, new_figure, short_names
+from calib.show.figure_base import MOST_SHAPES, few_ticks, legend_above, new_figure, short_names
 from calib.show.figure_rows import RowKind, row_kinds
 from calib.show.palette import CALIBRATED, INK, SOFT
 
@@ -157,7 +157,7 @@ def _panel(ax: Axes, at: Array, parts: Array, kinds: list[RowKind], reach: float
         values = np.clip(parts[kind.mask], -reach, reach)
         style = kind.style(len(at))
         style["markersize"] *= 0.8
-        ax.plot(at[kind.mask], values, rasterized=len(at) > 500, zorder=2, **style)
+        ax.plot(at[kind.mask], values, rasterized=len(values) > MOST_SHAPES, zorder=2, **style)
 
 
 def _mean(ax: Axes, at: Array, parts: Array) -> None:

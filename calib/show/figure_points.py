@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calib.identify.result import Calibration
 from calib.identify.uncertainty import workspace_uncertainty
-from calib.show.figure_base import few_ticks, legend_above, new_figure
+from calib.show.figure_base import MOST_SHAPES, few_ticks, legend_above, new_figure
 from calib.show.figure_rows import RowKind, measured_places, number_points, row_kinds
 from calib.show.palette import INK, SOFT
 
@@ -25,11 +25,14 @@ _VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"
 #: More rows than this are thinned.
 MOST_POINTS = 4000
 
+#: Measured rows in the figure of the uncertainty: more are thinned.
+_MOST_RINGS = 150
+
 #: Up to so many points stand on lines down to the floor.
 _MOST_STILTS = 100
 
 #: Joint values over which the uncertainty is drawn, and cells across a view.
-POSES, _CELLS = 4000, 26
+POSES, _CELLS = 4000, 22
 
 
 def points_figure(c: Calibration) -> Figure:
@@ -84,7 +87,7 @@ def _space(ax: Any, places: Array, kinds: tuple[RowKind, ...], limits: Array) ->
     floor = 1e3 * limits[0, 2]
     for kind in kinds:
         p = 1e3 * _thinned(places, kind)
-        ax.plot(*p.T, **kind.style(len(places)))
+        ax.plot(*p.T, rasterized=len(p) > MOST_SHAPES, **kind.style(len(places)))
         if len(places) <= _MOST_STILTS:
             for x, y, z in p:
                 ax.plot([x, x], [y, y], [floor, z], color=kind.colour, lw=0.5, alpha=0.35)
@@ -111,7 +114,13 @@ def _dots(ax: Axes, places: Array, kind: RowKind) -> None:
     """Points of one kind in a view."""
     order = {"estimation": 2, "validation": 3, "outlier": 4}[kind.word]
     style = kind.style()
-    ax.plot(*places.T, zorder=order, **(style | {"markersize": 0.85 * style["markersize"]}))
+    many = len(places) > MOST_SHAPES
+    ax.plot(
+        *places.T,
+        rasterized=many,
+        zorder=order,
+        **(style | {"markersize": 0.85 * style["markersize"]}),
+    )
 
 
 def _flat(ax: Axes, limits: Array, pair: tuple[int, int]) -> None:
@@ -150,7 +159,7 @@ def uncertainty_figure(c: Calibration) -> Figure:
     std = 1e3 * found.std
     limits = _limits(places)
     measured, _ = measured_places(c)
-    measured = measured[:: max(-(-len(measured) // 300), 1)]
+    measured = measured[:: max(-(-len(measured) // _MOST_RINGS), 1)]
     figure = new_figure(6.2)
     grid = figure.add_gridspec(2, 2)
     images = []

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 #: Fewer rows than this have no box, and more than that no single dots.
-_FEWEST_IN_BOX, _MOST_DOTS = 5, 300
+_FEWEST_IN_BOX, _MOST_DOTS = 5, 120
 
 #: What is left over is drawn up to so many standard deviations.
 _REACH = 5.0
