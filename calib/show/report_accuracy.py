@@ -33,11 +33,12 @@ def verdict_blocks(c: Calibration) -> tuple[Block, ...]:
 def accuracy_blocks(c: Calibration) -> tuple[Block, ...]:
     """Errors before and after: by set, on rows left out, and row by row of those for validation."""
     rows = _whole_labels(error_rows(c))
+    larger = "" if c.larger is None else f"; larger is the same with the model '{c.larger.name}'"
     return blocks(
         Paragraph(
             "An error is measured minus predicted; its size is the norm of that. Nominal is the robot as it came, "
             "with the measurement frame and the target as given, or fitted to the rows where they were not; "
-            "calibrated is the robot of the corrected URDF."
+            f"calibrated is the robot of the corrected URDF{larger}."
         ),
         _lengths(rows, left_out_text(c)),
         _angles(rows, left_out_text(c)),
@@ -75,17 +76,23 @@ def _rows(count: int, kind: str) -> str:
 def _lengths(rows: Sequence[tuple[str, Errors]], note: str) -> Table | None:
     """The table of position errors, [mm]."""
     shown = [(label, e) for label, e in rows if e.n]
-    span = "Span: largest minus smallest signed error along an axis of the measurement frame."
+    along = any(np.any(np.isfinite(e.span_axis)) for _, e in shown)
+    notes = [f"{note}."] * bool(note)
+    notes += ["Span: largest minus smallest signed error along an axis of the frame."] * along
     return table(
         "Position error by set of rows [mm]",
-        ("rows, robot", "number", "max", "mean", "rms", "x", "y", "z"),
+        ("rows, robot", "number", "max", "mean", "rms", *("x", "y", "z")[: 3 * along]),
         [
-            (label, f"{e.n:,}", *(mm(v) for v in (e.max, e.mean, e.rms, *e.span_axis)))
+            (
+                label,
+                f"{e.n:,}",
+                *(mm(v) for v in (e.max, e.mean, e.rms, *e.span_axis[: 3 * along])),
+            )
             for label, e in shown
         ],
-        "lrrrrrrr",
-        note=f"{note}. {span}" if note else span,
-        groups=(("", 2), ("size of the error", 3), ("span", 3)),
+        "lrrrr" + "rrr" * along,
+        note=" ".join(notes),
+        groups=(("", 2), ("size of the error", 3), *([("span", 3)] if along else [])),
         strong=_after(shown),
     )
 
