@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import re
 from collections.abc import Mapping
@@ -17,8 +18,9 @@ from calib.identify.result import Calibration
 from calib.identify.result_file import plain, read_table, result_table, stored_result
 from calib.identify.stored import StoredResult
 from calib.measure.measurements import Measurements
+from calib.model.files import read_bytes
 from calib.model.robot import Robot, find_urdf, read_only
-from calib.model.urdf import Urdf
+from calib.model.urdf import LIMIT_BYTES, Urdf
 
 Array = NDArray[np.float64]
 
@@ -219,23 +221,15 @@ def _found(table: Mapping[str, Any], stored: StoredResult, folder: Path) -> Robo
     """The nominal robot of a result, from a file of the same bytes beside it, here, or of example-robot-data."""
     name, sha256 = str(table["inputs"]["urdf"]["name"]), table["inputs"]["urdf"]["sha256"]
     places = [folder / name, Path(name)]
+    with contextlib.suppress(UrdfError, FileError):  # none of that name
+        places.append(find_urdf(Path(name).stem.removesuffix("_robot")))
     for place in places:
-        if place.is_file():
-            urdf = Urdf.read(place)
-            if urdf.sha256 == sha256:
-                return Robot.from_urdf(urdf, stored.base, stored.tip, held=stored.held)
-    return _installed(name, sha256, stored)
-
-
-def _installed(name: str, sha256: str, stored: StoredResult) -> Robot | None:
-    """The nominal robot of a result that began with a robot of example-robot-data."""
-    try:
-        urdf = Urdf.read(find_urdf(Path(name).stem.removesuffix("_robot")))
-    except (UrdfError, FileError):
-        return None
-    if urdf.sha256 != sha256:
-        return None
-    return Robot.from_urdf(urdf, stored.base, stored.tip, held=stored.held)
+        # Told by its bytes, before it is read as a URDF: any other file of that name is none of ours.
+        if place.is_file() and place.stat().st_size <= LIMIT_BYTES:
+            data = read_bytes(place, "URDF", LIMIT_BYTES)
+            if hashlib.sha256(data).hexdigest() == sha256:
+                return Robot.from_urdf(Urdf.read(place), stored.base, stored.tip, held=stored.held)
+    return None
 
 
 def _errors(table: Mapping[str, Any]) -> tuple[SetErrors, ...]:

@@ -19,7 +19,7 @@ from calib.identify.differences import (
     parameter_differences,
     target_differences,
 )
-from calib.identify.drift import DriftTest, Estimated, drift_test, shared_covariance
+from calib.identify.drift import DriftTest, Pair, drift_test
 from calib.identify.moves import Compensated, Move, Seen, estimated
 from calib.model.observability import steps
 from calib.model.parameters import ZERO
@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 
 #: Joint values over which moves are told.
 _POSES = 200
+
+#: What stands for rounding where parameters are compared, in steps of 1 mm and 1 mrad.
+_FLOOR = 1e-7
 
 #: What the comparison says: see `Comparison.outcome`.
 DRIFT, NO_DRIFT, CANNOT_TELL = "drift", "no drift shown", "cannot tell"
@@ -127,37 +130,26 @@ def _compared(a: Compared, b: Compared, robot: Robot | None) -> Comparison:
     """The comparison of results of one chain."""
     same = same_start(a, b)
     alike = same and a.own_names == b.own_names and a.ties == b.ties and a.model == b.model
-    both = None if robot is None else _both(a, b, robot)
+    both = None if robot is None else _both(a, b, robot, same_start=same)
     if both is None:
-        one, other = _by_name(a, b, same_start=same)
-        names = [n for n in a.own_names if n in b.own_names] if same else []
-        difference = _of_names(b, names, b.delta) - _of_names(a, names, a.delta)
-        floor, only = 1e-7, _missing(a, b)
-        difference = difference / steps([a.units[a.names.index(n)] for n in names])
+        found, reference = (_by_name(a, b, same, alike, reference=r) for r in (False, True))
+        difference, floor, only = _named_difference(a, b, same), _FLOOR, _missing(a, b)
     else:
-        one, other = both.estimated()
+        found, reference = (both.pair(alike=alike, reference=r) for r in (False, True))
         difference, floor, only = both.difference, both.floor, (both.alone(0), both.alone(1))
-    V = shared_covariance(one, other) if alike else one.spread + other.spread
-    test = drift_test(difference, one, other, V, floor)
+    test = drift_test(difference, found, reference, floor)
     why = why_not(a, b, test, only, known=both is not None or same)
     outcome = CANNOT_TELL if why else DRIFT if test.drifted else NO_DRIFT
-    moves: tuple[Move, ...] = ()
-    shows_from = float("nan")
-    if both is not None and robot is not None:
-        covariance = _joint(one, other, alike=alike)
-        moves = _moves(both, robot, covariance)
-        shows_from = _shows_from(both, test, (one.effect, other.effect))
-    untold = () if both is None else both.untold()
     return Comparison(
         a=a,
         b=b,
         outcome=outcome,
         why=why,
         test=test,
-        moves=moves,
-        shows_from=shows_from,
-        parameters=parameter_differences(a, b, test, (one.effect, other.effect), same_start=same),
-        untold=untold,
+        moves=() if both is None or robot is None else _moves(both, robot, found.joint),
+        shows_from=float("nan") if both is None else _shows_from(both, test),
+        parameters=parameter_differences(a, b, test, same_start=same),
+        untold=() if both is None else both.untold(),
         only_a=only[0],
         only_b=only[1],
         frames=frame_differences(a, b),
@@ -200,10 +192,10 @@ def _covered(a: Compared, b: Compared) -> Array:
     return np.stack([np.nan_to_num(low), np.nan_to_num(high)], axis=1)
 
 
-def _both(a: Compared, b: Compared, robot: Robot) -> Compensated:
+def _both(a: Compared, b: Compared, robot: Robot, *, same_start: bool) -> Compensated:
     """Both results over the joint values that their data cover."""
     q = spread_between(_covered(a, b), _POSES)
-    return Compensated.of(Seen.at(a, b, robot, q), a, b)
+    return Compensated.of(Seen.at(a, b, robot, q), a, b, same_start=same_start)
 
 
 def _moves(both: Compensated, robot: Robot, covariance: Array) -> tuple[Move, ...]:
@@ -215,29 +207,14 @@ def _moves(both: Compensated, robot: Robot, covariance: Array) -> tuple[Move, ..
     )
 
 
-def _joint(one: Estimated, other: Estimated, *, alike: bool) -> Array:
-    """The covariance of (x_a, x_b) about a common truth, shape (p_a + p_b, p_a + p_b)."""
-    p, q = len(one.covariance), len(other.covariance)
-    result = np.zeros((p + q, p + q))
-    result[:p, :p], result[p:, p:] = one.covariance, other.covariance
-    if alike:
-        prior = np.maximum(one.prior, other.prior)
-        result[:p, :p] = one.noise + (one.pull * prior) @ one.pull.T
-        result[p:, p:] = other.noise + (other.pull * prior) @ other.pull.T
-        result[:p, p:] = (one.pull * prior) @ other.pull.T
-        result[p:, :p] = result[:p, p:].T
-    return result
-
-
-def _shows_from(both: Compensated, test: DriftTest, effects: tuple[Array, Array]) -> float:
+def _shows_from(both: Compensated, test: DriftTest) -> float:
     """How far the worst joint's zero must move the target to be noticed [m]; NaN where none can be."""
-    untold, found = both.untold(), []
-    for which, one in enumerate((both.a, both.b)):
-        reach, families = both.reach(which), both.seen.families[which]
-        for k, name in enumerate(one.own_names):
-            factor = test.smallest_factor(effects[which][:, k])
-            if families[k] == ZERO and name not in untold and np.isfinite(factor):
-                found.append(float(reach[k]) * factor)
+    untold, reach, families = both.untold(), both.reach(1), both.seen.families[1]
+    found = [
+        float(reach[k]) * test.shows_from(k)
+        for k, name in enumerate(both.b.own_names)
+        if families[k] == ZERO and name not in untold and np.isfinite(test.shows_from(k))
+    ]
     return max(found, default=float("nan"))
 
 
@@ -247,19 +224,25 @@ def _missing(a: Compared, b: Compared) -> tuple[tuple[str, ...], tuple[str, ...]
     return tuple(n for n in first if n not in second), tuple(n for n in second if n not in first)
 
 
-def _of_names(one: Compared, names: list[str], values: Array) -> Array:
-    """Values of some parameters."""
-    return values[[one.names.index(name) for name in names]]
+def _shared(a: Compared, b: Compared, same: bool) -> list[str]:
+    """The parameters that count from the same in both."""
+    return [n for n in a.own_names if n in b.own_names] if same else []
 
 
-def _by_name(a: Compared, b: Compared, *, same_start: bool) -> tuple[Estimated, Estimated]:
-    """Both results in the parameters that they share, in steps of 1 mm and 1 mrad: what can be done without a robot."""
-    names = [n for n in a.own_names if n in b.own_names] if same_start else []
-    result = []
+def _named_difference(a: Compared, b: Compared, same: bool) -> Array:
+    """The difference of the parameters that both have, in steps of 1 mm and 1 mrad."""
+    names = _shared(a, b, same)
+    first, second = ([one.names.index(name) for name in names] for one in (a, b))
+    return (b.delta[second] - a.delta[first]) / steps([a.units[k] for k in first])
+
+
+def _by_name(a: Compared, b: Compared, same: bool, alike: bool, *, reference: bool) -> Pair:
+    """Both results in the parameters that they share, in the same steps: what can be done without a robot."""
+    names, pair = _shared(a, b, same), []
     for one in (a, b):
         effect = np.zeros((len(names), len(one.own)))
         for row, name in enumerate(names):
             k = one.own_names.index(name)
             effect[row, k] = 1.0 / steps([one.units[one.own[k]]])[0]
-        result.append(estimated(one, effect))
-    return result[0], result[1]
+        pair.append(estimated(one, effect, reference=reference))
+    return Pair(pair[0], pair[1], alike)

@@ -183,7 +183,7 @@ def _parameters(c: Comparison) -> str:
         )
         if names
     ]
-    return "\n\n".join(["\n".join(_table(shared))] * bool(shared) + lines)
+    return "\n\n".join((["\n".join(_table(shared))] if shared else []) + lines)
 
 
 def _table(parameters: list[ParameterDifference]) -> list[str]:

@@ -75,7 +75,6 @@ def parameter_differences(
     a: Compared,
     b: Compared,
     test: DriftTest,
-    effects: tuple[Array, Array],
     *,
     same_start: bool,
 ) -> tuple[ParameterDifference, ...]:
@@ -91,10 +90,8 @@ def parameter_differences(
         std = float(np.sqrt(sum(r.covariance[k, k] for r, k in pairs)))
         std = std if len(pairs) == 2 and not bounded else nan
         difference = float(b.delta[found[1]] - a.delta[found[0]]) if comparable else nan
-        which = 0 if found[0] >= 0 else 1
-        one = (a, b)[which]
-        change = effects[which][:, one.own_names.index(name)]
-        factor, told = test.smallest_factor(change), test.explained(change)
+        number = b.own_names.index(name) if found[1] >= 0 else 0
+        factor, told = test.shows_from(number), test.explained(number)
         unit = pairs[0][0].units[pairs[0][1]]
         # Both must have it: what one leaves out is no change of the robot.
         shown = factor < _NEVER * STEPS[unit] and len(pairs) == 2
@@ -108,9 +105,9 @@ def parameter_differences(
                 std=std,
                 sigmas=difference / std if std > 0.0 else nan,
                 alone=all(bool(r.identifiable[k]) for r, k in pairs),
-                explains=told.change if shown else nan,
-                explains_std=told.std if shown else nan,
-                left_p=told.p if shown else nan,
+                explains=told.change if shown and np.isfinite(told.std) else nan,
+                explains_std=told.std if shown and np.isfinite(told.std) else nan,
+                left_p=told.p if shown and np.isfinite(told.std) else nan,
                 would_show=factor if shown else float("inf"),
             )
         )

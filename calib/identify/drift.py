@@ -9,10 +9,15 @@ and x is the same for both, drawn from a prior of covariance S. So the differenc
 
     V = (C_a - C_a P_a C_a) + (C_b - C_b P_b C_b) + (C_b P_b - C_a P_a) S (C_b P_b - C_a P_a)^T,
 
-which is less than C_a + C_b, most of all where the data know little and both results say what the priors say. Only
-combinations that the data know better than the prior take part in the test: those with C_a + C_b < S. On the k of
-them d^T V^-1 d / k has the F distribution with k and nu degrees of freedom, because the noise was estimated; nu is that
-of B. L. Welch, The generalization of Student's problem, Biometrika 34, 1947, by traces.
+which is less than C_a + C_b, most of all where the data know little and both results say what the priors say. On the
+k combinations that are tested, d^T V^-1 d / k has the F distribution with k and nu degrees of freedom, because the
+noise was estimated; nu is that of B. L. Welch, The generalization of Student's problem, Biometrika 34, 1947, by traces.
+
+Which combinations these are, and which drift would show, must not depend on a prior that was found to be next to
+nothing: where a robot is right already, its estimates stay at zero however well the data know them, and would not
+if it drifted. So both are asked of *reference* estimates from the same data under priors that leave room for a
+drift. A combination is tested where these have C_a + C_b < (S_a + S_b) / 2: the data know it better than the priors.
+A change u of the robot changes x_b by (1 - C_b P_b) u.
 """
 
 from __future__ import annotations
@@ -36,6 +41,9 @@ POWER = 0.9
 
 #: Smallest probability told; below it distributions have no digits.
 _LEAST = 1e-300
+
+#: A change whose estimate keeps less than this share of what the data know of it is not told.
+_UNSEEN = 0.03
 
 #: A combination takes part where the share of its variance that the data leave over, C / (C + S), is below this.
 _KNOWN = 0.5
@@ -62,9 +70,55 @@ class Estimated:
     freedom: float
 
     @property
+    def response(self) -> Array:
+        """What a unit of change of each parameter makes of the estimate's coordinates, shape (r, p)."""
+        return np.asarray(self.effect - self.effect @ self.pull)
+
+    @property
     def spread(self) -> Array:
         """The covariance of the coordinates, shape (r, r)."""
         return np.asarray(self.effect @ self.covariance @ self.effect.T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """Two estimates, and what the difference of an unchanged robot's spreads by.
+
+    Attributes:
+        a: One.
+        b: The other, of the same coordinates.
+        alike: Whether both have the same parameters under priors with the same mean; otherwise they are taken to err
+            independently of each other, which is too much rather than too little.
+    """
+
+    a: Estimated
+    b: Estimated
+    alike: bool
+
+    @property
+    def covariance(self) -> Array:
+        """V of the module's text, in the coordinates, shape (r, r)."""
+        a, b = self.a, self.b
+        if not self.alike:
+            return a.spread + b.spread
+        pull = b.pull - a.pull
+        both = a.noise + b.noise + (pull * np.maximum(a.prior, b.prior)) @ pull.T
+        return np.asarray(a.effect @ both @ a.effect.T)
+
+    @property
+    def joint(self) -> Array:
+        """The covariance of (x_a, x_b) about a common truth, shape (p_a + p_b, p_a + p_b)."""
+        a, b = self.a, self.b
+        p = len(a.covariance)
+        result = np.zeros((p + len(b.covariance),) * 2)
+        result[:p, :p], result[p:, p:] = a.covariance, b.covariance
+        if self.alike:
+            prior = np.maximum(a.prior, b.prior)
+            result[:p, :p] = a.noise + (a.pull * prior) @ a.pull.T
+            result[p:, p:] = b.noise + (b.pull * prior) @ b.pull.T
+            result[:p, p:] = (a.pull * prior) @ b.pull.T
+            result[p:, :p] = result[:p, p:].T
+        return result
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +150,9 @@ class DriftTest:
         sigma: The same as standard deviations of a normal distribution, one-sided; 0 where p > 0.5.
         whitening: shape (k, r), takes coordinates to combinations of unit variance.
         whitened: shape (k,), the difference in these.
-        covariance: shape (r, r), V.
+        response: shape (r, p), what a unit of change of each of b's parameters makes of the coordinates.
+        sensing: shape (k, p), the same in combinations of unit variance, by the reference estimates.
+        told_from: The length of a change in these that is noticed with the probability `POWER`.
     """
 
     combinations: int
@@ -106,38 +162,39 @@ class DriftTest:
     sigma: float
     whitening: Array
     whitened: Array
-    covariance: Array
+    response: Array
+    sensing: Array
+    told_from: float
 
     @property
     def drifted(self) -> bool:
         """Whether the difference is more than chance."""
         return self.p < LEVEL
 
-    def explained(self, effect: Array) -> Explanation:
-        """How well one change, of unknown size, explains the difference: the generalised least squares of it.
+    def explained(self, k: int) -> Explanation:
+        """How well a change of one parameter explains the difference, by generalised least squares.
 
         Args:
-            effect: shape (r,), what a unit of the change does to the coordinates.
+            k: Number of the parameter, of b's.
         """
-        seen = self.whitening @ effect
+        seen = self.whitening @ self.response[:, k]
         length = float(np.linalg.norm(seen))
-        if length == 0.0:
+        if length < _UNSEEN * self.sensitivity(k) or length == 0.0:
             return Explanation(0.0, float("inf"), self.chi_square, self.p)
-        std = 1.0 / length
         change = float(seen @ self.whitened) / length**2
-        left = max(self.chi_square - (change / std) ** 2, 0.0)
-        k = self.combinations - 1
-        p = float(stats.f.sf(left / k, k, self.freedom)) if k else 1.0
-        return Explanation(change, std, left, p)
+        left = max(self.chi_square - (change * length) ** 2, 0.0)
+        others = self.combinations - 1
+        p = float(stats.f.sf(left / others, others, self.freedom)) if others else 1.0
+        return Explanation(change, 1.0 / length, left, p)
 
-    def smallest_factor(self, effect: Array) -> float:
-        """By what a change must be multiplied to be noticed with the probability `POWER`; infinite if it never is.
+    def sensitivity(self, k: int) -> float:
+        """How many standard deviations a unit of change of one parameter, of b's, would be, once it showed at all."""
+        return float(np.linalg.norm(self.sensing[:, k]))
 
-        Args:
-            effect: shape (r,), what the change does to the coordinates.
-        """
-        seen = float(np.linalg.norm(self.whitening @ effect)) if self.combinations else 0.0
-        return np.sqrt(noncentrality(self.combinations, self.freedom)) / seen if seen else np.inf
+    def shows_from(self, k: int) -> float:
+        """Change of one parameter, of b's, that is noticed with the probability `POWER`; infinite if none is."""
+        seen = self.sensitivity(k)
+        return self.told_from / seen if seen > 0.0 else float("inf")
 
 
 def noncentrality(k: int, freedom: float) -> float:
@@ -154,51 +211,56 @@ def noncentrality(k: int, freedom: float) -> float:
     return float(optimize.brentq(missing, 0.0, highest, xtol=1e-3))
 
 
-def shared_covariance(a: Estimated, b: Estimated) -> Array:
-    """V of the module's text where both have the same parameters under priors with the same mean, shape (r, r)."""
-    pull = b.pull - a.pull
-    both = a.noise + b.noise + (pull * np.maximum(a.prior, b.prior)) @ pull.T
-    return np.asarray(a.effect @ both @ a.effect.T)
-
-
-def drift_test(
-    difference: Array, a: Estimated, b: Estimated, covariance: Array, floor: float
-) -> DriftTest:
+def drift_test(difference: Array, found: Pair, reference: Pair, floor: float) -> DriftTest:
     """Test a difference.
 
     Args:
         difference: shape (r,), b less a.
-        a: One estimate.
-        b: The other.
-        covariance: shape (r, r), V; `shared_covariance`, or the sum of both where they share no prior.
+        found: Both estimates.
+        reference: What they would be under priors that leave room for a drift.
         floor: Standard deviation of each coordinate that stands for rounding.
     """
     rounding = floor**2 * np.eye(len(difference))
-    posterior = a.spread + b.spread + rounding
-    prior = np.asarray(sum((one.effect * one.prior) @ one.effect.T for one in (a, b))) / 2.0
-    share, vectors = eigh(posterior, posterior + prior)
+    pair = (reference.a, reference.b)
+    posterior = pair[0].spread + pair[1].spread + rounding
+    prior = np.asarray(sum((one.effect * one.prior) @ one.effect.T for one in pair)) / 2.0
+    share, vectors = eigh(posterior, posterior + prior) if len(difference) else _nothing()
     kept = vectors[:, share < _KNOWN]
-    k, V = kept.shape[1], covariance + rounding
+    k = kept.shape[1]
+    response = read_only(found.b.response)
     if k == 0:
-        nothing = read_only(np.zeros((0, len(difference))))
-        return DriftTest(0, 0.0, np.inf, 1.0, 0.0, nothing, read_only([]), read_only(V))
-    values, axes = eigh(kept.T @ V @ kept)
-    whitening = ((kept @ axes) / np.sqrt(np.maximum(values, 1e-12 * values[-1]))).T
+        none = read_only(np.zeros((0, len(difference))))
+        sensing = read_only(np.zeros((0, response.shape[1])))
+        return DriftTest(0, 0.0, np.inf, 1.0, 0.0, none, read_only([]), response, sensing, np.inf)
+    whitening = _whitening(kept, found.covariance + rounding)
     whitened = whitening @ difference
     chi_square = float(whitened @ whitened)
-    shares = [float(np.trace(whitening @ one.spread @ whitening.T)) for one in (a, b)]
-    total = sum(shares)
-    freedom = total**2 / sum(
-        s**2 / max(one.freedom, 1.0) for s, one in zip(shares, (a, b), strict=True)
+    of_reference = _whitening(kept, reference.covariance + rounding)
+    shares = [float(np.trace(of_reference @ one.spread @ of_reference.T)) for one in pair]
+    freedom = sum(shares) ** 2 / sum(
+        s**2 / max(one.freedom, 1.0) for s, one in zip(shares, pair, strict=True)
     )
     p = max(float(stats.f.sf(chi_square / k, k, freedom)), _LEAST)
     return DriftTest(
-        k,
-        chi_square,
-        freedom,
-        p,
-        max(float(stats.norm.isf(p)), 0.0),
-        read_only(whitening),
-        read_only(whitened),
-        read_only(V),
+        combinations=k,
+        chi_square=chi_square,
+        freedom=freedom,
+        p=p,
+        sigma=max(float(stats.norm.isf(p)), 0.0),
+        whitening=read_only(whitening),
+        whitened=read_only(whitened),
+        response=response,
+        sensing=read_only(of_reference @ reference.b.response),
+        told_from=float(np.sqrt(noncentrality(k, freedom))),
     )
+
+
+def _whitening(kept: Array, covariance: Array) -> Array:
+    """What takes coordinates to some combinations of them, of unit variance, shape (k, r)."""
+    values, axes = eigh(kept.T @ covariance @ kept)
+    return np.asarray(((kept @ axes) / np.sqrt(np.maximum(values, 1e-12 * values[-1]))).T)
+
+
+def _nothing() -> tuple[Array, Array]:
+    """No combination of no coordinates."""
+    return np.zeros(0), np.zeros((0, 0))

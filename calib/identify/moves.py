@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import ModelError, choices
 from calib.identify.compared import Compared
-from calib.identify.drift import Estimated
+from calib.identify.drift import Estimated, Pair
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
@@ -31,8 +31,9 @@ Array = NDArray[np.float64]
 #: What an angle counts for beside a length [m].
 _LEVER = 0.1
 
-#: An effect below this share of the strongest one is none.
-_NOTHING = 1e-5
+#: A combination whose effect is below this share of the strongest one's has none; the second where the results count
+#: from different nominal robots, whose effects differ by what is of second order.
+_NOTHING, _NOTHING_APART = 1e-5, 2e-3
 
 #: A parameter with more than this share of its effect outside of what the other result's can do is its own.
 _OWN = 0.03
@@ -42,6 +43,9 @@ _UNTOLD = 0.03
 
 #: Priors are taken to be no wider than this many steps of 1 mm and 1 mrad when it comes to what the data know.
 _WIDEST = 10.0
+
+#: How large a drift the reference priors leave room for, in the same steps.
+_ROOM = 0.2
 
 #: What a difference in one coordinate of one pose must exceed to be more than rounding [m].
 _ROUNDING = 1e-7
@@ -107,12 +111,13 @@ class Seen:
         """
         turns = a.turns and b.turns
         T_tip_target = next(iter(a.stored.known.targets.values()))
-        poses, effects, families = [], [], []
+        starts, poses, effects, families = [], [], [], []
         for one in (a, b):
             kinematics, x = _kinematics(one, robot, T_tip_target)
             # At the nominal robot, from which both count: elsewhere they would differ by what is of second order, and
             # that would look like combinations of their own.
-            _, twists = kinematics.twists(np.zeros_like(x), q)
+            start, twists = kinematics.twists(np.zeros_like(x), q)
+            starts.append(start)
             poses.append(kinematics.poses(x, q))
             effects.append(_lengths(twists, turns=turns))
             families.append(tuple(p.family for p in kinematics.model.parameters))
@@ -122,7 +127,7 @@ class Seen:
             shift = np.hstack([shift, _LEVER * Rotation.from_matrix(turned).as_rotvec()])
         frame = tuple(d for d in _DIRECTIONS if d in {*a.frame, *b.frame})
         target = a.target_estimated or b.target_estimated
-        gauge = _gauge(poses[0], frame, target=target, turns=turns)
+        gauge = _gauge(starts[0], frame, target=target, turns=turns)
         return cls(
             difference=shift,
             effects=(effects[0], effects[1]),
@@ -148,8 +153,15 @@ class Compensated:
     b: Compared
 
     @classmethod
-    def of(cls, seen: Seen, a: Compared, b: Compared) -> Compensated:
-        """From both results at joint values that their data cover."""
+    def of(cls, seen: Seen, a: Compared, b: Compared, *, same_start: bool) -> Compensated:
+        """From both results at joint values that their data cover.
+
+        Args:
+            seen: Both there.
+            a: One result.
+            b: The other.
+            same_start: Whether both count from the same nominal robot.
+        """
         rows = seen.difference.size
         G: Array = seen.gauge.reshape(rows, -1)
         solve: Array = np.zeros((G.shape[1], rows))
@@ -162,7 +174,8 @@ class Compensated:
         stacked = np.hstack(every)
         U, values, _ = np.linalg.svd(stacked, full_matrices=False)
         strongest = max(float(values[0]) if len(values) else 0.0, 1e-300)
-        return cls(seen, solve, U[:, values > _NOTHING * strongest], a, b)
+        least = strongest * (_NOTHING if same_start else _NOTHING_APART)
+        return cls(seen, solve, U[:, values > least], a, b)
 
     def left(self, moves: Array, there: Array, seen: Seen) -> Array:
         """Moves at some joint values less the motion that makes up for those at the fitted ones.
@@ -177,15 +190,20 @@ class Compensated:
 
     def effects(self, which: int) -> Array:
         """What a unit of a result's own parameters does, after compensation, in the basis, shape (r, p)."""
-        rows = self.seen.difference.size
-        flat = self.seen.effects[which].reshape(rows, -1)
-        return np.asarray(self.basis.T @ self.left(flat, flat, self.seen))
+        _, left = self._own_effects(which)
+        return np.asarray(self.basis.T @ left)
+
+    def _own_effects(self, which: int) -> tuple[Array, Array]:
+        """Effects before and after compensation, shapes (N D, p); nothing is left of those that are not told."""
+        flat: Array = self.seen.effects[which].reshape(self.seen.difference.size, -1)
+        left = self.left(flat, flat, self.seen)
+        told = np.linalg.norm(left, axis=0) >= _UNTOLD * np.linalg.norm(flat, axis=0)
+        return flat, np.where(told, left, 0.0)
 
     def reach(self, which: int) -> Array:
         """How far a unit of each of a result's own parameters moves the target, rms, shape (p,), [m per unit]."""
         shape = self.seen.effects[which].shape
-        flat = self.seen.effects[which].reshape(-1, shape[2])
-        points = self.left(flat, flat, self.seen).reshape(shape)[:, :3]
+        points = self._own_effects(which)[1].reshape(shape)[:, :3]
         return np.asarray(np.sqrt(np.sum(points**2, axis=(0, 1)) / shape[0]))
 
     @property
@@ -199,23 +217,29 @@ class Compensated:
         """What stands for rounding in each coordinate of the basis [m]."""
         return float(_ROUNDING * np.sqrt(len(self.seen.difference)))
 
-    def estimated(self) -> tuple[Estimated, Estimated]:
-        """Both results in the basis."""
-        return tuple(  # type: ignore[return-value]
-            estimated(one, self.effects(k)) for k, one in enumerate((self.a, self.b))
+    def pair(self, *, alike: bool, reference: bool) -> Pair:
+        """Both results in the basis.
+
+        Args:
+            alike: See `Pair`.
+            reference: Whether they are to be those under priors that leave room for a drift.
+        """
+        one, other = (
+            estimated(result, self.effects(k), reference=reference)
+            for k, result in enumerate((self.a, self.b))
         )
+        return Pair(one, other, alike)
 
     def untold(self) -> tuple[str, ...]:
         """The parameters that frame and target make up for, of both results."""
         names: dict[str, None] = {}
-        rows = self.seen.difference.size
         for k, one in enumerate((self.a, self.b)):
-            flat = self.seen.effects[k].reshape(rows, -1)
-            left = np.linalg.norm(self.left(flat, flat, self.seen), axis=0)
-            whole = np.linalg.norm(flat, axis=0)
-            for name, of_left, of_whole in zip(one.own_names, left, whole, strict=True):
-                if of_left < _UNTOLD * of_whole:
-                    names[name] = None
+            left = np.any(self._own_effects(k)[1], axis=0)
+            names |= {
+                name: None
+                for name, any_left in zip(one.own_names, left, strict=True)
+                if not any_left
+            }
         return tuple(names)
 
     def alone(self, which: int) -> tuple[str, ...]:
@@ -268,26 +292,53 @@ class Compensated:
         )
 
 
-def estimated(one: Compared, effect: Array) -> Estimated:
+def estimated(one: Compared, effect: Array, *, reference: bool) -> Estimated:
     """A result's own parameters for the test.
 
     Args:
         one: The result.
         effect: shape (r, p), of its own parameters.
+        reference: Whether under priors that leave room for a drift.
     """
-    own, C = one.own, one.covariance
-    pull = C[np.ix_(own, own)] * one.precision[own]
-    noise = C - (C * one.precision) @ C
-    widest = (_WIDEST * steps(_own_units(one))) ** 2
-    prior = np.where(one.precision[own] > 0.0, 1.0 / np.maximum(one.precision[own], 1e-300), np.inf)
+    own, C, precision = one.own, one.covariance, one.precision
+    step = steps(_own_units(one))
+    widest, least = (_WIDEST * step) ** 2, (_ROOM * step) ** 2
+    if reference:
+        C, precision = _reference(one, 1.0 / least)
+    known = precision[own] > 0.0
+    prior = np.where(known, 1.0 / np.where(known, precision[own], 1.0), np.inf)
+    noise = C - (C * precision) @ C
     return Estimated(
         effect=effect,
         covariance=C[np.ix_(own, own)],
         noise=noise[np.ix_(own, own)],
-        pull=pull,
+        pull=C[np.ix_(own, own)] * precision[own],
         prior=np.minimum(prior, widest),
         freedom=one.freedom,
     )
+
+
+def _reference(one: Compared, highest: Array) -> tuple[Array, Array]:
+    """Covariance and prior precision where no prior of the robot's own parameters is sharper than this, (p, p), (p,).
+
+    What the data know, H = C^-1 - P, stays as it is. Parameters at a bound stay there.
+    """
+    precision = one.precision.copy()
+    precision[one.own] = np.minimum(precision[one.own], highest)
+    free = np.flatnonzero(~one.at_bound)
+    own = np.ix_(free, free)
+    scale = np.sqrt(np.diag(one.covariance)[free])
+    scale = np.where(scale > 0.0, scale, 1.0)
+    correlation = one.covariance[own] / np.outer(scale, scale)
+    M = np.linalg.pinv(correlation, rcond=1e-14, hermitian=True)
+    M += np.diag((precision - one.precision)[free] * scale**2)
+    # In steps of the new sizes, so that what had been held tightly does not drown the rest.
+    size = 1.0 / np.sqrt(np.maximum(np.diag(M), 1e-12))
+    inverse = np.linalg.pinv(M * np.outer(size, size), rcond=1e-13, hermitian=True)
+    C = np.zeros_like(one.covariance)
+    C[own] = inverse * np.outer(size * scale, size * scale)
+    precision[one.at_bound] = 0.0
+    return C, precision
 
 
 def _own_units(one: Compared) -> tuple[str, ...]:

@@ -1,0 +1,469 @@
+"""Two calibrations of one virtual UR3, unchanged or changed in a known way, its tracker and target moved."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.data import PAPER_TARGET, paper_urdf
+from calib.errors import FileError, ModelError, UrdfError
+from calib.identify.calibration import Calibration, calibrate
+from calib.identify.comparison import Comparison, compare
+from calib.identify.drift import LEVEL
+from calib.identify.result_file import plain, result_table, write_table
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.error_model import error_model
+from calib.model.kinematics import Kinematics
+from calib.model.readback import spread_between
+from calib.model.robot import Robot
+
+DOC = Path(__file__).parents[2] / "docs" / "comparison.md"
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A UR3 that errs by 0.3 mm and 1 mrad, drawn from a seed, and changes of it by name."""
+
+    robot: Robot
+    seed: int
+
+    def x(self, change: Mapping[str, float]) -> tuple[Any, np.ndarray]:
+        model = error_model(self.robot, "dh", target=False)
+        size = np.where(np.array(model.units) == "m", 3e-4, 1e-3)
+        x = size * np.random.default_rng(self.seed).normal(size=len(size))
+        for name, value in change.items():
+            x[model.index(name)] += value
+        return model, x
+
+    def measured(
+        self,
+        visit: int,
+        change: Mapping[str, float] | None = None,
+        *,
+        count: int = 30,
+        noise: float = 5e-5,
+        elsewhere: bool = True,
+        fit: str = "dh",
+        start: Robot | None = None,
+        validate: bool = False,
+    ) -> tuple[Calibration, np.ndarray, np.ndarray]:
+        """A calibration, and where frame and target truly were."""
+        rng = np.random.default_rng([self.seed, visit])
+        model, x = self.x(change or {})
+        T_frame_base, T_tip_target = np.eye(4), np.eye(4)
+        T_tip_target[:3, 3] = PAPER_TARGET
+        if elsewhere:
+            T_frame_base[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+            T_frame_base[:3, 3] = rng.uniform(-3.0, 3.0, 3)
+            T_tip_target[:3, 3] += rng.normal(0.0, 0.02, 3)
+        q = rng.uniform(-2.5, 2.5, (count, 6))
+        points = Kinematics(self.robot, model, T_frame_base, T_tip_target).points(x, q)
+        table = Measurements(self.robot.joint_names, q, points + rng.normal(0.0, noise, (count, 3)))
+        cell = Cell(estimate_frame=elsewhere, model=fit)
+        found = calibrate(start or self.robot, table, cell=cell, validate=validate)
+        return found, T_frame_base, T_tip_target
+
+
+@pytest.fixture(scope="module")
+def arm(ur3: Robot) -> Arm:
+    return Arm(ur3, 7)
+
+
+@pytest.fixture(scope="module")
+def before(arm: Arm) -> Calibration:
+    return arm.measured(1)[0]
+
+
+@pytest.fixture(scope="module")
+def later(arm: Arm) -> Callable[..., Calibration]:
+    """Calibrations of a later visit, each made once."""
+
+    @cache
+    def run(theta: str = "", change: float = 0.0, **given: Any) -> Calibration:
+        return arm.measured(2, {theta: change} if theta else {}, **given)[0]
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def unchanged(before: Calibration, later: Callable[..., Calibration]) -> Comparison:
+    return compare(before, later())
+
+
+@pytest.fixture(scope="module")
+def drifted(before: Calibration, later: Callable[..., Calibration]) -> Comparison:
+    return compare(before, later("theta3", 1e-3))
+
+
+def test_a_robot_that_did_not_change(unchanged: Comparison):
+    c = unchanged
+    assert (c.outcome, c.why) == ("no drift shown", "")
+    assert c.test.p > LEVEL
+    # 24 parameters, less two of three parallel axes, two that the frame and four that the target make up for.
+    assert c.test.combinations == 16
+    assert set(c.untold) == {"d1", "theta1", "a6", "alpha6", "d6", "theta6"}
+    assert [m.where for m in c.moves] == ["the joint values that both measured", "the joint limits"]
+    for move in c.moves:
+        assert 0.4 * move.noise < move.rms < 1.6 * move.noise
+        assert move.rms < move.max < 5.0 * move.rms
+        assert np.isnan(move.rms_angle)
+    assert 3e-5 < c.shows_from < 3e-4
+    assert (c.only_a, c.only_b, c.notes) == ((), (), ())
+    assert repr(c).startswith("Comparison('a', 'b', no drift shown, p = 0.")
+
+
+def test_tracker_and_target_stand_elsewhere(arm: Arm, unchanged: Comparison):
+    (_, T, t), (_, U, u) = arm.measured(1), arm.measured(2)
+    (frame,), (target,) = unchanged.frames, unchanged.targets
+    T, U = np.linalg.inv(T), np.linalg.inv(U)
+    turn = Rotation.from_matrix(T[:3, :3].T @ U[:3, :3]).magnitude()
+    assert frame.found
+    assert target.found
+    assert frame.shift == pytest.approx(np.linalg.norm(U[:3, 3] - T[:3, 3]), abs=5e-3)
+    assert frame.turn == pytest.approx(turn, abs=5e-3)
+    assert target.shift == pytest.approx(np.linalg.norm(u[:3, 3] - t[:3, 3]), abs=2e-3)
+    assert np.isnan(target.turn)
+    text = " ".join(unchanged.summary().split())
+    assert "elsewhere and turned by" in text
+    assert text.count("that is no drift of the robot.") == 2
+
+
+def true_move(arm: Arm, c: Comparison, change: Mapping[str, float]) -> float:
+    """How far the target truly moved, less the best motion of frame and target, rms: by a path of its own."""
+    model, x = arm.x({})
+    _, y = arm.x(change)
+    T_tip_target = np.eye(4)
+    T_tip_target[:3, 3] = c.a.stored.target
+    kinematics = Kinematics(arm.robot, model, np.eye(4), T_tip_target)
+    low = np.maximum(c.a.ranges[:, 0], c.b.ranges[:, 0])
+    high = np.minimum(c.a.ranges[:, 1], c.b.ranges[:, 1])
+    q = spread_between(np.stack([low, high], axis=1), 200)
+    T, points = kinematics.poses(x, q), kinematics.points(y, q)
+    by_frame = np.concatenate(
+        [np.tile(np.eye(3), (200, 1, 1)), np.cross(np.eye(3), points[:, None]).swapaxes(1, 2)],
+        axis=2,
+    )
+    G = np.concatenate([by_frame, T[:, :3, :3]], axis=2).reshape(600, 9)
+    moved = (points - T[:, :3, 3]).ravel()
+    left = moved - G @ np.linalg.lstsq(G, moved, rcond=None)[0]
+    return float(np.linalg.norm(left) / np.sqrt(200))
+
+
+def test_a_joint_that_drifted_by_a_milliradian(arm: Arm, drifted: Comparison):
+    c = drifted
+    assert c.outcome == "drift"
+    assert c.test.sigma > 8.0
+    wanted = true_move(arm, c, {"theta3": 1e-3})
+    assert wanted > 1e-4
+    assert c.moves[0].moved == pytest.approx(wanted, abs=3.0 * c.moves[0].std)
+    theta3 = next(p for p in c.parameters if p.name == "theta3")
+    assert theta3.left_p == max(p.left_p for p in c.parameters if np.isfinite(p.left_p))
+    assert theta3.left_p > LEVEL
+    assert theta3.explains == pytest.approx(1e-3, abs=3.0 * theta3.explains_std)
+    assert theta3.would_show < 1e-3
+    assert "A change of one parameter alone would explain it: theta3 by +" in c.summary()
+
+
+def test_the_order_turns_signs_alone(before, later, drifted: Comparison):
+    other = compare(later("theta3", 1e-3), before)
+    assert other.test.chi_square == pytest.approx(drifted.test.chi_square, rel=0.02)
+    for p, q in zip(other.parameters, drifted.parameters, strict=True):
+        assert p.difference == -q.difference
+        assert p.std == q.std
+
+
+def test_what_the_frame_makes_up_for_is_no_drift_but_with_a_known_frame_it_is(
+    arm: Arm, before: Calibration, later: Callable[..., Calibration]
+):
+    lost = compare(before, later("theta1", 1e-3))
+    assert lost.outcome == "no drift shown"
+    assert "theta1" in lost.untold
+    known = [arm.measured(k, c, elsewhere=False)[0] for k, c in ((3, {}), (4, {"theta1": 1e-3}))]
+    found = compare(*known)
+    assert found.outcome == "drift"
+    assert found.test.combinations == 18
+    assert set(found.untold) == {"a6", "alpha6", "d6", "theta6"}
+    theta1 = next(p for p in found.parameters if p.name == "theta1")
+    assert theta1.explains == pytest.approx(1e-3, abs=3.0 * theta1.explains_std)
+    assert any("Both take the measurement frame as known" in note for note in found.notes)
+    assert "Measurement frame: the same in both, as given." in found.summary()
+
+
+def test_other_parameters_of_the_same_robot_predict_the_same(
+    before: Calibration, later: Callable[..., Calibration], unchanged: Comparison
+):
+    c = compare(before, later(fit="hayati"))
+    assert c.outcome == "no drift shown"
+    assert c.test.p > LEVEL
+    assert c.moves[0].rms == pytest.approx(unchanged.moves[0].rms, rel=0.3)
+    assert c.only_a == ()
+    assert c.only_b == ("beta2", "beta3")  # of two parallel axes dh has no tilt
+    assert any("only b ('hayati') has 'beta2', 'beta3'" in note for note in c.notes)
+    beta = next(p for p in c.parameters if p.name == "beta2")
+    assert np.isnan(beta.a)
+    assert np.isnan(beta.difference)
+    assert beta.would_show == np.inf
+    assert "Only b has the parameters 'beta2', 'beta3'." in c.summary()
+
+
+def test_a_model_that_leaves_errors_out_looks_like_a_drift_and_is_not_called_one(
+    before: Calibration, later: Callable[..., Calibration]
+):
+    c = compare(later(fit="zeros"), before)
+    assert c.outcome == "cannot tell"
+    assert c.test.drifted
+    assert "only b ('dh') has 'a1', 'alpha1', 'a2', 'alpha2' and" in c.why
+    assert "Fit both with the same --model." in c.why
+    first = c.summary().split("\n\n")[1]
+    assert first.startswith("Whether the robot drifted cannot be told.")
+
+
+def test_the_same_measurements_are_no_second_opinion(before: Calibration):
+    c = compare(before, before)
+    assert (c.outcome, c.test.chi_square) == ("cannot tell", 0.0)
+    assert "made of the same measurements" in c.why
+
+
+def test_a_result_that_is_not_to_be_used(before, later):
+    bad = plain(result_table(later("theta3", 1e-3)))
+    bad["verdict"] = {"use": "do not use", "reasons": []}
+    c = compare(before, bad)
+    assert c.outcome == "cannot tell"
+    assert c.why == "The verdict on b is 'do not use': mend that first."
+    bad["verdict"]["use"] = "use with care"
+    assert compare(before, bad).outcome == "drift"
+    assert "The verdict on b is 'use with care'; see there." in compare(before, bad).notes
+
+
+def test_results_that_began_with_different_urdfs(arm: Arm, before: Calibration):
+    for change, outcome in (({}, "no drift shown"), ({"theta3": 1e-3}, "drift")):
+        again, _, _ = arm.measured(5, change, start=before.robot)
+        c = compare(before, again)
+        assert c.outcome == outcome
+        assert all(np.isnan(p.difference) for p in c.parameters)
+        assert any("count from different nominal robots" in note for note in c.notes)
+        if change:
+            wanted = true_move(arm, c, change)
+            assert c.moves[0].moved == pytest.approx(wanted, abs=3.0 * c.moves[0].std)
+
+
+def test_a_robot_that_is_right_already(ur3: Robot):
+    # Sizes of errors are found to be nothing, and what the data know is still told.
+    robot = ur3
+
+    class Right(Arm):
+        def x(self, change):
+            model, x = super().x({})
+            _, y = super().x(change)
+            return model, y - x
+
+    right = Right(robot, 3)
+    first = right.measured(1)[0]
+    c = compare(first, right.measured(2)[0])
+    assert (c.outcome, c.test.combinations) == ("no drift shown", 16)
+    assert 3e-5 < c.shows_from < 3e-4
+    assert compare(first, right.measured(2, {"theta3": 1e-3})[0]).outcome == "drift"
+
+
+def test_false_alarms_and_power(ur3: Robot):
+    """`scripts/comparison_study.py` in small: 16 pairs of measurements of robots that did not change, 6 that did."""
+    arms = [Arm(ur3, seed) for seed in range(100, 116)]
+    first = [arm.measured(1, count=15)[0] for arm in arms]
+    again = [arm.measured(2, count=15)[0] for arm in arms]
+    p = np.array([compare(a, b).test.p for a, b in zip(first, again, strict=True)])
+    # Unchanged, 3 or more of 16 below 0.01 have a probability of 5e-4, a mean of p beyond these ends one of 0.002.
+    assert np.sum(p < LEVEL) < 3
+    assert 0.28 < np.mean(p) < 0.72
+    change = {"theta2": 1e-3}
+    seen = [
+        compare(a, arm.measured(2, change, count=15)[0])
+        for a, arm in zip(first[:6], arms, strict=False)
+    ]
+    told = [next(q.would_show for q in c.parameters if q.name == "theta2") for c in seen]
+    assert 3e-4 < np.median(told) < change["theta2"]
+    assert np.sum([c.outcome == "drift" for c in seen]) >= 5
+
+
+@pytest.fixture(scope="module")
+def files(before: Calibration, later: Callable[..., Calibration], tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("compared")
+    before.write_json(folder / "a.json")
+    later("theta3", 1e-3).write_json(folder / "b.json")
+    (folder / before.nominal.urdf.source).write_bytes(before.nominal.urdf.data)
+    return folder
+
+
+def test_result_files_say_the_same(files: Path, drifted: Comparison):
+    c = compare(files / "a.json", str(files / "b.json"))
+    assert (c.a.name, c.b.name) == ("a.json", "b.json")
+    assert c.test.chi_square == pytest.approx(drifted.test.chi_square, rel=1e-6)
+    assert c.moves[0].rms == pytest.approx(drifted.moves[0].rms, rel=1e-6)
+
+
+def test_without_the_urdf_parameters_are_compared(files: Path, tmp_path: Path, drifted: Comparison):
+    paths = [tmp_path / "a.json", tmp_path / "b.json"]
+    for path in paths:
+        path.write_bytes((files / path.name).read_bytes())
+    (tmp_path / "ur3.urdf").write_bytes(b"<robot name='another'><link name='base'/></robot>")
+    c = compare(*paths)
+    assert (c.outcome, c.moves, c.untold) == ("drift", (), ())
+    assert c.test.combinations == 16
+    assert c.test.chi_square == pytest.approx(drifted.test.chi_square, rel=0.05)
+    assert "Give it with --robot" in c.notes[0]
+    assert "The robot drifted (" in c.summary()
+    given = compare(*paths, robot=paper_urdf())
+    assert given.moves[0].rms == pytest.approx(drifted.moves[0].rms, rel=1e-6)
+    loaded = compare(*paths, robot=Robot.load(paper_urdf(), "base", "wrist_3_link"))
+    assert loaded.moves[0].rms == given.moves[0].rms
+
+
+def test_without_the_urdf_and_from_different_starts_nothing_can_be_told(
+    arm: Arm, before: Calibration, tmp_path: Path
+):
+    again, _, _ = arm.measured(5, start=before.robot)
+    paths = [tmp_path / "a.json", tmp_path / "b.json"]
+    before.write_json(paths[0])
+    again.write_json(paths[1])
+    c = compare(*paths)
+    assert c.outcome == "cannot tell"
+    assert "Give the URDF of either (--robot)." in c.why
+    assert c.test.combinations == 0
+
+
+def test_text_and_table(drifted: Comparison, unchanged: Comparison, tmp_path: Path):
+    for c in (drifted, unchanged):
+        lines = c.summary().splitlines()
+        assert max(map(len, lines)) <= 100
+        assert all(line == line.rstrip() and line.isprintable() for line in lines)
+        assert sum(line.startswith("theta") for line in lines) == 6
+    assert "The robot drifted (" in drifted.summary().split("\n\n")[1]
+    assert "A joint's zero that drifts would be noticed 9 times in 10" in unchanged.summary()
+    written = json.loads(drifted.write_json(tmp_path / "c.json").read_text(encoding="utf-8"))
+    assert written["schema"] == "comparison 1"
+    assert written["outcome"] == "drift"
+    assert written["moves"][0]["rms_m"] == drifted.moves[0].rms
+    assert [p["name"] for p in written["parameters"]] == [p.name for p in drifted.parameters]
+    with pytest.raises(FileError, match="exists"):
+        drifted.write_json(tmp_path / "c.json")
+
+
+def keys(value: Any, path: str = "") -> set[str]:
+    """Every key of nested tables, as the document writes it."""
+    if isinstance(value, dict):
+        return set().union(*(keys(v, f"{path}.{k}" if path else k) for k, v in value.items()))
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return set().union(*(keys(entry, f"{path}[]") for entry in value))
+    return {path}
+
+
+def test_the_document_has_every_key(drifted: Comparison):
+    documented = set()
+    for line in DOC.read_text(encoding="utf-8").splitlines():
+        for cell in re.findall(r"^\| `([^`]+)` \|", line):
+            brace = re.search(r"\{(.*?)\}", cell)
+            parts = brace[1].split(",") if brace else [""]
+            documented |= {cell.replace(brace[0], part) if brace else cell for part in parts}
+    assert keys(plain(drifted.table())) == documented
+
+
+def damaged(before: Calibration, **robot: Any) -> dict[str, Any]:
+    table = plain(result_table(before))
+    table["robot"].update(robot)
+    return table
+
+
+@pytest.mark.parametrize(
+    ("robot", "said"),
+    [
+        ({"base": "world"}, "a and b are not of one chain: base base and base world. Fit both"),
+        ({"tip": "ee_link"}, "a and b are not of one chain: tip tool0 and tip ee_link."),
+        ({"held": [{"joint": "lift", "value": 0.1, "unit": "m"}]}, "held joints none and held joints 'lift'"),
+    ],
+)  # fmt: skip
+def test_other_chains_are_refused(before: Calibration, robot: dict[str, Any], said: str):
+    with pytest.raises(ModelError, match=re.escape(said)):
+        compare(before, damaged(before, **robot))
+
+
+def test_other_joints_and_held_values_are_refused(before: Calibration):
+    table = damaged(before)
+    table["robot"]["joints"][2] = "knee"
+    with pytest.raises(ModelError, match=r"not of one chain: joints 'shoulder_pan_joint'"):
+        compare(before, table)
+    held = [damaged(before, held=[{"joint": "lift", "value": v, "unit": "m"}]) for v in (0.1, 0.2)]
+    with pytest.raises(ModelError, match=r"'lift' was held at 0\.1 in a and at 0\.2 in b"):
+        compare(*held)
+
+
+def test_another_robot_is_refused(before: Calibration, later):
+    with pytest.raises(UrdfError, match="base"):
+        compare(before, later(), robot="panda")
+    longer = Robot.load(paper_urdf(), base="base", tip="tool0", held={"wrist_3_joint": 0.0})
+    with pytest.raises(ModelError, match=r"Give the URDF that they were made with\."):
+        compare(before, later(), robot=longer)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda t: t["parameters"][0].pop("prior_std"), "lacks what a comparison needs"),
+        (lambda t: t.pop("robot"), "incomplete or damaged"),
+        (lambda t: t["covariance"].pop(), "lacks what a comparison needs"),
+        (lambda t: t["covariance"][0].__setitem__(0, None), "numbers of the parameters or of their"),
+        (lambda t: t["robot"]["ranges"].pop(), "the joints' ranges are not those of the joints"),
+    ],
+)  # fmt: skip
+def test_a_damaged_file_is_named(before: Calibration, tmp_path: Path, spoil: Any, said: str):
+    table = damaged(before)
+    spoil(table)
+    path = write_table(table, tmp_path / "old.json")
+    with pytest.raises(FileError, match=said) as caught:
+        compare(path, before)
+    assert "old.json: the result" in str(caught.value)
+    assert "calib fit --json" in str(caught.value)
+
+
+def test_parameters_of_another_robot_are_refused(before: Calibration, later):
+    table = damaged(before)
+    table["parameters"][3]["name"] = "theta9"
+    with pytest.raises(ModelError, match=r"a has values for 'theta9', which the model 'dh'"):
+        compare(table, later())
+
+
+def test_a_parameter_at_its_bound(arm: Arm, before: Calibration):
+    m = arm.measured(6)[0].measurements
+    _, x = arm.x({})
+    ends = sorted((0.0, 0.5 * x[4]))  # a2 would like to be beyond
+    cell = Cell(estimate_frame=True, model="dh", bounds={"a2": tuple(ends)})
+    bounded = calibrate(arm.robot, m, cell=cell, validate=False)
+    assert bounded.parameter("a2").at_bound
+    c = compare(before, bounded)
+    a2 = next(p for p in c.parameters if p.name == "a2")
+    assert np.isnan(a2.std)
+    assert np.isnan(a2.sigmas)
+    assert any("'a2' stands at a bound" in note for note in c.notes)
+
+
+@pytest.mark.parametrize("name", ["poses", "distances", "held"])
+def test_every_kind_of_measurement(calibrated, name: str):
+    _, c = calibrated(name)
+    found = compare(c, c)
+    assert found.test.chi_square == 0.0
+    assert found.test.combinations > 0
+    text = found.summary()
+    assert max(map(len, text.splitlines())) <= 100
+    everything = {"d1", "theta1", "a6", "alpha6", "d6", "theta6"}
+    assert set(found.untold) == ({"wrist_3_joint.zero"} if name == "held" else everything)
+    assert np.isfinite(found.moves[0].rms_angle) == (name == "poses")
+    assert ("Set-up '0'" in text) == (name == "distances")
+    assert any("larger model of a" in note for note in found.notes) == (c.larger is not None)

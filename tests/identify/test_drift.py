@@ -1,0 +1,147 @@
+"""The statistics of a comparison, on linear problems whose truth is known: rate of false alarms, power, covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from calib.identify.drift import (
+    LEVEL,
+    POWER,
+    DriftTest,
+    Estimated,
+    Pair,
+    drift_test,
+    noncentrality,
+)
+
+TAU = np.array([1.0, 1.0, 0.5, 0.5, 2.0])
+FLOOR = 1e-9
+
+
+def design(seed: int, count: int = 12) -> np.ndarray:
+    """A Jacobian whose last column next to nothing is known of, in units of the noise."""
+    A = np.random.default_rng(seed).normal(size=(count, 5)) * 2.0
+    A[:, 4] *= 1e-4
+    return A
+
+
+def posterior(A: np.ndarray) -> Estimated:
+    """What `x` of N(0, TAU^2) is known to by y = A x + noise of unit variance, with its coordinates the parameters."""
+    P = np.diag(1.0 / TAU**2)
+    C = np.linalg.inv(A.T @ A + P)
+    return Estimated(np.eye(5), C, C - C @ P @ C, C @ P, TAU**2, 1e6)
+
+
+def means(A: np.ndarray, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Posterior means of many truths, shape (count, 5)."""
+    y = x @ A.T + rng.normal(size=(len(x), len(A)))
+    return y @ A @ posterior(A).covariance
+
+
+@pytest.fixture(scope="module")
+def many() -> tuple[Estimated, Estimated, np.ndarray, np.ndarray, np.ndarray]:
+    """Two designs, and the estimates of 4000 unchanged robots by each, with the robots."""
+    rng = np.random.default_rng(5)
+    A, B = design(1), design(2)
+    x = rng.normal(size=(4000, 5)) * TAU
+    return posterior(A), posterior(B), means(A, x, rng), means(B, x, rng), x
+
+
+def test_the_covariance_of_the_difference_of_an_unchanged_robot(many):
+    a, b, of_a, of_b, _ = many
+    V = Pair(a, b, alike=True).covariance
+    np.testing.assert_allclose(np.cov((of_b - of_a).T), V, atol=0.05 * np.sqrt(V.diagonal().max()))
+    assert V[4, 4] < 1e-3 < 0.1 * a.spread[4, 4]  # both say what the prior says
+
+
+def judged(a: Estimated, b: Estimated, difference: np.ndarray) -> list[DriftTest]:
+    pair = Pair(a, b, alike=True)
+    return [drift_test(d, pair, pair, FLOOR) for d in difference]
+
+
+def test_false_alarms_come_at_the_rate_told(many):
+    a, b, of_a, of_b, _ = many
+    found = judged(a, b, (of_b - of_a)[:1500])
+    assert {one.combinations for one in found} == {4}  # the last one is not known
+    assert stats.kstest([one.p for one in found], "uniform").pvalue > 1e-3
+    assert np.mean([one.drifted for one in found]) == pytest.approx(LEVEL, abs=0.009)
+
+
+def test_the_covariance_about_a_common_truth(many):
+    a, b, of_a, of_b, x = many
+    joint = Pair(a, b, alike=True).joint
+    size = np.sqrt(np.outer(joint.diagonal(), joint.diagonal()))
+    found = np.cov(np.hstack([of_a - x, of_b - x]).T)
+    np.testing.assert_allclose(found / size, joint / size, atol=0.08)
+    difference = np.hstack([-np.eye(5), np.eye(5)])
+    np.testing.assert_allclose(
+        difference @ joint @ difference.T, Pair(a, b, alike=True).covariance, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("parameter", [0, 2])
+def test_a_drift_of_the_size_told_is_noticed_as_often_as_told(many, parameter: int):
+    a, b, of_a, of_b, x = many
+    one = judged(a, b, of_b[:1])[0]
+    changed = x[:1000] + one.shows_from(parameter) * np.eye(5)[parameter]
+    again = means(design(2), changed, np.random.default_rng(9))
+    found = judged(a, b, again - of_a[:1000])
+    assert np.mean([test.drifted for test in found]) == pytest.approx(POWER, abs=0.035)
+    assert one.shows_from(4) > 1e3 * one.shows_from(0)  # what the data do not know
+
+
+def test_one_change_that_explains_all(many):
+    a, b, of_a, _, x = many
+    again = means(design(2), x[:500] + 3.0 * np.eye(5)[1], np.random.default_rng(9))
+    found = judged(a, b, again - of_a[:500])
+    told = [one.explained(1) for one in found]
+    off = np.array([(t.change - 3.0) / t.std for t in told])
+    assert abs(np.mean(off)) < 0.2
+    assert np.std(off) == pytest.approx(1.0, abs=0.15)
+    assert stats.kstest([t.p for t in told], "uniform").pvalue > 1e-3
+    assert max(one.explained(0).p for one in found) < 0.05
+
+
+def test_few_degrees_of_freedom_ask_for_more():
+    a, b = posterior(design(1)), posterior(design(2))
+    few = [Estimated(e.effect, e.covariance, e.noise, e.pull, e.prior, 8.0) for e in (a, b)]
+    difference = np.array([1.5, -0.5, 0.2, 0.1, 0.0])
+    sure, unsure = judged(a, b, difference[None])[0], judged(*few, difference[None])[0]
+    assert unsure.chi_square == pytest.approx(sure.chi_square)
+    assert 8.0 < unsure.freedom <= 16.0
+    assert unsure.p > 3.0 * sure.p
+
+
+def test_nothing_known_in_common():
+    a = posterior(1e-3 * design(1))
+    (found,) = judged(a, a, np.ones((1, 5)))
+    assert (found.combinations, found.p, found.drifted) == (0, 1.0, False)
+    assert found.shows_from(0) == np.inf
+    assert found.explained(0).std == np.inf
+
+
+def test_a_prior_that_was_found_to_be_nothing_hides_neither_combinations_nor_what_would_show():
+    A, B = design(1), design(2)
+    reference = Pair(posterior(A), posterior(B), alike=True)
+
+    def held(A: np.ndarray) -> Estimated:
+        P = np.eye(5) / 1e-14
+        C = np.linalg.inv(A.T @ A + P)
+        return Estimated(np.eye(5), C, C @ A.T @ A @ C, C @ P, np.full(5, 1e-14), 1e6)
+
+    found = drift_test(np.zeros(5), Pair(held(A), held(B), alike=True), reference, 1e-7)
+    plain = drift_test(np.zeros(5), reference, reference, 1e-7)
+    assert found.combinations == plain.combinations == 4
+    assert found.p == 1.0
+    assert found.shows_from(1) == plain.shows_from(1)
+    assert found.explained(1).std == np.inf  # its estimate says nothing of the change
+
+
+@pytest.mark.parametrize(("k", "freedom"), [(1, 5.0), (6, 60.0), (24, 1e5)])
+def test_the_noncentrality_has_the_power(k: int, freedom: float):
+    limit = stats.f.isf(LEVEL, k, freedom)
+    assert stats.ncf.sf(limit, k, freedom, noncentrality(k, freedom)) == pytest.approx(
+        POWER, abs=1e-3
+    )
