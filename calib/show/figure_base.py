@@ -128,6 +128,22 @@ class Drawing:
     draw: Callable[[], Figure]
 
 
+def in_style(draw: Callable[..., Figure], *args: Any, **options: Any) -> Callable[[], Figure]:  # noqa: ANN401
+    """What draws a figure in the figures' look, later.
+
+    Args:
+        draw: Draws it.
+        args: Its arguments.
+        options: Its keyword arguments.
+    """
+
+    def drawn() -> Figure:
+        with styled():
+            return draw(*args, **options)
+
+    return drawn
+
+
 def rendered(drawing: Drawing, kind: str = "png") -> bytes:
     """A figure as a file: the same figure is the same bytes.
 
@@ -194,6 +210,8 @@ def styled() -> Iterator[None]:
     with mpl.rc_context(), warnings.catch_warnings():
         # A name in letters that no font has is drawn as boxes; the terminal is no place to say so.
         warnings.filterwarnings("ignore", message=".*Glyph", category=UserWarning)
+        # Defaults that a version is about to drop are set all the same.
+        warnings.simplefilter("ignore", mpl.MatplotlibDeprecationWarning)
         mpl.rcParams.update(look | _STYLE | {"font.family": fonts})
         yield
 

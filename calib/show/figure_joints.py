@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: More rows than this are thinned.
-MOST_ROWS = 3000
+MOST_ROWS = 2500
 
 #: A step that derivatives are taken with [rad] or [m].
 _STEP = 1e-6
@@ -157,7 +157,7 @@ def _panel(ax: Axes, at: Array, parts: Array, kinds: list[RowKind], reach: float
         values = np.clip(parts[kind.mask], -reach, reach)
         style = kind.style(len(at))
         style["markersize"] *= 0.8
-        ax.plot(at[kind.mask], values, rasterized=len(values) > MOST_SHAPES, zorder=2, **style)
+        ax.plot(at[kind.mask], values, rasterized=len(at) > MOST_SHAPES, zorder=2, **style)
 
 
 def _mean(ax: Axes, at: Array, parts: Array) -> None:

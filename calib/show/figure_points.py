@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 _VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 
 #: More rows than this are thinned.
-MOST_POINTS = 4000
+MOST_POINTS = 3000
 
 #: Measured rows in the figure of the uncertainty: more are thinned.
 _MOST_RINGS = 150
@@ -52,7 +52,7 @@ def points_figure(c: Calibration) -> Figure:
         ax = figure.add_subplot(at)
         ax.set_title(f"Seen {name}")
         for kind in kinds:
-            _dots(ax, 1e3 * _thinned(places, kind)[:, [i, j]], kind)
+            _dots(ax, 1e3 * _thinned(places, kind)[:, [i, j]], kind, many=len(places) > MOST_SHAPES)
         _flat(ax, limits, (i, j))
         number_points(ax, c, 1e3 * places[:, [i, j]])
     handles = [Line2D([], [], label=kind.label, **kind.style(1)) for kind in kinds]
@@ -87,7 +87,7 @@ def _space(ax: Any, places: Array, kinds: tuple[RowKind, ...], limits: Array) ->
     floor = 1e3 * limits[0, 2]
     for kind in kinds:
         p = 1e3 * _thinned(places, kind)
-        ax.plot(*p.T, rasterized=len(p) > MOST_SHAPES, **kind.style(len(places)))
+        ax.plot(*p.T, rasterized=len(places) > MOST_SHAPES, **kind.style(len(places)))
         if len(places) <= _MOST_STILTS:
             for x, y, z in p:
                 ax.plot([x, x], [y, y], [floor, z], color=kind.colour, lw=0.5, alpha=0.35)
@@ -110,11 +110,10 @@ def _holds_base(limits: Array) -> bool:
     return bool(np.all(limits[0] <= 0.0) and np.all(limits[1] >= 0.0))
 
 
-def _dots(ax: Axes, places: Array, kind: RowKind) -> None:
+def _dots(ax: Axes, places: Array, kind: RowKind, *, many: bool) -> None:
     """Points of one kind in a view."""
     order = {"estimation": 2, "validation": 3, "outlier": 4}[kind.word]
     style = kind.style()
-    many = len(places) > MOST_SHAPES
     ax.plot(
         *places.T,
         rasterized=many,

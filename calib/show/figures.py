@@ -5,15 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from calib.errors import FileError
 from calib.identify.result import Calibration
 from calib.model.files import make_folder, write_atomically
-from calib.show.figure_base import KINDS, Drawing, check_kind, rendered
+from calib.show.figure_base import KINDS, Drawing, check_kind, in_style, rendered
 from calib.show.figure_curves import by_pose_figure, curve_rows, curves_figure
 from calib.show.figure_fit import candidates_figure, convergence_figure, singular_values_figure
 from calib.show.figure_joints import MOST_ROWS, has_parts, joints_figure
@@ -84,11 +84,27 @@ def write_figures(
     made = drawings(calibration)
     place = make_folder(folder)
     paths = tuple(place / f"{drawing.name}.{kind}" for drawing in made)
+    if not overwrite:
+        check_free(paths)
     for done, (drawing, path) in enumerate(zip(made, paths, strict=True), start=1):
         write_atomically(path, rendered(drawing, kind), overwrite=overwrite)
         if progress is not None:
             progress(done, len(made))
     return paths
+
+
+def check_free(paths: Sequence[Path]) -> None:
+    """Refuse to write over figures.
+
+    Raises:
+        FileError: One of the files exists.
+    """
+    there = [path for path in paths if path.exists()]
+    if there:
+        message = (
+            f"'{there[0]}' exists already; add --force (overwrite=True) or choose another folder"
+        )
+        raise FileError(message)
 
 
 def _points(c: Calibration) -> Drawing:
@@ -100,7 +116,7 @@ def _points(c: Calibration) -> Drawing:
         "Measured points",
         f"The {counted(c)} in the base frame, [mm]: in space, and seen from three sides at equal scales. Outliers and "
         f"validation rows carry their row numbers if they are few.{thin}",
-        partial(points_figure, c),
+        in_style(points_figure, c),
     )
 
 
@@ -119,7 +135,7 @@ def _curves(c: Calibration) -> Drawing:
         "Errors before and after calibration",
         f"{what}, measured minus predicted, [mm], on {which}: by the nominal robot (dashed) and by the calibrated one "
         "(solid).",
-        partial(curves_figure, c),
+        in_style(curves_figure, c),
     )
 
 
@@ -131,7 +147,7 @@ def _by_pose(c: Calibration) -> Drawing:
         "Position error by row" if has_axes(c) else "Error of the length by row",
         f"{what} of all rows, {counted(c)} (shaded), in the order of the table, [mm]: before and "
         "after calibration above, after it alone below." + _left_out_words(c) + _AT_THE_EDGE,
-        partial(by_pose_figure, c),
+        in_style(by_pose_figure, c),
     )
 
 
@@ -143,7 +159,7 @@ def _orientation_by_pose(c: Calibration) -> Drawing:
         f"Angle between measured and predicted orientation of all rows that measure one, of {counted(c)} (shaded), in "
         "the order of the table, [deg]: before and after calibration above, after it alone below."
         + _left_out_words(c),
-        partial(by_pose_figure, c, angle=True),
+        in_style(by_pose_figure, c, angle=True),
     )
 
 
@@ -169,7 +185,7 @@ def _by_axis(c: Calibration) -> Drawing:
         "errors-by-axis",
         "Position error by axis",
         f"Errors along the axes of the measurement frame, measured minus predicted, [mm], of {counted(c)}. {_BOXES}",
-        partial(by_axis_figure, c),
+        in_style(by_axis_figure, c),
     )
 
 
@@ -180,7 +196,7 @@ def _orientation_by_axis(c: Calibration) -> Drawing:
         "Orientation error by axis",
         f"Errors about the axes of the measurement frame, measured minus predicted, [deg], of the rows of {counted(c)} "
         f"that measure an orientation. {_BOXES}",
-        partial(by_axis_figure, c, angle=True),
+        in_style(by_axis_figure, c, angle=True),
     )
 
 
@@ -194,7 +210,7 @@ def _joints(c: Calibration) -> Drawing:
         "The part of each row's error after calibration that lies along the joint's motion of the target, [mm], "
         f"against the joint's value, [deg] or [mm], of {counted(c)}.{thin} Outliers beyond the scale stand at "
         "its edge. A slope or a wave of the mean is an error of that joint that the model lacks, such as of its gear.",
-        partial(joints_figure, c),
+        in_style(joints_figure, c),
     )
 
 
@@ -206,7 +222,7 @@ def _histogram(c: Calibration) -> Drawing:
         f"Left: size of the error of all rows, {counted(c)}, before and after, on a logarithmic scale. Right: each "
         "number that was measured in the estimation rows, less what the calibrated robot predicts, over its estimated "
         "noise; if the model is complete, it follows the normal distribution.",
-        partial(histogram_figure, c),
+        in_style(histogram_figure, c),
     )
 
 
@@ -217,7 +233,7 @@ def _convergence(c: Calibration) -> Drawing:
         "Convergence of the solver",
         f"Cost, length of the step and damping over the {c.solution.iterations} iterations of the solver '{c.solver}' "
         "on the estimation rows, on logarithmic scales. Lines are broken where weights and noise were set anew.",
-        partial(convergence_figure, c),
+        in_style(convergence_figure, c),
     )
 
 
@@ -229,7 +245,7 @@ def _changes(c: Calibration) -> Drawing:
         f"Change of each parameter from its nominal value with its 95 % interval, estimated from "
         f"{int(np.sum(c.measurements.estimation)):,} estimation rows. An interval that does not reach the dashed line "
         "is a change that the data show.",
-        partial(changes_figure, c),
+        in_style(changes_figure, c),
     )
 
 
@@ -241,7 +257,7 @@ def _correlations(c: Calibration) -> Drawing:
         "Correlation of each pair of the parameters that the measurements determine, from the covariance of the fit to "
         "the estimation rows. The area of a square is the size of the correlation. Pairs near ±1 are known together "
         "better than apart.",
-        partial(correlations_figure, c),
+        in_style(correlations_figure, c),
     )
 
 
@@ -254,7 +270,7 @@ def _singular_values(c: Calibration) -> Drawing:
         f"Singular values of the Jacobian at the estimation rows: how far all points together move for a step of 1 mm "
         f"and 1 mrad along each of {o.columns} combinations of parameters, [mm]. Rank {o.rank}; values too small for "
         "the scale stand at its foot. The dashed line is the smallest that counts.",
-        partial(singular_values_figure, c),
+        in_style(singular_values_figure, c),
     )
 
 
@@ -266,7 +282,7 @@ def _candidates(c: Calibration) -> Drawing:
         "Each model that was tried on the estimation rows, with its number of parameters. Left: rms of the error on "
         "left-out rows, outliers aside. Right: restricted log likelihood, less that of the best; a larger model must "
         f"gain {c.candidates[0].needed:.1f} over a smaller one to be chosen.",
-        partial(candidates_figure, c),
+        in_style(candidates_figure, c),
     )
 
 
@@ -278,5 +294,5 @@ def _uncertainty(c: Calibration) -> Drawing:
         f"Standard deviation of the calibrated robot's predicted position over {POSES:,} poses spread over the joint "
         "limits, from the covariance of the parameters, [mm]: root mean square of the poses in each cell, in the base "
         "frame seen from three sides. It knows nothing of errors that the model lacks.",
-        partial(uncertainty_figure, c),
+        in_style(uncertainty_figure, c),
     )
