@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def folder(examples) -> Path:
+    return examples.folder
+
+
+def test_the_example_of_the_document(examples, folder: Path):
+    done = examples.starting("calib compare first.json later.json")
+    assert (done.code, done.err) == (0, "")
+    assert "two calibrations of robot 'ur3', base to tool0" in done.lines[0]
+    assert done.lines[1].startswith("  a: first.json, 40 rows of simulated.csv, model '")
+    assert done.lines[4].startswith(
+        "No drift that these data could show. A joint's zero that drifts"
+    )
+    assert done.lines[-1] == "Written: compared.json"
+    written = json.loads((folder / "compared.json").read_text(encoding="utf-8"))
+    assert (written["schema"], written["outcome"]) == ("comparison 1", "no drift shown")
+    assert [one["name"] for one in written["results"]] == ["first.json", "later.json"]
+    assert len(written["moves"]) == 2
+
+
+def test_another_robot_is_called_a_drift(call, folder: Path):
+    # The simulated robot's errors are not those of the paper's.
+    done = call(folder, "compare", "result.json", "first.json")
+    said = " ".join(done.out.split())
+    assert (done.code, done.err) == (0, "")
+    assert "The robot drifted (" in said or "they estimate different errors" in said
+    assert call(folder, "compare", "result.json", "first.json", "--quiet").out == ""
+
+
+def test_the_robot_is_looked_for_beside_the_results_or_given(call, folder: Path, tmp_path: Path):
+    names = ["first.json", "later.json"]
+    for name in names:
+        shutil.copy(folder / name, tmp_path)
+    alone = call(tmp_path, "compare", *names)
+    assert alone.code == 0
+    assert "lies neither beside them nor here" in alone.out
+    assert "mm rms" not in alone.out
+    given = call(tmp_path, "compare", *names, "--robot", folder / "corrected.urdf")
+    beside = call(tmp_path, "compare", *(folder / name for name in names))
+    assert given.out == beside.out
+    assert "mm rms" in given.out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("no.json", "later.json"), "calibration result 'no.json' does not exist; check"),
+        (("errors.json", "later.json"), "errors.json: its 'schema' is 'evaluation 1'; a result of"),
+        (("first.json", "data.csv"), "data.csv: this is not a JSON file: "),
+        (("first.json", "later.json", "--robot", "no.urdf"), "'no.urdf' does not exist"),
+        (("first.json", "later.json", "--robot", "panda"), "base"),
+        (("first.json", "later.json", "--json", "first.json"), "is also an input of this command"),
+        (("first.json", "later.json", "--json", "errors.json"), "exists already; add --force"),
+        (("first.json", "later.json", "--json", "no/c.json"), "the folder 'no' does not exist"),
+    ],
+)
+def test_errors_are_one_line(call, folder: Path, words: tuple[str, ...], said: str):
+    done = call(folder, "compare", *words)
+    assert (done.code, done.out) == (1, "")
+    assert done.err.startswith("calib: ")
+    assert said in done.err
+    assert done.err.count("\n") == 1
+
+
+def test_an_output_is_overwritten_when_asked(call, folder: Path, tmp_path: Path):
+    out = tmp_path / "c.json"
+    out.write_text("{}", encoding="utf-8")
+    words = ("compare", "first.json", "later.json", "--json", out)
+    assert call(folder, *words).code == 1
+    assert call(folder, *words, "--force").code == 0
+    assert '"comparison 1"' in out.read_text(encoding="utf-8")
