@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from calib.measure.workspace import Density, sample_workspace
     from calib.model.robot import Robot
     from calib.model.torques import Payload
-    from calib.show.pictures import show
+    from calib.show.opening import show
 
 __version__ = "0.1.0.dev0"
 

@@ -112,8 +112,11 @@ def test_deferred_imports_within_a_folder_are_few():
         ("calib.identify.result", "calib.identify.summary"),
         ("calib.identify.result", "calib.identify.result_file"),
         *UPWARDS,
-        ("calib.show", "calib.show.pictures"),
+        # calib.show can be called: what it calls, and what it is called with.
+        ("calib.show", "calib.show.opening"),
         ("calib.show", "calib.identify.calibration"),
+        ("calib.show", "calib.model.robot"),
+        ("calib.show", "calib.show.viewer"),
     }
 
 

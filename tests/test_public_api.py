@@ -123,6 +123,8 @@ def public(tree: ast.AST) -> list[tuple[str, ast.AST, str]]:
     """Public functions, classes and their public methods: name, node, docstring of the class around it."""
     found: list[tuple[str, ast.AST, str]] = []
     for node in ast.iter_child_nodes(tree):
+        if "overload" in map(ast.unparse, getattr(node, "decorator_list", [])):
+            continue  # a signature of the function that follows
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
             found.append((node.name, node, ""))
             if isinstance(node, ast.ClassDef):

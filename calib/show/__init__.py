@@ -27,8 +27,8 @@ class _Show(ModuleType):
     def __call__(
         self, shown: Calibration | Robot, other: Robot | None = None, *, live: bool = False
     ) -> Path | Viewer:
-        """Open the picture of a calibration or of robots in the browser; see `calib.show.pictures.show`."""
-        from calib.show.pictures import show
+        """Open the picture of a calibration or of robots in the browser; see `calib.show.opening.show`."""
+        from calib.show.opening import show
 
         return show(shown, other, live=True) if live else show(shown, other)
 

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib.show.arrangement import Arrangement
 from calib.show.camera import Camera
 from calib.show.puppet import Puppet, packed, stage_poses
 from calib.show.region_pictures import SELDOM_TO_OFTEN
 from calib.show.view import Cloud, View
 from calib.show.window import as_base64
-
-if TYPE_CHECKING:
-    from calib.show.scene import Layout
 
 Array = NDArray[np.float64]
 
@@ -83,7 +81,7 @@ def _arrow_lengths(view: View) -> Array:
 
 
 def motion_table(
-    view: View, shown: Mapping[str, Puppet], layout: Layout, ball: float
+    view: View, shown: Mapping[str, Puppet], layout: Arrangement, ball: float
 ) -> dict[str, Any]:
     """Everything that the script needs, as values that JSON can hold; arrays as base64 of little-endian float32.
 

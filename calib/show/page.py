@@ -36,7 +36,7 @@ def filled_page(
     legend: str,
     scene: bytes,
     table: Mapping[str, Any] | None = None,
-    script: str = "",
+    scripts: Sequence[str] = (),
     live: bool = False,
 ) -> bytes:
     """The page about any scene, UTF-8. What is HTML must have its names escaped, see `escaped`.
@@ -51,14 +51,14 @@ def filled_page(
         legend: HTML at the foot, see `key` and `grid_text`.
         scene: The scene's message.
         table: What the page's own script is told; None for a page without one.
-        script: Name of that script's file.
+        scripts: Names of that script's files.
         live: Whether the page listens to the server that it came from.
     """
     folder = Path(__file__).parent
     # A script must not hold what ends it, nor may a text block; the base64 of the scene cannot.
     viewer = _no_end_tag(viewer_script())
     start = _no_end_tag((folder / "page.js").read_text(encoding="utf-8"))
-    own = _no_end_tag((folder / script).read_text(encoding="utf-8")) if script else ""
+    own = _no_end_tag(_joined([(folder / name).read_text(encoding="utf-8") for name in scripts]))
     page = Template((folder / "page.html").read_text(encoding="utf-8"))
     text = page.substitute(
         hashes=" ".join(_hash(one) for one in (viewer, start, own) if one)
@@ -85,6 +85,11 @@ def filled_page(
 def escaped(text: str) -> str:
     """Text for HTML, in an element or in quotes; characters that UTF-8 lacks become a question mark."""
     return html.escape(text.encode("utf-8", "replace").decode("utf-8"), quote=True)
+
+
+def _joined(files: Sequence[str]) -> str:
+    """Several files as one script with names of its own; none for no files."""
+    return '"use strict";\n(() => {\n' + "\n".join(files) + "})();\n" if files else ""
 
 
 def _no_end_tag(text: str) -> str:

@@ -1,16 +1,12 @@
-"""Which robots, poses and rows are shown: of a calibration, or of two robots and a table; and where the page goes."""
+"""Which robots, poses and rows are shown: of a calibration, or of two robots and a table."""
 
 from __future__ import annotations
 
-import tempfile
-import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import ModelError
 from calib.identify.evaluation import Evaluation
 from calib.identify.result import Calibration
 from calib.identify.setup import Setup
@@ -20,9 +16,6 @@ from calib.model.robot import Robot, rigid_inverse
 from calib.show.cloud import cloud_of
 from calib.show.scene import write_view
 from calib.show.view import NAMES, Names, View
-
-if TYPE_CHECKING:
-    from calib.show.viewer import Viewer
 
 Array = NDArray[np.float64]
 
@@ -60,7 +53,7 @@ def view_of(calibration: Calibration, *, cloud: bool = True) -> View:
         errors=np.array([lengths for lengths, _ in sizes]),
         angles=np.array([angles for _, angles in sizes]),
         # Its error in the picture is then that of the tables, not where each of the two finds the tracker.
-        T_base_nominal=rigid_inverse(calibrated[0]) @ nominal[0],
+        T_base_nominal=_between(m, nominal[0], calibrated[0]),
         instruments=_instruments(m, calibrated[0]),
         cloud=cloud_of(c) if cloud else None,
         start=_worst(sizes[0][0], kinds),
@@ -121,63 +114,6 @@ def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = 
     return write_view(view_of(calibration), path, overwrite=overwrite)
 
 
-@overload
-def show(
-    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[False] = False
-) -> Path: ...
-
-
-@overload
-def show(
-    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[True]
-) -> Viewer: ...
-
-
-def show(
-    shown: Calibration | Robot, other: Robot | None = None, *, live: bool = False
-) -> Path | Viewer:
-    """Open the picture of a calibration, of a robot or of two robots in the browser.
-
-    Args:
-        shown: A calibration, or a robot.
-        other: A second robot with the same joints, to be shown beside the first.
-        live: Whether this program serves the page, so that it can move the robots and draw more; the page is then there
-            until the viewer is closed or the program ends. Otherwise it is a file, and stays.
-
-    Returns:
-        The page, in a temporary folder of its own; or the viewer.
-
-    Raises:
-        ModelError: It is no calibration and no robot, or the robots have different joints.
-    """
-    view = _view_of_anything(shown, other)
-    if live:
-        from calib.show.viewer import Viewer
-
-        viewer = Viewer(view)
-        viewer.open()
-        return viewer
-    page = write_view(view, Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
-    webbrowser.open(page.as_uri())
-    return page
-
-
-def _view_of_anything(shown: Calibration | Robot, other: Robot | None) -> View:
-    """The view of what a user hands over."""
-    if isinstance(shown, Calibration) and other is None:
-        return view_of(shown)
-    if isinstance(shown, Robot) and (other is None or isinstance(other, Robot)):
-        second = shown if other is None else other
-        names = (("First", shown.urdf.source), ("Second", second.urdf.source))
-        return view_of_robots(shown, other, names=names)
-    given = " and ".join(repr(one) for one in (shown, other) if one is not None)
-    message = (
-        f"show takes a Calibration, a Robot or two Robots; {given} was given. Make them with calib.calibrate(...) or "
-        "calib.Robot.load(...)."
-    )
-    raise ModelError(message)
-
-
 def _view_of_evaluations(
     nominal: Robot,
     calibrated: Robot | None,
@@ -204,7 +140,7 @@ def _view_of_evaluations(
         measured=_measured(m, after[0]),
         errors=np.array([lengths for lengths, _ in sizes]),
         angles=np.array([angles for _, angles in sizes]),
-        T_base_nominal=rigid_inverse(after[0]) @ before[0],
+        T_base_nominal=_between(m, before[0], after[0]),
         instruments=_instruments(m, after[0]),
         start=_worst(sizes[0][0], kinds),
         names=names,
@@ -218,6 +154,16 @@ def _placed(setup: Setup, m: Measurements) -> tuple[Array, Array]:
     frames = np.array([setup.groups.index(group) for group in m.groups])
     targets = np.array([setup.targets.index(target) for target in m.targets])
     return setup.T_frame_base[frames], setup.T_tip_target[targets]
+
+
+def _between(m: Measurements, nominal: Array, calibrated: Array) -> Array:
+    """Where the nominal robot stands in the calibrated one's base, by where each finds the frames.
+
+    Shape (N, 4, 4), [m]. Where nothing tells a place, neither finds where it stands: the two then share their base.
+    """
+    if not np.any(m.of_kind("point", "pose", "fixed")):
+        return np.broadcast_to(np.eye(4), nominal.shape)
+    return rigid_inverse(calibrated) @ nominal
 
 
 def _measured(m: Measurements, T_frame_base: Array) -> Array:

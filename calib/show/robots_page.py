@@ -23,6 +23,9 @@ _ROWS = {
     "flagged": (OUTLIER, "measured, flagged"),
 }
 
+#: The files of the page's own script, in order.
+SCRIPTS = ("robots.js", "marks.js", "words.js", "controls.js")
+
 #: The largest factor that the robots' difference is magnified by: beyond it links fly apart.
 _MOST_FOR_ROBOTS = 100
 
@@ -60,6 +63,7 @@ class PageParts:
 def robots_page(parts: PageParts) -> bytes:
     """The whole page, UTF-8."""
     view = parts.view
+    click = "<span>A click on a ball shows its row.</span>" if view.measures else ""
     return filled_page(
         title=view.title or f"{view.nominal.name or 'Robot'}: {_both(view)}",
         facts=_facts(view),
@@ -67,10 +71,11 @@ def robots_page(parts: PageParts) -> bytes:
         controls=_controls(view, int(parts.motion["arrows"])),
         inset=_inset() if view.calibrated is not None or view.measures else "",
         warnings=parts.warnings,
-        legend=_player(view) + f'<div class="keys">{_legend(view)}{grid_text(parts.grid)}</div>',
+        legend=_player(view)
+        + f'<div class="keys">{_legend(view)}{grid_text(parts.grid)}{click}</div>',
         scene=parts.scene,
         table={**parts.motion, "names": [name for name, _ in view.names], "colours": _colours()},
-        script="motion.js",
+        scripts=SCRIPTS,
         live=parts.live,
     )
 
@@ -193,6 +198,8 @@ def _legend(view: View) -> str:
     elif len(groups) > 1:
         words = f"from {view.names[0][0].lower()} to {view.names[1][0].lower()}"
         items.append(key(escaped(words), "", "nominal/arrows", "arrow"))
+    if view.measures:
+        items.append(key("predicted, in the robot's colour", "", nodes("predicted"), "ring"))
     items.append(key("frames of base, tip, target", "", nodes("frames"), "frame", on=False))
     if np.any(np.isfinite(view.instruments)):
         items.append(

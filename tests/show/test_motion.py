@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from calib.show.arrangement import Arrangement
 from calib.show.motion import (
     FACTORS,
     MOST_POSES,
@@ -19,7 +20,6 @@ from calib.show.motion import (
     thinned,
 )
 from calib.show.puppet import packed, puppets
-from calib.show.scene import Layout
 from calib.show.view import Cloud, View, translated
 from calib.show.visuals import read_visuals
 
@@ -35,7 +35,7 @@ def visuals_of(robot):
 
 def table_of(view: View) -> tuple[dict, dict]:
     shown = puppets(view, {who: visuals_of(robot) for who, robot in view.robots.items()})
-    table = motion_table(view, shown, Layout.of(view, shown), 0.01)
+    table = motion_table(view, shown, Arrangement.of(view, shown), 0.01)
     json.dumps(table, allow_nan=False)  # plain numbers only
     return table, shown
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import urllib.request
-import webbrowser
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import calib
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.errors import FileError, ModelError
+from calib.errors import FileError
 from calib.identify.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
@@ -83,39 +80,6 @@ def test_the_page_is_a_file(result, tmp_path):
     assert "Verdict: use." in text
     with pytest.raises(FileError, match="exists already"):
         write_page(result, path)
-
-
-def test_show_opens_the_page_in_the_browser(result, monkeypatch):
-    opened = []
-    monkeypatch.setattr(webbrowser, "open", opened.append)
-    page = calib.show(result)
-    assert opened == [Path(page).as_uri()]
-    assert page.is_file()
-
-
-def test_show_can_serve_the_page_and_move_the_robots(result, monkeypatch):
-    opened = []
-    monkeypatch.setattr(webbrowser, "open", opened.append)
-    with calib.show(result, live=True) as viewer:
-        assert opened == [viewer.url]
-        viewer.display(np.zeros(6))
-        with urllib.request.urlopen(viewer.url, timeout=10) as answer:
-            assert b"data-live" in answer.read()
-
-
-def test_show_takes_robots_too(result, monkeypatch):
-    monkeypatch.setattr(webbrowser, "open", lambda _: True)
-    text = calib.show(result.nominal, result.robot).read_text(encoding="utf-8")
-    assert "<strong>First</strong>" in text
-    assert "ur3.urdf" in text
-    alone = calib.show(result.nominal).read_text(encoding="utf-8")
-    assert "<strong>" not in alone
-    with pytest.raises(
-        ModelError, match=r"show takes a Calibration, a Robot or two Robots; 'ur3' was"
-    ):
-        calib.show("ur3")
-    with pytest.raises(ModelError, match="show takes a Calibration"):
-        calib.show(result, result.robot)
 
 
 def test_one_robot_moves_one_joint_after_the_other(gantry):

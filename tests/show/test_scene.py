@@ -353,6 +353,21 @@ def test_the_slider_takes_both_robots_through_the_measured_poses(browser, demo_p
         tab.evaluate("document.activeElement.blur()")
         tab.key("ArrowLeft")
         assert tab.evaluate("document.getElementById('which').value") == "row 17, fitted"
+        # Near a mark the mouse is told its row, and a click goes there.
+        x, y = tab.evaluate(
+            "(() => { const T = MeshCat.THREE, t = JSON.parse(document.getElementById('table').textContent);"
+            "const m = new Float32Array(Uint8Array.from(atob(t.measured), (c) => c.charCodeAt(0)).buffer);"
+            "const at = new T.Vector3().fromArray(m, 3 * 33);"
+            "viewer.scene_tree.find(['robots', 'nominal']).object.localToWorld(at).project(viewer.camera);"
+            "return [(0.5 + 0.5 * at.x) * innerWidth, (0.5 - 0.5 * at.y) * innerHeight]; })()"
+        )
+        tab.mouse(x, y)
+        assert tab.evaluate("document.getElementById('hint').textContent") == (
+            "row 34, held back: 3.49 mm → 0.266 mm"
+        )
+        tab.mouse(x, y, click=True)
+        assert tab.evaluate("document.getElementById('which').value") == "row 34, held back"
+        choose(tab, "row", 16)
         tab.click("#play")
         tab.wait_for("document.getElementById('which').value.startsWith('row 18')")
         assert tab.complaints == []
@@ -392,6 +407,20 @@ def test_chromium_would_report_what_the_policy_refuses(browser, ur3_page, tmp_pa
     assert sum("inline script" in line for line in said) == 2
     assert any("x.png" in line for line in said)
     assert any("x.css" in line for line in said)
+
+
+def test_the_address_says_what_is_shown_at_first(browser, demo_page):
+    address = demo_page.as_uri() + "#row=99&mode=%3Cb%3E&robots=3&arrows=x"
+    with browser.open(address, size=(320, 180)) as tab:
+        said = tab.evaluate("document.querySelector('header').innerText")
+        assert "Pose of row 35, held back." in said
+        assert "Arrows × 50. Robots true to scale." in said
+        tab.evaluate("location.hash = 'row=12&mode=over&robots=20&arrows=5'")
+        tab.wait_for("document.body.dataset.mode == 'over'")
+        said = tab.evaluate("document.querySelector('header').innerText")
+        assert "Pose of row 12, fitted." in said
+        assert "Arrows × 5. Differences from nominal drawn × 20." in said
+        assert tab.complaints == []
 
 
 def test_the_cloud_is_shown_on_request(browser, tmp_path):

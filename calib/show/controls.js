@@ -1,0 +1,173 @@
+// Buttons, slider, keys and mouse; what the address asks for; messages of a live page.
+
+// ---- side by side, or one over the other ----
+
+function arrange() {
+  const over = state.mode === "over";
+  document.body.dataset.mode = state.mode;
+  for (const who of names) {
+    group(who).position.fromArray(over ? table.over : table.places[who]);
+    for (const { inner } of Object.values(marks[who].kinds)) inner.visible = !(over && both && who === "nominal");
+  }
+  viewer.scene_tree.find(["Floor"]).object.position.fromArray(over ? table.floor : [0, 0, 0]);
+  if (both) {
+    group("calibrated", "robot").traverse((object) => {
+      if (!object.material) return;
+      object.material.transparent = over;
+      object.material.opacity = over ? 0.5 : 1;
+      object.material.needsUpdate = true;
+    });
+  }
+  for (const button of document.querySelectorAll("[data-mode]")) {
+    button.setAttribute("aria-pressed", String(button.dataset.mode === state.mode));
+  }
+}
+
+function look() {
+  viewer.camera.position.fromArray(table.cameras[state.mode]);
+  stepBack();
+}
+
+// ---- from row to row ----
+
+function update() {
+  moveRobots();
+  drawMarks();
+  tell();
+  viewer.set_dirty();
+}
+
+function goTo(row) {
+  state.alone = null;
+  state.row = (row + count) % count;
+  if (element("row")) element("row").value = state.row;
+  update();
+}
+
+let playing = null;
+function play(on) {
+  clearInterval(playing);
+  playing = on ? setInterval(() => goTo(state.row + 1), 900) : null;
+  element("play").classList.toggle("on", on);
+  element("play").querySelector("path").setAttribute("d", on ? "M4 3h3v10H4zM9 3h3v10H9z" : "M4.5 3v10L13 8z");
+}
+
+if (element("row")) {
+  element("row").addEventListener("input", () => goTo(Number(element("row").value)));
+  element("back").addEventListener("click", () => goTo(state.row - 1));
+  element("forward").addEventListener("click", () => goTo(state.row + 1));
+  element("play").addEventListener("click", () => play(playing === null));
+  document.addEventListener("keydown", (event) => {
+    if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) return;
+    if (event.key === "ArrowLeft") goTo(state.row - 1);
+    if (event.key === "ArrowRight") goTo(state.row + 1);
+    if (event.key === " ") play(playing === null);
+  });
+}
+// The mark nearest to the mouse, if it is near: its row.
+const screen = new THREE.Vector3();
+function rowAt(event) {
+  let best = null, nearest = 14;
+  for (const who of names) {
+    const parent = group(who);
+    if (!both || who === "calibrated" || state.mode === "side") {
+      for (let row = 0; row < count; row++) {
+        const at = seen(row) || target(who, row);
+        parent.localToWorld(screen.copy(at)).project(viewer.camera);
+        const x = (0.5 + 0.5 * screen.x) * window.innerWidth, y = (0.5 - 0.5 * screen.y) * window.innerHeight;
+        const far = Math.hypot(x - event.clientX, y - event.clientY);
+        if (screen.z < 1 && far < nearest) [best, nearest] = [row, far];
+      }
+    }
+  }
+  return best;
+}
+
+function pointAt(event) {
+  const row = event.buttons ? null : rowAt(event);
+  const hint = element("hint");
+  hint.hidden = row === null;
+  element("meshcat-pane").style.cursor = row === null ? "" : "pointer";
+  if (row === null) return;
+  hint.style.left = event.clientX + "px";
+  hint.style.top = event.clientY + "px";
+  hint.textContent = brief(row);
+}
+
+// A click on a mark shows its row; a drag turns the scene.
+const pressed = { x: NaN, y: NaN };
+const pane = element("meshcat-pane");
+if (count > 1) {
+  pane.addEventListener("pointermove", pointAt);
+  pane.addEventListener("pointerdown", (event) => Object.assign(pressed, { x: event.clientX, y: event.clientY }), true);
+  // The viewer's own controls keep clicks to themselves; that a button went up they do not hide.
+  window.addEventListener("pointerup", (event) => {
+    const still = Math.hypot(event.clientX - pressed.x, event.clientY - pressed.y) < 4;
+    const row = still ? rowAt(event) : null;
+    pressed.x = NaN;
+    if (row !== null) goTo(row);
+  }, true);
+}
+
+for (const button of document.querySelectorAll("[data-mode]")) {
+  button.addEventListener("click", () => {
+    state.mode = button.dataset.mode;
+    arrange();
+    look();
+    update();
+  });
+}
+for (const name of ["arrows", "robots"]) {
+  if (!element(name)) continue;
+  element(name).addEventListener("change", () => {
+    state[name] = Number(element(name).value);
+    update();
+  });
+}
+
+// A server that this page came from may send a pose of its own, or things for meshcat to draw.
+function listen() {
+  const socket = new WebSocket(`ws://${location.host}/live`);
+  socket.binaryType = "arraybuffer";
+  socket.addEventListener("message", ({ data }) => {
+    if (typeof data !== "string") {
+      viewer.handle_command_bytearray(new Uint8Array(data));
+      return;
+    }
+    const { pose } = JSON.parse(data);
+    if (!pose) return;
+    state.alone = { label: pose.label };
+    for (const who of names) state.alone[who] = floats(pose.robots[who]);
+    update();
+  });
+  socket.addEventListener("close", () => fill(element("pose"), "The server has stopped; the picture stays as it is."));
+}
+
+// An address may say what is shown at first, such as view.html#row=35&mode=over&robots=50.
+function start() {
+  const asked = new URLSearchParams(location.hash.slice(1));
+  for (const name of ["arrows", "robots"]) {
+    const choice = element(name) && [...element(name).options].find((one) => one.value === asked.get(name));
+    if (!choice) continue;
+    choice.selected = true;
+    state[name] = Number(choice.value);
+  }
+  const row = table.labels.indexOf(`row ${asked.get("row")}`);
+  if (row >= 0) state.row = row;
+  if (element("row")) element("row").value = state.row;
+  const mode = asked.get("mode");
+  if (both && mode in table.cameras && mode !== state.mode) {
+    state.mode = mode;
+    look();
+  }
+}
+
+start();
+arrange();
+update();
+window.addEventListener("hashchange", () => {
+  start();
+  arrange();
+  update();
+});
+if ("live" in document.body.dataset) listen();

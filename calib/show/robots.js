@@ -1,0 +1,110 @@
+// Where the robots are: the table that the page brings, the row shown, and what is magnified; see motion.py.
+const THREE = MeshCat.THREE;
+const table = JSON.parse(document.getElementById("table").textContent);
+const element = (name) => document.getElementById(name);
+const names = Object.keys(table.robots);
+const both = names.length > 1;
+const count = table.labels.length;
+const state = { row: table.start, mode: "side", arrows: table.arrows, robots: 1, alone: null };
+
+function floats(text) {
+  return new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
+}
+function group(...path) {
+  return viewer.scene_tree.find(["robots", ...path]).object;
+}
+
+const measured = floats(table.measured);
+const robots = {};
+for (const who of names) {
+  robots[who] = { ...table.robots[who], poses: floats(table.robots[who].poses) };
+}
+const hasMeasured = measured.some((value) => Number.isFinite(value));
+
+// ---- where a mover is at a row, the calibrated robot's difference magnified ----
+
+const place = new THREE.Vector3(), turn = new THREE.Quaternion();
+const nominalPlace = new THREE.Vector3(), nominalTurn = new THREE.Quaternion(), step = new THREE.Quaternion();
+
+function read(who, row, mover, atPlace, atTurn) {
+  const robot = robots[who];
+  const values = state.alone && row === state.row ? state.alone[who] : robot.poses;
+  const start = 7 * ((state.alone && row === state.row ? 0 : row * robot.movers) + mover);
+  atPlace.fromArray(values, start);
+  atTurn.fromArray(values, start + 3);
+}
+
+// The displacement from the nominal mover times a factor: the way along a line, the turn about its own axis.
+function locate(who, row, mover) {
+  read(who, row, mover, place, turn);
+  const same = robots[who].same[mover];
+  if (who === "nominal" || state.robots === 1 || same < 0) return;
+  read("nominal", row, same, nominalPlace, nominalTurn);
+  place.sub(nominalPlace).multiplyScalar(state.robots).add(nominalPlace);
+  step.copy(nominalTurn).conjugate().multiply(turn);
+  if (step.w < 0) step.set(-step.x, -step.y, -step.z, -step.w);
+  const half = Math.atan2(Math.hypot(step.x, step.y, step.z), step.w);
+  const scale = half > 1e-12 ? Math.sin(state.robots * half) / Math.sin(half) : state.robots;
+  step.set(scale * step.x, scale * step.y, scale * step.z, Math.cos(state.robots * half)).normalize();
+  turn.copy(nominalTurn).multiply(step);
+}
+
+function target(who, row) {
+  locate(who, row, robots[who].movers - 1);
+  return place.clone();
+}
+
+function trueTarget(who, row) {
+  const from = new THREE.Vector3();
+  read(who, row, robots[who].movers - 1, from, turn);
+  return from;
+}
+
+// Where the target was measured, moved away from the nominal one by the same factor; null where it was not.
+function seen(row) {
+  if (state.alone && row === state.row) return null;
+  if (!Number.isFinite(measured[3 * row])) return null;
+  const at = new THREE.Vector3().fromArray(measured, 3 * row);
+  const from = trueTarget("nominal", row);
+  return at.sub(from).multiplyScalar(state.robots).add(from);
+}
+
+// ---- the robots ----
+
+const z = new THREE.Vector3(0, 0, 1), way = new THREE.Vector3();
+function pad(number) {
+  return String(number).padStart(3, "0");
+}
+const moved = {};
+for (const who of names) {
+  const links = viewer.scene_tree.find(["robots", who, "robot", "links"]).children;
+  const at = Object.keys(links).map((name) => [Number(name), links[name].object]);
+  const rods = robots[who].rods.map((ends, k) => [ends, group(who, "robot", "rods", pad(k))]);
+  moved[who] = { links: at, rods };
+}
+
+function moveRobots() {
+  for (const who of names) {
+    for (const [mover, object] of moved[who].links) {
+      locate(who, state.row, mover);
+      object.position.copy(place);
+      object.quaternion.copy(turn);
+    }
+    for (const [[start, end], object] of moved[who].rods) {
+      locate(who, state.row, start);
+      const from = place.clone();
+      locate(who, state.row, end);
+      way.subVectors(place, from);
+      const length = way.length();
+      object.position.copy(from).addScaledVector(way, 0.5);
+      object.quaternion.setFromUnitVectors(z, length > 0 ? way.divideScalar(length) : z);
+      object.scale.set(1, 1, Math.max(length, 1e-9));
+    }
+    const frames = marks[who].frames;
+    frames.forEach((frame, k) => {
+      locate(who, state.row, robots[who].movers - 3 + k);
+      frame.position.copy(place);
+      frame.quaternion.copy(turn);
+    });
+  }
+}

@@ -1,0 +1,128 @@
+// Words and numbers about the row shown, and the target magnified.
+function mm(length) {
+  const value = 1e3 * length;
+  return value.toFixed(value < 1 ? 3 : value < 100 ? 2 : 0) + " mm";
+}
+const degrees = (angle) => ((180 / Math.PI) * angle).toFixed(3) + "\u00b0";
+
+function fill(parent, ...parts) {
+  parent.replaceChildren(...parts.map((part) => {
+    if (typeof part === "string") return document.createTextNode(part);
+    const strong = document.createElement("b");
+    strong.textContent = part[0];
+    return strong;
+  }));
+}
+
+function labelOf(row) {
+  const kind = { estimation: "fitted", validation: "held back", flagged: "flagged", pose: "" }[table.kinds[row]];
+  return table.labels[row] + (kind ? `, ${kind}` : "");
+}
+
+function label() {
+  return state.alone ? state.alone.label : labelOf(state.row);
+}
+
+// What is said of a row beside the mouse.
+function brief(row) {
+  const values = table.errors.slice(0, names.length).map((errors) => errors[row]).filter((value) => value !== null);
+  return labelOf(row) + (values.length ? `: ${values.map(mm).join(" \u2192 ")}` : "");
+}
+
+function points() {
+  const result = {};
+  for (const who of names) result[who] = trueTarget(who, state.row);
+  if (!state.alone && Number.isFinite(measured[3 * state.row])) {
+    result.measured = new THREE.Vector3().fromArray(measured, 3 * state.row);
+  }
+  return result;
+}
+
+function tell() {
+  if (element("which")) element("which").textContent = label();
+  const parts = [`Pose of ${label()}. `];
+  const values = table.errors.map((errors) => (state.alone ? null : errors[state.row]));
+  const turns = table.angles.map((angles) => (state.alone ? null : angles[state.row]));
+  const show = (who) => (values[who] === null ? [] : [[mm(values[who])]])
+    .concat(turns[who] === null ? [] : [values[who] === null ? "" : " and ", [degrees(turns[who])]]);
+  if (values[0] !== null || turns[0] !== null) {
+    parts.push("From what was measured: ", `${table.names[0].toLowerCase()} `, ...show(0));
+    if (both) parts.push(`, ${table.names[1].toLowerCase()} `, ...show(1));
+    parts.push(".");
+  } else if (both) {
+    const apart = trueTarget("nominal", state.row).distanceTo(trueTarget("calibrated", state.row));
+    parts.push("The two robots put the target ", [mm(apart)], " apart.");
+  }
+  fill(element("pose"), ...parts);
+  if (element("factors")) {
+    const robotsSaid = both
+      ? state.robots === 1 ? "Robots true to scale." : `Differences from ${table.names[0].toLowerCase()} drawn \u00d7 ${state.robots}.`
+      : "Robot true to scale.";
+    const arrowsSaid = `Arrows \u00d7 ${state.arrows}.`;
+    const cutSaid = cut ? ` ${cut} longer than the scene ${cut > 1 ? "are" : "is"} cut.` : "";
+    fill(element("factors"), `${arrowsSaid} ${robotsSaid}${cutSaid}`);
+  }
+  drawInset(points());
+}
+
+// Two or three points in the plane through them: no distance is foreshortened.
+function flat(all) {
+  const origin = all.nominal;
+  const x = (all.calibrated || all.measured).clone().sub(origin);
+  if (!(x.length() > 0) && all.measured) x.copy(all.measured).sub(origin);
+  if (x.length() > 0) x.normalize();
+  const result = {};
+  for (const [who, at] of Object.entries(all)) {
+    const from = at.clone().sub(origin);
+    const along = from.dot(x);
+    result[who] = [along, from.addScaledVector(x, -along).length()];
+  }
+  return result;
+}
+
+function svg(parent, tag, attributes, content) {
+  const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  if (content) node.textContent = content;
+  parent.appendChild(node);
+}
+
+function drawInset(all) {
+  const inset = element("inset");
+  if (!inset) return;
+  const names3 = { nominal: table.names[0], calibrated: table.names[1], measured: "Measured" };
+  const pairs = [["nominal", "measured"], ["calibrated", "measured"], ["nominal", "calibrated"]]
+    .filter(([one, other]) => all[one] && all[other]);
+  const drawing = inset.querySelector("svg"), rows = inset.querySelector("table");
+  drawing.replaceChildren();
+  rows.replaceChildren();
+  inset.hidden = !pairs.length;
+  if (!pairs.length) return;
+  for (const [one, other] of pairs) {
+    const row = rows.insertRow();
+    row.insertCell().textContent = `${names3[one].toLowerCase()} to ${names3[other].toLowerCase()}`;
+    row.insertCell().textContent = mm(all[one].distanceTo(all[other]));
+  }
+  const at = flat(all);
+  const xs = Object.values(at).map((p) => p[0]), ys = Object.values(at).map((p) => p[1]);
+  const wide = Math.max(...xs) - Math.min(...xs), high = Math.max(...ys) - Math.min(...ys);
+  if (!(Math.max(wide, high) > 0)) return;
+  // 170 by 92 units: room for the dots at the edges and the bar below.
+  const unit = 1 / Math.max(wide / 142, high / 50);
+  const put = (who) => [
+    85 + unit * (at[who][0] - 0.5 * (Math.max(...xs) + Math.min(...xs))),
+    36 - unit * (at[who][1] - 0.5 * (Math.max(...ys) + Math.min(...ys))),
+  ];
+  for (const [one, other] of pairs.slice(0, 2)) {
+    const [x1, y1] = put(one), [x2, y2] = put(other);
+    svg(drawing, "line", { x1, y1, x2, y2, stroke: table.colours[one], "stroke-width": 2 });
+  }
+  for (const who of Object.keys(at)) {
+    const [cx, cy] = put(who);
+    svg(drawing, "circle", { cx, cy, r: who === "measured" ? 5 : 7, fill: table.colours[who] });
+  }
+  const power = 10 ** Math.floor(Math.log10(80 / unit));
+  const bar = power * [5, 2, 1].find((factor) => factor * power <= (80 / unit) * 1.000001);
+  svg(drawing, "path", { d: `M8 78v6h${unit * bar}v-6`, fill: "none", stroke: "#5a6875" });
+  svg(drawing, "text", { x: 16 + unit * bar, y: 88, "font-size": 12, fill: "#5a6875" }, `${+(1e3 * bar).toPrecision(1)} mm`);
+}
