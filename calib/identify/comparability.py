@@ -12,6 +12,9 @@ from calib.model.robot import Robot
 #: Origins that differ by less than this are the same [m; rotation matrices: 1].
 _SAME = 1e-9
 
+#: What a model lacks shows in what it leaves over on its own rows: a move this many times as far has another cause.
+_FAR = 3.0
+
 #: Joints are held at the same value within this [rad, m].
 _HELD = 1e-9
 
@@ -58,8 +61,18 @@ def why_not(
     only: tuple[tuple[str, ...], tuple[str, ...]],
     *,
     known: bool,
+    moved: float,
 ) -> str:
-    """Why it cannot be told whether the robot drifted; empty where it can."""
+    """Why it cannot be told whether the robot drifted; empty where it can.
+
+    Args:
+        a: One result.
+        b: The other.
+        test: The test of their difference.
+        only: The parameters that move the target in ways that the other result's cannot, of each.
+        known: Whether the results can be subtracted at all.
+        moved: How far the target moved, rms, without the noise's part [m]; NaN where it is not known.
+    """
     if a.data[1] and a.data[1] == b.data[1]:
         return (
             "Both results are made of the same measurements, so that the robot was the same: what differs is how they "
@@ -78,7 +91,7 @@ def why_not(
             "The data of the two know no combination of the robot's parameters in common better than the priors do. "
             "Measure more poses."
         )
-    if any(only) and test.drifted:
+    if any(only) and test.drifted and not moved > _FAR * _left_over(a, b):
         return (
             f"The results differ by more than chance, but they estimate different errors: {_only(a, b, only)}. What "
             "one leaves out shows as a difference. Fit both with the same --model."
@@ -86,7 +99,12 @@ def why_not(
     return ""
 
 
-def _only(a: Compared, b: Compared, only: tuple[tuple[str, ...], tuple[str, ...]]) -> str:
+def _left_over(a: Compared, b: Compared) -> float:
+    """What either result leaves over on the rows that it was fitted to, the larger rms [m]."""
+    return max((one.errors[0].rms for one in (a, b) if one.errors), default=float("inf"))
+
+
+def _only(a: Compared, b: Compared, only: tuple[tuple[str, ...], ...]) -> str:
     """Which parameters only one result has, in words."""
     return " and ".join(
         f"only {one.name} ('{one.model}') has {choices(names, limit=4)}"
@@ -99,12 +117,20 @@ def notes(
     a: Compared,
     b: Compared,
     robot: Robot | None,
-    test: DriftTest,
     *,
     same_start: bool,
-    only: tuple[tuple[str, ...], tuple[str, ...]],
+    only: tuple[tuple[str, ...], ...],
 ) -> tuple[str, ...]:
-    """What to mind, sentences."""
+    """What to mind, sentences.
+
+    Args:
+        a: One result.
+        b: The other.
+        robot: The robot, where its URDF is at hand.
+        same_start: Whether both count from the same nominal robot.
+        only: The parameters that move the target in ways that the other result's cannot, of each; nothing where that
+            has been said.
+    """
     notes = []
     if robot is None:
         notes.append(
@@ -113,7 +139,7 @@ def notes(
         )
     if a.robot_name != b.robot_name:
         notes.append(f"The URDFs name their robots '{a.robot_name}' and '{b.robot_name}'.")
-    if any(only) and not test.drifted:
+    if any(only):
         notes.append(f"The results estimate different errors: {_only(a, b, only)}.")
     if not same_start:
         notes.append(

@@ -138,7 +138,9 @@ def _compared(a: Compared, b: Compared, robot: Robot | None) -> Comparison:
         found, reference = (both.pair(alike=alike, reference=r) for r in (False, True))
         difference, floor, only = both.difference, both.floor, (both.alone(0), both.alone(1))
     test = drift_test(difference, found, reference, floor)
-    why = why_not(a, b, test, only, known=both is not None or same)
+    moves = () if both is None or robot is None else _moves(both, robot, found.joint)
+    moved = moves[0].moved if moves else float("nan")
+    why = why_not(a, b, test, only, known=both is not None or same, moved=moved)
     outcome = CANNOT_TELL if why else DRIFT if test.drifted else NO_DRIFT
     return Comparison(
         a=a,
@@ -146,7 +148,7 @@ def _compared(a: Compared, b: Compared, robot: Robot | None) -> Comparison:
         outcome=outcome,
         why=why,
         test=test,
-        moves=() if both is None or robot is None else _moves(both, robot, found.joint),
+        moves=moves,
         shows_from=float("nan") if both is None else _shows_from(both, test),
         parameters=parameter_differences(a, b, test, same_start=same),
         untold=() if both is None else both.untold(),
@@ -154,7 +156,7 @@ def _compared(a: Compared, b: Compared, robot: Robot | None) -> Comparison:
         only_b=only[1],
         frames=frame_differences(a, b),
         targets=target_differences(a, b),
-        notes=notes(a, b, robot, test, same_start=same, only=only),
+        notes=notes(a, b, robot, same_start=same, only=() if why else only),
     )
 
 

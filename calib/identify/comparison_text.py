@@ -111,7 +111,8 @@ def sentence(c: Comparison) -> str:
     if np.isfinite(c.shows_from):
         text += (
             f" A joint's zero that drifts would be noticed {_share(POWER)} once it moves the target by "
-            f"{three(1e3 * c.shows_from)} mm rms over {c.moves[0].where}, whichever joint it is."
+            f"{three(1e3 * c.shows_from)} mm rms over {c.moves[0].where}, whichever joint it is"
+            f"{' of those that frame and target do not hide' if c.untold else ''}."
         )
     return text
 

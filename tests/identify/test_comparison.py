@@ -228,6 +228,16 @@ def test_a_model_that_leaves_errors_out_looks_like_a_drift_and_is_not_called_one
     assert first.startswith("Whether the robot drifted cannot be told.")
 
 
+def test_a_move_far_beyond_what_models_lack_is_a_drift(
+    before: Calibration, later: Callable[..., Calibration]
+):
+    c = compare(later("theta2", 0.02, fit="zeros"), before)
+    assert c.outcome == "drift"
+    assert c.moves[0].moved > 3.0 * max(one.errors[0].rms for one in (c.a, c.b))
+    assert any("only b ('dh') has" in note for note in c.notes)
+    assert "Fit both" not in c.summary()
+
+
 def test_the_same_measurements_are_no_second_opinion(before: Calibration):
     c = compare(before, before)
     assert (c.outcome, c.test.chi_square) == ("cannot tell", 0.0)
