@@ -18,6 +18,7 @@ number of that state: the same columns of the regressor, times that number.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -89,7 +90,7 @@ def error_model(
             "choose --model dh."
         )
         raise ModelError(message)
-    parameters = list(MODELS[base](robot))
+    parameters = [*_own_parameters(robot, base)]
     for family in families:
         parameters += joint_parameters(robot, family)
     estimated = (targets if target else ()) if isinstance(target, bool) else target
@@ -310,6 +311,12 @@ MODELS: dict[str, Callable[[Robot], list[Parameter]]] = {
     "zeros": _zero_parameters,
     "frames": _no_parameters,
 }
+
+
+@lru_cache(maxsize=16)
+def _own_parameters(robot: Robot, base: str) -> tuple[Parameter, ...]:
+    """A robot's own parameters; a calibration asks for the same ones for each model and each fold."""
+    return tuple(MODELS[base](robot))
 
 
 def _unit_twist(k: int) -> NDArray[np.float64]:
