@@ -271,18 +271,18 @@ def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
         R, shape (p, p), and rhs, shape (p,).
     """
     p = J.shape[1]
-    R = _upper(np.column_stack([J, -r]))
+    R: Array = np.triu(_packed(np.column_stack([J, -r])))
     if len(R) < p:
         R = np.vstack([R, np.zeros((p - len(R), p + 1))])
     return R[:p, :p], R[:p, p]
 
 
-def _upper(A: Array) -> Array:
-    """The triangle R of A = Q R, as `numpy.linalg.qr` has it, for matrices so small that NumPy's own work counts."""
+def _packed(A: Array) -> Array:
+    """The triangle R of A = Q R, with Q's reflections below it: `numpy.linalg.qr` without what it does besides."""
     if not A.size:  # LAPACK refuses it
         return np.zeros((min(A.shape), A.shape[1]))
     packed, _, _, _ = dgeqrf(A)
-    return np.asarray(np.triu(packed[: min(A.shape)]))
+    return np.asarray(packed[: min(A.shape)])
 
 
 def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
@@ -291,7 +291,7 @@ def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
     stacked = np.zeros((2 * p, p + 1))
     stacked[:p, :p], stacked[:p, p] = R, rhs
     stacked[p + np.arange(p), np.arange(p)] = damping
-    triangle = _upper(stacked)
+    triangle = _packed(stacked)  # what lies below the diagonal is not read
     dx, info = dtrtrs(triangle[:p, :p], triangle[:p, p])
     if info != 0:
         message = (

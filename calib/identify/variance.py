@@ -17,7 +17,7 @@ and its expected (Fisher) information has a closed form in C too: a handful of p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +82,7 @@ class Known:
 
     def and_families(self, own: Array) -> Known:
         """With zero-mean priors of these precisions on parameters that have none yet."""
-        return replace(self, precision=self.precision + own)
+        return Known(self.precision + own, self.centre, self.H, self.g, self.zz)
 
     def square(self, x: Array) -> float:
         """How far x is from what is known, squared, in standard deviations.
@@ -216,13 +216,13 @@ def sizes_by_reml(
     for _ in range(iterations):
         score, information = _score(data, families, known, logs, C)
         score[:C] -= logs[:C] / noise_spread**2
-        information[np.diag_indices(C)] += 1.0 / noise_spread**2
+        information[range(C), range(C)] += 1.0 / noise_spread**2
         # A family at its lower bound with a score that points below it stays there.
         free = ~((logs <= lowest) & (score < 0)) & ~((logs >= highest) & (score > 0))
         if not np.any(free):
             break
         part = information[np.ix_(free, free)]
-        part = part + np.diag(1e-3 * np.diag(part) + 1e-9)
+        part = part + np.diag(1e-3 * part.diagonal() + 1e-9)
         step = np.zeros_like(logs)
         step[free] = np.clip(np.linalg.solve(part, score[free]), -1.0, 1.0)
         moved = np.clip(logs + step, lowest, highest)
