@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ def script():
     """scripts/pictures.py as a module."""
     spec = importlib.util.spec_from_file_location("pictures", ROOT / "scripts" / "pictures.py")
     module = importlib.util.module_from_spec(spec)
+    sys.modules.setdefault("pictures", module)  # its dataclasses look themselves up there
     spec.loader.exec_module(module)
     return module
 
