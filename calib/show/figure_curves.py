@@ -206,14 +206,15 @@ def by_pose_figure(c: Calibration, *, angle: bool = False) -> Figure:
         kinds = [kind for kind in kinds if kind.word == "outlier"]
     else:
         if unseen is not None:
-            reach = max(reach, float(np.nanmax((scale * size(c, unseen))[others], initial=0.0)))
+            dashes = np.where(others, scale * size(c, unseen), np.nan)
+            reach = float(np.nanmax(dashes, initial=reach))
             look = {
                 "ls": "none",
                 "marker": "_",
                 "ms": 7 if count <= _MOST_MARKERS else 4,
                 "mew": 1.1,
             }
-            below.plot(scale * size(c, unseen), color=SOFT, **look)
+            below.plot(dashes, color=SOFT, **look)
             handles.append(Line2D([], [], color=SOFT, label="left out of the fit", **look))
     # Outliers far above the others stand at the edge: above they are drawn to scale.
     after = np.where(others, after, np.minimum(after, 1.25 * reach))

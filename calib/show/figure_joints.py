@@ -131,9 +131,7 @@ def joints_figure(c: Calibration) -> Figure:
     counts = {kind.word: kind.label for kind in row_kinds(c)}
     handles = [Line2D([], [], label=counts[kind.word], **kind.style(1)) for kind in kinds]
     if np.count_nonzero(good) >= _FEWEST_ROWS:
-        patch = Patch(
-            facecolor=CALIBRATED, alpha=0.4, label="mean of neighbours ± 2 standard errors"
-        )
+        patch = Patch(facecolor=CALIBRATED, alpha=0.4, label="mean ± 2 standard errors")
         handles.append(patch)  # type: ignore[arg-type]
     legend_above(figure, handles)
     return figure

@@ -58,7 +58,8 @@ class RowKind:
             count: How many are drawn; None for the number of rows.
         """
         many = (int(np.count_nonzero(self.mask)) if count is None else count) > 400
-        size = self.size * (0.5 if many and self.word != "outlier" else 1.0)
+        small = many if self.filled else np.count_nonzero(self.mask) > 40
+        size = self.size * (0.5 if small else 1.0)
         return {
             "linestyle": "none",
             "marker": self.marker,

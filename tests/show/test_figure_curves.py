@@ -1,0 +1,114 @@
+"""Curves of errors over rows show the residuals, of the rows that they name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.show.figure_base import styled
+from calib.show.figure_curves import by_pose_figure, curve_rows, curves_figure
+from calib.show.figure_rows import lengths_of
+
+
+@pytest.fixture(autouse=True)
+def _look():
+    with styled():
+        yield
+
+
+def lines(ax):
+    """The curves with numbers in them, by colour."""
+    found = [line for line in ax.lines if len(line.get_ydata()) > 2]
+    return {line.get_color(): np.asarray(line.get_ydata(), float) for line in found}
+
+
+def test_the_papers_figure_8_shows_the_validation_rows(calibrations):
+    c = calibrations.made("paper")
+    figure = curves_figure(c)
+    v = c.measurements.validation
+    for k, ax in enumerate(figure.axes[:3]):
+        before, after = lines(ax).values()
+        np.testing.assert_allclose(before, 1e3 * c.residual_nominal[v, k])
+        np.testing.assert_allclose(after, 1e3 * c.residual_calibrated[v, k])
+        assert ax.get_title(loc="left") == f"Δ{'xyz'[k]}"
+    assert len({ax.get_ylim() for ax in figure.axes[:3]}) == 1
+    _, after = lines(figure.axes[3]).values()
+    assert after.max() == pytest.approx(1e3 * c.errors["calibrated"]["validation"].max)
+    styles = {line.get_linestyle() for line in figure.axes[3].lines}
+    assert styles == {"--", "-"}  # told apart without colours
+    assert figure.axes[3].get_xlabel() == "validation row"
+
+
+def test_without_validation_rows_left_out_ones_are_shown_then_estimation_rows(calibrations):
+    c = calibrations.made("three_rows")
+    word, mask, before, after = curve_rows(c)
+    assert (word, int(mask.sum())) == ("left-out", 3)
+    np.testing.assert_array_equal(after[mask], c.cross_validation.residual)
+    np.testing.assert_array_equal(before[mask], c.nominal_cross_validation.residual)
+    word, mask, before, after = curve_rows(calibrations.made("one_row"))
+    assert word == "estimation"
+    np.testing.assert_array_equal(before, calibrations.made("one_row").residual_nominal)
+
+
+def test_lengths_have_one_panel(calibrations):
+    c = calibrations.made("distances")
+    figure = curves_figure(c)
+    assert len(figure.axes) == 1
+    before, _ = lines(figure.axes[0]).values()
+    v = c.measurements.validation
+    np.testing.assert_allclose(before, 1e3 * np.abs(c.residual_nominal[v, 0]))
+
+
+def test_by_pose_an_outlier_stands_at_the_edge_and_is_numbered(calibrations):
+    c = calibrations.made("with_outliers")
+    top, below = by_pose_figure(c).axes
+    reach = below.get_ylim()[1]
+    sizes = 1e3 * lengths_of(c, c.residual_calibrated)
+    assert sizes.max() > 10.0 * reach
+    numbers = {text.get_text() for text in below.texts}
+    assert numbers == {str(one.row) for one in (*c.outliers, *c.suspects)}
+    assert top.get_ylim()[1] > sizes.max()
+    drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in below.lines])
+    assert np.nanmax(drawn) < reach
+
+
+def test_by_pose_shows_what_left_out_rows_show(calibrations):
+    c = calibrations.made("paper")
+    _, below = by_pose_figure(c).axes
+    dashes = next(line for line in below.lines if line.get_marker() == "_")
+    shown = np.asarray(dashes.get_ydata(), float)
+    expected = 1e3 * np.linalg.norm(c.cross_validation.residual, axis=1)
+    good = ~np.isin(np.arange(1, 31), [11, 14])  # the outliers
+    np.testing.assert_allclose(shown[:30][good], expected[good])
+    assert np.all(np.isnan(shown[:30][~good]))
+    assert np.all(np.isnan(shown[30:]))
+
+
+def test_orientations_are_in_degrees(calibrations):
+    c = calibrations.made("mixed")
+    top, below = by_pose_figure(c, angle=True).axes
+    assert top.get_ylabel() == below.get_ylabel() == "size of the error [deg]"
+    before = next(iter(lines(top).values()))
+    expected = np.degrees(c.errors["nominal"]["estimation"].max_angle)
+    assert np.nanmax(before) == pytest.approx(expected)
+
+
+def test_many_rows_are_bands(calibrations):
+    c = calibrations.many_rows(6000)
+    figure = by_pose_figure(c)
+    top, below = figure.axes
+    assert len(top.collections) == 2
+    assert all(len(line.get_ydata()) <= 120 for line in (*top.lines, *below.lines))
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "5 to 95 % of 50 rows each" in labels
+
+
+def test_a_set_of_rows_without_numbers_is_left_out(calibrations):
+    c = calibrations.made("mixed")
+    turned = c.measurements.of_kind("pose")
+    sets = tuple("estimate" if pose else "validate" for pose in turned)
+    held = replace(c, measurements=replace(c.measurements, sets=sets))
+    labels = [t.get_text() for t in by_pose_figure(held, angle=True).legends[0].get_texts()]
+    assert not [label for label in labels if "validation" in label]
