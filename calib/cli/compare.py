@@ -14,7 +14,7 @@ _HELP = """Compare two calibrations of one robot: did it drift?
 \b
 Examples:
   calib compare january.json june.json
-  calib compare january.json june.json --robot robot.urdf --json compared.json
+  calib compare january.json june.json --robot robot.urdf --json compared.json --view both.html
 
 A and B are results that 'calib fit --json' wrote, of measurements taken at different times. The answer comes first:
 by how much the target moved, up to what frame and target absorb, and whether that is more than chance; or how large
@@ -42,6 +42,10 @@ def compare(
     json: Annotated[
         Path | None, typer.Option("--json", help="Write the comparison as JSON.")
     ] = None,
+    view: Annotated[
+        Path | None,
+        typer.Option("--view", help="Write a page that shows the robot as both have it."),
+    ] = None,
     force: Force = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -51,14 +55,21 @@ def compare(
         from calib.cli.setup import check_outputs
         from calib.identify.comparison import compare as compare_results
 
-        check_outputs([json], [a, b, *([robot] if robot else [])], force=force)
+        check_outputs([json, view], [a, b, *([robot] if robot else [])], force=force)
         found = compare_results(a, b, robot)
-        written = None if json is None else found.write_json(json, overwrite=force)
+        written = []
+        if view is not None:
+            from calib.show.comparison_view import view_of_comparison
+            from calib.show.scene import write_view
+
+            written.append(write_view(view_of_comparison(found), view, overwrite=force))
+        if json is not None:
+            written.append(found.write_json(json, overwrite=force))
         if quiet:
             return
         typer.echo(found.summary())
-        if written is not None:
-            typer.echo(f"\nWritten: {written}")
+        if written:
+            typer.echo("\n" + "\n".join(f"Written: {path}" for path in written))
 
 
 compare.__doc__ = _HELP

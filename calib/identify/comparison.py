@@ -60,6 +60,7 @@ class Comparison:
         frames: How set-ups of the same name moved.
         targets: How targets of the same name moved.
         notes: What to mind, sentences.
+        robot: The robot, where its URDF is at hand.
     """
 
     a: Compared
@@ -76,12 +77,28 @@ class Comparison:
     frames: tuple[PlaceDifference, ...]
     targets: tuple[PlaceDifference, ...]
     notes: tuple[str, ...]
+    robot: Robot | None
 
     def __repr__(self) -> str:
         """In one line; `summary` has the rest."""
         return (
             f"Comparison({self.a.name!r}, {self.b.name!r}, {self.outcome}, p = {self.test.p:.2g})"
         )
+
+    @property
+    def robots(self) -> tuple[Robot, Robot]:
+        """The robot as the first result has it, and as the second has it.
+
+        Raises:
+            ModelError: There is no URDF.
+        """
+        if self.robot is None:
+            message = (
+                "The URDF that the results name was not found, so that there is no robot to show. Give it with --robot "
+                "(compare(a, b, robot))."
+            )
+            raise ModelError(message)
+        return self.a.stored.corrected(self.robot), self.b.stored.corrected(self.robot)
 
     def summary(self) -> str:
         """The comparison as text, without colours, in 100 columns."""
@@ -157,6 +174,7 @@ def _compared(a: Compared, b: Compared, robot: Robot | None) -> Comparison:
         frames=frame_differences(a, b),
         targets=target_differences(a, b),
         notes=notes(a, b, robot, same_start=same, only=() if why else only),
+        robot=robot,
     )
 
 

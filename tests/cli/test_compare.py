@@ -72,6 +72,21 @@ def test_errors_are_one_line(call, folder: Path, words: tuple[str, ...], said: s
     assert done.err.count("\n") == 1
 
 
+def test_a_page_of_both(call, folder: Path, tmp_path: Path):
+    done = call(folder, "compare", "first.json", "later.json", "--view", tmp_path / "v.html")
+    assert (done.code, done.lines[-1]) == (0, f"Written: {tmp_path / 'v.html'}")
+    page = (tmp_path / "v.html").read_text(encoding="utf-8")
+    assert "ur3: two calibrations" in page
+    assert "a: first.json" in page
+    assert "No drift that these data could show." in page
+    shutil.copy(folder / "first.json", tmp_path)
+    shutil.copy(folder / "later.json", tmp_path)
+    lost = call(tmp_path, "compare", "first.json", "later.json", "--view", "w.html")
+    assert (lost.code, lost.out) == (1, "")
+    assert "there is no robot to show. Give it with --robot" in lost.err
+    assert not (tmp_path / "w.html").exists()
+
+
 def test_an_output_is_overwritten_when_asked(call, folder: Path, tmp_path: Path):
     out = tmp_path / "c.json"
     out.write_text("{}", encoding="utf-8")
