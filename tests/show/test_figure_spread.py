@@ -46,7 +46,7 @@ def test_orientations_are_in_degrees(calibrations):
 
 
 def test_every_row_is_in_the_histogram(calibrations):
-    for name in ("paper", "distances", "do_not_use", "one_row"):
+    for name in ("paper", "distances", "with_outliers", "one_row"):
         c = calibrations.made(name)
         left, right = histogram_figure(c).axes
         for patch in left.patches:
