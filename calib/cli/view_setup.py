@@ -92,7 +92,8 @@ def view_asked_for(sources: Sources, cell: Cell, *, quiet: bool) -> View:
         evaluations=None if rows is None else _evaluations(first, second, rows, cell, known),
         flagged=_flagged(table, rows),
         title=first.name if second is None else "",
-        note=_note(table),
+        verdict=_verdict(table)[0],
+        note=_verdict(table)[1],
     )
     return shown if rows is not None else _with_targets(shown, cell, known)
 
@@ -175,9 +176,9 @@ def _flagged(table: Mapping[str, Any], rows: Measurements | None) -> frozenset[i
     return frozenset(int(one["row"]) for one in (*table["outliers"], *table["suspects"]))
 
 
-def _note(table: Mapping[str, Any]) -> str:
-    """The result's verdict."""
+def _verdict(table: Mapping[str, Any]) -> tuple[str, str]:
+    """The result's verdict, and what it stands on first."""
     verdict = table.get("verdict")
     if not verdict:
-        return ""
-    return " ".join([f"Verdict: {verdict['use']}.", *verdict["reasons"][:1]])
+        return "", ""
+    return str(verdict["use"]), " ".join(verdict["reasons"][:1])

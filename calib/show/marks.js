@@ -38,7 +38,7 @@ for (const who of names) {
   const colour = dark(table.colours[who]);
   const frames = [0.16, 0.1, 0.1].map((length) => triad(length * table.size));
   frames.forEach((frame) => group(who, "frames").add(frame));
-  const predicted = many(ball, table.colours[who], count, group(who, "predicted"));
+  const predicted = many(ball, table.colours[who], hasMeasured ? count : 0, group(who, "predicted"));
   marks[who] = { kinds, frames, predicted, shafts: many(shaft, colour, count, arrows), heads: many(head, colour, count, arrows) };
   addInstruments(who);
 }

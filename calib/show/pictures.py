@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,7 @@ def view_of_robots(
     evaluations: tuple[Evaluation, Evaluation | None] | None = None,
     flagged: frozenset[int] = frozenset(),
     title: str = "",
+    verdict: str = "",
     note: str = "",
 ) -> View:
     """The view of one or two robots, with what was measured if there is a table.
@@ -85,10 +87,12 @@ def view_of_robots(
         evaluations: What `calib.evaluate` says of the two robots and one table; None for no table.
         flagged: Rows that do not belong to the others.
         title: The page's heading.
-        note: A sentence or two below it.
+        verdict: What a calibration's verdict is; none for none.
+        note: A sentence or two below the heading.
     """
     if evaluations is not None:
-        return _view_of_evaluations(nominal, calibrated, names, evaluations, flagged, title, note)
+        shown = _view_of_evaluations(nominal, calibrated, evaluations, flagged)
+        return replace(shown, names=names, title=title, verdict=verdict, note=note)
     if calibrated is None:
         q, labels = _one_joint_after_the_other(nominal)
     else:
@@ -101,6 +105,7 @@ def view_of_robots(
         labels=labels,
         names=names,
         title=title or (nominal.name if calibrated is None else ""),
+        verdict=verdict,
         note=note,
     )
 
@@ -117,11 +122,8 @@ def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = 
 def _view_of_evaluations(
     nominal: Robot,
     calibrated: Robot | None,
-    names: Names,
     evaluations: tuple[Evaluation, Evaluation | None],
     flagged: frozenset[int],
-    title: str,
-    note: str,
 ) -> View:
     """The view of robots and a table."""
     first, second = evaluations[0], evaluations[1] or evaluations[0]
@@ -143,9 +145,6 @@ def _view_of_evaluations(
         T_base_nominal=_between(m, before[0], after[0]),
         instruments=_instruments(m, after[0]),
         start=_worst(sizes[0][0], kinds),
-        names=names,
-        title=title,
-        note=note,
     )
 
 

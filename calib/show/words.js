@@ -40,7 +40,7 @@ function points() {
 
 function tell() {
   if (element("which")) element("which").textContent = label();
-  const parts = [`Pose of ${label()}. `];
+  const parts = [[label()], ". "];
   const values = table.errors.map((errors) => (state.alone ? null : errors[state.row]));
   const turns = table.angles.map((angles) => (state.alone ? null : angles[state.row]));
   const show = (who) => (values[who] === null ? [] : [[mm(values[who])]])

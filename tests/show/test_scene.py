@@ -413,12 +413,12 @@ def test_the_address_says_what_is_shown_at_first(browser, demo_page):
     address = demo_page.as_uri() + "#row=99&mode=%3Cb%3E&robots=3&arrows=x"
     with browser.open(address, size=(320, 180)) as tab:
         said = tab.evaluate("document.querySelector('header').innerText")
-        assert "Pose of row 35, held back." in said
+        assert "row 35, held back." in said
         assert "Arrows × 50. Robots true to scale." in said
         tab.evaluate("location.hash = 'row=12&mode=over&robots=20&arrows=5'")
         tab.wait_for("document.body.dataset.mode == 'over'")
         said = tab.evaluate("document.querySelector('header').innerText")
-        assert "Pose of row 12, fitted." in said
+        assert "row 12, fitted." in said
         assert "Arrows × 5. Differences from nominal drawn × 20." in said
         assert tab.complaints == []
 
