@@ -28,13 +28,16 @@ def main() -> int:
     """Print a line for each figure and a sum for each case; 1 if any is too slow or too large."""
     cases = _cases()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("case", nargs="*", choices=[[], *cases.CASES], default=list(cases.CASES))
+    parser.add_argument("case", nargs="*", help=f"of {', '.join(cases.CASES)}; default all")
     parser.add_argument("--kind", choices=KINDS, default="png")
     parser.add_argument("--rows", type=int, default=100_000, help="of the case many_rows")
     parser.add_argument("--keep", type=Path, help="folder to write the figures to")
     options = parser.parse_args()
+    unknown = set(options.case) - set(cases.CASES)
+    if unknown:
+        parser.error(f"no such case: {', '.join(sorted(unknown))}")
     bad = 0
-    for name in options.case:
+    for name in options.case or cases.CASES:
         found = cases.many_rows(options.rows) if name == "many_rows" else cases.made(name)
         print(f"{name}: {len(found.measurements):,} rows, {len(found.parameters)} parameters")
         seconds, size = 0.0, 0

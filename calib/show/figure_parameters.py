@@ -12,7 +12,7 @@ from calib.identify.findings import ParameterEstimate
 from calib.identify.result import Calibration
 from calib.model.observability import SHOWN
 from calib.model.parameters import FRAME, TARGET
-from calib.show.figure_base import WIDTH, legend_above, new_figure, short_names
+from calib.show.figure_base import WIDTH, few_ticks, legend_above, new_figure, short_names
 from calib.show.palette import CALIBRATED, INK, NOMINAL, SOFT
 
 if TYPE_CHECKING:
@@ -129,6 +129,7 @@ def _changes(ax: Axes, unit: _Unit, lines: int) -> None:
     ax.axvline(0.0, color=NOMINAL, lw=1.2, ls="--", zorder=2)
     ax.set_yticks(range(len(names)), names, size=7.5 if lines <= 40 else 6.5)
     ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.xaxis.set_major_locator(few_ticks(5))
     ax.grid(visible=False, axis="y")
     for y in range(0, len(names), 2):
         ax.axhspan(y - 0.5, y + 0.5, color="#f3f5f7", lw=0, zorder=0)

@@ -31,6 +31,9 @@ _MOST_RINGS = 150
 #: Up to so many points stand on lines down to the floor.
 _MOST_STILTS = 100
 
+#: Points of a plane seen from its edge have no numbers there [m].
+_FLAT = 0.01
+
 #: Joint values over which the uncertainty is drawn, and cells across a view.
 POSES, _CELLS = 4000, 22
 
@@ -54,7 +57,8 @@ def points_figure(c: Calibration) -> Figure:
         for kind in kinds:
             _dots(ax, 1e3 * _thinned(places, kind)[:, [i, j]], kind, many=len(places) > MOST_SHAPES)
         _flat(ax, limits, (i, j))
-        number_points(ax, c, 1e3 * places[:, [i, j]])
+        if np.min(np.ptp(places[:, [i, j]], axis=0)) > _FLAT:
+            number_points(ax, c, 1e3 * places[:, [i, j]])
     handles = [Line2D([], [], label=kind.label, **kind.style(1)) for kind in kinds]
     if _holds_base(limits):
         cross = Line2D([], [], ls="none", marker="+", ms=9, mew=1.4, color=SOFT, label="base")
@@ -95,10 +99,13 @@ def _space(ax: Any, places: Array, kinds: tuple[RowKind, ...], limits: Array) ->
         ax.plot([0.0], [0.0], [0.0], marker="+", ms=9, mew=1.4, color=SOFT)
     for k, setter in enumerate((ax.set_xlim, ax.set_ylim, ax.set_zlim)):
         setter(*(1e3 * limits[:, k]))
-    ax.set_box_aspect(limits[1] - limits[0], zoom=0.84)
+    size = limits[1] - limits[0]
+    # A low box is drawn wider: then its labels need more room.
+    ax.set_box_aspect(size, zoom=0.8 if size[2] > 0.6 * size.max() else 0.68)
     ax.set_title("In space, base frame")
     for axis, letter in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", strict=True):
         axis.set_label_text(f"{letter} [mm]")
+        axis.labelpad = 1.5
         axis.set_major_locator(few_ticks(4))
         axis.set_pane_color((0.97, 0.975, 0.98, 1.0))
     ax.tick_params(labelsize=7.5, pad=1)
