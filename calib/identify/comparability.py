@@ -9,6 +9,9 @@ from calib.identify.compared import Compared
 from calib.identify.drift import DriftTest
 from calib.model.robot import Robot
 
+#: What a comparison says: see `calib.identify.comparison.Comparison`.
+DRIFT, NO_DRIFT, CANNOT_TELL = "drift", "no drift shown", "cannot tell"
+
 #: Origins that differ by less than this are the same [m; rotation matrices: 1].
 _SAME = 1e-9
 

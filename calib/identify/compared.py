@@ -72,6 +72,7 @@ class Compared:
         delta: shape (p,), the change from the nominal robot.
         covariance: shape (p, p).
         precision: shape (p,), 1 / prior variance; 0 without prior.
+        push: shape (p,), how hard the data push against the priors, in 1 / unit.
         at_bound: shape (p,), whether a bound stopped it.
         identifiable: shape (p,), whether the measurements determine it alone.
         freedom: Degrees of freedom that the noise was estimated with.
@@ -102,6 +103,7 @@ class Compared:
     delta: Array
     covariance: Array
     precision: Array
+    push: Array
     at_bound: NDArray[np.bool_]
     identifiable: NDArray[np.bool_]
     freedom: float
@@ -175,6 +177,7 @@ class Compared:
             delta=_floats([one["delta"] for one in parameters]),
             covariance=_floats(table["covariance"]).reshape(p, p),
             precision=read_only(np.where(np.isnan(prior), 0.0, 1.0 / prior**2)),
+            push=_floats([one["push"] for one in parameters]),
             at_bound=np.array([one["at_bound"] for one in parameters], dtype=bool),
             identifiable=np.array([one["identifiable"] for one in parameters], dtype=bool),
             freedom=float(table["noise"]["freedom"]),
@@ -191,7 +194,8 @@ class Compared:
             data_rows=int(inputs["measurements"]["rows"]),
             nominal=nominal,
         )
-        if not np.all(np.isfinite(result.covariance)) or not np.all(np.isfinite(result.delta)):
+        numbers = (result.covariance, result.delta, result.push)
+        if not all(np.all(np.isfinite(one)) for one in numbers):
             message = "numbers of the parameters or of their covariance are missing"
             raise ValueError(message)
         if len(result.ranges) != len(result.joints):

@@ -10,8 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
-from calib.identify.comparability import check_same_chain, notes, same_start, why_not
+from calib.identify.common_priors import estimated
+from calib.identify.comparability import (
+    CANNOT_TELL,
+    DRIFT,
+    NO_DRIFT,
+    check_same_chain,
+    notes,
+    same_start,
+    why_not,
+)
 from calib.identify.compared import Compared, Result
+from calib.identify.comparison_text import comparison_table, comparison_text
 from calib.identify.differences import (
     ParameterDifference,
     PlaceDifference,
@@ -20,7 +30,8 @@ from calib.identify.differences import (
     target_differences,
 )
 from calib.identify.drift import DriftTest, Pair, drift_test
-from calib.identify.moves import Compensated, Move, Seen, estimated
+from calib.identify.moves import Compensated, Move, Seen
+from calib.identify.result_file import write_table
 from calib.model.observability import steps
 from calib.model.parameters import ZERO
 from calib.model.readback import spread_between, spread_poses
@@ -33,9 +44,6 @@ _POSES = 200
 
 #: What stands for rounding where parameters are compared, in steps of 1 mm and 1 mrad.
 _FLOOR = 1e-7
-
-#: What the comparison says: see `Comparison.outcome`.
-DRIFT, NO_DRIFT, CANNOT_TELL = "drift", "no drift shown", "cannot tell"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,14 +110,10 @@ class Comparison:
 
     def summary(self) -> str:
         """The comparison as text, without colours, in 100 columns."""
-        from calib.identify.comparison_text import comparison_text
-
         return comparison_text(self)
 
     def table(self) -> dict[str, Any]:
         """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
-        from calib.identify.comparison_text import comparison_table
-
         return comparison_table(self)
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -118,8 +122,6 @@ class Comparison:
         Raises:
             FileError: The file exists, or cannot be written.
         """
-        from calib.identify.result_file import write_table
-
         return write_table(self.table(), path, overwrite=overwrite)
 
 
@@ -149,13 +151,14 @@ def _compared(a: Compared, b: Compared, robot: Robot | None) -> Comparison:
     alike = same and a.own_names == b.own_names and a.ties == b.ties and a.model == b.model
     both = None if robot is None else _both(a, b, robot, same_start=same)
     if both is None:
-        found, reference = (_by_name(a, b, same, alike, reference=r) for r in (False, True))
-        difference, floor, only = _named_difference(a, b, same), _FLOOR, _missing(a, b)
+        pair = _by_name(a, b, same, alike)
+        difference, floor, only = _named_difference(a, b, same, pair), _FLOOR, _missing(a, b)
     else:
-        found, reference = (both.pair(alike=alike, reference=r) for r in (False, True))
-        difference, floor, only = both.difference, both.floor, (both.alone(0), both.alone(1))
-    test = drift_test(difference, found, reference, floor)
-    moves = () if both is None or robot is None else _moves(both, robot, found.joint)
+        pair = both.pair(alike=alike)
+        difference, floor = both.difference(pair), both.floor
+        only = (both.alone(0), both.alone(1))
+    test = drift_test(difference, pair, floor)
+    moves = () if both is None or robot is None else _moves(both, robot, pair)
     moved = moves[0].moved if moves else float("nan")
     why = why_not(a, b, test, only, known=both is not None or same, moved=moved)
     outcome = CANNOT_TELL if why else DRIFT if test.drifted else NO_DRIFT
@@ -218,12 +221,12 @@ def _both(a: Compared, b: Compared, robot: Robot, *, same_start: bool) -> Compen
     return Compensated.of(Seen.at(a, b, robot, q), a, b, same_start=same_start)
 
 
-def _moves(both: Compensated, robot: Robot, covariance: Array) -> tuple[Move, ...]:
+def _moves(both: Compensated, robot: Robot, pair: Pair) -> tuple[Move, ...]:
     """How far the target lies elsewhere, over what both data cover and over the limits."""
     everywhere = Seen.at(both.a, both.b, robot, spread_poses(robot, _POSES))
     return (
-        both.move("the joint values that both measured", both.seen, covariance),
-        both.move("the joint limits", everywhere, covariance),
+        both.move("the joint values that both measured", both.seen, pair),
+        both.move("the joint limits", everywhere, pair),
     )
 
 
@@ -249,20 +252,24 @@ def _shared(a: Compared, b: Compared, same: bool) -> list[str]:
     return [n for n in a.own_names if n in b.own_names] if same else []
 
 
-def _named_difference(a: Compared, b: Compared, same: bool) -> Array:
-    """The difference of the parameters that both have, in steps of 1 mm and 1 mrad."""
+def _named_difference(a: Compared, b: Compared, same: bool, pair: Pair) -> Array:
+    """The difference of the parameters that both have, under common priors, in steps of 1 mm and 1 mrad."""
     names = _shared(a, b, same)
-    first, second = ([one.names.index(name) for name in names] for one in (a, b))
-    return (b.delta[second] - a.delta[first]) / steps([a.units[k] for k in first])
+    values = []
+    for one, found in ((a, pair.a), (b, pair.b)):
+        own = [one.own_names.index(name) for name in names]
+        values.append((one.delta[one.own] + found.shift)[own])
+    units = [a.units[a.names.index(name)] for name in names]
+    return np.asarray((values[1] - values[0]) / steps(units))
 
 
-def _by_name(a: Compared, b: Compared, same: bool, alike: bool, *, reference: bool) -> Pair:
+def _by_name(a: Compared, b: Compared, same: bool, alike: bool) -> Pair:
     """Both results in the parameters that they share, in the same steps: what can be done without a robot."""
-    names, pair = _shared(a, b, same), []
+    names, effects = _shared(a, b, same), []
     for one in (a, b):
         effect = np.zeros((len(names), len(one.own)))
         for row, name in enumerate(names):
             k = one.own_names.index(name)
             effect[row, k] = 1.0 / steps([one.units[one.own[k]]])[0]
-        pair.append(estimated(one, effect, reference=reference))
-    return Pair(pair[0], pair[1], alike)
+        effects.append(effect)
+    return Pair(estimated(a, b, effects[0]), estimated(b, a, effects[1]), alike)

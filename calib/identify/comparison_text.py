@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import calib
 from calib.errors import choices
+from calib.identify.comparability import CANNOT_TELL, DRIFT
 from calib.identify.compared import Compared
-from calib.identify.comparison import CANNOT_TELL, DRIFT, Comparison
 from calib.identify.differences import ParameterDifference, PlaceDifference
 from calib.identify.drift import LEVEL, POWER
 from calib.identify.result_tables import versions
 from calib.identify.words import three, wrap
+
+if TYPE_CHECKING:
+    from calib.identify.comparison import Comparison
 
 #: The layout of what `comparison_table` gives; a word, so that it is not taken for a result.
 COMPARISON_SCHEMA = "comparison 1"

@@ -1,23 +1,23 @@
 """Whether two estimates differ by more than their noise, and which difference would have shown.
 
-Both estimates are those of one robot, x_a and x_b, found under priors of precision P_a and P_b with the covariances
-C_a and C_b. What an estimate is off by is its noise and what its prior pulls it by,
+Both estimates are of one robot. What they are off by is their noise and what their priors pull them by, and sizes of
+priors are found from the data, so that two fits of one robot may pull differently: one may find that there are no
+errors of some kind, and leave these at zero. Both are brought to common priors first. A result is x with the covariance
+C = (H + P)^-1, where H is what the data know and P the priors' precision, and the data push against the priors by s,
+which is P x where x is the least of all squares. Under other priors Q that would be, to first order,
 
-    x_a - x = noise of covariance (C_a - C_a P_a C_a)  -  C_a P_a x,
+    C_q = (C^-1 + Q - P)^-1,        x_q = x + C_q (s - Q x).
 
-and x is the same for both, drawn from a prior of covariance S. So the difference of an unchanged robot's has
+With Q no sharper than either of both, and never so sharp that it would hide a drift, the difference of an unchanged
+robot's estimates, the robot drawn from that prior, has the covariance
 
-    V = (C_a - C_a P_a C_a) + (C_b - C_b P_b C_b) + (C_b P_b - C_a P_a) S (C_b P_b - C_a P_a)^T,
+    V = N_a + N_b + (C_b Q - C_a Q) Q^-1 (C_b Q - C_a Q)^T,        N = C_q - C_q Q C_q,
 
-which is less than C_a + C_b, most of all where the data know little and both results say what the priors say. On the
-k combinations that are tested, d^T V^-1 d / k has the F distribution with k and nu degrees of freedom, because the
-noise was estimated; nu is that of B. L. Welch, The generalization of Student's problem, Biometrika 34, 1947, by traces.
-
-Which combinations these are, and which drift would show, must not depend on a prior that was found to be next to
-nothing: where a robot is right already, its estimates stay at zero however well the data know them, and would not
-if it drifted. So both are asked of *reference* estimates from the same data under priors that leave room for a
-drift. A combination is tested where these have C_a + C_b < (S_a + S_b) / 2: the data know it better than the priors.
-A change u of the robot changes x_b by (1 - C_b P_b) u.
+which is less than C_a + C_b, most of all where the data know little and both say what the prior says. Combinations are
+tested that the data know better than the prior, C_a + C_b < Q^-1. On the k of them d^T V^-1 d / k has the F
+distribution with k and nu degrees of freedom, because the noise was estimated; nu is that of B. L. Welch, The
+generalization of Student's problem, Biometrika 34, 1947, by traces. A change u of the robot changes x_b by
+(1 - C_b Q) u.
 """
 
 from __future__ import annotations
@@ -42,16 +42,13 @@ POWER = 0.9
 #: Smallest probability told; below it distributions have no digits.
 _LEAST = 1e-300
 
-#: A change whose estimate keeps less than this share of what the data know of it is not told.
-_UNSEEN = 0.03
-
 #: A combination takes part where the share of its variance that the data leave over, C / (C + S), is below this.
 _KNOWN = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimated:
-    """One estimate in the coordinates of the test.
+    """One estimate under the common priors, in the coordinates of the test.
 
     Attributes:
         effect: shape (r, p), what a unit of each of p parameters does to each of r coordinates.
@@ -60,6 +57,7 @@ class Estimated:
         pull: shape (p, p), C P.
         prior: shape (p,), variance of the prior of each parameter.
         freedom: Degrees of freedom that the noise was estimated with.
+        shift: shape (p,), how far the estimate lies from that of the result, x_q - x; not used by the test itself.
     """
 
     effect: Array
@@ -68,6 +66,7 @@ class Estimated:
     pull: Array
     prior: Array
     freedom: float
+    shift: Array
 
     @property
     def response(self) -> Array:
@@ -148,10 +147,8 @@ class DriftTest:
         freedom: Degrees of freedom nu of the noise.
         p: Probability of such a difference, or a larger one, where nothing has changed.
         sigma: The same as standard deviations of a normal distribution, one-sided; 0 where p > 0.5.
-        whitening: shape (k, r), takes coordinates to combinations of unit variance.
-        whitened: shape (k,), the difference in these.
-        response: shape (r, p), what a unit of change of each of b's parameters makes of the coordinates.
-        sensing: shape (k, p), the same in combinations of unit variance, by the reference estimates.
+        whitened: shape (k,), the difference in combinations of unit variance.
+        sensing: shape (k, p), what a unit of change of each of b's parameters makes of these.
         told_from: The length of a change in these that is noticed with the probability `POWER`.
     """
 
@@ -160,9 +157,7 @@ class DriftTest:
     freedom: float
     p: float
     sigma: float
-    whitening: Array
     whitened: Array
-    response: Array
     sensing: Array
     told_from: float
 
@@ -177,9 +172,9 @@ class DriftTest:
         Args:
             k: Number of the parameter, of b's.
         """
-        seen = self.whitening @ self.response[:, k]
+        seen = self.sensing[:, k]
         length = float(np.linalg.norm(seen))
-        if length < _UNSEEN * self.sensitivity(k) or length == 0.0:
+        if length == 0.0:
             return Explanation(0.0, float("inf"), self.chi_square, self.p)
         change = float(seen @ self.whitened) / length**2
         left = max(self.chi_square - (change * length) ** 2, 0.0)
@@ -187,13 +182,9 @@ class DriftTest:
         p = float(stats.f.sf(left / others, others, self.freedom)) if others else 1.0
         return Explanation(change, 1.0 / length, left, p)
 
-    def sensitivity(self, k: int) -> float:
-        """How many standard deviations a unit of change of one parameter, of b's, would be, once it showed at all."""
-        return float(np.linalg.norm(self.sensing[:, k]))
-
     def shows_from(self, k: int) -> float:
         """Change of one parameter, of b's, that is noticed with the probability `POWER`; infinite if none is."""
-        seen = self.sensitivity(k)
+        seen = float(np.linalg.norm(self.sensing[:, k]))
         return self.told_from / seen if seen > 0.0 else float("inf")
 
 
@@ -211,34 +202,30 @@ def noncentrality(k: int, freedom: float) -> float:
     return float(optimize.brentq(missing, 0.0, highest, xtol=1e-3))
 
 
-def drift_test(difference: Array, found: Pair, reference: Pair, floor: float) -> DriftTest:
+def drift_test(difference: Array, pair: Pair, floor: float) -> DriftTest:
     """Test a difference.
 
     Args:
         difference: shape (r,), b less a.
-        found: Both estimates.
-        reference: What they would be under priors that leave room for a drift.
+        pair: Both estimates.
         floor: Standard deviation of each coordinate that stands for rounding.
     """
     rounding = floor**2 * np.eye(len(difference))
-    pair = (reference.a, reference.b)
-    posterior = pair[0].spread + pair[1].spread + rounding
-    prior = np.asarray(sum((one.effect * one.prior) @ one.effect.T for one in pair)) / 2.0
+    both = (pair.a, pair.b)
+    posterior = pair.a.spread + pair.b.spread + rounding
+    prior = np.asarray(sum((one.effect * one.prior) @ one.effect.T for one in both)) / 2.0
     share, vectors = eigh(posterior, posterior + prior) if len(difference) else _nothing()
     kept = vectors[:, share < _KNOWN]
     k = kept.shape[1]
-    response = read_only(found.b.response)
     if k == 0:
-        none = read_only(np.zeros((0, len(difference))))
-        sensing = read_only(np.zeros((0, response.shape[1])))
-        return DriftTest(0, 0.0, np.inf, 1.0, 0.0, none, read_only([]), response, sensing, np.inf)
-    whitening = _whitening(kept, found.covariance + rounding)
+        sensing = read_only(np.zeros((0, pair.b.effect.shape[1])))
+        return DriftTest(0, 0.0, np.inf, 1.0, 0.0, read_only([]), sensing, np.inf)
+    whitening = _whitening(kept, pair.covariance + rounding)
     whitened = whitening @ difference
     chi_square = float(whitened @ whitened)
-    of_reference = _whitening(kept, reference.covariance + rounding)
-    shares = [float(np.trace(of_reference @ one.spread @ of_reference.T)) for one in pair]
+    shares = [float(np.trace(whitening @ one.spread @ whitening.T)) for one in both]
     freedom = sum(shares) ** 2 / sum(
-        s**2 / max(one.freedom, 1.0) for s, one in zip(shares, pair, strict=True)
+        s**2 / max(one.freedom, 1.0) for s, one in zip(shares, both, strict=True)
     )
     p = max(float(stats.f.sf(chi_square / k, k, freedom)), _LEAST)
     return DriftTest(
@@ -247,10 +234,8 @@ def drift_test(difference: Array, found: Pair, reference: Pair, floor: float) ->
         freedom=freedom,
         p=p,
         sigma=max(float(stats.norm.isf(p)), 0.0),
-        whitening=read_only(whitening),
         whitened=read_only(whitened),
-        response=response,
-        sensing=read_only(of_reference @ reference.b.response),
+        sensing=read_only(whitening @ pair.b.response),
         told_from=float(np.sqrt(noncentrality(k, freedom))),
     )
 

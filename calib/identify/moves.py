@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import ModelError, choices
+from calib.identify.common_priors import estimated, own_units
 from calib.identify.compared import Compared
-from calib.identify.drift import Estimated, Pair
+from calib.identify.drift import Pair
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.observability import steps
@@ -40,12 +41,6 @@ _OWN = 0.03
 
 #: A parameter of whose effect less than this share is left is not told from frame and target.
 _UNTOLD = 0.03
-
-#: Priors are taken to be no wider than this many steps of 1 mm and 1 mrad when it comes to what the data know.
-_WIDEST = 10.0
-
-#: How large a drift the reference priors leave room for, in the same steps.
-_ROOM = 0.2
 
 #: What a difference in one coordinate of one pose must exceed to be more than rounding [m].
 _ROUNDING = 1e-7
@@ -86,12 +81,14 @@ class Seen:
     Attributes:
         difference: shape (N, D), b less a.
         effects: Of each result what a unit of its own parameters does, shape (N, D, p).
+        slopes: The same at the results, not at the nominal robot: what follows a change of priors.
         families: Of each result the family of each of these.
         gauge: shape (N, D, g), what frames and targets would make up for.
     """
 
     difference: Array
     effects: tuple[Array, Array]
+    slopes: tuple[Array, Array]
     families: tuple[tuple[str, ...], tuple[str, ...]]
     gauge: Array
 
@@ -111,14 +108,16 @@ class Seen:
         """
         turns = a.turns and b.turns
         T_tip_target = next(iter(a.stored.known.targets.values()))
-        starts, poses, effects, families = [], [], [], []
+        starts, poses, effects, slopes, families = [], [], [], [], []
         for one in (a, b):
             kinematics, x = _kinematics(one, robot, T_tip_target)
             # At the nominal robot, from which both count: elsewhere they would differ by what is of second order, and
             # that would look like combinations of their own.
             start, twists = kinematics.twists(np.zeros_like(x), q)
             starts.append(start)
-            poses.append(kinematics.poses(x, q))
+            found, at_result = kinematics.twists(x, q)
+            poses.append(found)
+            slopes.append(_lengths(at_result, turns=turns))
             effects.append(_lengths(twists, turns=turns))
             families.append(tuple(p.family for p in kinematics.model.parameters))
         shift = poses[1][:, :3, 3] - poses[0][:, :3, 3]
@@ -131,6 +130,7 @@ class Seen:
         return cls(
             difference=shift,
             effects=(effects[0], effects[1]),
+            slopes=(slopes[0], slopes[1]),
             families=(families[0], families[1]),
             gauge=_lengths(gauge, turns=turns),
         )
@@ -168,7 +168,7 @@ class Compensated:
         if G.shape[1]:
             solve = np.asarray(np.linalg.pinv(G, rcond=1e-9))
         every = [
-            _less(effect.reshape(rows, -1), G, solve) * steps(_own_units(one))
+            _less(effect.reshape(rows, -1), G, solve) * steps(own_units(one))
             for effect, one in zip(seen.effects, (a, b), strict=True)
         ]
         stacked = np.hstack(every)
@@ -207,28 +207,32 @@ class Compensated:
         return np.asarray(np.sqrt(np.sum(points**2, axis=(0, 1)) / shape[0]))
 
     @property
-    def difference(self) -> Array:
-        """The difference in the basis, shape (r,)."""
-        flat = self.seen.difference.ravel()
-        return np.asarray(self.basis.T @ self.left(flat, flat, self.seen))
-
-    @property
     def floor(self) -> float:
         """What stands for rounding in each coordinate of the basis [m]."""
         return float(_ROUNDING * np.sqrt(len(self.seen.difference)))
 
-    def pair(self, *, alike: bool, reference: bool) -> Pair:
-        """Both results in the basis.
+    def pair(self, *, alike: bool) -> Pair:
+        """Both results in the basis, under common priors.
 
         Args:
             alike: See `Pair`.
-            reference: Whether they are to be those under priors that leave room for a drift.
         """
-        one, other = (
-            estimated(result, self.effects(k), reference=reference)
-            for k, result in enumerate((self.a, self.b))
+        return Pair(
+            estimated(self.a, self.b, self.effects(0)),
+            estimated(self.b, self.a, self.effects(1)),
+            alike,
         )
-        return Pair(one, other, alike)
+
+    def difference(self, pair: Pair) -> Array:
+        """The difference in the basis, under common priors, shape (r,)."""
+        flat = self.moved(self.seen, pair).ravel()
+        return np.asarray(self.basis.T @ self.left(flat, flat, self.seen))
+
+    @staticmethod
+    def moved(seen: Seen, pair: Pair) -> Array:
+        """How far the target lies elsewhere at some joint values, under common priors, before compensation, (N, D)."""
+        a, b = seen.slopes
+        return np.asarray(seen.difference + b @ pair.b.shift - a @ pair.a.shift)
 
     def untold(self) -> tuple[str, ...]:
         """The parameters that frame and target make up for, of both results."""
@@ -245,7 +249,7 @@ class Compensated:
     def alone(self, which: int) -> tuple[str, ...]:
         """The parameters of one result that move the target in ways that the other's cannot."""
         one, own, other = (self.a, self.b)[which], self.effects(which), self.effects(1 - which)
-        own_steps, other_steps = (steps(_own_units(r)) for r in (one, (self.b, self.a)[which]))
+        own_steps, other_steps = (steps(own_units(r)) for r in (one, (self.b, self.a)[which]))
         U, values, _ = np.linalg.svd(other * other_steps, full_matrices=False)
         U = U[:, values > 1e-4 * max(float(values.max(initial=0.0)), 1e-300)]
         scaled = own * own_steps
@@ -256,16 +260,17 @@ class Compensated:
             name for name, b, s in zip(one.own_names, beyond, least, strict=True) if b > s > 0.0
         )
 
-    def move(self, where: str, seen: Seen, covariance: Array) -> Move:
+    def move(self, where: str, seen: Seen, pair: Pair) -> Move:
         """How far the target lies elsewhere.
 
         Args:
             where: The joint values in words.
             seen: Both results at these joint values.
-            covariance: shape (p_a + p_b, p_a + p_b), of (x_a, x_b).
+            pair: Both under common priors.
         """
-        there, here = self.seen, seen
-        difference = self.left(here.difference.ravel(), there.difference.ravel(), here)
+        there, here, covariance = self.seen, seen, pair.joint
+        moves = [self.moved(s, pair).ravel() for s in (here, there)]
+        difference = self.left(moves[0], moves[1], here)
         J = [
             np.hstack([-s.effects[0].reshape(s.difference.size, -1),
                        s.effects[1].reshape(s.difference.size, -1)])
@@ -290,60 +295,6 @@ class Compensated:
             if turns.size
             else float("nan"),
         )
-
-
-def estimated(one: Compared, effect: Array, *, reference: bool) -> Estimated:
-    """A result's own parameters for the test.
-
-    Args:
-        one: The result.
-        effect: shape (r, p), of its own parameters.
-        reference: Whether under priors that leave room for a drift.
-    """
-    own, C, precision = one.own, one.covariance, one.precision
-    step = steps(_own_units(one))
-    widest, least = (_WIDEST * step) ** 2, (_ROOM * step) ** 2
-    if reference:
-        C, precision = _reference(one, 1.0 / least)
-    known = precision[own] > 0.0
-    prior = np.where(known, 1.0 / np.where(known, precision[own], 1.0), np.inf)
-    noise = C - (C * precision) @ C
-    return Estimated(
-        effect=effect,
-        covariance=C[np.ix_(own, own)],
-        noise=noise[np.ix_(own, own)],
-        pull=C[np.ix_(own, own)] * precision[own],
-        prior=np.minimum(prior, widest),
-        freedom=one.freedom,
-    )
-
-
-def _reference(one: Compared, highest: Array) -> tuple[Array, Array]:
-    """Covariance and prior precision where no prior of the robot's own parameters is sharper than this, (p, p), (p,).
-
-    What the data know, H = C^-1 - P, stays as it is. Parameters at a bound stay there.
-    """
-    precision = one.precision.copy()
-    precision[one.own] = np.minimum(precision[one.own], highest)
-    free = np.flatnonzero(~one.at_bound)
-    own = np.ix_(free, free)
-    scale = np.sqrt(np.diag(one.covariance)[free])
-    scale = np.where(scale > 0.0, scale, 1.0)
-    correlation = one.covariance[own] / np.outer(scale, scale)
-    M = np.linalg.pinv(correlation, rcond=1e-14, hermitian=True)
-    M += np.diag((precision - one.precision)[free] * scale**2)
-    # In steps of the new sizes, so that what had been held tightly does not drown the rest.
-    size = 1.0 / np.sqrt(np.maximum(np.diag(M), 1e-12))
-    inverse = np.linalg.pinv(M * np.outer(size, size), rcond=1e-13, hermitian=True)
-    C = np.zeros_like(one.covariance)
-    C[own] = inverse * np.outer(size * scale, size * scale)
-    precision[one.at_bound] = 0.0
-    return C, precision
-
-
-def _own_units(one: Compared) -> tuple[str, ...]:
-    """The units of the robot's own parameters."""
-    return tuple(one.units[k] for k in one.own)
 
 
 def _kinematics(one: Compared, robot: Robot, T_tip_target: Array) -> tuple[Kinematics, Array]:

@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import calib
+from calib.identify.data_alone import prior_stds, pushes
 from calib.identify.evaluation import Evaluation
 from calib.identify.findings import Outlier, ParameterEstimate
 from calib.identify.result import Calibration
@@ -82,8 +83,8 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
             "sizes": _sizes(c.sizes),
         },
         "parameters": [
-            {**_parameter(p), "prior_std": std}
-            for p, std in zip(c.parameters, _prior_stds(c), strict=True)
+            {**_parameter(p), "prior_std": std, "push": push}
+            for p, std, push in zip(c.parameters, prior_stds(c), pushes(c), strict=True)
         ],
         "covariance": c.covariance,
         "outliers": [_outlier(o) for o in c.outliers],
@@ -227,12 +228,6 @@ def _ranges(c: Calibration) -> list[dict[str, Any]]:
         }
         for column, joint in enumerate(c.nominal.inputs)
     ]
-
-
-def _prior_stds(c: Calibration) -> list[float]:
-    """What the priors, or the holds where there is none, let each parameter change; of the same order."""
-    precision = c.fitted.estimate.problem.precision
-    return [float(1.0 / np.sqrt(one)) if one > 0.0 else np.nan for one in precision]
 
 
 def _sizes(sizes: Mapping[str, float]) -> dict[str, float]:

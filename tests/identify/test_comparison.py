@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
+from calib.model.observability import STEPS
 from calib.model.readback import spread_between
 from calib.model.robot import Robot
 
@@ -269,20 +270,38 @@ def test_results_that_began_with_different_urdfs(arm: Arm, before: Calibration):
 
 def test_a_robot_that_is_right_already(ur3: Robot):
     # Sizes of errors are found to be nothing, and what the data know is still told.
-    robot = ur3
-
     class Right(Arm):
         def x(self, change):
             model, x = super().x({})
             _, y = super().x(change)
             return model, y - x
 
-    right = Right(robot, 3)
+    right = Right(ur3, 3)
     first = right.measured(1)[0]
+    assert min(first.sizes.values()) < 1e-5
     c = compare(first, right.measured(2)[0])
     assert (c.outcome, c.test.combinations) == ("no drift shown", 16)
     assert 3e-5 < c.shows_from < 3e-4
-    assert compare(first, right.measured(2, {"theta3": 1e-3})[0]).outcome == "drift"
+    found = compare(first, right.measured(2, {"theta3": 6e-4})[0])
+    assert found.outcome == "drift"
+    theta3 = next(p for p in found.parameters if p.name == "theta3")
+    assert theta3.explains == pytest.approx(6e-4, abs=3.0 * theta3.explains_std)
+    wanted = true_move(right, found, {"theta3": 6e-4})
+    assert found.moves[0].moved == pytest.approx(wanted, abs=3.0 * found.moves[0].std)
+
+
+@pytest.mark.parametrize("sizes", ["given", "off"])
+def test_priors_do_not_make_a_drift(before: Calibration, sizes: str):
+    # The same rows under other priors: what the data say is the same, and the sha256 alone gives them away.
+    m = before.measurements
+    cell = replace(before.cell, priors=replace(before.cell.priors, sizes=sizes))
+    other = calibrate(before.nominal, m, cell=cell, validate=False)
+    c = compare(before, other)
+    assert c.why.startswith("Both results are made of the same measurements")
+    assert c.test.combinations == 16
+    assert c.test.chi_square < 1.0
+    raw = max(abs(p.difference) / STEPS[p.unit] for p in c.parameters)
+    assert raw > 0.01  # in steps of 1 mm and 1 mrad: the results themselves do differ
 
 
 def test_false_alarms_and_power(ur3: Robot):
@@ -427,6 +446,7 @@ def test_another_robot_is_refused(before: Calibration, later):
     ("spoil", "said"),
     [
         (lambda t: t["parameters"][0].pop("prior_std"), "lacks what a comparison needs"),
+        (lambda t: t["parameters"][0].pop("push"), "lacks what a comparison needs"),
         (lambda t: t.pop("robot"), "incomplete or damaged"),
         (lambda t: t["covariance"].pop(), "lacks what a comparison needs"),
         (lambda t: t["covariance"][0].__setitem__(0, None), "numbers of the parameters or of their"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -31,7 +33,7 @@ def posterior(A: np.ndarray) -> Estimated:
     """What `x` of N(0, TAU^2) is known to by y = A x + noise of unit variance, with its coordinates the parameters."""
     P = np.diag(1.0 / TAU**2)
     C = np.linalg.inv(A.T @ A + P)
-    return Estimated(np.eye(5), C, C - C @ P @ C, C @ P, TAU**2, 1e6)
+    return Estimated(np.eye(5), C, C - C @ P @ C, C @ P, TAU**2, 1e6, np.zeros(5))
 
 
 def means(A: np.ndarray, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -58,7 +60,7 @@ def test_the_covariance_of_the_difference_of_an_unchanged_robot(many):
 
 def judged(a: Estimated, b: Estimated, difference: np.ndarray) -> list[DriftTest]:
     pair = Pair(a, b, alike=True)
-    return [drift_test(d, pair, pair, FLOOR) for d in difference]
+    return [drift_test(d, pair, FLOOR) for d in difference]
 
 
 def test_false_alarms_come_at_the_rate_told(many):
@@ -106,7 +108,7 @@ def test_one_change_that_explains_all(many):
 
 def test_few_degrees_of_freedom_ask_for_more():
     a, b = posterior(design(1)), posterior(design(2))
-    few = [Estimated(e.effect, e.covariance, e.noise, e.pull, e.prior, 8.0) for e in (a, b)]
+    few = [replace(e, freedom=8.0) for e in (a, b)]
     difference = np.array([1.5, -0.5, 0.2, 0.1, 0.0])
     sure, unsure = judged(a, b, difference[None])[0], judged(*few, difference[None])[0]
     assert unsure.chi_square == pytest.approx(sure.chi_square)
@@ -120,23 +122,6 @@ def test_nothing_known_in_common():
     assert (found.combinations, found.p, found.drifted) == (0, 1.0, False)
     assert found.shows_from(0) == np.inf
     assert found.explained(0).std == np.inf
-
-
-def test_a_prior_that_was_found_to_be_nothing_hides_neither_combinations_nor_what_would_show():
-    A, B = design(1), design(2)
-    reference = Pair(posterior(A), posterior(B), alike=True)
-
-    def held(A: np.ndarray) -> Estimated:
-        P = np.eye(5) / 1e-14
-        C = np.linalg.inv(A.T @ A + P)
-        return Estimated(np.eye(5), C, C @ A.T @ A @ C, C @ P, np.full(5, 1e-14), 1e6)
-
-    found = drift_test(np.zeros(5), Pair(held(A), held(B), alike=True), reference, 1e-7)
-    plain = drift_test(np.zeros(5), reference, reference, 1e-7)
-    assert found.combinations == plain.combinations == 4
-    assert found.p == 1.0
-    assert found.shows_from(1) == plain.shows_from(1)
-    assert found.explained(1).std == np.inf  # its estimate says nothing of the change
 
 
 @pytest.mark.parametrize(("k", "freedom"), [(1, 5.0), (6, 60.0), (24, 1e5)])
