@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,13 +11,11 @@ import calib
 from calib.errors import choices
 from calib.identify.comparability import CANNOT_TELL, DRIFT
 from calib.identify.compared import Compared
+from calib.identify.comparison_facts import Facts
 from calib.identify.differences import ParameterDifference, PlaceDifference
 from calib.identify.drift import LEVEL, POWER
 from calib.identify.result_tables import versions
 from calib.identify.words import three, wrap
-
-if TYPE_CHECKING:
-    from calib.identify.comparison import Comparison
 
 #: The layout of what `comparison_table` gives; a word, so that it is not taken for a result.
 COMPARISON_SCHEMA = "comparison 1"
@@ -37,13 +35,13 @@ _MOST_EXPLANATIONS = 3
 _ERRORS = "{:<5}{:<24}{:>8}{:>10}{:>10}{:>10}"
 
 
-def comparison_text(c: Comparison) -> str:
+def comparison_text(c: Facts) -> str:
     """The whole text."""
     parts = [_heading(c), _answer(c), _notes(c), _errors(c), _parameters(c), _places(c)]
     return "\n\n".join(part for part in parts if part)
 
 
-def _heading(c: Comparison) -> str:
+def _heading(c: Facts) -> str:
     """Which results of which robot."""
     s = c.a.stored
     lines = [
@@ -62,7 +60,7 @@ def _heading(c: Comparison) -> str:
     return "\n".join(lines)
 
 
-def _answer(c: Comparison) -> str:
+def _answer(c: Facts) -> str:
     """Did the robot drift? In one sentence, and what it stands on."""
     lines = [wrap(sentence(c))]
     test = c.test
@@ -97,7 +95,7 @@ def _answer(c: Comparison) -> str:
     return "\n".join(lines)
 
 
-def sentence(c: Comparison) -> str:
+def sentence(c: Facts) -> str:
     """The answer in a sentence."""
     if c.outcome == CANNOT_TELL:
         return f"Whether the robot drifted cannot be told. {c.why}"
@@ -120,7 +118,7 @@ def sentence(c: Comparison) -> str:
     return text
 
 
-def _absorbed(c: Comparison) -> str:
+def _absorbed(c: Facts) -> str:
     """What frame and target make up for, in words."""
     if not c.moves:
         return ""
@@ -134,7 +132,7 @@ def _absorbed(c: Comparison) -> str:
     return f"{text}."
 
 
-def _explanation(c: Comparison) -> str:
+def _explanation(c: Facts) -> str:
     """Which single parameters would explain a drift."""
     if c.outcome != DRIFT:
         return ""
@@ -151,12 +149,12 @@ def _explanation(c: Comparison) -> str:
     return f"A change of one parameter alone would explain it: {'; or '.join(listed)}."
 
 
-def _notes(c: Comparison) -> str:
+def _notes(c: Facts) -> str:
     """What to mind."""
     return "\n".join(wrap(f"Note: {note}") for note in c.notes)
 
 
-def _errors(c: Comparison) -> str:
+def _errors(c: Facts) -> str:
     """Errors of both calibrated robots, each on its own rows."""
     lines = [
         _ERRORS.format("", "Position error [mm]", "rows", "max", "mean", "rms"),
@@ -175,7 +173,7 @@ def _errors(c: Comparison) -> str:
     return "\n".join(lines) if len(lines) > 1 else ""
 
 
-def _parameters(c: Comparison) -> str:
+def _parameters(c: Facts) -> str:
     """The robot's parameters of both."""
     first, second = set(c.a.own_names), set(c.b.own_names)
     shared = [p for p in c.parameters if p.name in first and p.name in second]
@@ -240,7 +238,7 @@ def _from(value: float) -> str:
     return f"{f'{value:.4f}' if np.isfinite(value) else 'never':>12}"
 
 
-def _places(c: Comparison) -> str:
+def _places(c: Facts) -> str:
     """How frames and targets moved: no drift of the robot's."""
     what = "Measurement frame" if {"point", "pose"} & c.a.kinds else "Set-up"
     lines = _moved(c.frames, what, f"in {c.a.stored.base}")
@@ -301,7 +299,7 @@ def _share(power: float) -> str:
     return f"{10 * power:.0f} times in 10"
 
 
-def comparison_table(c: Comparison) -> dict[str, Any]:
+def comparison_table(c: Facts) -> dict[str, Any]:
     """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
     t = c.test
     return {
