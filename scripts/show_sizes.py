@@ -1,6 +1,8 @@
-"""Seconds and bytes of every figure of every hard case: each is to take less than 2 s and 300 kB.
+"""Seconds and bytes of every figure, the report and the page of every hard case, and which take too much.
 
     python scripts/show_sizes.py [CASE ...] [--kind png] [--rows 100000] [--keep FOLDER]
+
+A figure is to take less than 2 s and 300 kB, the report 10 s and 3 MB, the page 10 s and 7 MB.
 
 The cases are those of the tests, `tests/show/calibrations.py`; ``many_rows`` has 100,000 rows here.
 """
@@ -10,18 +12,37 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
 from calib.identify.result import Calibration
 from calib.show.figures import KINDS, drawings, rendered
+from calib.show.pictures import write_page
+from calib.show.report import report_bytes
 
 _CASES = Path(__file__).resolve().parents[1] / "tests" / "show" / "calibrations.py"
 
-#: What one figure may take [s], [bytes].
-_SECONDS, _BYTES = 2.0, 300_000
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """What is measured.
+
+    Attributes:
+        name: Of its file.
+        make: Makes its bytes.
+        seconds: What it may take [s].
+        most: What it may take [bytes].
+    """
+
+    name: str
+    make: Callable[[], bytes]
+    seconds: float
+    most: int
 
 
 def main() -> int:
@@ -41,31 +62,39 @@ def main() -> int:
         found = cases.many_rows(options.rows) if name == "many_rows" else cases.made(name)
         print(f"{name}: {len(found.measurements):,} rows, {len(found.parameters)} parameters")
         seconds, size = 0.0, 0
-        for label, make in things(found, options.kind):
+        for thing in things(found, options.kind):
             began = time.perf_counter()
-            data = make()
+            data = thing.make()
             took = time.perf_counter() - began
-            over = took > _SECONDS or len(data) > _BYTES
+            over = took > thing.seconds or len(data) > thing.most
             bad += over
             seconds, size = seconds + took, size + len(data)
-            print(_line(label, took, len(data)) + ("  <-- too much" if over else ""))
+            print(_line(thing.name, took, len(data)) + ("  <-- too much" if over else ""))
             if options.keep is not None:
                 folder = options.keep / name
                 folder.mkdir(parents=True, exist_ok=True)
-                (folder / f"{label}.{options.kind}").write_bytes(data)
+                (folder / thing.name).write_bytes(data)
         print(_line("all", seconds, size))
     return 1 if bad else 0
 
 
-def things(found: Calibration, kind: str) -> Iterator[tuple[str, Callable[[], bytes]]]:
-    """What is measured of a calibration: names, and what makes the bytes."""
+def things(found: Calibration, kind: str) -> Iterator[Thing]:
+    """What is measured of a calibration."""
     for drawing in drawings(found):
-        yield drawing.name, lambda drawing=drawing: rendered(drawing, kind)  # type: ignore[misc]
+        yield Thing(f"{drawing.name}.{kind}", partial(rendered, drawing, kind), 2.0, 300_000)
+    yield Thing("report.html", partial(report_bytes, found, ".html"), 10.0, 3_000_000)
+    yield Thing("view.html", partial(_page, found), 10.0, 7_000_000)
+
+
+def _page(found: Calibration) -> bytes:
+    """The page of both robots."""
+    with tempfile.TemporaryDirectory() as folder:
+        return write_page(found, Path(folder) / "view.html").read_bytes()
 
 
 def _line(label: str, seconds: float, size: int) -> str:
     """One line of the table."""
-    return f"  {label:<30}{seconds:>8.2f} s{size / 1e3:>10.0f} kB"
+    return f"  {label:<34}{seconds:>8.2f} s{size / 1e3:>10.0f} kB"
 
 
 def _cases() -> ModuleType:
