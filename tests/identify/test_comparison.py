@@ -18,6 +18,7 @@ from calib.data import PAPER_TARGET, paper_urdf
 from calib.errors import FileError, ModelError, UrdfError
 from calib.identify.calibration import Calibration, calibrate
 from calib.identify.comparison import Comparison, compare
+from calib.identify.data_alone import prior_stds, pushes
 from calib.identify.drift import LEVEL
 from calib.identify.result_file import plain, result_table, write_table
 from calib.measure.cell import Cell
@@ -25,6 +26,7 @@ from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.observability import STEPS
+from calib.model.parameters import GEOMETRY
 from calib.model.readback import spread_between
 from calib.model.robot import Robot
 
@@ -266,6 +268,25 @@ def test_results_that_began_with_different_urdfs(arm: Arm, before: Calibration):
         if change:
             wanted = true_move(arm, c, change)
             assert c.moves[0].moved == pytest.approx(wanted, abs=3.0 * c.moves[0].std)
+
+
+def test_the_data_push_as_hard_as_the_priors_pull(before: Calibration):
+    of_robot = [k for k, p in enumerate(before.model.parameters) if p.family in GEOMETRY]
+    pull = before.x / np.array(prior_stds(before)) ** 2
+    told = [k for k in of_robot if before.x[k]]
+    assert len(told) > 15
+    size = np.max(np.abs(pull[told]))
+    np.testing.assert_allclose(np.array(pushes(before))[told], pull[told], atol=1e-2 * size)
+
+
+def test_the_solver_of_the_paper_has_no_priors(arm: Arm):
+    m = arm.measured(4, elsewhere=False)[0].measurements
+    cell = Cell(model="paper")
+    papers = calibrate(arm.robot, m, cell=cell, solver="paper", validate=False)
+    np.testing.assert_allclose(pushes(papers), papers.x, atol=1e-12)
+    c = compare(arm.measured(3, elsewhere=False)[0], papers)
+    assert c.outcome == "no drift shown"
+    assert c.test.combinations == 18
 
 
 def test_a_robot_that_is_right_already(ur3: Robot):
