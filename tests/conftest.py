@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -14,6 +15,12 @@ from calib.model.urdf import Urdf
 from tests.browser import CHROMIUM, NEEDED, Browser
 
 JointSpec = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
+
+
+def pytest_configure() -> None:
+    """Let Ctrl-C be heard: what a shell starts in the background ignores it, and so would the programs under test."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
