@@ -125,8 +125,11 @@ def _curve(ax: Axes, values: Array, who: Who, *, largest: bool = False) -> None:
             ax.plot(x, top, color=who.colour, lw=0.6, alpha=0.8, zorder=2)
         return
     few = len(values) <= _MOST_MARKERS
+    # A line leads over rows that hold nothing, such as the second ones of pairs: gaps would leave nothing of it.
+    at = np.flatnonzero(np.isfinite(values))
     ax.plot(
-        values,
+        at,
+        values[at],
         color=who.colour,
         ls=who.line,
         lw=1.3 if few else 0.8,

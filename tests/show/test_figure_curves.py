@@ -95,6 +95,14 @@ def test_orientations_are_in_degrees(calibrations):
     assert np.nanmax(before) == pytest.approx(expected)
 
 
+def test_a_line_leads_over_rows_that_hold_nothing(calibrations):
+    c = calibrations.made("mixed")
+    top, _ = by_pose_figure(c, angle=True).axes
+    rows = np.flatnonzero(c.measurements.of_kind("pose"))
+    for line in top.lines:
+        np.testing.assert_array_equal(line.get_xdata(), rows)
+
+
 def test_many_rows_are_bands(calibrations):
     c = calibrations.many_rows(6000)
     figure = by_pose_figure(c)
