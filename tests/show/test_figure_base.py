@@ -28,7 +28,7 @@ from calib.show.figure_base import (
     short_names,
 )
 
-NASTY = "<b>$\\frac{a}{</b> & \"x' 関節\n\udcff"
+NASTY = "<b>$\\frac{a}{$</b> & \"x' 関節\n\udcff"
 
 
 def sketch(title="t"):

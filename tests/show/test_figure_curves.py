@@ -111,6 +111,10 @@ def test_many_rows_are_bands(calibrations):
     assert all(len(line.get_ydata()) <= 120 for line in (*top.lines, *below.lines))
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "5 to 95 % of 50 rows each" in labels
+    band = top.collections[0].get_paths()[0].vertices
+    first = 1e3 * lengths_of(c, c.residual_nominal)[:50]
+    ends = band[np.isclose(band[:, 0], 24.5), 1]
+    np.testing.assert_allclose([ends.min(), ends.max()], np.quantile(first, [0.05, 0.95]))
 
 
 def test_a_set_of_rows_without_numbers_is_left_out(calibrations):

@@ -54,6 +54,17 @@ def test_of_a_distance_all_is_along_the_beam(calibrations):
     np.testing.assert_allclose(np.abs(parts[there, 1]), sizes[there])
 
 
+def test_of_a_plane_all_is_along_its_normal(calibrations):
+    c = calibrations.made("distances")
+    kinds = ("plane",) * len(c.measurements)
+    plane = replace(c, measurements=replace(c.measurements, kinds=kinds))
+    q = c.measurements.joints_for(c.nominal.joint_names)
+    anchor = c.measurements.groups[0]
+    up = c.predict(q + 1e-5 * np.eye(6)[1], group=anchor) - c.predict(q, group=anchor)
+    expected = np.sign(up[:, 2]) * c.residual_calibrated[:, 0]
+    np.testing.assert_allclose(along_joints(plane, every(c))[:, 1], expected)
+
+
 def test_a_joint_that_does_not_move_the_target_has_no_part(calibrations):
     """The target on the last axis."""
     c = calibrations.made("paper")

@@ -95,12 +95,12 @@ def test_all_are_written_and_none_is_written_over(calibrations, tmp_path):
     assert [path.name for path in paths] == [f"{name}.svg" for name in names]
     assert sorted(folder.iterdir()) == sorted(paths)
     assert told == [(k + 1, len(names)) for k in range(len(names))]
-    paths[0].write_text("mine")
-    paths[1].unlink()
-    with pytest.raises(FileError, match=r"points\.svg' exists already"):
+    paths[0].unlink()
+    paths[1].write_text("mine")
+    with pytest.raises(FileError, match=rf"{names[1]}\.svg' exists already"):
         write_figures(c, folder, kind="svg")
-    assert paths[0].read_text() == "mine"
-    assert not paths[1].exists()  # refused before anything was drawn
+    assert paths[1].read_text() == "mine"
+    assert not paths[0].exists()  # refused before anything was drawn
     assert write_figures(c, folder, kind="svg", overwrite=True) == paths
     for path in paths:
         check_svg(path.read_bytes())
