@@ -17,7 +17,7 @@ from calib.model.robot import rigid_inverse
 Array = NDArray[np.float64]
 
 #: A drift that would have to exceed this many steps of 1 mm or 1 mrad to be noticed never will be.
-_NEVER = 100.0
+_NEVER = 10.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -175,6 +175,8 @@ def test_a_joint_that_drifted_by_a_milliradian(arm: Arm, drifted: Comparison):
     assert theta3.explains == pytest.approx(1e-3, abs=3.0 * theta3.explains_std)
     assert theta3.would_show < 1e-3
     assert "A change of one parameter alone would explain it: theta3 by +" in c.summary()
+    # What frame and target make up for never shows.
+    assert {p.name for p in c.parameters if np.isinf(p.would_show)} == set(c.untold)
 
 
 def test_the_order_turns_signs_alone(before, later, drifted: Comparison):
