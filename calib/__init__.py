@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from calib.errors import CalibError
     from calib.identify.calibration import Calibration, calibrate
+    from calib.identify.comparison import Comparison, compare
     from calib.identify.evaluation import Evaluation, evaluate
     from calib.identify.foresight import forecast
     from calib.identify.plan import Plan, plan
@@ -42,6 +43,7 @@ __all__ = [
     "CalibError",
     "Calibration",
     "Cell",
+    "Comparison",
     "Density",
     "Evaluation",
     "GroupDistance",
@@ -61,6 +63,7 @@ __all__ = [
     "Trials",
     "bootstrap",
     "calibrate",
+    "compare",
     "evaluate",
     "forecast",
     "plan",
@@ -78,6 +81,7 @@ _MODULES = {
     "CalibError": "calib.errors",
     "Calibration": "calib.identify.calibration",
     "Cell": "calib.measure.cell",
+    "Comparison": "calib.identify.comparison",
     "Density": "calib.measure.workspace",
     "Evaluation": "calib.identify.evaluation",
     "GroupDistance": "calib.measure.cell",
@@ -97,6 +101,7 @@ _MODULES = {
     "Trials": "calib.identify.study",
     "bootstrap": "calib.identify.uncertainty",
     "calibrate": "calib.identify.calibration",
+    "compare": "calib.identify.comparison",
     "evaluate": "calib.identify.evaluation",
     "forecast": "calib.identify.foresight",
     "plan": "calib.identify.plan",
