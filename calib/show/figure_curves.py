@@ -211,7 +211,7 @@ def by_pose_figure(c: Calibration, *, angle: bool = False) -> Figure:
         if unseen is not None:
             dashes = np.where(others, scale * size(c, unseen), np.nan)
             reach = float(np.nanmax(dashes, initial=reach))
-            look = {
+            look: dict[str, Any] = {
                 "ls": "none",
                 "marker": "_",
                 "ms": 7 if count <= _MOST_MARKERS else 4,

@@ -52,7 +52,7 @@ def drawn_rows(c: Calibration) -> Mask:
     for kind in row_kinds(c):
         if kind.word == "outlier" and np.count_nonzero(kind.mask) <= MOST_ROWS:
             chosen |= kind.mask
-    return chosen & c.used[:, 0] & ~c.measurements.of_kind("pair")
+    return np.asarray(chosen & c.used[:, 0] & ~c.measurements.of_kind("pair"))
 
 
 def along_joints(c: Calibration, chosen: Mask) -> Array:
@@ -107,9 +107,10 @@ def joints_figure(c: Calibration) -> Figure:
     q = c.measurements.joints_for(c.nominal.joint_names)[chosen]
     kinds = [replace(kind, mask=kind.mask[chosen]) for kind in row_kinds(c)]
     kinds = [kind for kind in kinds if np.any(kind.mask)]
-    good = ~np.any(
-        [kind.mask for kind in kinds if kind.word == "outlier"] or [[False] * len(q)], axis=0
-    )
+    good = np.ones(len(q), dtype=np.bool_)
+    for kind in kinds:
+        if kind.word == "outlier":
+            good &= ~kind.mask
     names = short_names(c.nominal.joint_names)
     columns = 2 if len(names) in (2, 4) else min(len(names), 3)
     lines = -(-len(names) // columns)

@@ -181,7 +181,7 @@ def uncertainty_figure(c: Calibration) -> Figure:
         image.set_clim(low, max(high, 1.01 * low + 1e-9))
     bar = figure.colorbar(images[1], ax=images[1].axes, shrink=0.95, pad=0.02, extend="max")
     bar.set_label("standard deviation [mm]")
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
     _how_often(figure.add_subplot(grid[1, 1]), std, c)
     cell = Patch(facecolor="#8a8678", label=f"rms of the poses in a cell, {POSES:,} poses")
     rows = Line2D([], [], **_RING, label="measured rows")

@@ -205,8 +205,11 @@ def number_points(
     """
     from matplotlib.patheffects import withStroke
 
-    masks = [kind.mask for kind in row_kinds(c) if kind.word in only]
-    rows = np.flatnonzero(np.any(masks, axis=0) & np.isfinite(places).all(axis=1)) if masks else []
+    chosen = np.zeros(len(places), dtype=np.bool_)
+    for kind in row_kinds(c):
+        if kind.word in only:
+            chosen |= kind.mask
+    rows = np.flatnonzero(chosen & np.isfinite(places).all(axis=1))
     if not 0 < len(rows) <= _MOST_NUMBERS:
         return
     size = np.maximum(np.ptp(places[np.isfinite(places).all(axis=1)], axis=0), 1e-12)
