@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterator, Sequence
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -13,6 +14,10 @@ from calib.measure.measurements import Measurements
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 from tests.browser import CHROMIUM, NEEDED, Browser
+
+# How long an example takes says nothing of what it checks, and on a busy machine 0.2 s are soon over.
+hypothesis.settings.register_profile("untimed", deadline=None)
+hypothesis.settings.load_profile("untimed")
 
 JointSpec = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
 
