@@ -14,7 +14,8 @@ _VERDICTS = {"use": "bold green", "use with care": "bold yellow", "do not use": 
 
 #: Lines that are the head of a table or name one.
 _HEAD = re.compile(
-    r"(Position error |Orientation error |Validation rows  |Models tried  |Parameter  |Larger model '|Table \d+: )"
+    r"((Position|Length|Position or length|Orientation) error "
+    r"|Validation rows  |Models tried  |Parameter  |Larger model '|Table \d+: )"
 )
 
 #: The line under a heading.

@@ -69,8 +69,8 @@ class Robustness:
             now, other = other, now
         if now.n:
             text += (
-                f"; the error of the other rows, left out, would be {1e3 * other.rms:.3f} mm rms in place of "
-                f"{1e3 * now.rms:.3f} mm"
+                f"; the error of the other rows, left out of a linearised fit, would be {1e3 * other.rms:.3f} mm rms "
+                f"in place of {1e3 * now.rms:.3f} mm"
             )
         return text + "."
 

@@ -70,6 +70,19 @@ class ParameterText:
     at_bound: bool
 
 
+def measured_lengths(c: Calibration) -> str:
+    """What the residuals' lengths are of: ``"coordinate"``, ``"length"``, such as a distance, or both."""
+    numbers = np.sum(c.used[:, :3], axis=1)
+    kinds = ["coordinate"] * bool(np.any(numbers > 1)) + ["length"] * bool(np.any(numbers == 1))
+    return " or ".join(kinds) or "coordinate"
+
+
+def error_title(c: Calibration) -> str:
+    """What the tables of errors in mm are of: an error of a distance is none of a position."""
+    kinds = measured_lengths(c)
+    return f"{kinds.replace('coordinate', 'position').capitalize()} error"
+
+
 def error_rows(c: Calibration) -> list[tuple[str, Errors]]:
     """Label and errors of each row of the error tables: before and after, by set, and on left-out rows."""
     rows = [
@@ -136,7 +149,7 @@ def noise_text(c: Calibration) -> str:
         if c.freedom >= _TELLING
         else "mostly assumed: too few rows to tell"
     )
-    parts = [f"{1e3 * c.sigma:.3f} mm a coordinate"] * bool(np.isfinite(c.sigma))
+    parts = [f"{1e3 * c.sigma:.3f} mm a {measured_lengths(c)}"] * bool(np.isfinite(c.sigma))
     parts += [f"{np.degrees(c.sigma_angle):.4f} deg about an axis"] * bool(
         np.isfinite(c.sigma_angle)
     )
@@ -148,7 +161,7 @@ def repeats_text(c: Calibration) -> str:
     if c.repeats is None or not np.isfinite(c.repeats.within[0]):
         return ""
     scatter, freedom = 1e3 * float(c.repeats.within[0]), float(c.repeats.freedoms[0])
-    return f"Repeats of a pose scatter by {scatter:.3f} mm a coordinate ({freedom:.0f} d.o.f.)."
+    return f"Repeats of a pose scatter by {scatter:.3f} mm a {measured_lengths(c)} ({freedom:.0f} d.o.f.)."
 
 
 def expected_text(c: Calibration) -> str:
@@ -166,6 +179,18 @@ def sizes_text(c: Calibration) -> str:
         return ""
     how = "found from the data" if c.cell.priors.sizes == "data" else "as given"
     return f"Size of the robot's errors: {', '.join(sizes)} ({how})."
+
+
+def errorless(c: Calibration) -> frozenset[str]:
+    """The parameters of families whose errors the data showed to be none: they stay nominal, and have no interval.
+
+    Their prior's standard deviation went to nothing, which is no knowledge of them.
+    """
+    if c.cell.priors.sizes != "data":
+        return frozenset()
+    own = set(c.cell.parameter_priors)
+    none = {f for f, size in c.sizes.items() if _SIZES[f][0] * size <= _NOTHING}
+    return frozenset(p.name for p in c.model.parameters if p.family in none and p.name not in own)
 
 
 def rank_text(c: Calibration) -> str:

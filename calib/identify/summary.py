@@ -10,6 +10,8 @@ from calib.identify.statements import (
     candidate_rms,
     correlation_text,
     error_rows,
+    error_title,
+    errorless,
     expected_text,
     larger_parameters,
     left_out_text,
@@ -81,7 +83,8 @@ def _verdict(c: Calibration) -> str:
 def _errors(c: Calibration) -> str:
     """The error tables: before and after, by set, and on left-out rows; a second one for orientations."""
     rows = error_rows(c)
-    lines = [error_head(), *(error_row(label, errors) for label, errors in rows if errors.n)]
+    head = error_head(error_title(c))
+    lines = [head, *(error_row(label, errors) for label, errors in rows if errors.n)]
     if any(errors.n_angle for _, errors in rows):
         lines += ["", angle_head()]
         lines += [angle_row(label, errors) for label, errors in rows if errors.n_angle]
@@ -90,9 +93,9 @@ def _errors(c: Calibration) -> str:
     return "\n".join(lines)
 
 
-def error_head() -> str:
+def error_head(title: str = "Position error") -> str:
     """The head of the error table."""
-    return _COLUMNS.format("Position error [mm]", "rows", "max", "mean", "rms", "span x", "y", "z")
+    return _COLUMNS.format(f"{title} [mm]", "rows", "max", "mean", "rms", "span x", "y", "z")
 
 
 def angle_head() -> str:
@@ -207,16 +210,20 @@ def _parameters(c: Calibration) -> str:
         return ""
     width = min(max(len(p.name) for p in shown), _LONGEST_NAME) + 2
     lines = [f"{'Parameter':<{width}}{'nominal':>12}{'value':>12}{'change':>11}{'95 % +-':>10}"]
+    none = errorless(c)
     for p in shown:
-        mark = "" if p.identifiable else " *"
+        mark = " #" if p.name in none else "" if p.identifiable else " *"
+        half = "-" if p.name in none else p.half
         name = p.name
         if len(name) > _LONGEST_NAME:
             lines.append(wrap(name))
             name = ""
         lines.append(
-            f"{name:<{width}}{p.nominal:>12}{p.value:>12}{p.change:>11}{p.half:>10} {p.unit}{mark}"
+            f"{name:<{width}}{p.nominal:>12}{p.value:>12}{p.change:>11}{half:>10} {p.unit}{mark}"
         )
-    if not all(p.identifiable for p in shown):
+    if none:
+        lines.append("# no errors of this kind were found, so it stays as it was")
+    if not all(p.identifiable or p.name in none for p in shown):
         lines.append("* known in combination with others only; see above")
     return "\n".join(lines)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calib.identify.findings import Outlier
 from calib.identify.result import Calibration
-from calib.identify.statements import error_rows, left_out_text, weights_text
+from calib.identify.statements import error_rows, error_title, left_out_text, weights_text
 from calib.identify.statistics import Errors
 from calib.show.document import Block, Judgement, Paragraph, Table, blocks, table
 
@@ -38,9 +38,9 @@ def accuracy_blocks(c: Calibration) -> tuple[Block, ...]:
         Paragraph(
             "An error is measured minus predicted; its size is the norm of that. Nominal is the robot as it came, "
             "with the measurement frame and the target as given, or fitted to the rows where they were not; "
-            f"calibrated is the robot of the corrected URDF{larger}."
+            f"calibrated is the robot of the corrected URDF{larger}.{_left_out_nominal(c)}{_pairs(c)}"
         ),
-        _lengths(rows, left_out_text(c)),
+        _lengths(error_title(c), rows, left_out_text(c)),
         _angles(rows, left_out_text(c)),
         _validation_rows(c),
         None if np.any(c.measurements.validation) else Paragraph(_unseen(c)),
@@ -68,19 +68,38 @@ def outlier_blocks(c: Calibration) -> tuple[Block, ...]:
     return blocks(*map(Paragraph, said), _flagged(c))
 
 
+def _left_out_nominal(c: Calibration) -> str:
+    """That the nominal robot's left-out rows have another frame and target than its other rows, where they have."""
+    unknown = [bool(directions) for directions in c.setup.unknown]
+    started = any(unknown & c.setup.frame_given) or any(
+        c.setup.target_unknown & c.setup.target_given
+    )
+    if c.nominal_cross_validation is None or not started:
+        return ""
+    return (
+        " On left-out rows the nominal robot has the frame and the target that fit the other rows best, also where "
+        "they were given as a start."
+    )
+
+
+def _pairs(c: Calibration) -> str:
+    """That two rows are one number, where they are."""
+    return " The two rows of a pair give one length." if "pair" in c.measurements.kinds else ""
+
+
 def _rows(count: int, kind: str) -> str:
     """Such as ``2 estimation rows are``."""
     return f"{count:,} {kind} row{'s are' if count > 1 else ' is'}"
 
 
-def _lengths(rows: Sequence[tuple[str, Errors]], note: str) -> Table | None:
-    """The table of position errors, [mm]."""
+def _lengths(title: str, rows: Sequence[tuple[str, Errors]], note: str) -> Table | None:
+    """The table of the errors of positions and lengths, [mm]."""
     shown = [(label, e) for label, e in rows if e.n]
     along = any(np.any(np.isfinite(e.span_axis)) for _, e in shown)
     notes = [f"{note}."] * bool(note)
     notes += ["Span: largest minus smallest signed error along an axis of the frame."] * along
     return table(
-        "Position error by set of rows [mm]",
+        f"{title} by set of rows [mm]",
         ("rows, robot", "number", "max", "mean", "rms", *("x", "y", "z")[: 3 * along]),
         [
             (

@@ -18,6 +18,9 @@ from calib.show.document import Block, Bullets, Facts, Paragraph, Signatures, Ta
 #: More names than this are counted.
 _MOST_NAMES = 12
 
+#: A joint value beyond a limit by less is at it: tables and URDFs round [m or rad].
+_EXACT = 1e-4
+
 #: What a kind of row measures.
 _KINDS = {
     "point": "position of the target",
@@ -201,7 +204,7 @@ def _ranges(c: Calibration) -> Table | None:
     """Joint values of the estimation rows beside the limits."""
     m = c.measurements
     q = m.joints_for(c.nominal.joint_names)[m.estimation]
-    cells = []
+    cells, beyond = [], []
     for joint, values in zip(c.nominal.inputs, q.T, strict=True):
         slides = joint.type == "prismatic"
         scale, unit = (1e3, "mm") if slides else (float(np.degrees(1.0)), "deg")
@@ -209,7 +212,10 @@ def _ranges(c: Calibration) -> Table | None:
         limits = ["-" if v is None else f"{scale * v:.2f}" for v in (joint.lower, joint.upper)]
         share = "-"
         if joint.lower is not None and joint.upper is not None and joint.upper > joint.lower:
-            share = f"{100.0 * (high - low) / (joint.upper - joint.lower):.0f} %"
+            inside = max(0.0, min(high, joint.upper) - max(low, joint.lower))
+            share = f"{100.0 * inside / (joint.upper - joint.lower):.0f} %"
+            if low < joint.lower - _EXACT or high > joint.upper + _EXACT:
+                beyond.append(f"'{joint.name}'")
         cells.append(
             (joint.name, unit, f"{scale * low:.2f}", f"{scale * high:.2f}", *limits, share)
         )
@@ -219,7 +225,8 @@ def _ranges(c: Calibration) -> Table | None:
         cells,
         "llrrrrr",
         groups=(("", 2), ("measured", 2), ("limit", 2), ("", 1)),
-        note="Used: share of the range between the limits. Beyond what was measured errors may be larger.",
+        note="Used: share of the range between the limits. Beyond what was measured errors may be larger."
+        + (f" Measured beyond the limits of the URDF: {', '.join(beyond)}." if beyond else ""),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from calib.identify.result import Calibration
 from calib.identify.statements import (
     candidate_rms,
     correlation_text,
+    errorless,
     larger_parameters,
     rank_text,
     shown_parameters,
@@ -44,16 +45,18 @@ def parameter_blocks(c: Calibration) -> tuple[Block, ...]:
     rows = f"{m.estimation.sum():,} estimation rows" + (
         f", {without:,} of which have no weight" if without else ""
     )
+    none = errorless(c)
+    held = "; 'kept' nominal, as no errors of its kind were found" if none else ""
     places = (*target_sentences(c, _MOST), *frame_sentences(c, _MOST))
     return blocks(
         Paragraph(
             f"{len(c.parameters)} parameters of the model '{c.model.name}' were estimated from {rows}. Correction: "
             f"calibrated minus nominal. 95 % ±: half the 95 % interval, {factor:.2f} standard deviations (Student's t, "
             f"{c.freedom:.0f} degrees of freedom). Determined: 'yes' by the measurements alone; 'jointly' in "
-            "combinations only, so that the single value leans on its prior; 'at bound' stopped by a bound."
+            f"combinations only, so that the single value leans on its prior; 'at bound' stopped by a bound{held}."
         ),
-        _parameters("Lengths [mm]", [p for p in every if p.unit == "m"], mm),
-        _parameters("Angles [deg]", [p for p in every if p.unit != "m"], deg),
+        _parameters("Lengths [mm]", [p for p in every if p.unit == "m"], mm, none),
+        _parameters("Angles [deg]", [p for p in every if p.unit != "m"], deg, none),
         Bullets(places) if places else None,
         _larger(c),
     )
@@ -84,10 +87,12 @@ def candidate_blocks(c: Calibration) -> tuple[Block, ...]:
     if not c.candidates:
         return ()
     best = max(one.log_likelihood for one in c.candidates)
+    first = c.candidates[0].cross_validation.errors_without_outliers
+    rows = f"{first.n or first.n_angle:,} estimation rows that had a weight when the models were compared"
     words = {"geometry": "the URDF", "larger": "result file"}
     return blocks(
         table(
-            "Models tried; errors of the rows with a weight, left out in turn",
+            "Models tried; errors on rows left out of the fit",
             ("model", "parameters", "evidence", "left-out rms", "chosen for"),
             [
                 (
@@ -101,21 +106,28 @@ def candidate_blocks(c: Calibration) -> tuple[Block, ...]:
             ],
             "lrrrl",
             note="Evidence: restricted log likelihood, less the best one's (no unit); a step up must gain "
-            f"{c.candidates[0].needed:.1f}.",
+            f"{c.candidates[0].needed:.1f}. Left-out rms: of the {rows}, each predicted by a linearised fit without "
+            "it. The errors in section 2 are those of whole fits of the chosen model.",
         )
     )
 
 
 def _parameters(
-    title: str, shown: list[ParameterEstimate], text: Callable[[float], str]
+    title: str,
+    shown: list[ParameterEstimate],
+    text: Callable[[float], str],
+    none: Collection[str],
 ) -> Table | None:
     """The parameters of one unit."""
 
     def row(p: ParameterEstimate) -> tuple[str, ...]:
-        known = "at bound" if p.at_bound else "yes" if p.identifiable else "jointly"
+        kept = p.name in none
+        known = (
+            "kept" if kept else "at bound" if p.at_bound else "yes" if p.identifiable else "jointly"
+        )
         change = "-" if p.nominal is None else signed(text(p.delta))
         nominal = "-" if p.nominal is None else text(p.nominal)
-        half = "-" if p.at_bound else text(0.5 * (p.high - p.low))
+        half = "-" if p.at_bound or kept else text(0.5 * (p.high - p.low))
         return p.name, nominal, text(p.value), change, half, known
 
     return table(
@@ -151,6 +163,10 @@ def _dh(c: Calibration) -> Table | None:
         else "."
     )
     note += " The rows are read off both URDFs: they give the same poses as the URDFs do."
+    if _otherwise(c, before):
+        note += (
+            " Where the model has other parameters between such axes, they differ from those above."
+        )
     for what, T, S in (
         ("Frame 0", before.T_base_0, after.T_base_0),
         ("The tip after the last row", before.T_n_tip, after.T_n_tip),
@@ -170,6 +186,15 @@ def _dh(c: Calibration) -> Table | None:
         "llrrrr" + "r" * tilted,
         note=note,
         strong=tuple(range(2, 3 * len(before.rows), 3)),
+    )
+
+
+def _otherwise(c: Calibration, before: DHTable) -> bool:
+    """Whether the model has a d where the rows have Hayati's beta, or a beta where they have a d."""
+    names = set(c.model.names)
+    return any(
+        f"{'d' if row.near_parallel else 'beta'}{k}" in names
+        for k, row in enumerate(before.rows[:-1], start=1)  # the last axis has no next one
     )
 
 

@@ -16,6 +16,7 @@ TEXT = """Verdict: use with care
   Few rows.
 
 Position error [mm]               rows       max
+Length error [mm]                 rows       max
 estimation rows, nominal            30     4.099
 
 1  Accuracy
@@ -66,6 +67,7 @@ def test_verdict_and_headings_stand_out():
         **dict.fromkeys(TEXT.split("\n"), ""),
         "Verdict: use with care": "bold yellow",
         "Position error [mm]               rows       max": "bold",
+        "Length error [mm]                 rows       max": "bold",
         "1  Accuracy": "bold",
         "-----------": "dim",
         "Table 1: Errors [mm]": "bold",

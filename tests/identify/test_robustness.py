@@ -83,7 +83,7 @@ def test_its_sentence_says_which_way(robust, plain):
     full, lowered = (1e3 * e.rms for e in (found.errors_full, found.errors_lowered))
     assert found.sentence() == (
         f"Without these rows' weights lowered the prediction would move by {moved} mm at most; the error of the other "
-        f"rows, left out, would be {full:.3f} mm rms in place of {lowered:.3f} mm."
+        f"rows, left out of a linearised fit, would be {full:.3f} mm rms in place of {lowered:.3f} mm."
     )
     assert found.sentence() in " ".join(robust.summary().split())
     said = plain.robustness.sentence()

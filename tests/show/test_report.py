@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,14 +154,38 @@ def test_orientations_have_tables_and_columns_of_their_own(documents, calibratio
     )
 
 
-def test_lengths_without_coordinates_have_one_column_each(documents):
+def test_lengths_without_coordinates_have_one_column_each(documents, calibrations):
+    assert "\nLength error [mm]     " in calibrations.made("distances").summary()
     block = table_of(documents("distances"), "Error of the 10 validation rows")
     assert [span for _, span in block.groups][-2:] == [1, 1]
     assert block.head[-2:] == ("size", "size")
     assert block.note == ""
-    errors = table_of(documents("distances"), "Position error by set of rows [mm]")
+    errors = table_of(documents("distances"), "Length error by set of rows [mm]")
     assert errors.head == ("rows, robot", "number", "max", "mean", "rms")
     assert errors.note == ""
+
+
+def test_a_start_that_left_out_rows_do_not_keep_is_said(documents):
+    def said(name):
+        return section(documents(name), "Accuracy before and after")[0].text
+
+    assert "also where they were given as a start" in said("auto")
+    assert "given as a start" not in said("two_joints")  # nothing was cross-validated from a start
+    assert "The two rows of a pair" not in said("distances")
+
+
+def test_parameters_of_kinds_without_errors_have_no_interval(calibrations):
+    c = calibrations.made("auto")
+    length = [p.name for p in c.model.parameters if p.family == "length"]
+    none = replace(c, sizes={**c.sizes, "length": 1e-7})
+    rows = {row[0]: row for row in table_of(report_of(none, figures=False), "Lengths").rows}
+    assert {row[4:] for name, row in rows.items() if name in length} == {("-", "kept")}
+    assert {row[5] for name, row in rows.items() if name not in length} <= {"yes", "jointly"}
+    assert "\n# no errors of this kind were found, so it stays as it was\n" in none.summary()
+    assert "kept" not in as_text(report_of(c, figures=False))
+    own = replace(none, cell=replace(none.cell, parameter_priors={"a2": 1e-4}))
+    rows = {row[0]: row for row in table_of(report_of(own, figures=False), "Lengths").rows}
+    assert rows["a2"][5] == "yes"
 
 
 def test_of_many_validation_rows_the_worst_are_listed(calibrations):
@@ -242,6 +267,19 @@ def test_the_dh_rows_give_the_poses_of_both_robots(calibrations, documents, name
     assert np.abs(change[:, angles]).max() < 2.0
 
 
+def test_rows_that_follow_another_convention_than_the_model_say_so(documents, calibrations):
+    from calib.model.dh import dh_table
+    from calib.model.error_model import error_model
+    from calib.show.report_robot import _otherwise
+
+    said = "Where the model has other parameters between such axes, they differ from those above."
+    # The model has d between the UR3's parallel axes, where the rows have beta, as Hayati's parameters do.
+    assert said in table_of(documents("paper"), "DH rows").note
+    c = calibrations.made("paper")
+    hayati = replace(c, model=error_model(c.nominal, "hayati"))
+    assert not _otherwise(hayati, dh_table(c.nominal))
+
+
 def test_turned_frames_are_the_same_geometry(calibrations):
     from calib.model.dh import dh_table
     from calib.show.report_robot import _turned_like
@@ -293,6 +331,8 @@ def test_models_tried_are_a_table(documents, calibrations):
     block = table_of(documents("auto"), "Models tried")
     assert [row[0] for row in block.rows] == [one.name for one in c.candidates]
     assert "the URDF" in {row[-1] for row in block.rows}
+    weighed = c.candidates[0].cross_validation.errors_without_outliers.n
+    assert f"of the {weighed} estimation rows that had a weight" in block.note
     assert "Models tried" not in [s.title for s in documents("paper").sections]
 
 
@@ -306,6 +346,12 @@ def test_how_it_was_measured(documents):
     assert ranges.rows[2] == (
         "elbow_joint", "deg", "-90.21", "123.63", "-180.00", "180.00", "59 %",
     )  # fmt: skip
+    # 420.75 deg is beyond the limit of 360: what lies outside is no share of the range.
+    assert ranges.rows[5][3:] == ("420.75", "-360.00", "360.00", "68 %")
+    assert ranges.note.endswith(" Measured beyond the limits of the URDF: 'wrist_3_joint'.")
+    assert "Measured beyond" not in table_of(documents("poses"), "Joint values").note
+    lengths = dict(section(documents("distances"), "How it was measured")[0].pairs)
+    assert " mm a length, " in lengths["Noise of the rows"]
     gantry = table_of(documents("prismatic"), "Joint values of the estimation rows")
     assert [row[1] for row in gantry.rows] == ["mm", "mm", "mm", "deg"]
     assert gantry.rows[3][4:] == ("-", "-", "-")
@@ -318,8 +364,6 @@ def test_validation_rows_outside_are_named_once_and_by_their_number(calibrations
     c = calibrations.made("paper")
     assert "row 34:" in as_text(report_of(c, figures=False)).split("Accuracy")[0]
     assert as_text(report_of(c, figures=False)).count("beyond the measured range") <= 2
-    from dataclasses import replace
-
     text = as_text(report_of(replace(c, verdict=None), figures=False))
     assert "Validation rows beyond the joint values that were fitted: row 34:" in text
 

@@ -55,6 +55,13 @@ class Page(HTMLParser):
             self.texts.append(data.strip())
 
 
+def test_an_option_of_the_command_is_not_broken_at_its_dashes():
+    facts = Facts((("Command", "calib fit a.urdf --report <b>"), ("Robot", "two words")))
+    page = as_html(Document("Title", facts, ()))
+    assert '<span class="word">--report</span> <span class="word">&lt;b&gt;</span>' in page
+    assert "<td>two words</td>" in page
+
+
 def document_of(*blocks, title: str = "Title") -> Document:
     return Document(title, Facts((("Robot", "ur3"),)), (Section("Section", blocks),))
 
