@@ -170,6 +170,7 @@ def _text(
         name: Name of the result's file.
         source: Where the targets are from, if they were not registered.
     """
+    from calib.identify.statements import error_title
     from calib.identify.summary import angle_head, angle_row, error_head, error_row
 
     labels = (
@@ -189,7 +190,7 @@ def _text(
     if "frame" in first.registered:
         many = "s" if len(first.setup.groups) > 1 else ""
         lines.append(f"Measurement frame{many}: registered to the rows.")
-    lines += ["", error_head(), *_table(results, error_row, "n")]
+    lines += ["", error_head(error_title(first.used)), *_table(results, error_row, "n")]
     if any(result.errors["all"].n_angle for result in results.values()):
         lines += ["", angle_head(), *_table(results, angle_row, "n_angle")]
     return "\n".join(lines)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.identify.correlations import correlations
 from calib.identify.findings import Outlier, ParameterEstimate
@@ -70,16 +71,16 @@ class ParameterText:
     at_bound: bool
 
 
-def measured_lengths(c: Calibration) -> str:
+def measured_lengths(used: NDArray[np.bool_]) -> str:
     """What the residuals' lengths are of: ``"coordinate"``, ``"length"``, such as a distance, or both."""
-    numbers = np.sum(c.used[:, :3], axis=1)
+    numbers = np.sum(used[:, :3], axis=1)
     kinds = ["coordinate"] * bool(np.any(numbers > 1)) + ["length"] * bool(np.any(numbers == 1))
     return " or ".join(kinds) or "coordinate"
 
 
-def error_title(c: Calibration) -> str:
+def error_title(used: NDArray[np.bool_]) -> str:
     """What the tables of errors in mm are of: an error of a distance is none of a position."""
-    kinds = measured_lengths(c)
+    kinds = measured_lengths(used)
     return f"{kinds.replace('coordinate', 'position').capitalize()} error"
 
 
@@ -149,7 +150,7 @@ def noise_text(c: Calibration) -> str:
         if c.freedom >= _TELLING
         else "mostly assumed: too few rows to tell"
     )
-    parts = [f"{1e3 * c.sigma:.3f} mm a {measured_lengths(c)}"] * bool(np.isfinite(c.sigma))
+    parts = [f"{1e3 * c.sigma:.3f} mm a {measured_lengths(c.used)}"] * bool(np.isfinite(c.sigma))
     parts += [f"{np.degrees(c.sigma_angle):.4f} deg about an axis"] * bool(
         np.isfinite(c.sigma_angle)
     )
@@ -161,7 +162,7 @@ def repeats_text(c: Calibration) -> str:
     if c.repeats is None or not np.isfinite(c.repeats.within[0]):
         return ""
     scatter, freedom = 1e3 * float(c.repeats.within[0]), float(c.repeats.freedoms[0])
-    return f"Repeats of a pose scatter by {scatter:.3f} mm a {measured_lengths(c)} ({freedom:.0f} d.o.f.)."
+    return f"Repeats of a pose scatter by {scatter:.3f} mm a {measured_lengths(c.used)} ({freedom:.0f} d.o.f.)."
 
 
 def expected_text(c: Calibration) -> str:

@@ -83,7 +83,7 @@ def _verdict(c: Calibration) -> str:
 def _errors(c: Calibration) -> str:
     """The error tables: before and after, by set, and on left-out rows; a second one for orientations."""
     rows = error_rows(c)
-    head = error_head(error_title(c))
+    head = error_head(error_title(c.used))
     lines = [head, *(error_row(label, errors) for label, errors in rows if errors.n)]
     if any(errors.n_angle for _, errors in rows):
         lines += ["", angle_head()]

@@ -40,7 +40,7 @@ def accuracy_blocks(c: Calibration) -> tuple[Block, ...]:
             "with the measurement frame and the target as given, or fitted to the rows where they were not; "
             f"calibrated is the robot of the corrected URDF{larger}.{_left_out_nominal(c)}{_pairs(c)}"
         ),
-        _lengths(error_title(c), rows, left_out_text(c)),
+        _lengths(error_title(c.used), rows, left_out_text(c)),
         _angles(rows, left_out_text(c)),
         _validation_rows(c),
         None if np.any(c.measurements.validation) else Paragraph(_unseen(c)),

@@ -75,3 +75,18 @@ def test_the_solver_without_its_time(calibrated):
         f"Solver 'lm': converged after {c.solution.iterations} iterations, {c.solution.evaluations} evaluations"
     )
     assert statements.solver_text(replace(c, seconds=np.nan)) == statements.solver_text(c)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "of", "title"),
+    [
+        ([3, 3], "coordinate", "Position error"),
+        ([1, 0], "length", "Length error"),
+        ([3, 1], "coordinate or length", "Position or length error"),
+        ([0], "coordinate", "Position error"),
+    ],
+)
+def test_an_error_of_a_length_is_none_of_a_position(numbers: list[int], of: str, title: str):
+    used = np.arange(3) < np.array(numbers)[:, None]
+    assert statements.measured_lengths(used) == of
+    assert statements.error_title(used) == title
