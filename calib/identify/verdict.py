@@ -120,9 +120,9 @@ def _wrong_setup(e: Evidence) -> list[str]:
     before = e.nominal.errors_without_outliers
     if before.rms > _ABSURD_NOISE and e.largest > _TOO_FAR:
         return [
-            f"The nominal robot is {1e3 * before.rms:.0f} mm rms off, and the fit meets the rows only by moving a "
-            f"parameter by {1e3 * e.largest:.0f} mm or mrad, which is no error of an arm. Are base and tip, the joint "
-            "columns and their signs right, and is each set-up, socket or tracker station a group of its own?"
+            f"The nominal robot is {1e3 * before.rms:.0f} mm rms off on unseen rows, and the fit meets the "
+            f"rows only by moving a parameter by {1e3 * e.largest:.0f} mm or mrad, which is no error of an "
+            "arm. Are base and tip, the joint columns and their signs right, and is each set-up, socket or tracker station a group of its own?"
         ]
     if e.noise > _ABSURD_NOISE:
         return [
@@ -198,8 +198,8 @@ def _oddities(e: Evidence) -> list[str]:
     reasons = []
     if e.nominal.errors_without_outliers.rms > _ANOTHER_ROBOT:
         reasons.append(
-            f"The nominal robot is {1e3 * e.nominal.errors_without_outliers.rms:.0f} mm rms off, which is more than an "
-            "uncalibrated arm is: is it the right URDF?"
+            f"The nominal robot is {1e3 * e.nominal.errors_without_outliers.rms:.0f} mm rms off on unseen "
+            "rows, which is more than an uncalibrated arm is: is it the right URDF?"
         )
     if e.still:
         reasons.append(
