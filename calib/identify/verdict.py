@@ -120,9 +120,10 @@ def _wrong_setup(e: Evidence) -> list[str]:
     before = e.nominal.errors_without_outliers
     if before.rms > _ABSURD_NOISE and e.largest > _TOO_FAR:
         return [
-            f"The nominal robot is {1e3 * before.rms:.0f} mm rms off on unseen rows, and the fit meets the "
-            f"rows only by moving a parameter by {1e3 * e.largest:.0f} mm or mrad, which is no error of an "
-            "arm. Are base and tip, the joint columns and their signs right, and is each set-up, socket or tracker station a group of its own?"
+            f"The nominal robot is {1e3 * before.rms:.0f} mm rms off on unseen rows, and the fit meets the rows only "
+            f"by moving a parameter by {1e3 * e.largest:.0f} mm or mrad, which is no error of an arm. Are base and "
+            "tip, the joint columns and their signs right, and is each set-up, socket or tracker station a group of "
+            "its own?"
         ]
     if e.noise > _ABSURD_NOISE:
         return [

