@@ -105,6 +105,7 @@ def find_mesh(name: str, folders: Sequence[Path]) -> Path | None:
         scheme, rest = "", name
     candidates: list[Path] = []
     if scheme in ("package", "model"):
+        rest = rest.lstrip("/")  # a package without a name: what follows lies in one of the folders
         inside = rest.partition("/")[2]
         candidates = [folder / rest for folder in folders]
         candidates += [folder / inside for folder in folders if folder.name == rest.split("/")[0]]
@@ -131,6 +132,9 @@ def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
         return None, "cannot be read"
     if not triangles or not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).any():
         return None, "is empty"
+    if path.suffix.lower() != ".stl" and len(np.unique(mesh_faces(mesh))) < len(vertices):
+        mesh = _whole(path, vertices, np.asarray(scale, dtype=np.float64))
+        return mesh, "" if mesh is not None else "has several parts that cannot be read"
     return mesh, ""
 
 
@@ -143,6 +147,32 @@ def mesh_faces(mesh: Any) -> NDArray[np.int64]:  # noqa: ANN401  coal has no typ
     """The faces of a mesh that `load_mesh` gave, shape (F, 3), indices of vertices."""
     corners = [mesh.tri_indices(i) for i in range(mesh.num_tris)]
     return np.array([(c[0], c[1], c[2]) for c in corners], dtype=np.int64).reshape(-1, 3)
+
+
+def _whole(path: Path, vertices: Array, scale: Array) -> Any | None:  # noqa: ANN401  coal has no types
+    """A mesh of several parts, with the faces of each; None if it cannot be read.
+
+    coal counts the vertices of a node's second part, such as one of another material, from its first vertex again: the
+    faces then join vertices of another part. Its vertices are right, and those of trimesh must lie in the same box.
+    """
+    import trimesh  # takes half a second, and few meshes need it
+
+    try:
+        read: Any = trimesh.load(str(path), force="mesh", process=False, skip_materials=True)
+        own = np.asarray(read.vertices, dtype=np.float64) * scale
+        faces = np.asarray(read.faces, dtype=np.int64).reshape(-1, 3)
+        box = np.array([own.min(axis=0), own.max(axis=0)])
+    except Exception:  # noqa: BLE001  what the readers of many formats raise is not known
+        return None
+    box_of_coal = np.array([vertices.min(axis=0), vertices.max(axis=0)])
+    if not np.allclose(box, box_of_coal, rtol=0.0, atol=1e-3 * np.ptp(vertices, axis=0).max()):
+        return None
+    mesh = hppfcl.BVHModelOBBRSS()
+    mesh.beginModel(len(faces), len(own))
+    mesh.addVertices(own)
+    mesh.addTriangles(faces)
+    mesh.endModel()
+    return mesh
 
 
 def numbers(text: str | None, default: tuple[float, float, float]) -> tuple[float, float, float]:

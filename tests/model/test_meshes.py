@@ -70,6 +70,7 @@ def test_a_urdf_in_memory_has_no_folder_of_its_own():
     [
         ("package://p/x/t.obj", "p/x/t.obj"),
         ("model://p/t.obj", "p/t.obj"),
+        ("package:///p/x/t.obj", "p/x/t.obj"),
         ("x/t.obj", "x/t.obj"),
         ("file://{tmp}/with%20blank/t.obj", "with blank/t.obj"),
     ],
@@ -84,6 +85,45 @@ def test_a_mesh_is_found_and_read(tmp_path, name, place):
     assert problem == ""
     np.testing.assert_array_equal(np.ptp(mesh_vertices(mesh), axis=0), [1, 2, 0])
     assert mesh_faces(mesh).shape == (1, 3)
+
+
+#: A triangle on the floor and a smaller one 5 m above it, each of a material of its own.
+TWO_PARTS = """o both
+v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 5\nv 2 0 5\nv 0 2 5\nv 2 2 5
+usemtl floor\nf 1 2 3
+usemtl roof\nf 4 5 6\nf 5 6 7
+"""
+
+
+def test_each_part_of_a_mesh_has_its_own_faces(tmp_path):
+    # coal joins the vertices of the first part by the faces of the second.
+    (tmp_path / "two.obj").write_text(TWO_PARTS)
+    mesh, problem = load_mesh(tmp_path / "two.obj", (1.0, 1.0, 2.0))
+    assert problem == ""
+    corners = mesh_vertices(mesh)[mesh_faces(mesh)]
+    assert sorted(corners[:, :, 2].tolist()) == [[0, 0, 0], [10, 10, 10], [10, 10, 10]]
+
+
+def test_the_base_of_the_ur3_is_whole():
+    urdf = Urdf.read(data.paper_urdf())
+    (name, scale) = next(shape.mesh for shape in link_shapes(urdf, "visual"))
+    mesh, problem = load_mesh(find_mesh(name, mesh_folders(urdf)), scale)
+    assert problem == ""
+    corners = mesh_vertices(mesh)[mesh_faces(mesh)]
+    sides = corners[:, 1:] - corners[:, :1]
+    area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum()
+    assert 0.06 < area < 0.07  # 0.089 m2 where faces reach from one part to the other
+
+
+def test_parts_that_cannot_be_told_apart_are_named(tmp_path, monkeypatch):
+    (tmp_path / "two.obj").write_text(TWO_PARTS)
+    # A reader that has another idea of the file's units than coal, as some have of COLLADA.
+    import trimesh
+
+    read = trimesh.load
+    monkeypatch.setattr(trimesh, "load", lambda *a, **k: read(*a, **k).apply_scale(1e-3))
+    given = load_mesh(tmp_path / "two.obj", (1.0, 1.0, 1.0))
+    assert given == (None, "has several parts that cannot be read")
 
 
 @pytest.mark.parametrize("name", ["", "http://x/y.stl", "a" * 300, "package://", "none.stl"])
