@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import os
 import re
 import subprocess
 import sys
@@ -22,7 +21,6 @@ from calib.show.cloud import cloud_of
 from calib.show.palette import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
 from calib.show.scene import view_page, write_view
 from calib.show.view import View
-from tests.browser import CHROMIUM
 from tests.show.calibrations import made
 
 HOSTILE = "<script>document.title='owned'</script>\"'& é漢"
@@ -446,9 +444,3 @@ def view_of_two_joints() -> View:
     result = made("two_joints")
     assert len(cloud_of(result).std) > 1000
     return view_of(result)
-
-
-def test_the_browser_tests_run_where_they_can():
-    """On a machine with Chromium at its usual place, the tests above are not skipped."""
-    if os.path.exists("/usr/bin/chromium"):  # noqa: PTH110
-        assert CHROMIUM is not None
