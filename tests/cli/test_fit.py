@@ -190,7 +190,8 @@ def test_it_says_how_much_hangs_on_the_outliers(examples, call, shop):
     text = " ".join(examples.starting("calib fit robot.urdf data.csv --base base").out.split())
     found = re.search(
         r"Without these rows' weights lowered the prediction would move by ([\d.]+) mm rms at the measured poses, "
-        r"([\d.]+) mm at most; the error of the other rows, left out, would be ([\d.]+) mm rms in place of ([\d.]+)",
+        r"([\d.]+) mm at most; the error of the other rows, left out of a linearised fit, would be ([\d.]+) mm rms "
+        r"in place of ([\d.]+)",
         text,
     )
     rms, most, full, lowered = (float(value) for value in found.groups())
