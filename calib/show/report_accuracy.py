@@ -38,9 +38,9 @@ def accuracy_blocks(c: Calibration) -> tuple[Block, ...]:
         Paragraph(
             "An error is measured minus predicted; its size is the norm of that. Nominal is the robot as it came, "
             "with the measurement frame and the target as given, or fitted to the rows where they were not; "
-            f"calibrated is the robot of the corrected URDF{larger}.{_left_out_nominal(c)}{_pairs(c)}"
+            f"calibrated is the robot of the corrected URDF{larger}.{_pairs(c)}"
         ),
-        _lengths(error_title(c.used), rows, left_out_text(c)),
+        _lengths(error_title(c.used), rows, left_out_text(c), _left_out_nominal(c)),
         _angles(rows, left_out_text(c)),
         _validation_rows(c),
         None if np.any(c.measurements.validation) else Paragraph(_unseen(c)),
@@ -76,10 +76,7 @@ def _left_out_nominal(c: Calibration) -> str:
     )
     if c.nominal_cross_validation is None or not started:
         return ""
-    return (
-        " On left-out rows the nominal robot has the frame and the target that fit the other rows best, also where "
-        "they were given as a start."
-    )
+    return "Left-out rows, nominal: frame and target are fitted to the others, even if given."
 
 
 def _pairs(c: Calibration) -> str:
@@ -92,12 +89,13 @@ def _rows(count: int, kind: str) -> str:
     return f"{count:,} {kind} row{'s are' if count > 1 else ' is'}"
 
 
-def _lengths(title: str, rows: Sequence[tuple[str, Errors]], note: str) -> Table | None:
+def _lengths(title: str, rows: Sequence[tuple[str, Errors]], note: str, more: str) -> Table | None:
     """The table of the errors of positions and lengths, [mm]."""
     shown = [(label, e) for label, e in rows if e.n]
     along = any(np.any(np.isfinite(e.span_axis)) for _, e in shown)
     notes = [f"{note}."] * bool(note)
     notes += ["Span: largest minus smallest signed error along an axis of the frame."] * along
+    notes += [more] * bool(more)
     return table(
         f"{title} by set of rows [mm]",
         ("rows, robot", "number", "max", "mean", "rms", *("x", "y", "z")[: 3 * along]),

@@ -12,6 +12,7 @@ import pytest
 from calib.errors import FileError
 from calib.show.document import Document, Facts, Judgement, Paragraph, Table
 from calib.show.report import ENDINGS, report_bytes, report_of, write_report
+from calib.show.report_accuracy import accuracy_blocks
 from calib.show.report_text import WIDTH, as_text, columns_of
 
 CASES = [
@@ -165,13 +166,21 @@ def test_lengths_without_coordinates_have_one_column_each(documents, calibration
     assert errors.note == ""
 
 
-def test_a_start_that_left_out_rows_do_not_keep_is_said(documents):
-    def said(name):
-        return section(documents(name), "Accuracy before and after")[0].text
+def test_a_start_that_left_out_rows_do_not_keep_is_said(documents, calibrations):
+    said = "Left-out rows, nominal: frame and target are fitted to the others, even if given."
+    assert table_of(documents("auto"), "Position error by set of rows").note.endswith(f" {said}")
+    c = calibrations.made("auto")
+    found = replace(c, setup=replace(c.setup, target_given=np.array([False])))
+    assert said not in as_text(report_of(found, figures=False))
+    assert said not in as_text(documents("two_joints"))
 
-    assert "also where they were given as a start" in said("auto")
-    assert "given as a start" not in said("two_joints")  # nothing was cross-validated from a start
-    assert "The two rows of a pair" not in said("distances")
+
+def test_that_two_rows_of_a_pair_are_one_length_is_said(calibrations):
+    c = calibrations.made("distances")
+    paired = replace(c.measurements, kinds=("pair",) * len(c.measurements))
+    said = "The two rows of a pair give one length."
+    assert said in accuracy_blocks(replace(c, measurements=paired))[0].text
+    assert said not in accuracy_blocks(c)[0].text
 
 
 def test_parameters_of_kinds_without_errors_have_no_interval(calibrations):
