@@ -177,7 +177,10 @@ def test_a_start_that_left_out_rows_do_not_keep_is_said(documents, calibrations)
 
 def test_that_two_rows_of_a_pair_are_one_length_is_said(calibrations):
     c = calibrations.made("distances")
-    paired = replace(c.measurements, kinds=("pair",) * len(c.measurements))
+    count = len(c.measurements)
+    names = tuple(f"pair {k // 2}" for k in range(count))
+    same = {"pairs": names, "distances": np.ones(count)}
+    paired = replace(c.measurements, kinds=("pair",) * count, **same)
     said = "The two rows of a pair give one length."
     assert said in accuracy_blocks(replace(c, measurements=paired))[0].text
     assert said not in accuracy_blocks(c)[0].text
