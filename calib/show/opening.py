@@ -63,7 +63,7 @@ def _view_of_anything(shown: Calibration | Robot, other: Robot | None) -> View:
         second = shown if other is None else other
         names = (("First", shown.urdf.source), ("Second", second.urdf.source))
         return view_of_robots(shown, other, names=names)
-    given = " and ".join(repr(one) for one in (shown, other) if one is not None)
+    given = " and ".join(repr(one) for one in (shown, other)[: 1 + (other is not None)])
     message = (
         f"show takes a Calibration, a Robot or two Robots; {given} was given. Make them with calib.calibrate(...) or "
         "calib.Robot.load(...)."

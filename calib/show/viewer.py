@@ -159,8 +159,11 @@ class Viewer:
         """
         values = np.asarray(q, dtype=np.float64)
         if values.shape != (len(self.joint_names),) or not np.all(np.isfinite(values)):
+            has = "values that are not finite"
+            if values.shape != (len(self.joint_names),):
+                has = f"shape {values.shape}"
             message = (
-                f"q has shape {values.shape}; give a finite value for each joint, [rad] or [m]: "
+                f"q has {has}; give a finite value for each joint, [rad] or [m]: "
                 f"{choices(self.joint_names)}."
             )
             raise ModelError(message)

@@ -48,5 +48,9 @@ def test_show_takes_robots_too(result, monkeypatch):
         ModelError, match=r"show takes a Calibration, a Robot or two Robots; 'ur3' was"
     ):
         calib.show("ur3")
+    with pytest.raises(
+        ModelError, match="show takes a Calibration, a Robot or two Robots; None was"
+    ):
+        calib.show(None)
     with pytest.raises(ModelError, match="show takes a Calibration"):
         calib.show(result, result.robot)

@@ -88,10 +88,19 @@ def test_robots_and_objects_are_the_same_in_every_window(browser, viewer, gantry
 
 
 @pytest.mark.parametrize(
-    "q", [[0.0, 0.0], [[0.0, 0.0, 0.0]], 1.0, [0.0, 0.0, np.nan], [np.inf, 0.0, 0.0]]
+    ("q", "has"),
+    [
+        ([0.0, 0.0], r"shape \(2,\)"),
+        ([[0.0, 0.0, 0.0]], r"shape \(1, 3\)"),
+        (1.0, r"shape \(\)"),
+        ([0.0, 0.0, np.nan], "values that are not finite"),
+        ([np.inf, 0.0, 0.0], "values that are not finite"),
+    ],
 )
-def test_a_pose_that_is_none_is_refused(viewer, q):
-    with pytest.raises(ModelError, match=r"q has shape .* \[rad\] or \[m\]: 'x', 'y', 'c'\."):
+def test_a_pose_that_is_none_is_refused(viewer, q, has):
+    with pytest.raises(
+        ModelError, match=rf"q has {has}; give .* \[rad\] or \[m\]: 'x', 'y', 'c'\."
+    ):
         viewer.display(q)
 
 
