@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import os
+import re
 import sys
 import urllib.parse
 from collections.abc import Iterable, Iterator, Sequence
@@ -25,6 +26,10 @@ Array = NDArray[np.float64]
 
 #: Largest mesh file that is read [bytes].
 LIMIT_BYTES = 200_000_000
+
+#: The unit of a COLLADA file, which stands at its beginning.
+_UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']\s*([0-9.eE+-]+)\s*[\"']")
+_HEAD_BYTES = 100_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +130,8 @@ def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
     try:
         if path.stat().st_size > LIMIT_BYTES:
             return None, f"is larger than {LIMIT_BYTES:,} bytes"
-        mesh = hppfcl.MeshLoader().load(str(path), np.asarray(scale, dtype=np.float64))
+        factors = np.asarray(scale, dtype=np.float64) * _unit(path)
+        mesh = hppfcl.MeshLoader().load(str(path), factors)
         vertices = mesh_vertices(mesh)
         triangles = mesh.num_tris
     except (ValueError, RuntimeError, OSError, AttributeError):
@@ -133,7 +139,7 @@ def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
     if not triangles or not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).any():
         return None, "is empty"
     if path.suffix.lower() != ".stl" and len(np.unique(mesh_faces(mesh))) < len(vertices):
-        mesh = _whole(path, vertices, np.asarray(scale, dtype=np.float64))
+        mesh = _whole(path, vertices, factors)
         return mesh, "" if mesh is not None else "has several parts that cannot be read"
     return mesh, ""
 
@@ -147,6 +153,16 @@ def mesh_faces(mesh: Any) -> NDArray[np.int64]:  # noqa: ANN401  coal has no typ
     """The faces of a mesh that `load_mesh` gave, shape (F, 3), indices of vertices."""
     corners = [mesh.tri_indices(i) for i in range(mesh.num_tris)]
     return np.array([(c[0], c[1], c[2]) for c in corners], dtype=np.int64).reshape(-1, 3)
+
+
+def _unit(path: Path) -> float:
+    """What a COLLADA file calls 1, [m]; coal takes it as 1 m, ROS and its simulators take the file at its word."""
+    if path.suffix.lower() != ".dae":
+        return 1.0
+    with path.open("rb") as file:
+        found = _UNIT.search(file.read(_HEAD_BYTES))
+    value = float(found[1]) if found else 1.0  # ValueError for what is no number
+    return value if 0.0 < value < math.inf else 1.0
 
 
 def _whole(path: Path, vertices: Array, scale: Array) -> Any | None:  # noqa: ANN401  coal has no types

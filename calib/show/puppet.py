@@ -108,7 +108,8 @@ def packed(poses: Array) -> NDArray[np.float32]:
         poses: shape (..., 4, 4), [m].
     """
     flat = poses.reshape(-1, 4, 4)
-    turned = Rotation.from_matrix(flat[:, :3, :3]).as_quat()
+    # A copy: SciPy before 1.14 takes no matrix that is read-only.
+    turned = Rotation.from_matrix(flat[:, :3, :3].copy()).as_quat()
     both = np.concatenate([flat[:, :3, 3], turned], axis=1).astype(np.float32)
     return both.reshape(*poses.shape[:-2], 7)
 

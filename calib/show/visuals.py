@@ -22,6 +22,9 @@ from calib.show.triangles import Triangles, clustered, shaded
 
 Array = NDArray[np.float64]
 
+#: What reaches farther than this from its link is a mistake of the file: beside it the robot could not be seen [m].
+_FARTHEST = 1e6
+
 #: All the meshes of a robot together are drawn with about this many triangles at most.
 MOST_TRIANGLES = 250_000
 
@@ -100,6 +103,11 @@ def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
         shape = meshes[mesh] if mesh is not None else _primitive(one)
         if shape is None and mesh is None:
             warnings.append(f"a visual of link '{one.link}' has no geometry that can be drawn")
+        elif shape is not None and (reach := _reach(one.T_link_shape, shape)) > _FARTHEST:
+            shape = None
+            warnings.append(
+                f"a visual of link '{one.link}' that reaches {reach:.0e} m far is left out"
+            )
         visuals.append(Visual(one.link, one.T_link_shape, shape))
     return tuple(visuals), tuple(warnings)
 
@@ -126,12 +134,24 @@ def _primitive(visual: LinkShape) -> Shape | None:
     return Sphere(sizes[0]) if visual.geometry.tag == "sphere" else Cylinder(sizes[0], sizes[1])
 
 
+def _reach(T_link_shape: Array, shape: Shape) -> float:
+    """How far from the link's origin a shape goes, at most; that of a mesh is known already [m]."""
+    away = float(np.max(np.abs(T_link_shape[:3, 3])))
+    if isinstance(shape, Triangles):
+        return away
+    if isinstance(shape, Box):
+        return away + max(shape.size)
+    return away + shape.radius + (shape.length if isinstance(shape, Cylinder) else 0.0)
+
+
 def _read_mesh(
     name: str, scale: tuple[float, ...], folders: tuple[Path, ...], link: str
 ) -> tuple[tuple[Array, NDArray[np.int64]] | None, str]:
     """A mesh's vertices and faces, or None and why it cannot be drawn."""
     path = find_mesh(name, folders)
     mesh, problem = (None, "was not found") if path is None else load_mesh(path, scale)
+    if mesh is not None and (reach := np.abs(mesh_vertices(mesh)).max()) > _FARTHEST:
+        mesh, problem = None, f"reaches {reach:.0e} m far"
     if mesh is None:
         return None, f"link '{link}': the mesh '{name}' {problem}; a simple shape stands for it"
     return (mesh_vertices(mesh), mesh_faces(mesh)), ""

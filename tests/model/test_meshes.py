@@ -87,6 +87,36 @@ def test_a_mesh_is_found_and_read(tmp_path, name, place):
     assert mesh_faces(mesh).shape == (1, 3)
 
 
+#: A triangle of 4 units along x, as COLLADA.
+DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>{unit}</asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="a" count="9">0 0 0 4 0 0 0 4 0</float_array><technique_common>
+<accessor source="#a" count="3" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles>
+</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#g"/></node></visual_scene>
+</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+
+
+@pytest.mark.parametrize(
+    ("unit", "length"),
+    [
+        ("", 4.0),
+        ('<unit name="meter" meter="1"/>', 4.0),
+        ('<unit name="millimeter" meter="0.001"/>', 4e-3),
+        ("<unit meter='2.54e-2' name='inch'/>", 0.1016),
+        ('<unit name="nothing" meter="0"/>', 4.0),
+    ],
+)
+def test_a_collada_file_is_as_large_as_it_says(tmp_path, unit, length):
+    (tmp_path / "t.dae").write_text(DAE.format(unit=unit))
+    mesh, problem = load_mesh(tmp_path / "t.dae", (1.0, 1.0, 1.0))
+    assert problem == ""
+    np.testing.assert_allclose(np.ptp(mesh_vertices(mesh), axis=0), [length, length, 0], rtol=1e-6)
+
+
 #: A triangle on the floor and a smaller one 5 m above it, each of a material of its own.
 TWO_PARTS = """o both
 v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 5\nv 2 0 5\nv 0 2 5\nv 2 2 5
