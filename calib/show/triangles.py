@@ -89,17 +89,25 @@ def clustered(
     diagonal = float(np.linalg.norm(vertices.max(axis=0) - low))
     cell = diagonal / 1000.0
     while True:
-        _, inverse = np.unique(
-            np.floor((vertices - low) / cell).astype(np.int64), axis=0, return_inverse=True
-        )
-        inverse = inverse.reshape(-1)
-        merged = np.unique(_without_slivers(inverse[faces]), axis=0)
+        # At most 1001 cells along an edge, so that three numbers fit into one: sorting those is ten times as fast.
+        x, y, z = np.floor((vertices - low) / cell).astype(np.int64).T
+        _, inverse = np.unique((x << 40) | (y << 20) | z, return_inverse=True)
+        merged = _each_once(_without_slivers(inverse[faces]))
         if len(merged) <= most_faces or cell >= diagonal:
             break
         cell *= 1.4
     count = np.bincount(inverse)
     means = np.stack([np.bincount(inverse, vertices[:, k]) / count for k in range(3)], axis=1)
     return means, merged, cell
+
+
+def _each_once(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The different faces, in order."""
+    count = int(faces.max(initial=0)) + 1
+    if count**3 > np.iinfo(np.int64).max:
+        return np.unique(faces, axis=0)
+    key = np.unique((faces[:, 0] * count + faces[:, 1]) * count + faces[:, 2])
+    return np.stack([key // count**2, key // count % count, key % count], axis=1)
 
 
 def _welded(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
