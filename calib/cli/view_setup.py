@@ -84,18 +84,23 @@ def view_asked_for(sources: Sources, cell: Cell, *, quiet: bool) -> View:
         if not quiet:
             say_ignored(rows, arm)
     first, second = _robots(arm, sources, stored)
-    known = None if stored is None else _known(sources, stored)
+    known = None if stored is None else _known(sources, stored.known)
+    nominal_known = known
+    if stored is not None and sources.other is None and stored.nominal_known is not None:
+        nominal_known = _known(sources, stored.nominal_known)
     shown = view_of_robots(
         first,
         second,
         names=_names(first, sources),
-        evaluations=None if rows is None else _evaluations(first, second, rows, cell, known),
+        evaluations=None
+        if rows is None
+        else _evaluations(first, second, rows, cell, nominal_known, known),
         flagged=_flagged(table, rows),
         title=first.name if second is None else "",
         verdict=_verdict(table)[0],
         note=_verdict(table)[1],
     )
-    return shown if rows is not None else _with_targets(shown, cell, known)
+    return shown if rows is not None else _with_targets(shown, cell, nominal_known, known)
 
 
 def _robots(
@@ -122,26 +127,31 @@ def _names(first: Robot, sources: Sources) -> Names:
     return (first.name or "Robot", given), ("", "")
 
 
-def _known(sources: Sources, stored: StoredResult) -> Known:
+def _known(sources: Sources, known: Known) -> Known:
     """A result's frames and targets, but for what the line says."""
     nothing: dict[str, Any] = {
         **({"frames": {}} if sources.frame_given else {}),
         **({"targets": {}} if sources.target_given else {}),
     }
-    return replace(stored.known, **nothing)
+    return replace(known, **nothing)
 
 
 def _evaluations(
-    first: Robot, second: Robot | None, rows: Measurements, cell: Cell, known: Known | None
+    first: Robot,
+    second: Robot | None,
+    rows: Measurements,
+    cell: Cell,
+    nominal_known: Known | None,
+    known: Known | None,
 ) -> tuple[Evaluation, Evaluation | None]:
-    """The errors of each robot, as ``calib evaluate`` prints them."""
+    """The errors of each robot: each with the frames and targets that its errors are given with elsewhere."""
     from calib.identify.evaluation import evaluate
 
-    def errors(robot: Robot) -> Evaluation:
-        own = _with_own_target(robot, cell) if known is None else cell
-        return evaluate(robot, rows, own, known=known)
+    def errors(robot: Robot, its: Known | None) -> Evaluation:
+        own = _with_own_target(robot, cell) if its is None else cell
+        return evaluate(robot, rows, own, known=its)
 
-    return errors(first), None if second is None else errors(second)
+    return errors(first, nominal_known), None if second is None else errors(second, known)
 
 
 def _with_own_target(robot: Robot, cell: Cell) -> Cell:
@@ -150,14 +160,15 @@ def _with_own_target(robot: Robot, cell: Cell) -> Cell:
     return cell if given else with_target_link(robot, cell)
 
 
-def _with_targets(view: View, cell: Cell, known: Known | None) -> View:
+def _with_targets(view: View, cell: Cell, nominal_known: Known | None, known: Known | None) -> View:
     """The view of robots that were not measured, with the target in the tip where it is known."""
     from calib.show.view import translated
 
     places = {}
     for who, robot in view.robots.items():
-        if known is not None and known.targets:
-            places[who] = next(iter(known.targets.values()))
+        its = nominal_known if who == "nominal" else known
+        if its is not None and its.targets:
+            places[who] = next(iter(its.targets.values()))
         else:
             own = _with_own_target(robot, cell)
             points = [*own.targets.values(), *([own.target] if own.target is not None else [])]

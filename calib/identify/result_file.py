@@ -117,6 +117,7 @@ def _stored(table: Mapping[str, Any]) -> StoredResult:
         tip=_text(robot["tip"]),
         held={_text(one["joint"]): _number(one["value"]) for one in robot["held"]},
         known=_known(frames),
+        nominal_known=_known(frames["nominal"]) if "nominal" in frames else None,
         origins=_origins(robot["origins"]),
         nominal_origins=_origins(robot["nominal_origins"]),
         larger=None if larger is None else _larger(larger, table["model"]["ties"]),

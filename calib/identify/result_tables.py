@@ -63,6 +63,7 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
             else None,
             "target_estimated": c.cell.estimate_target,
             **_places(c, c.setup),
+            "nominal": _places(c, c.nominal_setup),
         },
         "errors": {
             who: {name: errors_table(errors) for name, errors in sets.items()}

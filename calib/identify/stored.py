@@ -80,6 +80,8 @@ class StoredResult:
         tip: Tip link.
         held: Values of joints that were not measured [rad] or [m].
         known: Frames and targets.
+        nominal_known: Those that the nominal robot's errors are computed with: as given, and registered to the
+            estimation rows where they were not; None in a file of before they were kept.
         origins: Corrected ``<origin>`` of each joint that carries a placement of the chain, shape (4, 4), [m].
         nominal_origins: The same of the nominal robot.
         larger: The larger model; None where there is none.
@@ -89,6 +91,7 @@ class StoredResult:
     tip: str
     held: Mapping[str, float]
     known: Known
+    nominal_known: Known | None
     origins: Mapping[str, Array]
     nominal_origins: Mapping[str, Array]
     larger: StoredLarger | None

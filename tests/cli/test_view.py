@@ -176,11 +176,9 @@ def test_errors_are_those_of_the_result_and_its_flagged_rows_are_marked(examples
     shown = asked_for(folder, "robot.urdf", calibration="result.json", data="data.csv")
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     chosen = np.array(shown.kinds) == "validation"
-    rms = np.sqrt(np.mean(shown.errors[1, chosen] ** 2))
-    assert rms == pytest.approx(result["errors"]["calibrated"]["validation"]["rms_m"], abs=1e-9)
-    errors = json.loads((folder / "errors.json").read_text(encoding="utf-8"))["errors"]
-    rms = np.sqrt(np.mean(shown.errors[0, chosen] ** 2))
-    assert rms == pytest.approx(errors["urdf"]["validation"]["rms_m"], abs=1e-9)
+    for k, who in enumerate(("nominal", "calibrated")):
+        rms = np.sqrt(np.mean(shown.errors[k, chosen] ** 2))
+        assert rms == pytest.approx(result["errors"][who]["validation"]["rms_m"], abs=1e-9)
     np.testing.assert_allclose(shown.distances, shown.errors, atol=1e-9)
     flagged = {one["row"] for one in (*result["outliers"], *result["suspects"])}
     marked = {f"row {row}" for row in flagged}
