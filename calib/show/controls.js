@@ -58,12 +58,18 @@ if (element("row")) {
   element("forward").addEventListener("click", () => goTo(state.row + 1));
   element("play").addEventListener("click", () => play(playing === null));
   document.addEventListener("keydown", (event) => {
-    if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) return;
-    if (event.key === "ArrowLeft") goTo(state.row - 1);
-    if (event.key === "ArrowRight") goTo(state.row + 1);
-    if (event.key === " ") play(playing === null);
+    // A list and the slider have arrow keys of their own; boxes and buttons take the space bar.
+    const { tagName, type } = event.target;
+    const arrows = tagName !== "SELECT" && type !== "range";
+    if (arrows && event.key === "ArrowLeft") goTo(state.row - 1);
+    if (arrows && event.key === "ArrowRight") goTo(state.row + 1);
+    if (event.key === " " && !["SELECT", "BUTTON"].includes(tagName) && type !== "checkbox") {
+      play(playing === null);
+      event.preventDefault();
+    }
   });
 }
+
 // The mark nearest to the mouse, if it is near: its row.
 const screen = new THREE.Vector3();
 function rowAt(event) {
@@ -125,6 +131,27 @@ for (const name of ["arrows", "robots"]) {
   });
 }
 
+// The scale of the clouds' colours stands there while a cloud does.
+const clouds = [...document.querySelectorAll('[data-show^="calibrated/cloud"]')];
+function showScale() {
+  const scale = document.querySelector(".scale");
+  // Its place is kept: the text about it does not move.
+  if (scale) scale.style.visibility = clouds.some((box) => box.checked) ? "visible" : "hidden";
+}
+for (const box of clouds) box.addEventListener("change", showScale);
+showScale();
+
+// A page on paper shows a copy of the scene: what WebGL drew is gone by then.
+const paper = document.createElement("canvas");
+paper.id = "paper";
+pane.after(paper);
+window.addEventListener("beforeprint", () => {
+  const drawn = viewer.renderer.domElement;
+  [paper.width, paper.height] = [drawn.width, drawn.height];
+  viewer.renderer.render(viewer.scene, viewer.camera);
+  paper.getContext("2d").drawImage(drawn, 0, 0);
+});
+
 // A server that this page came from may send a pose of its own, or things for meshcat to draw.
 function listen() {
   const socket = new WebSocket(`ws://${location.host}/live`);
@@ -136,7 +163,7 @@ function listen() {
     }
     const { pose } = JSON.parse(data);
     if (!pose) return;
-    state.alone = { label: pose.label };
+    state.alone = { label: pose.label || "a pose of the program" };
     for (const who of names) state.alone[who] = floats(pose.robots[who]);
     update();
   });
@@ -153,10 +180,10 @@ function start() {
     state[name] = Number(choice.value);
   }
   const row = table.labels.indexOf(`row ${asked.get("row")}`);
-  if (row >= 0) state.row = row;
+  if (row >= 0) [state.row, state.alone] = [row, null];
   if (element("row")) element("row").value = state.row;
   const mode = asked.get("mode");
-  if (both && mode in table.cameras && mode !== state.mode) {
+  if (both && Object.hasOwn(table.cameras, mode) && mode !== state.mode) {
     state.mode = mode;
     look();
   }

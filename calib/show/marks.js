@@ -49,7 +49,7 @@ function addInstruments(who) {
   const parent = group(who, "instrument");
   const ends = [];
   table.instruments.forEach((pose, k) => {
-    const body = new THREE.Mesh(ball, new THREE.MeshPhongMaterial({ color: table.colours.flagged }));
+    const body = new THREE.Mesh(ball, new THREE.MeshPhongMaterial({ color: table.colours.beam }));
     body.scale.setScalar(2.2 * table.ball);
     const frame = triad(0.2 * table.size);
     for (const object of [body, frame]) object.position.fromArray(pose);
@@ -62,7 +62,7 @@ function addInstruments(who) {
   });
   const lines = new THREE.BufferGeometry();
   lines.setAttribute("position", new THREE.BufferAttribute(new Float32Array(ends), 3));
-  const material = new THREE.LineBasicMaterial({ color: table.colours.flagged, transparent: true, opacity: 0.4 });
+  const material = new THREE.LineBasicMaterial({ color: table.colours.beam, transparent: true, opacity: 0.4 });
   parent.add(new THREE.LineSegments(lines, material));
 }
 

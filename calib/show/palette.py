@@ -16,6 +16,9 @@ ESTIMATION = "#16202a"
 VALIDATION = "#009e73"
 OUTLIER = "#c8323c"
 
+#: Lines of sight, and what they come from.
+BEAM = "#a0569a"
+
 #: Text and axes, what stands behind them, and lines of a grid.
 INK = "#16202a"
 SOFT = "#5a6875"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calib.show.motion import FACTORS, WELL_TO_BADLY, colour_scale
 from calib.show.page import COLOURS, escaped, filled_page, grid_text, key
-from calib.show.palette import ESTIMATION, OUTLIER, VALIDATION
+from calib.show.palette import BEAM, ESTIMATION, OUTLIER, VALIDATION
 from calib.show.view import Cloud, View
 
 Array = NDArray[np.float64]
@@ -88,7 +88,8 @@ def _both(view: View) -> str:
 
 def _colours() -> dict[str, str]:
     """The colours that the script draws with."""
-    return {**COLOURS, **{kind: colour for kind, (colour, _) in _ROWS.items()}}
+    rows = {kind: colour for kind, (colour, _) in _ROWS.items()}
+    return {**COLOURS, **rows, "beam": BEAM}
 
 
 def _facts(view: View) -> str:
@@ -202,9 +203,7 @@ def _legend(view: View) -> str:
         items.append(key("predicted, in the robot's colour", "", nodes("predicted"), "ring"))
     items.append(key("frames of base, tip, target", "", nodes("frames"), "frame", on=False))
     if np.any(np.isfinite(view.instruments)):
-        items.append(
-            key("measurement frame and beams", "var(--beam)", nodes("instrument"), on=False)
-        )
+        items.append(key("measurement frame and beams", BEAM, nodes("instrument"), on=False))
     if view.cloud is not None and not view.nominal.base_moves:
         items.append(_cloud_keys(view.cloud))
     return "".join(items)
@@ -214,9 +213,7 @@ def _cloud_keys(cloud: Cloud) -> str:
     """The clouds and their colours."""
     ends = [f"{float(f'{1e3 * value:.2g}'):g}" for value in colour_scale(cloud)]
     bar = f"linear-gradient(90deg, {', '.join(WELL_TO_BADLY)})"
-    scale = (
-        f'<span class="scale">1 sigma {ends[0]}<i style="background: {bar}"></i>{ends[1]} mm</span>'
-    )
+    scale = f'<span class="scale">standard deviation {ends[0]}<i style="background: {bar}"></i>{ends[1]} mm</span>'
     inner = key("region measured, by uncertainty", WELL_TO_BADLY[1], "calibrated/cloud", on=False)
     outer = key("whole workspace", WELL_TO_BADLY[2], "calibrated/cloud-everywhere", on=False)
     return inner + outer + scale

@@ -46,7 +46,9 @@ function tell() {
   const show = (who) => (values[who] === null ? [] : [[mm(values[who])]])
     .concat(turns[who] === null ? [] : [values[who] === null ? "" : " and ", [degrees(turns[who])]]);
   if (values[0] !== null || turns[0] !== null) {
-    parts.push("From what was measured: ", `${table.names[0].toLowerCase()} `, ...show(0));
+    // What is left over of a distance or on a plane is no distance in the picture.
+    const place = Number.isFinite(measured[3 * state.row]);
+    parts.push(place ? "From what was measured: " : "Left over of what was measured: ", `${table.names[0].toLowerCase()} `, ...show(0));
     if (both) parts.push(`, ${table.names[1].toLowerCase()} `, ...show(1));
     parts.push(".");
   } else if (both) {
@@ -58,7 +60,8 @@ function tell() {
     const robotsSaid = both
       ? state.robots === 1 ? "Robots true to scale." : `Differences from ${table.names[0].toLowerCase()} drawn \u00d7 ${state.robots}.`
       : "Robot true to scale.";
-    const arrowsSaid = `Arrows \u00d7 ${state.arrows}.`;
+    const ends = hasMeasured ? "from predicted towards measured" : `from ${table.names[0].toLowerCase()} to ${table.names[1].toLowerCase()}`;
+    const arrowsSaid = `Arrows ${ends}, \u00d7 ${state.arrows}.`;
     const cutSaid = cut ? ` ${cut} longer than the scene ${cut > 1 ? "are" : "is"} cut.` : "";
     fill(element("factors"), `${arrowsSaid} ${robotsSaid}${cutSaid}`);
   }
@@ -119,7 +122,8 @@ function drawInset(all) {
   }
   for (const who of Object.keys(at)) {
     const [cx, cy] = put(who);
-    svg(drawing, "circle", { cx, cy, r: who === "measured" ? 5 : 7, fill: table.colours[who] });
+    const colour = who === "measured" ? table.colours[table.kinds[state.row]] : table.colours[who];
+    svg(drawing, "circle", { cx, cy, r: who === "measured" ? 5 : 7, fill: colour || table.colours.measured });
   }
   const power = 10 ** Math.floor(Math.log10(80 / unit));
   const bar = power * [5, 2, 1].find((factor) => factor * power <= (80 / unit) * 1.000001);

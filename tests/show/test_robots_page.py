@@ -66,7 +66,7 @@ def test_the_cloud_s_scale_is_in_mm_and_plain_digits(view):
     cloud = Cloud(np.zeros((9, 3)), np.geomspace(5e-2, 0.5, 9), np.ones(9, dtype=bool))
     text = text_of(replace(view, cloud=cloud))
     assert "region measured, by uncertainty" in text
-    (low, high) = re.search(r"1 sigma ([\d.]+?)(\d{3}) mm", text).groups()
+    (low, high) = re.search(r"standard deviation ([\d.]+?)(\d{3}) mm", text).groups()
     assert low == "53"  # mm: the 2 % quantile to two digits
     assert high == "480"
 

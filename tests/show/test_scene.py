@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import base64
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
 from html import escape
+from pathlib import Path
 
 import numpy as np
 import pytest
 import umsgpack
+from PIL import Image
 
 from calib import data
 from calib.errors import FileError
@@ -238,6 +241,18 @@ def amounts(picture: np.ndarray, colour: str) -> tuple[float, float]:
     return left, right
 
 
+def printed(pdf: bytes, folder: Path) -> np.ndarray | None:
+    """The first page of a PDF, shape (H, W, 3); None where poppler is not installed."""
+    program = shutil.which("pdftoppm")
+    if program is None:
+        return None
+    (folder / "page.pdf").write_bytes(pdf)
+    command = [program, "-r", "40", "-png", "-singlefile", "page.pdf", "page"]
+    subprocess.run(command, cwd=folder, check=True)
+    with Image.open(folder / "page.png") as image:
+        return np.asarray(image.convert("RGB"))
+
+
 @pytest.fixture(scope="module")
 def demo_page(tmp_path_factory):
     """The page of the paper's calibration, as the demo writes it."""
@@ -269,7 +284,7 @@ def test_chromium_shows_two_robots_with_arrows_and_calls_nobody(browser, demo_pa
             assert word in legend
         said = tab.evaluate("document.querySelector('header').innerText")
         assert "Verdict: use." in said
-        assert "Arrows × 50. Robots true to scale." in said
+        assert "Arrows from predicted towards measured, × 50. Robots true to scale." in said
         assert "row 35, held back" in said
         assert "nominal 3.61 mm" in said
 
@@ -279,6 +294,11 @@ def test_chromium_shows_two_robots_with_arrows_and_calls_nobody(browser, demo_pa
         assert np.mean(np.any(picture != without, axis=-1)) > 0.002
         tab.evaluate("document.querySelector('[data-show*=arrows]').click()")
         np.testing.assert_array_equal(tab.screenshot(), picture)
+        # On paper both robots stand too.
+        paper = printed(tab.pdf(), demo_page.parent)
+        if paper is not None:
+            assert near(paper, NOMINAL).mean() > 0.01
+            assert near(paper, CALIBRATED).mean() > 0.01
         assert tab.complaints == []  # no error, and nothing that the page's policy refused to load
         assert tab.elsewhere == []
 
@@ -305,7 +325,9 @@ def test_chromium_lays_one_robot_over_the_other_and_magnifies_the_difference(bro
         assert near(many, NOMINAL).mean() > apart[0] + 0.005
         assert near(many, CALIBRATED).mean() > apart[1] + 0.002
         said = tab.evaluate("document.getElementById('factors').innerText")
-        assert said == "Arrows × 50. Differences from nominal drawn × 50."
+        assert said == (
+            "Arrows from predicted towards measured, × 50. Differences from nominal drawn × 50."
+        )
         choose(tab, "arrows", 1000)
         assert "longer than the scene are cut" in tab.evaluate(
             "document.getElementById('factors').innerText"
@@ -414,12 +436,12 @@ def test_the_address_says_what_is_shown_at_first(browser, demo_page):
     with browser.open(address, size=(320, 180)) as tab:
         said = tab.evaluate("document.querySelector('header').innerText")
         assert "row 35, held back." in said
-        assert "Arrows × 50. Robots true to scale." in said
+        assert "Arrows from predicted towards measured, × 50. Robots true to scale." in said
         tab.evaluate("location.hash = 'row=12&mode=over&robots=20&arrows=5'")
         tab.wait_for("document.body.dataset.mode == 'over'")
         said = tab.evaluate("document.querySelector('header').innerText")
         assert "row 12, fitted." in said
-        assert "Arrows × 5. Differences from nominal drawn × 20." in said
+        assert "measured, × 5. Differences from nominal drawn × 20." in said
         assert tab.complaints == []
 
 
