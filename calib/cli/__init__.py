@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+from pathlib import Path
 
 import typer
 
@@ -71,6 +72,10 @@ def main() -> None:
     # The matrices are small: more threads gain nothing, and on a busy machine their waiting for each other takes ten
     # times as long as the work. NumPy reads this when it is imported, after this line; who sets it keeps it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Who is started with one of them closed, as services are, has None there, and a file that is opened would be it.
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         # A name that the terminal's encoding lacks is printed as an escape, not refused.
         if isinstance(stream, io.TextIOWrapper):

@@ -17,6 +17,9 @@ _FEW = 2.0
 #: A share of flagged rows above this is no accident.
 _MANY_OUTLIERS = 0.15
 
+#: Validation rows this many times as far off as left-out rows were not measured like them.
+_ANOTHER_MEASUREMENT = 10.0
+
 #: Noise above this is no measuring instrument's: the set-up is wrong [m].
 _ABSURD_NOISE = 0.02
 
@@ -212,6 +215,12 @@ def _oddities(e: Evidence) -> list[str]:
         reasons.append(
             f"A parameter has moved by {1e3 * e.largest:.0f} mm or mrad, which is no error of an arm: the measurements "
             "do not hold it. Keep the priors on, or choose a smaller model."
+        )
+    kept, left = e.validation_calibrated, e.calibrated.errors_without_outliers
+    if kept.n and kept.rms > _ANOTHER_MEASUREMENT * left.rms > 0.0:
+        reasons.append(
+            f"The calibrated robot is {_both(kept)} off on the {kept.n} validation rows and {_both(left)} on left-out "
+            "rows: look at these rows before using the result. Was the target or the frame another one?"
         )
     flagged, rows = int(np.sum(e.outliers)), len(e.outliers)
     if flagged > _MANY_OUTLIERS * rows:

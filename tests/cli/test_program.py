@@ -193,6 +193,13 @@ def test_a_reader_that_goes_away_does_not_cost_the_files(program, shop: Path):
     assert (shop / "r.json").is_file()
 
 
+def test_a_program_that_is_started_without_stdout_and_stderr(program, shop: Path):
+    call = ["sh", "-c", 'exec "$@" >&- 2>&-', "sh", *program]
+    words = ("fit", "robot.urdf", "data.csv", "--no-validate", "-o", "c.urdf")
+    assert subprocess.run([*call, *words], cwd=shop).returncode == 0
+    assert (shop / "c.urdf").read_bytes().startswith((shop / "robot.urdf").read_bytes()[:20])
+
+
 def closed_pipe(program: list[str], folder: Path, *words: str) -> tuple[int, str]:
     """Run with a stdout whose reader has gone; exit code and stderr."""
     reader, writer = os.pipe()

@@ -143,6 +143,15 @@ def test_outliers_do_not_decide():
     assert verdict(replace(GOOD, calibrated=after)).use == "use"
 
 
+def test_validation_rows_that_were_not_measured_like_the_others():
+    result = verdict(
+        replace(GOOD, validation_nominal=errors(51e-3), validation_calibrated=errors(50e-3))
+    )
+    assert result.use == "use with care"
+    assert "50.000 mm rms off on the 5 validation rows and 0.2" in result.reasons[0]
+    assert verdict(replace(GOOD, validation_calibrated=errors(1.8e-3))).use == "use"
+
+
 def test_validation_rows_set_aside_are_counted():
     reasons = verdict(replace(GOOD, validation_aside=1)).reasons
     assert any("5 validation rows (1 more aside) it falls" in reason for reason in reasons)
