@@ -53,6 +53,7 @@ _FALLBACKS = (
     "WenQuanYi Zen Hei",
 )
 _IN_SVG = b"'DejaVu Sans', Verdana, sans-serif"
+_WIDTH_IN_SVG = re.compile(rb'<svg\b[^>]*?\bwidth="([0-9.]+)pt"')
 _FONT_IN_SVG = re.compile(rb"(<text\b[^>]*?\bstyle=\"[^\"]*?)'DejaVu Sans'[^;\"]*")
 
 #: Longer names are shortened in the middle.
@@ -169,6 +170,19 @@ def rendered(drawing: Drawing, kind: str = "png") -> bytes:
         return data.getvalue()
     # What the first font lacks a viewer takes from the next one.
     return _FONT_IN_SVG.sub(rb"\1" + _IN_SVG, data.getvalue())
+
+
+def width_of(data: bytes, kind: str) -> float:
+    """How wide a rendered figure is [in].
+
+    Args:
+        data: What `rendered` made.
+        kind: ``"png"`` or ``"svg"``.
+    """
+    if kind == "png":
+        return int.from_bytes(data[16:20], "big") / _DPI
+    found = _WIDTH_IN_SVG.search(data)
+    return float(found[1]) / 72.0 if found else WIDTH
 
 
 def _of_few_colours(data: io.BytesIO, words: dict[str, str]) -> bytes:

@@ -36,11 +36,11 @@ def convergence_figure(c: Calibration) -> Figure:
     mu = np.array([one.mu for one in history])
     accepted = np.array([one.accepted for one in history], dtype=np.bool_)
     series = [("cost E", cost, np.append(accepted, [True]))]
-    series += [("step [mm, mrad]" if c.solver != "paper" else "step", step, accepted)]
+    series += [("step\n[mm, mrad]" if c.solver != "paper" else "step", step, accepted)]
     if np.any(mu > 0.0):
         series.append(("damping μ", mu, accepted))
     starts = stage_starts(c)
-    figure = new_figure(1.35 * len(series) + 0.7)
+    figure = new_figure(len(series) + 0.7)
     panels = figure.subplots(len(series), 1, sharex=True)
     for ax, (name, values, taken) in zip(panels, series, strict=True):
         _over_iterations(ax, values, taken, starts)
@@ -181,7 +181,7 @@ def candidates_figure(c: Calibration) -> Figure:
     )
     left.invert_yaxis()
     left.set_title("Error on left-out rows")
-    left.set_xlabel(f"rms without outliers [{unit}]")
+    left.set_xlabel(f"rms [{unit}]")
     right.set_title("Evidence")
     right.set_xlabel("log likelihood, less that of the best")
     legend_above(

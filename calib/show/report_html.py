@@ -23,7 +23,7 @@ from calib.show.document import (
     Table,
     plain,
 )
-from calib.show.figure_base import Drawing, rendered
+from calib.show.figure_base import WIDTH, Drawing, rendered, width_of
 
 #: A drawing with more bytes than this as SVG goes in as PNG.
 _LARGE = 260_000
@@ -62,6 +62,7 @@ class _Set:
         block: The block.
         number: Of a table or figure.
         source: The address of a figure, its data.
+        share: Its width over that of the widest, so that all have letters of one size [%].
         sign: Of a verdict.
         css: Class of a verdict.
     """
@@ -70,6 +71,7 @@ class _Set:
     block: Block
     number: int = 0
     source: str = ""
+    share: str = ""
     sign: str = ""
     css: str = ""
 
@@ -118,16 +120,19 @@ def _set(block: Block, tables: Iterator[int], figures: Iterator[int]) -> _Set:
     if isinstance(block, Table):
         return _Set(kind, block, next(tables))
     if isinstance(block, Picture):
-        return _Set(kind, block, next(figures), source=_source(block.drawing))
+        source, share = _picture(block.drawing)
+        return _Set(kind, block, next(figures), source=source, share=share)
     if isinstance(block, Judgement):
         sign, css = _VERDICTS.get(block.use, ("\N{EN DASH}", "none"))
         return _Set(kind, block, sign=sign, css=css)
     return _Set(kind, block)
 
 
-def _source(drawing: Drawing) -> str:
-    """The figure as a data address: lines as SVG, and as PNG where that would be large."""
-    kind, data = "svg+xml", rendered(drawing, "svg")
+def _picture(drawing: Drawing) -> tuple[str, str]:
+    """The figure as a data address, lines as SVG and as PNG where that would be large; and its width [%]."""
+    kind, data = "svg", rendered(drawing, "svg")
     if len(data) > _LARGE:
         kind, data = "png", rendered(drawing, "png")
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+    media = "svg+xml" if kind == "svg" else kind
+    share = f"{100.0 * width_of(data, kind) / WIDTH:.1f}"
+    return f"data:image/{media};base64,{base64.b64encode(data).decode('ascii')}", share

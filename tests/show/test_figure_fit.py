@@ -33,7 +33,7 @@ def test_the_cost_of_each_iteration_is_drawn(calibrations):
     np.testing.assert_allclose(drawn.get_ydata(), expected)
     assert [ax.get_ylabel() for ax in (cost, step, damping)] == [
         "cost E",
-        "step [mm, mrad]",
+        "step\n[mm, mrad]",
         "damping μ",
     ]
 
@@ -112,5 +112,5 @@ def test_models_of_orientations_alone_are_compared_in_degrees(calibrations):
         for one in c.candidates
     )
     left = candidates_figure(replace(c, candidates=turned)).axes[0]
-    assert left.get_xlabel() == "rms without outliers [deg]"
+    assert left.get_xlabel() == "rms [deg]"
     assert left.patches[0].get_width() == pytest.approx(np.degrees(0.01))

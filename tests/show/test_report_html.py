@@ -19,7 +19,8 @@ from calib.show.document import (
     Signatures,
     Table,
 )
-from calib.show.figures import Drawing, drawings
+from calib.show.figure_base import width_of
+from calib.show.figures import Drawing, drawings, rendered
 from calib.show.report_html import as_html
 
 #: Elements of HTML that have no end tag.
@@ -128,6 +129,18 @@ def test_tables_and_figures_are_numbered_and_a_large_drawing_is_a_picture(paper_
     assert "<b>Figure 2. Large.</b> A caption." in page
     again = as_html(document_of(Picture(small)))
     assert again == as_html(document_of(Picture(small)))
+
+
+def test_letters_of_all_figures_have_one_size(paper_calibration):
+    narrow = next(one for one in drawings(paper_calibration) if one.name == "correlations")
+    wide = next(one for one in drawings(paper_calibration) if one.name == "histograms")
+    page = as_html(Document("t", Facts(()), (Section("s", (Picture(narrow), Picture(wide))),)))
+    shares = [float(share) for share in re.findall(r'style="--share: ([0-9.]+)%"', page)]
+    inches = [one.draw().get_figwidth() for one in (narrow, wide)]
+    assert shares == pytest.approx([100.0 * inches[0] / inches[1], 100.0], abs=0.06)
+    assert [width_of(rendered(narrow, kind), kind) for kind in ("svg", "png")] == pytest.approx(
+        [inches[0]] * 2, abs=0.01
+    )
 
 
 def test_the_foot_of_the_page_is_a_css_string():
