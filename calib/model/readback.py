@@ -20,6 +20,9 @@ from calib.model.urdf import Urdf, UrdfJoint
 #: A pose read back may differ from the model's by this [m and rad].
 TOLERANCE = 1e-9
 
+#: Joint values spread over the limits.
+SPREAD = 200
+
 #: Sets of joint values compared, and the seed they are drawn with: the same every time.
 _POSES, _SEED = 20, 20170401
 
@@ -49,7 +52,7 @@ def random_joint_values(robot: Robot, count: int = _POSES, seed: int = _SEED) ->
     return np.asarray(low + (high - low) * share)
 
 
-def spread_poses(robot: Robot, count: int = 200) -> NDArray[np.float64]:
+def spread_poses(robot: Robot, count: int = SPREAD) -> NDArray[np.float64]:
     """Joint values spread evenly over the limits (one turn or one metre where there are none), shape (count, m).
 
     An unscrambled Sobol sequence: the same for every call.

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.result import Calibration
 from calib.identify.uncertainty import workspace_uncertainty
-from calib.show.figure_base import MOST_SHAPES, few_ticks, legend_above, new_figure
+from calib.show.figure_base import MOST_SHAPES, WIDTH, few_ticks, legend_above, new_figure
 from calib.show.figure_rows import RowKind, measured_places, number_points, row_kinds
 from calib.show.palette import INK, SOFT
 
@@ -18,6 +18,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
+
+#: Left, bottom, width and height, in parts of a figure.
+Box: TypeAlias = tuple[float, float, float, float]
+
+#: Room around the views and between them for titles, labels and legend [in].
+_LEFT, _BETWEEN, _RIGHT, _ABOVE, _MIDDLE, _BELOW = 0.65, 0.75, 0.2, 0.62, 0.8, 0.48
+
+#: More room below for a line of text [in].
+_FOOT = 0.2
+
+#: The most height of the figure, and the least of the view in space [in].
+_HIGHEST, _LEAST = 7.4, 2.2
 
 #: The two axes of each view, and what it is called.
 _VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
@@ -45,14 +57,13 @@ def points_figure(c: Calibration) -> Figure:
     places, seen = measured_places(c)
     kinds = row_kinds(c)
     limits = _limits(places)
-    figure = new_figure(6.6)
-    x, y, z = _shares(limits)
-    grid = figure.add_gridspec(2, 2, width_ratios=(x, y), height_ratios=(y, z))
-    space: Any = figure.add_subplot(grid[0, 1], projection="3d")
+    height, room, boxes = _boxes(limits, _BELOW if np.all(seen) else _BELOW + _FOOT)
+    figure = new_figure(height)
+    figure.set_layout_engine("none")  # the boxes say where everything stands
+    space: Any = figure.add_axes(room, projection="3d")
     _space(space, places, kinds, limits)
-    # From above and from the front share x, from the front and from the side share z, as in drawings.
-    for (i, j, name), at in zip(_VIEWS, (grid[0, 0], grid[1, 0], grid[1, 1]), strict=True):
-        ax = figure.add_subplot(at)
+    for (i, j, name), box in zip(_VIEWS, boxes, strict=True):
+        ax = figure.add_axes(box)
         ax.set_title(f"Seen {name}")
         for kind in kinds:
             _dots(ax, 1e3 * _thinned(places, kind)[:, [i, j]], kind, many=len(places) > MOST_SHAPES)
@@ -74,10 +85,35 @@ def points_figure(c: Calibration) -> Figure:
     return figure
 
 
-def _shares(limits: Array) -> list[float]:
-    """The room that x, y and z take on the page, so that the views have about one scale."""
-    size = limits[1] - limits[0]
-    return [float(value) for value in np.maximum(size, 0.75 * size.max())]
+def _boxes(limits: Array, below: float) -> tuple[float, Box, tuple[Box, Box, Box]]:
+    """The figure's height [in], the room of the view in space, and the boxes of the three others: all of one scale.
+
+    From above and from the front share x, from the front and from the side share z, as in drawings. A box is left,
+    bottom, width and height, in parts of the figure.
+
+    Args:
+        limits: shape (2, 3), what is shown [m].
+        below: Room for the labels below [in].
+    """
+    x, y, z = (float(value) for value in limits[1] - limits[0])
+    across = WIDTH - _LEFT - _BETWEEN - _RIGHT
+    scale = min(across / (x + y), (_HIGHEST - _ABOVE - _MIDDLE - below) / (y + z))
+    x, y, z = scale * x, scale * y, scale * z
+    upper = max(y, _LEAST)
+    height = _ABOVE + upper + _MIDDLE + z + below
+    second, raised = _LEFT + x + _BETWEEN, below + z + _MIDDLE
+
+    def box(left: float, bottom: float, wide: float, high: float) -> Box:
+        """Inches as parts of the figure."""
+        return left / WIDTH, bottom / height, wide / WIDTH, high / height
+
+    start = second - 0.5 * _BETWEEN
+    space = box(start, raised, WIDTH - start - 0.5 * _RIGHT, upper)
+    return (
+        height,
+        space,
+        (box(_LEFT, raised, x, y), box(_LEFT, below, x, z), box(second, below, y, z)),
+    )
 
 
 def _thinned(places: Array, kind: RowKind) -> Array:
@@ -159,7 +195,7 @@ def uncertainty_figure(c: Calibration) -> Figure:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    found = workspace_uncertainty(c, POSES)
+    found = workspace_uncertainty(c, POSES, larger=False)
     T = c.robot.poses(found.q)
     places = T[:, :3, :3] @ c.target + T[:, :3, 3]
     std = 1e3 * found.std
@@ -225,10 +261,11 @@ def _how_often(ax: Axes, std: Array, c: Calibration) -> None:
     ax.plot(values, 100.0 * np.arange(1, len(values) + 1) / len(values), color=INK, lw=1.4)
     for value, style, word in (
         (1e3 * c.expected_measured, ":", "rms, measured poses"),
-        (float(np.sqrt(np.mean(std**2))), "--", "rms, joint limits"),
+        # Not of the poses drawn, which are more: the report has one number for one thing.
+        (1e3 * c.expected_everywhere, "--", "rms, joint limits"),
         (float(np.quantile(std, 0.95)), "-.", "95 % of the joint limits"),
     ):
-        ax.vlines(value, 0.0, 100.0, color=SOFT, ls=style, lw=1.1, label=f"{value:.3g} mm: {word}")
+        ax.vlines(value, 0.0, 100.0, color=SOFT, ls=style, lw=1.1, label=f"{value:.3f} mm: {word}")
     most = max(1.08 * float(np.quantile(std, 0.99)), 1.08e3 * c.expected_measured, 1e-9)
     ax.set_xlim(0.0, most)
     # Room for the legend above the curve.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib.identify.uncertainty import workspace_uncertainty
+from calib.model.readback import SPREAD
 from calib.show.figure_base import styled
 from calib.show.figure_points import MOST_POINTS, POSES, points_figure, uncertainty_figure
 
@@ -29,6 +30,17 @@ def test_the_papers_figure_7_shows_every_point_from_three_sides(calibrations):
     c = calibrations.made("paper")
     figure = points_figure(c)
     assert figure.axes[0].name == "3d"
+    scales = [
+        np.ptp(limits) / (size * inches)
+        for ax in figure.axes[1:]
+        for limits, size, inches in zip(
+            (ax.get_xlim(), ax.get_ylim()),
+            ax.get_position().size,
+            figure.get_size_inches(),
+            strict=True,
+        )
+    ]
+    np.testing.assert_allclose(scales, scales[0])  # millimetres of the cell for an inch of paper
     for ax, pair in zip(figure.axes[1:], [(0, 1), (0, 2), (1, 2)], strict=True):
         found = dots(ax)
         assert sorted(found) == ["D", "o", "x"]
@@ -67,17 +79,20 @@ def test_many_rows_are_thinned_but_not_the_outliers(calibrations):
     assert len(found["o"]) / len(found["D"]) == pytest.approx(9.0, abs=0.1)
 
 
-def test_cells_show_the_uncertainty_of_their_poses(calibrations):
-    c = calibrations.made("paper")
+@pytest.mark.parametrize("case", ["paper", "larger"])
+def test_cells_show_the_uncertainty_of_their_poses(calibrations, case):
+    c = calibrations.made(case)
     figure = uncertainty_figure(c)
-    std = 1e3 * workspace_uncertainty(c, POSES).std
+    std = 1e3 * workspace_uncertainty(c, POSES, larger=False).std
     for ax in figure.axes[:3]:
         cells = np.asarray(ax.collections[0].get_array())
         assert std.min() <= cells.min() < cells.max() <= std.max()
     share = next(ax for ax in figure.axes if ax.get_ylabel() == "poses below [%]")
     labels = [text.get_text() for text in share.get_legend().get_texts()]
-    assert labels[0] == f"{1e3 * c.expected_measured:.3g} mm: rms, measured poses"
-    assert labels[1] == f"{np.sqrt(np.mean(std**2)):.3g} mm: rms, joint limits"
+    # The report's numbers, in its digits.
+    assert labels[0] == f"{1e3 * c.expected_measured:.3f} mm: rms, measured poses"
+    assert labels[1] == f"{1e3 * c.expected_everywhere:.3f} mm: rms, joint limits"
+    assert np.sqrt(np.mean(std[:SPREAD] ** 2)) == pytest.approx(1e3 * c.expected_everywhere)
     x, y = share.lines[0].get_data()
     assert np.all(np.diff(x) >= 0.0)
     assert y[-1] == 100.0
