@@ -39,7 +39,7 @@ FigureFolder = Annotated[
     typer.Option(
         "--figures",
         metavar="FOLDER",
-        help="Write every figure into a folder; it is made if missing.",
+        help="Write every figure into a folder, and their captions as captions.md; it is made if missing.",
     ),
 ]
 FigureKind = Annotated[
@@ -91,10 +91,9 @@ def check_figures(
     """
     if folder is None or force:
         return
-    from calib.show.figures import drawings
+    from calib.show.figures import drawings, figure_files
 
-    for drawing in drawings(result):
-        path = folder / f"{drawing.name}.{_ending(kind)}"
+    for path in figure_files(drawings(result), folder, _ending(kind)):
         if path.exists():
             message = f"{path} exists already; add --force or choose another folder."
             raise FileError(message)

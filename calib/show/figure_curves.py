@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: More rows than this get no markers, and more than that are summed up in bands.
-_MOST_MARKERS, _MOST_LINES = 80, 1000
+_MOST_MARKERS, MOST_LINES = 80, 1000
 
 #: Rows of one run of a band, at least, and the most runs.
 _ROWS, _RUNS = 20, 120
@@ -83,26 +83,31 @@ def curve_rows(c: Calibration) -> tuple[str, Mask, Array, Array]:
 
 
 def curves_figure(c: Calibration) -> Figure:
-    """Errors along x, y and z and their size over the rows, before and after; as the paper's figure 8."""
+    """Errors along x, y and z and their size over the rows, before and after; as the paper's figure 8.
+
+    Lengths have one panel: their errors with their signs. Beside rows with three axes they have their size alone.
+    """
     word, mask, before, after = curve_rows(c)
     rows = np.flatnonzero(mask)
     numbers = [c.measurements.rows[k] for k in rows]
-    axes_too = has_axes(c)
+    axes_too = has_axes(c, mask)
+    whole = np.all(c.used[rows, :3], axis=1) if axes_too else c.used[rows, 0]
     figure = new_figure(4.9 if axes_too else 2.8)
     shape = (2, 2) if axes_too else (1, 1)
     panels = figure.subplots(*shape, sharex=True, squeeze=False)
     every = panels.ravel()
-    for k, ax in enumerate(every[:-1]):
+    signed = every[:-1] if axes_too else every
+    for k, ax in enumerate(signed):
         for who, residual in ((BEFORE, before), (AFTER, after)):
-            values = np.where(c.used[rows, k], 1e3 * residual[rows, k], np.nan)
-            _curve(ax, values, who)
+            _curve(ax, np.where(whole, 1e3 * residual[rows, k], np.nan), who)
         ax.axhline(0.0, color=INK, lw=0.7, zorder=1.5)
-        ax.set_title(f"Δ{'xyz'[k]}")
-    for who, residual in ((BEFORE, before), (AFTER, after)):
-        _curve(every[-1], 1e3 * lengths_of(c, residual)[rows], who)
-    every[-1].set_title("Size of the error" if axes_too else "Error of the length")
-    every[-1].set_ylim(bottom=0.0)
-    if axes_too:  # one scale for the three, so that they can be compared
+        ax.set_title(f"Δ{'xyz'[k]}" if axes_too else "Error of the length")
+    if axes_too:
+        for who, residual in ((BEFORE, before), (AFTER, after)):
+            _curve(every[-1], 1e3 * lengths_of(c, residual)[rows], who)
+        every[-1].set_title("Size of the error")
+        every[-1].set_ylim(bottom=0.0)
+        # One scale for the three, so that they can be compared.
         reach = max(float(np.max(np.abs(ax.get_ylim()))) for ax in every[:-1])
         for ax in every[:-1]:
             ax.set_ylim(-reach, reach)
@@ -117,7 +122,7 @@ def curves_figure(c: Calibration) -> Figure:
 
 def _curve(ax: Axes, values: Array, who: Who, *, largest: bool = False) -> None:
     """A curve over rows; with markers where they are few, a band where they are many."""
-    if len(values) > _MOST_LINES:
+    if len(values) > MOST_LINES:
         x, middle, low, high, top = _runs(values)
         ax.fill_between(x, low, high, color=who.colour, alpha=0.35, lw=0, zorder=2)
         ax.plot(x, middle, color=who.colour, ls=who.line, lw=1.3, zorder=3)
@@ -163,7 +168,7 @@ def _who_handles(count: int, *, largest: bool = False) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    few, many = count <= _MOST_MARKERS, count > _MOST_LINES
+    few, many = count <= _MOST_MARKERS, count > MOST_LINES
     look = {"ms": 4.2, "mec": "white", "mew": 0.4}
     handles: list[Any] = [
         Line2D(
@@ -204,7 +209,7 @@ def by_pose_figure(c: Calibration, *, angle: bool = False) -> Figure:
     unseen = left_out(c, c.cross_validation)
     others = ~flagged_rows(c)
     reach = float(np.nanmax(after[others], initial=1e-3))
-    if count > _MOST_LINES:
+    if count > MOST_LINES:
         _curve(below, np.where(others, after, np.nan), AFTER, largest=True)
         kinds = [kind for kind in kinds if kind.word == "outlier"]
     else:
@@ -246,9 +251,18 @@ def _stems(ax: Axes, values: Array, kind: RowKind, count: int) -> None:
     ax.plot(at, values[at], **kind.style(count))
 
 
-def _shade_validation(ax: Axes, validation: Mask) -> None:
-    """The stretches of validation rows on a ground of their own, if they are few."""
+def shaded(validation: Mask) -> list[tuple[int, int]]:
+    """Where the stretches of validation rows that have a ground of their own begin and end; none if they are many.
+
+    Args:
+        validation: shape (N,), which rows validate.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], validation, [False]]).astype(int)))
-    if len(edges) <= 2 * _MOST_STRETCHES:
-        for start, end in edges.reshape(-1, 2):
-            ax.axvspan(start - 0.5, end - 0.5, color=VALIDATION, alpha=0.08, lw=0, zorder=0)
+    few = len(edges) <= 2 * _MOST_STRETCHES
+    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)] if few else []
+
+
+def _shade_validation(ax: Axes, validation: Mask) -> None:
+    """The stretches of validation rows on a ground of their own."""
+    for start, end in shaded(validation):
+        ax.axvspan(start - 0.5, end - 0.5, color=VALIDATION, alpha=0.08, lw=0, zorder=0)

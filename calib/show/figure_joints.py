@@ -17,7 +17,7 @@ from calib.identify.result import Calibration
 from calib.identify.rows import KIND_NAMES
 from calib.model.kinematics import Samples
 from calib.show.figure_base import MOST_SHAPES, few_ticks, legend_above, new_figure, short_names
-from calib.show.figure_rows import RowKind, row_kinds
+from calib.show.figure_rows import RowKind, flagged_rows, row_kinds
 from calib.show.palette import CALIBRATED, INK, SOFT
 
 if TYPE_CHECKING:
@@ -53,6 +53,16 @@ def drawn_rows(c: Calibration) -> Mask:
         if kind.word == "outlier" and np.count_nonzero(kind.mask) <= MOST_ROWS:
             chosen |= kind.mask
     return np.asarray(chosen & c.used[:, 0] & ~c.measurements.of_kind("pair"))
+
+
+def mean_rows(c: Calibration) -> Mask:
+    """The rows that the mean is of, shape (N,): those drawn for estimation, without outliers."""
+    return np.asarray(drawn_rows(c) & c.measurements.estimation & ~flagged_rows(c))
+
+
+def has_mean(c: Calibration) -> bool:
+    """Whether there are rows enough for a mean."""
+    return bool(np.count_nonzero(mean_rows(c)) >= _FEWEST_ROWS)
 
 
 def along_joints(c: Calibration, chosen: Mask) -> Array:
@@ -107,10 +117,8 @@ def joints_figure(c: Calibration) -> Figure:
     q = c.measurements.joints_for(c.nominal.joint_names)[chosen]
     kinds = [replace(kind, mask=kind.mask[chosen]) for kind in row_kinds(c)]
     kinds = [kind for kind in kinds if np.any(kind.mask)]
-    good = np.ones(len(q), dtype=np.bool_)
-    for kind in kinds:
-        if kind.word == "outlier":
-            good &= ~kind.mask
+    good = ~flagged_rows(c)[chosen]
+    fitted = mean_rows(c)[chosen]
     names = short_names(c.nominal.joint_names)
     columns = 2 if len(names) in (2, 4) else min(len(names), 3)
     lines = -(-len(names) // columns)
@@ -121,7 +129,7 @@ def joints_figure(c: Calibration) -> Figure:
         slides = joint.type == "prismatic"
         at = 1e3 * q[:, j] if slides else np.degrees(q[:, j])
         _panel(ax, at, parts[:, j], kinds, reach)
-        _mean(ax, at[good], parts[good, j])
+        _mean(ax, at[fitted], parts[fitted, j])
         ax.set_title(names[j], size=8.5)
         ax.set_xlabel(f"joint value [{'mm' if slides else 'deg'}]")
         ax.xaxis.set_major_locator(few_ticks(4))
@@ -131,8 +139,9 @@ def joints_figure(c: Calibration) -> Figure:
         ax.set_ylabel("left over [mm]")
     counts = {kind.word: kind.label for kind in row_kinds(c)}
     handles = [Line2D([], [], label=counts[kind.word], **kind.style(1)) for kind in kinds]
-    if np.count_nonzero(good) >= _FEWEST_ROWS:
-        patch = Patch(facecolor=CALIBRATED, alpha=0.4, label="mean ± 2 standard errors")
+    if has_mean(c):
+        label = "mean of the estimation rows ± 2 standard errors"
+        patch = Patch(facecolor=CALIBRATED, alpha=0.4, label=label)
         handles.append(patch)  # type: ignore[arg-type]
     legend_above(figure, handles)
     return figure

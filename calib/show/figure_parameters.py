@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from calib.identify.findings import ParameterEstimate
 from calib.identify.result import Calibration
+from calib.identify.statements import errorless
 from calib.model.observability import SHOWN
 from calib.model.parameters import FRAME, TARGET
 from calib.show.figure_base import WIDTH, few_ticks, legend_above, new_figure, short_names
@@ -42,12 +43,16 @@ def shown_parameters(c: Calibration) -> tuple[ParameterEstimate, ...]:
     """The robot's parameters and targets that were given, the larger model's own behind them.
 
     Frames, targets' orientations and targets that were not given count from where registration put them, which says
-    nothing of the robot.
+    nothing of the robot. Parameters of a kind of which no errors were found have no interval; see
+    `calib.identify.statements.errorless`.
     """
+    none = errorless(c)
     own = [
         p
         for p, m in zip(c.parameters, c.model.parameters, strict=True)
-        if m.family != FRAME and not (m.family == TARGET and (m.unit == "rad" or p.nominal is None))
+        if m.family != FRAME
+        and not (m.family == TARGET and (m.unit == "rad" or p.nominal is None))
+        and p.name not in none
     ]
     more = (
         [] if c.larger is None else [p for p in c.larger.parameters if p.name not in c.model.names]

@@ -105,9 +105,20 @@ def _norms(values: Array, used: Mask) -> Array:
     )
 
 
-def has_axes(c: Calibration) -> bool:
-    """Whether any row has errors along x, y and z."""
-    return c.used.shape[1] >= 3 and bool(np.any(np.all(c.used[:, :3], axis=1)))
+def has_axes(c: Calibration, rows: Mask | None = None) -> bool:
+    """Whether any row has errors along x, y and z.
+
+    Args:
+        c: The calibration.
+        rows: shape (N,), which rows are asked for; None for all.
+    """
+    used = c.used if rows is None else c.used[rows]
+    return used.shape[1] >= 3 and bool(np.any(np.all(used[:, :3], axis=1)))
+
+
+def has_flagged(c: Calibration) -> bool:
+    """Whether any row is flagged: captions speak of outliers only where there are some."""
+    return bool(np.any(flagged_rows(c)))
 
 
 def has_angles(c: Calibration) -> bool:
@@ -162,11 +173,22 @@ def counted(c: Calibration) -> str:
     """How many rows there are of each set, for captions."""
     m = c.measurements
     texts = [
-        f"{int(np.sum(mask)):,} {word} row{'s' * (int(np.sum(mask)) != 1)}"
+        rows_text(mask, word)
         for word, mask in (("estimation", m.estimation), ("validation", m.validation))
         if np.any(mask)
     ]
     return " and ".join(texts)
+
+
+def rows_text(mask: Mask, word: str) -> str:
+    """A number of rows, such as ``"1 estimation row"``.
+
+    Args:
+        mask: shape (N,), which rows.
+        word: What they are called.
+    """
+    count = int(np.count_nonzero(mask))
+    return f"{count:,} {word} row{'s' * (count != 1)}"
 
 
 def row_axis(ax: Axes, numbers: Sequence[int], ticks: int = 9) -> None:
@@ -195,7 +217,7 @@ def row_axis(ax: Axes, numbers: Sequence[int], ticks: int = 9) -> None:
 def number_points(
     ax: Axes, c: Calibration, places: Array, only: Sequence[str] = ("validation", "outlier")
 ) -> None:
-    """Row numbers beside the points of some kinds, if they are few.
+    """Row numbers beside the points of some kinds, if they are few; see `numbered_rows`.
 
     Args:
         ax: The panel.
@@ -205,13 +227,10 @@ def number_points(
     """
     from matplotlib.patheffects import withStroke
 
-    chosen = np.zeros(len(places), dtype=np.bool_)
-    for kind in row_kinds(c):
-        if kind.word in only:
-            chosen |= kind.mask
-    rows = np.flatnonzero(chosen & np.isfinite(places).all(axis=1))
-    if not 0 < len(rows) <= _MOST_NUMBERS:
+    chosen = numbered_rows(c, only, np.asarray(np.isfinite(places).all(axis=1)))
+    if not np.any(chosen):
         return
+    rows = np.flatnonzero(chosen)
     size = np.maximum(np.ptp(places[np.isfinite(places).all(axis=1)], axis=0), 1e-12)
     for k, side in zip(rows, free_sides(places / size, rows), strict=True):
         ax.annotate(
@@ -226,6 +245,27 @@ def number_points(
             zorder=5,
             path_effects=[withStroke(linewidth=2.0, foreground="white")],
         ).set_in_layout(False)
+
+
+def numbered_rows(
+    c: Calibration,
+    only: Sequence[str] = ("validation", "outlier"),
+    there: Mask | None = None,
+) -> Mask:
+    """The rows that carry their numbers, shape (N,); none where they are many.
+
+    Args:
+        c: The calibration.
+        only: Words of the kinds.
+        there: shape (N,), which rows are drawn; None for all.
+    """
+    chosen = np.zeros(len(c.measurements), dtype=np.bool_)
+    for kind in row_kinds(c):
+        if kind.word in only:
+            chosen |= kind.mask
+    if there is not None:
+        chosen &= there
+    return chosen & (np.count_nonzero(chosen) <= _MOST_NUMBERS)
 
 
 def free_sides(places: Array, rows: Sequence[int] | NDArray[np.intp]) -> list[tuple[int, int]]:

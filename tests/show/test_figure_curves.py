@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.show.figure_base import styled
-from calib.show.figure_curves import by_pose_figure, curve_rows, curves_figure
+from calib.show.figure_curves import by_pose_figure, curve_rows, curves_figure, shaded
 from calib.show.figure_rows import lengths_of
 
 
@@ -52,13 +52,35 @@ def test_without_validation_rows_left_out_ones_are_shown_then_estimation_rows(ca
     np.testing.assert_array_equal(before, calibrations.made("one_row").residual_nominal)
 
 
-def test_lengths_have_one_panel(calibrations):
+def test_lengths_have_one_panel_and_their_signs(calibrations):
     c = calibrations.made("distances")
     figure = curves_figure(c)
     assert len(figure.axes) == 1
-    before, _ = lines(figure.axes[0]).values()
+    before, after = lines(figure.axes[0]).values()
     v = c.measurements.validation
-    np.testing.assert_allclose(before, 1e3 * np.abs(c.residual_nominal[v, 0]))
+    np.testing.assert_allclose(before, 1e3 * c.residual_nominal[v, 0])
+    np.testing.assert_allclose(after, 1e3 * c.residual_calibrated[v, 0])
+    assert before.min() < 0.0 < before.max()
+    low, high = figure.axes[0].get_ylim()
+    assert low < before.min() < before.max() < high
+
+
+def test_a_length_among_points_has_a_size_and_no_axis(calibrations):
+    c = calibrations.made("paper")
+    used = c.used.copy()
+    used[31, 1:] = False
+    x, _, _, size = curves_figure(replace(c, used=used)).axes
+    assert [len(values) for values in lines(x).values()] == [4, 4]
+    first = next(iter(lines(size).values()))
+    assert first[1] == pytest.approx(1e3 * abs(c.residual_nominal[31, 0]))
+
+
+def test_stretches_of_validation_rows_are_shaded_if_they_are_few(calibrations):
+    c = calibrations.made("paper")
+    assert shaded(c.measurements.validation) == [(30, 35)]
+    assert shaded(np.zeros(9, dtype=bool)) == []
+    assert shaded(np.arange(200) % 2 == 0) == []
+    assert [patch.get_x() for patch in by_pose_figure(c).axes[1].patches] == [29.5]
 
 
 def test_by_pose_an_outlier_stands_at_the_edge_and_is_numbered(calibrations):

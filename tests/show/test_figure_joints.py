@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from calib.show.figure_base import styled
-from calib.show.figure_joints import MOST_ROWS, along_joints, drawn_rows, has_parts, joints_figure
+from calib.show.figure_joints import (
+    MOST_ROWS,
+    along_joints,
+    drawn_rows,
+    has_mean,
+    has_parts,
+    joints_figure,
+    mean_rows,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -103,6 +111,25 @@ def test_outliers_do_not_set_the_scale_and_stand_at_its_edge(calibrations):
     crosses = next(line for line in ax.lines if line.get_marker() == "x")
     assert len(crosses.get_ydata()) == len(c.outliers) + len(c.suspects)
     assert np.all(np.abs(crosses.get_ydata()) < ax.get_ylim()[1])
+
+
+def test_the_mean_is_that_of_the_estimation_rows_without_outliers(calibrations):
+    c = calibrations.made("paper")
+    rows = np.arange(1, 36)
+    np.testing.assert_array_equal(mean_rows(c), (rows <= 30) & ~np.isin(rows, [11, 14]))
+    figure = joints_figure(c)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels[-1] == "mean of the estimation rows ± 2 standard errors"
+    # Wherever a row for validation lies, the band is the same.
+    moved = c.residual_calibrated.copy()
+    moved[30:] += 0.1
+    bands = [
+        joints_figure(one).axes[0].collections[-1].get_paths()[0].vertices
+        for one in (c, with_residual(c, moved))
+    ]
+    np.testing.assert_array_equal(*bands)
+    assert has_mean(c)
+    assert not has_mean(calibrations.made("two_joints"))  # 20 rows to estimate, 25 in all
 
 
 def test_many_rows_are_thinned_but_not_the_outliers(calibrations):

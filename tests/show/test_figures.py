@@ -8,7 +8,8 @@ from xml.etree import ElementTree
 import pytest
 
 from calib.errors import FileError
-from calib.show.figures import drawings, rendered, write_figures
+from calib.identify.statements import errorless
+from calib.show.figures import CAPTIONS, drawings, rendered, write_figures
 
 ALWAYS = ["points", "histograms", "singular-values", "workspace-uncertainty"]
 
@@ -93,7 +94,7 @@ def test_all_are_written_and_none_is_written_over(calibrations, tmp_path):
     )
     names = [drawing.name for drawing in drawings(c)]
     assert [path.name for path in paths] == [f"{name}.svg" for name in names]
-    assert sorted(folder.iterdir()) == sorted(paths)
+    assert sorted(folder.iterdir()) == sorted([*paths, folder / CAPTIONS])
     assert told == [(k + 1, len(names)) for k in range(len(names))]
     paths[0].unlink()
     paths[1].write_text("mine")
@@ -104,6 +105,72 @@ def test_all_are_written_and_none_is_written_over(calibrations, tmp_path):
     assert write_figures(c, folder, kind="svg", overwrite=True) == paths
     for path in paths:
         check_svg(path.read_bytes())
+
+
+def test_captions_are_written_beside_the_figures(calibrations, tmp_path):
+    c = calibrations.made("one_row")
+    made = drawings(c)
+    write_figures(c, tmp_path, kind="pdf")
+    text = (tmp_path / CAPTIONS).read_text(encoding="utf-8")
+    assert re.findall("^## (.*)$", text, re.MULTILINE) == [f"{one.name}.pdf" for one in made]
+    shown = text.replace("\\", "")
+    for one in made:
+        assert f"\n\n**{one.title}.** {one.caption}\n" in shown
+    assert "\\[mm\\]" in text  # no link
+    for one in made:
+        (tmp_path / f"{one.name}.pdf").unlink()
+    (tmp_path / CAPTIONS).write_text("mine")
+    with pytest.raises(FileError, match=r"captions\.md' exists already"):
+        write_figures(c, tmp_path, kind="pdf")
+    assert [path.name for path in tmp_path.iterdir()] == [CAPTIONS]
+
+
+def captions(c):
+    return {one.name: one.caption for one in drawings(c)}
+
+
+def test_captions_speak_of_outliers_where_there_are_some(calibrations):
+    for case in ("poses", "three_rows", "distances", "larger"):
+        c = calibrations.made(case)
+        assert not c.outliers
+        assert not [name for name, text in captions(c).items() if "utlier" in text], case
+    said = [name for name, text in captions(calibrations.made("paper")).items() if "utlier" in text]
+    assert said == ["points", "errors-by-pose", "errors-by-axis", "residual-by-joint"]
+
+
+def test_captions_say_what_is_drawn(calibrations):
+    paper = captions(calibrations.made("paper"))
+    assert "5 validation rows (shaded)" in paper["errors-by-pose"]
+    assert "mean of the estimation rows without outliers" in paper["residual-by-joint"]
+    assert (
+        "12 validation rows (shaded)"
+        in captions(calibrations.made("poses"))["orientation-errors-by-pose"]
+    )
+    mixed = captions(calibrations.made("mixed"))
+    assert not [name for name, text in mixed.items() if "shaded" in text or "numbers" in text]
+    three = captions(calibrations.made("three_rows"))
+    assert "mean" not in three["residual-by-joint"]
+    candidates = captions(calibrations.made("auto"))["candidates"]
+    assert "of the 29 estimation rows that had a weight" in candidates
+    assert "each predicted by a linearised fit without it" in candidates
+
+
+def test_points_that_nobody_measured_are_called_predicted(calibrations):
+    for case, title in (("paper", "Measured points"), ("distances", "Predicted points")):
+        assert drawings(calibrations.made(case))[0].title == title
+    assert "which measure no position" in captions(calibrations.made("distances"))["points"]
+
+
+def test_parameters_without_errors_are_counted_and_not_drawn(calibrations):
+    c = calibrations.made("three_rows")
+    none = errorless(c)
+    assert none == {f"theta{k}" for k in range(1, 7)}
+    assert "6 parameters of kinds of which no errors were found" in captions(c)["parameter-changes"]
+    drawn = next(one for one in drawings(c) if one.name == "parameter-changes").draw()
+    names = {text.get_text() for ax in drawn.axes for text in ax.get_yticklabels()}
+    assert {"d1", "alpha1"} <= names
+    assert not names & none
+    assert "no errors" not in captions(calibrations.made("paper"))["parameter-changes"]
 
 
 def test_what_cannot_be_written_is_refused(calibrations, tmp_path):
