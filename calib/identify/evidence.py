@@ -80,6 +80,7 @@ def evidence_of(result: Calibration, rows: Rows, hint: str) -> Evidence:
         scales=fitted.estimate.problem.scales,
         used=rows.used,
         repeats=rows.poses,
+        pairs=rows.partner >= 0,
         outliers=fitted.estimate.outliers,
         validation_nominal=before,
         validation_calibrated=after,

@@ -67,6 +67,7 @@ class Evidence:
         scales: shape (N, D), the noise of each scalar [m], [rad].
         used: shape (N, D), which scalars were measured.
         repeats: shape (N,), rows of one number are repeats of one measurement.
+        pairs: shape (N,), which rows hold the distance between two poses.
         outliers: shape (N,), the rows flagged by the fit to all of them.
         validation_nominal: Errors of the nominal robot on the validation rows; n = 0 where there are none.
         validation_calibrated: Errors of the calibrated robot there.
@@ -89,6 +90,7 @@ class Evidence:
     scales: NDArray[np.float64]
     used: NDArray[np.bool_]
     repeats: NDArray[np.int_]
+    pairs: NDArray[np.bool_]
     outliers: NDArray[np.bool_]
     validation_nominal: Errors
     validation_calibrated: Errors
@@ -149,7 +151,7 @@ def _no_better(e: Evidence) -> list[str]:
     """Unseen rows that the calibrated robot does not meet better."""
     reasons = []
     before, after = e.nominal.errors_without_outliers, e.calibrated.errors_without_outliers
-    gain, poses = _gain_in_errors(e), _poses(e)
+    gain = _gain_in_errors(e)
     few = _numbers(e) < _FEW * e.parameters
     # What a model leaves over is noise only if a larger one does not leave far less.
     if gain < _CHANCE and _whitened_rms(e) < _AT_THE_NOISE and not e.missing:
@@ -163,7 +165,7 @@ def _no_better(e: Evidence) -> list[str]:
         )
     elif 0.0 < gain < _CHANCE and few:
         reasons.append(
-            f"{poses} poses for {e.parameters} parameters are too few to show a gain: on unseen rows {_both(before)} "
+            f"{_poses(e)} for {e.parameters} parameters are too few to show a gain: on unseen rows {_both(before)} "
             f"against {_both(after)}, {gain:.1f} standard errors. Measure more poses."
         )
     elif gain <= 0.0:
@@ -188,10 +190,9 @@ def _weak_evidence(e: Evidence) -> list[str]:
             f"The gain on unseen rows is within what chance gives: {_gain_in_errors(e):.1f} standard errors. The "
             "nominal robot may be as good."
         )
-    poses = _poses(e)
     if _numbers(e) < _FEW * e.parameters:
         reasons.append(
-            f"{poses} poses with {_numbers(e)} numbers for {e.parameters} parameters are few: the result leans on the "
+            f"{_poses(e)} with {_numbers(e)} numbers for {e.parameters} parameters are few: the result leans on the "
             "priors. Measure more poses."
         )
     return reasons
@@ -275,9 +276,14 @@ def _gain_in_errors(e: Evidence) -> float:
     return mean / max(float(np.std(fall, ddof=1)) / float(np.sqrt(len(fall))), 1e-30)
 
 
-def _poses(e: Evidence) -> int:
-    """Number of different poses, or pairs of poses, at which something was measured."""
-    return len(np.unique(e.repeats[np.any(e.used, axis=1)]))
+def _poses(e: Evidence) -> str:
+    """At how many different poses and pairs of poses something was measured, in words."""
+    single = np.any(e.used, axis=1) & ~e.pairs
+    counts = {
+        "poses": len(np.unique(e.repeats[single])),
+        "pairs of poses": len(np.unique(e.repeats[e.pairs])),
+    }
+    return " and ".join(f"{count} {what}" for what, count in counts.items() if count)
 
 
 def _numbers(e: Evidence) -> int:

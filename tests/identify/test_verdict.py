@@ -35,6 +35,7 @@ GOOD = Evidence(
     scales=np.full((ROWS, 3), 1e-4),
     used=np.ones((ROWS, 3), dtype=bool),
     repeats=np.arange(ROWS),
+    pairs=np.zeros(ROWS, dtype=bool),
     outliers=np.arange(ROWS) < 2,
     validation_nominal=errors(2.7e-3),
     validation_calibrated=errors(0.25e-3),
@@ -270,4 +271,11 @@ def test_scalars_that_were_not_measured_do_not_count():
     few = verdict(replace(GOOD, used=used, parameters=40))
     assert few.use == "use with care"
     assert "30 poses with 30 numbers for 40 parameters are few" in few.reasons[0]
+    # Of pairs the second rows hold nothing.
+    used[ROWS // 2 :] = False
+    halves = np.arange(ROWS) < ROWS // 2
+    few = verdict(replace(GOOD, used=used, pairs=halves, parameters=40))
+    assert few.reasons[0].startswith("15 pairs of poses with 15 numbers for 40 parameters are few")
+    some = verdict(replace(GOOD, used=used, pairs=np.arange(ROWS) < 10, parameters=40))
+    assert some.reasons[0].startswith("5 poses and 10 pairs of poses with 15 numbers for 40")
     assert verdict(replace(GOOD, parameters=40)).use == "use"
