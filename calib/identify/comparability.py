@@ -30,16 +30,16 @@ def check_same_chain(a: Compared, b: Compared) -> None:
     """
     s, t = a.stored, b.stored
     for what, first, second in (
-        ("base", s.base, t.base),
-        ("tip", s.tip, t.tip),
-        ("joints", choices(a.joints), choices(b.joints)),
-        ("placements at", choices(s.origins), choices(t.origins)),
-        ("held joints", choices(s.held) or "none", choices(t.held) or "none"),
+        ("Base", f"'{s.base}'", f"'{t.base}'"),
+        ("Tip", f"'{s.tip}'", f"'{t.tip}'"),
+        ("Joints", choices(a.joints), choices(b.joints)),
+        ("Joints with placements", choices(s.origins), choices(t.origins)),
+        ("Held joints", choices(s.held) or "none", choices(t.held) or "none"),
     ):
         if first != second:
             message = (
-                f"{a.name} and {b.name} are not of one chain: {what} {first} and {what} {second}. Fit both with the "
-                "same --base, --tip and --hold."
+                f"{a.name} and {b.name} are not of one chain. {what}: {first} in {a.name}, {second} in {b.name}. Fit "
+                "both with the same --base, --tip and --hold."
             )
             raise ModelError(message)
     moved = [name for name, value in s.held.items() if abs(value - t.held[name]) > _HELD]
