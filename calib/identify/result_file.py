@@ -6,7 +6,6 @@ larger model. Numbers that do not exist (the error of no rows) are null.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,7 +22,7 @@ from calib.identify.result import Calibration
 from calib.identify.result_tables import SCHEMA, evaluation_table, result_table
 from calib.identify.stored import StoredLarger, StoredResult
 from calib.model.files import write_atomically
-from calib.model.json_file import read_json
+from calib.model.json_file import json_bytes, read_json
 from calib.model.robot import read_only
 from calib.model.torques import Payload
 
@@ -59,8 +58,7 @@ def write_table(table: Mapping[str, Any], path: str | Path, *, overwrite: bool =
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    text = json.dumps(plain(table), indent=1, allow_nan=False, ensure_ascii=False)
-    return write_atomically(Path(path), (text + "\n").encode(), overwrite=overwrite)
+    return write_atomically(Path(path), json_bytes(plain(table)), overwrite=overwrite)
 
 
 def read_result(path: str | Path) -> StoredResult:

@@ -6,7 +6,6 @@ numbers are another place.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ import calib
 from calib.errors import CalibError, FileError, choices
 from calib.measure.region import Region, checked_box
 from calib.model.files import write_atomically
-from calib.model.json_file import read_json
+from calib.model.json_file import json_bytes, read_json
 from calib.model.robot import Robot, read_only
 
 SCHEMA = "region 1"
@@ -91,8 +90,7 @@ class RegionFile:
         Raises:
             FileError: The file exists and ``overwrite`` is False, or it cannot be written.
         """
-        text = json.dumps(self._table(), indent=1, allow_nan=False, ensure_ascii=False)
-        return write_atomically(Path(path), (text + "\n").encode(), overwrite=overwrite)
+        return write_atomically(Path(path), json_bytes(self._table()), overwrite=overwrite)
 
     def _table(self) -> dict[str, Any]:
         """The nested tables that are written."""

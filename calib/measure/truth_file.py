@@ -5,7 +5,6 @@ docs/simulation.md describes the keys. The file is complete: with the nominal UR
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +20,7 @@ from calib.measure.simulation import Simulated, VirtualCell
 from calib.measure.truth import Truth
 from calib.model.error_model import error_model
 from calib.model.files import write_atomically
-from calib.model.json_file import read_json
+from calib.model.json_file import json_bytes, read_json
 from calib.model.readback import check_written, random_joint_values
 from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload
@@ -89,8 +88,7 @@ def write_truth(
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    text = json.dumps(truth_table(cell, simulated), indent=1, allow_nan=False, ensure_ascii=False)
-    return write_atomically(path, (text + "\n").encode(), overwrite=overwrite)
+    return write_atomically(path, json_bytes(truth_table(cell, simulated)), overwrite=overwrite)
 
 
 def read_truth(path: str | Path, robot: Robot) -> Truth:

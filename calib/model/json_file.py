@@ -36,3 +36,12 @@ def read_json(
         message = f"{path}: its 'schema' is {found!r}; {expected}"
         raise FileError(message)
     return table
+
+
+def json_bytes(table: object) -> bytes:
+    """A table as JSON, UTF-8, one value a line.
+
+    What UTF-8 lacks, such as a byte of a file's name that is no letter, stands as JSON's own escape.
+    """
+    text = json.dumps(table, indent=1, allow_nan=False, ensure_ascii=False)
+    return (text + "\n").encode("utf-8", "backslashreplace")

@@ -3,7 +3,7 @@
 import pytest
 
 from calib.errors import FileError
-from calib.model.json_file import read_json
+from calib.model.json_file import json_bytes, read_json
 
 
 def read(path, schema="thing 1"):
@@ -40,3 +40,14 @@ def test_a_list_is_none_whatever_schema_is_wanted(tmp_path):
     path.write_text("[1]")
     with pytest.raises(FileError, match="its 'schema' is None"):
         read(path, schema=None)
+
+
+def test_names_that_utf_8_lacks_are_read_as_they_were(tmp_path):
+    table = {
+        "schema": "thing 1",
+        "name": "data\udcff é 関.csv",
+    }  # as Python reads the byte 0xff in a file name
+    path = tmp_path / "t.json"
+    path.write_bytes(json_bytes(table))
+    assert read(path) == table
+    assert "é 関" in path.read_text(encoding="utf-8")
