@@ -15,6 +15,7 @@ from calib.identify.comparison_facts import Facts
 from calib.identify.differences import ParameterDifference, PlaceDifference
 from calib.identify.drift import LEVEL, POWER
 from calib.identify.result_tables import versions
+from calib.identify.statements import lengths_of_kinds, title_of_errors
 from calib.identify.words import three, wrap
 
 #: The layout of what `comparison_table` gives; a word, so that it is not taken for a result.
@@ -32,7 +33,7 @@ _HIGHEST = 37.0
 #: Single parameters that would explain a drift: the best few.
 _MOST_EXPLANATIONS = 3
 
-_ERRORS = "{:<5}{:<24}{:>8}{:>10}{:>10}{:>10}"
+_ERRORS = "{:<5}{:<31}{:>8}{:>10}{:>10}{:>10}"
 
 
 def comparison_text(c: Facts) -> str:
@@ -106,7 +107,7 @@ def sentence(c: Facts) -> str:
         move = c.moves[0]
         return (
             f"The robot drifted ({much} sigma): between a and b its target moved by "
-            f"{three(1e3 * move.moved)} +- {three(1e3 * move.std)} mm rms over {move.where}."
+            f"{three(1e3 * move.moved)} ± {three(1e3 * move.std)} mm rms over {move.where}."
         )
     text = "No drift that these data could show."
     if np.isfinite(c.shows_from):
@@ -144,7 +145,7 @@ def _explanation(c: Facts) -> str:
     listed = []
     for p in told:
         scale, unit = (1e3, "mm") if p.unit == "m" else (1e3, "mrad")
-        change = f"{three(scale * p.explains, '+')} +- {three(scale * p.explains_std)} {unit}"
+        change = f"{three(scale * p.explains, '+')} ± {three(scale * p.explains_std)} {unit}"
         listed.append(f"{p.name} by {change} (p = {p.left_p:.2g} for what is left)")
     return f"A change of one parameter alone would explain it: {'; or '.join(listed)}."
 
@@ -156,9 +157,9 @@ def _notes(c: Facts) -> str:
 
 def _errors(c: Facts) -> str:
     """Errors of both calibrated robots, each on its own rows."""
-    lines = [
-        _ERRORS.format("", "Position error [mm]", "rows", "max", "mean", "rms"),
-    ]
+    measured = lengths_of_kinds(c.a.kinds | c.b.kinds)
+    head = f"{title_of_errors(measured)} [mm]"
+    lines = [_ERRORS.format("", head, "rows", "max", "mean", "rms")]
     for letter, one in (("a", c.a), ("b", c.b)):
         for e in one.errors:
             values = [f"{1e3 * v:.3f}" for v in (e.max, e.mean, e.rms)]
@@ -169,7 +170,7 @@ def _errors(c: Facts) -> str:
         if np.isfinite(one.sigma)
     ]
     if noise:
-        lines.append(f"Noise of a coordinate or length: {', '.join(noise)}.")
+        lines.append(f"Noise of a {measured}: {', '.join(noise)}.")
     return "\n".join(lines) if len(lines) > 1 else ""
 
 

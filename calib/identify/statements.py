@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,9 @@ from calib.identify.statistics import Errors
 from calib.identify.words import three
 from calib.model.observability import SHOWN
 from calib.model.parameters import FRAME, TARGET
+
+#: Kinds of row that measure one length.
+_OF_ONE_LENGTH = ("distance", "plane", "pair")
 
 #: Correlations beyond this are told, the largest few.
 _WORTH_NAMING, _MOST_PAIRS = 0.95, 4
@@ -74,14 +77,32 @@ class ParameterText:
 def measured_lengths(used: NDArray[np.bool_]) -> str:
     """What the residuals' lengths are of: ``"coordinate"``, ``"length"``, such as a distance, or both."""
     numbers = np.sum(used[:, :3], axis=1)
-    kinds = ["coordinate"] * bool(np.any(numbers > 1)) + ["length"] * bool(np.any(numbers == 1))
-    return " or ".join(kinds) or "coordinate"
+    return _lengths(coordinates=bool(np.any(numbers > 1)), lengths=bool(np.any(numbers == 1)))
+
+
+def lengths_of_kinds(kinds: Collection[str]) -> str:
+    """The same, from the kinds of the rows.
+
+    Args:
+        kinds: Such as ``"point"``.
+    """
+    lengths = [kind for kind in kinds if kind in _OF_ONE_LENGTH]
+    return _lengths(coordinates=len(lengths) < len(kinds), lengths=bool(lengths))
+
+
+def _lengths(*, coordinates: bool, lengths: bool) -> str:
+    """Coordinates, lengths, or both."""
+    return " or ".join(["coordinate"] * coordinates + ["length"] * lengths) or "coordinate"
 
 
 def error_title(used: NDArray[np.bool_]) -> str:
     """What the tables of errors in mm are of: an error of a distance is none of a position."""
-    kinds = measured_lengths(used)
-    return f"{kinds.replace('coordinate', 'position').capitalize()} error"
+    return title_of_errors(measured_lengths(used))
+
+
+def title_of_errors(lengths: str) -> str:
+    """The same, from what `measured_lengths` or `lengths_of_kinds` says."""
+    return f"{lengths.replace('coordinate', 'position').capitalize()} error"
 
 
 def error_rows(c: Calibration) -> list[tuple[str, Errors]]:
@@ -244,7 +265,7 @@ def larger_parameters(c: Calibration) -> Sequence[tuple[str, str, str, str]]:
         (
             p.name,
             three(SHOWN[p.unit][0] * p.value),
-            "(at bound)" if p.at_bound else f"+- {0.5 * SHOWN[p.unit][0] * (p.high - p.low):.3f}",
+            "(at bound)" if p.at_bound else f"± {0.5 * SHOWN[p.unit][0] * (p.high - p.low):.3f}",
             SHOWN[p.unit][1],
         )
         for p in shown

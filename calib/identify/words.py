@@ -56,10 +56,10 @@ def _one_target(c: Calibration, t: int, name: str) -> str:
         turns = [placed_name("target", f"r{axis}", name) for axis in "xyz"]
         sure += f" and ({_half_widths(c, turns, float(np.degrees(1.0)))}) deg about its axes"
     if not given.target_given[t]:
-        return f"{what}: found at ({place}) mm{rpy} in {c.nominal.tip}, 95 % +- {sure}."
+        return f"{what}: found at ({place}) mm{rpy} in {c.nominal.tip}, 95 % ± {sure}."
     moved = float(np.linalg.norm(T[:3, 3] - given.T_tip_target[t, :3, 3]))
     text = (
-        f"{what}: ({place}) mm{rpy} in {c.nominal.tip}, 95 % +- {sure}; it moved {1e3 * moved:.1f} mm from the "
+        f"{what}: ({place}) mm{rpy} in {c.nominal.tip}, 95 % ± {sure}; it moved {1e3 * moved:.1f} mm from the "
         "position given."
     )
     if moved > _TARGET_MOVED:
@@ -110,7 +110,7 @@ def _one_frame(c: Calibration, f: int, group: str) -> str:
     sure = [f"({_half_widths(c, shift, 1e3)}) mm"] * bool(shift)
     sure += [f"({_half_widths(c, turn, float(np.degrees(1.0)))}) deg"] * bool(turn)
     return (
-        f"Measurement frame{what}: {base} found at ({xyz}) mm, rpy ({rpy}) deg in it; 95 % +- "
+        f"Measurement frame{what}: {base} found at ({xyz}) mm, rpy ({rpy}) deg in it; 95 % ± "
         f"{' and '.join(sure)} for {', '.join(directions)} along and about the axes of {base}."
     )
 

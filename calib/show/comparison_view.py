@@ -13,6 +13,8 @@ from calib.show.view import View, translated
 def view_of_comparison(comparison: Comparison) -> View:
     """Both robots with the first one's target, each in the base as its own fit has it: nothing is taken off.
 
+    The poses are not measured ones: they are spread over the joint limits, and their labels say so.
+
     Raises:
         ModelError: The URDF is not at hand.
     """
@@ -26,4 +28,5 @@ def view_of_comparison(comparison: Comparison) -> View:
         title=f"{c.a.robot_name or 'Robot'}: two calibrations",
         note=sentence(c),
     )
-    return replace(view, nominal_target=target, calibrated_target=target)
+    labels = tuple(f"{label} of {len(view.q)} over the joint limits" for label in view.labels)
+    return replace(view, labels=labels, nominal_target=target, calibrated_target=target)

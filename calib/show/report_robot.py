@@ -143,10 +143,7 @@ def _larger(c: Calibration) -> Table | None:
     return table(
         f"Larger model '{'' if c.larger is None else c.larger.name}': in the result file, not in the URDF",
         ("parameter", "value", "95 % interval", "unit"),
-        [
-            (name, value, half.replace("+-", "±").strip("()"), unit)
-            for name, value, half, unit in larger_parameters(c)
-        ],
+        [(name, value, half.strip("()"), unit) for name, value, half, unit in larger_parameters(c)],
         "lrrl",
     )
 

@@ -79,6 +79,7 @@ def test_a_page_of_both(call, folder: Path, tmp_path: Path):
     assert "ur3: two calibrations" in page
     assert "a: first.json" in page
     assert "No drift that these data could show." in page
+    assert '"pose 1 of 24 over the joint limits"' in page
     shutil.copy(folder / "first.json", tmp_path)
     shutil.copy(folder / "later.json", tmp_path)
     lost = call(tmp_path, "compare", "first.json", "later.json", "--view", "w.html")

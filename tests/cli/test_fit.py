@@ -49,7 +49,7 @@ def test_without_output_it_says_so(examples):
     assert done.lines[-1] == "No URDF was written; add -o corrected.urdf to write it."
     assert "Verdict: none, because nothing was cross-validated." in done.out
     assert re.search(
-        r"^Measurement frame: world found at \(.*95 % \+- \(", done.out, re.MULTILINE | re.DOTALL
+        r"^Measurement frame: world found at \(.*95 % ± \(", done.out, re.MULTILINE | re.DOTALL
     )
     assert "\nframe_" not in done.out
 

@@ -668,7 +668,7 @@ def test_a_bounded_gain_is_told_to_be_at_its_bound(make_scene):
     result = calibrate(scene.robot, scene.points(70), cell=cell, validate=False)
     text = result.summary()
     assert re.search(r"^  elbow_joint\.gain +0\.100 \(at bound\) mrad/rad$", text, re.MULTILINE)
-    assert re.search(r"^  wrist_1_joint\.gain .* \+- 0\.\d+ mrad/rad$", text, re.MULTILINE)
+    assert re.search(r"^  wrist_1_joint\.gain .* ± 0\.\d+ mrad/rad$", text, re.MULTILINE)
 
 
 def test_the_gain_of_a_joint_that_slides_is_told_in_millimetres_a_metre(make_scene):

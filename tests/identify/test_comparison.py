@@ -519,4 +519,7 @@ def test_every_kind_of_measurement(calibrated, name: str):
     assert set(found.untold) == ({"wrist_3_joint.zero"} if name == "held" else everything)
     assert np.isfinite(found.moves[0].rms_angle) == (name == "poses")
     assert ("Set-up '0'" in text) == (name == "distances")
+    of = ("Length", "length") if name == "distances" else ("Position", "coordinate")
+    assert f"     {of[0]} error [mm] " in text
+    assert f"Noise of a {of[1]}: " in text
     assert any("larger model of a" in note for note in found.notes) == (c.larger is not None)

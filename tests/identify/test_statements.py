@@ -90,3 +90,13 @@ def test_an_error_of_a_length_is_none_of_a_position(numbers: list[int], of: str,
     used = np.arange(3) < np.array(numbers)[:, None]
     assert statements.measured_lengths(used) == of
     assert statements.error_title(used) == title
+
+
+@pytest.mark.parametrize(
+    "name", ["points", "poses", "distances", "pairs", "sockets", "planes", "mixed"]
+)
+def test_kinds_tell_the_same_as_what_was_used(calibrated, name: str):
+    _, c = calibrated(name)
+    said = statements.lengths_of_kinds(frozenset(c.measurements.kinds))
+    assert said == statements.measured_lengths(c.used)
+    assert statements.title_of_errors(said) == statements.error_title(c.used)

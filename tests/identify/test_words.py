@@ -34,7 +34,7 @@ def test_orientations_and_how_sure_they_are(calibrated):
     _, c = calibrated("poses")
     said = one_line(target_text(c))
     assert re.search(
-        r"mm, rpy \(.*\) deg in tool0, 95 % \+- \(.*\) mm and \(.*\) deg about its axes", said
+        r"mm, rpy \(.*\) deg in tool0, 95 % ± \(.*\) mm and \(.*\) deg about its axes", said
     )
     sure = numbers(said.split("mm and (")[1])
     wanted = [c.parameter(f"target_r{a}") for a in "xyz"]
@@ -85,7 +85,7 @@ def test_a_partly_known_frame_says_which_directions(calibrated):
     found = calibrate(c.nominal, c.measurements, cell=cell, validate=False)
     said = one_line(frame_text(found))
     assert said.endswith("for x, rz along and about the axes of base.")
-    assert len(numbers(said.split("95 % +- ")[1])) == 2
+    assert len(numbers(said.split("95 % ± ")[1])) == 2
 
 
 def test_many_are_counted_not_listed(calibrated):
