@@ -54,7 +54,7 @@ class Arrangement:
         T_stage_root = stage_poses(view)[view.start] @ rigid_inverse(links[view.nominal.base][0])
         joints = np.array([(T_stage_root @ T[0])[:3, 3] for T in links.values()])
         start = np.concatenate([joints, *drawn])
-        reached = np.concatenate([p.poses[:, :, :3, 3].reshape(-1, 3) for p in shown.values()])
+        reached = np.concatenate([puppet.reach() for puppet in shown.values()])
         outline = np.concatenate([start, reached])
         low, high = outline.min(axis=0), outline.max(axis=0)
         size = max(float(np.linalg.norm(high - low)), 1e-3)

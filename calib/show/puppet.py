@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 #: The movers beside the links, in this order, last.
 FRAMES = ("base", "tip", "target")
 
+#: At most so many poses are looked at for what the shapes reach; the origins of links are at all of them.
+_REACHED = 60
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
@@ -61,6 +64,20 @@ class Puppet:
     def targets(self) -> Array:
         """Where the target is, shape (N, 3), [m]."""
         return np.asarray(self.poses[:, -1, :3, 3])
+
+    def reach(self) -> Array:
+        """Points that hold the robot at all its poses, shape (K, 3), [m].
+
+        The origins of all movers at every pose, and the corners of the boxes about what moves with each at some poses.
+        """
+        origins = self.poses[:, :, :3, 3].reshape(-1, 3)
+        count = min(len(self.poses), _REACHED)
+        some = self.poses[np.linspace(0, len(self.poses) - 1, count).round().astype(int)]
+        corners = [
+            (some[:, mover, :3, :3] @ box.T).swapaxes(1, 2) + some[:, mover, None, :3, 3]
+            for mover, box in _boxes(self.parts).items()
+        ]
+        return np.concatenate([origins, *(points.reshape(-1, 3) for points in corners)])
 
     def bodies(self, n: int) -> list[Body]:
         """The shapes at one pose, rods included."""
@@ -128,6 +145,22 @@ def rod_between(start: Array, end: Array) -> tuple[Array, float]:
         turn, _ = Rotation.align_vectors([(end - start) / length], [[0.0, 0.0, 1.0]])
         T[:3, :3] = turn.as_matrix()
     return T, length
+
+
+def _boxes(parts: Sequence[Part]) -> dict[int, Array]:
+    """The corners of the box about all shapes of each mover, in the mover, shape (8, 3), [m]."""
+    outlines: dict[int, list[Array]] = {}
+    for part in parts:
+        outlines.setdefault(part.mover, []).append(
+            Body("", part.shape, part.T_mover_shape).outline()
+        )
+    unit = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    result = {}
+    for mover, outline in outlines.items():
+        points = np.concatenate(outline)
+        low, high = points.min(axis=0), points.max(axis=0)
+        result[mover] = low + unit * (high - low)
+    return result
 
 
 def _puppet(

@@ -79,6 +79,22 @@ def test_a_robot_whose_base_moves_stands_on_its_root(head_and_arm, disturb):
     assert np.abs(puppet.poses[0, camera] - puppet.poses[1, camera]).max() > 0.1
 
 
+def test_the_reach_holds_every_shape_at_every_pose(ur3):
+    rng = np.random.default_rng(5)
+    view = View(ur3, None, rng.uniform(-2, 2, (5, 6)))
+    (puppet,) = puppets_of(view).values()
+    reach = puppet.reach()
+    low, high = reach.min(axis=0) - 1e-9, reach.max(axis=0) + 1e-9
+    for n in range(5):
+        for body in puppet.bodies(n):
+            points = body.outline()
+            assert np.all((points >= low) & (points <= high))
+    # It is no larger than the boxes about the links: less than a link away from what is drawn.
+    drawn = np.concatenate([b.outline() for n in range(5) for b in puppet.bodies(n)])
+    assert np.all(drawn.min(axis=0) - low < 0.2)
+    assert np.all(high - drawn.max(axis=0) < 0.2)
+
+
 def test_packed_poses_are_the_poses():
     turns = Rotation.random(6, random_state=3)
     T = np.tile(np.eye(4), (2, 3, 1, 1))
