@@ -28,5 +28,4 @@ def view_of_comparison(comparison: Comparison) -> View:
         title=f"{c.a.robot_name or 'Robot'}: two calibrations",
         note=sentence(c),
     )
-    labels = tuple(f"{label} of {len(view.q)} over the joint limits" for label in view.labels)
-    return replace(view, labels=labels, nominal_target=target, calibrated_target=target)
+    return replace(view, nominal_target=target, calibrated_target=target)

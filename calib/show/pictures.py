@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,27 +37,13 @@ def view_of(calibration: Calibration, *, cloud: bool = True) -> View:
         calibration: The calibration.
         cloud: Whether to compute how well positions are known over the workspace.
     """
-    c, m = calibration, calibration.measurements
-    nominal, calibrated = _placed(c.nominal_setup, m), _placed(c.setup, m)
-    flagged = {outlier.row for outlier in (*c.outliers, *c.suspects)}
-    kinds = _kinds(m, np.array([row in flagged for row in m.rows]))
-    sizes = [_sizes(residual, c.used) for residual in (c.residual_nominal, c.residual_calibrated)]
-    return View(
-        nominal=c.nominal,
-        calibrated=c.robot,
-        q=m.joints_for(c.nominal.joint_names),
-        labels=tuple(f"row {row}" for row in m.rows),
-        kinds=kinds,
-        nominal_target=nominal[1],
-        calibrated_target=calibrated[1],
-        measured=_measured(m, calibrated[0]),
-        errors=np.array([lengths for lengths, _ in sizes]),
-        angles=np.array([angles for _, angles in sizes]),
-        # Its error in the picture is then that of the tables, not where each of the two finds the tracker.
-        T_base_nominal=_between(m, nominal[0], calibrated[0]),
-        instruments=_instruments(m, calibrated[0]),
+    c = calibration
+    flagged = frozenset(outlier.row for outlier in (*c.outliers, *c.suspects))
+    before = _Half(c.nominal, c.nominal_setup, c.residual_nominal, c.used)
+    after = _Half(c.robot, c.setup, c.residual_calibrated, c.used)
+    return replace(
+        _view_of_rows(c.measurements, before, after, flagged),
         cloud=cloud_of(c) if cloud else None,
-        start=_worst(sizes[0][0], kinds),
         title=f"{c.nominal.name or 'Robot'}: nominal and calibrated",
         verdict="" if c.verdict is None else c.verdict.use,
         note=_note(c),
@@ -91,13 +77,18 @@ def view_of_robots(
         note: A sentence or two below the heading.
     """
     if evaluations is not None:
-        shown = _view_of_evaluations(nominal, calibrated, evaluations, flagged)
+        first, second = evaluations
+        after = None
+        if calibrated is not None and second is not None:
+            after = _Half(calibrated, second.setup, second.residual, second.used)
+        before = _Half(nominal, first.setup, first.residual, first.used)
+        shown = _view_of_rows(first.measurements, before, after, flagged)
         return replace(shown, names=names, title=title, verdict=verdict, note=note)
     if calibrated is None:
         q, labels = _one_joint_after_the_other(nominal)
     else:
         q = spread_poses(nominal, _POSES)
-        labels = tuple(f"pose {k + 1}" for k in range(len(q)))
+        labels = tuple(f"pose {k + 1} of {len(q)} over the joint limits" for k in range(len(q)))
     return View(
         nominal=nominal,
         calibrated=calibrated,
@@ -119,22 +110,28 @@ def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = 
     return write_view(view_of(calibration), path, overwrite=overwrite)
 
 
-def _view_of_evaluations(
-    nominal: Robot,
-    calibrated: Robot | None,
-    evaluations: tuple[Evaluation, Evaluation | None],
-    flagged: frozenset[int],
+@dataclass(frozen=True, slots=True, eq=False)
+class _Half:
+    """One robot, where its frames and targets are, and what it leaves over of each row: shapes (N, D), [m], [rad]."""
+
+    robot: Robot
+    setup: Setup
+    residual: Array
+    used: NDArray[np.bool_]
+
+
+def _view_of_rows(
+    m: Measurements, first: _Half, second: _Half | None, flagged: frozenset[int]
 ) -> View:
-    """The view of robots and a table."""
-    first, second = evaluations[0], evaluations[1] or evaluations[0]
-    m = first.measurements
-    before, after = _placed(first.setup, m), _placed(second.setup, m)
+    """The view of one or two robots at the rows of a table."""
+    before = _placed(first.setup, m)
+    after = before if second is None else _placed(second.setup, m)
     kinds = _kinds(m, np.array([row in flagged for row in m.rows]))
-    sizes = [_sizes(one.residual, one.used) for one in (first, second)]
+    sizes = [_sizes(half.residual, half.used) for half in (first, second or first)]
     return View(
-        nominal=nominal,
-        calibrated=calibrated,
-        q=m.joints_for(nominal.joint_names),
+        nominal=first.robot,
+        calibrated=None if second is None else second.robot,
+        q=m.joints_for(first.robot.joint_names),
         labels=tuple(f"row {row}" for row in m.rows),
         kinds=kinds,
         nominal_target=before[1],
@@ -142,6 +139,7 @@ def _view_of_evaluations(
         measured=_measured(m, after[0]),
         errors=np.array([lengths for lengths, _ in sizes]),
         angles=np.array([angles for _, angles in sizes]),
+        # Its error in the picture is then that of the tables, not where each of the two finds the tracker.
         T_base_nominal=_between(m, before[0], after[0]),
         instruments=_instruments(m, after[0]),
         start=_worst(sizes[0][0], kinds),
