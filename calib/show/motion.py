@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.show.arrangement import Arrangement
 from calib.show.camera import Camera
+from calib.show.palette import LITTLE_TO_MUCH
 from calib.show.puppet import Puppet, packed, stage_poses
-from calib.show.region_pictures import SELDOM_TO_OFTEN
 from calib.show.view import Cloud, View
 from calib.show.window import as_base64
 
@@ -27,8 +27,7 @@ _ARROW = 0.12
 #: Factors that arrows and robots can be magnified by.
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
-#: The colours of the cloud from well to badly known, and between which quantiles they change.
-WELL_TO_BADLY = SELDOM_TO_OFTEN
+#: Between which quantiles of the standard deviation the cloud's colours change.
 _ENDS = (0.02, 0.98)
 
 
@@ -168,7 +167,7 @@ def _cloud(cloud: Cloud) -> dict[str, str]:
         if low > 0
         else cloud.std / high
     )
-    stops = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in WELL_TO_BADLY]) / 255.0
+    stops = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in LITTLE_TO_MUCH]) / 255.0
     along = np.linspace(0.0, 1.0, len(stops))
     rgb = np.stack([np.interp(share, along, stops[:, k]) for k in range(3)], axis=1)
     return {

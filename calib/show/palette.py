@@ -19,6 +19,9 @@ OUTLIER = "#c8323c"
 #: Lines of sight, and what they come from.
 BEAM = "#a0569a"
 
+#: From little to much, from pale to dark: how often the target is somewhere, how badly a position is known.
+LITTLE_TO_MUCH = ("#fbe3b0", "#f5b13a", "#d6602a", "#8c2a4f")
+
 #: Text and axes, what stands behind them, and lines of a grid.
 INK = "#16202a"
 SOFT = "#5a6875"

@@ -16,7 +16,7 @@ from calib.model.readback import column_ranges, spread_poses
 from calib.model.robot import Robot, rigid_inverse
 from calib.show.cloud import cloud_of
 from calib.show.scene import write_view
-from calib.show.view import NAMES, Names, View
+from calib.show.view import NAMES, Names, View, translated
 
 Array = NDArray[np.float64]
 
@@ -41,8 +41,10 @@ def view_of(calibration: Calibration, *, cloud: bool = True) -> View:
     flagged = frozenset(outlier.row for outlier in (*c.outliers, *c.suspects))
     before = _Half(c.nominal, c.nominal_setup, c.residual_nominal, c.used)
     after = _Half(c.robot, c.setup, c.residual_calibrated, c.used)
+    shown = _view_of_rows(c.measurements, before, after, flagged)
     return replace(
-        _view_of_rows(c.measurements, before, after, flagged),
+        shown,
+        instruments=_with_tracker(c, shown.instruments),
         cloud=cloud_of(c) if cloud else None,
         title=f"{c.nominal.name or 'Robot'}: nominal and calibrated",
         verdict="" if c.verdict is None else c.verdict.use,
@@ -181,6 +183,14 @@ def _instruments(m: Measurements, T_frame_base: Array) -> Array:
     elsewhere = np.max(np.abs(T_base_frame - np.eye(4)), axis=(1, 2)) > _THE_BASE
     known = m.of_kind("point", "pose") & elsewhere
     return np.where(known[:, None, None], T_base_frame, np.nan)
+
+
+def _with_tracker(c: Calibration, instruments: Array) -> Array:
+    """The instruments; for points that were measured in the base itself the cell's tracker, shape (N, 4, 4)."""
+    if c.cell.tracker is None:
+        return instruments
+    seen = c.measurements.of_kind("point", "pose") & np.isnan(instruments[:, 0, 0])
+    return np.where(seen[:, None, None], translated(c.cell.tracker.position), instruments)
 
 
 def _kinds(m: Measurements, flagged: NDArray[np.bool_]) -> tuple[str, ...]:

@@ -16,8 +16,8 @@ from calib.measure.planning import Plan
 from calib.measure.surroundings import Box, Tracker
 from calib.show.bodies import bodies
 from calib.show.marks import draw_bodies, draw_lines, draw_points, number
-from calib.show.page import COLOURS, escaped, key
-from calib.show.region_pictures import ESTIMATION, VALIDATION
+from calib.show.page import escaped, key
+from calib.show.palette import BEAM, ESTIMATION, NOMINAL, VALIDATION
 from calib.show.single import Layout, single_page
 from calib.show.stage import Page
 from calib.show.visuals import read_visuals
@@ -32,7 +32,7 @@ _BALL, _SIGHT = 0.008, 0.12
 _NEAR = 1.0
 
 #: Of what stands around, of poses measured already and of the way.
-_AROUND, _TAKEN, _WAY, _BEAM = "#b9a58c", "#8a94a0", "#5b6775", "#c8323c"
+_AROUND, _TAKEN, _WAY = "#b9a58c", "#8a94a0", "#5b6775"
 
 
 def write_plan_view(plan: Plan, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -58,9 +58,9 @@ def plan_page(plan: Plan) -> Page:
     layout = Layout.of(plan.robot, plan.joints[0], parts, seen)
 
     def draw(scene: meshcat.Visualizer) -> list[str]:
-        draw_bodies(scene["nominal"], parts, COLOURS["nominal"])
+        draw_bodies(scene["nominal"], parts, NOMINAL)
         words = f"{escaped(plan.robot.name)} at the first pose"
-        keys = [key(words, COLOURS["nominal"], "nominal")]
+        keys = [key(words, NOMINAL, "nominal")]
         keys += _draw_targets(scene, plan, places, taken, layout.size)
         return keys + _draw_around(scene, plan, places, layout.size)
 
@@ -105,10 +105,10 @@ def _draw_around(scene: meshcat.Visualizer, plan: Plan, places: Array, size: flo
         keys.append(key(escaped(", ".join(box.name for box in plan.cell.boxes)), _AROUND, "around"))
     tracker = plan.cell.tracker
     if tracker is not None:
-        draw_lines(scene["sight"], _beams(places, size, tracker), _BEAM, 0.7)
-        keys.append(key("towards the tracker", _BEAM, "sight"))
+        draw_lines(scene["sight"], _beams(places, size, tracker), BEAM, 0.7)
+        keys.append(key("towards the tracker", BEAM, "sight"))
         if np.linalg.norm(tracker.position) < _NEAR * size:
-            draw_points(scene["tracker"], tracker.position[None], _BEAM, 2.0 * _BALL * size)
+            draw_points(scene["tracker"], tracker.position[None], BEAM, 2.0 * _BALL * size)
     return keys
 
 

@@ -20,6 +20,7 @@ from calib.measure.region import Region
 from calib.measure.workspace import Density
 from calib.model.files import write_atomically
 from calib.model.robot import read_only
+from calib.show.palette import ESTIMATION, INK, LITTLE_TO_MUCH, VALIDATION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,10 +30,6 @@ Array = NDArray[np.float64]
 
 #: Endings of picture files.
 ENDINGS = (".png", ".svg", ".pdf")
-
-#: Colours from seldom to often, and those of rows; told apart with any colour vision, and in grey.
-SELDOM_TO_OFTEN = ("#fbe3b0", "#f5b13a", "#d6602a", "#8c2a4f")
-INK, ESTIMATION, VALIDATION = "#16202a", "#16202a", "#009e73"
 
 #: The two axes of each picture, and what it is called.
 _VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
@@ -175,7 +172,7 @@ def _panel(
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.patches import Rectangle
 
-    colours = LinearSegmentedColormap.from_list("often", list(SELDOM_TO_OFTEN))
+    colours = LinearSegmentedColormap.from_list("often", list(LITTLE_TO_MUCH))
     low = density.origin[list(pair)]
     high = low + density.voxel * np.array(values.shape)
     largest = max(float(values.max()), 1e-300)

@@ -21,8 +21,9 @@ from calib.measure.workspace import Density
 from calib.model.robot import Robot, read_only
 from calib.show.bodies import bodies
 from calib.show.marks import cloud, draw_bodies, draw_points
-from calib.show.page import COLOURS, escaped, key
-from calib.show.region_pictures import ESTIMATION, SELDOM_TO_OFTEN, VALIDATION, Marked
+from calib.show.page import escaped, key
+from calib.show.palette import ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
+from calib.show.region_pictures import Marked
 from calib.show.single import Layout, single_page
 from calib.show.stage import Page, translation
 from calib.show.visuals import read_visuals
@@ -105,7 +106,7 @@ def region_page(view: RegionView) -> Page:
 
     def draw(scene: meshcat.Visualizer) -> list[str]:
         _draw_robot(scene["nominal"], view, layout, target)
-        keys = [key(f"{escaped(view.robot.name)}, nominal", COLOURS["nominal"], "nominal")]
+        keys = [key(f"{escaped(view.robot.name)}, nominal", NOMINAL, "nominal")]
         keys += _draw_voxels(scene, view)
         return keys + _draw_rows(scene, view, layout.size)
 
@@ -114,7 +115,7 @@ def region_page(view: RegionView) -> Page:
 
 def _draw_robot(scene: meshcat.Visualizer, view: RegionView, layout: Layout, target: Array) -> None:
     """The nominal robot with its target."""
-    material = draw_bodies(scene, layout.parts, COLOURS["nominal"])
+    material = draw_bodies(scene, layout.parts, NOMINAL)
     if np.any(view.target):
         scene["target"].set_object(mc.Sphere(_BALL * layout.size), material)
         scene["target"].set_transform(translation(target))
@@ -141,7 +142,7 @@ def _draw_voxels(scene: meshcat.Visualizer, view: RegionView) -> list[str]:
     ends = [0.0, *[end for end in _BANDS if end < share - 0.02], share]
     keys = []
     for i, (start, end) in enumerate(itertools.pairwise(ends)):
-        colour = SELDOM_TO_OFTEN[len(SELDOM_TO_OFTEN) - 1 - i]
+        colour = LITTLE_TO_MUCH[len(LITTLE_TO_MUCH) - 1 - i]
         last = end == share
         band = inside & (needed > start) & ((needed <= end) | last)
         points = centres[band]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.show.motion import FACTORS, WELL_TO_BADLY, colour_scale
+from calib.show.motion import FACTORS, colour_scale
 from calib.show.page import COLOURS, escaped, filled_page, grid_text, key
-from calib.show.palette import BEAM, ESTIMATION, OUTLIER, VALIDATION
+from calib.show.palette import BEAM, ESTIMATION, LITTLE_TO_MUCH, OUTLIER, VALIDATION
 from calib.show.view import Cloud, View
 
 Array = NDArray[np.float64]
@@ -212,10 +212,10 @@ def _legend(view: View) -> str:
 def _cloud_keys(cloud: Cloud) -> str:
     """The clouds and their colours."""
     ends = [f"{float(f'{1e3 * value:.2g}'):g}" for value in colour_scale(cloud)]
-    bar = f"linear-gradient(90deg, {', '.join(WELL_TO_BADLY)})"
+    bar = f"linear-gradient(90deg, {', '.join(LITTLE_TO_MUCH)})"
     scale = f'<span class="scale">standard deviation {ends[0]}<i style="background: {bar}"></i>{ends[1]} mm</span>'
-    inner = key("region measured, by uncertainty", WELL_TO_BADLY[1], "calibrated/cloud", on=False)
-    outer = key("whole workspace", WELL_TO_BADLY[2], "calibrated/cloud-everywhere", on=False)
+    inner = key("region measured, by uncertainty", LITTLE_TO_MUCH[1], "calibrated/cloud", on=False)
+    outer = key("whole workspace", LITTLE_TO_MUCH[2], "calibrated/cloud-everywhere", on=False)
     return inner + outer + scale
 
 

@@ -13,9 +13,11 @@ from calib.errors import FileError
 from calib.identify.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
+from calib.measure.surroundings import Tracker
 from calib.model.readback import column_ranges, random_joint_values
 from calib.model.robot import Robot
 from calib.show.pictures import view_of, view_of_robots, write_page
+from calib.show.view import translated
 from tests.show.calibrations import made
 
 
@@ -71,6 +73,14 @@ def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_st
     view = view_of(replace(result, measurements=moved, setup=setup), cloud=False)
     np.testing.assert_allclose(view.measured, result.measurements.points, atol=1e-12)
     np.testing.assert_allclose(view.instruments, np.tile(np.linalg.inv(T), (35, 1, 1)), atol=1e-12)
+
+
+def test_the_cell_s_tracker_is_shown_where_points_are_in_the_base(result):
+    cell = replace(result.cell, tracker=Tracker(np.array([2.5, 0.3, 0.8])))
+    view = view_of(replace(result, cell=cell), cloud=False)
+    np.testing.assert_array_equal(
+        view.instruments, np.tile(translated([2.5, 0.3, 0.8]), (35, 1, 1))
+    )
 
 
 def test_the_page_is_a_file(result, tmp_path):

@@ -16,6 +16,7 @@ from calib.identify.plan import plan
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Box, Tracker
 from calib.model.readback import random_joint_values
+from calib.show.palette import BEAM
 from calib.show.plan_view import plan_page, write_plan_view
 
 
@@ -150,5 +151,6 @@ def test_chromium_draws_it_without_a_complaint(browser, planned, tmp_path):
         pixels = tab.screenshot().reshape(-1, 3).astype(int)
         assert tab.console == []
         assert tab.elsewhere == []
-    for colour in ((0x9A, 0xAF, 0xC4), (0xC8, 0x32, 0x3C)):  # the robot, lines of sight
+    beam = tuple(bytes.fromhex(BEAM[1:]))
+    for colour in ((0x9A, 0xAF, 0xC4), beam):  # the robot, lines of sight
         assert np.sum(np.abs(pixels - colour).max(axis=1) < 40) > 30
