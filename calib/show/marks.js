@@ -40,8 +40,9 @@ for (const who of names) {
   frames.forEach((frame) => group(who, "frames").add(frame));
   const predicted = many(ball, table.colours[who], hasMeasured ? count : 0, group(who, "predicted"));
   marks[who] = { kinds, frames, predicted, shafts: many(shaft, colour, count, arrows), heads: many(head, colour, count, arrows) };
-  addInstruments(who);
 }
+// Beside one robot only: the beams to the other would cross it.
+addInstruments(names[names.length - 1]);
 addCloud();
 
 function addInstruments(who) {

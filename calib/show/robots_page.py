@@ -203,7 +203,7 @@ def _legend(view: View) -> str:
         items.append(key("predicted, in the robot's colour", "", nodes("predicted"), "ring"))
     items.append(key("frames of base, tip, target", "", nodes("frames"), "frame", on=False))
     if np.any(np.isfinite(view.instruments)):
-        items.append(key("measurement frame and beams", BEAM, nodes("instrument"), on=False))
+        items.append(key("measurement frame and beams", BEAM, f"{groups[-1]}/instrument", on=False))
     if view.cloud is not None and not view.nominal.base_moves:
         items.append(_cloud_keys(view.cloud))
     return "".join(items)
