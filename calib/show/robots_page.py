@@ -64,6 +64,8 @@ def robots_page(parts: PageParts) -> bytes:
     """The whole page, UTF-8."""
     view = parts.view
     click = "<span>A click on a ball shows its row.</span>" if view.measures else ""
+    # Last, for its place is kept while it is not shown.
+    scale = _scale(view.cloud) if view.cloud is not None and _has_cloud(view) else ""
     return filled_page(
         title=view.title or f"{view.nominal.name or 'Robot'}: {_both(view)}",
         facts=_facts(view),
@@ -72,7 +74,7 @@ def robots_page(parts: PageParts) -> bytes:
         inset=_inset() if view.calibrated is not None or view.measures else "",
         warnings=parts.warnings,
         legend=_player(view)
-        + f'<div class="keys">{_legend(view)}{grid_text(parts.grid)}{click}</div>',
+        + f'<div class="keys">{_legend(view)}{grid_text(parts.grid)}{click}{scale}</div>',
         scene=parts.scene,
         table={**parts.motion, "names": [name for name, _ in view.names], "colours": _colours()},
         scripts=SCRIPTS,
@@ -204,19 +206,23 @@ def _legend(view: View) -> str:
     items.append(key("frames of base, tip, target", "", nodes("frames"), "frame", on=False))
     if np.any(np.isfinite(view.instruments)):
         items.append(key("measurement frame and beams", BEAM, f"{groups[-1]}/instrument", on=False))
-    if view.cloud is not None and not view.nominal.base_moves:
-        items.append(_cloud_keys(view.cloud))
+    if _has_cloud(view):
+        region, everywhere = LITTLE_TO_MUCH[1:3]
+        items.append(key("region measured, by uncertainty", region, "calibrated/cloud", on=False))
+        items.append(key("whole workspace", everywhere, "calibrated/cloud-everywhere", on=False))
     return "".join(items)
 
 
-def _cloud_keys(cloud: Cloud) -> str:
-    """The clouds and their colours."""
+def _has_cloud(view: View) -> bool:
+    """Whether the clouds are drawn: they stand in the base, which must stand still."""
+    return view.cloud is not None and not view.nominal.base_moves
+
+
+def _scale(cloud: Cloud) -> str:
+    """The colours of the clouds, and what they mean."""
     ends = [f"{float(f'{1e3 * value:.2g}'):g}" for value in colour_scale(cloud)]
     bar = f"linear-gradient(90deg, {', '.join(LITTLE_TO_MUCH)})"
-    scale = f'<span class="scale">standard deviation {ends[0]}<i style="background: {bar}"></i>{ends[1]} mm</span>'
-    inner = key("region measured, by uncertainty", LITTLE_TO_MUCH[1], "calibrated/cloud", on=False)
-    outer = key("whole workspace", LITTLE_TO_MUCH[2], "calibrated/cloud-everywhere", on=False)
-    return inner + outer + scale
+    return f'<span class="scale">standard deviation {ends[0]}<i style="background: {bar}"></i>{ends[1]} mm</span>'
 
 
 def _inset() -> str:
