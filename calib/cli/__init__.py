@@ -76,6 +76,8 @@ def main() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
+    # Pictures go into files, through no window: a window system that matplotlib lacks must not end a fit.
+    os.environ["MPLBACKEND"] = "agg"
     for stream in (sys.stdout, sys.stderr):
         # A name that the terminal's encoding lacks is printed as an escape, not refused.
         if isinstance(stream, io.TextIOWrapper):

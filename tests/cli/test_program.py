@@ -54,6 +54,19 @@ def test_inspect_loads_no_viewer(shop: Path):
     assert not {"meshcat", "yourdfpy"} & set(found)
 
 
+def test_a_window_system_that_matplotlib_lacks_does_not_matter(tmp_path: Path):
+    code = (
+        "import sys; sys.argv = ['calib', '--version']; from calib.cli import main\n"
+        "try: main()\nexcept SystemExit: pass\n"
+        "import matplotlib; print(matplotlib.get_backend())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, encoding="utf-8",
+        env={**os.environ, "MPLBACKEND": "nonsense"}, check=True,
+    )  # fmt: skip
+    assert done.stdout.split()[-1].lower() == "agg"
+
+
 @pytest.mark.parametrize(("given", "used"), [(None, "1"), ("3", "3")])
 def test_one_thread_for_small_matrices_unless_asked_otherwise(
     tmp_path: Path, given: str | None, used: str

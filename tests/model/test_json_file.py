@@ -20,6 +20,7 @@ def test_a_table_of_the_schema(tmp_path):
     ("text", "said"),
     [
         ("{", "this is not a JSON file"),
+        ("{", "Wanted is a thing with its 'schema'; a thing has 'thing 1'. Give a thing."),
         ("[" * 900, "this is not a JSON file"),
         ("\x00\xff", "this is not a JSON file"),
         ("[1]", "its 'schema' is None; a thing has 'thing 1'. Give a thing."),
