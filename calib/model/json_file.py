@@ -29,9 +29,7 @@ def read_json(
     try:
         table = json.loads(data)
     except (ValueError, RecursionError) as error:
-        message = (
-            f"{path}: this is not a JSON file: {error}. Wanted is a {what} with its 'schema'; {expected}"
-        )
+        message = f"{path}: this is not a JSON file: {error}. Wanted is a {what} with its 'schema'; {expected}"
         raise FileError(message) from error
     found = table.get("schema") if isinstance(table, dict) else None
     if not isinstance(table, dict) or found != schema:
