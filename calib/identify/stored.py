@@ -17,6 +17,7 @@ from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameters import ErrorModel
 from calib.model.robot import Robot
 from calib.model.torques import Payload, gravity_load
 
@@ -46,12 +47,11 @@ class StoredLarger:
     payload: Payload | None
     gravity: Array
 
-    def tip_poses(self, nominal: Robot, samples: Samples) -> Array:
-        """T_base_tip with the joints' own errors, shape (N, 4, 4), [m].
+    def model(self, nominal: Robot) -> tuple[ErrorModel, Array]:
+        """The errors of a robot, and their values, shape (p,), [m], [rad] and so on; frames and targets aside.
 
         Args:
             nominal: The nominal robot.
-            samples: Joint values and loads.
 
         Raises:
             ModelError: The robot's model has not the parameters that the result has values for.
@@ -66,8 +66,20 @@ class StoredLarger:
                 "Give the URDF that the result was made with."
             )
             raise ModelError(message)
+        return model, np.array([self.x.get(name, 0.0) for name in model.names])
+
+    def tip_poses(self, nominal: Robot, samples: Samples) -> Array:
+        """T_base_tip with the joints' own errors, shape (N, 4, 4), [m].
+
+        Args:
+            nominal: The nominal robot.
+            samples: Joint values and loads.
+
+        Raises:
+            ModelError: The robot's model has not the parameters that the result has values for.
+        """
+        model, x = self.model(nominal)
         kinematics = Kinematics(nominal, model, np.eye(4), np.eye(4))
-        x = np.array([self.x.get(name, 0.0) for name in model.names])
         return kinematics.poses(x, Samples.at(samples.q, samples.load))
 
 
