@@ -1,0 +1,73 @@
+"""YAML of other programs: read strictly, so that what a program overlooked is an error and not a number."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any, ClassVar
+
+import yaml
+
+from calib.errors import FileError
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """PyYAML's safe loader without aliases, and without keys that stand twice."""
+
+    #: Of its own: other programs, xacro among them, add tags to SafeLoader that calib does not know.
+    yaml_constructors: ClassVar[dict[str, Any]] = dict(
+        yaml.constructor.SafeConstructor.yaml_constructors
+    )
+
+    def compose_node(self, parent: Any, index: Any) -> Any:  # noqa: ANN401  PyYAML's own types
+        """A node; aliases are refused."""
+        if self.check_event(yaml.AliasEvent):
+            event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(
+                problem=f"an alias (*{event.anchor}) is not read; write the value itself",
+                problem_mark=event.start_mark,
+            )
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """A mapping; a key that stands twice is refused."""
+        seen: dict[Hashable, int] = {}
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, Hashable):
+                continue  # PyYAML's own message says so
+            line = key_node.start_mark.line + 1
+            if key in seen:
+                raise yaml.MarkedYAMLError(
+                    problem=f"'{key}' stands twice, first in line {seen[key]}; delete one of them",
+                    problem_mark=key_node.start_mark,
+                )
+            seen[key] = line
+        return super().construct_mapping(node, deep)
+
+
+def parse_yaml(data: bytes, source: str, what: str) -> Any:  # noqa: ANN401  whatever the file holds
+    """The content of a YAML file's bytes.
+
+    Args:
+        data: The file.
+        source: Name of the file, for messages.
+        what: What the file should be, for messages: ``"origins file"``.
+
+    Returns:
+        Dictionaries, lists, text, numbers; None of an empty file.
+
+    Raises:
+        FileError: It is no YAML, a key stands twice, an alias or a tag that YAML itself does not have.
+    """
+    try:
+        return yaml.load(data, _StrictLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
+        reason = error.problem or error.context or "it cannot be parsed"
+        message = f"{source}{place}: this {what} cannot be read as YAML: {reason}"
+        raise FileError(message) from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        message = f"{source}: this {what} cannot be read as YAML: {reason}; save it as UTF-8 text"
+        raise FileError(message) from error
