@@ -1,4 +1,4 @@
-"""Commands for a robot whose controller keeps its own model, such that the true robot arrives (the paper's fourth stage).
+"""Commands for a robot whose controller keeps its own model, such that the true robot arrives (paper, stage four).
 
 The calibrated model says where the true robot stands, T_true(q), the nominal one what its controller believes,
 T_nominal(q). For a wanted pose T of the tool:
@@ -12,6 +12,7 @@ Both are the same command in two forms. Source: Z. Roth, B. Mooring, B. Ravani, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,19 +21,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib.compensate.inverse import solve
+from calib.compensate.judgement import judged
+from calib.compensate.matching import MATCHES, POSE, POSITION, WEIGHTED, Matching
+from calib.compensate.pair import Pair
 from calib.compensate.program import Program
-from calib.model.robot import Robot
+from calib.compensate.starts import Starts, following, near, start_values
+from calib.errors import ModelError, choices
+from calib.measure.ranges import column_limits
+from calib.model.robot import Robot, read_only, rigid_inverse
 
 if TYPE_CHECKING:
     from calib.identify.result import Calibration
     from calib.identify.stored import StoredResult
     from calib.model.torques import Payload
 
-Array = NDArray[np.float64]
+__all__ = ["MATCHES", "Commands", "commands"]
 
-MATCHES = ("pose", "position", "axis", "weighted")
-"""What is matched: position and orientation; the position alone; position and direction of the tool's z axis; both as
-well as can be, an angle counting as a length (`commands`, ``lever``)."""
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +50,9 @@ class Commands:
         program: What was asked for.
         match: One of `MATCHES`.
         T_frame_base: shape (4, 4), the base in the frame that poses are given and sent in [m].
+        T_tip_tool: shape (4, 4), the tool in the true robot's tip [m].
+        T_tip_tool_nominal: shape (4, 4), the tool that the controller is to be set to [m]; another one only if the tool
+            is a target that the calibration found elsewhere.
         T_wanted: shape (N, 4, 4), pose of the tool that is wanted, in that frame [m]; where only its position was
             given, oriented as the nominal robot's is.
         q_nominal: shape (N, m), joint values that the nominal model has for it [rad] or [m].
@@ -60,6 +69,8 @@ class Commands:
     program: Program
     match: str
     T_frame_base: Array
+    T_tip_tool: Array
+    T_tip_tool_nominal: Array
     T_wanted: Array
     q_nominal: Array
     q: Array
@@ -80,13 +91,13 @@ class Commands:
 
     @property
     def joint_corrections(self) -> Array:
-        """q - q_nominal, shape (N, m), [rad] or [m]."""
+        """What the true robot needs beside the nominal one, q - q_nominal, shape (N, m), [rad] or [m]."""
         return np.asarray(self.q - self.q_nominal)
 
     @property
     def pose_corrections(self) -> Array:
         """How far the pose to send is from the one wanted, shape (N, 2): position [m], angle [rad]."""
-        raise NotImplementedError
+        return Matching(POSE, 1.0).misses(self.T_send, self.T_wanted)
 
     def write(
         self,
@@ -122,7 +133,7 @@ def commands(
     match: str | None = None,
     lever: float = 0.01,
     start: Mapping[str, float] | None = None,
-    limit: tuple[float, float] = (0.01, 0.035),
+    limit: tuple[float, float] = (0.01, math.radians(2.0)),
     accept: tuple[float, float] = (1e-8, 1e-8),
     larger: bool = True,
     payload: Payload | None = None,
@@ -150,4 +161,88 @@ def commands(
     Raises:
         ModelError: A tool, frame, match or joint that does not exist, a program of another robot, or no nominal robot.
     """
-    raise NotImplementedError
+    pair = Pair.of(calibration, nominal, tool=tool, frame=frame, larger=larger, payload=payload)
+    robot = pair.believed.robot
+    matching = Matching(match or _usual_match(robot, program), lever)
+    _check(program, robot, matching, start)
+    T_wanted, starts = _nominal(pair, program, matching, start_values(robot, start))
+    solved = solve(pair.true, T_wanted, starts.q, matching, column_limits(robot))
+    found = judged(pair, T_wanted, starts, solved, matching, accept=accept, limit=limit)
+    T_send = pair.T_frame_base @ pair.believed.poses(solved.q)
+    return Commands(
+        nominal=robot,
+        program=program,
+        match=matching.name,
+        T_frame_base=pair.T_frame_base,
+        T_tip_tool=pair.true.T_tip_tool,
+        T_tip_tool_nominal=pair.believed.T_tip_tool,
+        T_wanted=read_only(pair.T_frame_base @ T_wanted),
+        q_nominal=_where(found.nominal_reaches, starts.q),
+        q=_where(found.reached, solved.q),
+        T_send=_where(found.reached, T_send),
+        missed=_where(found.nominal_reaches, found.missed),
+        left=read_only(found.left),
+        reasons=found.reasons,
+        warnings=found.warnings,
+    )
+
+
+def _usual_match(robot: Robot, program: Program) -> str:
+    """What is matched where nothing is said."""
+    if not program.oriented:
+        return POSITION
+    return POSE if len(robot.joint_names) >= 6 else WEIGHTED
+
+
+def _check(
+    program: Program, robot: Robot, matching: Matching, start: Mapping[str, float] | None
+) -> None:
+    """Refuse a program that the robot or the matching has no use for.
+
+    Raises:
+        ModelError: Joint values of another robot, an orientation that is wanted but not given, or a start beside
+            joint values.
+    """
+    if program.q is not None and program.q.shape[1] != len(robot.joint_names):
+        message = (
+            f"The program has {program.q.shape[1]} joint values in each row; '{robot.name}' has "
+            f"{len(robot.joint_names)} joints from '{robot.base}' to '{robot.tip}': {choices(robot.joint_names)}."
+        )
+        raise ModelError(message)
+    if not program.oriented and matching.name != POSITION:
+        message = (
+            f"The program says where the tool is to be and not how it is turned, so that '{matching.name}' cannot be "
+            f"matched. Match '{POSITION}', or give orientations."
+        )
+        raise ModelError(message)
+    if start and program.q is not None:
+        message = (
+            "The program has joint values to start at in each row, so that a start for the first row has no use. "
+            "Leave it out."
+        )
+        raise ModelError(message)
+
+
+def _nominal(
+    pair: Pair, program: Program, matching: Matching, start: Array
+) -> tuple[Array, Starts]:
+    """The poses that are wanted, in the base, and the joint values that the nominal robot has for them."""
+    believed = pair.believed
+    if program.T_wanted is None:
+        assert program.q is not None  # a program has one of them
+        poses = believed.poses(program.q)
+        return poses, Starts(program.q, poses)
+    T_wanted = rigid_inverse(pair.T_frame_base) @ program.T_wanted
+    if program.q is not None:
+        starts = near(believed, T_wanted, program.q, matching)
+    else:
+        starts = following(believed, T_wanted, start, matching)
+    if not program.oriented:
+        # What was not asked for is as the nominal robot has it, so that a pose to send can be held against it.
+        T_wanted[:, :3, :3] = starts.T_base_tool[:, :3, :3]
+    return T_wanted, starts
+
+
+def _where(there: NDArray[np.bool_], values: Array) -> Array:
+    """The values of some rows, the others NaN; read-only."""
+    return read_only(np.where(there.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan))

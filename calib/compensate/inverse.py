@@ -1,0 +1,220 @@
+"""Inverse kinematics of an arm with known errors: joint values that bring its tool to a pose, near those given.
+
+Levenberg-Marquardt on each row's error (`calib.compensate.matching`), all rows at once, with the singular values of the
+Jacobian J = U S V^T:
+
+    dq = V S (S^2 + lambda^2)^-1 U^T e + (1 - V_r V_r^T) (q_start - q)
+
+The damping lambda is zero until a step fails to lower the error, so that a solution is reached to rounding; the second
+term keeps a redundant arm at the joint values nearest to where it started. Steps are short, so that a row stays in its
+branch. Source: Y. Nakamura, H. Hanafusa, Inverse kinematic solutions with singularity robustness, 1986.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.compensate.arm import Arm
+from calib.compensate.matching import WEIGHTED, Matching
+from calib.model.robot import read_only
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: No joint moves further than this in one step [rad or m].
+_LONGEST_STEP = 0.3
+
+#: A row rests when its next step is shorter than this [rad or m], or lowers its squared error by a smaller share.
+_STILL, _STALLED = 1e-12, 1e-9
+
+#: An error below this is rounding [m]; what the pull of a redundant arm adds to it is none.
+_NOTHING = 1e-13
+
+#: An error above this is one that was not reached [m].
+_REACHED = 1e-9
+
+#: Damping after the first step that failed, relative to the largest singular value; and when to give up.
+_FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e3
+
+#: Singular values below this, relative to the largest, are zero.
+_RANK = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """Joint values, one row for each pose that was wanted.
+
+    Attributes:
+        q: shape (N, m), as near to the wanted pose as was found [rad] or [m].
+        T_base_tool: shape (N, 4, 4), the pose there [m].
+        twists: shape (N, 6, m), how the tool moves with the joints there; see `Arm.motion`.
+    """
+
+    q: Array
+    T_base_tool: Array
+    twists: Array
+
+
+def solve(
+    arm: Arm,
+    T_wanted: Array,
+    start: Array,
+    matching: Matching,
+    limits: Array | None = None,
+    *,
+    steps: int = 100,
+) -> Solved:
+    """Joint values that bring the tool to poses, near those that each row starts at.
+
+    Args:
+        arm: The arm.
+        T_wanted: shape (N, 4, 4), T_base_tool [m].
+        start: shape (N, m), [rad] or [m].
+        matching: What of the poses is to be reached.
+        limits: shape (m, 2), lowest and highest joint values. An arm that can do without a joint keeps to them; one
+            that cannot goes beyond, which is for the caller to see. None for none.
+        steps: At most so many.
+
+    Returns:
+        What was found; how far it is from what was wanted is for the caller to see, too.
+    """
+    redundant = start.shape[1] > matching.rows
+    first = _run(_State.at(arm, T_wanted, start, matching, limits, pulled=redundant), steps)
+    left = np.linalg.norm(first.error, axis=1) > _REACHED
+    if redundant and left.any():
+        # Next to a singularity the pull can be in the way of what can be reached.
+        kept = np.flatnonzero(left)
+        again = _run(
+            _State.at(arm, T_wanted[kept], start[kept], matching, limits, pulled=False), steps
+        )
+        nearer = np.linalg.norm(again.error, axis=1) < np.linalg.norm(first.error[kept], axis=1)
+        taken = kept[nearer]
+        first.q[taken], first.poses[taken] = again.q[nearer], again.poses[nearer]
+        first.twists[taken] = again.twists[nearer]
+    return Solved(read_only(first.q), read_only(first.poses), read_only(first.twists))
+
+
+def _run(state: _State, steps: int) -> _State:
+    """Steps until every row rests."""
+    for _ in range(steps):
+        if not state.moving.any():
+            break
+        state.step()
+    return state
+
+
+@dataclass(slots=True, eq=False)
+class _State:
+    """Where the rows are; the only thing here that changes, and no one else holds it."""
+
+    arm: Arm
+    wanted: Array
+    start: Array
+    matching: Matching
+    limits: Array | None
+    q: Array
+    poses: Array
+    twists: Array
+    error: Array
+    pulled: bool
+    damping: Array
+    moving: Mask
+    at_limit: Mask
+
+    @classmethod
+    def at(
+        cls,
+        arm: Arm,
+        wanted: Array,
+        start: Array,
+        matching: Matching,
+        limits: Array | None,
+        *,
+        pulled: bool,
+    ) -> _State:
+        """At the start; joint values beyond their limits are brought to them where the arm can do without."""
+        count = start.shape[1]
+        bounded = limits is not None and (count > matching.rows or matching.name == WEIGHTED)
+        kept = limits if bounded else None
+        q = start.copy() if kept is None else np.clip(start, kept[:, 0], kept[:, 1])
+        poses, twists = arm.motion(q)
+        return cls(
+            arm=arm,
+            wanted=wanted,
+            start=start,
+            matching=matching,
+            limits=kept,
+            q=q,
+            poses=poses,
+            twists=twists,
+            error=matching.error(poses, wanted),
+            pulled=pulled,
+            damping=np.zeros(len(q)),
+            moving=np.ones(len(q), dtype=bool),
+            at_limit=np.zeros(q.shape, dtype=bool),
+        )
+
+    def step(self) -> None:
+        """One step of every row that still moves."""
+        rows = np.flatnonzero(self.moving)
+        dq = self._direction(rows)
+        longest = np.abs(dq).max(axis=1)
+        dq *= np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))[:, None]
+        dq = self._within_limits(rows, dq)
+        q = self.q[rows] + dq
+        poses, twists = self.arm.motion(q)
+        error = self.matching.error(poses, self.wanted[rows])
+        before = np.einsum("ni,ni->n", self.error[rows], self.error[rows])
+        after = np.einsum("ni,ni->n", error, error)
+        better = after <= np.maximum(before, _NOTHING**2)
+        taken = rows[better]
+        self.q[taken], self.poses[taken], self.twists[taken] = (
+            q[better],
+            poses[better],
+            twists[better],
+        )
+        self.error[taken] = error[better]
+        still = np.abs(dq).max(axis=1) <= _STILL
+        stalled = better & (after > _NOTHING**2) & (before - after <= _STALLED * after)
+        self.damping[rows] = np.where(
+            better,
+            np.where(self.damping[rows] > 1e-6, self.damping[rows] / 5.0, 0.0),
+            np.maximum(10.0 * self.damping[rows], _FIRST_DAMPING),
+        )
+        self.moving[rows] = ~(still | stalled | (self.damping[rows] > _LARGEST_DAMPING))
+
+    def _direction(self, rows: NDArray[np.int_]) -> Array:
+        """The damped step of each row, and the pull of a redundant arm to where it started."""
+        jacobian = self.matching.jacobian(self.twists[rows])
+        stuck = self.at_limit[rows]
+        jacobian *= ~stuck[:, None, :]
+        u, s, vt = np.linalg.svd(jacobian, full_matrices=False)
+        scale = s[:, :1]
+        kept = s > _RANK * scale
+        damped = s**2 + (self.damping[rows, None] * scale) ** 2
+        inverse = np.where(kept, s / np.where(kept, damped, 1.0), 0.0)
+        along = np.einsum("nij,ni->nj", u, self.error[rows]) * inverse
+        step = np.einsum("nji,nj->ni", vt, along)
+        if self.pulled:
+            pull = np.where(stuck, 0.0, self.start[rows] - self.q[rows])
+            used = np.einsum("nji,ni->nj", vt, pull) * kept
+            step += pull - np.einsum("nji,nj->ni", vt, used)
+        return np.asarray(step)
+
+    def _within_limits(self, rows: NDArray[np.int_], dq: Array) -> Array:
+        """Steps that end at the first limit in their way; the joint that it is of stays there from then on."""
+        if self.limits is None:
+            return dq
+        low, high = self.limits.T
+        bound = np.where(dq > 0.0, high, low)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(dq != 0.0, (bound - self.q[rows]) / dq, np.inf)
+        share = np.where(self.at_limit[rows], np.inf, np.maximum(share, 0.0))
+        first = share.argmin(axis=1)
+        short = share[np.arange(len(rows)), first] < 1.0
+        dq = dq * np.minimum(1.0, share.min(axis=1))[:, None]
+        self.at_limit[rows[short], first[short]] = True
+        return np.asarray(dq)

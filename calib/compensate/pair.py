@@ -1,0 +1,172 @@
+"""Pair: what a robot's controller believes, and what is true of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.compensate.arm import Arm
+from calib.errors import ModelError, choices
+from calib.identify.evaluation import Known
+from calib.identify.result import Calibration
+from calib.identify.result_file import plain, result_table, stored_result
+from calib.identify.stored import StoredResult
+from calib.model.robot import Robot, read_only
+from calib.model.torques import Payload
+
+Array = NDArray[np.float64]
+
+_NO_ROTATION = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """The same tool on the robot that the controller believes to have, and on the true one.
+
+    Attributes:
+        believed: The nominal model, with the tool where it is believed to be.
+        true: The calibrated model, with the tool where it is.
+        T_frame_base: shape (4, 4), the base in the frame that poses are given and sent in [m].
+    """
+
+    believed: Arm
+    true: Arm
+    T_frame_base: Array
+
+    @classmethod
+    def of(
+        cls,
+        calibration: Calibration | StoredResult | Robot,
+        nominal: Robot | None = None,
+        *,
+        tool: ArrayLike | str | None = None,
+        frame: ArrayLike | str | None = None,
+        larger: bool = True,
+        payload: Payload | None = None,
+    ) -> Pair:
+        """The two models; the arguments are those of `calib.compensate.commands.commands`.
+
+        Raises:
+            ModelError: No nominal robot, one with other joints, or a tool or frame that there is not.
+            UrdfError: The robot lacks joints of the result.
+        """
+        if isinstance(calibration, Calibration):
+            nominal = calibration.nominal if nominal is None else nominal
+            calibration = stored_result(plain(result_table(calibration)), "the calibration")
+        if nominal is None:
+            message = (
+                "Commands need the robot as its controller has it, beside the calibrated one. "
+                "Give the nominal robot too."
+            )
+            raise ModelError(message)
+        if isinstance(calibration, Robot):
+            return cls._of_robots(nominal, calibration, tool, frame)
+        return cls._of_result(nominal, calibration, tool, frame, payload, larger=larger)
+
+    @classmethod
+    def _of_robots(
+        cls,
+        nominal: Robot,
+        corrected: Robot,
+        tool: ArrayLike | str | None,
+        frame: ArrayLike | str | None,
+    ) -> Pair:
+        """Of two robots; they know no targets and no set-ups."""
+        for name, what in ((tool, "tool"), (frame, "frame")):
+            if isinstance(name, str):
+                message = (
+                    f"The {what} is to be '{name}' of a calibration, but two robots were given and no result. Give the "
+                    f"{what}'s pose, or the result."
+                )
+                raise ModelError(message)
+        true = corrected.rebuilt(base=nominal.base, tip=nominal.tip)
+        if true.joint_names != nominal.joint_names:
+            message = (
+                f"The corrected robot '{true.name}' has the joints {choices(true.joint_names)} from '{true.base}' to "
+                f"'{true.tip}', the nominal robot '{nominal.name}' has {choices(nominal.joint_names)}. Give two URDFs "
+                "of one robot."
+            )
+            raise ModelError(message)
+        T_tip_tool = np.eye(4) if tool is None else _pose(tool, "tool")
+        return cls(
+            believed=Arm.of_robot(nominal, T_tip_tool),
+            true=Arm.of_robot(true, T_tip_tool),
+            T_frame_base=read_only(np.eye(4) if frame is None else _pose(frame, "frame")),
+        )
+
+    @classmethod
+    def _of_result(
+        cls,
+        nominal: Robot,
+        stored: StoredResult,
+        tool: ArrayLike | str | None,
+        frame: ArrayLike | str | None,
+        payload: Payload | None,
+        *,
+        larger: bool,
+    ) -> Pair:
+        """Of a result; the robot may be the nominal or the corrected one."""
+        believed = stored.nominal(nominal)
+        model = stored.larger if larger else None
+        known = stored.known if model is None else model.known
+        T_true = T_believed = np.eye(4)
+        if isinstance(tool, str):
+            T_true = _named(known.targets, tool, "target")
+            of_nominal: Known = stored.nominal_known or known
+            T_believed = _named(of_nominal.targets, tool, "target")
+        elif tool is not None:
+            T_true = T_believed = _pose(tool, "tool")
+        T_frame_base = np.eye(4)
+        if isinstance(frame, str):
+            T_frame_base = _named(known.frames, frame, "set-up")
+        elif frame is not None:
+            T_frame_base = _pose(frame, "frame")
+        true = (
+            Arm.of_robot(stored.corrected(nominal), T_true)
+            if model is None
+            else Arm.of_larger(model, believed, T_true, payload)
+        )
+        return cls(Arm.of_robot(believed, T_believed), true, read_only(T_frame_base))
+
+
+def _named(poses: Mapping[str, Array], name: str, what: str) -> Array:
+    """The pose of that name, or the only one there is for the empty name.
+
+    Raises:
+        ModelError: There is none, or a name is wanted.
+    """
+    if name in poses:
+        return poses[name]
+    if not name and len(poses) == 1:
+        return next(iter(poses.values()))
+    message = f"The calibration has no {what} '{name}'; it has {choices(poses)}."
+    if not name:
+        message = f"The calibration has {len(poses)} {what}s: {choices(poses)}. Name one of them."
+    raise ModelError(message)
+
+
+def _pose(given: ArrayLike, what: str) -> Array:
+    """A pose, shape (4, 4), from a pose or from a position, shape (3,), [m].
+
+    Raises:
+        ModelError: Neither.
+    """
+    values = np.asarray(given, dtype=np.float64)
+    if values.shape == (3,) and np.isfinite(values).all():
+        T = np.eye(4)
+        T[:3, 3] = values
+        return read_only(T)
+    if values.shape != (4, 4) or not np.isfinite(values).all():
+        message = (
+            f"The {what} has the shape {values.shape}; a pose (4, 4) or a position (3,), of finite numbers, "
+            "is wanted."
+        )
+        raise ModelError(message)
+    R = values[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > _NO_ROTATION or np.linalg.det(R) < 0.0:
+        message = f"The upper left block of the {what}'s pose is no rotation."
+        raise ModelError(message)
+    return read_only(values)
