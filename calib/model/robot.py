@@ -27,8 +27,9 @@ from calib.model.chain import Chain, last_joint_poses, read_only, rigid_inverse
 from calib.model.coupling import Coupling, all_values, checked_held
 from calib.model.tips import farthest_link
 from calib.model.urdf import Urdf, UrdfJoint
+from calib.model.xacro_file import is_xacro, read_xacro
 
-__all__ = ["Robot", "find_urdf", "last_joint_poses", "read_only", "rigid_inverse"]
+__all__ = ["Robot", "find_urdf", "last_joint_poses", "read_only", "read_urdf", "rigid_inverse"]
 
 #: A placement that no <origin> holds may differ by rounding [m; rotation matrices: 1].
 _ROUNDING = 1e-12
@@ -62,10 +63,11 @@ class Robot:
         measured: Collection[str] | None = None,
         held: Mapping[str, float] | None = None,
     ) -> Robot:
-        """Load a robot from a URDF file, or by its name from example-robot-data.
+        """Load a robot from a URDF or xacro file, or by its name from example-robot-data.
 
         Args:
-            source: Path of a URDF, or a name such as ``"ur3"`` or ``"panda"``.
+            source: Path of a URDF; or of a xacro, with arguments behind it as in ``"ur.urdf.xacro ur_type:=ur5e"``; or
+                a name such as ``"ur3"`` or ``"panda"``.
             base: Link in whose frame the poses are given; default the URDF's root link.
             tip: Link that the chain ends at; default the link with the most moving joints before it.
             measured: Names of the joints whose values are known; a tip that is not given is then chosen so that the
@@ -74,13 +76,14 @@ class Robot:
                 beside the chain may be among them; they matter for gravity only, and are at zero if not named.
 
         Raises:
-            UrdfError: No such file, robot, link or joint, or a chain that calib cannot take.
+            FileError: The file cannot be read.
+            UrdfError: No such robot, link or joint, a chain that calib cannot take, or a xacro with a fault.
 
         Example:
             >>> Robot.load("ur3", base="base", tip="tool0").joint_names[0]
             'shoulder_pan_joint'
         """
-        return cls.from_urdf(Urdf.read(find_urdf(source)), base, tip, measured, held)
+        return cls.from_urdf(read_urdf(source), base, tip, measured, held)
 
     @classmethod
     def from_urdf(
@@ -285,6 +288,16 @@ class Robot:
         )
 
 
+def read_urdf(source: str | Path) -> Urdf:
+    """The URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data.
+
+    Raises:
+        FileError: The file cannot be read.
+        UrdfError: No such robot, no URDF, or a xacro that cannot be flattened.
+    """
+    return read_xacro(source) if is_xacro(source) else Urdf.read(find_urdf(source))
+
+
 def find_urdf(source: str | Path) -> Path:
     """The URDF file that a path or a robot's name means.
 
@@ -307,7 +320,7 @@ def find_urdf(source: str | Path) -> Path:
             return urdfs[name]
     known = sorted(name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs)
     message = (
-        f"'{source}' is neither a file here nor a robot of example-robot-data. Give the path of a URDF, or "
-        f"one of {choices(dict.fromkeys(known), limit=60)}."
+        f"'{source}' is neither a file here nor a robot of example-robot-data. Give the path of a URDF or "
+        f"xacro, or one of {choices(dict.fromkeys(known), limit=60)}."
     )
     raise UrdfError(message)

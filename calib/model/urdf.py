@@ -36,8 +36,8 @@ class Urdf:
 
     Attributes:
         data: The file, byte for byte.
-        source: Name of the file, for messages.
-        path: Where it was read, or None.
+        source: Name of the file, for messages; a xacro's with its arguments.
+        path: Where it, or the xacro that it was flattened from, was read; or None.
         name: Name of the robot; empty if it has none.
         joints: The joints in the file's order.
         links: Names of the links in the file's order.
@@ -64,13 +64,18 @@ class Urdf:
         return cls._from_document(Document.from_bytes(data, path.name), path)
 
     @classmethod
-    def from_bytes(cls, data: bytes, source: str) -> Urdf:
-        """Parse the bytes of a URDF; ``source`` is what messages call it.
+    def from_bytes(cls, data: bytes, source: str, path: Path | None = None) -> Urdf:
+        """Parse the bytes of a URDF.
+
+        Args:
+            data: The URDF.
+            source: What messages call it.
+            path: The file that it comes from, beside which its meshes lie; None if there is none.
 
         Raises:
             UrdfError: As for `read`.
         """
-        return cls._from_document(Document.from_bytes(data, source), None)
+        return cls._from_document(Document.from_bytes(data, source), path)
 
     @classmethod
     def _from_document(cls, document: Document, path: Path | None) -> Urdf:

@@ -14,7 +14,7 @@ class _StrictLoader(yaml.SafeLoader):
     """PyYAML's safe loader without aliases, and without keys that stand twice."""
 
     #: Of its own: other programs, xacro among them, add tags to SafeLoader that calib does not know.
-    yaml_constructors: ClassVar[dict[str, Any]] = dict(
+    yaml_constructors: ClassVar[dict[str | None, Any]] = dict(
         yaml.constructor.SafeConstructor.yaml_constructors
     )
 
