@@ -1,0 +1,282 @@
+"""The controllers' own files: ``calibration.conf`` with the deltas of an arm, ``urcontrol.conf`` with its nominal rows.
+
+Both are lists of ``key = [six numbers]`` in sections, ``[mounting]`` and ``[DH]``, lengths in metres and angles in
+radians. A section may come again further down, ``#`` and ``;`` begin a comment. Everything else in them is kept as it
+is, byte for byte.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.compensate.ur_dh import COLUMNS, FullDH
+from calib.errors import FileError, choices
+from calib.model.files import read_bytes, write_atomically
+from calib.model.urdf_joints import did_you_mean
+
+MOUNTING, NOMINAL = "mounting", "DH"
+
+#: Larger values are no deltas in metres and radians. d runs away between axes that are nearly parallel, theta with it.
+_LARGEST = {
+    MOUNTING: {"theta": 8.0 * np.pi, "a": 10.0, "d": 1e7, "alpha": 0.5},
+    NOMINAL: {"theta": 2.0 * np.pi, "a": 10.0, "d": 10.0, "alpha": 2.0 * np.pi},
+}
+
+_LIMIT_BYTES = 10_000_000
+
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """One ``key = value`` of a file.
+
+    Attributes:
+        section: Name of its section.
+        key: Its key.
+        value: The value without a comment.
+        line: Its line, from 1.
+        start: Where the value begins in the text.
+        end: Where it ends.
+    """
+
+    section: str
+    key: str
+    value: str
+    line: int
+    start: int
+    end: int
+
+
+def read_deltas(path: str | os.PathLike[str]) -> FullDH:
+    """The deltas of a ``calibration.conf``: ``delta_theta``, ``delta_a``, ``delta_d`` and ``delta_alpha``.
+
+    Raises:
+        FileError: The file cannot be read, has no ``[mounting]``, or not six numbers for each of the four in metres
+            and radians.
+    """
+    text = _text(path, "calibration.conf")
+    found = _wanted(path, text, MOUNTING, "calibration.conf", _delta_keys())
+    return FullDH(*(_column(path, found[key], name) for key, name in _delta_keys().items()))
+
+
+def read_nominal(path: str | os.PathLike[str]) -> FullDH:
+    """The nominal rows of a ``urcontrol.conf``: ``a``, ``d`` and ``alpha`` of ``[DH]``, and ``theta`` if it is there.
+
+    Raises:
+        FileError: As for `read_deltas`.
+    """
+    text = _text(path, "urcontrol.conf")
+    keys = {name: name for name in COLUMNS}
+    found = _wanted(path, text, NOMINAL, "urcontrol.conf", keys, optional=("theta",))
+    columns = {name: _column(path, found[name], name) for name in COLUMNS if name in found}
+    return FullDH(**{"theta": np.zeros(6), **columns})
+
+
+def write_deltas(path: str | os.PathLike[str], deltas: FullDH, *, overwrite: bool = False) -> Path:
+    """Write a ``calibration.conf`` with nothing but the deltas.
+
+    Raises:
+        FileError: The file exists and ``overwrite`` is False, or it cannot be written.
+    """
+    lines = [f"[{MOUNTING}]"]
+    for key, name in _delta_keys().items():
+        lines.append(f"{key} = {_list(getattr(deltas, name))}")
+    return write_atomically(path, "\n".join([*lines, ""]).encode(), overwrite=overwrite)
+
+
+def update_deltas(
+    source: str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    deltas: FullDH,
+    *,
+    overwrite: bool = False,
+) -> Path:
+    """Write a ``calibration.conf`` with other deltas and every other byte as it is in ``source``.
+
+    Raises:
+        FileError: ``source`` cannot be read as by `read_deltas`; or the file exists and ``overwrite`` is False, or it
+            cannot be written.
+    """
+    read_deltas(source)
+    text = _text(source, "calibration.conf")
+    found = _wanted(source, text, MOUNTING, "calibration.conf", _delta_keys())
+    values = {key: getattr(deltas, name) for key, name in _delta_keys().items()}
+    # Every place where a key stands, from the last on, so that the places before it stay where they are.
+    entries = [entry for entry in _entries(text) if _is_wanted(entry, MOUNTING, found)]
+    for entry in reversed(entries):
+        text = text[: entry.start] + _list(values[entry.key]) + text[entry.end :]
+    return write_atomically(path, text.encode("latin-1"), overwrite=overwrite)
+
+
+def other_keys(path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """The keys of ``[mounting]`` beside the deltas, such as ``joint_checksum``."""
+    entries = _entries(_text(path, "calibration.conf"))
+    keys = [e.key for e in entries if e.section == MOUNTING and e.key not in _delta_keys()]
+    return tuple(dict.fromkeys(keys))
+
+
+def _delta_keys() -> dict[str, str]:
+    """The keys of the deltas, each with the column that it is for."""
+    return {f"delta_{name}": name for name in COLUMNS}
+
+
+def _text(path: str | os.PathLike[str], what: str) -> str:
+    """A file's text, a character for each byte, so that it goes back as it came."""
+    data = read_bytes(path, what, _LIMIT_BYTES)
+    if b"\0" in data:
+        message = f"{path}: this is not a {what}: it has bytes that no text has. Copy it from the controller again."
+        raise FileError(message)
+    return data.decode("latin-1")
+
+
+def _entries(text: str) -> list[_Entry]:
+    """Every ``key = value`` in the file's order; a list may go on over the lines that follow."""
+    entries: list[_Entry] = []
+    section, place = "", 0
+    open_until = 0
+    for number, line in enumerate(text.splitlines(keepends=True), start=1):
+        start = place
+        place += len(line)
+        if start < open_until:
+            continue
+        bare = _without_comment(line).strip()
+        if bare.startswith("[") and bare.endswith("]") and "=" not in bare:
+            section = bare[1:-1].strip()
+            continue
+        key, equals, _ = line.partition("=")
+        if not equals or not bare or "=" not in bare:
+            continue
+        first = start + len(key) + 1
+        end = _end_of_value(text, first)
+        open_until = end
+        raw = text[first:end]
+        first += len(raw) - len(raw.lstrip())
+        last = first + len(raw.strip())
+        value = "".join(_without_comment(part) for part in text[first:last].splitlines(True))
+        entries.append(_Entry(section, key.strip(), value.strip(), number, first, last))
+    return entries
+
+
+def _end_of_value(text: str, first: int) -> int:
+    """Where a value ends: at the end of its line or a comment, or of a list at its bracket, lines further down."""
+    newline = text.find("\n", first)
+    line_end = len(text) if newline < 0 else newline
+    line = _without_comment(text[first:line_end])
+    if line.lstrip().startswith("[") and "]" not in line:
+        close = text.find("]", line_end)
+        opens = text.find("[", line_end)
+        # A list that is never closed ends with its line, before the next section or list.
+        if close >= 0 and (opens < 0 or close < opens):
+            return close + 1
+    return first + len(line)
+
+
+def _without_comment(line: str) -> str:
+    """A line up to its comment."""
+    return re.split(r"[#;]", line, maxsplit=1)[0]
+
+
+def _is_wanted(entry: _Entry, section: str, keys: Mapping[str, object]) -> bool:
+    """Whether an entry is one of these keys of that section."""
+    return entry.section == section and entry.key in keys
+
+
+def _wanted(
+    path: str | os.PathLike[str],
+    text: str,
+    section: str,
+    what: str,
+    keys: Mapping[str, str],
+    optional: tuple[str, ...] = (),
+) -> dict[str, _Entry]:
+    """The entries of these keys in a section, by key.
+
+    Raises:
+        FileError: The section or a key is missing, or a key has two values.
+    """
+    entries = _entries(text)
+    if not re.search(rf"^[ \t]*\[[ \t]*{section}[ \t]*\]", text, re.MULTILINE):
+        sections = list(dict.fromkeys(re.findall(r"^[ \t]*\[([^\]=\r\n,]+)\]", text, re.MULTILINE)))
+        has = f"its sections are {choices(sections)}" if sections else "it has no section"
+        message = f"{path}: there is no [{section}] in it, {has}. Give the {what} of a Universal Robots controller."
+        raise FileError(message)
+    found: dict[str, _Entry] = {}
+    for entry in entries:
+        if not _is_wanted(entry, section, keys):
+            continue
+        before = found.get(entry.key)
+        if before is not None and before.value.split() != entry.value.split():
+            message = (
+                f"{path}: {entry.key} stands in [{section}] with two values, in line {before.line} and in line "
+                f"{entry.line}; keep the one that is right."
+            )
+            raise FileError(message)
+        found[entry.key] = entry
+    present = [entry.key for entry in entries if entry.section == section]
+    for key in keys:
+        if key not in found and key not in optional:
+            message = (
+                f"{path}: [{section}] has no {key}{did_you_mean(key, present)}; a {what} has "
+                f"{choices(k for k in keys if k not in optional)} there, six numbers each."
+            )
+            raise FileError(message)
+    return found
+
+
+def _column(
+    path: str | os.PathLike[str], entry: _Entry, name: str
+) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """The six numbers of an entry.
+
+    Raises:
+        FileError: They are not six, one is no finite number, or too large for its unit.
+    """
+    where = f"{path}, line {entry.line}: {entry.key}"
+    if not (entry.value.startswith("[") and entry.value.endswith("]")):
+        message = (
+            f"{where} is '{_short(entry.value)}'; a list of six numbers in brackets is wanted."
+        )
+        raise FileError(message)
+    words = [word.strip() for word in entry.value[1:-1].split(",")]
+    if len(words) != 6:
+        message = (
+            f"{where} has {len(words)} values; a Universal Robots arm has six joints, six numbers with commas "
+            "between them are wanted."
+        )
+        raise FileError(message)
+    values = np.zeros(6)
+    largest = _LARGEST[entry.section][name]
+    unit = "m" if name in ("a", "d") else "rad"
+    for i, word in enumerate(words):
+        value = float(word) if _NUMBER.fullmatch(word) else np.inf
+        if not np.isfinite(value):
+            message = (
+                f"{where} of joint {i + 1} is '{_short(word)}'; a finite number [{unit}] is wanted."
+            )
+            raise FileError(message)
+        if abs(value) > largest:
+            message = (
+                f"{where} of joint {i + 1} is {value:g}, more than {largest:g} {unit}: that is no arm's. Lengths are "
+                "in metres and angles in radians."
+            )
+            raise FileError(message)
+        values[i] = value
+    return values
+
+
+def _short(text: str) -> str:
+    """What a value looks like, for a message."""
+    line = " ".join(text.split())
+    return line if len(line) <= 40 else f"{line[:37]}..."
+
+
+def _list(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+    """Six numbers that read back exactly."""
+    return "[ " + ", ".join(repr(float(value) + 0.0) for value in values) + "]"

@@ -1,0 +1,209 @@
+"""The same kinematics with every joint's frame near its nominal place on the joint's own axis.
+
+A joint's frame may slide along and turn about the joint's axis without any pose changing: that motion G_i commutes
+with the joint's own, so that
+
+    P_i' = P_i G_i,   P_(i+1)' = G_i^-1 P_(i+1)
+
+are the placements of the same robot. Standard DH rows leave that choice to the common normals, and those of nearly
+parallel axes lie hundreds of metres away. Here the link's own geometry decides, from the base on: frame i stands so
+that the next axis, or the tip, lies in link i as near as it can to where the nominal robot has it. An error of a
+joint's zero thus stays in that joint's placement. What the next axis does not tell, the slide along parallel axes and
+the turn about a common one, brings the frame nearest to its nominal pose in link i - 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import ModelError, choices
+from calib.model.chain import read_only, rigid_inverse
+from calib.model.robot import Robot
+from calib.model.urdf import UrdfJoint
+
+Array = NDArray[np.float64]
+
+#: Where two axes of a link lie closer to parallel than this, they do not say how far along them a frame stands [rad].
+PARALLEL_RAD = np.radians(30.0)
+
+#: A distance of two axes below this gives no direction [m].
+_COINCIDENT = 1e-3
+
+
+def anchored(robot: Robot, nominal: Robot) -> Robot:
+    """The same poses at all joint values, each joint's frame near that of the nominal robot.
+
+    Args:
+        robot: Any chain.
+        nominal: The same joints with nominal placements.
+
+    Returns:
+        A robot whose poses are those of ``robot`` to rounding.
+
+    Raises:
+        ModelError: The two have not the same joints.
+    """
+    check_same_joints(robot, nominal)
+    placements = anchored_placements(
+        robot.placements, nominal.placements, robot.joints, first_fixed=robot.carriers[0] is None
+    )
+    return robot.with_placements(placements)
+
+
+def anchored_placements(
+    placements: Array,
+    nominal: Array,
+    joints: Sequence[UrdfJoint],
+    *,
+    first_fixed: bool = False,
+) -> Array:
+    """Other placements of the same chain, near the nominal ones; see the module's text.
+
+    Args:
+        placements: shape (n + 1, 4, 4), [m].
+        nominal: shape (n + 1, 4, 4), [m].
+        joints: The n joints, with axis and type.
+        first_fixed: Whether the first joint's frame stays where it is.
+
+    Returns:
+        shape (n + 1, 4, 4), [m].
+    """
+    result = np.array(placements, dtype=np.float64)
+    axes = [np.asarray(joint.axis) for joint in joints]
+    slides = [joint.type == "prismatic" for joint in joints]
+    for i, axis in enumerate(axes):
+        if i == 0 and first_fixed:
+            continue
+        last = i + 1 == len(axes)
+        G = _nearest_own(result[i], nominal[i], axis, sliding=slides[i])
+        behind = rigid_inverse(G) @ result[i + 1]
+        if last:
+            G = G @ _to_tip(behind, nominal[i + 1], axis, sliding=slides[i])
+        else:
+            own, following = (axis, slides[i]), (axes[i + 1], slides[i + 1])
+            G = G @ _to_next_axis(behind, nominal[i + 1], own, following)
+        result[i] = result[i] @ G
+        result[i + 1] = rigid_inverse(G) @ result[i + 1]
+    return read_only(result)
+
+
+def check_same_joints(robot: Robot, nominal: Robot) -> None:
+    """Refuse two robots whose joints differ in name, type or axis, or in the columns that move them.
+
+    Raises:
+        ModelError: They do.
+    """
+    for one, other in zip(robot.joints, nominal.joints, strict=False):
+        if one.name != other.name or one.type != other.type or (one.axis != other.axis).any():
+            message = (
+                f"The joint '{one.name}' ({one.type}, axis {_numbers(one.axis)}) of the robot '{robot.name}' is not "
+                f"the '{other.name}' ({other.type}, axis {_numbers(other.axis)}) of its nominal robot "
+                f"'{nominal.name}'. Give the nominal URDF that the robot was corrected from."
+            )
+            raise ModelError(message)
+    if len(robot.joints) != len(nominal.joints):
+        message = (
+            f"The robot '{robot.name}' has the joints {choices(joint.name for joint in robot.joints)}, its nominal "
+            f"robot '{nominal.name}' {choices(joint.name for joint in nominal.joints)}. Give the nominal URDF that "
+            "the robot was corrected from, with the same base and tip."
+        )
+        raise ModelError(message)
+
+
+def _nearest_own(P: Array, nominal: Array, axis: Array, *, sliding: bool) -> Array:
+    """The motion along and about the axis that brings a joint's frame nearest to its nominal pose."""
+    turn = _turn(axis, _least_turn(nominal[:3, :3].T @ P[:3, :3], axis))
+    missing = P[:3, :3].T @ (nominal[:3, 3] - P[:3, 3])
+    # A joint that slides moves the same wherever its axis lies.
+    turn[:3, 3] = missing if sliding else axis * (axis @ missing)
+    return turn
+
+
+def _to_tip(T: Array, nominal: Array, axis: Array, *, sliding: bool) -> Array:
+    """The motion of the last frame that brings the tip, now at T in it, nearest to its nominal pose."""
+    G = _turn(axis, -_least_turn(T[:3, :3] @ nominal[:3, :3].T, axis))
+    missing = G[:3, :3].T @ T[:3, 3] - nominal[:3, 3]
+    G[:3, 3] = G[:3, :3] @ (missing if sliding else axis * (axis @ missing))
+    return G
+
+
+def _to_next_axis(
+    T: Array, nominal: Array, own: tuple[Array, bool], following: tuple[Array, bool]
+) -> Array:
+    """The motion of a frame that brings the next joint's axis nearest to where the nominal link has it.
+
+    Args:
+        T: Pose of the next joint in the frame.
+        nominal: The same of the nominal robot.
+        own: The joint's axis, and whether it slides.
+        following: The same of the next joint.
+    """
+    axis, sliding = own
+    direction, point = T[:3, :3] @ following[0], T[:3, 3]
+    wanted, wanted_point = nominal[:3, :3] @ following[0], nominal[:3, 3]
+    parallel = abs(axis @ wanted) > np.cos(PARALLEL_RAD)
+    angle = 0.0
+    if not parallel:
+        angle = _angle_about(axis, wanted, direction)
+    elif not (sliding or following[1]):
+        # Where the next axis passes at the height of its nominal joint.
+        height = (wanted_point - point) @ axis / (direction @ axis)
+        passes = point + direction * height
+        if min(_distance(axis, wanted_point), _distance(axis, passes)) > _COINCIDENT:
+            angle = _angle_about(axis, wanted_point, passes)
+    G = _turn(axis, angle)
+    if following[1]:  # that axis lies nowhere
+        return G
+    back = G[:3, :3].T
+    direction, point = back @ direction, back @ point
+    if sliding:
+        missing = point - wanted_point
+        shift = missing - direction * (direction @ missing)
+    elif parallel:
+        return G
+    else:
+        shift = axis * (_foot(axis, point, direction) - _foot(axis, wanted_point, wanted))
+    G[:3, 3] = G[:3, :3] @ shift
+    return G
+
+
+def _least_turn(M: Array, axis: Array) -> float:
+    """The angle about the axis whose rotation R makes M R nearest to no rotation [rad]."""
+    x, y, z = axis
+    sine = x * (M[1, 2] - M[2, 1]) + y * (M[2, 0] - M[0, 2]) + z * (M[0, 1] - M[1, 0])
+    return float(np.arctan2(sine, np.trace(M) - axis @ M @ axis))
+
+
+def _angle_about(axis: Array, start: Array, end: Array) -> float:
+    """The angle from one vector to another about an axis [rad]."""
+    across = start - axis * (axis @ start)
+    return float(np.arctan2(np.cross(axis, across) @ end, across @ end))
+
+
+def _distance(axis: Array, point: Array) -> float:
+    """How far a point lies from the axis through the origin [m]."""
+    return float(np.linalg.norm(point - axis * (axis @ point)))
+
+
+def _foot(axis: Array, point: Array, direction: Array) -> float:
+    """Where, along the axis through the origin, the common normal with a line stands [m]."""
+    cosine = axis @ direction
+    return float((axis @ point - cosine * (direction @ point)) / (1.0 - cosine**2))
+
+
+def _turn(axis: Array, angle: float) -> Array:
+    """A rotation about an axis, shape (4, 4)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    T = np.eye(4)
+    # Of a small angle 1 - cos loses every digit.
+    T[:3, :3] += np.sin(angle) * cross + 2.0 * np.sin(angle / 2.0) ** 2 * (cross @ cross)
+    return T
+
+
+def _numbers(values: Array) -> str:
+    """An axis for a message."""
+    return " ".join(f"{value:g}" for value in values)
