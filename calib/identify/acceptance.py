@@ -1,0 +1,236 @@
+"""Acceptance: whether a robot's pose accuracy is within a stated tolerance, proved against the measuring uncertainty.
+
+With the figure A that is judged, the tolerance T, the expanded measuring uncertainty U (ISO 14253-1), and the factor
+f >= 1 by which errors were larger before something was registered to the same rows,
+
+    f A + U <= T    pass:       conformity is proved
+    A - U > T       fail:       non-conformity is proved
+    else            undecided:  neither is
+
+Without U this is the plain comparison of A with T. Rows that a calibration was fitted to can fail, but not pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import betaincinv
+
+from calib.errors import CalibError, MeasurementError, choices
+from calib.identify.accuracy import Accuracy, PoseAccuracy, Scatter, accuracy
+from calib.identify.evaluation import Evaluation
+from calib.identify.statistics import interval_factor
+
+Array = NDArray[np.float64]
+
+PASS, UNDECIDED, FAIL = "pass", "undecided", "fail"
+
+#: From the best to the worst: of several checks the worst outcome counts.
+OUTCOMES = (PASS, UNDECIDED, FAIL)
+
+#: What is compared with the tolerance: the largest AP, their mean, or the largest error of a single repeat.
+CRITERIA = ("max", "mean", "single")
+
+#: Probability that what is said of unmeasured poses, or of chance, holds.
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One figure held against its tolerance, in m or rad.
+
+    Attributes:
+        figure: What is judged.
+        tolerance: What it may be.
+        uncertainty: Expanded measuring uncertainty as stated; 0 where none was.
+        factor: By how much errors were larger before something was registered to the same rows.
+        random: Half the 95 % interval of an AP as far as the repeats tell; NaN without repeats.
+        seen: Whether a calibration was fitted to the rows.
+    """
+
+    figure: float
+    tolerance: float
+    uncertainty: float
+    factor: float
+    random: float
+    seen: bool
+
+    @property
+    def outcome(self) -> str:
+        """One of `OUTCOMES`.
+
+        Example:
+            >>> Check(0.4e-3, 0.5e-3, 0.2e-3, 1.0, float("nan"), seen=False).outcome
+            'undecided'
+        """
+        if self.figure - self.uncertainty > self.tolerance:
+            return FAIL
+        proved = self.figure * self.factor + self.uncertainty <= self.tolerance
+        return PASS if proved and not self.seen else UNDECIDED
+
+    @property
+    def by_chance(self) -> bool:
+        """Whether the figure is closer to the tolerance than the scatter of the repeats tells it."""
+        return bool(abs(self.figure - self.tolerance) < self.random)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Acceptance:
+    """What an acceptance test found.
+
+    Attributes:
+        accuracy: Accuracy and repeatability at each pose.
+        criterion: One of `CRITERIA`.
+        length: The check of positions or lengths; None where no tolerance was stated for them.
+        angle: That of orientations; likewise.
+        within: How many poses are within the tolerances, by what the criterion looks at in each.
+    """
+
+    accuracy: Accuracy
+    criterion: str
+    length: Check | None
+    angle: Check | None
+    within: int
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """Those that there are."""
+        return tuple(check for check in (self.length, self.angle) if check is not None)
+
+    @property
+    def outcome(self) -> str:
+        """``"pass"``, ``"undecided"`` or ``"fail"``: the worst of the checks."""
+        return max((check.outcome for check in self.checks), key=OUTCOMES.index)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the tolerance was shown to be kept."""
+        return self.outcome == PASS
+
+    @property
+    def share(self) -> float:
+        """Of poses chosen as these were, at least this share is within the tolerances, with 95 % confidence.
+
+        Clopper and Pearson's lower limit; it holds for poses chosen at random and independently of each other.
+        """
+        count = len(self.accuracy.poses)
+        if not self.within:
+            return 0.0
+        return float(betaincinv(self.within, count - self.within + 1, 1.0 - CONFIDENCE))
+
+
+def acceptance(
+    evaluation: Evaluation,
+    tolerance: float | None = None,
+    tolerance_angle: float | None = None,
+    *,
+    uncertainty: float = 0.0,
+    uncertainty_angle: float = 0.0,
+    criterion: str = "max",
+    seen: bool = False,
+) -> Acceptance:
+    """Hold a robot's pose accuracy against a tolerance.
+
+    Args:
+        evaluation: The errors of the robot that is judged.
+        tolerance: Of positions and lengths [m]; None: they are not judged.
+        tolerance_angle: Of orientations [rad]; likewise.
+        uncertainty: Expanded uncertainty (k = 2) of a measured position or length [m]; 0: it is not taken account of.
+        uncertainty_angle: The same of a measured orientation [rad].
+        criterion: What must be within: ``"max"``, the AP of every pose; ``"mean"``, the mean AP; ``"single"``, every
+            single repeat.
+        seen: Whether a calibration of this robot was fitted to the estimation rows.
+
+    Raises:
+        CalibError: No tolerance, one that is not positive, an uncertainty below 0, or no such criterion.
+        MeasurementError: No row measures anything, or no orientation where these have a tolerance.
+
+    Example:
+        >>> from calib import Cell, Measurements, Robot, evaluate
+        >>> from calib.data import paper_measurements, paper_urdf
+        >>> robot = Robot.load(paper_urdf(), base="base", tip="tool0")
+        >>> table = Measurements.read(paper_measurements(), robot.joint_names)
+        >>> acceptance(evaluate(robot, table, Cell(target=[-0.07, 0.07, 0.0225])), 0.5e-3).outcome
+        'fail'
+    """
+    _check_given(tolerance, tolerance_angle, uncertainty, uncertainty_angle, criterion)
+    found = accuracy(evaluation, seen=seen)
+    if tolerance_angle is not None and not len(found.ap_angle):
+        message = (
+            f"{evaluation.measurements.source or 'Measurements'}: a tolerance of {np.degrees(tolerance_angle):g} deg "
+            "was stated, and no orientation was measured in the rows that are judged. Measure poses, or state a "
+            "tolerance of positions alone."
+        )
+        raise MeasurementError(message)
+    fine = np.ones(len(found.poses), dtype=bool)
+    checks = []
+    for limit, sure, is_angle in (
+        (tolerance, uncertainty, False),
+        (tolerance_angle, uncertainty_angle, True),
+    ):
+        values = np.array([size_of(p, criterion, angle=is_angle) for p in found.poses])
+        if limit is None:
+            checks.append(None)
+            continue
+        fine &= ~(values > limit)  # a pose without an orientation is judged by its position
+        scatter = found.scatter_angle if is_angle else found.scatter
+        checks.append(
+            Check(
+                figure=_figure(values[np.isfinite(values)], criterion),
+                tolerance=limit,
+                uncertainty=sure,
+                factor=found.registered.factor,
+                random=_random(found.repeats[0], scatter),
+                seen=found.seen,
+            )
+        )
+    return Acceptance(found, criterion, *checks, within=int(np.sum(fine)))
+
+
+def size_of(pose: PoseAccuracy, criterion: str, *, angle: bool) -> float:
+    """What a criterion looks at in a pose: AP, or the largest error of a single repeat [m] or [rad]; NaN if none."""
+    if criterion == "single":
+        return pose.single_angle if angle else pose.single
+    return pose.ap_angle if angle else pose.ap
+
+
+def _figure(values: Array, criterion: str) -> float:
+    """The one number that is judged."""
+    return float(values.mean() if criterion == "mean" else values.max())
+
+
+def _random(repeats: int, scatter: Scatter) -> float:
+    """Half the 95 % interval of a pose's mean, along the error, by the scatter of repeats; NaN without repeats."""
+    if not scatter.freedom:
+        return np.nan
+    return float(interval_factor(scatter.freedom) * scatter.std / np.sqrt(repeats))
+
+
+def _check_given(
+    tolerance: float | None,
+    tolerance_angle: float | None,
+    uncertainty: float,
+    uncertainty_angle: float,
+    criterion: str,
+) -> None:
+    """Refuse what no acceptance can be told by."""
+    if tolerance is None and tolerance_angle is None:
+        message = "State a tolerance: of positions in m, of orientations in rad, or of both."
+        raise CalibError(message)
+    _check_numbers("tolerance", (tolerance, tolerance_angle), lowest=np.nextafter(0.0, 1.0))
+    _check_numbers("measuring uncertainty", (uncertainty, uncertainty_angle), lowest=0.0)
+    if criterion not in CRITERIA:
+        message = f"The criterion is '{criterion}'; choose one of {choices(CRITERIA)}."
+        raise CalibError(message)
+
+
+def _check_numbers(what: str, values: Sequence[float | None], lowest: float) -> None:
+    """Refuse what is below the lowest number allowed, or no number."""
+    for value, unit in zip(values, ("m", "rad"), strict=True):
+        if value is not None and not lowest <= value < np.inf:
+            allowed = "0 or larger" if lowest == 0.0 else "a number above 0"
+            message = f"The {what} is {value} {unit}; it must be {allowed}."
+            raise CalibError(message)

@@ -1,0 +1,300 @@
+"""Accuracy and acceptance as text of at most 100 columns."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import choices
+from calib.identify.acceptance import UNDECIDED, Acceptance, Check, size_of
+from calib.identify.accuracy import FEWEST_REPEATS, Accuracy, PoseAccuracy
+from calib.identify.words import wrap
+
+Array = NDArray[np.float64]
+
+#: What ISO 9283 asks for: repeats of a pose, and poses.
+ISO_REPEATS, ISO_POSES = 30, 5
+
+#: Poses that are listed, and rows of a pose that are named.
+_MOST_POSES, _MOST_ROWS = 10, 3
+
+#: Kinds of row with three coordinates.
+_WHOLE = ("point", "pose", "fixed")
+
+_FIGURES = {"max": "largest AP", "mean": "mean AP", "single": "largest error of a single repeat"}
+_COLUMNS = "{:<33}{:>5} {:>9} {:>9} {:>9} {:>9} {:>9}"
+
+
+def acceptance_text(a: Acceptance, judged: str) -> str:
+    """The outcome, and what it stands on.
+
+    Args:
+        a: The acceptance.
+        judged: What the robot is called that was judged.
+    """
+    return "\n".join(
+        [f"Verdict: {a.outcome}", *(wrap(reason, "  ") for reason in acceptance_reasons(a, judged))]
+    )
+
+
+def acceptance_reasons(a: Acceptance, judged: str) -> list[str]:
+    """What an outcome stands on and what must be minded with it, sentence by sentence.
+
+    Args:
+        a: The acceptance.
+        judged: What the robot is called that was judged.
+    """
+    sentences = [
+        f"Judged is {judged}: {'; '.join(_figure_text(a, check) for check in a.checks)}.",
+        _uncertainty_text(a),
+        _apart_text(a),
+        _registered_text(a),
+        *(_chance_text(a, check) for check in a.checks),
+        _repeats_text(a.accuracy),
+        _share_text(a),
+        _left_out_text(a),
+    ]
+    return [sentence for sentence in sentences if sentence]
+
+
+def accuracy_text(found: Mapping[str, Accuracy]) -> str:
+    """AP and RP of several robots side by side: positions [mm], and orientations [deg] where there are any.
+
+    Args:
+        found: By what the robots are called.
+    """
+    head = ("poses", "AP max", "mean", "RP max", "mean", "single")
+    lines = [_COLUMNS.format("Pose accuracy, ISO 9283 [mm]", *head)]
+    for name, one in found.items():
+        lines.append(_accuracy_row(name, len(one.ap), (one.ap, one.rp, one.single), 1e3, 3))
+    if any(len(one.ap_angle) for one in found.values()):
+        lines += ["", _COLUMNS.format("Orientation, ISO 9283 [deg]", *head)]
+        for name, one in found.items():
+            values = (one.ap_angle, one.rp_angle, one.single_angle)
+            lines.append(_accuracy_row(name, len(one.ap_angle), values, float(np.degrees(1.0)), 4))
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def poses_text(a: Acceptance, judged: str) -> str:
+    """The poses one by one, the worst first; at most ten.
+
+    Args:
+        a: The acceptance.
+        judged: What the robot is called that was judged.
+    """
+    poses = worst_first(a)
+    shown = poses[:_MOST_POSES]
+    head = ["repeats", "AP [mm]", "x", "y", "z", "RP"]
+    turned = any(np.isfinite(pose.ap_angle) for pose in shown)
+    head += ["AP [deg]", "RP"] if turned else []
+    name = "Poses, the worst first" if len(shown) > 1 else "The pose"
+    lines = [wrap(f"{name}, of {judged}:"), _pose_row("", head)]
+    for pose in shown:
+        lengths = [_number(1e3 * v, 3) for v in (pose.ap, *pose.ap_xyz, pose.rp)]
+        angles = [_number(np.degrees(v), 4) for v in (pose.ap_angle, np.max(pose.rp_abc))]
+        label = textwrap.shorten(f"  {_rows_label(pose)}{_place(a, pose)}", 30, placeholder="...")
+        row = [str(len(pose.rows)), *lengths, *(angles if turned else [])]
+        lines.append(_pose_row(f"  {label}", row))
+    more = len(poses) - len(shown)
+    lines += [f"  and {more} more"] if more else []
+    return "\n".join(lines)
+
+
+def worst_first(a: Acceptance) -> list[PoseAccuracy]:
+    """The poses by how much of their tolerance they use, the worst first."""
+
+    def used(pose: PoseAccuracy) -> float:
+        """The largest share of a tolerance."""
+        pairs = ((a.length, False), (a.angle, True))
+        shares = [
+            size_of(pose, a.criterion, angle=angle) / check.tolerance
+            for check, angle in pairs
+            if check is not None
+        ]
+        return max((share for share in shares if np.isfinite(share)), default=0.0)
+
+    return sorted(a.accuracy.poses, key=used, reverse=True)
+
+
+def _figure_text(a: Acceptance, check: Check) -> str:
+    """What was judged, where, and by which tolerance."""
+    count = len(a.accuracy.poses)
+    poses = f"{count} pose{'s' * (count != 1)}"
+    angle = check is a.angle
+    figure, tolerance = _sized(check.figure, angle), _sized(check.tolerance, angle)
+    if figure == tolerance:
+        # Side by side they must differ where they do.
+        figure = _sized(check.figure, angle, 6)
+    what = f"{_FIGURES[a.criterion]}{' of orientation' * angle} of {poses} is {figure}"
+    where = "" if a.criterion == "mean" else f" ({_rows_label(_worst(a, angle=angle))})"
+    side = "above" if check.figure > check.tolerance else "within"
+    return f"the {what}{where}, {side} the tolerance of {tolerance}"
+
+
+def _worst(a: Acceptance, *, angle: bool) -> PoseAccuracy:
+    """The pose whose figure was judged."""
+    sizes = [size_of(pose, a.criterion, angle=angle) for pose in a.accuracy.poses]
+    return a.accuracy.poses[int(np.nanargmax(sizes))]
+
+
+def _uncertainty_text(a: Acceptance) -> str:
+    """What of the measuring uncertainty was counted."""
+    stated = [
+        _sized(check.uncertainty, check is a.angle) for check in a.checks if check.uncertainty
+    ]
+    if not stated:
+        return (
+            "The measuring uncertainty is not counted; where it is not far below the tolerance, state it "
+            "(--uncertainty)."
+        )
+    text = f"The measuring uncertainty of {' and '.join(stated)} (k = 2) is counted against the outcome (ISO 14253-1)"
+    between = any(abs(check.figure - check.tolerance) <= check.uncertainty for check in a.checks)
+    if a.outcome == UNDECIDED and between:
+        text += ": neither that the tolerance is kept nor that it is not is proved"
+    return f"{text}."
+
+
+def _apart_text(a: Acceptance) -> str:
+    """Which rows were judged, and whether a calibration has seen them."""
+    if a.accuracy.seen:
+        return (
+            "The calibration was fitted to these very rows: they can show that it fails, not that it passes. Measure "
+            "fresh ones."
+        )
+    if a.accuracy.rows == "validation":
+        return (
+            "The validation rows alone are judged: to the others the calibration was fitted, or target or frame "
+            "registered."
+        )
+    return ""
+
+
+def _registered_text(a: Acceptance) -> str:
+    """What registering to the same rows takes away."""
+    r = a.accuracy.registered
+    if not r.what:
+        return ""
+    what = " and ".join(r.what)
+    many = len(r.what) > 1
+    lost = (
+        f"random errors look {100.0 * (1.0 - 1.0 / r.factor):.2g} % too small, which is counted against the outcome"
+        if np.isfinite(r.factor)
+        else "nothing is left to judge by"
+    )
+    return (
+        f"The {what} {'were' if many else 'was'} registered to these rows: {r.unknowns} unknowns from {r.numbers} "
+        f"numbers, so {lost}. What a displaced {what.replace(' and ', ' or ')} explains is not in AP at all."
+    )
+
+
+def _chance_text(a: Acceptance, check: Check) -> str:
+    """Whether the repeats tell the figure well enough."""
+    if not check.by_chance:
+        return ""
+    return (
+        f"The repeats scatter so that an AP is known to ± {_sized(check.random, check is a.angle)} (95 %): the figure "
+        "is closer to the tolerance than that. Repeat the poses more often."
+    )
+
+
+def _repeats_text(one: Accuracy) -> str:
+    """How the poses and repeats compare with what the standard asks for."""
+    low, high = one.repeats
+    count = len(one.poses)
+    if low >= ISO_REPEATS and count >= ISO_POSES:
+        return ""
+    asked = f"ISO 9283 asks for {ISO_REPEATS} repeats of each of {ISO_POSES} poses"
+    if high == 1:
+        return f"Each pose was measured once: its AP holds repeatability and noise too, and RP cannot be told. {asked}."
+    repeats = f"{low}" if low == high else f"{low} to {high}"
+    text = f"{asked}; here are {repeats} of {'each of ' * (count > 1)}{count}"
+    if high < FEWEST_REPEATS:
+        return f"{text}. RP takes {FEWEST_REPEATS} at least."
+    return f"{text}."
+
+
+def _share_text(a: Acceptance) -> str:
+    """What the poses say of others."""
+    count = len(a.accuracy.poses)
+    if a.criterion == "mean":
+        return ""
+    text = f"{'All' if a.within == count else a.within} of {count} poses are within"
+    if not a.within:
+        text = f"No pose of {count} is within"
+    if count == 1:
+        return ""
+    if not a.within:
+        return f"{text}."
+    return f"{text}: of poses chosen at random in the same way at least {_percent(a.share)} are, with 95 % confidence."
+
+
+def _left_out_text(a: Acceptance) -> str:
+    """What was measured and not judged, and what was not measured."""
+    parts = []
+    if a.angle is None and len(a.accuracy.ap_angle):
+        parts.append("Orientations were measured and have no tolerance: they are not judged.")
+    if a.length is None:
+        parts.append("Positions were measured and have no tolerance: they are not judged.")
+    narrow = list(dict.fromkeys(p.kind for p in a.accuracy.poses if p.kind not in _WHOLE))
+    if narrow:
+        parts.append(f"Rows of the kind {choices(narrow)} say nothing of errors across them.")
+    return " ".join(parts)
+
+
+def _sized(value: float, angle: bool, digits: int = 3) -> str:
+    """A length in mm or an angle in deg, which has a digit more, with its unit."""
+    return f"{np.degrees(value):.{digits + 1}f} deg" if angle else f"{1e3 * value:.{digits}f} mm"
+
+
+def _percent(share: float) -> str:
+    """A share, never rounded up."""
+    return f"{np.floor(100.0 * share):.0f} %"
+
+
+def _number(value: float, digits: int) -> str:
+    """A number of a table; a dash where there is none, and no minus before a zero."""
+    return f"{round(value, digits) + 0.0:.{digits}f}" if np.isfinite(value) else "-"
+
+
+def _rows_label(pose: PoseAccuracy) -> str:
+    """The rows of a pose in few words."""
+    rows = pose.rows
+    if len(rows) == 1:
+        return f"row {rows[0]}"
+    if rows == tuple(range(rows[0], rows[-1] + 1)):
+        return f"rows {rows[0]} to {rows[-1]}"
+    listed = ", ".join(str(row) for row in rows[:_MOST_ROWS])
+    return f"rows {listed}{', ...' * (len(rows) > _MOST_ROWS)}"
+
+
+def _place(a: Acceptance, pose: PoseAccuracy) -> str:
+    """The target and the set-up of a pose, where the table has several."""
+    poses = a.accuracy.poses
+    named = [pose.target] * (len({p.target for p in poses}) > 1)
+    named += [pose.group] * (len({p.group for p in poses}) > 1)
+    return f" ({', '.join(named)})" if named else ""
+
+
+def _pose_row(label: str, values: Sequence[str]) -> str:
+    """One row of the table of poses."""
+    widths = (8, 9, 8, 8, 8, 8, 10, 9)
+    cells = (f"{value:>{width}}" for value, width in zip(values, widths, strict=False))
+    return f"{label:<32}{''.join(cells)}"
+
+
+def _accuracy_row(
+    name: str, count: int, values: tuple[Array, Array, Array], scale: float, digits: int
+) -> str:
+    """One row of the table of robots: of AP and RP the largest and the mean, of single repeats the largest."""
+    ap, rp, single = values
+    numbers = [
+        *((ap.max(), ap.mean()) if len(ap) else (np.nan, np.nan)),
+        *((rp.max(), rp.mean()) if len(rp) else (np.nan, np.nan)),
+        single.max() if len(single) else np.nan,
+    ]
+    return _COLUMNS.format(
+        f"  {name}", count, *(_number(scale * float(v), digits) for v in numbers)
+    )
