@@ -1,0 +1,237 @@
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from markdown_it import MarkdownIt
+from scipy.spatial.transform import Rotation
+
+from calib.compensate.dh_files import ENDINGS, dh_bytes, write_dh
+from calib.compensate.dh_tables import DHTables, dh_tables
+from calib.errors import FileError, ModelError
+from calib.model.dh_conventions import CONVENTIONS, dh_rows
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf
+
+#: The columns, in the order of the factors of a row, and how each is entered into the product.
+FACTORS = {
+    "standard": [("theta [deg]", "Rz"), ("d [mm]", "Tz"), ("a [mm]", "Tx"), ("alpha [deg]", "Rx")],
+    "modified": [
+        ("alpha(i-1) [deg]", "Rx"),
+        ("a(i-1) [mm]", "Tx"),
+        ("theta [deg]", "Rz"),
+        ("d [mm]", "Tz"),
+    ],
+}
+FACTORS["hayati"] = [*FACTORS["standard"], ("beta [deg]", "Ry")]
+
+CROOKED = b"""<robot name="m|_1_"><link name="b"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="t"/>
+<joint name="lift, up" type="prismatic"><parent link="b"/><child link="l1"/><origin xyz="0.1 0 0.2" rpy="0.1 0 0"/>
+<axis xyz="0 0 1"/><limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+<joint name="_arm|*a*_" type="revolute"><parent link="l1"/><child link="l2"/><origin xyz="0.3 0.1 0" rpy="0 0.3 0.2"/>
+<axis xyz="0 1 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="wrist" type="revolute"><parent link="l2"/><child link="l3"/><origin xyz="0.4 0 0" rpy="0 0 0"/>
+<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="1" velocity="1"/>
+<mimic joint="_arm|*a*_" multiplier="-2" offset="0.1"/></joint>
+<joint name="j" type="fixed"><parent link="l3"/><child link="t"/><origin xyz="0.1 0.2 0.3" rpy="1 2 3"/></joint>
+</robot>"""
+
+
+def moved(robot: Robot, size: float = 1e-3) -> Robot:
+    """A robot off by about a millimetre and a milliradian in every placement."""
+    rng = np.random.default_rng(5)
+    placements = robot.placements.copy()
+    for i, carrier in enumerate(robot.carriers):
+        if carrier is not None:
+            D = np.eye(4)
+            D[:3, :3] = Rotation.from_rotvec(rng.normal(0, size, 3)).as_matrix()
+            D[:3, 3] = rng.normal(0, size, 3)
+            placements[i] = placements[i] @ D
+    return robot.with_placements(placements)
+
+
+@pytest.fixture(scope="module")
+def crooked() -> Robot:
+    return Robot.from_urdf(Urdf.from_bytes(CROOKED, "m.urdf"), tip="t")
+
+
+def by_csv(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(line for line in file if not line.startswith("#")))
+
+
+def by_markdown(path: Path) -> list[dict[str, str]]:
+    """The tables of a Markdown file as a browser would show them."""
+    found, state, heads, cells = [], "", [], []
+    tokens = MarkdownIt("commonmark").enable("table").parse(path.read_text(encoding="utf-8"))
+    for token, before in zip(tokens[1:], tokens, strict=False):
+        text = "".join(child.content for child in token.children or [])
+        if before.type == "heading_open" and before.tag == "h2":
+            state = text.lower()
+        elif before.type == "thead_open":
+            heads = []
+        elif before.type == "th_open":
+            heads.append("row" if text == "pose" else text)
+        elif before.type == "td_open":
+            cells.append(text)
+        elif before.type == "tr_close" and cells:
+            found.append({"table": state, **dict(zip(heads, cells, strict=True))})
+            cells = []
+    return found
+
+
+def pose(record: dict[str, str]) -> np.ndarray:
+    """R = Rz(yaw) Ry(pitch) Rx(roll), as the file says."""
+    T = np.eye(4)
+    angles = [float(record[f"{name} [deg]"]) for name in ("yaw", "pitch", "roll")]
+    T[:3, :3] = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
+    T[:3, 3] = [float(record[f"{name} [mm]"]) / 1e3 for name in "xyz"]
+    return T
+
+
+def from_records(records: list[dict[str, str]], table: str, convention: str, values) -> np.ndarray:
+    """The tip's pose by the equation that the file states."""
+    rows = {record["row"]: record for record in records if record["table"] == table}
+    T = pose(rows["base"])
+    for i, q in enumerate(values, start=1):
+        row = rows[str(i)]
+        for head, factor in FACTORS[convention]:
+            number = float(row[head]) * (np.pi / 180 if factor[0] == "R" else 1e-3)
+            added = {"theta": "Rz", "d": "Tz"}[row["added to"]]
+            T = T @ elementary(factor, number + (q if factor == added else 0.0))
+    return T @ pose(rows["tool"])
+
+
+def from_json(table: dict, state: str, values) -> np.ndarray:
+    """The same of a JSON file."""
+    T = np.array(table[state]["T_base_0"])
+    keys = {"theta": "theta_rad", "d": "d_m", "a": "a_m", "alpha": "alpha_rad", "beta": "beta_rad"}
+    for row, q in zip(table[state]["rows"], values, strict=True):
+        for head, factor in FACTORS[table["convention"]]:
+            name = head.split(" ")[0].split("(")[0]
+            T = T @ elementary(factor, row[keys[name]] + (q if row["added_to"] == name else 0.0))
+    return T @ np.array(table[state]["T_n_tip"])
+
+
+def elementary(factor: str, number: float) -> np.ndarray:
+    T = np.eye(4)
+    if factor[0] == "R":
+        T[:3, :3] = Rotation.from_euler(factor[1], number).as_matrix()
+    else:
+        T["xyz".index(factor[1]), 3] = number
+    return T
+
+
+@pytest.mark.parametrize("name", ["ur3", "panda", "crooked"])
+def test_every_file_says_what_the_robots_say(request, tmp_path, name):
+    nominal: Robot = request.getfixturevalue(name)
+    robot = moved(nominal)
+    q = np.random.default_rng(2).uniform(0.1, 1, (2, len(nominal.joint_names)))
+    values = robot.chain_values(q)
+    for convention in CONVENTIONS:
+        tables = dh_tables(robot, nominal, convention)
+        for ending in ENDINGS:
+            path = write_dh(tables, tmp_path / f"{convention}{ending}")
+            for state, arm in (("before", nominal), ("after", robot)):
+                for one, wanted in zip(values, arm.poses(q), strict=True):
+                    if ending == ".json":
+                        found = from_json(json.loads(path.read_text()), state, one)
+                    else:
+                        records = (by_csv if ending == ".csv" else by_markdown)(path)
+                        found = from_records(records, state, convention, one)
+                    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
+
+
+def test_the_change_is_after_minus_before(ur3, tmp_path):
+    records = by_csv(write_dh(dh_tables(moved(ur3), ur3, "hayati"), tmp_path / "dh.csv"))
+    by = {(record["table"], record["row"]): record for record in records}
+    for i in "123456":
+        for head, _ in FACTORS["hayati"]:
+            before, after, change = (float(by[t, i][head]) for t in ("before", "after", "change"))
+            assert change == pytest.approx(after - before, abs=1e-5)
+    for place in ("base", "tool"):
+        before, after, change = (pose(by[t, place]) for t in ("before", "after", "change"))
+        np.testing.assert_allclose(before @ change, after, atol=1e-8)
+    assert max(abs(float(by["change", i]["theta [deg]"])) for i in "123456") < 1.0
+
+
+def test_how_a_csv_begins(ur3, tmp_path):
+    text = write_dh(dh_tables(ur3), tmp_path / "dh.csv").read_text().splitlines()
+    assert text[0] == "# DH rows of 'ur3', 'base' to 'tool0', in the convention 'standard'"
+    assert text[1] == (
+        "# T_base_tip = base A_1 ... A_n tool, A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)"
+    )
+    assert "The joint's value is added to theta" in text[2]
+    assert text[5].startswith("robot,1,shoulder_pan_joint,theta,shoulder_pan_joint,0,151.9,0,90,")
+    assert {line.split(",")[0] for line in text[4:]} == {"robot"}
+
+
+def test_far_common_normals_are_named_and_hold(ur3, tmp_path):
+    tables = dh_tables(moved(ur3, 2e-5), ur3, "standard")
+    (remark,) = tables.remarks
+    assert "'shoulder_lift_joint' and 'elbow_joint' (0.00" in remark
+    assert "Enter every digit" in remark
+    assert f"# {remark}\n" in write_dh(tables, tmp_path / "dh.csv").read_text()
+    assert dh_tables(moved(ur3, 2e-5), ur3, "hayati").remarks == ()
+
+
+def test_axes_taken_as_parallel_are_said_and_allowed(ur3):
+    placements = ur3.placements.copy()
+    tilt = Rotation.from_rotvec([3e-8, 0, 0]).as_matrix()
+    placements[2, :3, :3] = placements[2, :3, :3] @ tilt
+    tables = dh_tables(ur3.with_placements(placements), ur3)
+    assert "3.0e-08 rad out of parallel are taken as parallel" in tables.remarks[0]
+    assert 1e-8 < tables.allowed < 3e-7
+    assert dh_tables(ur3).allowed < 2e-9
+
+
+def test_joints_that_follow_others_and_held_ones(crooked):
+    tables = dh_tables(crooked)
+    assert [joint.text for joint in tables.joints] == [
+        "lift, up",
+        "_arm|*a*_",
+        "-2 * _arm|*a*_ + 5.72957795 deg",
+    ]
+    assert tables.remarks[-1].startswith("Joints that are not their own: 'wrist': -2 * _arm")
+    held = Robot.from_urdf(crooked.urdf, tip="t", held={"lift, up": 0.25})
+    assert dh_tables(held).joints[0].text == "held at 250 mm"
+
+
+def test_json_has_every_digit(crooked):
+    tables = dh_tables(moved(crooked), crooked, "modified")
+    table = json.loads(dh_bytes(tables, "dh.json"))
+    assert (table["schema"], table["convention"]) == ("dh 1", "modified")
+    assert [row["d_m"] for row in table["after"]["rows"]] == [row.d for row in tables.after.rows]
+    assert table["joints"][2]["driver"] == "_arm|*a*_"
+    assert (table["joints"][2]["factor"], table["joints"][2]["offset_rad"]) == (-2.0, 0.1)
+    alone = json.loads(dh_bytes(dh_tables(crooked), "dh.json"))
+    assert alone["before"] is None
+    assert alone["change"] is None
+
+
+# What is refused
+
+
+def test_other_endings(ur3):
+    with pytest.raises(FileError, match=r"dh\.xlsx: a DH table is written as '\.csv', '\.json'"):
+        dh_bytes(dh_tables(ur3), "dh.xlsx")
+
+
+def test_a_file_that_exists(ur3, tmp_path):
+    (tmp_path / "dh.md").write_text("mine")
+    with pytest.raises(FileError, match="exists already"):
+        write_dh(dh_tables(ur3), tmp_path / "dh.md")
+    assert (tmp_path / "dh.md").read_text() == "mine"
+    assert write_dh(dh_tables(ur3), tmp_path / "dh.md", overwrite=True).read_text()[:4] == "# DH"
+
+
+def test_rows_that_do_not_hold_the_robot(ur3):
+    tables: DHTables = dh_tables(ur3)
+    wanted = "x.csv: the rows in the convention 'standard' put the tip up to .* so nothing is writt"
+    with pytest.raises(ModelError, match=wanted):
+        tables.check(None, dh_rows(moved(ur3)), "x.csv")
+    with pytest.raises(ModelError, match="Choose the convention 'hayati'"):
+        tables.check(dh_rows(moved(ur3)), tables.after, "x.csv")
