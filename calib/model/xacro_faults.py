@@ -12,10 +12,11 @@ from xml.parsers import expat
 
 from calib.model.ros_packages import where_packages_are
 
-__all__ = ["PackageMissing", "fault_text", "short_name"]
+__all__ = ["PackageMissing", "fault_text", "heard", "short_name"]
 
-_EXPRESSION = re.compile(r"when evaluating expression '(.*)'$", re.MULTILINE)
+_EXPRESSION = re.compile(r"when evaluating expression '(.*)' *$", re.MULTILINE)
 _UNKNOWN_MACRO = re.compile(r"unknown macro name: xacro:(\S+)")
+_CONDITION = re.compile(r'Xacro conditional "(.*?)" evaluated')
 _BYTES = 10_000_000
 
 
@@ -25,7 +26,7 @@ class PackageMissing(LookupError):
 
 @dataclass(frozen=True, slots=True)
 class _Fault:
-    """What is wrong, and the texts of which one stands where it is."""
+    """What is wrong, and the texts of which one stands where it is, whole words each."""
 
     text: str
     needles: tuple[str, ...] = ()
@@ -37,7 +38,7 @@ def short_name(path: Path) -> str:
     return stem if stem.lower().endswith(".urdf") else f"{stem}.urdf"
 
 
-def fault_text(xacro: Any, error: Exception, path: Path, missing: str, said: str) -> str:  # noqa: ANN401
+def fault_text(xacro: Any, error: Exception, path: Path, missing: str) -> str:  # noqa: ANN401
     """The message for an error that xacro raised.
 
     Args:
@@ -45,12 +46,13 @@ def fault_text(xacro: Any, error: Exception, path: Path, missing: str, said: str
         error: What it raised.
         path: The file that was to be flattened.
         missing: Name of an argument that was wanted and has no value, or empty.
-        said: What xacro printed before.
     """
     files = [Path(str(f)) for f in getattr(xacro, "filestack", None) or [] if f] or [path]
     macros = list(getattr(xacro, "macrostack", None) or [])
     sources = [files[-1], *(Path(str(m.history[-1][-1])) for m in reversed(macros) if m.history)]
-    fault = _fault(error, path, missing)
+    names = [m.body.getAttribute("name") for m in macros if m.body is not None]
+    calls = tuple(f"<xacro:{name}" for name in names[-1:])
+    fault = _fault(error, path, missing, calls)
     place, known = files[-1].name, False
     for source in dict.fromkeys(sources):
         line = _line(source, fault.needles)
@@ -58,17 +60,21 @@ def fault_text(xacro: Any, error: Exception, path: Path, missing: str, said: str
             place, known = f"{source.name}, line {line}", True
     if isinstance(error, expat.ExpatError):
         place = f"{files[-1].name}, line {error.lineno}, column {error.offset + 1}"
-    names = [m.body.getAttribute("name") for m in macros if m.body is not None]
     inside = f" (in macro '{names[-1]}')" if names else ""
     above = "" if files[-1] == path else f", included by {path.name}"
-    heard = " ".join(said.split())
-    return f"{place}{above}{inside}: {fault.text}" + (f" xacro also says: {heard}" if heard else "")
+    return f"{place}{above}{inside}: {fault.text}"
 
 
-def _fault(error: Exception, path: Path, missing: str) -> _Fault:
-    """What is wrong, by the errors that lie under xacro's own."""
+def heard(said: str) -> str:
+    """What xacro printed, as the last sentence of a message; empty if it printed nothing."""
+    text = " ".join(said.split())
+    return f" xacro also says: {text}" if text else ""
+
+
+def _fault(error: Exception, path: Path, missing: str, calls: tuple[str, ...]) -> _Fault:
+    """What is wrong, by the errors that lie under xacro's own; ``calls`` is how the macro is called."""
     under = list(_under(error))
-    text = " ".join(str(error).split())
+    text = _innermost(error)
     expressions = tuple(f"${{{found}}}" for found in _EXPRESSION.findall(str(error)))
     for one in under:
         if isinstance(one, PackageMissing):
@@ -94,7 +100,11 @@ def _fault(error: Exception, path: Path, missing: str) -> _Fault:
             f"there is no macro '{macro[1]}'; include the file that defines it before, or mend the name.",
             (f"<xacro:{macro[1]}",),
         )
-    return _Fault(f"{text or type(error).__name__}; mend the xacro there.", expressions)
+    condition = _CONDITION.search(text)
+    if condition is not None:
+        return _Fault(f"{text}; write true or false there.", (f'value="{condition[1]}"',))
+    where = f" in the expression {expressions[0]}" if expressions else ""
+    return _Fault(f"{text}{where}; mend the xacro there.", expressions or calls)
 
 
 def _missing_package(name: str, path: Path) -> _Fault:
@@ -116,6 +126,16 @@ def _missing_file(error: OSError, expressions: tuple[str, ...]) -> _Fault:
     )
 
 
+def _innermost(error: BaseException) -> str:
+    """What the error says that xacro wrapped, on one line."""
+    while isinstance(getattr(error, "exc", None), BaseException):
+        error = error.exc  # type: ignore[attr-defined]
+    text = _EXPRESSION.sub("", str(error))
+    if isinstance(error, KeyError):
+        text = f"there is no {text}"
+    return " ".join(text.split()).rstrip(".") or type(error).__name__
+
+
 def _under(error: BaseException) -> Iterator[BaseException]:
     """The error, and those that xacro wrapped in it."""
     seen: set[int] = set()
@@ -134,7 +154,8 @@ def _line(file: Path, needles: tuple[str, ...]) -> int:
         with file.open("rb") as opened:
             lines = opened.read(_BYTES).decode("utf-8", "replace").splitlines()
         for needle in needles:
-            found = [number for number, line in enumerate(lines, start=1) if needle in line]
+            word = re.compile(re.escape(needle) + (r"(?![\w.])" if needle[-1:].isalnum() else ""))
+            found = [number for number, line in enumerate(lines, start=1) if word.search(line)]
             if found:
                 return found[0] if len(found) == 1 else 0
     return 0

@@ -25,7 +25,7 @@ from calib.model.files import read_bytes
 from calib.model.ros_packages import find_package
 from calib.model.urdf import LIMIT_BYTES, Urdf
 from calib.model.urdf_joints import did_you_mean
-from calib.model.xacro_faults import PackageMissing, fault_text, short_name
+from calib.model.xacro_faults import PackageMissing, fault_text, heard, short_name
 
 __all__ = ["XacroCall", "is_xacro", "read_xacro"]
 
@@ -126,13 +126,13 @@ def read_xacro(source: str | os.PathLike[str]) -> Urdf:
     """
     call = XacroCall.parse(source)
     read_bytes(call.path, "xacro file", LIMIT_BYTES)
-    data = _flattened(call)
+    data, said = _flattened(call)
     try:
         return Urdf.from_bytes(data, call.name, call.path)
     except UrdfError as error:
         message = (
-            f"{error}. What is meant is the flattened text, which `xacro {call.name}` prints; mend the xacro that it "
-            "comes from."
+            f"{str(error).rstrip('.')}. This is about the flattened text, which `xacro {call.name}` prints; mend what "
+            f"it comes from.{said}"
         )
         raise UrdfError(message) from error
 
@@ -158,8 +158,8 @@ class _Arguments(dict[str, str]):
         return super().__getitem__(name)
 
 
-def _flattened(call: XacroCall) -> bytes:
-    """The flattened text."""
+def _flattened(call: XacroCall) -> tuple[bytes, str]:
+    """The flattened text, and a sentence with what xacro printed: for a message, should the text be no URDF."""
     arguments = _Arguments(call.arguments)
     said = io.StringIO()
     with _ONE_AT_A_TIME, _alone(call) as xacro, _unheard(said):
@@ -170,7 +170,8 @@ def _flattened(call: XacroCall) -> bytes:
             data = str(text).encode()
         except Exception as error:
             # Anything: a xacro holds expressions of Python.
-            message = fault_text(xacro, error, call.path, arguments.missing, said.getvalue())
+            message = fault_text(xacro, error, call.path, arguments.missing)
+            message += heard(said.getvalue())
             raise UrdfError(message) from error
     for name, _ in call.arguments:
         if name not in arguments.asked:
@@ -178,7 +179,7 @@ def _flattened(call: XacroCall) -> bytes:
             has = f"Its arguments: {known}" if known else "It has none"
             message = f"{call.path.name} has no argument '{name}'{did_you_mean(name, arguments.asked)}. {has}."
             raise UrdfError(message)
-    return data
+    return data, heard(said.getvalue())
 
 
 @contextlib.contextmanager
