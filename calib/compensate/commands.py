@@ -28,6 +28,7 @@ from calib.compensate.pair import Pair
 from calib.compensate.program import Program
 from calib.compensate.starts import Starts, following, near, start_values
 from calib.errors import ModelError, choices
+from calib.identify.certainty import Certainty
 from calib.measure.ranges import column_limits
 from calib.model.robot import Robot, read_only, rigid_inverse
 
@@ -61,6 +62,9 @@ class Commands:
         missed: shape (N, 2), how far the true robot would miss at ``q_nominal``, as the calibrated model predicts:
             position [m], angle [rad]. Of the position alone the angle is NaN.
         left: shape (N, 2), how far it misses at ``q`` [m], [rad]: what cannot be reached.
+        std: shape (N, 2), how sure it is where the true robot arrives, as far as the covariance of the geometry knows:
+            position [m], angle [rad]. NaN where nothing is known, as of two robots without a result.
+        certainty: How far to trust the result; None where nothing is known of that.
         reasons: Why a row has no command; empty where it has one.
         warnings: For each row what to know of its command; mostly nothing.
     """
@@ -77,6 +81,8 @@ class Commands:
     T_send: Array
     missed: Array
     left: Array
+    std: Array
+    certainty: Certainty | None
     reasons: tuple[str, ...]
     warnings: tuple[tuple[str, ...], ...]
 
@@ -182,6 +188,8 @@ def commands(
         T_send=_where(found.reached, T_send),
         missed=_where(found.nominal_reaches, found.missed),
         left=read_only(found.left),
+        std=_where(found.reached, pair.std(solved.q)),
+        certainty=pair.certainty,
         reasons=found.reasons,
         warnings=found.warnings,
     )

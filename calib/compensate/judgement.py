@@ -81,22 +81,24 @@ def judged(
     turned = _other_branch(matching.jacobian(twists_before), matching.jacobian(solved.twists))
     amplified = _amplification(pair, matching, solved)
     moved = _corrections(pair, starts, solved)
-    reasons = []
-    warnings = []
-    for i in range(len(solved.q)):
-        reasons.append(_reason(left[i], limits[i], far=bool(far[i]), turned=bool(turned[i])))
-        warnings.append(
-            ()
-            if reasons[-1]
-            else _warnings(amplified[i], moved[i], limit, nominal_reaches=bool(nominal_reaches[i]))
+    outside = _outside(pair, solved.q)
+    reasons = tuple(
+        _reason(one, passed, far=bool(f), turned=bool(t))
+        for one, passed, f, t in zip(left, limits, far, turned, strict=True)
+    )
+    warnings = tuple(
+        () if reason else _warnings(a, m, limit, o, nominal_reaches=bool(n))
+        for reason, a, m, o, n in zip(
+            reasons, amplified, moved, outside, nominal_reaches, strict=True
         )
+    )
     return Judged(
         reached=np.array([not reason for reason in reasons]),
         nominal_reaches=nominal_reaches,
         missed=missed,
         left=left,
-        reasons=tuple(reasons),
-        warnings=tuple(warnings),
+        reasons=reasons,
+        warnings=warnings,
     )
 
 
@@ -154,11 +156,24 @@ def _corrections(pair: Pair, starts: Starts, solved: Solved) -> Array:
     return Matching("pose", 1.0).misses(after, before)
 
 
+def _outside(pair: Pair, q: Array) -> list[str]:
+    """For each row the joints outside of the range that was measured, in words; nothing where none is."""
+    said = [""] * len(q)
+    if pair.certainty is not None:
+        for row in pair.certainty.outside(pair.believed.robot, q):
+            joints = ", ".join(map(str, row.beyond))
+            said[row.index] = f"outside the joint range that was measured: {joints}"
+    return said
+
+
 def _reason(left: Array, limit_passed: str, *, far: bool, turned: bool) -> str:
     """Why there is no command; nothing if there is one."""
     if far:
         angle = "" if np.isnan(left[1]) else f" and {np.degrees(left[1]):.4f} deg"
-        return f"out of reach: {1e3 * left[0]:.4f} mm{angle} would be left"
+        where = "at the edge of its reach or in a singularity"
+        return (
+            f"the true robot cannot reach it: {1e3 * left[0]:.4f} mm{angle} would be left, {where}"
+        )
     if limit_passed:
         return limit_passed
     if turned:
@@ -170,6 +185,7 @@ def _warnings(
     amplified: float,
     moved: Array,
     limit: tuple[float, float],
+    outside: str,
     *,
     nominal_reaches: bool,
 ) -> tuple[str, ...]:
@@ -187,4 +203,6 @@ def _warnings(
         )
     if not nominal_reaches:
         said.append("the nominal robot cannot reach the pose itself")
+    if outside:
+        said.append(outside)
     return tuple(said)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.compensate.arm import Arm
 from calib.errors import ModelError, choices
+from calib.identify.certainty import Certainty
 from calib.identify.evaluation import Known
 from calib.identify.result import Calibration
 from calib.identify.result_file import plain, result_table, stored_result
@@ -30,11 +31,15 @@ class Pair:
         believed: The nominal model, with the tool where it is believed to be.
         true: The calibrated model, with the tool where it is.
         T_frame_base: shape (4, 4), the base in the frame that poses are given and sent in [m].
+        target: Name of the target that the tool is; None where it is none.
+        certainty: How far to trust the result; None where nothing is known of that.
     """
 
     believed: Arm
     true: Arm
     T_frame_base: Array
+    target: str | None = None
+    certainty: Certainty | None = None
 
     @classmethod
     def of(
@@ -113,15 +118,16 @@ class Pair:
         model = stored.larger if larger else None
         known = stored.known if model is None else model.known
         T_true = T_believed = np.eye(4)
+        target = None
         if isinstance(tool, str):
-            T_true = _named(known.targets, tool, "target")
+            target = _name(known.targets, tool, "target")
             of_nominal: Known = stored.nominal_known or known
-            T_believed = _named(of_nominal.targets, tool, "target")
+            T_true, T_believed = known.targets[target], of_nominal.targets[target]
         elif tool is not None:
             T_true = T_believed = _pose(tool, "tool")
         T_frame_base = np.eye(4)
         if isinstance(frame, str):
-            T_frame_base = _named(known.frames, frame, "set-up")
+            T_frame_base = known.frames[_name(known.frames, frame, "set-up")]
         elif frame is not None:
             T_frame_base = _pose(frame, "frame")
         true = (
@@ -129,19 +135,37 @@ class Pair:
             if model is None
             else Arm.of_larger(model, believed, T_true, payload)
         )
-        return cls(Arm.of_robot(believed, T_believed), true, read_only(T_frame_base))
+        return cls(
+            Arm.of_robot(believed, T_believed),
+            true,
+            read_only(T_frame_base),
+            target=target,
+            certainty=stored.certainty,
+        )
+
+    def std(self, q: Array) -> Array:
+        """How sure it is where the true robot puts the tool, shape (N, 2), [m], [rad]; NaN where nothing is known.
+
+        Args:
+            q: shape (N, m), joint values [rad] or [m].
+        """
+        if self.certainty is None:
+            return np.full((len(q), 2), np.nan)
+        return self.certainty.pose_std(
+            self.believed.robot, q, self.true.T_tip_tool, target=self.target
+        )
 
 
-def _named(poses: Mapping[str, Array], name: str, what: str) -> Array:
-    """The pose of that name, or the only one there is for the empty name.
+def _name(poses: Mapping[str, Array], name: str, what: str) -> str:
+    """The name that is meant: the only one there is for the empty name.
 
     Raises:
         ModelError: There is none, or a name is wanted.
     """
     if name in poses:
-        return poses[name]
+        return name
     if not name and len(poses) == 1:
-        return next(iter(poses.values()))
+        return next(iter(poses))
     message = f"The calibration has no {what} '{name}'; it has {choices(poses)}."
     if not name:
         message = f"The calibration has {len(poses)} {what}s: {choices(poses)}. Name one of them."

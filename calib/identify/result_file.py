@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.errors import CalibError, FileError
+from calib.identify.certainty import Certainty, certainty_of
 from calib.identify.evaluation import Known
 from calib.identify.result import Calibration
 from calib.identify.result_tables import SCHEMA, evaluation_table, result_table
@@ -119,7 +120,16 @@ def _stored(table: Mapping[str, Any]) -> StoredResult:
         origins=_origins(robot["origins"]),
         nominal_origins=_origins(robot["nominal_origins"]),
         larger=None if larger is None else _larger(larger, table["model"]["ties"]),
+        certainty=_certainty(table),
     )
+
+
+def _certainty(table: Mapping[str, Any]) -> Certainty | None:
+    """How far to trust a result; None where it was written before results said so, or with numbers missing."""
+    try:
+        return certainty_of(table)
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def _larger(larger: Mapping[str, Any], ties: Any) -> StoredLarger:  # noqa: ANN401  JSON values are of any kind

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
+from calib.identify.certainty import Certainty
 from calib.identify.evaluation import Evaluation, Known, evaluation_at
 from calib.identify.registration import register_poses
 from calib.identify.table_rows import rows_of
@@ -97,6 +98,7 @@ class StoredResult:
         origins: Corrected ``<origin>`` of each joint that carries a placement of the chain, shape (4, 4), [m].
         nominal_origins: The same of the nominal robot.
         larger: The larger model; None where there is none.
+        certainty: How far to trust it; None in a file that does not say.
     """
 
     base: str
@@ -107,6 +109,7 @@ class StoredResult:
     origins: Mapping[str, Array]
     nominal_origins: Mapping[str, Array]
     larger: StoredLarger | None
+    certainty: Certainty | None = None
 
     @property
     def T_frame_base(self) -> Array:
