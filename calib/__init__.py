@@ -15,6 +15,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from calib.compensate.commands import Commands, commands
+    from calib.compensate.program import Program
     from calib.errors import CalibError
     from calib.identify.calibration import Calibration, calibrate
     from calib.identify.comparison import Comparison, compare
@@ -43,6 +45,7 @@ __all__ = [
     "CalibError",
     "Calibration",
     "Cell",
+    "Commands",
     "Comparison",
     "Density",
     "Evaluation",
@@ -51,6 +54,7 @@ __all__ = [
     "Payload",
     "Plan",
     "Priors",
+    "Program",
     "Reflector",
     "Region",
     "Robot",
@@ -63,6 +67,7 @@ __all__ = [
     "Trials",
     "bootstrap",
     "calibrate",
+    "commands",
     "compare",
     "evaluate",
     "forecast",
@@ -81,6 +86,7 @@ _MODULES = {
     "CalibError": "calib.errors",
     "Calibration": "calib.identify.calibration",
     "Cell": "calib.measure.cell",
+    "Commands": "calib.compensate.commands",
     "Comparison": "calib.identify.comparison",
     "Density": "calib.measure.workspace",
     "Evaluation": "calib.identify.evaluation",
@@ -89,6 +95,7 @@ _MODULES = {
     "Payload": "calib.model.torques",
     "Plan": "calib.identify.plan",
     "Priors": "calib.measure.cell",
+    "Program": "calib.compensate.program",
     "Reflector": "calib.measure.surroundings",
     "Region": "calib.measure.region",
     "Robot": "calib.model.robot",
@@ -101,6 +108,7 @@ _MODULES = {
     "Trials": "calib.identify.study",
     "bootstrap": "calib.identify.uncertainty",
     "calibrate": "calib.identify.calibration",
+    "commands": "calib.compensate.commands",
     "compare": "calib.identify.comparison",
     "evaluate": "calib.identify.evaluation",
     "forecast": "calib.identify.foresight",

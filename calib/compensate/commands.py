@@ -16,7 +16,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,13 +28,11 @@ from calib.compensate.program import Program
 from calib.compensate.starts import Starts, following, near, start_values
 from calib.errors import ModelError, choices
 from calib.identify.certainty import Certainty
+from calib.identify.result import Calibration
+from calib.identify.stored import StoredResult
 from calib.measure.ranges import column_limits
 from calib.model.robot import Robot, read_only, rigid_inverse
-
-if TYPE_CHECKING:
-    from calib.identify.result import Calibration
-    from calib.identify.stored import StoredResult
-    from calib.model.torques import Payload
+from calib.model.torques import Payload
 
 __all__ = ["MATCHES", "Commands", "commands"]
 

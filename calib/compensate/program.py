@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError
-from calib.model.robot import read_only
-
-if TYPE_CHECKING:
-    from calib.model.robot import Robot
+from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
