@@ -1,4 +1,11 @@
-"""Universal Robots' own files into robots and back: ``calibration.conf`` and ``kinematics.yaml``."""
+"""Universal Robots' own files into robots and back: ``calibration.conf`` and ``kinematics.yaml``.
+
+    calibration.conf  ->  nominal rows + deltas  ->  placements  ->  frames near their nominal places  ->  Robot
+    kinematics.yaml   ->  placements  ->  Robot
+
+and back, whichever frames the robot's URDF uses, because its nominal kinematics are recognised. What a file has no
+place for is returned and said, never dropped in silence.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +16,34 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.compensate.ur_models import UrModel
-from calib.model.robot import Robot
+from calib.compensate.ur_conf import (
+    other_keys,
+    read_deltas,
+    read_nominal,
+    update_deltas,
+    write_deltas,
+)
+from calib.compensate.ur_dh import FullDH, at_flange, chain_poses, fitted_rows, kinematics_hash
+from calib.compensate.ur_findings import (
+    base_remark,
+    checked_distance,
+    distance_from,
+    joint_values,
+    odd,
+    same,
+    tidy,
+    tool_remark,
+)
+from calib.compensate.ur_models import MODELS, UrModel, the_mount, ur_model, ur_robot, with_chain
+from calib.compensate.ur_yaml import check_hash, read_yaml, write_yaml
+from calib.errors import FileError, ModelError, choices
+from calib.model.anchoring import anchored_placements, check_same_joints
+from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
+
+#: Written rows may differ from the robot by this [m and rad].
+_EXACT, _USELESS = 1e-9, 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,12 +73,14 @@ class UrWritten:
 
     Attributes:
         path: The file.
+        model: Which arm it is.
         T_base: shape (4, 4), [m]: a displacement of the base that the file cannot hold; the identity if there is none.
         T_tool: shape (4, 4), [m]: the same of the flange, behind the last joint.
-        remarks: What to tell the user about both and about what to do next, sentence by sentence.
+        remarks: What to tell the user about these and about the file, sentence by sentence; none if it holds all.
     """
 
     path: Path
+    model: UrModel
     T_base: Array
     T_tool: Array
     remarks: tuple[str, ...]
@@ -72,7 +105,15 @@ def read_ur_conf(
         FileError: A file cannot be read, or its numbers are not those of a calibration of this arm.
         ModelError: The model is not known, or is not that of the robot, or is not given.
     """
-    raise NotImplementedError
+    arm = _arm(path, urcontrol, model, robot)
+    nominal = ur_robot(arm) if robot is None else robot
+    _, mounted = the_mount(nominal, arm)
+    rows = _rows(path, arm)
+    moved = checked_distance(path, rows.chain(), arm)
+    raw = mounted.placements_of(rows.chain(), nominal)
+    placements = anchored_placements(raw, nominal.placements, nominal.joints)
+    calibrated = nominal.with_placements(placements)
+    return UrSource(nominal, calibrated, kinematics_hash(rows), arm, odd(path, moved, arm))
 
 
 def read_ur_yaml(
@@ -83,14 +124,37 @@ def read_ur_yaml(
     Args:
         path: The file.
         model: Name of the arm, such as ``"UR5e"``; default: what the robot is recognised as, or else the arm that the
-            file's lengths are nearest to.
+            file's kinematics are nearest to.
         robot: The nominal robot whose URDF is corrected; default: a bare one, see `ur_robot`.
 
     Raises:
         FileError: The file cannot be read, or its numbers are not those of a calibration of this arm.
         ModelError: The model is not known, or is not that of the robot.
     """
-    raise NotImplementedError
+    given = None if model is None else ur_model(model)
+    content = read_yaml(path)
+    remarks: tuple[str, ...] = ()
+    if robot is not None:
+        arm, _ = the_mount(robot, given)
+    elif given is not None:
+        arm = given
+    else:
+        arm = min(MODELS, key=lambda one: distance_from(content.chain, one))
+        names = [one.name for one in MODELS if same(one.nominal, arm.nominal)]
+        remarks = (
+            f"{path} does not say of which arm it is; its kinematics are those of the {' or '.join(names)}.",
+        )
+    nominal = ur_robot(arm) if robot is None else robot
+    moved = checked_distance(path, content.chain, arm)
+    _, mounted = the_mount(nominal, arm)
+    if content.hash is None:
+        remarks += (f"{path} has no hash; the ROS driver wants the robot's own.",)
+    elif content.hash == arm.default_hash:
+        remarks += (
+            f"{path} has the hash of the nominal {arm.name}: it is of no particular robot.",
+        )
+    calibrated = with_chain(nominal, mounted, content.chain)
+    return UrSource(nominal, calibrated, content.hash, arm, remarks + odd(path, moved, arm))
 
 
 def write_ur_yaml(
@@ -98,7 +162,7 @@ def write_ur_yaml(
     nominal: Robot,
     path: str | os.PathLike[str],
     *,
-    hash: str,  # noqa: A002
+    hash: str,
     overwrite: bool = False,
 ) -> UrWritten:
     """Write a robot as the ``kinematics.yaml`` that the ROS driver and Universal Robots' description take.
@@ -110,11 +174,23 @@ def write_ur_yaml(
         hash: The robot's own, see `read_ur_hash`: the driver compares it with what the controller reports.
         overwrite: Whether a file that exists may be replaced.
 
+    Returns:
+        The file, and a displacement of the flange behind the last joint, for which it has no place.
+
     Raises:
-        ModelError: The nominal robot is not a Universal Robots arm.
+        ModelError: The nominal robot is not a Universal Robots arm, or the robot is not the same chain.
         FileError: The file cannot be written, or the hash is none.
     """
-    raise NotImplementedError
+    check_hash(hash)
+    arm, mounted = the_mount(nominal)
+    check_same_joints(robot, nominal)
+    chain = at_flange(mounted.chain_of(robot))
+    T_tool = tidy(chain[6])
+    comments = (
+        f"Kinematics of one Universal Robots {arm.name}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll).",
+    )
+    written = write_yaml(path, chain, hash, comments, overwrite=overwrite)
+    return UrWritten(written, arm, read_only(np.eye(4)), T_tool, tool_remark(written, T_tool))
 
 
 def write_ur_conf(
@@ -133,14 +209,50 @@ def write_ur_conf(
         nominal: The same chain with the arm's nominal kinematics.
         path: File to write.
         update: A ``calibration.conf`` whose other lines are kept; default: the deltas alone.
-        model: Name of the arm, where the nominal robot's kinematics are those of several.
+        model: Name of the arm; default: what the nominal robot is recognised as.
         overwrite: Whether a file that exists may be replaced.
 
+    Returns:
+        The file, and displacements of the base and of the flange, for which standard DH rows have no place.
+
     Raises:
-        ModelError: The nominal robot is not a Universal Robots arm.
+        ModelError: The nominal robot is not a Universal Robots arm, the robot is not the same chain, or no rows in
+            double precision hold it.
         FileError: A file cannot be read or written.
     """
-    raise NotImplementedError
+    arm, mounted = the_mount(nominal, None if model is None else ur_model(model))
+    check_same_joints(robot, nominal)
+    chain = mounted.chain_of(robot)
+    like = None if update is None else arm.nominal + read_deltas(update)
+    fitted = fitted_rows(chain, arm.nominal, like)
+    q = joint_values()
+    made = fitted.T_base @ fitted.rows.poses(q) @ fitted.T_tool
+    missed = float(np.abs(made - chain_poses(chain, q)).max())
+    if missed > _USELESS:
+        message = (
+            f"No DH rows in double precision hold '{robot.name}': they miss it by {missed:.1e} m, because d is "
+            f"{np.abs(fitted.rows.d).max():.2g} m where two axes are almost parallel. Write a kinematics.yaml or a "
+            "URDF, which have no such rows."
+        )
+        raise ModelError(message)
+    remarks: list[str] = []
+    if missed > _EXACT:
+        remarks.append(
+            f"The rows hold the robot to {missed:.1e} m: d is {np.abs(fitted.rows.d).max():.2g} m where two axes are "
+            "almost parallel, and no more digits fit."
+        )
+    if update is None:
+        written = write_deltas(path, fitted.deltas, overwrite=overwrite)
+    else:
+        written = update_deltas(update, path, fitted.deltas, overwrite=overwrite)
+        kept = other_keys(update)
+        if kept:
+            remarks.append(
+                f"{', '.join(kept)} are as in {update}: calib does not know how the controller makes them. Keep a "
+                "copy of the controller's own file."
+            )
+    remarks += [*base_remark(written, fitted.T_base), *tool_remark(written, fitted.T_tool)]
+    return UrWritten(written, arm, fitted.T_base, fitted.T_tool, tuple(remarks))
 
 
 def read_ur_hash(
@@ -148,16 +260,71 @@ def read_ur_hash(
     *,
     urcontrol: str | os.PathLike[str] | None = None,
     model: str | None = None,
+    robot: Robot | None = None,
 ) -> str:
-    """The hash of a robot's own ``kinematics.yaml`` or ``calibration.conf``: what its controller's calibration is called.
+    """The hash of a robot's own ``kinematics.yaml`` or ``calibration.conf``, which its controller reports, too.
 
     Args:
-        path: The file; one that ends in ``.conf`` needs ``urcontrol`` or ``model``.
+        path: The file; one that ends in ``.conf`` needs one of the other three.
         urcontrol: A ``urcontrol.conf`` with the nominal rows.
         model: Name of the arm, such as ``"UR5e"``.
+        robot: The nominal robot.
 
     Raises:
         FileError: The file cannot be read or has no hash.
         ModelError: The model is not known or not given.
     """
-    raise NotImplementedError
+    if Path(path).suffix.lower() == ".conf":
+        arm = _arm(path, urcontrol, model, robot)
+        rows = _rows(path, arm)
+        checked_distance(path, rows.chain(), arm)
+        return kinematics_hash(rows)
+    found = read_yaml(path).hash
+    if found is None:
+        message = f"{path}: there is no 'hash' in it. Give the robot's own kinematics.yaml, or its calibration.conf."
+        raise FileError(message)
+    return found
+
+
+def _arm(
+    path: str | os.PathLike[str],
+    urcontrol: str | os.PathLike[str] | None,
+    model: str | None,
+    robot: Robot | None,
+) -> UrModel:
+    """The arm that a ``calibration.conf`` is of, from what was given beside it.
+
+    Raises:
+        ModelError: Nothing was given, the model is not known, or two of them do not agree.
+    """
+    given = None if model is None else ur_model(model)
+    if urcontrol is not None:
+        rows = read_nominal(urcontrol)
+        named = [one for one in MODELS if same(one.nominal, rows)]
+        if given is not None and given not in named:
+            is_what = (
+                f"those of the {' or '.join(one.name for one in named)}"
+                if named
+                else "no arm's that is known"
+            )
+            message = (
+                f"The rows in [DH] of {urcontrol} are {is_what}, not those of the {given.name}. Leave the name of "
+                "the arm out, or give the urcontrol.conf of this robot's own controller."
+            )
+            raise ModelError(message)
+        name = given.name if given else named[0].name if named else f"arm of {Path(urcontrol).name}"
+        return UrModel(name, rows)
+    if robot is not None:
+        return the_mount(robot, given)[0]
+    if given is None:
+        message = (
+            f"{path}: a calibration.conf has only what is added to the nominal rows. Say of which arm it is "
+            f"({choices((one.name for one in MODELS), limit=40)}), or give its urcontrol.conf or its URDF."
+        )
+        raise ModelError(message)
+    return given
+
+
+def _rows(path: str | os.PathLike[str], arm: UrModel) -> FullDH:
+    """The complete rows: nominal plus the deltas of a ``calibration.conf``."""
+    return arm.nominal + read_deltas(path)

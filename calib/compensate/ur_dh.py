@@ -31,6 +31,9 @@ _PARALLEL = 1e-8
 #: A displacement below this is rounding [m and rad].
 ROUNDING = 1e-12
 
+#: A value this near to the one that it replaces is that one [m, rad]: what went through a robot comes back unchanged.
+_SAME = np.array([1e-15, 1e-13, 1e-13, 1e-15])
+
 _MASK = (1 << 64) - 1
 _MULTIPLIER = 0xC6A4A7935BD1E995
 _SEED = 0xC70F6907
@@ -145,6 +148,7 @@ def fitted_rows(chain: Array, nominal: FullDH, like: FullDH | None = None) -> Fi
             np.array([getattr(rows, name)[i] for name in COLUMNS]) for rows in (nominal, like)
         )
         row = _row_to(local, wished) if i < 5 else _last_row(local, wished)
+        row = np.where(np.abs(row - wished) < _SAME, wished, row)
         deltas[i] = row - own
         theta, a, d, alpha = own + deltas[i]
         F = F @ _z(theta, d)[0] @ _x(alpha, a)
@@ -153,6 +157,32 @@ def fitted_rows(chain: Array, nominal: FullDH, like: FullDH | None = None) -> Fi
         T_tool = np.eye(4)
     offsets = FullDH(*deltas.T)
     return Fitted(offsets, nominal + offsets, read_only(T_base), read_only(T_tool))
+
+
+def chain_poses(chain: Array, q: ArrayLike) -> Array:
+    """The flange in the controller's base, from placements.
+
+    Args:
+        chain: shape (7, 4, 4), [m], see the module's text.
+        q: shape (N, 6) or (6,), [rad].
+
+    Returns:
+        shape (N, 4, 4), [m].
+    """
+    values = np.reshape(np.asarray(q, dtype=np.float64), (-1, 6))
+    T = np.tile(np.eye(4), (len(values), 1, 1))
+    for i in range(6):
+        T = T @ chain[i] @ _z(values[:, i], 0.0)
+    return np.asarray(T @ chain[6])
+
+
+def at_flange(chain: Array) -> Array:
+    """The same chain with joint 6 slid along and turned about its axis to stand nearest to the flange."""
+    result = np.array(chain)
+    R = result[6]
+    G = _z(np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]), R[2, 3])[0]
+    result[5], result[6] = result[5] @ G, rigid_inverse(G) @ result[6]
+    return read_only(result)
 
 
 def kinematics_hash(rows: FullDH) -> str:

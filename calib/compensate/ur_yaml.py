@@ -63,24 +63,7 @@ def read_yaml(path: str | os.PathLike[str]) -> UrYaml:
         FileError: The file cannot be read, is no YAML, lacks a link or a number, has a key twice, or numbers that are
             no metres and radians.
     """
-    data = read_bytes(path, "kinematics.yaml", _LIMIT_BYTES)
-    try:
-        root = yaml.compose(data.decode("utf-8-sig"), Loader=yaml.SafeLoader)
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        message = f"{path}: this is not a YAML file: {reason}. A kinematics.yaml of the ROS driver is wanted."
-        raise FileError(message) from error
-    top = _mapping(path, root, "the file")
-    if "kinematics" not in top:
-        message = (
-            f"{path}: there is no 'kinematics' in it{did_you_mean('kinematics', top)}, its keys are {choices(top)}. "
-            "Give the kinematics.yaml of the ROS driver (ur_calibration), or one that calib wrote."
-        )
-        raise FileError(message)
-    links = _mapping(path, top["kinematics"], "kinematics")
-    _check_present(path, "kinematics", links, LINKS)
-    chain = [_placement(path, link, links[link]) for link in LINKS]
-    return UrYaml(read_only([*chain, np.eye(4)]), _hash(path, links.get("hash")))
+    return _parsed(path, read_bytes(path, "kinematics.yaml", _LIMIT_BYTES))
 
 
 def write_yaml(
@@ -112,7 +95,15 @@ def write_yaml(
         for key, value in zip((*LENGTHS, *ANGLES), values, strict=True):
             lines.append(f"    {key}: {_number(value)}")
     lines += [f"  hash: {hash}", ""]
-    return write_atomically(path, "\n".join(lines).encode(), overwrite=overwrite)
+    data = "\n".join(lines).encode()
+    again = _parsed(path, data).chain[:6]
+    if np.abs(again - chain[:6]).max() > 1e-12:
+        message = (
+            f"{path}: read back, the kinematics differ by {np.abs(again - chain[:6]).max():.1e} from those to be "
+            "written, so it is not written. Please report this with the robot."
+        )
+        raise FileError(message)
+    return write_atomically(path, data, overwrite=overwrite)
 
 
 def check_hash(hash: str) -> None:
@@ -127,6 +118,27 @@ def check_hash(hash: str) -> None:
             "from the robot's own kinematics.yaml or calibration.conf."
         )
         raise FileError(message)
+
+
+def _parsed(path: str | os.PathLike[str], data: bytes) -> UrYaml:
+    """What the bytes of a file say."""
+    try:
+        root = yaml.compose(data.decode("utf-8-sig"), Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        message = f"{path}: this is not a YAML file: {reason}. A kinematics.yaml of the ROS driver is wanted."
+        raise FileError(message) from error
+    top = _mapping(path, root, "the file")
+    if "kinematics" not in top:
+        message = (
+            f"{path}: there is no 'kinematics' in it{did_you_mean('kinematics', top)}, its keys are {choices(top)}. "
+            "Give the kinematics.yaml of the ROS driver (ur_calibration), or one that calib wrote."
+        )
+        raise FileError(message)
+    links = _mapping(path, top["kinematics"], "kinematics")
+    _check_present(path, "kinematics", links, LINKS)
+    chain = [_placement(path, link, links[link]) for link in LINKS]
+    return UrYaml(read_only([*chain, np.eye(4)]), _hash(path, links.get("hash")))
 
 
 def _number(value: float) -> str:

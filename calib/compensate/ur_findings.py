@@ -1,0 +1,100 @@
+"""What is to be said of an arm's calibration: how far it moves the flange, and what a file has no place for."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib.compensate.ur_dh import COLUMNS, ROUNDING, FullDH, chain_poses
+from calib.compensate.ur_models import TOLERANCE, UrModel
+from calib.errors import FileError
+from calib.model.robot import read_only
+
+Array = NDArray[np.float64]
+
+#: No calibration moves a flange further than the one [m], the file is of another type of arm; the other is odd.
+FARTHEST, ODD = 0.2, 0.02
+
+#: Sets of joint values that are compared, and the seed that they are drawn with: the same every time.
+_POSES, _SEED = 200, 20170401
+
+
+def same(rows: FullDH, others: FullDH) -> bool:
+    """Whether two sets of rows are those of one type of arm."""
+    return all(
+        np.abs(getattr(rows, name) - getattr(others, name)).max() < TOLERANCE for name in COLUMNS
+    )
+
+
+def joint_values() -> Array:
+    """Joint values within one turn, shape (200, 6), [rad], the same every time."""
+    return np.random.default_rng(_SEED).uniform(-np.pi, np.pi, (_POSES, 6))
+
+
+def distance_from(chain: Array, arm: UrModel) -> float:
+    """How far the flange lies from that of the nominal arm, at most [m]."""
+    q = joint_values()
+    moved = chain_poses(chain, q)[:, :3, 3] - arm.nominal.poses(q)[:, :3, 3]
+    return float(np.linalg.norm(moved, axis=1).max())
+
+
+def checked_distance(path: str | os.PathLike[str], chain: Array, arm: UrModel) -> float:
+    """How far the calibration moves the flange [m].
+
+    Raises:
+        FileError: So far that it is of another type of arm.
+    """
+    moved = distance_from(chain, arm)
+    if moved > FARTHEST:
+        message = (
+            f"{path}: these kinematics put the flange up to {moved:.2f} m from where that of a nominal {arm.name} is; "
+            f"a calibration moves it by millimetres. Check that the file is of a {arm.name}, in metres and radians."
+        )
+        raise FileError(message)
+    return moved
+
+
+def odd(path: str | os.PathLike[str], moved: float, arm: UrModel) -> tuple[str, ...]:
+    """A sentence about a calibration that moves the flange further than one does."""
+    if moved < ODD:
+        return ()
+    return (
+        f"{path} moves the flange by up to {1e3 * moved:.0f} mm from the nominal {arm.name}, more than calibrations "
+        "do: check that it is of this arm.",
+    )
+
+
+def tidy(T: Array) -> Array:
+    """A displacement, the identity where it is rounding."""
+    return read_only(np.eye(4) if np.abs(T - np.eye(4)).max() < ROUNDING else T)
+
+
+def base_remark(path: Path, T: Array) -> tuple[str, ...]:
+    """What to do with a displacement of the base."""
+    if not (T - np.eye(4)).any():
+        return ()
+    return (
+        f"Not in {path}: the first axis lies {_displacement(T)} from where the base has it, and DH rows begin on it. "
+        "To put this right move the frame that poses are given in by as much.",
+    )
+
+
+def tool_remark(path: Path, T: Array) -> tuple[str, ...]:
+    """What to do with a displacement of the flange."""
+    if not (T - np.eye(4)).any():
+        return ()
+    return (
+        f"Not in {path}: the flange lies {_displacement(T)} from where the last joint has it, and there is no place "
+        "for that behind the joint. To put this right add it to the tool: T_flange_tcp becomes T_tool T_flange_tcp.",
+    )
+
+
+def _displacement(T: Array) -> str:
+    """A small displacement in words: x, y, z in mm and the rotation vector in mrad."""
+    shift = ", ".join(f"{1e3 * value:.4f}" for value in T[:3, 3])
+    turn = ", ".join(f"{1e3 * value:.4f}" for value in pin.log3(T[:3, :3]))
+    return f"({shift}) mm and ({turn}) mrad"
