@@ -14,6 +14,7 @@ import typer
 
 from calib.cli.base_frame import base_frame
 from calib.cli.compare import compare
+from calib.cli.compensate import compensate
 from calib.cli.demo import demo
 from calib.cli.evaluate import evaluate
 from calib.cli.fit import fit
@@ -36,6 +37,7 @@ app.command()(demo)
 app.command()(fit)
 app.command()(evaluate)
 app.command()(compare)
+app.command()(compensate)
 app.command()(inspect)
 app.command()(base_frame)
 app.command()(plan)

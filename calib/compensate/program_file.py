@@ -93,7 +93,7 @@ def read_program(
         labels=labels,
         q=values.joints[:, :m] if m else None,
         T_wanted=poses,
-        oriented=bool(found.form),
+        oriented=bool(found.form) or not found.points,
         kept=kept,
         source=table.source,
     )

@@ -88,6 +88,7 @@ def test_the_paper_s_table_is_points_with_joint_values_to_start_at(ur3: Robot):
 def test_given_joints_leaves_poses_out_and_given_poses_keeps_both(ur3: Robot):
     joints = Program.read(paper_measurements(), ur3, given="joints")
     assert joints.T_wanted is None
+    assert joints.oriented
     assert [label for label, _ in joints.kept] == ["row", "set"]
     both = Program.read(paper_measurements(), ur3, given="poses")
     assert both.q == pytest.approx(joints.q)
