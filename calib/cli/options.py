@@ -53,7 +53,9 @@ class PriorSizes(str, Enum):
 RobotFile = Annotated[
     str,
     typer.Argument(
-        metavar="ROBOT", help="URDF file, or a robot of example-robot-data such as 'ur3'."
+        metavar="ROBOT",
+        help="URDF or xacro file, a xacro's arguments behind it in the same quotes; or a robot of example-robot-data, "
+        "such as 'ur3'.",
     ),
 ]
 DataFile = Annotated[

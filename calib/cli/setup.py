@@ -113,6 +113,8 @@ def check_outputs(
     Raises:
         FileError: An output cannot be written.
     """
+    from calib.model.files import check_no_xacro
+
     wanted = [path for path in outputs if path is not None]
     taken = {Path(path).resolve(): "an input" for path in inputs}
     for path in wanted:
@@ -121,6 +123,7 @@ def check_outputs(
             message = f"{path} is also {taken[resolved]} of this command; choose another name."
             raise FileError(message)
         taken[resolved] = "another output"
+        check_no_xacro(path)
         if path.is_dir():
             message = f"{path} is a folder; name a file inside it."
             raise FileError(message)

@@ -118,13 +118,20 @@ def _robots(
 
 def _names(first: Robot, sources: Sources) -> Names:
     """What the robots are called, and what that means."""
-    given = Path(sources.robot).name
+    given = _file_name(sources.robot)
     if sources.other is not None:
-        return ("Nominal", given), ("Calibrated", Path(sources.other).name)
+        return ("Nominal", given), ("Calibrated", _file_name(sources.other))
     if sources.calibration is not None:
         name = sources.calibration.name
         return ("Nominal", "before the calibration"), ("Calibrated", f"joint origins of {name}")
     return (first.name or "Robot", given), ("", "")
+
+
+def _file_name(source: str) -> str:
+    """A file without its folder; a xacro's with its arguments."""
+    from calib.model.xacro_file import XacroCall, is_xacro
+
+    return XacroCall.parse(source).name if is_xacro(source) else Path(source).name
 
 
 def _known(sources: Sources, known: Known) -> Known:

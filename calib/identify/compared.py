@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import re
 from collections.abc import Mapping
@@ -13,14 +12,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FileError, UrdfError
+from calib.errors import FileError
 from calib.identify.result import Calibration
 from calib.identify.result_file import plain, read_table, result_table, stored_result
 from calib.identify.stored import StoredResult
 from calib.measure.measurements import Measurements
-from calib.model.files import read_bytes
-from calib.model.robot import Robot, find_urdf, read_only
-from calib.model.urdf import LIMIT_BYTES, Urdf
+from calib.model.recorded import recorded_urdf
+from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
@@ -223,17 +221,11 @@ class Compared:
 
 def _found(table: Mapping[str, Any], stored: StoredResult, folder: Path) -> Robot | None:
     """The nominal robot of a result, from a file of the same bytes beside it, here, or of example-robot-data."""
-    name, sha256 = str(table["inputs"]["urdf"]["name"]), table["inputs"]["urdf"]["sha256"]
-    places = [folder / name, Path(name)]
-    with contextlib.suppress(UrdfError, FileError):  # none of that name
-        places.append(find_urdf(Path(name).stem.removesuffix("_robot")))
-    for place in places:
-        # Told by its bytes, before it is read as a URDF: any other file of that name is none of ours.
-        if place.is_file() and place.stat().st_size <= LIMIT_BYTES:
-            data = read_bytes(place, "URDF", LIMIT_BYTES)
-            if hashlib.sha256(data).hexdigest() == sha256:
-                return Robot.from_urdf(Urdf.read(place), stored.base, stored.tip, held=stored.held)
-    return None
+    inputs = table["inputs"]["urdf"]
+    urdf = recorded_urdf(str(inputs["name"]), inputs["sha256"], folder)
+    if urdf is None:
+        return None
+    return Robot.from_urdf(urdf, stored.base, stored.tip, held=stored.held)
 
 
 def _errors(table: Mapping[str, Any]) -> tuple[SetErrors, ...]:

@@ -86,6 +86,32 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
     return Path(path)
 
 
+def expanded_name(path: str | os.PathLike[str]) -> str:
+    """The name of the URDF that a xacro becomes.
+
+    Example:
+        >>> expanded_name("arms/ur.urdf.xacro"), expanded_name("ur.xacro")
+        ('ur.urdf', 'ur.urdf')
+    """
+    stem = Path(path).stem
+    return stem if stem.lower().endswith(".urdf") else f"{stem}.urdf"
+
+
+def check_no_xacro(path: str | os.PathLike[str]) -> None:
+    """Refuse the name of a xacro for what is written.
+
+    Raises:
+        FileError: The name ends in ``.xacro``.
+    """
+    if Path(path).name.lower().endswith(".xacro"):
+        message = (
+            f"'{path}' is the name of a xacro, and what is written is a URDF, with macros and arguments expanded; name "
+            f"it {expanded_name(path)}. A xacro stays one if it takes the origins of its joints from a file: see calib "
+            "convert."
+        )
+        raise FileError(message)
+
+
 def make_folder(path: str | os.PathLike[str]) -> Path:
     """Make a folder and those above it; one that exists is left as it is.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import itertools
 import math
 import os
 import re
@@ -20,6 +21,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pinocchio import hppfcl
 
+from calib.model.ros_packages import packages_in
 from calib.model.urdf import Urdf
 
 Array = NDArray[np.float64]
@@ -109,15 +111,20 @@ def find_mesh(name: str, folders: Sequence[Path]) -> Path | None:
     if not separator:
         scheme, rest = "", name
     candidates: list[Path] = []
+    named: Iterable[Path] = ()
     if scheme in ("package", "model"):
         rest = rest.lstrip("/")  # a package without a name: what follows lies in one of the folders
         inside = rest.partition("/")[2]
         candidates = [folder / rest for folder in folders]
         candidates += [folder / inside for folder in folders if folder.name == rest.split("/")[0]]
+        package = rest.partition("/")[
+            0
+        ]  # of a folder with another name: only its package.xml tells
+        named = (found / inside for folder in folders for found in packages_in(folder, package))
     elif scheme in ("", "file"):
         plain = Path(urllib.parse.unquote(rest) if scheme else rest)
         candidates = [folder / plain for folder in folders] if rest else []
-    return next(filter(_is_file, candidates), None)
+    return next(filter(_is_file, itertools.chain(candidates, named)), None)
 
 
 def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:

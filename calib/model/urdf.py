@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import UrdfError, choices
-from calib.model.files import read_bytes, write_atomically
+from calib.model.files import check_no_xacro, read_bytes, write_atomically
 from calib.model.urdf_joints import UrdfJoint, did_you_mean, path_from_root, read_tree
 from calib.model.urdf_xml import Document, Element
 
@@ -203,8 +203,9 @@ class Urdf:
         """Write the bytes to a file, whole or not at all.
 
         Raises:
-            FileError: The file exists and ``overwrite`` is False, or it cannot be written.
+            FileError: The file exists and ``overwrite`` is False, it cannot be written, or its name is a xacro's.
         """
+        check_no_xacro(path)
         return write_atomically(path, self.data, overwrite=overwrite)
 
     def _joint_index(self, name: str) -> int:

@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 
 from calib.errors import UrdfError
 
-XACRO_FIX = "expand it first: xacro robot.urdf.xacro > robot.urdf"
+XACRO_FIX = "expand it first: xacro robot.urdf.xacro > robot.urdf; or name it robot.urdf.xacro, and calib expands it"
 
 _DEPTH = 3  # robot / joint / origin: nothing below is of interest
 _START_TAG = re.compile(rb"""<([^\s/>"']+)[^<>"']*(?:(?:"[^"]*"|'[^']*')[^<>"']*)*>""")

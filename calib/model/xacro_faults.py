@@ -12,7 +12,7 @@ from xml.parsers import expat
 
 from calib.model.ros_packages import where_packages_are
 
-__all__ = ["PackageMissing", "fault_text", "heard", "short_name"]
+__all__ = ["PackageMissing", "fault_text", "heard"]
 
 _EXPRESSION = re.compile(r"when evaluating expression '(.*)' *$", re.MULTILINE)
 _UNKNOWN_MACRO = re.compile(r"unknown macro name: xacro:(\S+)")
@@ -30,12 +30,6 @@ class _Fault:
 
     text: str
     needles: tuple[str, ...] = ()
-
-
-def short_name(path: Path) -> str:
-    """The name of the URDF that a xacro becomes: ``ur.urdf`` of ``ur.urdf.xacro`` and of ``ur.xacro``."""
-    stem = Path(path.name).stem
-    return stem if stem.lower().endswith(".urdf") else f"{stem}.urdf"
 
 
 def fault_text(xacro: Any, error: Exception, path: Path, missing: str) -> str:  # noqa: ANN401

@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from calib.errors import UrdfError, choices
-from calib.model.files import read_bytes
+from calib.model.files import expanded_name, read_bytes
 from calib.model.ros_packages import find_package
 from calib.model.urdf import LIMIT_BYTES, Urdf
 from calib.model.urdf_joints import did_you_mean
-from calib.model.xacro_faults import PackageMissing, fault_text, heard, short_name
+from calib.model.xacro_faults import PackageMissing, fault_text, heard
 
 __all__ = ["XacroCall", "is_xacro", "read_xacro"]
 
@@ -109,7 +109,7 @@ def is_xacro(source: str | os.PathLike[str]) -> bool:
     return _FILE.search(text) is not None
 
 
-def read_xacro(source: str | os.PathLike[str]) -> Urdf:
+def read_xacro(source: str | os.PathLike[str] | XacroCall) -> Urdf:
     """Flatten a xacro file, and read what comes out as a URDF.
 
     ``$(find package)`` is what `calib.model.ros_packages.find_package` finds. The URDF's ``data`` are the flattened
@@ -124,7 +124,7 @@ def read_xacro(source: str | os.PathLike[str]) -> Urdf:
         UrdfError: The xacro package is not installed, the file cannot be flattened, an argument is not one of its, or
             what comes out is no URDF.
     """
-    call = XacroCall.parse(source)
+    call = source if isinstance(source, XacroCall) else XacroCall.parse(source)
     read_bytes(call.path, "xacro file", LIMIT_BYTES)
     data, said = _flattened(call)
     try:
@@ -203,7 +203,7 @@ def _alone(call: XacroCall) -> Iterator[Any]:
             message = (
                 f"{call.path.name} is a xacro, and the xacro package that flattens it is not installed ({error}). "
                 'Install it with: pip install "calib[xacro]"; or flatten it elsewhere: '
-                f"xacro {call.name} > {short_name(call.path)}"
+                f"xacro {call.name} > {expanded_name(call.path)}"
             )
             raise UrdfError(message) from error
         sys.modules[_AMENT] = _package_index(call.path)
