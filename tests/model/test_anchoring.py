@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib.errors import ModelError
+from calib.model.anchoring import anchored, anchored_placements
+from calib.model.chain import rigid_inverse
+from calib.model.robot import Robot
+
+Z, Y = (0, 0, 1), (0, 1, 0)
+
+
+def motion(axis, angle: float, shift) -> np.ndarray:
+    """A turn about an axis and a shift."""
+    T = np.eye(4)
+    T[:3, :3] = pin.exp3(np.asarray(axis, dtype=float) * angle)
+    T[:3, 3] = shift
+    return T
+
+
+def slid_and_turned(robot: Robot, angles, slides, across=None) -> np.ndarray:
+    """Placements of the same robot, each joint's frame moved along and about its axis."""
+    placements = np.array(robot.placements)
+    for i, (joint, angle, slide) in enumerate(zip(robot.joints, angles, slides, strict=True)):
+        shift = joint.axis * slide
+        if joint.type == "prismatic" and across is not None:
+            shift = shift + across
+        G = motion(joint.axis, angle, shift)
+        placements[i] = placements[i] @ G
+        placements[i + 1] = rigid_inverse(G) @ placements[i + 1]
+    return placements
+
+
+def displaced(robot: Robot, size: float, seed: int = 5) -> Robot:
+    """Every placement displaced a little."""
+    twists = np.random.default_rng(seed).normal(size=(len(robot.placements), 6)) * size
+    return robot.with_placements(
+        np.array(
+            [P @ pin.exp6(t).homogeneous for P, t in zip(robot.placements, twists, strict=True)]
+        )
+    )
+
+
+def joint_values(robot: Robot, count: int = 5) -> np.ndarray:
+    return np.random.default_rng(2).uniform(-2, 2, (count, len(robot.joint_names)))
+
+
+@pytest.mark.parametrize("name", ["ur3", "panda"])
+def test_wild_frames_come_back_to_where_they_were(name, request):
+    robot = request.getfixturevalue(name)
+    rng = np.random.default_rng(3)
+    n = len(robot.joints)
+    wild = slid_and_turned(robot, rng.uniform(-3, 3, n), rng.uniform(-400, 400, n))
+    assert np.abs(wild[:, :3, 3] - robot.placements[:, :3, 3]).max() > 100
+    back = anchored_placements(wild, robot.placements, robot.joints)
+    np.testing.assert_allclose(back, robot.placements, rtol=0, atol=1e-10)
+
+
+@settings(max_examples=25)
+@given(
+    kinds=st.lists(
+        st.tuples(st.sampled_from(["revolute", "prismatic"]), st.sampled_from(["z", "y", "odd"])),
+        min_size=1,
+        max_size=5,
+    ),
+    seed=st.integers(0, 1000),
+)
+def test_any_chain_keeps_its_poses(serial_urdf, kinds, seed):
+    rng = np.random.default_rng(seed)
+    axes = {"z": Z, "y": Y, "odd": (0.3, -0.5, 0.8)}
+    joints = [
+        (kind, rng.uniform(-0.4, 0.4, 3), rng.uniform(-1.5, 1.5, 3) * (rng.random() < 0.7), axes[a])
+        for kind, a in kinds
+    ]
+    nominal = Robot.from_urdf(serial_urdf(joints))
+    robot = displaced(nominal, 2e-3, seed)
+    n = len(joints)
+    wild = slid_and_turned(robot, rng.uniform(-2, 2, n), rng.uniform(-9, 9, n), rng.normal(size=3))
+    moved = robot.with_placements(wild)
+    back = anchored(moved, nominal)
+    q = joint_values(robot)
+    np.testing.assert_allclose(back.poses(q), robot.poses(q), rtol=0, atol=1e-12)
+    # Whatever frames the same robot came with, the result is one, and it is near.
+    np.testing.assert_allclose(
+        back.placements, anchored(robot, nominal).placements, rtol=0, atol=1e-11
+    )
+    assert np.abs(back.placements - nominal.placements).max() < 0.06
+    np.testing.assert_allclose(anchored(back, nominal).placements, back.placements, atol=1e-12)
+
+
+def test_a_joint_s_zero_stays_that_joint_s(ur3):
+    angles = [0.01, -0.05, 0.08, -0.03, 0.02, 0.04]
+    placements = np.array(ur3.placements)
+    for i, (joint, angle) in enumerate(zip(ur3.joints, angles, strict=True)):
+        placements[i] = placements[i] @ motion(joint.axis, angle, (0, 0, 0))
+    robot = ur3.with_placements(placements)
+    wild = slid_and_turned(robot, [1.0, 1.6, -1.7, 0.1, 2.0, -1.0], [0, 400, -390, -10, 0, 0])
+    back = anchored(robot.with_placements(wild), ur3)
+    np.testing.assert_allclose(back.placements, robot.placements, rtol=0, atol=1e-10)
+
+
+def test_a_longer_link_moves_the_next_joint_along_it(ur3):
+    placements = np.array(ur3.placements)
+    placements[2, :3, 3] *= 1.01  # the upper arm
+    placements[0, 2, 3] += 2e-3  # the shoulder's height
+    robot = ur3.with_placements(placements)
+    wild = slid_and_turned(robot, [1.0] * 6, [0.3] * 6)
+    back = anchored_placements(wild, ur3.placements, ur3.joints)
+    height = back[0] - ur3.placements[0]
+    assert height[2, 3] == pytest.approx(2e-3, abs=1e-12)
+    np.testing.assert_allclose(back[0, :2, 3], ur3.placements[0, :2, 3], atol=1e-12)
+    # Along the parallel axes the frame stays where it was nominally, across them the axis moved by 1 %.
+    assert back[2, 2, 3] == pytest.approx(1.01 * ur3.placements[2, 2, 3], abs=1e-12)
+    assert back[2, 1, 3] == pytest.approx(ur3.placements[2, 1, 3], abs=1e-12)
+
+
+def test_two_branches_keep_the_frame_that_no_origin_holds(ur3):
+    # From the tool to the base: joints on the base's side, and no <origin> before the first.
+    nominal = Robot.from_urdf(ur3.urdf, base="wrist_3_link", tip="base")
+    assert nominal.carriers[0] is None
+    robot = displaced_behind_the_first(nominal)
+    wild = slid_and_turned(robot, [0.0, 1.0, -1.0, 0.5, 0.3, 0.2], [0.0, 3.0, -3.0, 0.2, 0.1, 0.3])
+    back = anchored(robot.with_placements(wild), nominal)
+    q = joint_values(robot)
+    np.testing.assert_allclose(back.poses(q), robot.poses(q), rtol=0, atol=1e-12)
+    assert np.abs(back.placements - nominal.placements).max() < 0.02
+
+
+def displaced_behind_the_first(nominal: Robot) -> Robot:
+    twists = np.random.default_rng(5).normal(size=(7, 6)) * 1e-3
+    twists[0] = 0.0
+    return nominal.with_placements(
+        np.array(
+            [P @ pin.exp6(t).homogeneous for P, t in zip(nominal.placements, twists, strict=True)]
+        )
+    )
+
+
+def test_a_mimic_joint_is_anchored_like_any_other(serial_urdf):
+    joints = [
+        ("revolute", (0, 0, 0.3), (0.1, 0.2, 0.3), Y),
+        ("revolute", (0.3, 0, 0), (0, 0, 0), Y),
+    ]
+    data = serial_urdf(joints).data.replace(
+        b'<child link="l2"/>', b'<child link="l2"/><mimic joint="j1" multiplier="-2" offset="0.1"/>'
+    )
+    nominal = Robot.from_urdf(type(serial_urdf(joints)).from_bytes(data, "mimic.urdf"), tip="tip")
+    assert nominal.joint_names == ("j1",)
+    robot = displaced(nominal, 1e-3)
+    wild = robot.with_placements(slid_and_turned(robot, [1.0, 2.0], [3.0, -2.0]))
+    back = anchored(wild, nominal)
+    np.testing.assert_allclose(
+        back.poses([[0.4], [-1.0]]), robot.poses([[0.4], [-1.0]]), rtol=0, atol=1e-12
+    )
+    assert np.abs(back.placements - nominal.placements).max() < 0.02
+
+
+def test_axes_in_one_line_leave_the_turn_to_the_joint_itself(serial_urdf):
+    joints = [("revolute", (0, 0, 0.1), (0, 0, 0), Z), ("revolute", (0, 0, 0.2), (0, 0, 0), Z)]
+    nominal = Robot.from_urdf(serial_urdf(joints))
+    wild = slid_and_turned(nominal, [0.7, -1.1], [2.0, 5.0])
+    back = anchored_placements(wild, nominal.placements, nominal.joints)
+    np.testing.assert_allclose(back, nominal.placements, rtol=0, atol=1e-12)
+
+
+def test_other_joints_are_refused(ur3, panda, serial_urdf):
+    with pytest.raises(ModelError, match=r"'shoulder_pan_joint' .* is not the 'panda_joint1'"):
+        anchored(ur3, panda)
+    short = [("revolute", (0, 0, 0.1), (0, 0, 0), Z)]
+    one = Robot.from_urdf(serial_urdf(short))
+    two = Robot.from_urdf(serial_urdf([*short, ("revolute", (0, 0, 0.2), (0, 0, 0), Z)]))
+    with pytest.raises(ModelError, match=r"has the joints 'j1', its nominal robot .* 'j1', 'j2'"):
+        anchored(one, two)
+    turned = Robot.from_urdf(serial_urdf([("revolute", (0, 0, 0.1), (0, 0, 0), Y)]))
+    with pytest.raises(ModelError, match=r"axis 0 0 1\) .* axis 0 1 0\)"):
+        anchored(one, turned)
