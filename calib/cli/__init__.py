@@ -15,6 +15,7 @@ import typer
 from calib.cli.base_frame import base_frame
 from calib.cli.compare import compare
 from calib.cli.compensate import compensate
+from calib.cli.convert import convert
 from calib.cli.demo import demo
 from calib.cli.evaluate import evaluate
 from calib.cli.fit import fit
@@ -42,6 +43,7 @@ app.command()(inspect)
 app.command()(base_frame)
 app.command()(plan)
 app.command()(simulate)
+app.command()(convert)
 app.command()(view)
 app.command()(workspace)
 

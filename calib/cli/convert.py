@@ -1,0 +1,201 @@
+"""``calib convert``: a calibrated robot in the formats that controllers and ROS take."""
+
+from __future__ import annotations
+
+import shlex
+import textwrap
+from collections.abc import Iterable
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib.cli.options import Base, Debug, Force, Hold, Quiet, reporting
+
+if TYPE_CHECKING:
+    from calib.compensate.conversion import Wanted
+    from calib.compensate.conversion_source import Source
+
+_HELP = """Write a calibrated robot in the formats that controllers and ROS take.
+
+\b
+Examples:
+  calib convert result.json --to dh -o rows.csv
+  calib convert calibration.conf --ur-model UR5e -o ur5e_calibrated.urdf
+  calib convert calibration.conf --ur-model UR5e -o kinematics.yaml
+  calib convert result.json --to ur-yaml --hash-from own_kinematics.yaml -o kinematics.yaml
+  calib convert corrected.urdf --robot robot.urdf --to hayati -o rows.md
+
+SOURCE is a result of 'calib fit --json', a calibration.conf or kinematics.yaml of Universal Robots, an origins file, or
+a URDF, a xacro or the name of a robot. What is written is read back and compared with the robot before it appears; what
+a format cannot hold is said.
+"""
+
+
+class Target(str, Enum):
+    """The formats that can be written."""
+
+    urdf = "urdf"
+    ur_yaml = "ur-yaml"
+    ur_conf = "ur-conf"
+    origins = "origins"
+    dh = "dh"
+    modified_dh = "modified-dh"
+    hayati = "hayati"
+
+
+def convert(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="What is converted: result.json, calibration.conf, kinematics.yaml, origins.yaml, a URDF, a xacro, "
+            "or a robot of example-robot-data.",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
+    to: Annotated[
+        Target | None,
+        typer.Option(
+            help="Format of FILE. Default: what its ending says, if it says one. dh: standard DH rows; modified-dh: "
+            "Craig's; hayati: standard, with beta between near-parallel axes; each as .csv, .json or .md."
+        ),
+    ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            metavar="ROBOT",
+            help="Nominal robot: URDF, xacro or name. Default: the one that a result names; a bare arm for --ur-model.",
+        ),
+    ] = None,
+    ur_model: Annotated[
+        str | None,
+        typer.Option("--ur-model", metavar="NAME", help="Arm of Universal Robots, such as 'UR5e'."),
+    ] = None,
+    urcontrol: Annotated[
+        Path | None,
+        typer.Option(
+            "--urcontrol",
+            metavar="FILE",
+            help="urcontrol.conf with the nominal rows of a calibration.conf. Default: those of the model.",
+        ),
+    ] = None,
+    hash_from: Annotated[
+        Path | None,
+        typer.Option(
+            "--hash-from",
+            metavar="FILE",
+            help="The robot's own kinematics.yaml or calibration.conf, whose hash a new kinematics.yaml keeps.",
+        ),
+    ] = None,
+    update: Annotated[
+        Path | None,
+        typer.Option(
+            "--update",
+            metavar="FILE",
+            help="calibration.conf whose other lines a new one keeps.",
+        ),
+    ] = None,
+    base: Base = None,
+    tip: Annotated[
+        str | None,
+        typer.Option(help="Link that the chain ends at. Default: that of SOURCE, or the farthest."),
+    ] = None,
+    hold: Hold = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """See `_HELP`."""
+    with reporting(debug=debug):
+        from calib.cli.setup import check_outputs
+        from calib.cli.words import parse_held
+        from calib.compensate.conversion import Wanted, check_options, chosen_format, write_target
+        from calib.compensate.conversion_source import Asked, read_source, source_kind
+
+        check_outputs(
+            [output],
+            [source, *(path for path in (robot, urcontrol, hash_from, update) if path)],
+            force=force,
+        )
+        kind = source_kind(source)
+        chosen = chosen_format(output, None if to is None else to.value, kind)
+        wanted = Wanted(output, chosen, hash_from, update, urcontrol, overwrite=force)
+        check_options(wanted, kind)
+        asked = Asked(robot, ur_model, urcontrol, base, tip, parse_held(hold or []))
+        found = read_source(source, asked)
+        remarks = write_target(found, wanted)
+        if not quiet:
+            typer.echo(_text(source, found, wanted, remarks))
+
+
+def _text(source: str, found: Source, wanted: Wanted, remarks: Iterable[str]) -> str:
+    """What was read, how far it is from the nominal robot, what was written and what to do with it."""
+    from calib.compensate.conversion import FORMATS
+
+    what = FORMATS[wanted.format].what
+    paragraphs = [
+        f"Read: {source}, {found.text}.",
+        _moved(found),
+        *found.remarks,
+        *remarks,
+        f"Written: {wanted.path}, {what}. {_use(found, wanted)}",
+    ]
+    text = "\n\n".join(
+        textwrap.fill(paragraph, 100, break_long_words=False, break_on_hyphens=False)
+        for paragraph in paragraphs
+    )
+    return text + (_launch(found, wanted) if wanted.format == "ur-yaml" else "")
+
+
+def _moved(found: Source) -> str:
+    """How far the tip lies from where the nominal robot has it."""
+    import numpy as np
+
+    apart = found.distances()
+    if apart is None:
+        return "How far it is from its nominal robot is not known; --robot names that."
+    if found.robot is found.nominal:
+        return "This is a nominal robot: there is no calibration in it."
+    mm, deg = 1e3 * apart[0], np.degrees(apart[1])
+    return (
+        f"Over the joint limits '{found.robot.tip}' lies {mm.mean():.3f} mm from where the nominal robot has it in the "
+        f"mean, {mm.max():.3f} mm at most, and is turned by {deg.mean():.3f} deg, {deg.max():.3f} deg at most."
+    )
+
+
+def _use(found: Source, wanted: Wanted) -> str:
+    """What to do with the file."""
+    if wanted.format == "urdf":
+        if found.nominal is None or found.nominal is found.robot:
+            return "It is the robot as it was read."
+        return f"Only origins of joints differ from {found.nominal.urdf.source}: use it wherever that was used."
+    if wanted.format == "origins":
+        return (
+            "A xacro takes them with xacro.load_yaml, as the comment at the head of the file shows."
+        )
+    if wanted.format == "ur-yaml":
+        return "The driver and the description take it so:"
+    if wanted.format == "ur-conf":
+        return (
+            "It is for programs that read a calibration.conf; what a controller does with one that it did not write "
+            "itself, ask Universal Robots."
+        )
+    return (
+        "Its head says how a row is meant. Rows alone are not the robot: 'base' goes into the frame that poses are "
+        "given in, 'tool' into the tool."
+    )
+
+
+def _launch(found: Source, wanted: Wanted) -> str:
+    """The command that starts Universal Robots' driver with a kinematics.yaml, on lines of its own to be copied."""
+    kind = "" if found.model is None else found.model.name.lower().replace(" ", "")
+    return (
+        f"\n\n  ros2 launch ur_robot_driver ur_control.launch.py ur_type:={kind} robot_ip:=ADDRESS \\"
+        f"\n    kinematics_params_file:={shlex.quote(str(wanted.path.resolve()))}"
+    )
+
+
+convert.__doc__ = _HELP

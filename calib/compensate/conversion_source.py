@@ -1,0 +1,333 @@
+"""Source: what ``calib convert`` reads, whatever its form, as one robot before and after its calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.compensate.origins_file import Origins, origins_of, read_origins
+from calib.compensate.universal_robots import UrSource, read_ur_conf, read_ur_yaml
+from calib.compensate.ur_models import UrModel, recognised, the_mount, ur_model, ur_robot
+from calib.errors import CalibError, FileError, ModelError, choices
+from calib.identify.compared import Compared
+from calib.identify.result_file import read_result
+from calib.identify.stored import StoredResult
+from calib.model.files import read_bytes
+from calib.model.readback import spread_poses
+from calib.model.robot import Robot
+from calib.model.xacro_file import is_xacro
+from calib.model.yaml_file import parse_yaml
+
+Array = NDArray[np.float64]
+
+UR_CONF, UR_YAML, RESULT, ORIGINS, ROBOT = KINDS = (
+    "ur-conf",
+    "ur-yaml",
+    "result",
+    "origins",
+    "robot",
+)
+"""What a source may be."""
+
+#: How each kind of source is told, in words.
+_READ = (
+    "a calibration.conf or a kinematics.yaml of Universal Robots, a result (.json) of 'calib fit', an origins file "
+    "(.yaml), a URDF, a xacro, or the name of a robot such as 'ur3'"
+)
+
+#: The largest YAML file that is looked into [bytes].
+_LIMIT_BYTES = 10_000_000
+
+#: Origins of one robot differ by less than this [m; entries of the rotation].
+_SAME = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What goes with a source.
+
+    Attributes:
+        robot: URDF, xacro or name of the nominal robot.
+        ur_model: Name of an arm of Universal Robots.
+        urcontrol: Its ``urcontrol.conf``.
+        base: Base link; default that of the source.
+        tip: Tip link; default that of the source.
+        held: Joints that stay where they are [rad or m].
+    """
+
+    robot: str | None = None
+    ur_model: str | None = None
+    urcontrol: Path | None = None
+    base: str | None = None
+    tip: str | None = None
+    held: Mapping[str, float] | None = None
+
+    def load(self, source: str) -> Robot:
+        """A robot between the links asked for."""
+        return Robot.load(source, self.base, self.tip, held=self.held)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """A robot, and what it was before its calibration.
+
+    Attributes:
+        kind: One of `KINDS`.
+        text: What was read, in a few words: ``"calibration of a UR5e, calib_12345"``.
+        robot: The robot.
+        nominal: The same chain with nominal kinematics; None where nothing is known of it.
+        hash: The ROS driver's name for the calibration, where the source is a file of Universal Robots and has it.
+        model: Which arm of Universal Robots it is, if one.
+        remarks: What its reader should know, sentence by sentence.
+    """
+
+    kind: str
+    text: str
+    robot: Robot
+    nominal: Robot | None
+    hash: str | None = None
+    model: UrModel | None = None
+    remarks: tuple[str, ...] = ()
+
+    def distances(self) -> tuple[Array, Array] | None:
+        """How far the tip lies from the nominal robot's, over the joint limits: shape (N,), [m], and (N,), [rad]."""
+        if self.nominal is None:
+            return None
+        q = spread_poses(self.nominal)
+        T, S = self.robot.poses(q), self.nominal.poses(q)
+        apart = np.linalg.norm(T[:, :3, 3] - S[:, :3, 3], axis=1)
+        chord = np.linalg.norm(T[:, :3, :3] - S[:, :3, :3], axis=(1, 2)) / np.sqrt(8.0)
+        return apart, 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
+
+
+def source_kind(source: str) -> str:
+    """Which of `KINDS` a source is: by its ending, and a YAML file by its first key.
+
+    Raises:
+        FileError: It is none, or cannot be read.
+    """
+    ending = Path(source).suffix.lower()
+    if is_xacro(source) or ending in ("", ".urdf", ".xml"):
+        return ROBOT
+    if ending in (".conf", ".json"):
+        return UR_CONF if ending == ".conf" else RESULT
+    if ending in (".yaml", ".yml"):
+        table = parse_yaml(read_bytes(source, "YAML file", _LIMIT_BYTES), source, "YAML file")
+        keys = list(table) if isinstance(table, dict) else []
+        for key, kind in (("kinematics", UR_YAML), ("origins", ORIGINS)):
+            if key in keys:
+                return kind
+        message = (
+            f"{source}: it has neither 'kinematics', as a kinematics.yaml of Universal Robots, nor 'origins', as an "
+            f"origins file of calib{f'; it has {choices(map(str, keys))}' if keys else ''}. Give {_READ}."
+        )
+        raise FileError(message)
+    message = f"{source}: 'calib convert' does not know the ending '{ending}'. Give {_READ}."
+    raise FileError(message)
+
+
+def read_source(source: str, asked: Asked) -> Source:
+    """Read what is to be converted.
+
+    Args:
+        source: A file, or the name of a robot.
+        asked: What goes with it.
+
+    Raises:
+        FileError: A file cannot be read, or is none of those that are known.
+        UrdfError: A URDF cannot be read or lacks a link or joint.
+        ModelError: Things that do not fit each other.
+        CalibError: Something was given that the source has no use for.
+    """
+    kind = source_kind(source)
+    if asked.ur_model is not None:
+        ur_model(asked.ur_model)  # a name that there is not is said first
+    if kind in (UR_CONF, UR_YAML):
+        return _universal_robots(source, kind, asked)
+    if kind == RESULT:
+        return _result(source, asked)
+    if kind == ORIGINS:
+        return _origins(source, asked)
+    return _robot(source, asked)
+
+
+def _universal_robots(source: str, kind: str, asked: Asked) -> Source:
+    """A calibration.conf or a kinematics.yaml, on the robot asked for or on a bare one."""
+    told = asked.robot or asked.ur_model or asked.urcontrol
+    if kind == UR_CONF and not told:
+        message = (
+            f"{source}: a calibration.conf has only what is added to an arm's nominal rows. Say of which arm it is, as "
+            "in --ur-model UR5e, or give its --urcontrol, or its nominal URDF as --robot."
+        )
+        raise CalibError(message)
+
+    def read(robot: Robot | None) -> UrSource:
+        if kind == UR_CONF:
+            return read_ur_conf(
+                source, urcontrol=asked.urcontrol, model=asked.ur_model, robot=robot
+            )
+        return read_ur_yaml(source, model=asked.ur_model, robot=robot)
+
+    found = read(None if asked.robot is None else asked.load(asked.robot))
+    if asked.robot is None and (asked.base or asked.tip or asked.held):
+        bare = found.nominal.urdf
+        base, tip = asked.base or found.nominal.base, asked.tip or found.nominal.tip
+        found = read(Robot.from_urdf(bare, base, tip, held=asked.held))
+    name = "" if found.hash is None else f", {found.hash}"
+    return Source(
+        kind,
+        f"calibration of a {found.model.name}{name}",
+        found.robot,
+        found.nominal,
+        found.hash,
+        found.model,
+        found.remarks,
+    )
+
+
+def _result(source: str, asked: Asked) -> Source:
+    """A result of ``calib fit``, on the robot asked for or on the URDF that it names."""
+    stored = read_result(source)
+    for option, given, own in (("base", asked.base, stored.base), ("tip", asked.tip, stored.tip)):
+        if given is not None and given != own:
+            message = f"{source} is the result for --{option} {own}, and '{given}' was given; leave out --{option}."
+            raise CalibError(message)
+    if asked.held and dict(asked.held) != dict(stored.held):
+        own = ", ".join(f"'{name}' at {value:g}" for name, value in stored.held.items()) or "none"
+        message = f"{source} says itself which joints are held ({own}); leave out --hold."
+        raise CalibError(message)
+    if asked.robot is None:
+        nominal = Compared.of(source, source).nominal
+        if nominal is None:
+            message = (
+                f"{source}: the URDF that it was made with is not beside it nor here, or has changed since. Give it "
+                "as --robot."
+            )
+            raise FileError(message)
+    else:
+        given_robot = Robot.load(asked.robot, stored.base, stored.tip, held=stored.held)
+        _check_own(stored, given_robot, source)
+        nominal = stored.nominal(given_robot)
+    robot = stored.corrected(nominal)
+    remarks = []
+    if stored.larger is not None:
+        remarks.append(
+            f"The result has a larger model, '{stored.larger.name}', whose joints err with their state: no format "
+            "written here can hold that. What is converted is its geometry alone; 'calib compensate' uses all of it."
+        )
+    return Source(
+        RESULT,
+        f"result of 'calib fit' for '{robot.name}', '{stored.base}' to '{stored.tip}'",
+        robot,
+        nominal,
+        model=_arm(nominal, asked),
+        remarks=tuple(remarks),
+    )
+
+
+def _check_own(stored: StoredResult, robot: Robot, source: str) -> None:
+    """Refuse a robot that is neither the result's nominal nor its corrected one."""
+    origins = robot.origins()
+    if set(origins) != set(stored.origins):
+        message = (
+            f"{source} has origins of the joints {choices(stored.origins)}; the chain of the robot given, "
+            f"'{robot.base}' to '{robot.tip}' of {robot.urdf.source}, has {choices(origins)}. Give the URDF that the "
+            "result was made with as --robot."
+        )
+        raise ModelError(message)
+    for wanted in (stored.nominal_origins, stored.origins):
+        if all(np.abs(origins[name] - T).max() < _SAME for name, T in wanted.items()):
+            return
+    off = {name: float(np.abs(origins[name] - T).max()) for name, T in stored.origins.items()}
+    worst = max(off, key=lambda name: off[name])
+    message = (
+        f"{source} is of another robot than {robot.urdf.source}: the origin of '{worst}' differs from that of the "
+        f"result by {off[worst]:.3g} (m, or entries of the rotation). Give the URDF that the result was made with, or "
+        "that was corrected by it, as --robot."
+    )
+    raise ModelError(message)
+
+
+def _origins(source: str, asked: Asked) -> Source:
+    """An origins file, on the robot asked for."""
+    found = read_origins(source)
+    if asked.robot is None:
+        message = f"{source} has the origins of joints alone; give the URDF that they belong to as --robot."
+        raise CalibError(message)
+    nominal = asked.load(asked.robot)
+    robot = found.applied_to(nominal)
+    return Source(
+        ORIGINS,
+        f"origins of {len(found.joints)} joints, '{robot.base}' to '{robot.tip}' of '{robot.name}'",
+        robot,
+        nominal,
+        model=_arm(nominal, asked),
+        remarks=_beside(found, robot),
+    )
+
+
+def _beside(found: Origins, robot: Robot) -> tuple[str, ...]:
+    """Say which of the chain's joints a file has no origin of."""
+    names = {name for name, _ in found.joints}
+    missing = [name for name, _ in origins_of(robot).joints if name not in names]
+    if not missing:
+        return ()
+    return (
+        f"The file has no origin of {choices(missing)}, which the chain '{robot.base}' to '{robot.tip}' has: they "
+        "stay as they are in the URDF.",
+    )
+
+
+def _robot(source: str, asked: Asked) -> Source:
+    """A URDF, a xacro or the name of a robot, held against the nominal one asked for."""
+    robot = asked.load(source)
+    text = f"'{robot.name}', '{robot.base}' to '{robot.tip}', {len(robot.joints)} joints"
+    plain = Source(ROBOT, text, robot, None)
+    if asked.robot is not None:
+        between = replace(asked, base=robot.base, tip=robot.tip)
+        nominal = between.load(asked.robot)
+        if [j.name for j in nominal.joints] != [j.name for j in robot.joints]:
+            message = (
+                f"{source} has the joints {choices(j.name for j in robot.joints)} between '{robot.base}' and "
+                f"'{robot.tip}', and {nominal.urdf.source} has {choices(j.name for j in nominal.joints)}. --robot is "
+                "the same robot with its nominal kinematics."
+            )
+            raise ModelError(message)
+        return replace(plain, nominal=nominal, model=_arm(nominal, asked))
+    if recognised(robot):  # an arm with the kinematics of the data sheet is its own nominal robot
+        return replace(plain, nominal=robot, model=_arm(robot, asked))
+    if asked.ur_model is not None:
+        bare = ur_robot(asked.ur_model)
+        nominal = _like(robot, bare, source)
+        return replace(plain, nominal=nominal, model=ur_model(asked.ur_model))
+    return plain
+
+
+def _like(robot: Robot, bare: Robot, source: str) -> Robot:
+    """The bare arm between the robot's links."""
+    links, joints = bare.urdf.links, [joint.name for joint in bare.joints]
+    own = [joint.name for joint in robot.joints]
+    if robot.base not in links or robot.tip not in links or own != joints:
+        message = (
+            f"{source}: links and joints from '{robot.base}' to '{robot.tip}' are not named as in Universal Robots' "
+            f"description ({choices(links)}; {choices(joints)}). Give the nominal URDF as --robot instead of "
+            "--ur-model, or name the links with --base and --tip."
+        )
+        raise ModelError(message)
+    return bare.rebuilt(base=robot.base, tip=robot.tip)
+
+
+def _arm(nominal: Robot, asked: Asked) -> UrModel | None:
+    """The arm of Universal Robots that a nominal robot is, if it is one.
+
+    Raises:
+        ModelError: It is not the one asked for.
+    """
+    if asked.ur_model is not None:
+        return the_mount(nominal, ur_model(asked.ur_model))[0]
+    found = recognised(nominal)
+    return found[0] if found else None
