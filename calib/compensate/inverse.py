@@ -163,7 +163,7 @@ class _State:
         dq = self._direction(rows)
         longest = np.abs(dq).max(axis=1)
         dq *= np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))[:, None]
-        dq = self._within_limits(rows, dq)
+        dq, stopped = self._within_limits(rows, dq)
         q = self.q[rows] + dq
         poses, twists = self.arm.motion(q)
         error = self.matching.error(poses, self.wanted[rows])
@@ -184,7 +184,8 @@ class _State:
             np.where(self.damping[rows] > 1e-6, self.damping[rows] / 5.0, 0.0),
             np.maximum(10.0 * self.damping[rows], _FIRST_DAMPING),
         )
-        self.moving[rows] = ~(still | stalled | (self.damping[rows] > _LARGEST_DAMPING))
+        rest = ((still | stalled) & ~stopped) | (self.damping[rows] > _LARGEST_DAMPING)
+        self.moving[rows] = ~rest
 
     def _direction(self, rows: NDArray[np.int_]) -> Array:
         """The damped step of each row, and the pull of a redundant arm to where it started."""
@@ -202,12 +203,12 @@ class _State:
             pull = np.where(stuck, 0.0, self.start[rows] - self.q[rows])
             used = np.einsum("nji,ni->nj", vt, pull) * kept
             step += pull - np.einsum("nji,nj->ni", vt, used)
-        return np.asarray(step)
+        return np.where(stuck, 0.0, step)
 
-    def _within_limits(self, rows: NDArray[np.int_], dq: Array) -> Array:
-        """Steps that end at the first limit in their way; the joint that it is of stays there from then on."""
+    def _within_limits(self, rows: NDArray[np.int_], dq: Array) -> tuple[Array, Mask]:
+        """Steps that end at the first limit in their way, and which do; that joint stays there from then on."""
         if self.limits is None:
-            return dq
+            return dq, np.zeros(len(rows), dtype=bool)
         low, high = self.limits.T
         bound = np.where(dq > 0.0, high, low)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -215,6 +216,6 @@ class _State:
         share = np.where(self.at_limit[rows], np.inf, np.maximum(share, 0.0))
         first = share.argmin(axis=1)
         short = share[np.arange(len(rows)), first] < 1.0
-        dq = dq * np.minimum(1.0, share.min(axis=1))[:, None]
+        dq = np.asarray(dq * np.minimum(1.0, share.min(axis=1))[:, None])
         self.at_limit[rows[short], first[short]] = True
-        return np.asarray(dq)
+        return dq, short
