@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -74,33 +75,30 @@ def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
 
     Returns:
         The visuals, in the file's order, and one sentence for each mesh that is missing, unreadable or was
-        simplified. Each file is read once.
+        simplified. Each file is read once, also for the robots after this one, as long as it stays as it is.
     """
-    meshes: dict[tuple[str, tuple[float, ...]], Triangles | None] = {}
-    warnings: list[str] = []
     shapes = list(link_shapes(urdf, "visual"))
     folders = mesh_folders(urdf)
-    raw: dict[tuple[str, tuple[float, ...]], tuple[Array, NDArray[np.int64]] | None] = {}
+    asked: dict[tuple[str, tuple[float, ...]], str] = {}
     for one in shapes:
-        mesh = one.mesh
-        if mesh is not None and mesh not in raw:
-            raw[mesh], problem = _read_mesh(*mesh, folders, one.link)
-            warnings += [problem] if problem else []
-    total = sum(len(mesh[1]) for mesh in raw.values() if mesh is not None)
-    for key, mesh_read in raw.items():
-        if mesh_read is None:
-            meshes[key] = None
-            continue
-        vertices, faces = mesh_read
-        share = max(200, MOST_TRIANGLES * len(faces) // max(total, 1))
-        vertices, faces, cell = clustered(vertices, faces, share)
-        if cell:
-            warnings.append(f"mesh '{key[0]}' is drawn simplified to {1e3 * cell:.2g} mm")
-        meshes[key] = shaded(vertices, faces)
+        if one.mesh is not None:
+            asked.setdefault(one.mesh, one.link)
+    files = tuple(_MeshFile.of(find_mesh(name, folders), scale) for name, scale in asked)
+    drawn = dict(zip(asked, _drawn(files), strict=True))
+    warnings = [
+        f"link '{link}': the mesh '{mesh[0]}' {drawn[mesh].problem}; a simple shape stands for it"
+        for mesh, link in asked.items()
+        if drawn[mesh].problem
+    ]
+    warnings += [
+        f"mesh '{name}' is drawn simplified to {1e3 * mesh.cell:.2g} mm"
+        for (name, _), mesh in drawn.items()
+        if mesh.cell
+    ]
     visuals = []
     for one in shapes:
         mesh = one.mesh
-        shape = meshes[mesh] if mesh is not None else _primitive(one)
+        shape = drawn[mesh].triangles if mesh is not None else _primitive(one)
         if shape is None and mesh is None:
             warnings.append(f"a visual of link '{one.link}' has no geometry that can be drawn")
         elif shape is not None and (reach := _reach(one.T_link_shape, shape)) > _FARTHEST:
@@ -144,14 +142,64 @@ def _reach(T_link_shape: Array, shape: Shape) -> float:
     return away + shape.radius + (shape.length if isinstance(shape, Cylinder) else 0.0)
 
 
-def _read_mesh(
-    name: str, scale: tuple[float, ...], folders: tuple[Path, ...], link: str
-) -> tuple[tuple[Array, NDArray[np.int64]] | None, str]:
+@dataclass(frozen=True, slots=True)
+class _MeshFile:
+    """A file as it was found, and the factors along x, y, z; equal ones have the same triangles."""
+
+    path: Path | None
+    scale: tuple[float, ...]
+    size: int
+    modified: int
+
+    @classmethod
+    def of(cls, path: Path | None, scale: tuple[float, ...]) -> _MeshFile:
+        """The file at this path; None is one that was not found."""
+        try:
+            found = None if path is None else path.stat()
+        except OSError:  # gone since it was found: `load_mesh` says so
+            found = None
+        if found is None:
+            return cls(path, scale, 0, 0)
+        return cls(path, scale, found.st_size, found.st_mtime_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Drawn:
+    """A mesh as it is drawn: its triangles, or what is wrong with it; the cell that simplified it, or 0 [m]."""
+
+    triangles: Triangles | None
+    problem: str = ""
+    cell: float = 0.0
+
+
+@lru_cache(maxsize=8)
+def _drawn(files: tuple[_MeshFile, ...]) -> tuple[_Drawn, ...]:
+    """The meshes of one robot, which share `MOST_TRIANGLES`.
+
+    The last robots' are kept, a few megabytes each: reading them takes most of the time of making a view.
+    """
+    raw = [_read_mesh(file) for file in files]
+    total = sum(len(mesh[1]) for mesh, _ in raw if mesh is not None)
+    result = []
+    for mesh, problem in raw:
+        if mesh is None:
+            result.append(_Drawn(None, problem))
+            continue
+        vertices, faces = mesh
+        share = max(200, MOST_TRIANGLES * len(faces) // max(total, 1))
+        vertices, faces, cell = clustered(vertices, faces, share)
+        result.append(_Drawn(shaded(vertices, faces), cell=cell))
+    return tuple(result)
+
+
+def _read_mesh(file: _MeshFile) -> tuple[tuple[Array, NDArray[np.int64]] | None, str]:
     """A mesh's vertices and faces, or None and why it cannot be drawn."""
-    path = find_mesh(name, folders)
-    mesh, problem = (None, "was not found") if path is None else load_mesh(path, scale)
-    if mesh is not None and (reach := np.abs(mesh_vertices(mesh)).max()) > _FARTHEST:
-        mesh, problem = None, f"reaches {reach:.0e} m far"
+    if file.path is None:
+        return None, "was not found"
+    mesh, problem = load_mesh(file.path, file.scale)
     if mesh is None:
-        return None, f"link '{link}': the mesh '{name}' {problem}; a simple shape stands for it"
-    return (mesh_vertices(mesh), mesh_faces(mesh)), ""
+        return None, problem
+    vertices = mesh_vertices(mesh)
+    if (reach := np.abs(vertices).max()) > _FARTHEST:
+        return None, f"reaches {reach:.0e} m far"
+    return (vertices, mesh_faces(mesh)), ""

@@ -191,6 +191,17 @@ def test_a_moved_urdf_loses_its_meshes_and_nothing_else(with_mesh, tmp_path):
     assert len(read_visuals(urdf)[1]) == 1
 
 
+def test_a_mesh_is_read_again_when_its_file_changed(with_mesh, tmp_path):
+    (tmp_path / "t.stl").write_text(TETRAHEDRON)
+    urdf = with_mesh("../t.stl")
+    before = read_visuals(urdf)[0][0].shape
+    assert read_visuals(with_mesh("../t.stl"))[0][0].shape is before
+    (tmp_path / "t.stl").write_text(TETRAHEDRON.replace("vertex 1 0 0", "vertex 3 0 0"))
+    after = read_visuals(urdf)[0][0].shape
+    assert after is not before
+    np.testing.assert_array_equal(np.ptp(after.vertices, axis=0), [6, 2, 2])
+
+
 def test_a_correction_changes_no_visual(ur3, disturb, tmp_path):
     corrected = disturb(ur3).urdf
     assert corrected != ur3.urdf
