@@ -14,11 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.compensate.ur_dh import COLUMNS, FullDH
 from calib.errors import FileError, choices
 from calib.model.files import read_bytes, write_atomically
 from calib.model.urdf_joints import did_you_mean
+
+Array = NDArray[np.float64]
 
 MOUNTING, NOMINAL = "mounting", "DH"
 
@@ -111,7 +114,9 @@ def update_deltas(
     # Every place where a key stands, from the last on, so that the places before it stay where they are.
     entries = [entry for entry in _entries(text) if _is_wanted(entry, MOUNTING, found)]
     for entry in reversed(entries):
-        text = text[: entry.start] + _list(values[entry.key]) + text[entry.end :]
+        was = _column(source, entry, entry.key.removeprefix("delta_"))
+        if (was != values[entry.key]).any():  # else it stays as it is written, digit for digit
+            text = text[: entry.start] + _list(values[entry.key]) + text[entry.end :]
     return write_atomically(path, text.encode("latin-1"), overwrite=overwrite)
 
 
@@ -219,20 +224,18 @@ def _wanted(
             )
             raise FileError(message)
         found[entry.key] = entry
-    present = [entry.key for entry in entries if entry.section == section]
+    others = [entry.key for entry in entries if entry.section == section and entry.key not in keys]
     for key in keys:
         if key not in found and key not in optional:
             message = (
-                f"{path}: [{section}] has no {key}{did_you_mean(key, present)}; a {what} has "
+                f"{path}: [{section}] has no {key}{did_you_mean(key, others)}; a {what} has "
                 f"{choices(k for k in keys if k not in optional)} there, six numbers each."
             )
             raise FileError(message)
     return found
 
 
-def _column(
-    path: str | os.PathLike[str], entry: _Entry, name: str
-) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def _column(path: str | os.PathLike[str], entry: _Entry, name: str) -> Array:
     """The six numbers of an entry.
 
     Raises:
@@ -277,6 +280,6 @@ def _short(text: str) -> str:
     return line if len(line) <= 40 else f"{line[:37]}..."
 
 
-def _list(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+def _list(values: Array) -> str:
     """Six numbers that read back exactly."""
     return "[ " + ", ".join(repr(float(value) + 0.0) for value in values) + "]"

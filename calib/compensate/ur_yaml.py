@@ -125,8 +125,7 @@ def _parsed(path: str | os.PathLike[str], data: bytes) -> UrYaml:
     try:
         root = yaml.compose(data.decode("utf-8-sig"), Loader=yaml.SafeLoader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        message = f"{path}: this is not a YAML file: {reason}. A kinematics.yaml of the ROS driver is wanted."
+        message = f"{path}: this is not a YAML file: {_reason(error)}. A kinematics.yaml of the ROS driver is wanted."
         raise FileError(message) from error
     top = _mapping(path, root, "the file")
     if "kinematics" not in top:
@@ -139,6 +138,13 @@ def _parsed(path: str | os.PathLike[str], data: bytes) -> UrYaml:
     _check_present(path, "kinematics", links, LINKS)
     chain = [_placement(path, link, links[link]) for link in LINKS]
     return UrYaml(read_only([*chain, np.eye(4)]), _hash(path, links.get("hash")))
+
+
+def _reason(error: Exception) -> str:
+    """What a YAML reader says, with the line where it says it."""
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+        return f"line {error.problem_mark.line + 1}: {error.problem}"
+    return "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
 
 
 def _number(value: float) -> str:

@@ -1,0 +1,17 @@
+"""Factory calibrations of Universal Robots arms as numbers; ``cases.json`` says where each is from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from calib.compensate.ur_dh import COLUMNS, FullDH
+
+CASES = json.loads(Path(__file__).with_name("cases.json").read_text(encoding="utf-8"))
+CALIBRATIONS = CASES["calibrations"]
+WITH_DELTAS = [case for case in CALIBRATIONS if case["delta"] is not None]
+
+
+def rows(table) -> FullDH:
+    """Rows out of a case's table."""
+    return FullDH(*(table[name] for name in COLUMNS))
