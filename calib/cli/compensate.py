@@ -19,7 +19,7 @@ from calib.cli.options import (
     Tip,
     reporting,
 )
-from calib.errors import CalibError
+from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
     import numpy as np
@@ -378,7 +378,7 @@ def _frame(text: str, truth: Truth) -> str | None:
     """The set-up whose frame poses are given in; None for the base.
 
     Raises:
-        CalibError: There is no result that knows set-ups.
+        CalibError: There is no result that knows set-ups, or none of that name.
     """
     if text == BASE:
         return None
@@ -386,6 +386,17 @@ def _frame(text: str, truth: Truth) -> str | None:
         message = (
             f"--poses-in was given as '{text}', and two URDFs know no measurement frames. Leave it out, or give the "
             "result with --calibration."
+        )
+        raise CalibError(message)
+    if text != MEASURED and text not in truth.result.known.frames:
+        names = [name for name in truth.result.known.frames if name]
+        message = (
+            f"--poses-in was given as '{text}'; choose '{BASE}', '{MEASURED}' (the frame of the result's points)"
+            + (
+                f", or one of its set-ups {choices(names)}."
+                if names
+                else ". The result has no named set-ups."
+            )
         )
         raise CalibError(message)
     return "" if text == MEASURED else text

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from calib.cli.compensate import Truth
     from calib.compensate.commands import Commands
 
+from calib.cli.setup import row_ranges
+
 Array = NDArray[np.float64]
 
 _WIDTH = 100
@@ -24,6 +26,12 @@ _ROWS, _NAMED = 5, 8
 
 #: Joint values of a program further from its poses than this ask for a second look [m]: no calibration moves a tool so.
 _ELSEWHERE = 0.02
+
+#: Rows that a message names with their reasons, one by one.
+_MOST_NAMED = 50
+
+#: Hardly anything, on an arm: position [m], angle [deg].
+_HARDLY = (1e-4, 0.2)
 
 _UNKNOWN = "The result was not validated (calib fit --no-validate): how far it can be relied on is not known."
 _WORSE = "Commands made with this result may be worse than none. Calibrate anew before they go to the robot."
@@ -76,14 +84,43 @@ def no_commands(found: Commands, *, skip: bool) -> str:
         if count == every
         else f"{count} of {every} rows {'has' if count == 1 else 'have'} no command"
     )
-    advice = "Correct the program, or --skip leaves these rows empty and writes the others."
+    more = count - _MOST_NAMED
+    if more > 0:
+        labels = [
+            label for label, why in zip(found.program.labels, found.reasons, strict=True) if why
+        ]
+        rows = [*rows[:_MOST_NAMED], _fill(f"and rows {_listed(labels[_MOST_NAMED:], more)}", "  ")]
+    advice = [_small(found), _few_joints(found)]
     if count == every:
-        advice = (
-            "Check the frame of the poses (--poses-in), the tool (--tool), the units, and --match."
-        )
-    elif skip:
-        advice = "Correct the program."
-    return "\n".join([f"{head}, and nothing was written:", *rows, advice])
+        advice.append("Check --poses-in, --tool, --match, and the units.")
+    if not skip and count < every:
+        advice.append("--skip leaves these rows empty and writes the others.")
+    said = " ".join(one for one in advice if one) or "Correct the program."
+    return "\n".join([f"{head}, and nothing was written:", *rows, _fill(said)])
+
+
+def _small(found: Commands) -> str:
+    """How to accept rows of which hardly anything is left, as next to a singularity."""
+    length, angle = _HARDLY
+    missing = ~found.reached & np.isfinite(found.left[:, 0])
+    hardly = missing & (found.left[:, 0] <= length) & ~(found.left[:, 1] > np.radians(angle))
+    # Rows that end at a joint's limit may be off by nothing: what is left of them does not matter.
+    hardly &= found.left[:, 0] > 1e-9
+    if not hardly.any():
+        return ""
+    words = f"{_MM * length:g} mm {angle:g} deg"
+    return (
+        f"Of {_counted(int(hardly.sum()), 'row')} less than {words.replace('mm ', 'mm and ')} would be left: --accept "
+        f'"{words}" takes {"it" if hardly.sum() == 1 else "them"}.'
+    )
+
+
+def _few_joints(found: Commands) -> str:
+    """What an arm of fewer than six joints can do."""
+    joints = len(found.nominal.joint_names)
+    if joints >= 6 or found.match not in ("pose", "axis"):
+        return ""
+    return f"With {joints} joints most poses cannot be reached exactly: --match weighted, or --match position."
 
 
 def _expected(found: Commands, truth: Truth, *, larger: bool) -> str:
@@ -243,7 +280,7 @@ def _first_rows(found: Commands) -> str:
 
 def _notes(found: Commands, truth: Truth, *, larger: bool) -> list[str]:
     """What to look at before the commands go to the robot."""
-    notes = [_elsewhere(found)]
+    notes = [_elsewhere(found), _orientation_unsure(found)]
     if truth.was_corrected:
         notes.append(
             "ROBOT has the corrected joint origins already; what the controller has was taken from the result."
@@ -289,6 +326,19 @@ def _elsewhere(found: Commands) -> str:
     )
 
 
+def _orientation_unsure(found: Commands) -> str:
+    """What is known of the orientation where positions alone were measured."""
+    sure, rows = found.certainty, found.reached
+    if sure is None or sure.turned or found.match == "position" or not np.isfinite(found.std).any():
+        return ""
+    unsure, moved = _DEG * found.std[rows, 1].mean(), _DEG * found.pose_corrections[rows, 1].mean()
+    return (
+        f"Positions alone were measured for the result: how the tip is turned follows from them to {unsure:.2f} deg "
+        f"(standard deviation), and the corrections turn it by {moved:.2f} deg on average. The calibrated target is "
+        "known best: --tool target, or --match position."
+    )
+
+
 def _warnings(found: Commands, *, larger: bool) -> str:
     """The warnings of all rows, one line for each kind of them, the first of its rows as the example."""
     kinds: dict[str, list[tuple[str, str]]] = {}
@@ -301,7 +351,11 @@ def _warnings(found: Commands, *, larger: bool) -> str:
     lines = [f"{count} of {len(found)} rows {'has' if count == 1 else 'have'} a warning:"]
     for rows in kinds.values():
         (label, what), others = rows[0], [other for other, _ in rows[1:]]
-        more = f"; and {_counted(len(others), 'row')} more: {_listed(others)}" if others else ""
+        more = (
+            f"; and {_counted(len(others), 'row')} more: {_listed(others, _NAMED)}"
+            if others
+            else ""
+        )
         lines.append(_fill(f"{label}: {what}{more}", "  "))
     if any(kind.startswith("outside") for kind in kinds):
         text = "The result was not tested outside of the measured range."
@@ -318,11 +372,13 @@ def _warnings(found: Commands, *, larger: bool) -> str:
 _KIND = re.compile(r"[^\d':]*")
 
 
-def _listed(labels: list[str]) -> str:
-    """The first of some rows, and how many more."""
+def _listed(labels: list[str], most: int) -> str:
+    """Some rows by their names, at most so many of them or runs of them, and how many more."""
     names = [label.removeprefix("row ") for label in labels]
-    more = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+    if all(name.isdecimal() for name in names):
+        return row_ranges(map(int, names), most)
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def _next(send: str, written: Path | None) -> str:

@@ -1,0 +1,136 @@
+"""What ``calib compensate`` takes on its line, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.cli import compensate_words
+from calib.cli.compensate_words import (
+    parse_accept,
+    parse_lever,
+    parse_limit,
+    parse_start,
+    parse_tool,
+)
+from calib.compensate.commands_file import ORIENTATIONS, SEND
+from calib.compensate.matching import MATCHES
+from calib.compensate.program_file import GIVEN
+from calib.errors import CalibError
+from calib.model.robot import Robot
+
+
+def refused(function, *words: object) -> str:
+    with pytest.raises(CalibError) as caught:
+        function(*words)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "turn"),
+    [
+        ("0 0 150 mm", [0, 0, 0.15], [0, 0, 0]),
+        ("0, -1.5, 15cm", [0, -0.015, 0.15], [0, 0, 0]),
+        ("0 0 0.15 m 0 0 90 deg", [0, 0, 0.15], [0, 0, np.pi / 2]),
+        ("1 2 3mm 0.1 0.2 0.3rad", [1e-3, 2e-3, 3e-3], [0.1, 0.2, 0.3]),
+    ],
+)
+def test_a_tool_with_a_rotation_vector(text: str, place: list[float], turn: list[float]):
+    T = parse_tool(text)
+    assert isinstance(T, np.ndarray)
+    assert T[:3, 3] == pytest.approx(place)
+    assert T[:3, :3] == pytest.approx(Rotation.from_rotvec(turn).as_matrix())
+
+
+def test_a_tool_with_roll_pitch_and_yaw():
+    T = parse_tool("0 0 100 mm rpy 10 20 30 deg")
+    assert isinstance(T, np.ndarray)
+    Rx, Ry, Rz = (
+        Rotation.from_euler(a, v, degrees=True) for a, v in zip("xyz", (10, 20, 30), strict=True)
+    )
+    assert T[:3, :3] == pytest.approx((Rz * Ry * Rx).as_matrix())
+
+
+def test_the_calibrated_target_as_the_tool():
+    assert parse_tool("target") == ""
+    assert parse_tool(" target:upper ball ") == "upper ball"
+    assert "the name of a target is missing" in refused(parse_tool, "target: ")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "0 0", "150 mm", "0 0 150", "0 0 150 mm 1 2 deg", "0 0 150 mm 0 0 x deg", "0 0 150 mm 0 0 90",
+             "0 0 150 mm rpy", "0 0 150 mm rpy 1 2 3 4 deg", "0 0 150 mm turned 0 0 90 deg"]
+)  # fmt: skip
+def test_no_tool(text: str):
+    said = refused(parse_tool, text)
+    assert said.startswith(f'--tool was given as "{text}"; it must be three numbers and a unit')
+
+
+def test_a_tool_in_wrong_units():
+    assert "'deg' is no unit of length" in refused(parse_tool, "0 0 1 deg")
+    assert "'mm' is no unit of angle" in refused(parse_tool, "0 0 1 mm 0 0 90 mm")
+    assert "or an angle no finite number" in refused(parse_tool, "0 0 1 mm 0 0 inf deg")
+    assert "must be three numbers" in refused(parse_tool, "0 0 inf mm")
+
+
+def test_limits():
+    assert parse_limit("10 mm 2 deg") == pytest.approx((0.01, math.radians(2)))
+    assert parse_limit("2deg, 10mm") == pytest.approx((0.01, math.radians(2)))
+    assert parse_limit("500 um") == pytest.approx((5e-4, math.inf))
+    assert parse_limit("3 mrad") == pytest.approx((math.inf, 3e-3))
+
+
+def test_what_may_be_left():
+    assert parse_accept(None) == (1e-8, 1e-8)
+    assert parse_accept("0.01 mm") == pytest.approx((1e-5, 1e-8))
+    assert parse_accept("0.01 mm 1e-3 rad") == pytest.approx((1e-5, 1e-3))
+
+
+@pytest.mark.parametrize(
+    "text", ["", "5", "5 mm 2 mm", "-5 mm", "1 deg 2 deg", "5 kg", "5 mm and 2 deg", "5 mm 2", "fast", "1e999 mm"]
+)  # fmt: skip
+@pytest.mark.parametrize(
+    ("function", "option"), [(parse_limit, "--limit"), (parse_accept, "--accept")]
+)
+def test_no_limit(function, option: str, text: str):
+    assert refused(function, text).startswith(f'{option} was given as "{text}"; ')
+
+
+def test_lever():
+    assert parse_lever("10 mm") == pytest.approx(0.01)
+    for text in ("0 mm", "3 deg", "10 mm 3 deg"):
+        said = refused(parse_lever, text)
+        assert said.startswith(f'--lever was given as "{text}"; it must be a length above 0')
+
+
+def test_start(ur3: Robot):
+    assert parse_start(["elbow_joint=90 deg", "wrist_1_joint = -1 rad"], ur3) == pytest.approx(
+        {"elbow_joint": math.pi / 2, "wrist_1_joint": -1.0}
+    )
+    assert "has no joint 'elbow_jont' (did you mean 'elbow_joint'?)" in refused(
+        parse_start, ["elbow_jont=3 deg"], ur3
+    )
+    assert "the value of 'elbow_joint' is a length, and the joint turns" in refused(
+        parse_start, ["elbow_joint=3 mm"], ur3
+    )
+    for pair in ("elbow_joint", "=3 deg"):
+        assert refused(parse_start, [pair], ur3).startswith(
+            f"--start was given '{pair}'; it must be"
+        )
+    assert "--start was given 'elbow_joint=2 deg'" in refused(
+        parse_start, ["elbow_joint=1 deg", "elbow_joint=2 deg"], ur3
+    )
+
+
+def test_the_words_are_those_of_the_library():
+    words = compensate_words
+    for enum, allowed in (
+        (words.Match, MATCHES),
+        (words.Given, GIVEN),
+        (words.Send, SEND),
+        (words.Orientation, ORIENTATIONS),
+    ):
+        assert tuple(member.value for member in enum) == allowed
