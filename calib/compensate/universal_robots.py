@@ -25,6 +25,7 @@ from calib.compensate.ur_conf import (
 )
 from calib.compensate.ur_dh import FullDH, at_flange, chain_poses, fitted_rows, kinematics_hash
 from calib.compensate.ur_findings import (
+    FARTHEST,
     base_remark,
     checked_distance,
     distance_from,
@@ -34,7 +35,15 @@ from calib.compensate.ur_findings import (
     tidy,
     tool_remark,
 )
-from calib.compensate.ur_models import MODELS, UrModel, the_mount, ur_model, ur_robot, with_chain
+from calib.compensate.ur_models import (
+    MODELS,
+    Mount,
+    UrModel,
+    the_mount,
+    ur_model,
+    ur_robot,
+    with_chain,
+)
 from calib.compensate.ur_yaml import check_hash, read_yaml, write_yaml
 from calib.errors import FileError, ModelError, choices
 from calib.model.anchoring import anchored_placements, check_same_joints
@@ -43,7 +52,7 @@ from calib.model.robot import Robot, read_only
 Array = NDArray[np.float64]
 
 #: Written rows may differ from the robot by this [m and rad].
-_EXACT, _USELESS = 1e-9, 1e-6
+_EXACT = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,13 +187,12 @@ def write_ur_yaml(
         The file, and a displacement of the flange behind the last joint, for which it has no place.
 
     Raises:
-        ModelError: The nominal robot is not a Universal Robots arm, or the robot is not the same chain.
+        ModelError: The nominal robot is not a Universal Robots arm, or the robot is no correction of it.
         FileError: The file cannot be written, or the hash is none.
     """
     check_hash(hash)
     arm, mounted = the_mount(nominal)
-    check_same_joints(robot, nominal)
-    chain = at_flange(mounted.chain_of(robot))
+    chain = at_flange(_chain_of(robot, nominal, arm, mounted))
     T_tool = tidy(chain[6])
     comments = (
         f"Kinematics of one Universal Robots {arm.name}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll).",
@@ -216,25 +224,16 @@ def write_ur_conf(
         The file, and displacements of the base and of the flange, for which standard DH rows have no place.
 
     Raises:
-        ModelError: The nominal robot is not a Universal Robots arm, the robot is not the same chain, or no rows in
-            double precision hold it.
+        ModelError: The nominal robot is not a Universal Robots arm, or the robot is no correction of it.
         FileError: A file cannot be read or written.
     """
     arm, mounted = the_mount(nominal, None if model is None else ur_model(model))
-    check_same_joints(robot, nominal)
-    chain = mounted.chain_of(robot)
+    chain = _chain_of(robot, nominal, arm, mounted)
     like = None if update is None else arm.nominal + read_deltas(update)
     fitted = fitted_rows(chain, arm.nominal, like)
     q = joint_values()
     made = fitted.T_base @ fitted.rows.poses(q) @ fitted.T_tool
     missed = float(np.abs(made - chain_poses(chain, q)).max())
-    if missed > _USELESS:
-        message = (
-            f"No DH rows in double precision hold '{robot.name}': they miss it by {missed:.1e} m, because d is "
-            f"{np.abs(fitted.rows.d).max():.2g} m where two axes are almost parallel. Write a kinematics.yaml or a "
-            "URDF, which have no such rows."
-        )
-        raise ModelError(message)
     remarks: list[str] = []
     if missed > _EXACT:
         remarks.append(
@@ -284,6 +283,24 @@ def read_ur_hash(
         message = f"{path}: there is no 'hash' in it. Give the robot's own kinematics.yaml, or its calibration.conf."
         raise FileError(message)
     return found
+
+
+def _chain_of(robot: Robot, nominal: Robot, arm: UrModel, mounted: Mount) -> Array:
+    """The placements of a calibrated arm, shape (7, 4, 4), [m].
+
+    Raises:
+        ModelError: It is no correction of the nominal robot.
+    """
+    check_same_joints(robot, nominal)
+    chain = mounted.chain_of(robot)
+    moved = distance_from(chain, arm)
+    if moved > FARTHEST:
+        message = (
+            f"The robot '{robot.name}' has its flange up to {moved:.2f} m from where the nominal {arm.name} has it, so "
+            "that it is no correction of it. Give the nominal URDF that the robot was corrected from."
+        )
+        raise ModelError(message)
+    return chain
 
 
 def _arm(

@@ -27,7 +27,7 @@ MOUNTING, NOMINAL = "mounting", "DH"
 
 #: Larger values are no deltas in metres and radians. d runs away between axes that are nearly parallel, theta with it.
 _LARGEST = {
-    MOUNTING: {"theta": 8.0 * np.pi, "a": 10.0, "d": 1e7, "alpha": 0.5},
+    MOUNTING: {"theta": 8.0 * np.pi, "a": 10.0, "d": 1e9, "alpha": 0.5},
     NOMINAL: {"theta": 2.0 * np.pi, "a": 10.0, "d": 10.0, "alpha": 2.0 * np.pi},
 }
 

@@ -64,8 +64,8 @@ class FullDH:
             column = read_only(getattr(self, name))
             if column.shape != (6,) or not np.isfinite(column).all():
                 message = (
-                    f"The column '{name}' of DH rows is {column.tolist()}; a Universal Robots arm has six joints, six finite "
-                    "numbers are wanted."
+                    f"The column '{name}' of DH rows is {column.tolist()}; a Universal Robots arm has six joints, "
+                    "six finite numbers are wanted."
                 )
                 raise ModelError(message)
             object.__setattr__(self, name, column)

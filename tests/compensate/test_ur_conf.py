@@ -140,7 +140,7 @@ DAMAGED = {
     "deg": (CONF.replace("0.0073", "0.73"), r"alpha of joint 3 is 0.73, more than 0.5 rad"),
     "twice": (CONF + "delta_a = [1, 0, 0, 0, 0, 0]\n", r"two values, in line 4 and in line 10"),
     "binary": (CONF + "\0", r"not a calibration.conf: it has bytes that no text has"),
-    "cut": (CONF[: CONF.index("-204")], r"line 5: delta_d is '\[ 0.00022,'; a list of six"),
+    "cut": (CONF[: CONF.index("-204")], r"\[mounting\] has no delta_alpha; a calibration"),
 }
 
 

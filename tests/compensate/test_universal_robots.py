@@ -1,0 +1,378 @@
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from calib.compensate.universal_robots import (
+    read_ur_conf,
+    read_ur_hash,
+    read_ur_yaml,
+    write_ur_conf,
+    write_ur_yaml,
+)
+from calib.compensate.ur_conf import read_deltas, write_deltas
+from calib.compensate.ur_dh import COLUMNS, FullDH
+from calib.compensate.ur_models import LINKS, ur_model, ur_robot
+from calib.errors import FileError, ModelError
+from calib.model.readback import check_written
+from calib.model.robot import Robot
+from tests.compensate.ur_cases import WITH_DELTAS, rows
+
+Q = np.random.default_rng(12).uniform(-2 * np.pi, 2 * np.pi, (100, 6))
+HASH = "calib_12788084448423163542"
+
+by_name = pytest.mark.parametrize("case", WITH_DELTAS, ids=lambda case: case["name"])
+
+
+@pytest.fixture
+def conf_of(tmp_path):
+    """A function that writes the calibration.conf of a case."""
+    return lambda case: write_deltas(tmp_path / f"{case['name']}.conf", rows(case["delta"]))
+
+
+def case_of(name: str):
+    return next(case for case in WITH_DELTAS if case["name"] == name)
+
+
+def urcontrol_of(table, path):
+    lines = [f"{name} = {[float(v) for v in table[name]]}" for name in ("a", "d", "alpha")]
+    path.write_text("\n".join(["[DH]", *lines]))
+    return path
+
+
+def displaced(robot: Robot, size: float = 1e-3, seed: int = 9) -> Robot:
+    """Every placement displaced by millimetres and milliradians."""
+    twists = np.random.default_rng(seed).normal(size=(7, 6)) * size
+    return robot.with_placements(
+        np.array(
+            [P @ pin.exp6(t).homogeneous for P, t in zip(robot.placements, twists, strict=True)]
+        )
+    )
+
+
+def fk_of_yaml(path, q) -> np.ndarray:
+    """The flange as ROS computes it: PyYAML, and rotations by another library."""
+    table = yaml.safe_load(path.read_text())["kinematics"]
+    T = np.tile(np.eye(4), (len(q), 1, 1))
+    for i, link in enumerate(LINKS):
+        origin = np.eye(4)
+        origin[:3, 3] = [table[link][key] for key in "xyz"]
+        angles = [table[link][key] for key in ("roll", "pitch", "yaw")]
+        origin[:3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
+        turn = np.tile(np.eye(4), (len(q), 1, 1))
+        turn[:, :3, :3] = Rotation.from_euler("z", q[:, [i]]).as_matrix()
+        T = T @ origin @ turn
+    return T
+
+
+# calibration.conf
+
+
+@by_name
+def test_conf_to_urdf(case, conf_of):
+    source = read_ur_conf(conf_of(case), model=case["robot"])
+    np.testing.assert_allclose(
+        source.robot.poses(case["fk"]["q"]), case["fk"]["T"], rtol=0, atol=1e-9
+    )
+    assert source.hash == case["driver_hash"]
+    assert source.model.name == case["robot"]
+    assert source.remarks == ()
+    # Though d2 is hundreds of metres, no frame lies far from its nominal place.
+    moved = source.robot.placements[:, :3, 3] - source.nominal.placements[:, :3, 3]
+    assert np.linalg.norm(moved, axis=1).max() < 0.02
+    check_written(source.robot, rows(case["full_dh"]).poses(Q[:20]), Q[:20])
+
+
+@by_name
+def test_conf_to_yaml_to_urdf(case, conf_of, tmp_path):
+    source = read_ur_conf(conf_of(case), model=case["robot"])
+    written = write_ur_yaml(source.robot, source.nominal, tmp_path / "k.yaml", hash=source.hash)
+    assert written.remarks == ()
+    again = read_ur_yaml(written.path, model=case["robot"])
+    np.testing.assert_allclose(
+        again.robot.poses(case["fk"]["q"]), case["fk"]["T"], rtol=0, atol=1e-9
+    )
+    assert again.hash == case["driver_hash"]
+    by_ros = fk_of_yaml(written.path, np.array(case["fk"]["q"]))
+    np.testing.assert_allclose(by_ros, case["fk"]["T"], rtol=0, atol=1e-8)
+
+
+def test_the_nominal_rows_may_come_from_urcontrol(conf_of, tmp_path):
+    case = case_of("ur3_a")
+    conf, urcontrol = conf_of(case), urcontrol_of(case["nominal"], tmp_path / "urcontrol.conf")
+    source = read_ur_conf(conf, urcontrol=urcontrol)
+    assert source.model.name == "UR3"
+    np.testing.assert_allclose(
+        source.robot.poses(case["fk"]["q"]), case["fk"]["T"], rtol=0, atol=1e-9
+    )
+    assert read_ur_conf(conf, urcontrol=urcontrol, model="ur3").hash == case["driver_hash"]
+
+
+def test_an_arm_that_calib_does_not_know(conf_of, tmp_path):
+    case = case_of("ur3_a")
+    table = {**case["nominal"], "a": [0, -0.3, -0.25, 0, 0, 0]}
+    source = read_ur_conf(conf_of(case), urcontrol=urcontrol_of(table, tmp_path / "new.conf"))
+    assert source.model.name == "arm of new.conf"
+    expected = (rows(table) + rows(case["delta"])).poses(Q)
+    np.testing.assert_allclose(source.robot.poses(Q), expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("base", "tip"), [("base", "tool0"), ("base_link", "ee_link"), ("world", "wrist_3_link")]
+)
+def test_onto_the_user_s_urdf(base, tip, conf_of, ur3):
+    case = case_of("ur3_a")
+    nominal = ur3.rebuilt(base=base, tip=tip)
+    source = read_ur_conf(conf_of(case), robot=nominal)
+    assert source.nominal is nominal
+    # Seen from the controller's base at its flange, whatever the URDF calls them.
+    T = source.robot.rebuilt(base="base").poses(case["fk"]["q"])
+    if tip != "tool0":
+        T = (
+            T
+            @ np.linalg.inv(nominal.poses(np.zeros(6))[0])
+            @ nominal.rebuilt(tip="tool0").poses(np.zeros(6))
+        )
+    np.testing.assert_allclose(T, case["fk"]["T"], rtol=0, atol=1e-8)
+    moved = source.robot.placements[:, :3, 3] - nominal.placements[:, :3, 3]
+    assert np.linalg.norm(moved, axis=1).max() < 0.02
+    changed = [
+        joint.name
+        for joint, was in zip(source.robot.urdf.joints, nominal.urdf.joints, strict=True)
+        if not np.array_equal(joint.T_parent_joint, was.T_parent_joint)
+    ]
+    assert set(changed) <= set(nominal.joint_names)
+
+
+def test_the_round_trip_of_a_conf(conf_of, tmp_path):
+    for case in WITH_DELTAS:
+        conf = conf_of(case)
+        source = read_ur_conf(conf, model=case["robot"])
+        for update in (None, conf):
+            path = tmp_path / "again.conf"
+            written = write_ur_conf(
+                source.robot, source.nominal, path, update=update, overwrite=True
+            )
+            assert written.remarks == ()
+            again = read_ur_conf(path, model=case["robot"])
+            full = rows(case["full_dh"]).poses(Q)
+            np.testing.assert_allclose(again.robot.poses(Q), full, rtol=0, atol=1e-12)
+        # Updated, the file is what it was, the hash with it.
+        assert path.read_bytes() == conf.read_bytes()
+        assert again.hash == case["driver_hash"]
+
+
+def test_the_round_trip_of_a_yaml(conf_of, tmp_path):
+    for case in WITH_DELTAS:
+        source = read_ur_conf(conf_of(case), model=case["robot"])
+        first = write_ur_yaml(
+            source.robot, source.nominal, tmp_path / "1.yaml", hash="calib_1", overwrite=True
+        )
+        one = read_ur_yaml(first.path)
+        second = write_ur_yaml(
+            one.robot, one.nominal, tmp_path / "2.yaml", hash=one.hash, overwrite=True
+        )
+        two = read_ur_yaml(second.path)
+        np.testing.assert_allclose(two.robot.poses(Q), one.robot.poses(Q), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(one.robot.poses(Q), source.robot.poses(Q), rtol=0, atol=1e-12)
+        assert two.hash == "calib_1"
+
+
+# A calibration of calib's own
+
+
+@pytest.mark.parametrize(("base", "tip"), [("base", "tool0"), ("base_link", "ee_link")])
+def test_what_a_yaml_has_no_place_for_is_said(base, tip, ur3, tmp_path):
+    nominal = ur3.rebuilt(base=base, tip=tip)
+    robot = displaced(nominal)
+    written = write_ur_yaml(robot, nominal, tmp_path / "k.yaml", hash=HASH)
+    assert "behind the joint" in written.remarks[0]
+    assert "mm and" in written.remarks[0]
+    assert len(written.remarks) == 1
+    np.testing.assert_array_equal(written.T_base, np.eye(4))
+    assert np.abs(written.T_tool[:2, 3]).max() > 1e-4
+    assert abs(written.T_tool[2, 3]) < 1e-12  # along the axis the sixth joint holds it
+    again = read_ur_yaml(written.path, robot=nominal)
+    # T_base_tip = T_base_arm K(q) T_tool T_flange_tip
+    flange = nominal.rebuilt(tip="tool0")
+    T_flange_tip = np.linalg.inv(flange.poses(np.zeros(6))[0]) @ nominal.poses(np.zeros(6))[0]
+    made = again.robot.poses(Q) @ np.linalg.inv(T_flange_tip) @ written.T_tool @ T_flange_tip
+    np.testing.assert_allclose(made, robot.poses(Q), rtol=0, atol=2e-9)
+
+
+def test_what_a_conf_has_no_place_for_is_said(tmp_path):
+    nominal = ur_robot("UR5e")
+    robot = displaced(nominal)
+    written = write_ur_conf(robot, nominal, tmp_path / "calibration.conf")
+    assert "the first axis lies" in written.remarks[0]
+    assert "the flange lies" in written.remarks[1]
+    again = read_ur_conf(written.path, robot=nominal)
+    made = written.T_base @ again.robot.poses(Q) @ written.T_tool
+    np.testing.assert_allclose(made, robot.poses(Q), rtol=0, atol=1e-11)
+    # An update keeps the other lines, and says that they are the old ones.
+    old = tmp_path / "old.conf"
+    old.write_text(written.path.read_text() + "joint_checksum = [ 0xb84e3393]\n")
+    more = write_ur_conf(robot, nominal, tmp_path / "new.conf", update=old)
+    assert "joint_checksum are as in" in more.remarks[0]
+    assert "joint_checksum = [ 0xb84e3393]\n" in more.path.read_text()
+
+
+def test_nothing_to_say_of_a_robot_that_the_files_hold(tmp_path):
+    # A length, a height, a zero and a flange further out along the last axis.
+    nominal = ur_robot("UR5e")
+    deltas = FullDH(
+        [0, 0.01, 0, 0, 0, 0.02], [0, 1e-3, 0, 0, 0, 0], [1e-3, 0, 0, 0, 0, 2e-3], [0] * 6
+    )
+    conf = write_deltas(tmp_path / "c.conf", deltas)
+    source = read_ur_conf(conf, robot=nominal)
+    assert write_ur_yaml(source.robot, nominal, tmp_path / "k.yaml", hash=HASH).remarks == ()
+    written = write_ur_conf(source.robot, nominal, tmp_path / "d.conf")
+    assert written.remarks == ()
+    back = read_deltas(written.path)
+    for name in COLUMNS:
+        np.testing.assert_allclose(getattr(back, name), getattr(deltas, name), rtol=0, atol=1e-14)
+
+
+def test_rows_lose_digits_where_axes_are_almost_parallel(tmp_path):
+    nominal = ur_robot("UR5e")
+    for angle, word in ((2e-8, "The rows hold the robot to"), (1e-4, "")):
+        placements = np.array(nominal.placements)
+        placements[2] = placements[2] @ pin.exp6(np.array([0, 0, 0, 0, angle, 0])).homogeneous
+        placements[2, 1, 3] += 0.01
+        robot = nominal.with_placements(placements)
+        written = write_ur_conf(robot, nominal, tmp_path / "c.conf", overwrite=True)
+        assert " ".join(written.remarks).startswith(word)
+        assert bool(written.remarks) == bool(word)
+        back = read_ur_conf(written.path, robot=nominal).robot
+        np.testing.assert_allclose(back.poses(Q), robot.poses(Q), rtol=0, atol=1e-7)
+
+
+# kinematics.yaml
+
+
+def test_a_yaml_says_of_which_arm_it_may_be(tmp_path):
+    source = ur_robot("UR10e")
+    robot = displaced(source, 3e-4)
+    path = write_ur_yaml(robot, source, tmp_path / "k.yaml", hash=HASH).path
+    found = read_ur_yaml(path)
+    assert found.model.name == "UR10e"
+    assert found.remarks == (
+        f"{path} does not say of which arm it is; its kinematics are those of the UR10e or UR12e.",
+    )
+    assert read_ur_yaml(path, model="UR12e").remarks == ()
+    assert read_ur_yaml(path, robot=source).remarks == ()
+
+
+def test_a_yaml_of_no_particular_robot(tmp_path):
+    model = ur_model("UR30")
+    robot = ur_robot(model)
+    path = write_ur_yaml(robot, robot, tmp_path / "k.yaml", hash=model.default_hash).path
+    source = read_ur_yaml(path, model="UR30")
+    assert "hash of the nominal UR30" in source.remarks[0]
+    np.testing.assert_allclose(source.robot.poses(Q), robot.poses(Q), rtol=0, atol=1e-14)
+    path.write_text(path.read_text().replace("hash:", "# hash:"))
+    source = read_ur_yaml(path, model="UR30")
+    assert source.hash is None
+    assert "no hash" in source.remarks[0]
+
+
+# Hashes
+
+
+def test_the_hash_of_a_robot_s_own_files(conf_of, tmp_path):
+    case = case_of("ur3_a")
+    conf = conf_of(case)
+    assert read_ur_hash(conf, model="ur3") == case["driver_hash"]
+    assert read_ur_hash(conf, robot=ur_robot("ur3")) == case["driver_hash"]
+    robot = ur_robot("ur3")
+    path = write_ur_yaml(robot, robot, tmp_path / "k.yaml", hash="calib_7").path
+    assert read_ur_hash(path) == "calib_7"
+    path.write_text(path.read_text().replace("hash:", "# hash:"))
+    with pytest.raises(FileError, match=r"no 'hash' in it\. Give the robot's own"):
+        read_ur_hash(path)
+
+
+# What is refused
+
+
+def test_a_conf_alone_is_not_enough(conf_of):
+    with pytest.raises(
+        ModelError, match=r"only what is added .* \('UR3', .* urcontrol.conf or its"
+    ):
+        read_ur_conf(conf_of(case_of("ur3_a")))
+
+
+def test_a_conf_of_another_arm(conf_of, tmp_path):
+    conf = conf_of(case_of("ur10e"))
+    with pytest.raises(FileError, match=r"up to 0\.\d\d m from where that of a nominal UR3 is"):
+        read_ur_conf(conf, model="UR3")
+    with pytest.raises(FileError, match="Check that the file is of a UR3, in metres"):
+        read_ur_hash(conf, model="UR3")
+    robot = ur_robot("UR10e")
+    path = write_ur_yaml(robot, robot, tmp_path / "k.yaml", hash=HASH).path
+    with pytest.raises(FileError, match="from where that of a nominal UR5 is"):
+        read_ur_yaml(path, model="UR5")
+    with pytest.raises(FileError, match="from where that of a nominal UR3 is"):
+        read_ur_yaml(path, robot=ur_robot("UR3"))
+
+
+def test_a_calibration_that_moves_the_arm_far_is_said(tmp_path):
+    deltas = FullDH([0] * 6, [0, 0.05, 0, 0, 0, 0], [0] * 6, [0] * 6)
+    source = read_ur_conf(write_deltas(tmp_path / "c.conf", deltas), model="UR10")
+    assert "by up to 50 mm from the nominal UR10, more than" in source.remarks[0]
+
+
+def test_names_that_do_not_agree(conf_of, tmp_path, ur3):
+    case = case_of("ur3_a")
+    conf = conf_of(case)
+    urcontrol = urcontrol_of(case["nominal"], tmp_path / "urcontrol.conf")
+    with pytest.raises(ModelError, match=r"are those of the UR3, not those of the UR5"):
+        read_ur_conf(conf, urcontrol=urcontrol, model="UR5")
+    unknown = urcontrol_of({**case["nominal"], "a": [0, -0.3, 0, 0, 0, 0]}, tmp_path / "x.conf")
+    with pytest.raises(ModelError, match=r"are no arm's that is known, not those of the UR5"):
+        read_ur_conf(conf, urcontrol=unknown, model="UR5")
+    with pytest.raises(ModelError, match=r"not the nominal kinematics of the UR5: .* the UR3"):
+        read_ur_conf(conf, model="UR5", robot=ur3)
+    with pytest.raises(ModelError, match=r"kinematics of the arm of x\.conf"):
+        read_ur_conf(conf, urcontrol=unknown, robot=ur3)
+    with pytest.raises(ModelError, match="'UR99' is not an arm"):
+        read_ur_yaml(conf, model="UR99")
+
+
+def test_a_robot_that_is_no_such_arm(panda, ur3, tmp_path):
+    path = tmp_path / "out"
+    with pytest.raises(ModelError, match="of no Universal Robots arm that calib knows"):
+        write_ur_yaml(panda, panda, path, hash=HASH)
+    with pytest.raises(ModelError, match="of no Universal Robots arm that calib knows"):
+        write_ur_conf(panda, panda, path)
+    with pytest.raises(ModelError, match="is not the 'shoulder_pan_joint'"):
+        write_ur_yaml(panda, ur3, path, hash=HASH)
+    with pytest.raises(ModelError, match=r"axis 0 0 1\)"):
+        write_ur_conf(ur_robot("ur3"), ur3, path)
+    with pytest.raises(ModelError, match="not the nominal kinematics of the UR5"):
+        write_ur_conf(ur3, ur3, path, model="UR5")
+    far = ur_robot("UR5")
+    with pytest.raises(
+        ModelError, match=r"0\.\d\d m from where the nominal UR3 has it, so that it"
+    ):
+        write_ur_yaml(far, ur_robot("UR3"), path, hash=HASH)
+    with pytest.raises(ModelError, match="it is no correction of it"):
+        write_ur_conf(far, ur_robot("UR3"), path)
+    with pytest.raises(FileError, match="is none of a calibration"):
+        write_ur_yaml(ur3, ur3, path, hash="none of them")
+    assert not path.exists()
+
+
+def test_a_file_that_is_there_stays(ur3, tmp_path):
+    path = tmp_path / "out"
+    path.write_text("mine")
+    with pytest.raises(FileError, match="exists already"):
+        write_ur_yaml(ur3, ur3, path, hash=HASH)
+    with pytest.raises(FileError, match="exists already"):
+        write_ur_conf(ur3, ur3, path)
+    with pytest.raises(FileError, match=r"no \[mounting\]"):
+        write_ur_conf(ur3, ur3, path, update=path, overwrite=True)
+    assert path.read_text() == "mine"
