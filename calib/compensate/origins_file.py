@@ -28,7 +28,7 @@ from calib.model.urdf import Urdf
 from calib.model.urdf_joints import FARTHEST, did_you_mean
 from calib.model.yaml_file import parse_yaml
 
-__all__ = ["JointOrigin", "Origins", "origins_of", "read_origins", "write_origins"]
+__all__ = ["JointOrigin", "Origins", "origins_of", "parse_origins", "read_origins", "write_origins"]
 
 FloatArray = NDArray[np.float64]
 
@@ -138,7 +138,7 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
         joint=_one_line(origins.joints[0][0]),
     )
     data = origins.to_yaml(header)
-    if _parsed(data, str(path)).joints != origins.joints:
+    if parse_origins(data, str(path)).joints != origins.joints:
         message = (
             f"{path}: the origins of '{robot.name}' do not read back as they were written; nothing was written. "
             "Rename joints that have unusual characters in their names."
@@ -153,11 +153,19 @@ def read_origins(path: str | os.PathLike[str]) -> Origins:
     Raises:
         FileError: It cannot be read, or is no origins file; the text names file, joint and key.
     """
-    return _parsed(read_bytes(path, "origins file", LIMIT_BYTES), str(path))
+    return parse_origins(read_bytes(path, "origins file", LIMIT_BYTES), str(path))
 
 
-def _parsed(data: bytes, source: str) -> Origins:
-    """The origins in a file's bytes."""
+def parse_origins(data: bytes, source: str) -> Origins:
+    """The origins in a file's bytes.
+
+    Args:
+        data: The file.
+        source: Its name, for messages.
+
+    Raises:
+        FileError: It is no origins file; the text names file, joint and key.
+    """
     table = parse_yaml(data, source, "origins file")
     if not isinstance(table, dict) or not isinstance(table.get(_SECTION), dict):
         message = (

@@ -30,6 +30,8 @@ def read_bytes(path: str | os.PathLike[str], what: str, limit_bytes: int) -> byt
             data = file.read(limit_bytes + 1)
     except FileNotFoundError as error:
         message = f"{what} '{path}' does not exist; check the name and the folder"
+        if ":=" in str(path):
+            message += ". Arguments of a xacro stand behind its name, with it in one pair of quotes"
         raise FileError(message) from error
     except IsADirectoryError as error:
         message = f"{what} '{path}' is a folder; name the file inside it"

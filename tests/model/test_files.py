@@ -11,7 +11,13 @@ from pathlib import Path
 import pytest
 
 from calib.errors import FileError
-from calib.model.files import make_folder, read_bytes, write_atomically
+from calib.model.files import (
+    check_no_xacro,
+    expanded_name,
+    make_folder,
+    read_bytes,
+    write_atomically,
+)
 
 
 def names(folder: Path) -> list[str]:
@@ -25,6 +31,20 @@ def test_reads_up_to_the_limit(tmp_path: Path):
     assert read_bytes(str(path), "URDF", 6) == b"12345"
     with pytest.raises(FileError, match=r"URDF '.*a\.urdf' is larger than 4 bytes, the most"):
         read_bytes(path, "URDF", 4)
+
+
+def test_a_xacros_arguments_without_quotes(tmp_path: Path):
+    with pytest.raises(FileError, match=r"ur_type:=ur5e' does not exist; .* in one pair of quotes"):
+        read_bytes(tmp_path / "ur_type:=ur5e", "table", 9)
+
+
+@pytest.mark.parametrize("name", ["ur.urdf.xacro", "ur.xacro", "UR.XACRO"])
+def test_the_name_of_a_xacro_is_none_for_a_urdf(tmp_path: Path, name: str):
+    check_no_xacro(tmp_path / expanded_name(name))
+    with pytest.raises(
+        FileError, match=f"is the name of a xacro, .*; name it {expanded_name(name)}"
+    ):
+        check_no_xacro(tmp_path / name)
 
 
 def test_read_says_what_is_wrong(tmp_path: Path):

@@ -1,0 +1,402 @@
+from __future__ import annotations
+
+import contextlib
+import shutil
+import subprocess
+import sys
+import threading
+import xml.dom.minidom
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from calib.errors import FileError, UrdfError
+from calib.model.meshes import find_mesh, link_shapes, mesh_folders
+from calib.model.readback import random_joint_values
+from calib.model.robot import Robot, read_urdf
+from calib.model.xacro_file import XacroCall, is_xacro, read_xacro
+
+URDF = Path(__file__).parents[2] / "urdf"
+EXAMPLE = URDF / "ur3_from_origins.urdf.xacro"
+NOMINAL = f"{EXAMPLE} origins:=ur3_nominal_origins.yaml"
+
+HEAD = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">\n'
+BODY = """<link name="a"/>
+<link name="b"/>
+<joint name="j" type="revolute"><parent link="a"/><child link="b"/>
+<origin xyz="0 0 ${h}"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>
+"""
+HALF = '<xacro:property name="h" value="0.5"/>\n'
+LOAD = """<xacro:property name="k" value="${xacro.load_yaml('k.yaml')}"/>\n"""
+FROM_YAML = LOAD + """<xacro:property name="h" value="${k['h']}"/>\n"""
+ARM = '<xacro:macro name="arm" params="x">\n<link name="${x + zz}"/></xacro:macro>\n'
+
+Written = Callable[..., Path]
+
+
+@pytest.fixture
+def written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Written:
+    """A function that writes ``r.urdf.xacro`` out of what stands before the link and joint, and other files."""
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
+
+    def write(text: str | bytes, others: dict[str, str] | None = None) -> Path:
+        for name, content in (others or {}).items():
+            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / name).write_text(content)
+        path = tmp_path / "r.urdf.xacro"
+        path.write_bytes(text if isinstance(text, bytes) else (HEAD + text + BODY).encode())
+        return path
+
+    return write
+
+
+def height(source: str | Path) -> float:
+    return float(read_urdf(source).joint("j").xyz[2])
+
+
+# What is read
+
+
+def test_the_example_has_the_origins_of_the_calibrated_urdf():
+    calibrated = Robot.load(URDF / "ur3_calibrated.urdf", "base", "tool0")
+    q = random_joint_values(calibrated, 100, np.random.default_rng(0))
+    robot = Robot.load(EXAMPLE, "base", "tool0")
+    np.testing.assert_allclose(robot.poses(q), calibrated.poses(q), rtol=0, atol=1e-9)
+    nominal = Robot.load(URDF / "ur3.urdf", "base", "tool0")
+    robot = Robot.load(NOMINAL, "base", "tool0")
+    np.testing.assert_allclose(robot.poses(q), nominal.poses(q), rtol=0, atol=1e-9)
+    assert robot.joint_names == nominal.joint_names
+
+
+def test_the_examples_limits_and_shapes_are_those_of_the_urdf():
+    ours, theirs = read_urdf(NOMINAL), read_urdf(URDF / "ur3.urdf")
+    joints = {j.name: j for j in theirs.joints}
+    for joint in ours.joints:
+        other = joints[joint.name]
+        assert (joint.type, joint.lower, joint.upper) == (other.type, other.lower, other.upper)
+        np.testing.assert_array_equal(joint.axis, other.axis)
+    for kind in ("visual", "collision"):
+        shapes = {s.link: s.geometry.get("filename") for s in link_shapes(theirs, kind)}  # type: ignore[arg-type]
+        for shape in link_shapes(ours, kind):  # type: ignore[arg-type]
+            assert shape.geometry.get("filename") == shapes[shape.link]
+
+
+def test_it_is_what_the_xacro_program_writes(tmp_path: Path):
+    """But for what stands in the remark at the head, which has no folder in it, wherever it is called from."""
+    shutil.copy(EXAMPLE, tmp_path)
+    shutil.copy(URDF / "ur3_nominal_origins.yaml", tmp_path)
+    words = f"{EXAMPLE.name} origins:=ur3_nominal_origins.yaml"
+    code = "import sys, xacro; sys.argv[0] = 'xacro'; xacro.main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words.split()], cwd=tmp_path, capture_output=True, check=True
+    )
+    here, there = read_xacro(f"{tmp_path}/{words}"), read_xacro(NOMINAL)
+    assert here.data == done.stdout
+    assert there.data == here.data
+    assert there.sha256 == here.sha256
+
+
+def test_name_path_and_hash():
+    urdf = read_urdf(NOMINAL)
+    assert urdf.source == "ur3_from_origins.urdf.xacro origins:=ur3_nominal_origins.yaml"
+    assert urdf.path == EXAMPLE
+    assert urdf.sha256 != read_urdf(EXAMPLE).sha256
+    assert read_urdf(str(EXAMPLE)) == read_urdf(EXAMPLE)
+    assert Robot.load(NOMINAL, "base", "tool0").name == "ur3"
+
+
+@pytest.mark.parametrize("name", ["meshes/m.stl", "package://arm_description/meshes/m.stl"])
+def test_a_mesh_beside_the_xacro_is_found(written: Written, tmp_path: Path, name: str):
+    """Of a package, too, whose folder has another name than it."""
+    mesh = f'<link name="b"><visual><geometry><mesh filename="{name}"/></geometry></visual></link>'
+    manifest = "<package><name>arm_description</name></package>"
+    written("", {"Arm/package.xml": manifest, "Arm/meshes/m.stl": ""})
+    text = (HEAD + HALF + BODY).replace('<link name="b"/>', mesh)
+    (tmp_path / "Arm" / "r.xacro").write_text(text)
+    urdf = read_urdf(tmp_path / "Arm" / "r.xacro")
+    (shape,) = link_shapes(urdf, "visual")
+    found = find_mesh(str(shape.geometry.get("filename")), mesh_folders(urdf))
+    assert found is not None
+    assert found.samefile(tmp_path / "Arm" / "meshes" / "m.stl")
+
+
+# Arguments
+
+
+def test_arguments_and_their_defaults(written: Written):
+    arg = '<xacro:arg name="h" default="0.5"/><xacro:property name="h" value="$(arg h)"/>'
+    path = written(arg)
+    assert (height(path), height(f"{path} h:=0.25")) == (0.5, 0.25)
+    assert read_urdf(f"{path}   h:='0.25'  ").source == "r.urdf.xacro h:=0.25"
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments"),
+    [
+        ("r.xacro", {}),
+        ("r.xacro a:=1 b:=2", {"a": "1", "b": "2"}),
+        ("r.xacro a:='x y' b:=\"x\"", {"a": "x y", "b": "x"}),
+        ("r.xacro a:=x y b:=2", {"a": "x y", "b": "2"}),
+        ("r.xacro a:= b:=''", {"a": "", "b": ""}),
+        ("r.xacro f:=/a/b.yaml g:=file:///c", {"f": "/a/b.yaml", "g": "file:///c"}),
+        ("r.XACRO\n a:=1\t", {"a": "1"}),
+        ("r.xacro a:='", {"a": "'"}),
+    ],
+)
+def test_the_file_and_what_is_behind_it(text: str, arguments: dict[str, str]):
+    call = XacroCall.parse(text)
+    assert dict(call.arguments) == arguments
+    assert call.path.name.lower() == "r.xacro"
+    assert XacroCall.parse(call.name) == call
+
+
+def test_which_names_are_those_of_a_xacro(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    assert all(map(is_xacro, ["r.xacro", "a b/r.urdf.xacro", "r.xacro a:=b", Path("r.xacro")]))
+    assert not any(map(is_xacro, ["ur3", "r.urdf", "xacro", "r.xacro.urdf", "", "\0"]))
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "my.xacro files"
+    folder.mkdir()
+    shutil.copy(URDF / "ur3.urdf", folder)
+    shutil.copy(EXAMPLE, folder)
+    shutil.copy(URDF / "ur3_nominal_origins.yaml", folder)
+    assert not is_xacro("my.xacro files/ur3.urdf")
+    call = XacroCall.parse(f"my.xacro files/{EXAMPLE.name} origins:=ur3_nominal_origins.yaml")
+    assert call.path == Path("my.xacro files") / EXAMPLE.name
+    assert len(read_xacro(call).joints) == 9
+
+
+def test_the_home_folder_that_quotes_keep_the_shell_from_seeing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert XacroCall.parse("~/r.xacro a:=1").path == tmp_path / "r.xacro"
+
+
+# What a xacro may use
+
+
+def test_a_package_that_it_includes_from(written: Written, tmp_path: Path, monkeypatch):
+    include = '<xacro:include filename="$(find arm_description)/urdf/h.xacro"/>\n'
+    file = {"ros/arm/urdf/h.xacro": f'<robot xmlns:xacro="x">{HALF}</robot>'}
+    path = written(include, file)
+    (tmp_path / "ros/arm/package.xml").write_text("<package><name>arm_description</name></package>")
+    with pytest.raises(UrdfError, match="there is no ROS package 'arm_description'"):
+        read_urdf(path)
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "ros"))
+    assert height(path) == 0.5
+
+
+def test_units_in_its_yaml_stay_its_own(written: Written):
+    path = written(FROM_YAML, {"k.yaml": "h: !millimeters 500\n"})
+    before = dict(yaml.SafeLoader.yaml_constructors)
+    assert height(path) == 0.5
+    assert yaml.SafeLoader.yaml_constructors == before
+
+
+def test_nothing_of_a_call_is_left_behind(written: Written, capfd: pytest.CaptureFixture[str]):
+    """Neither of one that worked nor of one that failed; the process's own xacro, streams and XML writer stay."""
+    import xacro
+
+    ours = {name: module for name, module in sys.modules.items() if "xacro" in name}
+    writes = xml.dom.minidom.Element.writexml
+    xacro.substitution_args_context["arg"] = {"mine": "1"}
+    streams = sys.stdout, sys.stderr
+    noise = (
+        '${xacro.warning("be careful")}${xacro.message("hello")}<xacro:arg name="n" default="1"/>'
+    )
+    for text in (HALF, HALF + '<xacro:include filename="none.xacro"/>', HALF + "<link>"):
+        path = written(noise + text)
+        with contextlib.nullcontext() if text == HALF else pytest.raises(UrdfError):
+            read_urdf(f"{path} n:=2")
+        assert {n: m for n, m in sys.modules.items() if "xacro" in n} == ours
+        assert not [name for name in sys.modules if name.startswith("ament_index")]
+        assert (xacro.filestack, xacro.all_includes) == (None, [])
+        assert xacro.substitution_args_context["arg"] == {"mine": "1"}
+        assert xml.dom.minidom.Element.writexml is writes
+        assert (sys.stdout, sys.stderr) == streams
+    assert capfd.readouterr() == ("", "")
+    with pytest.raises(UrdfError, match="the argument 'n' has no value"):
+        read_urdf(written('<xacro:property name="h" value="$(arg n)"/>'))
+
+
+def test_several_threads_at_once(written: Written):
+    path = written('<xacro:property name="h" value="$(arg h)"/>')
+    found: dict[int, float] = {}
+    threads = [
+        threading.Thread(target=lambda i=i: found.update({i: height(f"{path} h:={i}")}))
+        for i in range(8)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert found == {i: float(i) for i in range(8)}
+
+
+# What is refused
+
+FAULTS: dict[str, tuple[str, dict[str, str], str, str]] = {
+    "missing package": (
+        '<xacro:include filename="$(find nothing)/x.xacro"/>\n' + HALF, {}, "",
+        "r.urdf.xacro, line 2: $(find nothing): there is no ROS package 'nothing' in AMENT_PREFIX_PATH (not set), "
+        "ROS_PACKAGE_PATH (not set), and the folders above and beside '{path}'. Source the ROS workspace that has it, "
+        "or name the folder above its package.xml: export ROS_PACKAGE_PATH=FOLDER",
+    ),
+    "nameless package": (
+        '<xacro:include filename="$(find )/x.xacro"/>\n' + HALF, {}, "",
+        "r.urdf.xacro: $(find pkg) accepts exactly one argument [find ]; mend the xacro there.",
+    ),
+    "missing include": (
+        HALF + '<xacro:include filename="x.xacro"/>\n', {}, "",
+        "r.urdf.xacro, line 3: '{folder}/x.xacro' cannot be read: no such file or directory. A name without a folder "
+        "is looked for beside the xacro that names it.",
+    ),
+    "missing include of an include": (
+        HALF + '<xacro:include filename="x.xacro"/>\n',
+        {"x.xacro": HEAD + '\n<xacro:include filename="y.xacro"/></robot>'}, "",
+        "x.xacro, line 3, included by r.urdf.xacro: '{folder}/y.xacro' cannot be read",
+    ),
+    "missing yaml": (
+        FROM_YAML, {}, "", "r.urdf.xacro, line 2: '{folder}/k.yaml' cannot be read: no such file",
+    ),
+    "yaml without the key": (
+        FROM_YAML, {"k.yaml": "g: 1\n"}, "",
+        "r.urdf.xacro, line 3: The yaml dictionary has no key 'h' in the expression ${{k['h']}}; mend",
+    ),
+    "broken yaml": (
+        FROM_YAML, {"k.yaml": "h: [1\n"}, "",
+        "r.urdf.xacro, line 2: while parsing a flow sequence in \"{folder}/k.yaml\", line 1, column 4 exp",
+    ),
+    "missing argument": (
+        '<xacro:property name="h" value="$(arg h)"/>\n', {}, "",
+        "r.urdf.xacro, line 2: the argument 'h' has no value; give it behind the file: \"r.urdf.xacro h:=VALUE\".",
+    ),
+    "missing argument of an expression": (
+        "\n<xacro:property name=\"h\" value=\"${xacro.arg('h')}\"/>\n", {}, "",
+        "r.urdf.xacro, line 3: the argument 'h' has no value",
+    ),
+    "argument without a default": (
+        '<xacro:arg name="h"/>\n' + HALF, {}, "", "r.urdf.xacro: xacro:arg: missing attribute 'default'",
+    ),
+    "misspelt argument": (
+        '<xacro:arg name="height" default="1"/>\n' + HALF, {}, "heigth:=2",
+        "r.urdf.xacro has no argument 'heigth' (did you mean 'height'?). Its arguments: 'height'.",
+    ),
+    "argument of none": (HALF, {}, "h:=2", "r.urdf.xacro has no argument 'h'. It has none."),
+    "no argument": (
+        HALF, {}, "h=2",
+        "'h=2' behind r.urdf.xacro is no argument of a xacro; write NAME:=VALUE, as in \"r.urdf.xacro prefix:=left_\"",
+    ),
+    "argument twice": (
+        HALF, {}, "h:=2 h:=3", "r.urdf.xacro: the argument 'h' is given twice; leave one of them out",
+    ),
+    "unknown macro": (
+        HALF + '<xacro:macro name="arm_b"/><xacro:arm_b/>\n<xacro:arm/>\n', {}, "",
+        "r.urdf.xacro, line 4: there is no macro 'arm'; include the file that defines it before, or mend the name.",
+    ),
+    "macro without a parameter": (
+        HALF + ARM + "<xacro:arm/>\n", {}, "",
+        "r.urdf.xacro, line 5 (in macro 'arm'): Undefined parameters [x]; mend the xacro there.",
+    ),
+    "broken macro": (
+        HALF + ARM + '<xacro:arm x="1"/>\n', {}, "",
+        "r.urdf.xacro, line 4 (in macro 'arm'): name 'zz' is not defined in the expression ${{x + zz}}; mend",
+    ),
+    "broken macro of an include": (
+        HALF + '<xacro:include filename="x.xacro"/><xacro:arm x="1"/>\n',
+        {"x.xacro": f"{HEAD}\n{ARM}</robot>"}, "",
+        "x.xacro, line 4 (in macro 'arm'): name 'zz' is not defined",
+    ),
+    "division": (
+        '<xacro:property name="h" value="${1 / 0}"/>\n', {}, "",
+        "r.urdf.xacro, line 2: division by zero in the expression ${{1 / 0}}; mend the xacro there.",
+    ),
+    "missing key": (
+        "<xacro:property name=\"h\" value=\"${dict(a=1)['b']}\"/>\n", {}, "",
+        "r.urdf.xacro, line 2: there is no 'b' in the expression",
+    ),
+    "condition": (
+        HALF + '<xacro:if value="maybe"/>\n', {}, "",
+        'r.urdf.xacro, line 3: Xacro conditional "maybe" evaluated to "maybe", which is not a boolean expr',
+    ),
+    "its own word": (
+        HALF + '${xacro.fatal("no such arm")}\n', {}, "", "r.urdf.xacro, line 3: no such arm in the exp",
+    ),
+    "its own words before": (
+        HALF + '${xacro.message("arm 9")}<xacro:arm/>\n', {}, "", "there is no macro 'arm'; include the file that "
+        "defines it before, or mend the name. xacro also says: arm 9",
+    ),
+    "itself": (
+        HALF + '<xacro:include filename="r.urdf.xacro"/>\n', {}, "",
+        "r.urdf.xacro: xacro came to no end: a file that includes itself, or a macro that calls itself.",
+    ),
+    "not xml": (HALF + "<link>\n", {}, "", "r.urdf.xacro, line 8, column 3: this is not XML: mismatched tag; mend"),
+    "include not xml": (
+        HALF + '<xacro:include filename="x.xacro"/>\n', {"x.xacro": "<robot>\n<a></robot>"}, "",
+        "x.xacro, line 2, column 6, included by r.urdf.xacro: this is not XML: mismatched tag",
+    ),
+    "text for a number": (
+        '<xacro:property name="h" value="high"/>\n', {}, "",
+        "joint 'j': xyz of <origin> is '0 0 high', 3 finite numbers wanted. This is about the flattened text, which "
+        "`xacro r.urdf.xacro` prints; mend what it comes from.",
+    ),
+    "link of files that are not there": (
+        HALF + '<xacro:include filename="parts/*.xacro"/><link name="c"/>\n', {}, "",
+        'xacro also says: warning: Include tag\'s filename spec "{folder}/parts/*.xacro" matched no files.',
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "others", "arguments", "message"), FAULTS.values(), ids=FAULTS)
+def test_faults(written: Written, text: str, others: dict[str, str], arguments: str, message: str):
+    path = written(text, others)
+    with pytest.raises(UrdfError) as error:
+        read_urdf(f"{path} {arguments}")
+    assert message.format(path=path, folder=path.parent) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_bytes_that_are_no_text(written: Written):
+    path = written((HEAD + HALF + BODY + "<!-- \xe9 -->").encode("latin-1"))
+    with pytest.raises(
+        UrdfError, match=r"r.urdf.xacro: a file that it reads is not UTF-8 text; save"
+    ):
+        read_urdf(path)
+
+
+def test_no_file(tmp_path: Path):
+    with pytest.raises(FileError, match=r"xacro file '.*/r.xacro' does not exist; check the name"):
+        read_urdf(f"{tmp_path}/r.xacro a:=b")
+    (tmp_path / "r.xacro").mkdir()
+    with pytest.raises(FileError, match=r"xacro file '.*/r.xacro' is a folder"):
+        read_urdf(tmp_path / "r.xacro")
+
+
+def test_without_the_package(monkeypatch: pytest.MonkeyPatch):
+    for name in [name for name in sys.modules if name.partition(".")[0] == "xacro"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if "site-packages" not in p])
+    with pytest.raises(UrdfError, match="the xacro package that flattens it is not") as error:
+        read_xacro(NOMINAL)
+    assert str(error.value).endswith(
+        "(No module named 'xacro'). Install it with: pip install \"calib[xacro]\"; or flatten it elsewhere: xacro "
+        "ur3_from_origins.urdf.xacro origins:=ur3_nominal_origins.yaml > ur3_from_origins.urdf"
+    )
+    assert "xacro" not in sys.modules
+
+
+def test_no_urdf_is_written_as_a_xacro(tmp_path: Path):
+    with pytest.raises(FileError, match=r"r.urdf.xacro' is the name of a xacro.* name it r.urdf\."):
+        read_urdf(EXAMPLE).write(tmp_path / "r.urdf.xacro")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_xacro_with_another_name(tmp_path: Path):
+    shutil.copy(EXAMPLE, tmp_path / "r.urdf")
+    with pytest.raises(UrdfError, match=r"belongs to xacro.*or name it robot\.urdf\.xacro, and"):
+        read_urdf(tmp_path / "r.urdf")
