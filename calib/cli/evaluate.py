@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from calib.cli.evaluate_words import Criterion, Judge, judged_robot, wanted_of
 from calib.cli.options import (
     Base,
     CellFile,
@@ -30,24 +31,33 @@ from calib.cli.options import (
 
 if TYPE_CHECKING:
     from calib.identify.evaluation import Evaluation
-    from calib.identify.statistics import Errors
     from calib.identify.stored import StoredResult
     from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
 
-_HELP = """Compare a robot with measurements.
+_HELP = """Compare a robot with measurements, and hold its accuracy against a tolerance.
 
 \b
 Examples:
   calib evaluate corrected.urdf data.csv --calibration result.json
   calib evaluate robot.urdf fresh.csv --base base --tip tool0 --target "70 -70 22.5 mm"
+  calib evaluate corrected.urdf fresh.csv --calibration result.json --tolerance "0.5 mm"
 
 With --calibration, targets, measurement frames and held joints are those of that result, and the robot is evaluated
-as its URDF is, with the result's joint origins, and with its larger model if it has one. Without it, what is not
-given is registered to the rows: the target (unless the URDF has the link that 'calib fit --target-link' adds), and
-with --frame estimate the frame.
+as its URDF is, with the origins that the result began with, with those it found, and with its larger model if it has
+one. Without it, what is not given is registered to the rows: the target (unless the URDF has the link that
+'calib fit --target-link' adds), and with --frame estimate the frame.
+
+With --tolerance the pose accuracy of ISO 9283 is judged: the exit code is 0 if it is shown to be within the tolerance,
+and 3 if not. Judge on rows that the calibration was not fitted to.
 """
+
+#: The robots that a calibration answers for.
+_FITTED = ("calibration", "larger")
+
+#: The exit code where a tolerance was not shown to be kept.
+NOT_PASSED = 3
 
 
 def evaluate(
@@ -55,6 +65,32 @@ def evaluate(
     data: DataFile,
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="Result that 'calib fit --json' wrote.")
+    ] = None,
+    tolerance: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"LENGTH [ANGLE]"',
+            help='What the accuracy must be within, such as "0.5 mm" or "0.5 mm 0.1 deg".',
+        ),
+    ] = None,
+    uncertainty: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"LENGTH [ANGLE]"',
+            help="Expanded uncertainty (k = 2) of what was measured; it counts against the outcome. Default: none.",
+        ),
+    ] = None,
+    criterion: Annotated[
+        Criterion | None,
+        typer.Option(
+            help="What must be within: the AP of every pose (max, default), their mean, or every single repeat."
+        ),
+    ] = None,
+    judge: Annotated[
+        Judge | None,
+        typer.Option(
+            help="Which robot is judged. Default: with the joint origins of --calibration, or else the URDF as it is."
+        ),
     ] = None,
     base: Base = None,
     tip: Tip = None,
@@ -75,10 +111,19 @@ def evaluate(
     with reporting(debug=debug):
         from dataclasses import replace
 
+        from calib.cli.evaluate_fitted import Fitted
+        from calib.cli.evaluate_text import evaluation_text, names_of
         from calib.cli.known import check_chain, with_target_link
         from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
-        from calib.identify.evaluation import hint
-        from calib.identify.result_file import evaluation_table, read_result, write_table
+        from calib.cli.terminal import say
+        from calib.identify.acceptance_tables import acceptance_table, accuracy_table
+        from calib.identify.accuracy import accuracy
+        from calib.identify.result_file import (
+            evaluation_table,
+            read_table,
+            stored_result,
+            write_table,
+        )
 
         inputs: list[str | Path] = [
             robot,
@@ -86,10 +131,12 @@ def evaluate(
             *(path for path in (cell, calibration, points) if path),
         ]
         check_outputs([json], inputs, force=force)
+        wanted = wanted_of(tolerance, uncertainty, criterion, judge=judge)
         setup = read_cell(
             cell, base=base, tip=tip, target=target, frame=frame, kind=kind, hold=hold
         )
-        stored = None if calibration is None else read_result(calibration)
+        result = None if calibration is None else read_table(calibration)
+        stored = None if result is None else stored_result(result, str(calibration))
         if stored is not None:
             check_chain(setup, stored, str(calibration))
             setup = replace(
@@ -107,19 +154,46 @@ def evaluate(
             )
 
         found = _evaluations(arm, table, setup, stored, frame=frame is None, target=target is None)
+        fitted = Fitted.of(result, str(calibration))
+        seen = fitted.same(table)
+        name = None if calibration is None else calibration.name
+        judged = judged_robot(judge, found, name)
+        figures = {who: accuracy(one, seen=seen) for who, one in found.items()}
+        accepted = None if wanted is None else wanted.of(found[judged], seen=seen)
+        note = fitted.outside(found[judged], figures[judged]) if judged in _FITTED else ""
         written = None
         if json is not None:
-            written = write_table(evaluation_table(*found), json, overwrite=force)
-        if quiet:
-            return
-        say_ignored(table, arm)
-        name = "" if calibration is None else calibration.name
-        typer.echo(_text(found, name, source))
-        advice = "" if stored is not None else hint(found[0], setup)
-        if advice:
-            typer.echo("\n" + textwrap.fill(advice, 100, break_on_hyphens=False))
-        if written is not None:
-            typer.echo(f"\nWritten: {written}")
+            content = evaluation_table(
+                found["urdf"],
+                *(found.get(who) for who in ("calibration", "larger", "nominal")),
+            ) | {
+                "accuracy": accuracy_table(figures),
+                "acceptance": None
+                if accepted is None
+                else acceptance_table(accepted, judged, names_of(name or "")[judged], note),
+            }
+            written = write_table(content, json, overwrite=force)
+        if not quiet:
+            say_ignored(table, arm)
+            say(
+                evaluation_text(
+                    found,
+                    figures,
+                    accepted,
+                    judged=judged,
+                    result=name or "",
+                    source=source,
+                    note=note,
+                )
+            )
+            anew = frame is not None or target is not None
+            advice = _advice(found, setup, stored, anew=anew)
+            if advice:
+                typer.echo("\n" + textwrap.fill(advice, 100, break_on_hyphens=False))
+            if written is not None:
+                typer.echo(f"\nWritten: {written}")
+    if accepted is not None and not accepted.passed:
+        raise typer.Exit(NOT_PASSED)
 
 
 def _evaluations(
@@ -130,8 +204,8 @@ def _evaluations(
     *,
     frame: bool,
     target: bool,
-) -> tuple[Evaluation, Evaluation | None, Evaluation | None]:
-    """Of the robot as it is, with a result's joint origins, and with its larger model; None where there is none.
+) -> dict[str, Evaluation]:
+    """Of the robot as it is; and of a result's nominal robot, its joint origins, and its larger model if it has one.
 
     Args:
         robot: The robot.
@@ -146,69 +220,41 @@ def _evaluations(
     from calib.identify.evaluation import evaluate
 
     if stored is None:
-        return evaluate(robot, table, cell), None, None
+        return {"urdf": evaluate(robot, table, cell)}
     nothing: dict[str, Any] = {
         **({} if frame else {"frames": {}}),
         **({} if target else {"targets": {}}),
     }
     known = replace(stored.known, **nothing)
+    of_nominal = replace(stored.nominal_known or stored.known, **nothing)
     of_larger = None if stored.larger is None else replace(stored.larger.known, **nothing)
-    return (
-        evaluate(robot, table, cell, known=known),
-        evaluate(stored.corrected(robot), table, cell, known=known),
-        stored.evaluate_larger(robot, table, cell, of_larger),
-    )
+    larger = stored.evaluate_larger(robot, table, cell, of_larger)
+    return {
+        "nominal": evaluate(stored.nominal(robot), table, cell, known=of_nominal),
+        "urdf": evaluate(robot, table, cell, known=known),
+        "calibration": evaluate(stored.corrected(robot), table, cell, known=known),
+        **({} if larger is None else {"larger": larger}),
+    }
 
 
-def _text(
-    found: tuple[Evaluation, Evaluation | None, Evaluation | None], name: str, source: str
+def _advice(
+    found: Mapping[str, Evaluation], cell: Cell, stored: StoredResult | None, *, anew: bool
 ) -> str:
-    """The errors of each robot as a table.
+    """A sentence that names a set-up which explains the rows far better, or nothing.
 
     Args:
         found: What `_evaluations` found.
-        name: Name of the result's file.
-        source: Where the targets are from, if they were not registered.
+        cell: The set-up.
+        stored: The result.
+        anew: Whether frame or target of the result were put aside already.
     """
-    from calib.identify.statements import error_title
-    from calib.identify.summary import angle_head, angle_row, error_head, error_row
+    from calib.identify.evaluation import hint
+    from calib.identify.moved import moved
 
-    labels = (
-        "the URDF as it is",
-        f"with the joint origins of {name}",
-        f"with the larger model of {name}",
-    )
-    results = {label: one for label, one in zip(labels, found, strict=True) if one is not None}
-    first = found[0]
-    how = "registered to the rows" if "target" in first.registered else source
-    lines = []
-    targets = first.setup.targets
-    for name, T in zip(targets, first.setup.T_tip_target, strict=True):
-        place = ", ".join(f"{1e3 * v:.3f}" for v in T[:3, 3])
-        label = f"Target '{name}'" if len(targets) > 1 else "Target"
-        lines.append(textwrap.fill(f"{label} at ({place}) mm in {first.robot.tip}, {how}.", 100))
-    if "frame" in first.registered:
-        many = "s" if len(first.setup.groups) > 1 else ""
-        lines.append(f"Measurement frame{many}: registered to the rows.")
-    lines += ["", error_head(error_title(first.used)), *_table(results, error_row, "n")]
-    if any(result.errors["all"].n_angle for result in results.values()):
-        lines += ["", angle_head(), *_table(results, angle_row, "n_angle")]
-    return "\n".join(lines)
-
-
-def _table(
-    results: dict[str, Evaluation], row: Callable[[str, Errors], str], count: str
-) -> list[str]:
-    """The rows of a table of lengths or angles; ``count`` names the attribute that says how many there are."""
-    lines = []
-    for label, result in results.items():
-        lines.append(textwrap.shorten(label, 99, placeholder="...") + ":")
-        sizes = {name: getattr(errors, count) for name, errors in result.errors.items()}
-        for name, errors in result.errors.items():
-            said = name == "all" and sizes["all"] in (sizes["estimation"], sizes["validation"])
-            if sizes[name] and not said:
-                lines.append(row(f"  {name} rows", errors))
-    return lines
+    if stored is None:
+        return hint(found["urdf"], cell)
+    one = found["calibration"]
+    return "" if anew else moved(one.robot, one.measurements, cell, stored.known)
 
 
 evaluate.__doc__ = _HELP

@@ -10,12 +10,19 @@ from collections.abc import Iterator
 import typer
 
 #: How a verdict is coloured; the word says it too.
-_VERDICTS = {"use": "bold green", "use with care": "bold yellow", "do not use": "bold red"}
+_VERDICTS = {
+    "use": "bold green",
+    "use with care": "bold yellow",
+    "do not use": "bold red",
+    "pass": "bold green",
+    "undecided": "bold yellow",
+    "fail": "bold red",
+}
 
 #: Lines that are the head of a table or name one.
 _HEAD = re.compile(
     r"((Position|Length|Position or length|Orientation) error "
-    r"|Validation rows  |Models tried  |Parameter  |Larger model '|Table \d+: )"
+    r"|Pose accuracy, |Orientation, |Validation rows  |Models tried  |Parameter  |Larger model '|Table \d+: )"
 )
 
 #: The line under a heading.

@@ -17,13 +17,14 @@ def accuracy_table(found: Mapping[str, Accuracy]) -> dict[str, Any]:
     return {who: _accuracy_table(one) for who, one in found.items()}
 
 
-def acceptance_table(a: Acceptance, who: str, judged: str) -> dict[str, Any]:
+def acceptance_table(a: Acceptance, who: str, judged: str, note: str = "") -> dict[str, Any]:
     """An acceptance as nested tables.
 
     Args:
         a: The acceptance.
         who: The key of the robot that was judged.
         judged: What it is called.
+        note: What else must be minded.
     """
     return {
         "outcome": a.outcome,
@@ -33,7 +34,7 @@ def acceptance_table(a: Acceptance, who: str, judged: str) -> dict[str, Any]:
         "share": a.share,
         "length": None if a.length is None else _check_table(a.length, "m"),
         "angle": None if a.angle is None else _check_table(a.angle, "rad"),
-        "reasons": acceptance_reasons(a, judged),
+        "reasons": acceptance_reasons(a, judged, note),
     }
 
 

@@ -18,34 +18,48 @@ Array = NDArray[np.float64]
 #: What ISO 9283 asks for: repeats of a pose, and poses.
 ISO_REPEATS, ISO_POSES = 30, 5
 
+#: From this factor on, what registering took away can be mended.
+_WORTH_ADVICE = 1.1
+
 #: Poses that are listed, and rows of a pose that are named.
 _MOST_POSES, _MOST_ROWS = 10, 3
 
 #: Kinds of row with three coordinates.
 _WHOLE = ("point", "pose", "fixed")
 
-_FIGURES = {"max": "largest AP", "mean": "mean AP", "single": "largest error of a single repeat"}
+#: What the criteria look at.
+_LENGTHS = {
+    "max": "largest pose accuracy AP",
+    "mean": "mean pose accuracy AP",
+    "single": "largest error of a single repeat",
+}
+_ANGLES = {
+    "max": "largest AP of orientation",
+    "mean": "mean AP of orientation",
+    "single": "largest angle of a single repeat",
+}
 _COLUMNS = "{:<33}{:>5} {:>9} {:>9} {:>9} {:>9} {:>9}"
 
 
-def acceptance_text(a: Acceptance, judged: str) -> str:
+def acceptance_text(a: Acceptance, judged: str, note: str = "") -> str:
     """The outcome, and what it stands on.
 
     Args:
         a: The acceptance.
         judged: What the robot is called that was judged.
+        note: What else must be minded.
     """
-    return "\n".join(
-        [f"Verdict: {a.outcome}", *(wrap(reason, "  ") for reason in acceptance_reasons(a, judged))]
-    )
+    reasons = acceptance_reasons(a, judged, note)
+    return "\n".join([f"Verdict: {a.outcome}", *(wrap(reason, "  ") for reason in reasons)])
 
 
-def acceptance_reasons(a: Acceptance, judged: str) -> list[str]:
+def acceptance_reasons(a: Acceptance, judged: str, note: str = "") -> list[str]:
     """What an outcome stands on and what must be minded with it, sentence by sentence.
 
     Args:
         a: The acceptance.
         judged: What the robot is called that was judged.
+        note: What else must be minded.
     """
     sentences = [
         f"Judged is {judged}: {'; '.join(_figure_text(a, check) for check in a.checks)}.",
@@ -56,6 +70,7 @@ def acceptance_reasons(a: Acceptance, judged: str) -> list[str]:
         _repeats_text(a.accuracy),
         _share_text(a),
         _left_out_text(a),
+        note,
     ]
     return [sentence for sentence in sentences if sentence]
 
@@ -90,12 +105,13 @@ def poses_text(a: Acceptance, judged: str) -> str:
     head = ["repeats", "AP [mm]", "x", "y", "z", "RP"]
     turned = any(np.isfinite(pose.ap_angle) for pose in shown)
     head += ["AP [deg]", "RP"] if turned else []
-    name = "Poses, the worst first" if len(shown) > 1 else "The pose"
+    order = "worst" if len(a.checks) == 1 else "furthest beyond or nearest to a tolerance"
+    name = f"Poses, the {order} first" if len(shown) > 1 else "The pose"
     lines = [wrap(f"{name}, of {judged}:"), _pose_row("", head)]
     for pose in shown:
         lengths = [_number(1e3 * v, 3) for v in (pose.ap, *pose.ap_xyz, pose.rp)]
         angles = [_number(np.degrees(v), 4) for v in (pose.ap_angle, np.max(pose.rp_abc))]
-        label = textwrap.shorten(f"  {_rows_label(pose)}{_place(a, pose)}", 30, placeholder="...")
+        label = textwrap.shorten(f"  {_rows_label(pose)}{_place(a, pose)}", 24, placeholder="...")
         row = [str(len(pose.rows)), *lengths, *(angles if turned else [])]
         lines.append(_pose_row(f"  {label}", row))
     more = len(poses) - len(shown)
@@ -128,7 +144,7 @@ def _figure_text(a: Acceptance, check: Check) -> str:
     if figure == tolerance:
         # Side by side they must differ where they do.
         figure = _sized(check.figure, angle, 6)
-    what = f"{_FIGURES[a.criterion]}{' of orientation' * angle} of {poses} is {figure}"
+    what = f"{(_ANGLES if angle else _LENGTHS)[a.criterion]} of {poses} is {figure}"
     where = "" if a.criterion == "mean" else f" ({_rows_label(_worst(a, angle=angle))})"
     side = "above" if check.figure > check.tolerance else "within"
     return f"the {what}{where}, {side} the tolerance of {tolerance}"
@@ -151,6 +167,8 @@ def _uncertainty_text(a: Acceptance) -> str:
             "(--uncertainty)."
         )
     text = f"The measuring uncertainty of {' and '.join(stated)} (k = 2) is counted against the outcome (ISO 14253-1)"
+    if any(check.uncertainty >= check.tolerance for check in a.checks):
+        return f"{text}: it is not below the tolerance, so that no robot could pass. Measure more exactly."
     between = any(abs(check.figure - check.tolerance) <= check.uncertainty for check in a.checks)
     if a.outcome == UNDECIDED and between:
         text += ": neither that the tolerance is kept nor that it is not is proved"
@@ -164,12 +182,12 @@ def _apart_text(a: Acceptance) -> str:
             "The calibration was fitted to these very rows: they can show that it fails, not that it passes. Measure "
             "fresh ones."
         )
-    if a.accuracy.rows == "validation":
-        return (
-            "The validation rows alone are judged: to the others the calibration was fitted, or target or frame "
-            "registered."
-        )
-    return ""
+    others = a.accuracy.others
+    if not others:
+        return ""
+    parts = ["the calibration was fitted"] * ("calibration" in others)
+    parts += [f"the {what} was registered" for what in others if what != "calibration"]
+    return f"The validation rows alone are judged: to the others {' and '.join(parts)}."
 
 
 def _registered_text(a: Acceptance) -> str:
@@ -184,9 +202,12 @@ def _registered_text(a: Acceptance) -> str:
         if np.isfinite(r.factor)
         else "nothing is left to judge by"
     )
+    advice = " Give them" if many else " Give it"
+    advice += ", register with other points, or measure more poses."
     return (
         f"The {what} {'were' if many else 'was'} registered to these rows: {r.unknowns} unknowns from {r.numbers} "
         f"numbers, so {lost}. What a displaced {what.replace(' and ', ' or ')} explains is not in AP at all."
+        f"{advice * (r.factor > _WORTH_ADVICE)}"
     )
 
 
@@ -219,16 +240,17 @@ def _repeats_text(one: Accuracy) -> str:
 def _share_text(a: Acceptance) -> str:
     """What the poses say of others."""
     count = len(a.accuracy.poses)
-    if a.criterion == "mean":
-        return ""
-    text = f"{'All' if a.within == count else a.within} of {count} poses are within"
-    if not a.within:
-        text = f"No pose of {count} is within"
-    if count == 1:
+    if a.criterion == "mean" or count == 1:
         return ""
     if not a.within:
-        return f"{text}."
-    return f"{text}: of poses chosen at random in the same way at least {_percent(a.share)} are, with 95 % confidence."
+        return f"None of {count} poses is within."
+    if a.accuracy.seen:
+        return ""  # rows that a fit has seen tell nothing of others
+    text = f"All {count} poses" if a.within == count else f"{a.within} of {count} poses"
+    return (
+        f"{text} are within: of poses chosen at random in the same way at least {_percent(a.share)} are, with 95 % "
+        "confidence."
+    )
 
 
 def _left_out_text(a: Acceptance) -> str:
@@ -280,9 +302,9 @@ def _place(a: Acceptance, pose: PoseAccuracy) -> str:
 
 def _pose_row(label: str, values: Sequence[str]) -> str:
     """One row of the table of poses."""
-    widths = (8, 9, 8, 8, 8, 8, 10, 9)
+    widths = (8, 10, 10, 10, 10, 8, 10, 8)
     cells = (f"{value:>{width}}" for value, width in zip(values, widths, strict=False))
-    return f"{label:<32}{''.join(cells)}"
+    return f"{label:<26}{''.join(cells)}"
 
 
 def _accuracy_row(

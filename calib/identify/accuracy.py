@@ -114,6 +114,8 @@ class Accuracy:
     Attributes:
         poses: The poses in the order of the table.
         rows: ``"all"``, or ``"validation"``: where something was found from the others, these alone are judged.
+        others: Where these are the validation rows alone, what the others were used for: ``"calibration"``,
+            ``"target"``, ``"frame"``.
         seen: Whether a calibration was fitted to the rows that are judged.
         registered: What was registered to them.
         scatter: Of lengths within repeats.
@@ -122,6 +124,7 @@ class Accuracy:
 
     poses: tuple[PoseAccuracy, ...]
     rows: str
+    others: tuple[str, ...]
     seen: bool
     registered: Registered
     scatter: Scatter
@@ -190,8 +193,8 @@ def accuracy(evaluation: Evaluation, *, seen: bool = False) -> Accuracy:
             f"{m.source or 'Measurements'}: no row measures anything, so no accuracy can be told."
         )
         raise MeasurementError(message)
-    used_up = bool(evaluation.registered) or seen
-    apart = used_up and bool(np.any(m.validation & told) and np.any(m.estimation))
+    uses = ("calibration",) * seen + evaluation.registered
+    apart = bool(uses) and bool(np.any(m.validation & told) and np.any(m.estimation))
     judged = told & m.validation if apart else told
     what = () if apart else evaluation.registered
     fitted = told & m.estimation if np.any(m.estimation) else told
@@ -206,6 +209,7 @@ def accuracy(evaluation: Evaluation, *, seen: bool = False) -> Accuracy:
     return Accuracy(
         poses=tuple(of_pose(own) for own in groups),
         rows="validation" if apart else "all",
+        others=uses if apart else (),
         seen=seen and not apart,
         registered=registered,
         scatter=_scatter(groups, residual[:, :3], evaluation.used[:, :3]),
@@ -232,8 +236,9 @@ def _in_base(residual: Array, rows: Rows, setup: Setup) -> Array:
     result = residual.copy()
     R = setup.T_frame_base[rows.samples.frame, :3, :3]
     for part in (slice(0, 3), slice(3, 6)):
-        used = rows.used[:, part]
-        whole = np.all(used, axis=1) & (used.shape[1] == 3)
+        if residual.shape[1] < part.stop:
+            break
+        whole = np.all(rows.used[:, part], axis=1)
         # R^T e: the frame's axes are those that R turns the base's into.
         result[whole, part] = np.einsum("nji,nj->ni", R[whole], residual[whole, part])
     return result

@@ -157,7 +157,10 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
 
 
 def evaluation_table(
-    as_it_is: Evaluation, corrected: Evaluation | None = None, larger: Evaluation | None = None
+    as_it_is: Evaluation,
+    corrected: Evaluation | None = None,
+    larger: Evaluation | None = None,
+    nominal: Evaluation | None = None,
 ) -> dict[str, Any]:
     """What `calib evaluate` found, as nested tables.
 
@@ -165,9 +168,10 @@ def evaluation_table(
         as_it_is: Of the robot as its URDF is.
         corrected: Of the robot with a result's joint origins.
         larger: Of the robot with a result's larger model.
+        nominal: Of the robot that a result began with.
     """
     e, m = as_it_is, as_it_is.measurements
-    every = {"urdf": e, "calibration": corrected, "larger": larger}
+    every = {"nominal": nominal, "urdf": e, "calibration": corrected, "larger": larger}
     results = {who: result for who, result in every.items() if result is not None}
     rpy = pin.rpy.matrixToRpy
     return {
