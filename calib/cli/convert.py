@@ -171,7 +171,7 @@ def _use(found: Source, wanted: Wanted) -> str:
     if wanted.format == "urdf":
         if found.nominal is None or found.nominal is found.robot:
             return "It is the robot as it was read."
-        return f"Only origins of joints differ from {found.nominal.urdf.source}: use it wherever that was used."
+        return "Only origins of joints differ from the nominal URDF: use it wherever that was used."
     if wanted.format == "origins":
         return (
             "A xacro takes them with xacro.load_yaml, as the comment at the head of the file shows."

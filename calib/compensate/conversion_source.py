@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,13 @@ from calib.compensate.origins_file import Origins, origins_of, read_origins
 from calib.compensate.universal_robots import UrSource, read_ur_conf, read_ur_yaml
 from calib.compensate.ur_models import UrModel, recognised, the_mount, ur_model, ur_robot
 from calib.errors import CalibError, FileError, ModelError, choices
-from calib.identify.compared import Compared
-from calib.identify.result_file import read_result
+from calib.identify.result_file import read_table, stored_result
 from calib.identify.stored import StoredResult
 from calib.model.files import read_bytes
 from calib.model.readback import spread_poses
+from calib.model.recorded import recorded_urdf
 from calib.model.robot import Robot
+from calib.model.urdf import Urdf
 from calib.model.xacro_file import is_xacro
 from calib.model.yaml_file import parse_yaml
 
@@ -191,7 +193,8 @@ def _universal_robots(source: str, kind: str, asked: Asked) -> Source:
 
 def _result(source: str, asked: Asked) -> Source:
     """A result of ``calib fit``, on the robot asked for or on the URDF that it names."""
-    stored = read_result(source)
+    table = read_table(source)
+    stored = stored_result(table, source)
     for option, given, own in (("base", asked.base, stored.base), ("tip", asked.tip, stored.tip)):
         if given is not None and given != own:
             message = f"{source} is the result for --{option} {own}, and '{given}' was given; leave out --{option}."
@@ -201,18 +204,18 @@ def _result(source: str, asked: Asked) -> Source:
         message = f"{source} says itself which joints are held ({own}); leave out --hold."
         raise CalibError(message)
     if asked.robot is None:
-        nominal = Compared.of(source, source).nominal
-        if nominal is None:
+        urdf = _recorded(table, Path(source).parent)
+        if urdf is None:
             message = (
                 f"{source}: the URDF that it was made with is not beside it nor here, or has changed since. Give it "
                 "as --robot."
             )
             raise FileError(message)
+        nominal = Robot.from_urdf(urdf, stored.base, stored.tip, held=stored.held)
+        robot = stored.corrected(nominal)
     else:
-        given_robot = Robot.load(asked.robot, stored.base, stored.tip, held=stored.held)
-        _check_own(stored, given_robot, source)
-        nominal = stored.nominal(given_robot)
-    robot = stored.corrected(nominal)
+        arm = Robot.load(asked.robot, stored.base, stored.tip, held=stored.held)
+        nominal, robot = _both_states(stored, arm, source)
     remarks = []
     if stored.larger is not None:
         remarks.append(
@@ -229,8 +232,21 @@ def _result(source: str, asked: Asked) -> Source:
     )
 
 
-def _check_own(stored: StoredResult, robot: Robot, source: str) -> None:
-    """Refuse a robot that is neither the result's nominal nor its corrected one."""
+def _recorded(table: Mapping[str, Any], folder: Path) -> Urdf | None:
+    """The URDF that a result names, where it is at hand unchanged."""
+    try:
+        inputs = table["inputs"]["urdf"]
+        return recorded_urdf(str(inputs["name"]), inputs["sha256"], folder)
+    except (KeyError, TypeError):  # it names none
+        return None
+
+
+def _both_states(stored: StoredResult, robot: Robot, source: str) -> tuple[Robot, Robot]:
+    """A result's nominal and corrected robot, from a URDF of either, whose bytes stay as they are.
+
+    Raises:
+        ModelError: It is neither.
+    """
     origins = robot.origins()
     if set(origins) != set(stored.origins):
         message = (
@@ -239,9 +255,14 @@ def _check_own(stored: StoredResult, robot: Robot, source: str) -> None:
             "result was made with as --robot."
         )
         raise ModelError(message)
-    for wanted in (stored.nominal_origins, stored.origins):
-        if all(np.abs(origins[name] - T).max() < _SAME for name, T in wanted.items()):
-            return
+
+    def has(wanted: Mapping[str, Array]) -> bool:
+        return all(np.abs(origins[name] - T).max() < _SAME for name, T in wanted.items())
+
+    if has(stored.nominal_origins):
+        return robot, stored.corrected(robot)
+    if has(stored.origins):
+        return stored.nominal(robot), robot
     off = {name: float(np.abs(origins[name] - T).max()) for name, T in stored.origins.items()}
     worst = max(off, key=lambda name: off[name])
     message = (

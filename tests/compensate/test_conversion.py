@@ -1,0 +1,571 @@
+"""Every source in every format: what was written, read by other programs' readers, is the robot that was read."""
+
+from __future__ import annotations
+
+import configparser
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+import calib.data
+from calib.cli.words import parse_held
+from calib.compensate.conversion import (
+    FORMATS,
+    Wanted,
+    check_options,
+    chosen_format,
+    write_target,
+)
+from calib.compensate.conversion_source import KINDS, Asked, Source, read_source, source_kind
+from calib.errors import CalibError, FileError, ModelError, UrdfError
+from calib.identify.calibration import calibrate
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.dh_conventions import dh_rows
+from calib.model.robot import Robot
+from tests.compensate.ur_cases import CALIBRATIONS, rows
+
+URDF = str(calib.data.paper_urdf())
+LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+#: A UR3 and the case with d2 = 439 m.
+CASES = [case for case in CALIBRATIONS if case["robot"] in ("UR3", "UR10e")][:2]
+
+
+def write_conf(case: dict, path: Path) -> Path:
+    lines = [
+        f"delta_{key} = [{', '.join(repr(float(value)) for value in case['delta'][key])}]"
+        for key in ("theta", "a", "d", "alpha")
+    ]
+    path.write_text("\n".join(["[mounting]", *lines, ""]))
+    return path
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory) -> Path:
+    """One robot in every form: URDF and corrected URDF, result, origins, kinematics.yaml, calibration.conf."""
+    folder = tmp_path_factory.mktemp("forms")
+    arm = Robot.load(URDF, "base", "tool0")
+    table = Measurements.read(calib.data.paper_measurements(), arm.joint_names, arm.joint_types)
+    (folder / "robot.urdf").write_bytes(Path(URDF).read_bytes())
+    arm = Robot.load(folder / "robot.urdf", "base", "tool0")
+    cell = Cell(target=np.array([-0.07, 0.07, 0.0225]), model="dh")
+    found = calibrate(arm, table, cell=cell, validate=False)
+    found.write_json(folder / "result.json")
+    found.write_urdf(folder / "corrected.urdf")
+    write_conf(next(c for c in CASES if c["robot"] == "UR3"), folder / "calibration.conf")
+    source = read_source(str(folder / "result.json"), Asked())
+    write_target(source, Wanted(folder / "origins.yaml", "origins"))
+    conf = read_source(str(folder / "calibration.conf"), Asked(ur_model="UR3"))
+    write_target(conf, Wanted(folder / "own.yaml", "ur-yaml"))
+    return folder
+
+
+ASKED = {
+    "result.json": Asked(),
+    "calibration.conf": Asked(ur_model="UR3"),
+    "own.yaml": Asked(),
+    "origins.yaml": Asked(robot=URDF, base="base", tip="tool0"),
+    "corrected.urdf": Asked(robot=URDF, base="base", tip="tool0"),
+}
+NAMES = {"urdf": "o.urdf", "ur-yaml": "o.yaml", "ur-conf": "o.conf", "origins": "o.yaml"}
+
+
+@pytest.fixture(scope="module", params=ASKED)
+def source(request, shop) -> Source:
+    return read_source(str(shop / request.param), ASKED[request.param])
+
+
+def poses_of_urdf(path: Path, robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Tip in base by Pinocchio alone."""
+    model = pin.buildModelFromUrdf(str(path))
+    data = model.createData()
+    found = []
+    for row in q:
+        values = pin.neutral(model)
+        for name, value in zip(robot.joint_names, row, strict=True):
+            joint = model.joints[model.getJointId(name)]
+            values[joint.idx_q : joint.idx_q + joint.nq] = (
+                value if joint.nq == 1 else (np.cos(value), np.sin(value))
+            )
+        pin.framesForwardKinematics(model, data, values)
+        base, tip = (
+            data.oMf[model.getFrameId(n, pin.FrameType.BODY)] for n in (robot.base, robot.tip)
+        )
+        found.append((base.inverse() * tip).homogeneous)
+    return np.array(found)
+
+
+def poses_of_yaml(path: Path, q: np.ndarray) -> np.ndarray:
+    """Flange in the controller's base, as Universal Robots' description makes it of the file."""
+    table = yaml.safe_load(path.read_text())["kinematics"]
+    found = []
+    for row in q:
+        T = np.eye(4)  # base_link_inertia is turned by half a turn in base_link, and so is base
+        for link, value in zip(LINKS, row, strict=True):
+            one = table[link]
+            P = np.eye(4)
+            P[:3, :3] = Rotation.from_euler(
+                "xyz", [one[k] for k in ("roll", "pitch", "yaw")]
+            ).as_matrix()
+            P[:3, 3] = [one[k] for k in "xyz"]
+            J = np.eye(4)
+            J[:3, :3] = Rotation.from_euler("z", value).as_matrix()
+            T = T @ P @ J
+        found.append(T)
+    return np.array(found)
+
+
+def deltas_of_conf(path: Path) -> dict[str, np.ndarray]:
+    parser = configparser.ConfigParser()
+    parser.read(path)
+    return {
+        key: np.array(json.loads(parser["mounting"][f"delta_{key}"]))
+        for key in ("theta", "a", "d", "alpha")
+    }
+
+
+def own_hash(path: Path) -> str:
+    return yaml.safe_load(path.read_text())["kinematics"]["hash"]
+
+
+Q = np.random.default_rng(4).uniform(-2, 2, (3, 6))
+
+
+# Every source in every format is the same robot
+
+
+def test_a_urdf(source, tmp_path):
+    assert write_target(source, Wanted(tmp_path / "o.urdf", "urdf")) == ()
+    found = poses_of_urdf(tmp_path / "o.urdf", source.robot, Q)
+    np.testing.assert_allclose(found, source.robot.poses(Q), rtol=0, atol=1e-9)
+
+
+def test_origins(source, tmp_path):
+    write_target(source, Wanted(tmp_path / "o.yaml", "origins"))
+    table = yaml.safe_load((tmp_path / "o.yaml").read_text())["origins"]
+    for joint, T in source.robot.origins().items():
+        one = table.pop(joint)
+        xyz, rpy = ([float(word) for word in one[key].split()] for key in ("xyz", "rpy"))
+        np.testing.assert_allclose(xyz, T[:3, 3], rtol=0, atol=1e-12)
+        R = Rotation.from_euler("xyz", rpy).as_matrix()
+        np.testing.assert_allclose(R, T[:3, :3], rtol=0, atol=1e-12)
+    assert table == {}
+
+
+def test_a_kinematics_yaml(source, shop, tmp_path):
+    own = shop / "own.yaml"
+    assert write_target(source, Wanted(tmp_path / "o.yaml", "ur-yaml", own)) == ()
+    found = poses_of_yaml(tmp_path / "o.yaml", Q)
+    np.testing.assert_allclose(found, source.robot.poses(Q), rtol=0, atol=1e-9)
+    assert own_hash(tmp_path / "o.yaml") == own_hash(own)
+
+
+def test_a_calibration_conf(source, tmp_path):
+    assert write_target(source, Wanted(tmp_path / "o.conf", "ur-conf")) == ()
+    nominal = rows(next(c for c in CASES if c["robot"] == "UR3")["nominal"])
+    found = (nominal + rows(deltas_of_conf(tmp_path / "o.conf"))).poses(Q)
+    np.testing.assert_allclose(found, source.robot.poses(Q), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["dh", "modified-dh", "hayati"])
+def test_dh_rows(source, name, tmp_path):
+    write_target(source, Wanted(tmp_path / "o.json", name))
+    table = json.loads((tmp_path / "o.json").read_text())
+    convention = {"dh": "standard", "modified-dh": "modified"}.get(name, name)
+    assert table["convention"] == convention
+    assert [row["joint"] for row in table["before"]["rows"]] == list(source.robot.joint_names)
+    wanted = dh_rows(source.robot, convention, like=source.nominal).rows
+    assert [row["d_m"] for row in table["after"]["rows"]] == [row.d for row in wanted]
+
+
+def test_what_a_file_of_universal_robots_has_no_place_for_is_said(shop, tmp_path):
+    found = read_source(str(shop / "result.json"), Asked())
+    placements = found.robot.placements.copy()
+    placements[0, :3, :3] = placements[0, :3, :3] @ Rotation.from_euler("x", 1e-3).as_matrix()
+    placements[-1, :3, 3] += [1e-4, 2e-4, 0]
+    moved = replace(found, robot=found.robot.with_placements(placements))
+    wanted = Wanted(tmp_path / "k.yaml", "ur-yaml", hash_from=shop / "own.yaml")
+    (remark,) = write_target(moved, wanted)
+    assert "k.yaml: the flange lies (" in remark
+    # The last row has a and alpha for the flange; before the first one there is nothing.
+    (remark,) = write_target(moved, Wanted(tmp_path / "k.conf", "ur-conf"))
+    assert "k.conf: the first axis lies (" in remark
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["name"])
+def test_factory_calibrations_against_their_own_rows(case, tmp_path):
+    conf = write_conf(case, tmp_path / "calibration.conf")
+    source = read_source(str(conf), Asked(ur_model=case["robot"]))
+    assert source.hash == case["driver_hash"]
+    q, wanted = (np.array(case["fk"][key]) for key in ("q", "T"))
+    write_target(source, Wanted(tmp_path / "o.urdf", "urdf"))
+    found = poses_of_urdf(tmp_path / "o.urdf", source.robot, q)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
+    write_target(source, Wanted(tmp_path / "o.yaml", "ur-yaml"))
+    np.testing.assert_allclose(poses_of_yaml(tmp_path / "o.yaml", q), wanted, rtol=0, atol=1e-9)
+    again = read_source(str(tmp_path / "o.yaml"), Asked(ur_model=case["robot"]))
+    assert again.hash == source.hash
+    np.testing.assert_allclose(again.robot.poses(q), wanted, rtol=0, atol=1e-9)
+    for name in ("dh", "modified-dh", "hayati"):
+        write_target(source, Wanted(tmp_path / f"{name}.md", name))
+
+
+def test_how_far_a_source_is_from_its_nominal_robot(shop):
+    source = read_source(str(shop / "result.json"), Asked())
+    apart, turned = source.distances()
+    assert len(apart) == len(turned) == 200
+    assert 1e-3 < apart.mean() < apart.max() < 1e-2
+    assert 1e-3 < turned.mean() < turned.max() < 3e-2
+    placements = source.nominal.placements.copy()
+    placements[-1, :3, :3] = placements[-1, :3, :3] @ Rotation.from_euler("x", 0.25).as_matrix()
+    placements[-1, :3, 3] += [3e-3, 0, 4e-3]
+    moved = Source("robot", "", source.nominal.with_placements(placements), source.nominal)
+    np.testing.assert_allclose(moved.distances()[0], 5e-3, atol=1e-12)
+    np.testing.assert_allclose(moved.distances()[1], 0.25, atol=1e-12)
+    assert read_source(URDF.replace("ur3.urdf", "ur3_calibrated.urdf"), Asked()).distances() is None
+
+
+# What a source is
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("calibration.conf", "ur-conf"),
+        ("own.yaml", "ur-yaml"),
+        ("origins.yaml", "origins"),
+        ("result.json", "result"),
+        ("corrected.urdf", "robot"),
+    ],
+)
+def test_the_kind_of_a_source(shop, name, kind):
+    assert source_kind(str(shop / name)) == kind
+    assert kind in KINDS
+
+
+def test_names_and_xacros_are_robots():
+    assert source_kind("ur3") == "robot"
+    assert source_kind("arm.urdf.xacro prefix:=left_") == "robot"
+
+
+def test_other_files_are_no_sources(tmp_path):
+    with pytest.raises(
+        FileError, match=r"data\.csv: 'calib convert' does not know the ending '\.c"
+    ):
+        source_kind("data.csv")
+    path = tmp_path / "x.yaml"
+    path.write_text("joints: {}\nlimits: {}\n")
+    with pytest.raises(
+        FileError, match=r"neither 'kinematics'.*it has 'joints', 'limits'. Give a cal"
+    ):
+        source_kind(str(path))
+    path.write_text("- 1\n")
+    with pytest.raises(FileError, match=r"an origins file of calib. Give a calibration.conf"):
+        source_kind(str(path))
+    with pytest.raises(FileError, match=r"YAML file 'none.yaml' does not exist"):
+        source_kind("none.yaml")
+
+
+# What goes with it
+
+
+def test_a_result_says_base_tip_and_held_joints_itself(shop):
+    result = str(shop / "result.json")
+    assert read_source(result, Asked(base="base", tip="tool0")).robot.tip == "tool0"
+    with pytest.raises(
+        CalibError, match="for --tip tool0, and 'wrist_3_link' was given; leave out"
+    ):
+        read_source(result, Asked(tip="wrist_3_link"))
+    with pytest.raises(CalibError, match="for --base base, and 'world' was given"):
+        read_source(result, Asked(base="world"))
+    with pytest.raises(CalibError, match=r"says itself which joints are held \(none\)"):
+        read_source(result, Asked(held=parse_held(["elbow_joint=1 rad"])))
+
+
+def test_the_urdf_of_a_result(shop, tmp_path):
+    result = tmp_path / "result.json"
+    result.write_bytes((shop / "result.json").read_bytes())
+    with pytest.raises(
+        FileError, match="made with is not beside it nor here, or has changed since"
+    ):
+        read_source(str(result), Asked())
+    nominal = read_source(str(result), Asked(robot=str(shop / "robot.urdf")))
+    corrected = read_source(str(result), Asked(robot=str(shop / "corrected.urdf")))
+    q = np.random.default_rng(1).uniform(-1, 1, (3, 6))
+    np.testing.assert_allclose(nominal.robot.poses(q), corrected.robot.poses(q), atol=1e-12)
+    np.testing.assert_allclose(nominal.nominal.poses(q), corrected.nominal.poses(q), atol=1e-12)
+    assert corrected.robot.urdf.data == (shop / "corrected.urdf").read_bytes()
+    (tmp_path / "robot.urdf").write_bytes((shop / "robot.urdf").read_bytes())
+    assert read_source(str(result), Asked()).nominal.urdf.data == nominal.nominal.urdf.data
+
+
+def test_a_result_that_names_no_urdf(shop, tmp_path):
+    table = json.loads((shop / "result.json").read_text())
+    table["inputs"] = []
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(table))
+    with pytest.raises(FileError, match="Give it as --robot"):
+        read_source(str(path), Asked())
+
+
+def test_another_robot_than_the_result_s(shop):
+    result = str(shop / "result.json")
+    with pytest.raises(
+        ModelError, match=r"of another robot than ur5_robot.urdf: the origin of 'elbow"
+    ):
+        read_source(result, Asked(robot="ur5"))
+    with pytest.raises(UrdfError, match="base"):
+        read_source(result, Asked(robot="panda"))
+
+
+def test_a_robot_whose_chain_has_other_origins(shop, tmp_path):
+    # The fixed joint to the tip, which carries a placement, has another name.
+    text = (shop / "robot.urdf").read_text()
+    arm = Robot.load(shop / "robot.urdf", "base", "tool0")
+    path = tmp_path / "other.urdf"
+    path.write_text(text.replace(f'"{arm.carriers[-1]}"', '"flange"'))
+    with pytest.raises(
+        ModelError, match=r"has origins of the joints .* of other.urdf, has .*'flange'"
+    ):
+        read_source(str(shop / "result.json"), Asked(robot=str(path)))
+
+
+def test_a_larger_model_is_said(shop, tmp_path):
+    table = json.loads((shop / "result.json").read_text())
+    ties = {"set_ups": table["frames"]["set_ups"], "targets": table["frames"]["targets"]}
+    table["larger"] = {
+        "set": "dh+gain", "names": [], "x": [], "payload": None, "gravity_m_s2": [0, 0, -9.81], **ties,
+    }  # fmt: skip
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(table))
+    (remark,) = read_source(str(path), Asked(robot=str(shop / "robot.urdf"))).remarks
+    assert remark.startswith("The result has a larger model, 'dh+gain'")
+
+
+def test_a_conf_needs_its_arm(shop):
+    conf = str(shop / "calibration.conf")
+    with pytest.raises(
+        CalibError, match=r"Say of which arm it is, as in --ur-model UR5e, or give its"
+    ):
+        read_source(conf, Asked())
+    with pytest.raises(ModelError, match="'UR6' is not an arm"):
+        read_source(conf, Asked(ur_model="UR6"))
+    on_ours = read_source(conf, Asked(robot=str(shop / "robot.urdf"), base="base", tip="tool0"))
+    bare = read_source(conf, Asked(ur_model="ur3"))
+    q = np.random.default_rng(1).uniform(-1, 1, (3, 6))
+    np.testing.assert_allclose(on_ours.robot.poses(q), bare.robot.poses(q), atol=1e-9)
+    assert on_ours.model.name == bare.model.name == "UR3"
+
+
+def test_other_links_of_a_bare_arm(shop):
+    conf = str(shop / "calibration.conf")
+    source = read_source(conf, Asked(ur_model="UR3", base="base_link", tip="flange"))
+    assert (source.robot.base, source.robot.tip) == ("base_link", "flange")
+    with pytest.raises(UrdfError, match="gripper"):
+        read_source(conf, Asked(ur_model="UR3", tip="gripper"))
+
+
+def test_origins_need_their_robot(shop):
+    with pytest.raises(
+        CalibError, match=r"has the origins of joints alone; give the URDF .* --robot"
+    ):
+        read_source(str(shop / "origins.yaml"), Asked())
+
+
+def test_origins_of_some_of_the_joints(shop, tmp_path):
+    lines = (shop / "origins.yaml").read_text().splitlines()
+    path = tmp_path / "origins.yaml"
+    path.write_text("\n".join(line for line in lines if "elbow_joint:" not in line) + "\n")
+    found = read_source(str(path), ASKED["origins.yaml"])
+    assert found.remarks == (
+        "The file has no origin of 'elbow_joint', which the chain 'base' to 'tool0' has: they stay as they are in "
+        "the URDF.",
+    )
+
+
+def test_robots_and_their_nominal_ones(shop):
+    corrected = str(shop / "corrected.urdf")
+    alone = read_source(corrected, Asked(base="base", tip="tool0"))
+    assert (alone.nominal, alone.model) == (None, None)
+    nominal = read_source(str(shop / "robot.urdf"), Asked(base="base", tip="tool0"))
+    assert nominal.nominal is nominal.robot
+    assert nominal.model.name == "UR3"
+    longer = shop / "longer.urdf"
+    text = (shop / "robot.urdf").read_text()
+    longer.write_text(text.replace('"elbow_joint" type="revolute"', '"knee" type="revolute"'))
+    with pytest.raises(
+        ModelError, match=r"and longer\.urdf has .*'knee'.* --robot is the same robot"
+    ):
+        read_source(corrected, Asked(robot=str(longer), base="base", tip="tool0"))
+    with pytest.raises(UrdfError, match=r"corrected.urdf has no link 'panda_link0'"):
+        read_source("panda", Asked(robot=corrected))
+
+
+def test_an_arm_of_another_name(shop):
+    for name in ("robot.urdf", "result.json"):
+        links = Asked(ur_model="UR5", base="base", tip="tool0")
+        with pytest.raises(
+            ModelError, match=r"has not the nominal kinematics of the UR5: .* of the UR3"
+        ):
+            read_source(str(shop / name), links)
+    with pytest.raises(ModelError, match="not named as in Universal Robots' description"):
+        read_source(str(shop / "corrected.urdf"), Asked(ur_model="UR3"))
+
+
+def test_a_corrected_bare_arm_and_its_name_are_enough(shop, tmp_path):
+    conf = read_source(str(shop / "calibration.conf"), Asked(ur_model="UR3"))
+    write_target(conf, Wanted(tmp_path / "arm.urdf", "urdf"))
+    source = read_source(
+        str(tmp_path / "arm.urdf"), Asked(ur_model="UR3", base="base", tip="tool0")
+    )
+    own = shop / "own.yaml"
+    assert write_target(source, Wanted(tmp_path / "k.yaml", "ur-yaml", hash_from=own)) == ()
+    q = np.random.default_rng(1).uniform(-1, 1, (3, 6))
+    np.testing.assert_allclose(
+        poses_of_yaml(tmp_path / "k.yaml", q), conf.robot.poses(q), atol=1e-9
+    )
+
+
+# Formats
+
+
+@pytest.mark.parametrize(
+    ("name", "asked", "kind", "format"),
+    [
+        ("o.urdf", None, "result", "urdf"),
+        ("o.conf", None, "result", "ur-conf"),
+        ("o.yaml", None, "ur-conf", "ur-yaml"),
+        ("o.yaml", "origins", "ur-conf", "origins"),
+        ("o.YML", "ur-yaml", "result", "ur-yaml"),
+        ("o.md", "hayati", "robot", "hayati"),
+        ("robot", "urdf", "robot", "urdf"),
+    ],
+)
+def test_the_format_of_a_file(name, asked, kind, format):
+    assert chosen_format(Path(name), asked, kind) == format
+
+
+@pytest.mark.parametrize(
+    ("name", "asked", "message"),
+    [
+        (
+            "o.yaml",
+            None,
+            r"o.yaml: '.yaml' does not say which format .*: --to ur-yaml \(kinem.*origins",
+        ),
+        ("o.csv", None, r"--to dh \(DH rows, standard convention\), --to modified-dh"),
+        (
+            "o",
+            None,
+            r"o: '' does not say which format is wanted. Add one of: --to urdf \(the URDF\)",
+        ),
+        ("o.urdf", "excel", "There is no format 'excel'; --to is one of 'urdf', 'ur-yaml'"),
+        (
+            "o.urdf",
+            "dh",
+            r"o.urdf: 'dh' .* into files that end in '.csv', '.json', '.md', not in '.ur",
+        ),
+        ("o.txt", "dh", "not in '.txt'"),
+        ("o.csv", "urdf", r"o.csv: 'urdf' \(the URDF\) is written into files that end in '.urdf'"),
+        ("o.urdf.xacro", None, "a xacro is not written: .*--to origins -o origins.yaml"),
+    ],
+)
+def test_formats_that_are_refused(name, asked, message):
+    with pytest.raises(CalibError, match=message):
+        chosen_format(Path(name), asked, "result")
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "message"),
+    [
+        (
+            {"format": "urdf", "update": Path("u.conf")},
+            "result",
+            "--update u.conf .* here is 'urdf'",
+        ),
+        ({"format": "dh", "hash_from": Path("o.yaml")}, "result", "--hash-from o.yaml .* is 'dh'"),
+        (
+            {"format": "urdf", "urcontrol": Path("c.conf")},
+            "result",
+            "--urcontrol c.conf .*neither SO",
+        ),
+    ],
+)
+def test_options_that_nothing_needs(given, kind, message):
+    with pytest.raises(CalibError, match=message):
+        check_options(Wanted(Path("o"), **given), kind)
+
+
+def test_options_that_something_needs():
+    check_options(Wanted(Path("o"), "urdf", urcontrol=Path("c.conf")), "ur-conf")
+    needs = {"hash_from": Path("own.conf"), "urcontrol": Path("c.conf")}
+    check_options(Wanted(Path("o"), "ur-yaml", **needs), "result")
+    check_options(Wanted(Path("o"), "ur-conf", update=Path("u.conf")), "result")
+
+
+def test_a_kinematics_yaml_keeps_the_robot_s_own_hash(shop, tmp_path):
+    source = read_source(str(shop / "result.json"), Asked())
+    with pytest.raises(
+        CalibError, match=r"compares with what the controller reports. Give the robot's"
+    ):
+        write_target(source, Wanted(tmp_path / "k.yaml", "ur-yaml"))
+    assert list(tmp_path.iterdir()) == []
+    by_conf = Wanted(tmp_path / "k.yaml", "ur-yaml", hash_from=shop / "calibration.conf")
+    write_target(source, by_conf)
+    assert own_hash(tmp_path / "k.yaml") == own_hash(shop / "own.yaml")
+
+
+@pytest.mark.parametrize("format", ["ur-yaml", "ur-conf"])
+def test_other_robots_have_no_files_of_universal_robots(shop, tmp_path, format):
+    corrected = read_source(str(shop / "corrected.urdf"), Asked(base="base", tip="tool0"))
+    wanted = Wanted(tmp_path / "o", format, hash_from=shop / "own.yaml")
+    with pytest.raises(
+        ModelError, match="for arms of Universal Robots, and no nominal robot is known"
+    ):
+        write_target(corrected, wanted)
+    panda = Source("robot", "", Robot.load("panda"), Robot.load("panda"))
+    with pytest.raises(
+        ModelError, match=r"and 'panda' has the nominal kinematics of none. Name the arm"
+    ):
+        write_target(panda, wanted)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_update_keeps_the_other_lines(shop, tmp_path):
+    own = tmp_path / "own.conf"
+    own.write_text("[other]\nkept = 1  # yes\n" + (shop / "calibration.conf").read_text())
+    source = read_source(str(shop / "result.json"), Asked())
+    write_target(source, Wanted(tmp_path / "new.conf", "ur-conf", update=own))
+    assert (tmp_path / "new.conf").read_text().startswith("[other]\nkept = 1  # yes\n[mounting]\n")
+    before, after = deltas_of_conf(own), deltas_of_conf(tmp_path / "new.conf")
+    assert not np.allclose(before["theta"], after["theta"])
+
+
+def test_a_urdf_on_another_that_differs_in_more_than_origins(shop, tmp_path):
+    text = (shop / "robot.urdf").read_text()
+    other = tmp_path / "other.urdf"
+    other.write_text(text.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', 1))
+    assert other.read_text() != text
+    source = read_source(
+        str(shop / "corrected.urdf"), Asked(robot=str(other), base="base", tip="tool0")
+    )
+    with pytest.raises(ModelError, match="differ in more than the origins of their joints"):
+        write_target(source, Wanted(tmp_path / "o.urdf", "urdf"))
+    assert not (tmp_path / "o.urdf").exists()
+
+
+def test_files_that_exist_stay(source, shop, tmp_path):
+    for name in FORMATS:
+        path = tmp_path / f"{name}{Path(NAMES.get(name, 'o.csv')).suffix}"
+        path.write_text("mine")
+        hash_from = shop / "own.yaml" if name == "ur-yaml" else None
+        with pytest.raises(FileError, match="exists already"):
+            write_target(source, Wanted(path, name, hash_from))
+        assert path.read_text() == "mine"
+    assert len(list(tmp_path.iterdir())) == len(FORMATS)
