@@ -122,7 +122,8 @@ class Pair:
         if isinstance(tool, str):
             target = _name(known.targets, tool, "target")
             of_nominal: Known = stored.nominal_known or known
-            T_true, T_believed = known.targets[target], of_nominal.targets[target]
+            T_true = known.targets[target]
+            T_believed = of_nominal.targets.get(target, T_true)
         elif tool is not None:
             T_true = T_believed = _pose(tool, "tool")
         T_frame_base = np.eye(4)

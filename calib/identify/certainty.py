@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.coverage import OutsideRow, outside
-from calib.model.error_model import error_model
+from calib.identify.setup import turned_at
+from calib.model.error_model import error_model, placed_name
 from calib.model.kinematics import Kinematics
-from calib.model.parameters import TARGET
+from calib.model.parameters import TARGET, target_place
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
@@ -94,8 +95,16 @@ class Certainty:
             ModelError: The robot has not the parameters of the result.
         """
         # The only target of a table without names has parameters without one.
-        named = "" if f"target_x[{target}]" not in self.names else str(target)
-        model = error_model(nominal, self.model, target=target is not None, targets=(named,))
+        named = target if target and placed_name("target", "x", target) in self.names else ""
+        model = error_model(
+            nominal,
+            self.model,
+            target=target is not None,
+            targets=(named,),
+            rotation=placed_name("target", "rx", named) in self.names,
+        )
+        # Targets are found along the tip's axes.
+        model = turned_at(model, {target_place(named): T_tip_tool[:3, :3].T}, ("m",))
         there = model.names
         model = model.tied({n: t for n, t in self.ties.items() if n in there and t[0] in there})
         model = model.without([name for name in model.names if name not in self.names])

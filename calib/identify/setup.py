@@ -162,7 +162,7 @@ def along_own_axes(model: ErrorModel, setup: Setup) -> ErrorModel:
     for f, name in enumerate(setup.frame_unknowns):
         if setup.own_axes[f]:
             turned[frame_place(name)] = setup.T_frame_base[f, :3, :3].T
-    return _turned(model, turned, ("m", "rad"))
+    return turned_at(model, turned, ("m", "rad"))
 
 
 def targets_along_tip(model: ErrorModel, setup: Setup) -> ErrorModel:
@@ -179,11 +179,17 @@ def targets_along_tip(model: ErrorModel, setup: Setup) -> ErrorModel:
         R = setup.T_tip_target[t, :3, :3]
         if not np.array_equal(R, np.eye(3)):
             turned[target_place(name)] = R.T
-    return _turned(model, turned, ("m",))
+    return turned_at(model, turned, ("m",))
 
 
-def _turned(model: ErrorModel, turned: Mapping[str, Array], units: tuple[str, ...]) -> ErrorModel:
-    """The model with the directions at some places turned, of parameters of these units."""
+def turned_at(model: ErrorModel, turned: Mapping[str, Array], units: tuple[str, ...]) -> ErrorModel:
+    """The model with the directions at some places turned, of parameters of these units.
+
+    Args:
+        model: The model.
+        turned: For each of these places a rotation, shape (3, 3).
+        units: Of the parameters that are meant.
+    """
     if not turned:
         return model
 

@@ -82,9 +82,12 @@ def test_a_redundant_arm_keeps_to_its_limits(panda):
     reached = POSE.misses(found.T_base_tool, wanted).max(axis=1) < 1e-9
     assert (free[:, 0] > 1.0).sum() >= 15
     assert found.q[:, 0].max() <= 1.0 + 1e-12
-    assert reached.mean() > 0.9
+    # Without its first joint the arm is one of six, which has singularities of its own.
+    six = Matching("pose", 0.3).jacobian(true.motion(q)[1])[:, :, 1:]
+    assert reached[np.linalg.svd(six, compute_uv=False)[:, -1] > 0.01].all()
+    assert reached.mean() > 0.8
     # Those that had room stay where they would be without limits.
-    inside = reached & (free[:, 0] < 0.98)
+    inside = reached & (free[:, 0] < 1.0)
     assert inside.sum() > 1
     assert found.q[inside] == pytest.approx(free[inside], abs=1e-6)
 
