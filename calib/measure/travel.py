@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -185,7 +186,7 @@ def _improved(path: Path, costs: Array) -> Path:
             return path
         firsts = np.concatenate([first for _, first, *_ in found])
         lasts = np.concatenate([last for _, _, last, *_ in found])
-        how = [(turn, n) for gain, *_, turn, n in found for _ in range(len(gain))]
+        which = np.repeat(np.arange(len(found)), [len(gain) for gain, *_ in found])
         taken = np.zeros(size, dtype=np.bool_)
         path = path.copy()
         for k in ranked.tolist():
@@ -193,7 +194,7 @@ def _improved(path: Path, costs: Array) -> Path:
             if taken[a - 1 : b + 2].any():
                 continue
             taken[a - 1 : b + 2] = True
-            path[a : b + 1] = _rearranged(path[a : b + 1], *how[k])
+            path[a : b + 1] = _rearranged(path[a : b + 1], *found[which[k]][3:])
 
 
 _Moves = tuple[Array, Path, Path, str, int]
@@ -201,13 +202,19 @@ _Moves = tuple[Array, Path, Path, str, int]
 
 def _reversals(near: Array) -> list[_Moves]:
     """For each first place the best last one to turn the stretch between round: gain (negative is better), places."""
-    size = len(near)
     step = np.diagonal(near, 1)  # from place i to i + 1
-    i, j = np.arange(1, size - 1), np.arange(1, size - 1)
+    i, rows, below = _pairs_of_places(len(near))
     gain = near[:-2, 1:-1] + near[1:-1, 2:] - step[:-1, None] - step[None, 1:]
-    gain[i[:, None] >= j[None, :]] = 0.0
-    best = np.argmin(gain, axis=1)
-    return [(gain[i - 1, best], i, j[best], "turn", 0)]
+    gain[below] = 0.0
+    best = gain.argmin(axis=1)
+    return [(gain[rows, best], i, i[best], "turn", 0)]
+
+
+@lru_cache(maxsize=8)
+def _pairs_of_places(size: int) -> tuple[Path, Path, NDArray[np.bool_]]:
+    """First places of a stretch, their numbers, and the pairs whose last place is not behind the first."""
+    i = np.arange(1, size - 1)
+    return _whole(i), _whole(i - 1), i[:, None] >= i[None, :]
 
 
 def _shifts(near: Array, length: int) -> list[_Moves]:
@@ -215,29 +222,35 @@ def _shifts(near: Array, length: int) -> list[_Moves]:
     size = len(near)
     if size - 2 <= length:
         return []
+    i, last, rows, on, back = _pieces(size, length)
     step = np.diagonal(near, 1)
-    i = np.arange(1, size - 1 - length + 1)  # the piece's first place
-    last = i + length - 1
     closed = near[i - 1, last + 1] - step[i - 1] - step[last]
-    j = np.arange(size - 1)  # put between the places j and j + 1
     ahead, behind = near[1 : size - length, :-1], near[length : size - 1, :-1]
     ahead_next, behind_next = near[1 : size - length, 1:], near[length : size - 1, 1:]
-    base = closed[:, None] - step[None, j]
+    base = closed[:, None] - step[None, :]
     found: list[_Moves] = []
     for turned, gain in (
-        (False, base + ahead + behind_next),
-        (True, base + behind + ahead_next),
+        ("", base + ahead + behind_next),
+        (" turned", base + behind + ahead_next),
     ):
-        for forward in (True, False):
-            allowed = j[None, :] > last[:, None] if forward else j[None, :] < i[:, None] - 1
+        for how, allowed in (("on", on), ("back", back)):
             free = np.where(allowed, gain, 0.0)
-            best = np.argmin(free, axis=1)
-            value = free[np.arange(len(i)), best]
-            first = i if forward else np.minimum(j[best] + 1, i)
-            end = np.maximum(j[best], last) if forward else last
-            how = ("on" if forward else "back") + (" turned" if turned else "")
-            found.append((value, first, end, how, length))
+            best = free.argmin(axis=1)  # put between this place and the next
+            first = i if how == "on" else np.minimum(best + 1, i)
+            end = np.maximum(best, last) if how == "on" else last
+            found.append((free[rows, best], first, end, how + turned, length))
     return found
+
+
+@lru_cache(maxsize=24)
+def _pieces(
+    size: int, length: int
+) -> tuple[Path, Path, Path, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Of every piece of a length: its first and last place, its number, and which places are on and back from it."""
+    i = np.arange(1, size - 1 - length + 1)
+    last, j = i + length - 1, np.arange(size - 1)
+    on, back = j[None, :] > last[:, None], j[None, :] < i[:, None] - 1
+    return _whole(i), _whole(last), _whole(i - 1), on, back
 
 
 def _rearranged(stretch: Path, how: str, length: int) -> Path:

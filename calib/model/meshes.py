@@ -11,6 +11,7 @@ import sys
 import urllib.parse
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
@@ -207,17 +208,18 @@ def numbers(text: str | None, default: tuple[float, float, float]) -> tuple[floa
     return (x, y, z) if all(map(math.isfinite, (x, y, z))) else default
 
 
-def _robot_data_shares() -> Iterator[Path]:
-    """The ``share`` folder of the installed example-robot-data, from its list of files."""
+@lru_cache(maxsize=1)
+def _robot_data_shares() -> tuple[Path, ...]:
+    """The ``share`` folder of the installed example-robot-data, from its list of files, which is long; or none."""
     try:
         files = importlib.metadata.files("example-robot-data") or []
     except importlib.metadata.PackageNotFoundError:
-        return
+        return ()
     for file in files:
         for i, pair in enumerate(zip(file.parts, file.parts[1:], strict=False)):
             if pair == ("share", "example-robot-data"):
-                yield Path(str(file.locate())).parents[len(file.parts) - i - 2]
-                return
+                return (Path(str(file.locate())).parents[len(file.parts) - i - 2],)
+    return ()
 
 
 def _origin(element: Element) -> Array:
