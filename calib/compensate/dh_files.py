@@ -6,28 +6,35 @@ compared with the robot, before it appears.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
-import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.compensate.dh_tables import DHTables, deviation
+from calib.compensate.dh_text import (
+    AFTER,
+    BEFORE,
+    CHANGE,
+    Record,
+    csv_bytes,
+    csv_records,
+    from_records,
+    legend,
+    markdown_bytes,
+    markdown_records,
+    states,
+)
 from calib.errors import FileError, choices
-from calib.model.dh_conventions import CONVENTIONS, EQUATIONS, HAYATI, MODIFIED, DHRows, Row
+from calib.model.dh_conventions import DHRows, Row
 from calib.model.files import write_atomically
 from calib.model.json_file import json_bytes
 from calib.model.readback import TOLERANCE
-from calib.model.robot import read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 
@@ -37,36 +44,8 @@ SCHEMA = "dh 1"
 ENDINGS = (".csv", ".json", ".md")
 """What the name of a DH table may end in."""
 
-BEFORE, AFTER, CHANGE = "before", "after", "change"
-
-#: Decimals of mm that one begins with; an angle gets three more, for degrees act on metres.
+#: Decimals of mm that one begins with, and the most.
 _LEAST, _MOST = 6, 14
-_MORE_FOR_DEG = 3
-
-_POSE = ("x [mm]", "y [mm]", "z [mm]", "roll [deg]", "pitch [deg]", "yaw [deg]")
-
-#: The field of a row that stands under each heading; the order is that of the factors.
-_HEADS: Mapping[str, Mapping[str, str]] = {
-    convention: (
-        {
-            "alpha(i-1) [deg]": "alpha",
-            "a(i-1) [mm]": "a",
-            "theta [deg]": "theta",
-            "d [mm]": "d",
-        }
-        if convention == MODIFIED
-        else {
-            "theta [deg]": "theta",
-            "d [mm]": "d",
-            "a [mm]": "a",
-            "alpha [deg]": "alpha",
-            **({"beta [deg]": "beta"} if convention == HAYATI else {}),
-        }
-    )
-    for convention in CONVENTIONS
-}
-
-_Record = dict[str, str]
 
 
 def write_dh(tables: DHTables, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -87,9 +66,9 @@ def dh_bytes(tables: DHTables, path: str | os.PathLike[str]) -> bytes:
         ModelError: The file, read back, does not hold the robot.
     """
     forms: dict[str, Callable[[], bytes]] = {
-        ".csv": lambda: _rounded(tables, _csv, _csv_records),
+        ".csv": lambda: _rounded(tables, csv_bytes, csv_records),
         ".json": lambda: json_bytes(_json(tables)),
-        ".md": lambda: _rounded(tables, _markdown, _markdown_records),
+        ".md": lambda: _rounded(tables, markdown_bytes, markdown_records),
     }
     ending = Path(path).suffix.lower()
     if ending not in forms:
@@ -98,11 +77,11 @@ def dh_bytes(tables: DHTables, path: str | os.PathLike[str]) -> bytes:
         )
         raise FileError(message)
     data = forms[ending]()
-    readers = {".csv": _csv_records, ".md": _markdown_records}
+    readers = {".csv": csv_records, ".md": markdown_records}
     found = (
         _from_json(data)
         if ending == ".json"
-        else _from_records(readers[ending](data), tables.convention)
+        else from_records(readers[ending](data), tables.convention)
     )
     tables.check(*found, str(path))
     return data
@@ -111,230 +90,18 @@ def dh_bytes(tables: DHTables, path: str | os.PathLike[str]) -> bytes:
 def _rounded(
     tables: DHTables,
     write: Callable[[DHTables, int], bytes],
-    read: Callable[[bytes], list[_Record]],
+    read: Callable[[bytes], list[Record]],
 ) -> bytes:
     """A text file with as few decimals as hold the poses."""
     for decimals in count(_LEAST):
         data = write(tables, decimals)
-        before, after = _from_records(read(data), tables.convention)
+        before, after = from_records(read(data), tables.convention)
         off = deviation(after, tables.values, tables.after.poses(tables.values))
         if before is not None and tables.before is not None:
             off = max(off, deviation(before, tables.values, tables.before.poses(tables.values)))
         if off <= TOLERANCE / 2 or decimals == _MOST:
             break
     return data
-
-
-# What the files have in common
-
-
-def _title(tables: DHTables) -> str:
-    """What it is, in one line."""
-    names = (tables.name, tables.base, tables.tip)
-    name, base, tip = ("".join(c if c.isprintable() else "?" for c in text) for text in names)
-    return f"DH rows of '{name}', '{base}' to '{tip}', in the convention '{tables.convention}'"
-
-
-def _legend(tables: DHTables) -> Iterator[str]:
-    """How the numbers are to be understood, line by line."""
-    factor = EQUATIONS[tables.convention]
-    letter = factor[0]
-    yield f"T_base_tip = base {letter}_1 ... {letter}_n tool, {factor}"
-    yield (
-        "The joint's value is added to theta; that of a sliding joint to d. 'base' and 'tool' are constant poses, "
-        "R = Rz(yaw) Ry(pitch) Rx(roll)."
-    )
-    if tables.before is not None:
-        yield "change = after - before; of 'base' and 'tool' it is the pose before^-1 after."
-    yield from tables.remarks
-
-
-def _records(tables: DHTables, decimals: int) -> list[_Record]:
-    """Every row of every table, rounded."""
-    heads = _HEADS[tables.convention]
-
-    def numbers(values: Mapping[str, float]) -> _Record:
-        return {
-            head: _fixed(value, decimals + (_MORE_FOR_DEG if "[deg]" in head else 0))
-            for head, value in values.items()
-        }
-
-    records = []
-    for table, rows in _states(tables):
-        for place, T in (("base", rows.T_base_0), ("tool", rows.T_n_tip)):
-            pose = (*(1e3 * T[:3, 3]), *np.degrees(pin.rpy.matrixToRpy(T[:3, :3])))
-            record = {"table": table, "row": place, **numbers(dict(zip(_POSE, pose, strict=True)))}
-            if place == "tool":
-                for i, (row, joint) in enumerate(
-                    zip(rows.rows, tables.joints, strict=True), start=1
-                ):
-                    values = {
-                        head: getattr(row, field) * (180.0 / np.pi if "[deg]" in head else 1e3)
-                        for head, field in heads.items()
-                    }
-                    records.append(
-                        {
-                            "table": table,
-                            "row": str(i),
-                            "joint": row.joint,
-                            "added to": "d" if row.prismatic else "theta",
-                            "value added": joint.text,
-                            **numbers(values),
-                        }
-                    )
-            records.append(record)
-    return records
-
-
-def _states(tables: DHTables) -> list[tuple[str, DHRows]]:
-    """The tables that a file has."""
-    if tables.before is None:
-        return [("robot", tables.after)]
-    change = _change(tables.before, tables.after)
-    return [(BEFORE, tables.before), (AFTER, tables.after), (CHANGE, change)]
-
-
-def _change(before: DHRows, after: DHRows) -> DHRows:
-    """After - before; of the constant poses before^-1 after."""
-    rows = tuple(
-        replace(
-            b,
-            **{k: getattr(b, k) - getattr(a, k) for k in ("theta", "d", "a", "alpha", "beta")},
-        )
-        for a, b in zip(before.rows, after.rows, strict=True)
-    )
-    return DHRows(
-        after.convention,
-        rows,
-        read_only(rigid_inverse(before.T_base_0) @ after.T_base_0),
-        read_only(rigid_inverse(before.T_n_tip) @ after.T_n_tip),
-    )
-
-
-def _fixed(value: float, decimals: int) -> str:
-    """A number with that many decimals, and no sign before zero."""
-    text = f"{value:.{decimals}f}"
-    return text.lstrip("-") if float(text) == 0.0 else text
-
-
-def _from_records(records: Iterable[_Record], convention: str) -> tuple[DHRows | None, DHRows]:
-    """The rows before and after, out of a file's numbers."""
-    tables: dict[str, dict[str, _Record]] = {}
-    for record in records:
-        tables.setdefault(record["table"], {})[record["row"]] = record
-    heads = _HEADS[convention]
-
-    def rows(table: dict[str, _Record]) -> DHRows:
-        found = []
-        for i in range(1, len(table) - 1):
-            record = table[str(i)]
-            values = {
-                field: float(record[head]) * (np.pi / 180.0 if "[deg]" in head else 1e-3)
-                for head, field in heads.items()
-            }
-            found.append(Row(record["joint"], record["added to"] == "d", **values))
-        return DHRows(convention, tuple(found), _pose(table["base"]), _pose(table["tool"]))
-
-    before = rows(tables[BEFORE]) if BEFORE in tables else None
-    return before, rows(tables[AFTER] if AFTER in tables else tables["robot"])
-
-
-def _pose(record: _Record) -> Array:
-    """A constant pose out of its six numbers."""
-    numbers = [float(record[head]) for head in _POSE]
-    T = np.eye(4)
-    T[:3, :3] = pin.rpy.rpyToMatrix(*np.radians(numbers[3:]))
-    T[:3, 3] = 1e-3 * np.array(numbers[:3])
-    return T
-
-
-# CSV
-
-
-def _csv(tables: DHTables, decimals: int) -> bytes:
-    """Comments, then one line for each row of each table."""
-    heads = ["table", "row", "joint", "added to", "value added"]
-    heads += [*_HEADS[tables.convention], *_POSE]
-    text = io.StringIO(newline="")
-    for line in (_title(tables), *_legend(tables)):
-        text.write(f"# {line}\n")
-    writer = csv.DictWriter(text, heads, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(
-        {key: _short(value) if "[" in key else value for key, value in record.items()}
-        for record in _records(tables, decimals)
-    )
-    return text.getvalue().encode("utf-8", "backslashreplace")
-
-
-def _short(number: str) -> str:
-    """A decimal number without the zeros at its end."""
-    return number.rstrip("0").rstrip(".")
-
-
-def _csv_records(data: bytes) -> list[_Record]:
-    """What a CSV file says."""
-    lines = data.decode().splitlines(keepends=True)
-    return list(csv.DictReader(line for line in lines if not line.startswith("#")))
-
-
-# Markdown
-
-
-def _markdown(tables: DHTables, decimals: int) -> bytes:
-    """A heading for each table, with the rows and the two poses under it."""
-    rows_heads = ["row", "joint", "added to", *_HEADS[tables.convention]]
-    lines = [f"# {_escaped(_title(tables))}"]
-    equation, *others = _legend(tables)
-    lines += ["", f"`{equation}`"]
-    for line in others:
-        lines += ["", _escaped(line)]
-    records = _records(tables, decimals)
-    for table in dict.fromkeys(record["table"] for record in records):
-        here = [record for record in records if record["table"] == table]
-        rows = [record for record in here if "joint" in record]
-        poses = [record for record in here if "joint" not in record]
-        lines += ["", f"## {table.capitalize()}", ""]
-        lines += [*_grid(rows_heads, rows, left=3), "", *_grid(["pose", *_POSE], poses, left=1)]
-    return ("\n".join(lines) + "\n").encode("utf-8", "backslashreplace")
-
-
-def _grid(heads: list[str], records: list[_Record], left: int) -> Iterator[str]:
-    """A table of Markdown, its columns aligned in the text too."""
-    keys = ["row" if head == "pose" else head for head in heads]
-    cells = [heads, *([_escaped(record[key]) for key in keys] for record in records)]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(heads))]
-    rule = ["-" * w if k < left else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
-    for row in (cells[0], rule, *cells[1:]):
-        padded = [
-            cell.ljust(w) if k < left else cell.rjust(w)
-            for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-        ]
-        yield f"| {' | '.join(padded)} |"
-
-
-def _escaped(text: str) -> str:
-    """Text that Markdown leaves as it is; an underscore inside a word means nothing to it."""
-    return re.sub(r"([\\|*`<\[\]#~&]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9]))", r"\\\1", text)
-
-
-def _markdown_records(data: bytes) -> list[_Record]:
-    """What a Markdown file says."""
-    records: list[_Record] = []
-    table, heads = "", [""]
-    for line in data.decode().split("\n"):
-        if line.startswith("## "):
-            table = line[3:].lower()
-        if not line.startswith("| "):
-            heads = []
-            continue
-        cells = [cell.strip() for cell in re.split(r"(?<!\\)(?:\\\\)*\|", line)[1:-1]]
-        if not heads:
-            heads = ["row" if cell == "pose" else cell for cell in cells]
-        elif not cells[0].startswith("-"):
-            cells = [re.sub(r"\\(.)", r"\1", cell) for cell in cells]
-            records.append({"table": table, **dict(zip(heads, cells, strict=True))})
-    return records
 
 
 # JSON
@@ -352,16 +119,16 @@ def _json(tables: DHTables) -> dict[str, Any]:
         }
         for j in tables.joints
     ]
-    states = dict(_states(tables))
+    by_name = dict(states(tables))
     return {
         "schema": SCHEMA,
         "convention": tables.convention,
-        "equation": next(_legend(tables)),
+        "equation": next(legend(tables)),
         "robot": {"name": tables.name, "base": tables.base, "tip": tables.tip},
         "joints": joints,
-        BEFORE: _json_rows(states[BEFORE]) if BEFORE in states else None,
+        BEFORE: _json_rows(by_name[BEFORE]) if BEFORE in by_name else None,
         AFTER: _json_rows(tables.after),
-        CHANGE: _json_rows(states[CHANGE]) if CHANGE in states else None,
+        CHANGE: _json_rows(by_name[CHANGE]) if CHANGE in by_name else None,
         "remarks": list(tables.remarks),
     }
 
