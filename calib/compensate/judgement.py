@@ -77,7 +77,7 @@ def judged(
     nominal_left = matching.misses(starts.T_base_tool, T_wanted)
     nominal_reaches = _within(nominal_left, _NOMINAL) | weighted
     far = ~_within(left, accept) & (not weighted)
-    limits = _limits_passed(robot, solved.q)
+    limits = _limits_passed(robot, solved.q, starts.q)
     turned = _other_branch(matching.jacobian(twists_before), matching.jacobian(solved.twists))
     amplified = _amplification(pair, matching, solved)
     moved = _corrections(pair, starts, solved)
@@ -107,24 +107,30 @@ def _within(misses: Array, allowed: tuple[float, float]) -> Mask:
     return np.asarray((misses[:, 0] <= allowed[0]) & ~(misses[:, 1] > allowed[1]))
 
 
-def _limits_passed(robot: Robot, q: Array) -> list[str]:
-    """For each row the joint that would pass its limit, in words; nothing where none does."""
+def _limits_passed(robot: Robot, q: Array, before: Array) -> list[str]:
+    """For each row the joint that would pass its limit, in words; nothing where none does.
+
+    Args:
+        robot: The robot.
+        q: shape (N, m), joint values to command [rad] or [m].
+        before: shape (N, m), those of the nominal robot.
+    """
     low, high = column_limits(robot).T
     beyond = np.maximum(low - q, q - high)
     said = []
-    for values, excess in zip(q, beyond, strict=True):
+    for values, own, excess in zip(q, before, beyond, strict=True):
         worst = int(np.argmax(excess))
         if excess[worst] <= _ROUNDING:
             said.append("")
             continue
         name = robot.joint_names[worst]
-        scale, unit = (
-            (1e3, "mm") if robot.joint_types[name] == "prismatic" else (180.0 / np.pi, "deg")
-        )
+        slides = robot.joint_types[name] == "prismatic"
+        scale, unit = (1e3, "mm") if slides else (180.0 / np.pi, "deg")
         bound = low[worst] if values[worst] < low[worst] else high[worst]
-        said.append(
-            f"'{name}' would have to be at {scale * values[worst]:.4f} {unit}, beyond its limit {scale * bound:.4f}"
-        )
+        text = f"'{name}' would have to be at {scale * values[worst]:.4f} {unit}, beyond its limit {scale * bound:.4f}"
+        if not low[worst] - _ROUNDING <= own[worst] <= high[worst] + _ROUNDING:
+            text += f"; without correction it is beyond it too, at {scale * own[worst]:.4f}"
+        said.append(text)
     return said
 
 

@@ -79,6 +79,14 @@ def test_a_limit_that_would_be_passed_is_named(ur3):
     assert said.endswith(f"{np.degrees((free[2] + GOOD[2]) / 2.0):.4f}")
 
 
+def test_a_program_beyond_a_limit_is_told_so(ur3):
+    beyond = GOOD + np.radians([0.0, 0.0, 0.0, 0.0, 0.0, 400.0])
+    found = commands(off(ur3), Program.of_joints(beyond), nominal=ur3)
+    assert found.reasons[0].endswith(
+        "beyond its limit 360.0000; without correction it is beyond it too, at 410.0000"
+    )
+
+
 def test_a_sliding_joint_is_told_in_millimetres(serial_urdf):
     robot = Robot.from_urdf(
         serial_urdf(
@@ -91,7 +99,7 @@ def test_a_sliding_joint_is_told_in_millimetres(serial_urdf):
     )
     found = commands(off(robot), Program.of_points([0.1 + 3.01, 0.0, 0.5]), nominal=robot)
     assert "'j1' would have to be at 301" in found.reasons[0]
-    assert found.reasons[0].endswith("mm, beyond its limit 3000.0000")
+    assert "mm, beyond its limit 3000.0000; without" in found.reasons[0]
 
 
 def test_near_a_singularity_is_said(ur3):
