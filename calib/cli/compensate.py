@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
-from calib.cli.compensate_words import BASE, MEASURED, TARGET, Given, Match, Orientation, Send
+from calib.cli.compensate_words import BASE, Given, Match, Orientation, Send
 from calib.cli.options import (
     Base,
     Debug,
@@ -19,15 +18,7 @@ from calib.cli.options import (
     Tip,
     reporting,
 )
-from calib.errors import CalibError, choices
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from calib.identify.stored import StoredResult
-    from calib.model.robot import Robot
-    from calib.model.torques import Payload
+from calib.errors import CalibError
 
 _HELP = """What to command so that the true robot arrives.
 
@@ -42,30 +33,6 @@ of its tool, x y z and an orientation, or both: then the poses are wanted, and t
 come joint values, and poses to send to a controller that keeps its own model. A row that cannot be reached is an
 error, and then nothing is written; --skip leaves such rows empty.
 """
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Truth:
-    """What is known of the true robot.
-
-    Attributes:
-        nominal: The robot as its controller has it.
-        true: A result, or a corrected robot.
-        table: The result's file; None where there is none.
-        name: What the text calls it.
-        was_corrected: Whether ROBOT has the result's joint origins already.
-    """
-
-    nominal: Robot
-    true: StoredResult | Robot
-    table: dict[str, Any] | None
-    name: str
-    was_corrected: bool = False
-
-    @property
-    def result(self) -> StoredResult | None:
-        """The result, where there is one."""
-        return None if self.table is None else self.true  # type: ignore[return-value]  # a table is of a result
 
 
 def compensate(
@@ -191,7 +158,16 @@ def compensate(
 ) -> None:
     """See `_HELP`."""
     with reporting(debug=debug):
-        from calib.cli.compensate_text import no_commands, text
+        from calib.cli.compensate_notes import no_commands
+        from calib.cli.compensate_setup import (
+            column_names,
+            frame_of,
+            of_result,
+            of_robots,
+            payload_of,
+            tool_of,
+        )
+        from calib.cli.compensate_text import text
         from calib.cli.compensate_words import parse_accept, parse_lever, parse_limit, parse_start
         from calib.cli.setup import check_outputs
         from calib.cli.terminal import say
@@ -209,9 +185,9 @@ def compensate(
         check_outputs([output], inputs, force=force)
         renamed = parse_columns(columns or [])
         truth = (
-            _of_result(robot, calibration, base, tip, hold)
+            of_result(robot, calibration, base, tip, hold)
             if calibration is not None
-            else _of_robots(robot, str(corrected), _names(program, renamed), base, tip, hold)
+            else of_robots(robot, str(corrected), column_names(program, renamed), base, tip, hold)
         )
         asked = Program.read(
             program, truth.nominal, columns=renamed, given=None if given is None else given.value
@@ -220,15 +196,15 @@ def compensate(
             truth.true,
             asked,
             nominal=truth.nominal,
-            tool=_tool(tool, truth),
-            frame=_frame(poses_in, truth),
+            tool=tool_of(tool, truth),
+            frame=frame_of(poses_in, truth),
             match=None if match is None else match.value,
             lever=parse_lever(lever),
             start=parse_start(start, truth.nominal) if start else None,
             limit=parse_limit(limit),
             accept=parse_accept(accept),
             larger=not geometry,
-            payload=None if payload is None else _payload(payload, truth, geometry=geometry),
+            payload=None if payload is None else payload_of(payload, truth, geometry=geometry),
         )
         if not found.reached.all() and (not skip or not found.reached.any()):
             raise CalibError(no_commands(found, skip=skip))
@@ -241,188 +217,6 @@ def compensate(
             return
         larger = truth.result is not None and truth.result.larger is not None and not geometry
         say(text(found, truth, tool=tool, larger=larger, send=send.value, written=written))
-
-
-def _of_result(
-    robot: str, path: Path, base: str | None, tip: str | None, hold: list[str] | None
-) -> Truth:
-    """The robot of a result.
-
-    Raises:
-        CalibError: The result cannot be read, is of another chain, or began with another robot.
-    """
-    from calib.cli.known import check_chain
-    from calib.cli.words import parse_held
-    from calib.identify.result_file import read_table, stored_result
-    from calib.measure.cell import Cell
-    from calib.model.robot import Robot
-
-    table = read_table(path)
-    stored = stored_result(table, path)
-    check_chain(Cell(base=base, tip=tip), stored, str(path))
-    held = {**stored.held, **parse_held(hold or [])}
-    nominal = Robot.load(robot, stored.base, stored.tip, held=held)
-    was_corrected = _differ(nominal, stored.corrected(nominal)) is None
-    if not was_corrected:
-        _check_nominal(nominal, stored, path)
-    return Truth(nominal, stored, table, path.name, was_corrected)
-
-
-def _check_nominal(robot: Robot, stored: StoredResult, path: Path) -> None:
-    """Refuse a robot that is not the one that the result began with: what its controller has is not known then.
-
-    Raises:
-        CalibError: It has other joint origins.
-    """
-    joint = _differ(robot, stored.nominal(robot))
-    if joint is None:
-        return
-    message = (
-        f"{robot.urdf.source}: the origin of '{joint}' is neither the one that {path.name} began with nor its "
-        "corrected one. Give the URDF that the result was made with. If the controller has a model of its own, such as "
-        "a factory calibration, give that as ROBOT and the corrected URDF with --corrected."
-    )
-    raise CalibError(message)
-
-
-def _differ(a: Robot, b: Robot) -> str | None:
-    """A joint whose origin is not the same in both; None where there is none."""
-    import numpy as np
-
-    others = b.origins()
-    for name, T in a.origins().items():
-        if np.abs(T - others[name]).max() > _SAME:
-            return name
-    return None
-
-
-#: Origins of one robot differ by rounding [m; rotation matrices: 1].
-_SAME = 1e-9
-
-
-def _of_robots(
-    robot: str,
-    corrected: str,
-    names: set[str],
-    base: str | None,
-    tip: str | None,
-    hold: list[str] | None,
-) -> Truth:
-    """The robots of two URDFs.
-
-    Args:
-        robot: As the controller has it.
-        corrected: As it is.
-        names: Columns of the program: a tip that is not named is the end of the longest chain with these joints.
-        base: Link.
-        tip: Link.
-        hold: Values of joints.
-
-    Raises:
-        CalibError: A URDF cannot be read, or both are the same.
-    """
-    from calib.cli.words import parse_held
-    from calib.model.robot import Robot
-
-    held = parse_held(hold or [])
-    nominal = Robot.load(robot, base, tip, measured=names, held=held)
-    true = Robot.load(corrected, nominal.base, nominal.tip, held=held)
-    if true.joint_names == nominal.joint_names and _differ(nominal, true) is None:
-        message = (
-            f"{robot} and {corrected} have the same joint origins from '{nominal.base}' to '{nominal.tip}': there is "
-            "nothing to correct. ROBOT is the robot as its controller has it, --corrected as it truly is."
-        )
-        raise CalibError(message)
-    return Truth(nominal, true, None, Path(corrected).name)
-
-
-def _names(program: Path, renamed: dict[str, str]) -> set[str]:
-    """The names of a program's columns, those that they are mapped to among them."""
-    from calib.measure.table import Table
-    from calib.units import split_header
-
-    names = {split_header(label)[0] for label in Table.read(program).header}
-    return names | {split_header(wanted)[0] for wanted in renamed.values()}
-
-
-def _tool(text: str | None, truth: Truth) -> NDArray[np.float64] | str | None:
-    """What is to arrive: a pose in the tip, the name of a target, or the tip.
-
-    Raises:
-        CalibError: The words mean nothing, or a corrected URDF carries no target.
-    """
-    from calib.cli.compensate_words import parse_tool
-    from calib.cli.known import with_target_link
-    from calib.measure.cell import Cell
-    from calib.model.robot import Robot
-
-    tool = None if text is None else parse_tool(text)
-    if not isinstance(tool, str) or not isinstance(truth.true, Robot):
-        return tool
-    target = with_target_link(truth.true, Cell()).target
-    if tool or target is None:
-        message = (
-            f"--tool was given as '{text}', and {truth.name} has no link calib_target, which 'calib fit --target-link' "
-            'adds. Give the tool\'s place, such as "0 0 150 mm", or --calibration.'
-        )
-        if tool:
-            message = (
-                f"--tool was given as '{text}'; a URDF knows one target, without a name. Write --tool {TARGET}, or "
-                "give --calibration."
-            )
-        raise CalibError(message)
-    return target
-
-
-def _frame(text: str, truth: Truth) -> str | None:
-    """The set-up whose frame poses are given in; None for the base.
-
-    Raises:
-        CalibError: There is no result that knows set-ups, or none of that name.
-    """
-    if text == BASE:
-        return None
-    if truth.result is None:
-        message = (
-            f"--poses-in was given as '{text}', and two URDFs know no measurement frames. Leave it out, or give the "
-            "result with --calibration."
-        )
-        raise CalibError(message)
-    if text != MEASURED and text not in truth.result.known.frames:
-        names = [name for name in truth.result.known.frames if name]
-        message = (
-            f"--poses-in was given as '{text}'; choose '{BASE}', '{MEASURED}' (the frame of the result's points)"
-            + (
-                f", or one of its set-ups {choices(names)}."
-                if names
-                else ". The result has no named set-ups."
-            )
-        )
-        raise CalibError(message)
-    return "" if text == MEASURED else text
-
-
-def _payload(text: str, truth: Truth, *, geometry: bool) -> Payload:
-    """What the tip carries; its centre of mass is that of the payload in the result.
-
-    Raises:
-        CalibError: No mass, or the result has no compliances that it could matter for.
-    """
-    from calib.cli.words import parse_payload
-
-    larger = None if truth.result is None else truth.result.larger
-    if larger is None or geometry or "compliance" not in larger.name:
-        message = (
-            f'--payload was given as "{text}", and the model in use knows no compliances: a payload changes nothing. '
-            "Leave it out"
-            + (
-                ", or --geometry."
-                if geometry and larger is not None
-                else "; 'calib fit --model dh+compliance' estimates them."
-            )
-        )
-        raise CalibError(message)
-    return parse_payload(text, larger.payload)
 
 
 compensate.__doc__ = _HELP

@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.compensate.program_file import CORRECTION, ROLL_PITCH_YAW, STATUS
+from calib.compensate.program_columns import CORRECTION, ROLL_PITCH_YAW, STATUS
 from calib.errors import ModelError, choices
 from calib.measure.columns import POINT, QUATERNION, ROTATION_VECTOR
 from calib.measure.orientation import to_quaternions

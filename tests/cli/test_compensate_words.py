@@ -18,7 +18,7 @@ from calib.cli.compensate_words import (
 )
 from calib.compensate.commands_file import ORIENTATIONS, SEND
 from calib.compensate.matching import MATCHES
-from calib.compensate.program_file import GIVEN
+from calib.compensate.program_columns import GIVEN
 from calib.errors import CalibError
 from calib.model.robot import Robot
 

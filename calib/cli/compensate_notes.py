@@ -1,0 +1,207 @@
+"""What to look at before commands go to a robot: rows without one, warnings, a program that does not fit together."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calib.cli.setup import row_ranges
+
+if TYPE_CHECKING:
+    from calib.cli.compensate_setup import Truth
+    from calib.compensate.commands import Commands
+
+#: One metre and one radian in the units that are printed.
+MM, DEG = 1e3, float(np.degrees(1.0))
+
+_WIDTH = 100
+
+#: Rows that are named behind a warning.
+_NAMED = 8
+
+#: Joint values of a program further from its poses than this ask for a second look [m]: no calibration moves a tool so.
+_ELSEWHERE = 0.02
+
+#: Rows that a message names with their reasons, one by one.
+_MOST_NAMED = 50
+
+#: Hardly anything, on an arm: position [m], angle [deg].
+_HARDLY = (1e-4, 0.2)
+
+#: What a warning is of: its words up to the first number, name or colon.
+_KIND = re.compile(r"[^\d':]*")
+
+
+def no_commands(found: Commands, *, skip: bool) -> str:
+    """The message that names each row without a command and why it has none.
+
+    Args:
+        found: The commands.
+        skip: Whether such rows may stay empty: then no row has a command.
+    """
+    rows = _named(found, found.reasons)
+    count, every = len(rows), len(found)
+    head = (
+        f"none of the {every} rows has a command"
+        if count == every
+        else f"{count} of {every} rows {'has' if count == 1 else 'have'} no command"
+    )
+    more = count - _MOST_NAMED
+    if more > 0:
+        labels = [
+            label for label, why in zip(found.program.labels, found.reasons, strict=True) if why
+        ]
+        rows = [*rows[:_MOST_NAMED], fill(f"and rows {_listed(labels[_MOST_NAMED:], more)}", "  ")]
+    advice = [_small(found), _few_joints(found)]
+    if count == every:
+        advice.append("Check --poses-in, --tool, --match, and the units.")
+    if not skip and count < every:
+        advice.append("--skip leaves these rows empty and writes the others.")
+    said = " ".join(one for one in advice if one) or "Correct the program."
+    return "\n".join([f"{head}, and nothing was written:", *rows, fill(said)])
+
+
+def _small(found: Commands) -> str:
+    """How to accept rows of which hardly anything is left, as next to a singularity."""
+    length, angle = _HARDLY
+    missing = ~found.reached & np.isfinite(found.left[:, 0])
+    hardly = missing & (found.left[:, 0] <= length) & ~(found.left[:, 1] > np.radians(angle))
+    # Rows that end at a joint's limit may be off by nothing: what is left of them does not matter.
+    hardly &= found.left[:, 0] > 1e-9
+    if not hardly.any():
+        return ""
+    words = f"{MM * length:g} mm {angle:g} deg"
+    return (
+        f"Of {counted(int(hardly.sum()), 'row')} less than {words.replace('mm ', 'mm and ')} would be left: --accept "
+        f'"{words}" takes {"it" if hardly.sum() == 1 else "them"}.'
+    )
+
+
+def _few_joints(found: Commands) -> str:
+    """What an arm of fewer than six joints can do."""
+    joints = len(found.nominal.joint_names)
+    if joints >= 6 or found.match not in ("pose", "axis"):
+        return ""
+    return f"With {joints} joints most poses cannot be reached exactly: --match weighted, or --match position."
+
+
+def notes(found: Commands, truth: Truth, *, larger: bool, of_target: bool) -> list[str]:
+    """What to look at before the commands go to the robot."""
+    notes = [_elsewhere(found), _orientation_unsure(found, of_target=of_target)]
+    if truth.was_corrected:
+        notes.append(
+            "ROBOT has the corrected joint origins already; what the controller has was taken from the result."
+        )
+    if not np.array_equal(found.T_tip_tool, found.T_tip_tool_nominal):
+        place = ", ".join(f"{MM * v:.4f}" for v in found.T_tip_tool_nominal[:3, 3])
+        notes.append(
+            f"The poses to send are those of a tool at ({place}) mm in '{found.nominal.tip}': set the controller's "
+            "tool to that. It is where the target was before the calibration, which found it elsewhere."
+        )
+    empty = _named(found, found.reasons)
+    if empty:
+        what = "row has" if len(empty) == 1 else f"of {len(found)} rows have"
+        empty[:0] = [
+            f"{len(empty)} {what} no command, and {'is' if len(empty) == 1 else 'are'} empty in the table:"
+        ]
+    lists = ["\n".join(empty), _warnings(found, larger=larger)]
+    return [*(fill(note) for note in notes if note), *(one for one in lists if one)]
+
+
+def _named(found: Commands, words: Iterable[str]) -> list[str]:
+    """The rows of which something is said, and what."""
+    return [
+        fill(f"{label}: {what}", "  ")
+        for label, what in zip(found.program.labels, words, strict=True)
+        if what
+    ]
+
+
+def _elsewhere(found: Commands) -> str:
+    """A program whose joint values do not belong to its poses: mostly another tool, or another frame."""
+    program = found.program
+    if program.q is None or program.T_wanted is None:
+        return ""
+    poses = found.T_frame_base @ found.nominal.poses(program.q) @ found.T_tip_tool_nominal
+    far = np.linalg.norm(poses[:, :3, 3] - program.T_wanted[:, :3, 3], axis=1)
+    if np.median(far) < _ELSEWHERE:
+        return ""
+    return (
+        f"At the program's joint values the nominal robot has the tool {MM * float(np.median(far)):.0f} mm from the "
+        "program's positions (median). Are these of another tool (--tool), in another frame (--poses-in), or measured "
+        "ones (--given joints)?"
+    )
+
+
+def _orientation_unsure(found: Commands, *, of_target: bool) -> str:
+    """What is known of the orientation where positions alone were measured."""
+    sure, rows = found.certainty, found.reached
+    if sure is None or sure.turned or found.match == "position" or not np.isfinite(found.std).any():
+        return ""
+    unsure, moved = DEG * found.std[rows, 1].mean(), DEG * found.pose_corrections[rows, 1].mean()
+    best = (
+        "--match position corrects the position alone."
+        if of_target
+        else "The calibrated target is known best: --tool target; or --match position."
+    )
+    return (
+        f"Positions alone were measured for the result: how the tip is turned follows from them to {unsure:.2f} deg "
+        f"(standard deviation), and the corrections turn it by {moved:.2f} deg on average. {best}"
+    )
+
+
+def _warnings(found: Commands, *, larger: bool) -> str:
+    """The warnings of all rows, one line for each kind of them, the first of its rows as the example."""
+    kinds: dict[str, list[tuple[str, str]]] = {}
+    for label, said in zip(found.program.labels, found.warnings, strict=True):
+        for what in said:
+            kinds.setdefault(_KIND.match(what)[0], []).append((label, what))  # type: ignore[index]  # it always does
+    if not kinds:
+        return ""
+    count = sum(bool(said) for said in found.warnings)
+    lines = [f"{count} of {len(found)} rows {'has' if count == 1 else 'have'} a warning:"]
+    for rows in kinds.values():
+        (label, what), others = rows[0], [other for other, _ in rows[1:]]
+        more = (
+            f"; and {counted(len(others), 'row')} more: {_listed(others, _NAMED)}" if others else ""
+        )
+        lines.append(fill(f"{label}: {what}{more}", "  "))
+    if any(kind.startswith("outside") for kind in kinds):
+        text = "The result was not tested outside of the measured range."
+        if larger:
+            text += (
+                " Errors that grow with a joint's value or load, as those of the larger model in use, can be far off "
+                "there: measure there too, or compare with --geometry."
+            )
+        lines.append(fill(text))
+    return "\n".join(lines)
+
+
+def _listed(labels: list[str], most: int) -> str:
+    """Some rows by their names, at most so many of them or runs of them, and how many more."""
+    names = [label.removeprefix("row ") for label in labels]
+    if all(name.isdecimal() for name in names):
+        return row_ranges(map(int, names), most)
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+
+
+def counted(number: int, what: str) -> str:
+    """Such as ``1 row``, ``35 rows``."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def fill(sentence: str, indent: str = "") -> str:
+    """Broken at 100 columns, names left whole."""
+    return textwrap.fill(
+        sentence,
+        _WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + ("  " if indent else ""),
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
