@@ -169,6 +169,8 @@ def test_every_example_of_the_document_works(examples):
         "truth.json",
         "robot.html",
         "both.html",
+        "commands.csv",
+        "joint_commands.csv",
     }
     assert {path.name for path in examples.folder.iterdir()} == given | made
 
