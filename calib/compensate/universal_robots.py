@@ -30,6 +30,7 @@ from calib.compensate.ur_findings import (
     checked_distance,
     distance_from,
     joint_values,
+    name_remark,
     odd,
     same,
     tidy,
@@ -60,7 +61,7 @@ class UrSource:
     """What a file of Universal Robots says about an arm.
 
     Attributes:
-        nominal: The arm as the data sheet has it: the robot given, or a bare one, ``base`` to ``tool0``.
+        nominal: The robot given, or a bare arm as the data sheet has it, ``base`` to ``tool0``.
         robot: The same chain, calibrated.
         hash: The ROS driver's name for the calibration, ``"calib_..."``; None where the yaml has none.
         model: Which arm it is.
@@ -122,7 +123,8 @@ def read_ur_conf(
     raw = mounted.placements_of(rows.chain(), nominal)
     placements = anchored_placements(raw, nominal.placements, nominal.joints)
     calibrated = nominal.with_placements(placements)
-    return UrSource(nominal, calibrated, kinematics_hash(rows), arm, odd(path, moved, arm))
+    remarks = name_remark(nominal, arm, mounted) + odd(path, moved, arm)
+    return UrSource(nominal, calibrated, kinematics_hash(rows), arm, remarks)
 
 
 def read_ur_yaml(
@@ -163,7 +165,8 @@ def read_ur_yaml(
             f"{path} has the hash of the nominal {arm.name}: it is of no particular robot.",
         )
     calibrated = with_chain(nominal, mounted, content.chain)
-    return UrSource(nominal, calibrated, content.hash, arm, remarks + odd(path, moved, arm))
+    remarks += name_remark(nominal, arm, mounted) + odd(path, moved, arm)
+    return UrSource(nominal, calibrated, content.hash, arm, remarks)
 
 
 def write_ur_yaml(
@@ -178,7 +181,8 @@ def write_ur_yaml(
 
     Args:
         robot: The calibrated robot.
-        nominal: The same chain with the arm's nominal kinematics.
+        nominal: The robot that it was corrected from: the arm's nominal one, or one that was calibrated before and has
+            the link names of Universal Robots' descriptions.
         path: File to write.
         hash: The robot's own, see `read_ur_hash`: the driver compares it with what the controller reports.
         overwrite: Whether a file that exists may be replaced.
@@ -198,7 +202,8 @@ def write_ur_yaml(
         f"Kinematics of one Universal Robots {arm.name}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll).",
     )
     written = write_yaml(path, chain, hash, comments, overwrite=overwrite)
-    return UrWritten(written, arm, read_only(np.eye(4)), T_tool, tool_remark(written, T_tool))
+    remarks = name_remark(nominal, arm, mounted) + tool_remark(written, T_tool)
+    return UrWritten(written, arm, read_only(np.eye(4)), T_tool, remarks)
 
 
 def write_ur_conf(
@@ -214,7 +219,8 @@ def write_ur_conf(
 
     Args:
         robot: The calibrated robot.
-        nominal: The same chain with the arm's nominal kinematics.
+        nominal: The robot that it was corrected from: the arm's nominal one, or one that was calibrated before and has
+            the link names of Universal Robots' descriptions.
         path: File to write.
         update: A ``calibration.conf`` whose other lines are kept; default: the deltas alone.
         model: Name of the arm; default: what the nominal robot is recognised as.
@@ -234,7 +240,7 @@ def write_ur_conf(
     q = joint_values()
     made = fitted.T_base @ fitted.rows.poses(q) @ fitted.T_tool
     missed = float(np.abs(made - chain_poses(chain, q)).max())
-    remarks: list[str] = []
+    remarks = list(name_remark(nominal, arm, mounted))
     if missed > _EXACT:
         remarks.append(
             f"The rows hold the robot to {missed:.1e} m: d is {np.abs(fitted.rows.d).max():.2g} m where two axes are "

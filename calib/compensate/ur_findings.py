@@ -10,9 +10,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.compensate.ur_dh import COLUMNS, ROUNDING, FullDH, chain_poses
-from calib.compensate.ur_models import TOLERANCE, UrModel
+from calib.compensate.ur_models import TOLERANCE, Mount, UrModel
 from calib.errors import FileError
-from calib.model.robot import read_only
+from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
@@ -65,6 +65,16 @@ def odd(path: str | os.PathLike[str], moved: float, arm: UrModel) -> tuple[str, 
     return (
         f"{path} moves the flange by up to {1e3 * moved:.0f} mm from the nominal {arm.name}, more than calibrations "
         "do: check that it is of this arm.",
+    )
+
+
+def name_remark(robot: Robot, arm: UrModel, mounted: Mount) -> tuple[str, ...]:
+    """A sentence about a nominal robot whose base and flange were found by name."""
+    if not mounted.by_name:
+        return ()
+    return (
+        f"'{robot.name}' ({robot.urdf.source}) is calibrated already, it has not the nominal kinematics of the "
+        f"{arm.name}: its base and its flange are taken to be where the names of its links say.",
     )
 
 

@@ -9,6 +9,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.compensate.ur_dh import FullDH, kinematics_hash
+from calib.compensate.ur_frames import JOINTS, named_frames
 from calib.errors import ModelError, choices
 from calib.model.dh import zero_poses
 from calib.model.robot import Robot, read_only, rigid_inverse
@@ -18,9 +19,6 @@ Array = NDArray[np.float64]
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 """What ``kinematics.yaml`` calls the six links."""
-
-#: The joints that move these links, as Universal Robots' description calls them.
-_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 
 #: d1, a2, a3, d4, d5, d6 [m], from Universal Robots' article "DH parameters for calculations of kinematics and
 #: dynamics". The UR7e and the UR12e are the UR5e and the UR10e under the names of 2025.
@@ -46,6 +44,12 @@ _HALF_PI = 1.570796327
 
 #: A robot that is an arm of the table may lie this far from it [m and rad].
 TOLERANCE = 1e-6
+
+#: One that is calibrated already may lie this far from it [m; rotation matrices: 1].
+CALIBRATED = 0.05
+
+#: Joint values at which arms are compared, shape (50, 6), [rad].
+_SPREAD = read_only(np.random.default_rng(20170401).uniform(-np.pi, np.pi, (50, 6)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,11 +79,13 @@ class Mount:
         T_flange_tip: shape (4, 4), [m]: the robot's tip in the controller's flange.
         T_arm_joint: shape (6, 4, 4), [m]: each joint's frame in the arm's frame of that joint, see `FullDH.chain`; a
             motion along and about the axis.
+        by_name: Whether base and flange are where the links' names say, because the robot is calibrated already.
     """
 
     T_base_arm: Array
     T_flange_tip: Array
     T_arm_joint: Array
+    by_name: bool = False
 
     def chain_of(self, robot: Robot) -> Array:
         """The placements of a robot mounted so as those of the arm, shape (7, 4, 4), [m]."""
@@ -174,19 +180,30 @@ def mount(robot: Robot, model: UrModel) -> Mount | None:
 
 
 def the_mount(robot: Robot, model: UrModel | None = None) -> tuple[UrModel, Mount]:
-    """The arm that a nominal robot is, and how its frames are fixed to the arm's.
+    """The arm that a robot is, and how its frames are fixed to the arm's.
+
+    A robot that is calibrated already, such as the URDF that the ROS driver makes, is taken for the arm that it is
+    nearest to if its links have the names of Universal Robots' descriptions.
 
     Args:
-        robot: The nominal robot.
+        robot: The robot.
         model: The arm that it must be; default: the first that it is recognised as.
 
     Raises:
         ModelError: It is not that arm, or none.
     """
-    for candidate in MODELS if model is None else (model,):
+    wanted = MODELS if model is None else (model,)
+    for candidate in wanted:
         mounted = mount(robot, candidate)
         if mounted is not None:
             return candidate, mounted
+    if not recognised(robot):
+        for T_base_arm, T_flange_tip in named_frames(robot):
+            arm = rigid_inverse(T_base_arm) @ robot.poses(_SPREAD) @ rigid_inverse(T_flange_tip)
+            off = {one: np.abs(arm - one.nominal.poses(_SPREAD)).max() for one in wanted}
+            nearest = min(wanted, key=lambda one: float(off[one]))
+            if off[nearest] < CALIBRATED:
+                return nearest, _named_mount(robot, nearest, T_base_arm, T_flange_tip)
     names = [other.name for other in recognised(robot)]
     if model is not None:
         is_what = (
@@ -201,8 +218,8 @@ def the_mount(robot: Robot, model: UrModel | None = None) -> tuple[UrModel, Moun
         raise ModelError(message)
     message = (
         f"The robot '{robot.name}' from '{robot.base}' to '{robot.tip}' has the nominal kinematics of no Universal "
-        f"Robots arm that calib knows ({choices(_MODELS, limit=40)}). Give the nominal URDF, with the default "
-        "kinematics and not those of one robot, and a base and a tip with all six joints between them."
+        f"Robots arm that calib knows ({choices(_MODELS, limit=40)}), nor their links' names. Give the arm's nominal "
+        "URDF, and a base and a tip with all six joints between them."
     )
     raise ModelError(message)
 
@@ -230,6 +247,15 @@ def with_chain(robot: Robot, mounted: Mount, chain: Array) -> Robot:
     return robot.with_placements(mounted.placements_of(chain, robot))
 
 
+def _named_mount(robot: Robot, model: UrModel, T_base_arm: Array, T_flange_tip: Array) -> Mount:
+    """The mount of a calibrated robot; its frames are the arm's where they stand as the new description's do."""
+    on_axes = []
+    frames = T_base_arm @ _poses(model.nominal.chain())
+    for T, frame, joint in zip(zero_poses(robot)[0], frames, robot.joints, strict=False):
+        on_axes.append(_on_axis(rigid_inverse(frame) @ T, joint.axis, near=CALIBRATED))
+    return Mount(read_only(T_base_arm), read_only(T_flange_tip), read_only(on_axes), by_name=True)
+
+
 def _plain(name: str) -> str:
     """A name without capitals, spaces, hyphens and underscores."""
     return "".join(letter for letter in name.lower() if letter not in " -_")
@@ -255,17 +281,19 @@ def _first_axes(point: Array, axis: Array, other_point: Array, other: Array) -> 
     return T
 
 
-def _on_axis(T: Array, axis: Array) -> Array:
-    """The pose Tz(s) Rz(phi) R nearest to T, where R turns the axis into z."""
+def _on_axis(T: Array, axis: Array, near: float = 0.0) -> Array:
+    """The pose Tz(s) Rz(phi) R nearest to T, where R turns the axis into z; no s below ``near``, phi a right angle."""
     seed = np.eye(3)[int(np.argmin(np.abs(axis)))]
     x = seed - axis * (axis @ seed)
     x = x / np.linalg.norm(x)
     R = np.stack([x, np.cross(axis, x), axis])
     turned = T[:3, :3] @ R.T
     phi = np.arctan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
+    right = np.round(phi / (np.pi / 2.0)) * np.pi / 2.0
+    phi = right if abs(phi - right) < near else phi
     result = np.eye(4)
     result[:3, :3] = pin.rpy.rpyToMatrix(0.0, 0.0, float(phi)) @ R
-    result[2, 3] = T[2, 3]
+    result[2, 3] = T[2, 3] if abs(T[2, 3]) >= near else 0.0
     return result
 
 
@@ -284,11 +312,11 @@ def _urdf_text(model: UrModel) -> str:
         *_fixed("base", "base_link", "base_link-base_fixed_joint", f"0.0 0.0 {np.pi}"),
     ]
     parent = "base_link_inertia"
-    for link, joint, placement in zip(LINKS, _JOINTS, model.nominal.chain(), strict=False):
-        bound = np.pi if joint == "elbow" else 2.0 * np.pi
+    for link, joint, placement in zip(LINKS, JOINTS, model.nominal.chain(), strict=False):
+        bound = np.pi if joint == "elbow_joint" else 2.0 * np.pi
         lines += [
             f'  <link name="{link}_link"/>',
-            f'  <joint name="{joint}_joint" type="revolute">',
+            f'  <joint name="{joint}" type="revolute">',
             f"    {_origin(placement)}",
             f'    <parent link="{parent}"/>',
             f'    <child link="{link}_link"/>',

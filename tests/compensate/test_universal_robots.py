@@ -220,6 +220,27 @@ def test_what_a_conf_has_no_place_for_is_said(tmp_path):
     assert "joint_checksum = [ 0xb84e3393]\n" in more.path.read_text()
 
 
+def test_a_robot_that_was_calibrated_in_the_factory_is_corrected_further(conf_of, tmp_path):
+    case = case_of("ur3_a")
+    factory = read_ur_conf(conf_of(case), model="UR3")
+    robot = displaced(factory.robot, 1e-4)
+    written = write_ur_yaml(robot, factory.robot, tmp_path / "k.yaml", hash=factory.hash)
+    assert "is calibrated already" in written.remarks[0]
+    again = read_ur_yaml(written.path, robot=factory.nominal).robot
+    np.testing.assert_allclose(again.poses(Q) @ written.T_tool, robot.poses(Q), rtol=0, atol=1e-12)
+    rows_too = write_ur_conf(robot, factory.robot, tmp_path / "c.conf")
+    back = read_ur_conf(rows_too.path, model="UR3").robot.poses(Q)
+    np.testing.assert_allclose(
+        rows_too.T_base @ back @ rows_too.T_tool, robot.poses(Q), rtol=0, atol=1e-12
+    )
+    # And its URDF takes another file.
+    on_it = read_ur_yaml(written.path, robot=factory.robot)
+    np.testing.assert_allclose(on_it.robot.poses(Q), again.poses(Q), rtol=0, atol=1e-12)
+    assert "names of its links" in on_it.remarks[0]
+    on_it = read_ur_conf(conf_of({**case, "name": "own"}), robot=factory.robot)
+    np.testing.assert_allclose(on_it.robot.poses(Q), factory.robot.poses(Q), rtol=0, atol=1e-12)
+
+
 def test_nothing_to_say_of_a_robot_that_the_files_hold(tmp_path):
     # A length, a height, a zero and a flange further out along the last axis.
     nominal = ur_robot("UR5e")

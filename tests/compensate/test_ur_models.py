@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
+from calib.compensate.ur_dh import chain_poses
 from calib.compensate.ur_models import MODELS, mount, recognised, the_mount, ur_model, ur_robot
 from calib.errors import ModelError
 from calib.model.readback import check_written
 from calib.model.robot import Robot
+from calib.model.urdf import Urdf
 from tests.compensate.ur_cases import CASES
 
 Q = np.random.default_rng(8).uniform(-np.pi, np.pi, (20, 6))
@@ -113,15 +116,74 @@ def test_arms_of_two_names_have_both():
     assert the_mount(ur_robot("UR7e"), ur_model("UR7e"))[0].name == "UR7e"
 
 
+def renamed(robot: Robot, old: str, new: str) -> Robot:
+    """The robot with other names in its URDF."""
+    urdf = Urdf.from_bytes(robot.urdf.data.replace(old.encode(), new.encode()), "renamed.urdf")
+    return Robot.from_urdf(urdf, robot.base.replace(old, new), robot.tip.replace(old, new))
+
+
+def corrected(robot: Robot, size: float = 1e-3) -> Robot:
+    """The robot with every origin of its joints displaced."""
+    twists = np.random.default_rng(3).normal(size=(7, 6)) * size
+    if robot.carriers[6] is None:
+        twists[6] = 0.0
+    return robot.with_placements(
+        np.array(
+            [P @ pin.exp6(t).homogeneous for P, t in zip(robot.placements, twists, strict=True)]
+        )
+    )
+
+
 def test_a_corrected_arm_is_not_a_nominal_one(ur3):
-    placements = np.array(ur3.placements)
-    placements[2, 0, 3] += 1e-5
-    robot = ur3.with_placements(placements)
+    robot = corrected(ur3, 1e-5)
     assert recognised(robot) == ()
-    with pytest.raises(ModelError, match=r"of no Universal Robots arm .* Give the nominal URDF"):
-        the_mount(robot)
-    with pytest.raises(ModelError, match=r"nominal kinematics of the UR3: it has those of no"):
-        the_mount(robot, ur_model("UR3"))
+    assert mount(robot, ur_model("UR3")) is None
+
+
+@pytest.mark.parametrize("name", ["ur3", "ur5e"])
+@pytest.mark.parametrize(("base", "tip"), [("base", "tool0"), ("base_link", "wrist_3_link")])
+def test_the_base_and_flange_of_a_corrected_arm_are_found_by_name(name, base, tip, ur3):
+    nominal = (ur3 if name == "ur3" else ur_robot(name)).rebuilt(base=base, tip=tip)
+    robot = corrected(nominal)
+    model, mounted = the_mount(robot)
+    assert mounted.by_name
+    assert model.name.lower() == name
+    expected = the_mount(nominal)[1]
+    np.testing.assert_allclose(mounted.T_base_arm, expected.T_base_arm, rtol=0, atol=1e-9)
+    if tip == "tool0":
+        np.testing.assert_allclose(mounted.T_flange_tip, expected.T_flange_tip, rtol=0, atol=1e-9)
+    # Whatever stands between, the arm's chain is the robot's.
+    made = chain_poses(mounted.chain_of(robot), Q)
+    made = mounted.T_base_arm @ made @ mounted.T_flange_tip
+    np.testing.assert_allclose(made, robot.poses(Q), rtol=0, atol=1e-14)
+    if name == "ur5e":  # the new description's frames are the arm's own
+        origins = [robot.urdf.joint(joint.name).T_parent_joint for joint in robot.joints]
+        chain = mounted.chain_of(robot)
+        np.testing.assert_allclose(chain[1:6], origins[1:6], rtol=0, atol=1e-14)
+
+
+def test_names_may_have_a_prefix():
+    robot = corrected(ur_robot("UR20"))
+    data = robot.urdf.data
+    for name in (*(joint.name for joint in robot.joints), "base_link", "tool0"):
+        data = data.replace(f'"{name}"'.encode(), f'"left_{name}"'.encode())
+    urdf = Urdf.from_bytes(data, "left.urdf")
+    prefixed = Robot.from_urdf(urdf, "left_base_link", "left_tool0")
+    model, mounted = the_mount(prefixed)
+    assert model.name == "UR20"
+    np.testing.assert_allclose(mounted.T_base_arm, np.diag([-1, -1, 1, 1]), rtol=0, atol=1e-12)
+
+
+def test_a_corrected_arm_with_other_names_or_too_far_off_is_refused(ur3):
+    message = r"of no Universal Robots arm .* nor their links' names\. Give the arm's nominal URDF"
+    with pytest.raises(ModelError, match=message):
+        the_mount(renamed(corrected(ur3), "elbow", "ellbow"))
+    with pytest.raises(ModelError, match=message):
+        the_mount(renamed(renamed(corrected(ur3), "base", "ground"), "tool0", "end"))
+    with pytest.raises(ModelError, match=message):
+        the_mount(corrected(ur3, 0.1))
+    with pytest.raises(ModelError, match=r"nominal kinematics of the UR5: it has those of no"):
+        the_mount(corrected(ur3), ur_model("UR5"))
 
 
 def test_another_arm_is_named(ur3):
