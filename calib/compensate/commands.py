@@ -6,8 +6,9 @@ T_nominal(q). For a wanted pose T of the tool:
     q:       T_true(q) = T               joint values to command, in the branch of the nominal solution
     T_send = T_nominal(q)                the pose to send: the controller's own inverse kinematics makes q of it
 
-Both are the same command in two forms. Source: Z. Roth, B. Mooring, B. Ravani, An overview of robot calibration, 1987
-("compensation"); poses sent in place of the wanted ones are known as fake targets.
+Both are the same command in two forms; for an arm with a redundant joint see `calib.compensate.sending`. Poses sent in
+place of the wanted ones are known as fake targets. Source: Z. Roth, B. Mooring, B. Ravani, An overview of robot
+calibration, 1987 ("compensation").
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from calib.compensate.judgement import judged
 from calib.compensate.matching import MATCHES, POSE, POSITION, WEIGHTED, Matching
 from calib.compensate.pair import Pair
 from calib.compensate.program import Program
+from calib.compensate.sending import poses_to_send
 from calib.compensate.starts import Starts, following, near, start_values
 from calib.errors import ModelError, choices
 from calib.identify.certainty import Certainty
@@ -59,6 +61,8 @@ class Commands:
         missed: shape (N, 2), how far the true robot would miss at ``q_nominal``, as the calibrated model predicts:
             position [m], angle [rad]. Of the position alone the angle is NaN.
         left: shape (N, 2), how far it misses at ``q`` [m], [rad]: what cannot be reached.
+        left_by_pose: shape (N, 2), how far it misses if ``T_send`` is sent, to a controller that stays near
+            ``q_nominal`` [m], [rad].
         std: shape (N, 2), how sure it is where the true robot arrives, as far as the covariance of the geometry knows:
             position [m], angle [rad]. NaN where nothing is known, as of two robots without a result.
         certainty: How far to trust the result; None where nothing is known of that.
@@ -78,6 +82,7 @@ class Commands:
     T_send: Array
     missed: Array
     left: Array
+    left_by_pose: Array
     std: Array
     certainty: Certainty | None
     reasons: tuple[str, ...]
@@ -170,8 +175,10 @@ def commands(
     _check(program, robot, matching, start)
     T_wanted, starts = _nominal(pair, program, matching, start_values(robot, start))
     solved = solve(pair.true, T_wanted, starts.q, matching, column_limits(robot))
-    found = judged(pair, T_wanted, starts, solved, matching, accept=accept, limit=limit)
-    T_send = pair.T_frame_base @ pair.believed.poses(solved.q)
+    T_send, left_by_pose = poses_to_send(pair, T_wanted, starts, solved, matching)
+    found = judged(
+        pair, T_wanted, starts, solved, left_by_pose, matching, accept=accept, limit=limit
+    )
     return Commands(
         nominal=robot,
         program=program,
@@ -182,9 +189,10 @@ def commands(
         T_wanted=read_only(pair.T_frame_base @ T_wanted),
         q_nominal=_where(found.nominal_reaches, starts.q),
         q=_where(found.reached, solved.q),
-        T_send=_where(found.reached, T_send),
+        T_send=_where(found.reached, pair.T_frame_base @ T_send),
         missed=_where(found.nominal_reaches, found.missed),
         left=read_only(found.left),
+        left_by_pose=_where(found.reached, left_by_pose),
         std=_where(found.reached, pair.std(solved.q)),
         certainty=pair.certainty,
         reasons=found.reasons,

@@ -53,6 +53,7 @@ def judged(
     T_wanted: Array,
     starts: Starts,
     solved: Solved,
+    left_by_pose: Array,
     matching: Matching,
     *,
     accept: tuple[float, float],
@@ -65,6 +66,7 @@ def judged(
         T_wanted: shape (N, 4, 4), poses of the tool in the base [m].
         starts: Joint values of the nominal robot.
         solved: Joint values of the true one.
+        left_by_pose: shape (N, 2), what is left if poses are sent [m], [rad].
         matching: What is matched.
         accept: What may be left: position [m], angle [rad].
         limit: Corrections of the pose larger than this are warned of: position [m], angle [rad].
@@ -81,15 +83,16 @@ def judged(
     turned = _other_branch(matching.jacobian(twists_before), matching.jacobian(solved.twists))
     amplified = _amplification(pair, matching, solved)
     moved = _corrections(pair, starts, solved)
+    by_pose = _by_pose(left_by_pose, ~_within(left_by_pose - left, accept))
     outside = _outside(pair, solved.q)
     reasons = tuple(
         _reason(one, passed, far=bool(f), turned=bool(t))
         for one, passed, f, t in zip(left, limits, far, turned, strict=True)
     )
     warnings = tuple(
-        () if reason else _warnings(a, m, limit, o, nominal_reaches=bool(n))
-        for reason, a, m, o, n in zip(
-            reasons, amplified, moved, outside, nominal_reaches, strict=True
+        () if reason else _warnings(a, m, limit, nominal_reaches=bool(n)) + b + o
+        for reason, a, m, n, b, o in zip(
+            reasons, amplified, moved, nominal_reaches, by_pose, outside, strict=True
         )
     )
     return Judged(
@@ -162,13 +165,26 @@ def _corrections(pair: Pair, starts: Starts, solved: Solved) -> Array:
     return Matching("pose", 1.0).misses(after, before)
 
 
-def _outside(pair: Pair, q: Array) -> list[str]:
+def _by_pose(left: Array, elsewhere: Mask) -> list[tuple[str, ...]]:
+    """For each row what may happen if its pose is sent, in words; nothing where the controller comes to its joints."""
+    return [
+        (
+            f"sent as a pose it may end {1e3 * misses[0]:.3g} mm off: the controller can come to other joint "
+            "values",
+        )
+        if far
+        else ()
+        for misses, far in zip(left, elsewhere, strict=True)
+    ]
+
+
+def _outside(pair: Pair, q: Array) -> list[tuple[str, ...]]:
     """For each row the joints outside of the range that was measured, in words; nothing where none is."""
-    said = [""] * len(q)
+    said: list[tuple[str, ...]] = [()] * len(q)
     if pair.certainty is not None:
         for row in pair.certainty.outside(pair.believed.robot, q):
             joints = ", ".join(map(str, row.beyond))
-            said[row.index] = f"outside the joint range that was measured: {joints}"
+            said[row.index] = (f"outside the joint range that was measured: {joints}",)
     return said
 
 
@@ -191,7 +207,6 @@ def _warnings(
     amplified: float,
     moved: Array,
     limit: tuple[float, float],
-    outside: str,
     *,
     nominal_reaches: bool,
 ) -> tuple[str, ...]:
@@ -209,6 +224,4 @@ def _warnings(
         )
     if not nominal_reaches:
         said.append("the nominal robot cannot reach the pose itself")
-    if outside:
-        said.append(outside)
     return tuple(said)

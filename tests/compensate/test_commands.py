@@ -12,6 +12,7 @@ from calib.compensate.matching import Matching
 from calib.compensate.program import Program
 from calib.errors import ModelError
 from calib.identify.calibration import calibrate
+from calib.measure.ranges import column_limits
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
 from tests.compensate.arms import off, stored, turned
@@ -26,7 +27,7 @@ def controller(
     nominal: Robot, T_send: np.ndarray, near: np.ndarray, tool: np.ndarray
 ) -> np.ndarray:
     """What a controller with the nominal model makes of poses: its own inverse kinematics."""
-    return solve(Arm.of_robot(nominal, tool), T_send, near, POSE, None).q
+    return solve(Arm.of_robot(nominal, tool), T_send, near, POSE, column_limits(nominal)).q
 
 
 @pytest.mark.parametrize("name", ["ur3", "panda"])
@@ -43,16 +44,15 @@ def test_the_true_robot_arrives_by_joints_and_by_poses(name, request):
     assert POSE.misses(arrived, wanted[reached]).max() < 1e-9
     # Every row without a command says why.
     assert [bool(reason) for reason in found.reasons] == (~reached).tolist()
-    # The same by the controller's own inverse kinematics, where none is singular.
-    plain = reached & np.array([not any("singular" in w for w in said) for said in found.warnings])
+    # The same by the controller's own inverse kinematics, unless a row says that it may come out elsewhere.
+    astray = np.array([any("sent as a pose" in w for w in said) for said in found.warnings])
+    plain = reached & ~astray
+    assert astray.sum() < 0.02 * len(q)
     sent = controller(nominal, found.T_send[plain], found.q_nominal[plain], tool)
-    assert POSE.misses(true.poses(sent) @ tool, wanted[plain]).max() < (
-        1e-9 if name == "ur3" else 1e-2
-    )
-    if (
-        name == "panda"
-    ):  # seven joints: the pose is the same, where the elbow goes is the controller's own choice
-        assert nominal.poses(sent) @ tool == pytest.approx(found.T_send[plain], abs=1e-9)
+    assert POSE.misses(true.poses(sent) @ tool, wanted[plain]).max() < 1e-9
+    assert found.left_by_pose[plain].max() < 1e-9
+    if name == "ur3":  # without a redundant joint both modes are one command
+        assert found.T_send[plain] == pytest.approx(nominal.poses(found.q[plain]) @ tool, abs=1e-12)
     before = POSE.misses(true.poses(q) @ tool, wanted)
     assert found.missed[reached] == pytest.approx(before[reached], abs=1e-12)
     assert found.left[reached].max() < 1e-9
