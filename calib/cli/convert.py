@@ -177,7 +177,7 @@ def _use(found: Source, wanted: Wanted) -> str:
             "A xacro takes them with xacro.load_yaml, as the comment at the head of the file shows."
         )
     if wanted.format == "ur-yaml":
-        return "The driver and the description take it so:"
+        return "The driver takes it so:"
     if wanted.format == "ur-conf":
         return (
             "It is for programs that read a calibration.conf; what a controller does with one that it did not write "
@@ -192,9 +192,10 @@ def _use(found: Source, wanted: Wanted) -> str:
 def _launch(found: Source, wanted: Wanted) -> str:
     """The command that starts Universal Robots' driver with a kinematics.yaml, on lines of its own to be copied."""
     kind = "" if found.model is None else found.model.name.lower().replace(" ", "")
+    here = "" if wanted.path.is_absolute() else '"$PWD"/'
     return (
         f"\n\n  ros2 launch ur_robot_driver ur_control.launch.py ur_type:={kind} robot_ip:=ADDRESS \\"
-        f"\n    kinematics_params_file:={shlex.quote(str(wanted.path.resolve()))}"
+        f"\n    kinematics_params_file:={here}{shlex.quote(str(wanted.path))}"
     )
 
 

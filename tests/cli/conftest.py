@@ -24,6 +24,7 @@ from calib.cli import app, main
 from calib.data import paper_measurements, paper_urdf
 from calib.measure.virtual_sweeps import virtual_sweeps, write_sweeps
 from calib.model.robot import Robot
+from tests.compensate.ur_cases import CALIBRATIONS
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -87,10 +88,19 @@ def fill(folder: Path) -> Path:
     example = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)[0]
     (folder / "cell.toml").write_text(example, encoding="utf-8")
     _split(folder)
+    _factory(folder)
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     sweeps = virtual_sweeps(robot, np.eye(4), 3e-5, arcs=np.radians([270.0, 180.0]))
     write_sweeps(sweeps, folder / "sweeps.csv")
     return folder
+
+
+def _factory(folder: Path) -> None:
+    """The calibration.conf of a UR3 as its factory wrote it."""
+    delta = next(case for case in CALIBRATIONS if case["robot"] == "UR3")["delta"]
+    lines = [f"delta_{key} = {delta[key]}" for key in ("theta", "a", "d", "alpha")]
+    text = "\n".join(["[mounting]", *lines, ""])
+    (folder / "calibration.conf").write_text(text, encoding="utf-8")
 
 
 def _split(folder: Path) -> None:

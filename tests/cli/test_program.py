@@ -135,7 +135,15 @@ def test_every_example_of_the_document_works(examples):
     assert len(examples.done) >= 10
     for call, done in examples.done.items():
         assert (done.code, done.err) == (0, ""), call
-    given = {"robot.urdf", "data.csv", "joints.csv", "tracker.txt", "cell.toml", "sweeps.csv"}
+    given = {
+        "robot.urdf",
+        "data.csv",
+        "joints.csv",
+        "tracker.txt",
+        "cell.toml",
+        "sweeps.csv",
+        "calibration.conf",
+    }
     made = {
         "demo",
         "corrected.urdf",
@@ -168,6 +176,10 @@ def test_every_example_of_the_document_works(examples):
         "study.json",
         "truth.json",
         "robot.html",
+        "rows.csv",
+        "rows.md",
+        "kinematics.yaml",
+        "corrected.yaml",
         "both.html",
         "commands.csv",
         "joint_commands.csv",

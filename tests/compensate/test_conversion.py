@@ -24,11 +24,9 @@ from calib.compensate.conversion import (
 )
 from calib.compensate.conversion_source import KINDS, Asked, Source, read_source, source_kind
 from calib.errors import CalibError, FileError, ModelError, UrdfError
-from calib.identify.calibration import calibrate
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
 from calib.model.dh_conventions import dh_rows
 from calib.model.robot import Robot
+from tests.compensate.forms import UR3, write_conf, write_forms
 from tests.compensate.ur_cases import CALIBRATIONS, rows
 
 URDF = str(calib.data.paper_urdf())
@@ -37,39 +35,16 @@ LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 CASES = [case for case in CALIBRATIONS if case["robot"] in ("UR3", "UR10e")][:2]
 
 
-def write_conf(case: dict, path: Path) -> Path:
-    lines = [
-        f"delta_{key} = [{', '.join(repr(float(value)) for value in case['delta'][key])}]"
-        for key in ("theta", "a", "d", "alpha")
-    ]
-    path.write_text("\n".join(["[mounting]", *lines, ""]))
-    return path
-
-
 @pytest.fixture(scope="module")
 def shop(tmp_path_factory) -> Path:
-    """One robot in every form: URDF and corrected URDF, result, origins, kinematics.yaml, calibration.conf."""
-    folder = tmp_path_factory.mktemp("forms")
-    arm = Robot.load(URDF, "base", "tool0")
-    table = Measurements.read(calib.data.paper_measurements(), arm.joint_names, arm.joint_types)
-    (folder / "robot.urdf").write_bytes(Path(URDF).read_bytes())
-    arm = Robot.load(folder / "robot.urdf", "base", "tool0")
-    cell = Cell(target=np.array([-0.07, 0.07, 0.0225]), model="dh")
-    found = calibrate(arm, table, cell=cell, validate=False)
-    found.write_json(folder / "result.json")
-    found.write_urdf(folder / "corrected.urdf")
-    write_conf(next(c for c in CASES if c["robot"] == "UR3"), folder / "calibration.conf")
-    source = read_source(str(folder / "result.json"), Asked())
-    write_target(source, Wanted(folder / "origins.yaml", "origins"))
-    conf = read_source(str(folder / "calibration.conf"), Asked(ur_model="UR3"))
-    write_target(conf, Wanted(folder / "own.yaml", "ur-yaml"))
-    return folder
+    """One robot in every form."""
+    return write_forms(tmp_path_factory.mktemp("forms"))
 
 
 ASKED = {
     "result.json": Asked(),
     "calibration.conf": Asked(ur_model="UR3"),
-    "own.yaml": Asked(),
+    "kinematics.yaml": Asked(),
     "origins.yaml": Asked(robot=URDF, base="base", tip="tool0"),
     "corrected.urdf": Asked(robot=URDF, base="base", tip="tool0"),
 }
@@ -159,7 +134,7 @@ def test_origins(source, tmp_path):
 
 
 def test_a_kinematics_yaml(source, shop, tmp_path):
-    own = shop / "own.yaml"
+    own = shop / "kinematics.yaml"
     assert write_target(source, Wanted(tmp_path / "o.yaml", "ur-yaml", own)) == ()
     found = poses_of_yaml(tmp_path / "o.yaml", Q)
     np.testing.assert_allclose(found, source.robot.poses(Q), rtol=0, atol=1e-9)
@@ -168,7 +143,7 @@ def test_a_kinematics_yaml(source, shop, tmp_path):
 
 def test_a_calibration_conf(source, tmp_path):
     assert write_target(source, Wanted(tmp_path / "o.conf", "ur-conf")) == ()
-    nominal = rows(next(c for c in CASES if c["robot"] == "UR3")["nominal"])
+    nominal = rows(UR3["nominal"])
     found = (nominal + rows(deltas_of_conf(tmp_path / "o.conf"))).poses(Q)
     np.testing.assert_allclose(found, source.robot.poses(Q), rtol=0, atol=1e-9)
 
@@ -190,7 +165,7 @@ def test_what_a_file_of_universal_robots_has_no_place_for_is_said(shop, tmp_path
     placements[0, :3, :3] = placements[0, :3, :3] @ Rotation.from_euler("x", 1e-3).as_matrix()
     placements[-1, :3, 3] += [1e-4, 2e-4, 0]
     moved = replace(found, robot=found.robot.with_placements(placements))
-    wanted = Wanted(tmp_path / "k.yaml", "ur-yaml", hash_from=shop / "own.yaml")
+    wanted = Wanted(tmp_path / "k.yaml", "ur-yaml", hash_from=shop / "kinematics.yaml")
     (remark,) = write_target(moved, wanted)
     assert "k.yaml: the flange lies (" in remark
     # The last row has a and alpha for the flange; before the first one there is nothing.
@@ -238,7 +213,7 @@ def test_how_far_a_source_is_from_its_nominal_robot(shop):
     ("name", "kind"),
     [
         ("calibration.conf", "ur-conf"),
-        ("own.yaml", "ur-yaml"),
+        ("kinematics.yaml", "ur-yaml"),
         ("origins.yaml", "origins"),
         ("result.json", "result"),
         ("corrected.urdf", "robot"),
@@ -424,7 +399,7 @@ def test_a_corrected_bare_arm_and_its_name_are_enough(shop, tmp_path):
     source = read_source(
         str(tmp_path / "arm.urdf"), Asked(ur_model="UR3", base="base", tip="tool0")
     )
-    own = shop / "own.yaml"
+    own = shop / "kinematics.yaml"
     assert write_target(source, Wanted(tmp_path / "k.yaml", "ur-yaml", hash_from=own)) == ()
     q = np.random.default_rng(1).uniform(-1, 1, (3, 6))
     np.testing.assert_allclose(
@@ -518,13 +493,13 @@ def test_a_kinematics_yaml_keeps_the_robot_s_own_hash(shop, tmp_path):
     assert list(tmp_path.iterdir()) == []
     by_conf = Wanted(tmp_path / "k.yaml", "ur-yaml", hash_from=shop / "calibration.conf")
     write_target(source, by_conf)
-    assert own_hash(tmp_path / "k.yaml") == own_hash(shop / "own.yaml")
+    assert own_hash(tmp_path / "k.yaml") == own_hash(shop / "kinematics.yaml")
 
 
 @pytest.mark.parametrize("format", ["ur-yaml", "ur-conf"])
 def test_other_robots_have_no_files_of_universal_robots(shop, tmp_path, format):
     corrected = read_source(str(shop / "corrected.urdf"), Asked(base="base", tip="tool0"))
-    wanted = Wanted(tmp_path / "o", format, hash_from=shop / "own.yaml")
+    wanted = Wanted(tmp_path / "o", format, hash_from=shop / "kinematics.yaml")
     with pytest.raises(
         ModelError, match="for arms of Universal Robots, and no nominal robot is known"
     ):
@@ -564,7 +539,7 @@ def test_files_that_exist_stay(source, shop, tmp_path):
     for name in FORMATS:
         path = tmp_path / f"{name}{Path(NAMES.get(name, 'o.csv')).suffix}"
         path.write_text("mine")
-        hash_from = shop / "own.yaml" if name == "ur-yaml" else None
+        hash_from = shop / "kinematics.yaml" if name == "ur-yaml" else None
         with pytest.raises(FileError, match="exists already"):
             write_target(source, Wanted(path, name, hash_from))
         assert path.read_text() == "mine"

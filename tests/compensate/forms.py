@@ -1,0 +1,45 @@
+"""One arm in every form that ``calib convert`` reads: a UR3, fitted to the paper's table, and one from its factory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import calib.data
+from calib.compensate.conversion import Wanted, write_target
+from calib.compensate.conversion_source import Asked, read_source
+from calib.identify.calibration import calibrate
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.robot import Robot
+from tests.compensate.ur_cases import CALIBRATIONS
+
+UR3 = next(case for case in CALIBRATIONS if case["robot"] == "UR3")
+
+
+def write_conf(case: dict, path: Path) -> Path:
+    """The deltas of a case as a calibration.conf."""
+    lines = [
+        f"delta_{key} = [{', '.join(repr(float(value)) for value in case['delta'][key])}]"
+        for key in ("theta", "a", "d", "alpha")
+    ]
+    path.write_text("\n".join(["[mounting]", *lines, ""]))
+    return path
+
+
+def write_forms(folder: Path) -> Path:
+    """robot.urdf, result.json, corrected.urdf, origins.yaml; calibration.conf and its kinematics.yaml."""
+    (folder / "robot.urdf").write_bytes(Path(calib.data.paper_urdf()).read_bytes())
+    arm = Robot.load(folder / "robot.urdf", "base", "tool0")
+    table = Measurements.read(calib.data.paper_measurements(), arm.joint_names, arm.joint_types)
+    cell = Cell(target=np.array([-0.07, 0.07, 0.0225]), model="dh")
+    found = calibrate(arm, table, cell=cell, validate=False)
+    found.write_json(folder / "result.json")
+    found.write_urdf(folder / "corrected.urdf")
+    write_conf(UR3, folder / "calibration.conf")
+    source = read_source(str(folder / "result.json"), Asked())
+    write_target(source, Wanted(folder / "origins.yaml", "origins"))
+    conf = read_source(str(folder / "calibration.conf"), Asked(ur_model="UR3"))
+    write_target(conf, Wanted(folder / "kinematics.yaml", "ur-yaml"))
+    return folder
