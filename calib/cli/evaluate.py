@@ -111,7 +111,7 @@ def evaluate(
     with reporting(debug=debug):
         from dataclasses import replace
 
-        from calib.cli.evaluate_fitted import Fitted
+        from calib.cli.evaluate_data import Fitted, check_measured
         from calib.cli.evaluate_text import evaluation_text, names_of
         from calib.cli.known import check_chain, with_target_link
         from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
@@ -146,6 +146,7 @@ def evaluate(
                 held={**stored.held, **setup.held},
             )
         arm, table = load_with_data(robot, setup, data, columns, points, points_unit)
+        check_measured(arm if stored is None else stored.nominal(arm), table)
         source = "as given" if stored is None or target is not None else "as the result has it"
         if stored is None and setup.target is None and not setup.targets:
             setup, source = (

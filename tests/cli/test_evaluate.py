@@ -1,10 +1,15 @@
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.model.robot import Robot
 
 
 def load(path: Path) -> Any:
@@ -116,3 +121,193 @@ def test_errors_are_one_line(call, shop, words: tuple[str, ...], said: str):
     assert done.err.startswith("calib: ")
     assert said in done.err
     assert done.err.count("\n") == 1
+
+
+def test_the_nominal_robot_stands_beside_the_corrected_urdf(call, folder: Path, tmp_path: Path):
+    """The one that the result began with, with the target that its own errors were computed with."""
+    fitted = load(folder / "result.json")["errors"]
+    for name in ("corrected.urdf", "robot.urdf"):
+        done = call(
+            folder, "evaluate", name, "data.csv", "--calibration", "result.json",
+            "--json", tmp_path / "e.json", "--force",
+        )  # fmt: skip
+        assert "the nominal robot, with its own target and frame of result.json:" in done.lines
+        same_errors(load(tmp_path / "e.json")["errors"]["nominal"], fitted["nominal"])
+    # Without a tolerance and without repeats nothing else is said.
+    assert "ISO 9283" not in done.out
+    assert "Verdict" not in done.out
+
+
+def accept(call: Any, folder: Path, *words: Any, robot: str = "corrected.urdf") -> Any:
+    return call(folder, "evaluate", robot, "data.csv", "--calibration", "result.json", *words)
+
+
+def test_a_tolerance_that_is_kept(examples):
+    done = examples.starting(
+        "calib evaluate corrected.urdf data.csv --calibration result.json --tol"
+    )
+    assert (done.code, done.err) == (0, "")
+    said = " ".join(done.out.split())
+    assert done.lines[0] == "Verdict: pass"
+    assert "Judged is the robot with the joint origins of result.json: the largest pose" in said
+    assert "The validation rows alone are judged: to the others the calibration was fitted." in said
+    assert "The calibration did not see such joint values: row 34: 'shoulder_pan_joint' 118" in said
+    head = "Poses, the worst first, of the robot with the joint origins of result.json:"
+    table = done.lines[done.lines.index(head) :]
+    assert [line.split()[1] for line in table[2:7]] == ["32", "35", "34", "31", "33"]
+    rows = [line.split()[0] for line in done.lines if line.startswith("  ") and "5 " in line[33:40]]
+    assert rows[-2:] == ["nominal", "calibrated"]
+
+
+@pytest.mark.parametrize(
+    ("words", "outcome"),
+    [
+        (("--tolerance", "0.3 mm"), "fail"),
+        (("--tolerance", "0.3 mm", "--uncertainty", "0.05 mm"), "undecided"),
+        (("--tolerance", "0.3 mm", "--criterion", "mean"), "pass"),
+        (("--tolerance", "0.35 mm", "--criterion", "single"), "pass"),
+        (("--tolerance", "0.5 mm", "--judge", "nominal"), "fail"),
+        (("--tolerance", "500 um", "--judge", "urdf"), "pass"),
+    ],
+)
+def test_the_exit_code_says_whether_a_tolerance_is_kept(
+    call, folder: Path, tmp_path: Path, words: tuple[str, ...], outcome: str
+):
+    done = accept(call, folder, *words, "--json", tmp_path / "e.json")
+    assert (done.code, done.err) == (0 if outcome == "pass" else 3, "")
+    assert done.lines[0] == f"Verdict: {outcome}"
+    assert done.lines[-1].startswith("Written: ")
+    stored = load(tmp_path / "e.json")
+    assert stored["acceptance"]["outcome"] == outcome
+    assert stored["accuracy"]["nominal"]["poses"][1]["rows"] == [32]
+    quiet = accept(call, folder, *words, "--quiet")
+    assert (quiet.code, quiet.out, quiet.err) == (done.code, "", "")
+
+
+def test_a_table_of_its_own_name_is_fresh(call, folder: Path, tmp_path: Path):
+    """The rows that a fit has seen are known by the file's bytes; what was measured afterwards is judged whole."""
+    fresh = tmp_path / "fresh.csv"
+    fresh.write_text((folder / "data.csv").read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    words = ("--calibration", "result.json", "--tolerance", "0.5 mm")
+    done = call(folder, "evaluate", "corrected.urdf", fresh, *words)
+    assert done.code == 3
+    assert "largest pose accuracy AP of 35 poses is 1.988 mm (row 11)" in " ".join(done.out.split())
+
+
+def test_repeats_have_their_accuracy_without_a_tolerance_too(call, shop: Path):
+    header, *rows = (shop / "data.csv").read_text(encoding="utf-8").splitlines()
+    again = [",".join([str(k), *row.split(",")[1:]]) for k, row in enumerate(rows[:10] * 3, 1)]
+    (shop / "again.csv").write_text("\n".join([header, *again]), encoding="utf-8")
+    done = call(shop, "evaluate", "robot.urdf", "again.csv", "--base", "base")
+    assert (done.code, done.err) == (0, "")
+    assert done.lines[-1].split()[:4] == ["URDF", "as", "it", "is"]
+    assert done.lines[-1].split()[4] == "10"
+    assert done.lines[-1].split()[-3:-1] == ["0.000", "0.000"]
+
+
+def test_a_tracker_that_moved_is_named(call, folder: Path, tmp_path: Path):
+    with (folder / "data.csv").open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    x = header.index("x [mm]")
+    moved = [[*row[:x], str(float(row[x]) + 20.0), *row[x + 1 :]] for row in rows]
+    with (tmp_path / "moved.csv").open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([header, *moved])
+    words = ("evaluate", "corrected.urdf", tmp_path / "moved.csv", "--calibration", "result.json")
+    assert "Then add --frame estimate." in " ".join(call(folder, *words).out.split())
+    anew = call(folder, *words, "--frame", "estimate", "--tolerance", "3 mm")
+    assert anew.code == 0
+    assert "did the tracker" not in anew.out
+    assert "The validation rows alone are judged: to the others the frame was registered." in (
+        " ".join(anew.out.split())
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--judge", "urdf"), "--judge without --tolerance: nothing is judged without one."),
+        (
+            ("--uncertainty", "1 mm", "--criterion", "max"),
+            "--uncertainty and --criterion without --tolerance: nothing is judged",
+        ),
+        (("--tolerance", "0.5"), '--tolerance was given as "0.5"; it must be a length, an angle'),
+        (("--tolerance", "1 kg"), "'kg' is not a unit that calib knows"),
+        (("--tolerance", "0 mm"), "The tolerance is 0.0 m; it must be a number above 0."),
+        (
+            ("--tolerance", "1 mm 2 deg"),
+            "data.csv: a tolerance of 2 deg was stated, and no orientation was measured",
+        ),
+        (
+            ("--tolerance", "1 mm", "--uncertainty", "0.1 deg"),
+            '--uncertainty was given as "0.1 deg", and --tolerance as "1 mm", which has no angle;',
+        ),
+        (
+            ("--tolerance", "1 mm", "--judge", "larger"),
+            "--judge larger takes --calibration; choose one of 'urdf'.",
+        ),
+    ],
+)
+def test_what_cannot_be_judged_is_refused(call, shop, words: tuple[str, ...], said: str):
+    done = call(shop, "evaluate", "robot.urdf", "data.csv", "--base", "base", *words)
+    assert (done.code, done.out) == (1, "")
+    assert said in done.err
+    assert done.err.count("\n") == 1
+
+
+def test_a_larger_model_that_is_not_there_is_refused(call, folder: Path):
+    done = accept(call, folder, "--tolerance", "1 mm", "--judge", "larger")
+    assert (done.code, done.out) == (1, "")
+    assert done.err == (
+        "calib: --judge larger is none of result.json, which has no larger model; choose one of 'nominal', 'urdf', "
+        "'calibration'.\n"
+    )
+
+
+@pytest.mark.parametrize(
+    "damage", [("robot", "ranges", [{"joint": 3}]), ("inputs", "measurements", 7)]
+)
+def test_a_result_that_does_not_say_what_it_was_fitted_to(
+    call, folder: Path, tmp_path: Path, damage: tuple[str, str, Any]
+):
+    outer, inner, value = damage
+    table = load(folder / "result.json")
+    table[outer][inner] = value
+    bad = tmp_path / "bad.json"
+    bad.write_text(json.dumps(table), encoding="utf-8")
+    done = call(folder, "evaluate", "corrected.urdf", "data.csv", "--calibration", bad)
+    assert (done.code, done.out) == (1, "")
+    assert "bad.json: what the result was fitted to is missing or damaged (" in done.err
+
+
+def test_commands_are_not_taken_for_measurements(call, folder: Path, tmp_path: Path):
+    """What a controller is sent is where the nominal robot predicts it to be: every tolerance would be kept."""
+    with (folder / "data.csv").open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    robot = Robot.load(folder / "robot.urdf", "base", "tool0")
+    joints = [f"{name} [deg]" for name in robot.joint_names]
+    columns = [header.index(label) for label in joints]
+    q = np.radians([[float(row[k]) for k in columns] for row in rows[:8]])
+    sent = 1e3 * (robot.poses(q) @ [0.01, 0.02, 0.15, 1.0])[:, :3]
+
+    def table(name: str, points: np.ndarray) -> Path:
+        with (tmp_path / name).open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow([*joints, "x [mm]", "y [mm]", "z [mm]", "correction position [mm]"])
+            for row, point in zip(rows, points, strict=False):
+                writer.writerow([*(row[k] for k in columns), *(f"{v:.6f}" for v in point), 3.2])
+        return tmp_path / name
+
+    words = ("--calibration", "result.json", "--tolerance", "5 mm")
+    turned = sent @ Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix().T + [100.0, 200.0, 300.0]
+    for points in (sent, turned):
+        commands = table("commands.csv", points)
+        done = call(folder, "evaluate", "corrected.urdf", commands, *words)
+        assert (done.code, done.out) == (1, "")
+        assert "these are commands that 'calib compensate' wrote, and x, y, z are the poses" in (
+            done.err
+        )
+    # What was measured there is what such a table is for.
+    measured = sent + 0.1 * np.random.default_rng(1).normal(size=sent.shape)
+    for count in (8, 1):
+        done = call(folder, "evaluate", "robot.urdf", table("m.csv", measured[:count]), *words)
+        assert done.code == 3

@@ -15,9 +15,18 @@ import pytest
 import calib
 from calib.data import paper_measurements, paper_urdf
 from calib.errors import FileError, ModelError, UrdfError
+from calib.identify.acceptance import acceptance
+from calib.identify.acceptance_tables import acceptance_table, accuracy_table
+from calib.identify.accuracy import accuracy
 from calib.identify.calibration import Calibration, calibrate
 from calib.identify.evaluation import evaluate
-from calib.identify.result_file import evaluation_table, read_result, write_result, write_table
+from calib.identify.result_file import (
+    evaluation_table,
+    plain,
+    read_result,
+    write_result,
+    write_table,
+)
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.readback import random_joint_values
@@ -294,16 +303,16 @@ def evaluation_keys() -> set[str]:
 def test_the_document_has_every_key_of_an_evaluation(
     ur3: Robot, table: Measurements, default_result: Calibration, calibrated: Any, tmp_path: Path
 ):
-    plain = evaluate(ur3, table)
-    assert set(evaluation_table(plain)["errors"]) == {"urdf"}
-    both = evaluation_table(plain, evaluate(default_result.robot, table), plain)
+    bare = evaluate(ur3, table)
+    assert set(evaluation_table(bare)["errors"]) == {"urdf"}
+    both = evaluation_table(bare, evaluate(default_result.robot, table), bare, bare)
     stored = json.loads(write_table(both, tmp_path / "e.json").read_text(encoding="utf-8"))
     with_angles = {
         path for path in evaluation_keys() if path.endswith("_rad") and "frames" not in path
     }
     assert evaluation_keys() - with_angles == {path for path, _ in leaves(stored)}
     _, turned = calibrated("poses")
-    angles = evaluation_table(*(evaluate(turned.nominal, turned.measurements, turned.cell),) * 3)
+    angles = evaluation_table(*(evaluate(turned.nominal, turned.measurements, turned.cell),) * 4)
     assert evaluation_keys() == {
         path for path, _ in leaves(json.loads(json.dumps(angles, default=list)))
     }
@@ -312,6 +321,26 @@ def test_the_document_has_every_key_of_an_evaluation(
     assert stored["errors"]["urdf"]["all"]["n"] == 35
     with pytest.raises(FileError, match="its 'schema' is 'evaluation 1'; a result of calib"):
         read_result(tmp_path / "e.json")
+
+
+def test_the_document_has_every_key_of_an_acceptance_with_its_type(calibrated: Any):
+    _, c = calibrated("poses")
+    found = evaluate(c.nominal, c.measurements, c.cell)
+    accepted = acceptance(found, 1.0, 1.0)
+    tables = {
+        "accuracy": accuracy_table({"ROBOT": accuracy(found)}),
+        "acceptance": acceptance_table(accepted, "urdf", "the robot"),
+    }
+    stored = json.loads(json.dumps(plain(tables)))
+    keys = documented("Accuracy and acceptance in the same file")
+    whole = {"acceptance", "acceptance.length", "acceptance.angle"}
+    assert {path for path, _ in leaves(stored)} == set(keys) - whole
+    types = {**TYPES, "list of integers": lambda v: all(isinstance(x, int) for x in v)}
+    for path, kind in keys.items():
+        if kind != "as above":
+            for value in at(stored, path):
+                missing = value is None and kind.endswith(", null")
+                assert missing or types[kind.removesuffix(", null")](value), (path, value)
 
 
 def test_numbers_that_do_not_exist_are_null(ur3: Robot, table: Measurements, tmp_path: Path):

@@ -1,4 +1,4 @@
-"""What a result was fitted to, as far as it matters for the rows that it is evaluated on."""
+"""What the rows are that a robot is evaluated on: those that a result was fitted to, or no measurements at all."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from calib.errors import FileError
+from calib.errors import CalibError, FileError, MeasurementError
 
 if TYPE_CHECKING:
     from calib.identify.accuracy import Accuracy
     from calib.identify.evaluation import Evaluation
     from calib.measure.measurements import Measurements
+    from calib.model.robot import Robot
+
+#: A column that every table of commands has, and how exactly the poses to send are those of the nominal robot [m].
+_COMMANDS, _EXACT = "correction position", 1e-6
 
 
 @dataclass(frozen=True)
@@ -84,3 +88,36 @@ class Fitted:
         q = m.joints_for(robot.joint_names)[chosen][:, known]
         said = outside_sentence(outside(ends, q, names, types), np.array(m.rows)[chosen])
         return f"The calibration did not see such joint values: {said}." if said else ""
+
+
+def check_measured(nominal: Robot, measurements: Measurements) -> None:
+    """Refuse a table of commands whose poses to send would be taken for measured ones.
+
+    They are what the nominal robot predicts, and any tolerance would seem to be kept.
+
+    Args:
+        nominal: The nominal robot.
+        measurements: What was read from the table.
+
+    Raises:
+        MeasurementError: The points are those of the nominal robot, with a tool and in a frame of any kind.
+    """
+    from calib.identify.evaluation import evaluate
+    from calib.measure.cell import Cell
+    from calib.units import split_header
+
+    m = measurements
+    if _COMMANDS not in {split_header(label)[0] for label in m.ignored}:
+        return
+    for cell in (Cell(), Cell(estimate_frame=True)):
+        try:
+            found = evaluate(nominal, m, cell)
+        except CalibError:
+            return  # too few rows to tell
+        if found.used.sum() > found.setup.count and found.errors["all"].max < _EXACT:
+            message = (
+                f"{m.source}: these are commands that 'calib compensate' wrote, and x, y, z are the poses to send, "
+                "which the nominal robot predicts; nothing was measured. Put what was measured in their place, or give "
+                "it as a list of its own with --points."
+            )
+            raise MeasurementError(message)
