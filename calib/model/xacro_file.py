@@ -145,6 +145,11 @@ class _Arguments(dict[str, str]):
         self.asked: dict[str, None] = {}
         self.missing = ""
 
+    @property
+    def unasked(self) -> list[str]:
+        """Those given for which the xacro did not ask."""
+        return [name for name in self if name not in self.asked]
+
     def __contains__(self, name: object) -> bool:
         """Whether there is a value: asked where a xacro declares an argument."""
         self.asked[str(name)] = None
@@ -171,15 +176,23 @@ def _flattened(call: XacroCall) -> tuple[bytes, str]:
         except Exception as error:
             # Anything: a xacro holds expressions of Python.
             message = fault_text(xacro, error, call.path, arguments.missing)
-            message += heard(said.getvalue())
+            message += _unasked(arguments) + heard(said.getvalue())
             raise UrdfError(message) from error
-    for name, _ in call.arguments:
-        if name not in arguments.asked:
-            known = choices(arguments.asked)
-            has = f"Its arguments: {known}" if known else "It has none"
-            message = f"{call.path.name} has no argument '{name}'{did_you_mean(name, arguments.asked)}. {has}."
-            raise UrdfError(message)
+    for name in arguments.unasked:
+        known = choices(arguments.asked)
+        has = f"Its arguments: {known}" if known else "It has none"
+        like = did_you_mean(name, arguments.asked)
+        message = f"{call.path.name} has no argument '{name}'{like}. {has}."
+        raise UrdfError(message)
     return data, heard(said.getvalue())
+
+
+def _unasked(arguments: _Arguments) -> str:
+    """A sentence about arguments with which a xacro that failed had nothing to do: a name may be misspelt."""
+    return "".join(
+        f" It was given '{name}' and had not asked for it{did_you_mean(name, arguments.asked)}."
+        for name in arguments.unasked
+    )
 
 
 @contextlib.contextmanager

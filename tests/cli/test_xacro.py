@@ -1,0 +1,112 @@
+"""Verbs with a xacro in the place of a URDF, as docs/xacro.md has them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.compensate.origins_file import origins_of, read_origins
+from calib.data import paper_measurements
+from calib.model.readback import random_joint_values
+from calib.model.robot import Robot, read_urdf
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "xacro.md").read_text(encoding="utf-8")
+NOMINAL = "ur3_from_origins.urdf.xacro origins:=ur3_nominal_origins.yaml"
+
+Call = Callable[..., "object"]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The example beside a table."""
+    for name in ("ur3_from_origins.urdf.xacro", "ur3_nominal_origins.yaml"):
+        shutil.copy(ROOT / "urdf" / name, tmp_path)
+    shutil.copy(paper_measurements(), tmp_path / "data.csv")
+    return tmp_path
+
+
+def test_the_examples_of_the_document(call, folder: Path):
+    (block,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    for line in block.splitlines():
+        program, *words = shlex.split(line)
+        assert program == "calib"
+        done = call(folder, *words)
+        assert (done.code, done.err) == (0, ""), line
+    table = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    assert table["inputs"]["urdf"]["name"] == NOMINAL
+    assert table["inputs"]["urdf"]["sha256"] == read_urdf(f"{folder}/{NOMINAL}").sha256
+
+    corrected = Robot.load(folder / "corrected.urdf", "base", "tool0")
+    written, wanted = read_origins(folder / "new_origins.yaml"), origins_of(corrected)
+    for (name, origin), (other, same) in zip(written.joints, wanted.joints, strict=True):
+        assert name == other
+        T, S = origin.T_parent_joint, same.T_parent_joint
+        np.testing.assert_allclose(T, S, rtol=0, atol=1e-14)
+    new = "ur3_from_origins.urdf.xacro origins:=new_origins.yaml"
+    again = Robot.load(f"{folder}/{new}", "base", "tool0")
+    q = random_joint_values(corrected, 50, np.random.default_rng(2))
+    np.testing.assert_allclose(again.poses(q), corrected.poses(q), rtol=0, atol=1e-12)
+    calibrated = Robot.load(ROOT / "urdf" / "ur3_calibrated.urdf", "base", "tool0")
+    assert np.abs(again.poses(q) - calibrated.poses(q))[:, :3, 3].max() < 5e-3
+    assert new in (folder / "view.html").read_text(encoding="utf-8")
+
+
+def test_compare_finds_the_xacro_of_a_result_again(call, folder: Path):
+    fit = ["fit", NOMINAL, "data.csv", "--base", "base", "--tip", "tool0", "--quiet"]
+    fit += ["--model", "paper", "--no-validate"]
+    for name in ("a.json", "b.json"):
+        assert call(folder, *fit, "--json", name).code == 0
+    said = call(folder, "compare", "a.json", "b.json")
+    assert said.code == 0
+    assert "Over the joint limits" in said.out
+    text = (folder / "ur3_nominal_origins.yaml").read_text(encoding="utf-8")
+    (folder / "ur3_nominal_origins.yaml").write_text(text.replace("0.1519", "0.152"))
+    assert "Over the joint limits" not in call(folder, "compare", "a.json", "b.json").out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ["inspect", "ur3_from_origins.urdf.xacro orgins:=ur3_nominal_origins.yaml"],
+            "'ur3_origins.yaml' cannot be read: no such file or directory. A name without a folder is looked for "
+            "beside the xacro that names it. It was given 'orgins' and had not asked for it (did you mean 'origins'?).",
+        ),
+        (
+            ["inspect", "ur3_from_origins.urdf.xacro"],
+            "'ur3_origins.yaml' cannot be read: no such file or directory. A name without a folder",
+        ),
+        (
+            ["inspect", "ur3_from_origins.urdf.xacro", "origins:=ur3_nominal_origins.yaml"],
+            "Arguments of a xacro stand behind its name, with it in one pair of quotes",
+        ),
+        (
+            ["fit", NOMINAL, "data.csv", "-o", "corrected.urdf.xacro"],
+            "'corrected.urdf.xacro' is the name of a xacro, and what is written is a URDF, with",
+        ),
+        (
+            ["simulate", NOMINAL, "-o", "sim.xacro", "--base", "base", "--tip", "tool0"],
+            "is the name of a xacro",
+        ),
+    ],
+)
+def test_errors_are_one_line(call, folder: Path, words: list[str], said: str):
+    before = sorted(folder.iterdir())
+    done = call(folder, *words)
+    assert (done.code, done.out) == (1, "")
+    assert said in done.err
+    assert len(done.err.splitlines()) == 1
+    assert sorted(folder.iterdir()) == before
+
+
+def test_inspect_says_which_robot_it_is(call, folder: Path):
+    done = call(folder, "inspect", NOMINAL, "--base", "base", "--tip", "tool0")
+    assert done.lines[0] == f"Robot 'ur3' ({NOMINAL}), chain base to tool0:"
