@@ -45,8 +45,9 @@ def no_commands(found: Commands, *, skip: bool) -> str:
     """
     rows = _named(found, found.reasons)
     count, every = len(rows), len(found)
+    whole = "the row has no command" if every == 1 else f"none of the {every} rows has a command"
     head = (
-        f"none of the {every} rows has a command"
+        whole
         if count == every
         else f"{count} of {every} rows {'has' if count == 1 else 'have'} no command"
     )
@@ -57,7 +58,7 @@ def no_commands(found: Commands, *, skip: bool) -> str:
         ]
         rows = [*rows[:_MOST_NAMED], fill(f"and rows {_listed(labels[_MOST_NAMED:], more)}", "  ")]
     advice = [_small(found), _few_joints(found)]
-    if count == every:
+    if count == every and not any(advice):
         advice.append("Check --poses-in, --tool, --match, and the units.")
     if not skip and count < every:
         advice.append("--skip leaves these rows empty and writes the others.")

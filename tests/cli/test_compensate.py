@@ -1,0 +1,342 @@
+"""``calib compensate`` as a user runs it: on the paper's UR3, on a virtual one, and on what cannot be done."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+DOC = Path(__file__).parents[2] / "docs" / "compensation.md"
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+HEADER = ",".join(f"{name}_joint [deg]" for name in JOINTS)
+FILES = ("robot.urdf", "data.csv", "result.json", "target.urdf", "corrected.urdf")
+RESULT = ("--calibration", "result.json")
+
+
+@pytest.fixture
+def folder(examples, tmp_path: Path) -> Path:
+    """What a user has: robot, result, corrected URDFs, and a program of two rows of joint values."""
+    for name in FILES:
+        shutil.copy(examples.folder / name, tmp_path)
+    write(tmp_path / "program.csv", HEADER, "-40,-85,75,-120,-45,0", "-20,-75,85,-140,-45,0")
+    return tmp_path
+
+
+def write(path: Path, *lines: str) -> None:
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def said(done) -> str:
+    """What was printed to stdout, as one line."""
+    return " ".join(done.out.split())
+
+
+def refused(done) -> str:
+    """What was printed to stderr by a call that failed, as one line."""
+    assert (done.code, done.out) == (1, "")
+    assert done.err.startswith("calib: ")
+    return " ".join(done.err.split())
+
+
+def numbers(text: str) -> list[float]:
+    return [float(word) for word in re.findall(r"-?\d+\.\d+", text)]
+
+
+def test_the_examples_of_the_command_line(examples):
+    done = examples.starting("calib compensate robot.urdf data.csv")
+    assert done.lines[0].startswith("Verdict: use")
+    assert "Written: commands.csv" in done.lines
+    rows = table(examples.folder / "commands.csv")
+    assert len(rows) == 35
+    assert {row["status"].partition(":")[0] for row in rows} == {"ok", "warning"}
+    joints = table(examples.folder / "joint_commands.csv")
+    assert "x [mm]" not in joints[0]
+    assert joints[0]["point"] == "P1"
+
+
+def test_the_document_s_examples_print_what_it_says(call, examples, tmp_path: Path):
+    text = DOC.read_text(encoding="utf-8")
+    shutil.copytree(examples.folder / "demo", tmp_path / "demo")  # its first example, run already
+    for name, content in re.findall(r"`(\w+\.csv)`:\n\n```\n(.*?)```", text, re.DOTALL):
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    printed = []
+    for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL):
+        for line in block.splitlines():
+            program, verb, *words = shlex.split(line)
+            assert program == "calib"
+            if verb != "demo":
+                done = call(tmp_path, verb, *words)
+                assert (done.code, done.err) == (0, ""), line
+                printed.append(done.out)
+    first, second, *_, last = printed
+    shown = [block.strip() for block in re.findall(r"^```\w*\n(.*?)^```$", text, re.DOTALL | re.M)]
+    for block, output in (
+        (next(b for b in shown if b.startswith("Verdict: ")), first),
+        (next(b for b in shown if b.startswith("The poses to send")), second),
+        (next(b for b in shown if b.startswith("with the joint origins")), last),
+    ):
+        start = output.index(block.splitlines()[0])
+        found = output[start:].rstrip()[: len(block) + 50]
+        assert re.sub(r"[\d.-]+", "#", block) in re.sub(r"[\d.-]+", "#", found)
+        wanted = numbers(block)
+        assert numbers(found)[: len(wanted)] == pytest.approx(wanted, abs=2e-3)
+    # The virtual robot, which was measured again at the commands, is where it should be.
+    assert numbers(last.split("with the joint origins of virtual.json:")[1])[1] < 0.1
+    sent = table(tmp_path / "sent.csv")
+    assert list(sent[0])[:8] == ["point", "x [mm]", "y [mm]", "z [mm]", "qx", "qy", "qz", "qw"]
+    assert [row["status"] for row in sent] == ["ok"] * 3
+
+
+def test_both_forms_of_a_command_are_the_same(call, folder: Path, ur3):
+    from calib.compensate.program import Program
+
+    done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT, "-o", "c.csv")
+    assert (done.code, done.err) == (0, "")
+    program = Program.read(folder / "c.csv", ur3, given="poses")
+    assert program.q is not None
+    assert program.T_wanted is not None
+    assert np.abs(ur3.poses(program.q) - program.T_wanted).max() < 2e-9
+    again = call(folder, "compensate", "robot.urdf", "c.csv", *RESULT)
+    assert "commands that calib compensate wrote: they are corrected already" in refused(again)
+
+
+def test_a_corrected_urdf_in_place_of_a_result(call, folder: Path):
+    names = ("--corrected", "corrected.urdf", "--base", "base", "--tip", "tool0")
+    assert (
+        call(
+            folder, "compensate", "robot.urdf", "program.csv", *RESULT, "--geometry", "-o", "a.csv"
+        ).code
+        == 0
+    )
+    done = call(folder, "compensate", "robot.urdf", "program.csv", *names, "-o", "b.csv")
+    assert "The true robot is corrected.urdf. How far it can be relied on is not in a URDF" in said(
+        done
+    )
+    a, b = table(folder / "a.csv"), table(folder / "b.csv")
+    for one, other in zip(a, b, strict=True):
+        assert numbers(",".join(one.values())) == pytest.approx(
+            numbers(",".join(other.values())), abs=1e-6
+        )
+
+
+def test_the_target_of_a_corrected_urdf_is_the_tool(call, folder: Path):
+    words = (
+        "compensate",
+        "robot.urdf",
+        "program.csv",
+        "--base",
+        "base",
+        "--tip",
+        "tool0",
+        "--tool",
+        "target",
+    )
+    done = call(folder, *words, "--corrected", "target.urdf")
+    assert re.search(
+        r"What arrives: the point \(-70\.\d+, 70\.\d+, \d+\.\d+\) mm in 'tool0'", said(done)
+    )
+    assert "has no link calib_target, which 'calib fit --target-link' adds" in refused(
+        call(folder, *words, "--corrected", "corrected.urdf")
+    )
+    named = (*words[:-1], "target:ball", "--corrected", "target.urdf")
+    assert "a URDF knows one target, without a name" in refused(call(folder, *named))
+
+
+def test_robot_may_be_the_corrected_one_but_not_a_third(call, folder: Path):
+    done = call(folder, "compensate", "corrected.urdf", "program.csv", *RESULT)
+    assert (
+        "ROBOT has the corrected joint origins already; what the controller has was taken"
+        in said(done)
+    )
+    nominal = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT)
+    assert set(nominal.lines) <= set(done.lines)
+    text = (folder / "robot.urdf").read_text(encoding="utf-8")
+    origin = re.search(r'<joint name="elbow_joint".*?xyz="([^"]*)"', text, re.DOTALL)
+    assert origin
+    moved = text[: origin.start(1)] + "0 0.001 -0.24365" + text[origin.end(1) :]
+    (folder / "factory.urdf").write_text(moved, encoding="utf-8")
+    message = refused(call(folder, "compensate", "factory.urdf", "program.csv", *RESULT))
+    assert (
+        "factory.urdf: the origin of 'elbow_joint' is neither the one that result.json began with"
+        in message
+    )
+    other = ("--corrected", "corrected.urdf", "--base", "base", "--tip", "tool0")
+    assert call(folder, "compensate", "factory.urdf", "program.csv", *other).code == 0
+
+
+def test_rows_that_cannot_be_reached(call, folder: Path):
+    write(folder / "far.csv", f"row,{HEADER},x [mm],y [mm],z [mm]", "a,-40,-85,75,-120,-45,0,-400,0,300",
+          "b,-40,-85,75,-120,-45,0,900,900,900")  # fmt: skip
+    words = ("compensate", "robot.urdf", "far.csv", *RESULT, "--tool", "target", "-o", "c.csv")
+    done = call(folder, *words)
+    message = refused(done)
+    assert message.startswith(
+        "calib: 1 of 2 rows has no command, and nothing was written: row b: the true robot"
+    )
+    assert message.endswith("--skip leaves these rows empty and writes the others.")
+    assert max(map(len, done.err.splitlines())) <= 100
+    assert not (folder / "c.csv").exists()
+    skipped = call(folder, *words, "--skip")
+    assert (skipped.code, skipped.err) == (0, "")
+    assert "1 row has no command, and is empty in the table: row b: the true robot" in said(skipped)
+    assert [row["status"][:10] for row in table(folder / "c.csv")] == ["ok", "no command"]
+    write(
+        folder / "far.csv",
+        f"{HEADER},x [mm],y [mm],z [mm]",
+        *["-40,-85,75,-120,-45,0,900,900,900"] * 60,
+    )
+    none = refused(call(folder, *words, "--skip", "--force"))
+    assert none.startswith(
+        "calib: none of the 60 rows has a command, and nothing was written: row 1: "
+    )
+    assert "row 50: the true robot" in none
+    assert "and rows 51 to 60" in none
+    assert none.endswith("Check --poses-in, --tool, --match, and the units.")
+
+
+def test_little_that_is_left_is_named_with_what_accepts_it(call, folder: Path):
+    # The wrist is straight: the tool cannot turn about every axis there.
+    write(folder / "straight.csv", HEADER, "-40,-85,75,-120,0,0")
+    words = ("compensate", "robot.urdf", "straight.csv", *RESULT)
+    message = refused(call(folder, *words))
+    assert message.startswith(
+        "calib: the row has no command, and nothing was written: row 1: the true robot"
+    )
+    assert message.endswith(
+        'Of 1 row less than 0.1 mm and 0.2 deg would be left: --accept "0.1 mm 0.2 deg" takes it.'
+    )
+    assert call(folder, *words, "--accept", "0.1 mm 0.2 deg").code == 0
+
+
+def test_fewer_joints(call, folder: Path):
+    write(
+        folder / "five.csv", HEADER.rpartition(",")[0], "-40,-85,75,-120,-45", "-20,-75,85,-140,-45"
+    )
+    words = (
+        "compensate",
+        "robot.urdf",
+        "five.csv",
+        "--corrected",
+        "corrected.urdf",
+        "--base",
+        "base",
+    )
+    done = call(folder, *words, "-o", "c.csv")
+    assert done.code == 0
+    assert "Matched: position and orientation, as well as they can be." in said(done)
+    assert "wrist_3_joint [deg]" not in table(folder / "c.csv")[0]
+    message = refused(call(folder, *words, "--match", "pose"))
+    assert (
+        "With 5 joints most poses cannot be reached exactly: --match weighted, or --match position."
+        in message
+    )
+
+
+def test_joint_values_that_do_not_belong_to_the_poses(call, folder: Path):
+    done = call(folder, "compensate", "robot.urdf", "data.csv", *RESULT, "--skip")
+    assert re.search(
+        r"the nominal robot has the tool \d+ mm from the program's positions \(median\)", said(done)
+    )
+    done = call(
+        folder, "compensate", "robot.urdf", "data.csv", *RESULT, "--tool", "target", "--skip"
+    )
+    assert "from the program's positions" not in said(done)
+
+
+def test_warnings_are_grouped_by_what_they_say(call, folder: Path):
+    done = call(folder, "compensate", "robot.urdf", "data.csv", *RESULT, "--tool", "target", "--skip", "--limit",
+                "1 um")  # fmt: skip
+    text = said(done)
+    assert "35 of 35 rows have a warning: row 1: the pose moves by" in text
+    assert re.search(r"more than 0\.001 mm; and 34 rows more: 2 to 35", text)
+    assert "row 34: outside the joint range that was measured: 'shoulder_pan_joint' 118 deg" in text
+    assert "The result was not tested outside of the measured range." in text
+
+
+def test_positions_alone_leave_the_orientation_open(call, folder: Path):
+    done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT)
+    assert "Positions alone were measured for the result: how the tip is turned follows" in said(
+        done
+    )
+    assert "known best: --tool target; or --match position." in said(done)
+    done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT, "--tool", "target")
+    assert "--match position corrects the position alone." in said(done)
+    done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT, "--match", "position")
+    assert "Positions alone were measured" not in said(done)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "wanted"),
+    [
+        ({"use": "do not use", "reasons": ["It is worse."]},
+         "Verdict: do not use of result.json, its joint origins. It is worse. Commands made with this result may be "
+         "worse than none."),
+        ({"use": "use with care", "reasons": ["Few poses."]},
+         "Verdict: use with care of result.json, its joint origins. Few poses. Position error"),
+        (None, "Verdict: none of result.json, its joint origins. The result was not validated"),
+    ],
+)  # fmt: skip
+def test_the_verdict_of_the_result_comes_first(call, folder: Path, verdict: object, wanted: str):
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    result["verdict"], result["larger"] = verdict, None
+    (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    assert said(call(folder, "compensate", "robot.urdf", "program.csv", *RESULT)).startswith(wanted)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "give one of them."),
+        ((*RESULT, "--corrected", "corrected.urdf"), "give one of them, not both."),
+        (("--calibration", "none.json"), "'none.json' does not exist"),
+        (("--calibration", "data.csv"), "data.csv: this is not a JSON file"),
+        (("--corrected", "none.urdf"), "'none.urdf' does not exist"),
+        (("--corrected", "robot.urdf"), "robot.urdf and robot.urdf have the same joint origins from '"),
+        ((*RESULT, "--base", "base_link"), "is the result for --base base, and 'base_link' was given"),
+        ((*RESULT, "--tool", "0 0 150"), '--tool was given as "0 0 150"; it must be three numbers'),
+        ((*RESULT, "--tool", "target:ball"), "has no target 'ball'; it has 'target'"),
+        ((*RESULT, "--poses-in", "left"), "choose 'base', 'measured' (the frame of the result's points). The"),
+        (("--corrected", "corrected.urdf", "--poses-in", "left"), "two URDFs know no measurement frames"),
+        ((*RESULT, "--payload", "5 kg", "--geometry"), "--payload was given as \"5 kg\", and the model in use knows"),
+        (("--corrected", "corrected.urdf", "--payload", "5 kg"), "'calib fit --model dh+compliance' estimates them."),
+        ((*RESULT, "--start", "elbow_joint=1 deg"), "a start for the first row has no use"),
+        ((*RESULT, "--start", "elbow=1 deg"), "--start: the chain has no joint 'elbow'"),
+        ((*RESULT, "--limit", "5"), '--limit was given as "5"'),
+        ((*RESULT, "--accept", "5"), '--accept was given as "5"'),
+        ((*RESULT, "--lever", "5"), '--lever was given as "5"'),
+        ((*RESULT, "--given", "poses"), "program.csv: --given poses, and there are no positions"),
+        ((*RESULT, "--columns", "a=b"), "there is no column 'a', which --columns maps to 'b'"),
+        ((*RESULT, "-o", "program.csv", "--force"), "program.csv is also an input of this command"),
+        ((*RESULT, "-o", "data.csv"), "data.csv exists already; add --force"),
+    ],
+)  # fmt: skip
+def test_what_is_refused(call, folder: Path, words: tuple[str, ...], message: str):
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    text = refused(call(folder, "compensate", "robot.urdf", "program.csv", *words))
+    assert message in text
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_nothing_is_printed_when_quiet(call, folder: Path):
+    done = call(
+        folder, "compensate", "robot.urdf", "program.csv", *RESULT, "--quiet", "-o", "c.csv"
+    )
+    assert (done.code, done.out, done.err) == (0, "", "")
+    assert (folder / "c.csv").is_file()
+
+
+def test_without_a_file_nothing_is_written(call, folder: Path):
+    done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT)
+    assert done.lines[-1] == "Nothing was written; -o commands.csv writes the commands."
+    assert all(line == line.rstrip() and len(line) <= 100 for line in done.lines)
