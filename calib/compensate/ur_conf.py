@@ -33,6 +33,9 @@ _LARGEST = {
 
 _LIMIT_BYTES = 10_000_000
 
+#: The byte order mark that some editors put before the text, a character for each byte.
+_MARK = "\xef\xbb\xbf"
+
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 
@@ -64,9 +67,7 @@ def read_deltas(path: str | os.PathLike[str]) -> FullDH:
         FileError: The file cannot be read, has no ``[mounting]``, or not six numbers for each of the four in metres
             and radians.
     """
-    text = _text(path, "calibration.conf")
-    found = _wanted(path, text, MOUNTING, "calibration.conf", _delta_keys())
-    return FullDH(*(_column(path, found[key], name) for key, name in _delta_keys().items()))
+    return _deltas(path, _text(path, "calibration.conf"))
 
 
 def read_nominal(path: str | os.PathLike[str]) -> FullDH:
@@ -86,12 +87,14 @@ def write_deltas(path: str | os.PathLike[str], deltas: FullDH, *, overwrite: boo
     """Write a ``calibration.conf`` with nothing but the deltas.
 
     Raises:
-        FileError: The file exists and ``overwrite`` is False, or it cannot be written.
+        FileError: The deltas are no arm's; or the file exists and ``overwrite`` is False, or it cannot be written.
     """
     lines = [f"[{MOUNTING}]"]
     for key, name in _delta_keys().items():
         lines.append(f"{key} = {_list(getattr(deltas, name))}")
-    return write_atomically(path, "\n".join([*lines, ""]).encode(), overwrite=overwrite)
+    text = "\n".join([*lines, ""])
+    _deltas(path, text)  # what could not be read again is not written
+    return write_atomically(path, text.encode(), overwrite=overwrite)
 
 
 def update_deltas(
@@ -107,16 +110,16 @@ def update_deltas(
         FileError: ``source`` cannot be read as by `read_deltas`; or the file exists and ``overwrite`` is False, or it
             cannot be written.
     """
-    read_deltas(source)
     text = _text(source, "calibration.conf")
-    found = _wanted(source, text, MOUNTING, "calibration.conf", _delta_keys())
+    _deltas(source, text)
     values = {key: getattr(deltas, name) for key, name in _delta_keys().items()}
     # Every place where a key stands, from the last on, so that the places before it stay where they are.
-    entries = [entry for entry in _entries(text) if _is_wanted(entry, MOUNTING, found)]
+    entries = [entry for entry in _entries(text) if _is_wanted(entry, MOUNTING, values)]
     for entry in reversed(entries):
         was = _column(source, entry, entry.key.removeprefix("delta_"))
         if (was != values[entry.key]).any():  # else it stays as it is written, digit for digit
             text = text[: entry.start] + _list(values[entry.key]) + text[entry.end :]
+    _deltas(path, text)  # what could not be read again is not written
     return write_atomically(path, text.encode("latin-1"), overwrite=overwrite)
 
 
@@ -125,6 +128,12 @@ def other_keys(path: str | os.PathLike[str]) -> tuple[str, ...]:
     entries = _entries(_text(path, "calibration.conf"))
     keys = [e.key for e in entries if e.section == MOUNTING and e.key not in _delta_keys()]
     return tuple(dict.fromkeys(keys))
+
+
+def _deltas(path: str | os.PathLike[str], text: str) -> FullDH:
+    """The deltas in the text of a file."""
+    found = _wanted(path, text, MOUNTING, "calibration.conf", _delta_keys())
+    return FullDH(*(_column(path, found[key], name) for key, name in _delta_keys().items()))
 
 
 def _delta_keys() -> dict[str, str]:
@@ -146,12 +155,13 @@ def _entries(text: str) -> list[_Entry]:
     entries: list[_Entry] = []
     section, place = "", 0
     open_until = 0
-    for number, line in enumerate(text.splitlines(keepends=True), start=1):
+    # Not splitlines: a byte that is a letter in UTF-8 may be a line's end there.
+    for number, line in enumerate(text.split("\n"), start=1):
         start = place
-        place += len(line)
+        place += len(line) + 1
         if start < open_until:
             continue
-        bare = _without_comment(line).strip()
+        bare = _without_comment(line).removeprefix(_MARK).strip()
         if bare.startswith("[") and bare.endswith("]") and "=" not in bare:
             section = bare[1:-1].strip()
             continue
@@ -164,23 +174,29 @@ def _entries(text: str) -> list[_Entry]:
         raw = text[first:end]
         first += len(raw) - len(raw.lstrip())
         last = first + len(raw.strip())
-        value = "".join(_without_comment(part) for part in text[first:last].splitlines(True))
+        value = "".join(_without_comment(part) for part in text[first:last].split("\n"))
         entries.append(_Entry(section, key.strip(), value.strip(), number, first, last))
     return entries
 
 
 def _end_of_value(text: str, first: int) -> int:
-    """Where a value ends: at the end of its line or a comment, or of a list at its bracket, lines further down."""
-    newline = text.find("\n", first)
-    line_end = len(text) if newline < 0 else newline
-    line = _without_comment(text[first:line_end])
-    if line.lstrip().startswith("[") and "]" not in line:
-        close = text.find("]", line_end)
-        opens = text.find("[", line_end)
-        # A list that is never closed ends with its line, before the next section or list.
-        if close >= 0 and (opens < 0 or close < opens):
-            return close + 1
-    return first + len(line)
+    """Where a value ends: with its line, or with the line further down that closes its list; comments left out."""
+    place, own_end = first, first
+    while True:
+        newline = text.find("\n", place)
+        line = _without_comment(text[place : len(text) if newline < 0 else newline])
+        if place == first:
+            own_end = first + len(line)
+            if not line.lstrip().startswith("[") or "]" in line:
+                return own_end
+        elif "]" in line:
+            return place + len(line)
+        # A list that is never closed ends with its own line.
+        elif newline < 0 or "=" in line or "[" in line:
+            return own_end
+        if newline < 0:
+            return own_end
+        place = newline + 1
 
 
 def _without_comment(line: str) -> str:
@@ -207,8 +223,9 @@ def _wanted(
         FileError: The section or a key is missing, or a key has two values.
     """
     entries = _entries(text)
-    if not re.search(rf"^[ \t]*\[[ \t]*{section}[ \t]*\]", text, re.MULTILINE):
-        sections = list(dict.fromkeys(re.findall(r"^[ \t]*\[([^\]=\r\n,]+)\]", text, re.MULTILINE)))
+    found_there = re.findall(rf"^(?:{_MARK})?[ \t]*\[([^\]=\r\n,]+)\]", text, re.MULTILINE)
+    sections = list(dict.fromkeys(name.strip() for name in found_there))
+    if section not in sections:
         has = f"its sections are {choices(sections)}" if sections else "it has no section"
         message = f"{path}: there is no [{section}] in it, {has}. Give the {what} of a Universal Robots controller."
         raise FileError(message)

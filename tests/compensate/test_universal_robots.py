@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -397,3 +400,16 @@ def test_a_file_that_is_there_stays(ur3, tmp_path):
     with pytest.raises(FileError, match=r"no \[mounting\]"):
         write_ur_conf(ur3, ur3, path, update=path, overwrite=True)
     assert path.read_text() == "mine"
+
+
+def test_the_python_of_the_page_runs(conf_of, tmp_path, monkeypatch):
+    page = Path(__file__).parents[2] / "docs" / "universal-robots.md"
+    (code,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    case = case_of("ur3_a")
+    conf_of({**case, "name": "calibration"})
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(compile(code.replace("UR5e", "UR3"), page.name, "exec"), names)
+    assert names["written"].remarks == ()
+    assert read_ur_hash("kinematics.yaml") == case["driver_hash"]
+    assert Robot.load("ur5e.urdf", "base", "tool0").urdf == names["source"].robot.urdf

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from calib.compensate.ur_conf import (
     other_keys,
@@ -70,6 +72,44 @@ def test_the_nominal_rows_whatever_else_is_there(tmp_path):
     assert read_nominal(path).theta[5] == 0.5
 
 
+def test_what_an_editor_may_have_done_to_it(conf):
+    # A byte order mark, and a comment with a letter whose second byte is a line's end elsewhere.
+    text = CONF.removeprefix("# written by the factory\n") + "# \xc5 delta_a = 1\n"
+    conf.write_bytes(b"\xef\xbb\xbf" + text.encode())
+    assert read_deltas(conf).a[1] == 0.0111
+    conf.write_text(CONF.replace("[mounting]", "  [ mounting ]  # of the arm"))
+    assert read_deltas(conf).a[1] == 0.0111
+
+
+@settings(max_examples=60)
+@given(data=st.data())
+def test_no_damage_ends_in_anything_but_a_message(data, tmp_path_factory):
+    text = CONF
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(text)))
+        cut = data.draw(st.integers(0, 30))
+        put = data.draw(
+            st.sampled_from(["", "[", "]", "=", ",", "#", "\n", "nan", "e9", "-", "\r"])
+        )
+        text = text[:start] + put + text[start + cut :]
+    path = tmp_path_factory.getbasetemp() / "damaged.conf"
+    path.write_bytes(text.encode("latin-1"))
+    message = ""
+    try:
+        before = read_deltas(path)
+    except FileError as error:
+        message = str(error)
+    if message:
+        assert str(path) in message
+        return
+    new = update_deltas(path, path.with_suffix(".new"), DELTAS, overwrite=True)
+    for name in COLUMNS:
+        assert (getattr(read_deltas(new), name) == getattr(DELTAS, name)).all()
+    back = update_deltas(new, new, before, overwrite=True)
+    for name in COLUMNS:
+        assert (getattr(read_deltas(back), name) == getattr(before, name)).all()
+
+
 def test_written_deltas_read_back_exactly(tmp_path):
     path = write_deltas(tmp_path / "new.conf", DELTAS)
     back = read_deltas(path)
@@ -77,6 +117,23 @@ def test_written_deltas_read_back_exactly(tmp_path):
         assert (getattr(back, name) == getattr(DELTAS, name)).all()
     with pytest.raises(FileError, match="exists already"):
         write_deltas(path, DELTAS)
+
+
+def test_what_could_not_be_read_again_is_not_written(conf, tmp_path):
+    far = FullDH(DELTAS.theta, DELTAS.a, np.full(6, 2e9), DELTAS.alpha)
+    with pytest.raises(FileError, match=r"delta_d of joint 1 is 2e\+09, more than 1e\+09 m"):
+        write_deltas(tmp_path / "new.conf", far)
+    with pytest.raises(FileError, match=r"delta_d of joint 1 is 2e\+09, more than 1e\+09 m"):
+        update_deltas(conf, tmp_path / "new.conf", far)
+    assert not (tmp_path / "new.conf").exists()
+
+
+def test_a_list_over_several_lines_with_comments_between(conf):
+    text = CONF.replace("203.39,\n", "203.39, # of ] joint 3\n # [ 1, 2 ]\n")
+    conf.write_text(text)
+    assert read_deltas(conf).d[2] == 203.39
+    update_deltas(conf, conf, DELTAS, overwrite=True)
+    assert (read_deltas(conf).d == DELTAS.d).all()
 
 
 def test_an_update_keeps_every_other_byte(conf, tmp_path):

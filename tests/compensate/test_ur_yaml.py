@@ -3,6 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib.compensate.ur_dh import FullDH
@@ -139,3 +141,37 @@ def test_a_chain_that_does_not_read_back_is_not_written(tmp_path):
     with pytest.raises(FileError, match=r"read back, the kinematics differ by .* not written"):
         write_yaml(tmp_path / "k.yaml", chain, HASH)
     assert not (tmp_path / "k.yaml").exists()
+
+
+@settings(max_examples=60)
+@given(data=st.data())
+def test_no_damage_ends_in_anything_but_a_message(data, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "damaged.yaml"
+    text = write_yaml(path, CHAIN, HASH, overwrite=True).read_text()
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(text)))
+        cut = data.draw(st.integers(0, 30))
+        put = data.draw(
+            st.sampled_from(
+                ["", ":", " ", "{", "&a ", "*a", "\n", "!x ", "? ", "- ", "|", "'", "\t"]
+            )
+        )
+        text = text[:start] + put + text[start + cut :]
+    path.write_text(text)
+    message = ""
+    try:
+        content = read_yaml(path)
+    except FileError as error:
+        message = str(error)
+    if message:
+        assert str(path) in message
+        return
+    R = content.chain[:, :3, :3]
+    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.tile(np.eye(3), (7, 1, 1)), atol=1e-12)
+
+
+def test_a_table_that_contains_itself(tmp_path):
+    path = tmp_path / "k.yaml"
+    path.write_text("kinematics: &a\n  shoulder: *a\n")
+    with pytest.raises(FileError, match="no 'upper_arm'"):
+        read_yaml(path)
