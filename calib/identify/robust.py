@@ -69,7 +69,9 @@ def deleted_norms(residual: Array, jacobian: Array, covariance: Array, weights: 
         covariance: shape (p, p), of the parameters.
         weights: shape (N,).
     """
-    leverage = jacobian @ covariance @ jacobian.transpose(0, 2, 1)
+    # The first product as one of two matrices, not of N small ones.
+    spread_rows = (jacobian.reshape(-1, len(covariance)) @ covariance).reshape(jacobian.shape)
+    leverage = spread_rows @ jacobian.transpose(0, 2, 1)
     values, vectors = np.linalg.eigh(leverage)
     along = np.einsum("nij,ni->nj", vectors, residual)
     w = weights[:, None]
