@@ -21,7 +21,8 @@ LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 """What ``kinematics.yaml`` calls the six links."""
 
 #: d1, a2, a3, d4, d5, d6 [m], from Universal Robots' article "DH parameters for calculations of kinematics and
-#: dynamics". The UR7e and the UR12e are the UR5e and the UR10e under the names of 2025.
+#: dynamics" and the descriptions and solvers for ROS that cite it. The UR7e and the UR12e are the UR5e and the UR10e
+#: under the names of 2025. All but the UR8 Long, the UR15 and the UR18 give the hash that is published with them.
 _LENGTHS = {
     "UR3": (0.1519, -0.24365, -0.21325, 0.11235, 0.08535, 0.0819),
     "UR3e": (0.15185, -0.24355, -0.2132, 0.13105, 0.08535, 0.0921),
