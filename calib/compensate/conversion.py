@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -12,11 +13,19 @@ from calib.compensate.conversion_source import ROBOT, UR_CONF, Source
 from calib.compensate.dh_files import ENDINGS, write_dh
 from calib.compensate.dh_tables import dh_tables
 from calib.compensate.origins_file import write_origins
-from calib.compensate.universal_robots import read_ur_hash, write_ur_conf, write_ur_yaml
+from calib.compensate.universal_robots import (
+    UrWritten,
+    read_ur_conf,
+    read_ur_hash,
+    read_ur_yaml,
+    write_ur_conf,
+    write_ur_yaml,
+)
+from calib.compensate.ur_models import the_mount
 from calib.errors import CalibError, ModelError, choices
 from calib.model.dh_conventions import HAYATI, MODIFIED, STANDARD
 from calib.model.readback import TOLERANCE, check_written, random_joint_values
-from calib.model.robot import Robot
+from calib.model.robot import Robot, rigid_inverse
 
 _YAML = (".yaml", ".yml")
 
@@ -49,6 +58,9 @@ FORMATS: Mapping[str, Format] = {
     )
 }
 """The formats by name."""
+
+#: What a remark says where DH rows hold a robot less well than usual.
+ROWS_HOLD = "The rows hold the robot to"
 
 _CONVENTIONS = {"dh": STANDARD, "modified-dh": MODIFIED, "hayati": HAYATI}
 
@@ -185,18 +197,71 @@ def _write_ur_yaml(source: Source, wanted: Wanted) -> tuple[str, ...]:
             "ur_calibration calibration_correction.launch.py) or its calibration.conf as --hash-from."
         )
         raise CalibError(message)
-    written = write_ur_yaml(
-        source.robot, nominal, wanted.path, hash=own, overwrite=wanted.overwrite
-    )
-    return written.remarks
+
+    def write(path: Path) -> UrWritten:
+        return write_ur_yaml(source.robot, nominal, path, hash=own, overwrite=wanted.overwrite)
+
+    def read(path: Path) -> Robot:
+        return read_ur_yaml(path, robot=nominal).robot
+
+    return _tried(source, nominal, wanted.path, write, read)
 
 
 def _write_ur_conf(source: Source, wanted: Wanted) -> tuple[str, ...]:
     """The deltas of a calibration.conf."""
     nominal = _arm(source, wanted)
-    return write_ur_conf(
-        source.robot, nominal, wanted.path, update=wanted.update, overwrite=wanted.overwrite
-    ).remarks
+
+    def write(path: Path) -> UrWritten:
+        return write_ur_conf(
+            source.robot, nominal, path, update=wanted.update, overwrite=wanted.overwrite
+        )
+
+    def read(path: Path) -> Robot:
+        return read_ur_conf(path, robot=nominal).robot
+
+    return _tried(source, nominal, wanted.path, write, read)
+
+
+def _tried(
+    source: Source,
+    nominal: Robot,
+    path: Path,
+    write: Callable[[Path], UrWritten],
+    read: Callable[[Path], Robot],
+) -> tuple[str, ...]:
+    """Write a file of Universal Robots after it was written elsewhere, read back and compared."""
+    with TemporaryDirectory() as folder:
+        trial = write(Path(folder) / path.name)
+        check_read_back(read(trial.path), source.robot, nominal, trial)
+    return write(path).remarks
+
+
+def check_read_back(again: Robot, robot: Robot, nominal: Robot, written: UrWritten) -> None:
+    """Compare what a file of Universal Robots says, with what it has no place for put back, with the robot.
+
+    Args:
+        again: The robot read from the file.
+        robot: The robot that was written.
+        nominal: The nominal robot of both.
+        written: What was written.
+
+    Raises:
+        ModelError: They differ by more than 1e-9 m and rad, or by more than was said when it was written.
+    """
+    _, mounted = the_mount(nominal, written.model)
+    at_base, at_tip = mounted.T_base_arm, mounted.T_flange_tip
+    T_base = at_base @ written.T_base @ rigid_inverse(at_base)
+    T_tip = rigid_inverse(at_tip) @ written.T_tool @ at_tip
+    q = random_joint_values(robot)
+    off = float(np.abs(T_base @ again.poses(q) @ T_tip - robot.poses(q)).max())
+    # Rows between almost parallel axes may hold less; then a remark has said how much.
+    allowed = 1e-6 if any(ROWS_HOLD in remark for remark in written.remarks) else TOLERANCE
+    if not off <= allowed:
+        message = (
+            f"{written.path.name}: read back, it puts the tip of '{robot.name}' {off:.1e} m or rad off; "
+            f"{allowed:g} is allowed, so it is not written. Please report this with what was converted."
+        )
+        raise ModelError(message)
 
 
 def _arm(source: Source, wanted: Wanted) -> Robot:

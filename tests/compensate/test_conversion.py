@@ -17,12 +17,15 @@ import calib.data
 from calib.cli.words import parse_held
 from calib.compensate.conversion import (
     FORMATS,
+    ROWS_HOLD,
     Wanted,
     check_options,
+    check_read_back,
     chosen_format,
     write_target,
 )
 from calib.compensate.conversion_source import KINDS, Asked, Source, read_source, source_kind
+from calib.compensate.universal_robots import write_ur_conf
 from calib.errors import CalibError, FileError, ModelError, UrdfError
 from calib.model.dh_conventions import dh_rows
 from calib.model.robot import Robot
@@ -189,6 +192,30 @@ def test_factory_calibrations_against_their_own_rows(case, tmp_path):
     np.testing.assert_allclose(again.robot.poses(q), wanted, rtol=0, atol=1e-9)
     for name in ("dh", "modified-dh", "hayati"):
         write_target(source, Wanted(tmp_path / f"{name}.md", name))
+
+
+def test_a_file_that_reads_back_as_another_robot(shop, tmp_path):
+    found = read_source(str(shop / "calibration.conf"), Asked(ur_model="UR3"))
+    written = write_ur_conf(found.robot, found.nominal, tmp_path / "k.conf")
+    check_read_back(found.robot, found.robot, found.nominal, written)
+    wanted = (
+        r"^k\.conf: read back, it puts the tip of 'ur3' .* 1e-09 is allowed, so it is not written"
+    )
+    with pytest.raises(ModelError, match=wanted):
+        check_read_back(found.nominal, found.robot, found.nominal, written)
+
+
+def test_rows_that_hold_less_are_said_before_they_are_allowed_to(shop, tmp_path):
+    # Axes 1e-8 rad from parallel: too far for parallel rows, too near for a common normal in double precision.
+    found = read_source(str(shop / "robot.urdf"), Asked(base="base", tip="tool0"))
+    placements = found.robot.placements.copy()
+    turn = Rotation.from_euler("x", 1e-8).as_matrix()
+    placements[2, :3, :3] = placements[2, :3, :3] @ turn
+    placements[2, :3, 3] += [1e-4, 2e-4, 3e-4]
+    bent = replace(found, robot=found.robot.with_placements(placements))
+    written = write_ur_conf(bent.robot, bent.nominal, tmp_path / "k.conf")
+    assert written.remarks[0].startswith(ROWS_HOLD)
+    assert write_target(bent, Wanted(tmp_path / "l.conf", "ur-conf")) != ()
 
 
 def test_how_far_a_source_is_from_its_nominal_robot(shop):
