@@ -22,7 +22,8 @@ _VERDICTS = {
 #: Lines that are the head of a table or name one.
 _HEAD = re.compile(
     r"((Position|Length|Position or length|Orientation) error "
-    r"|Pose accuracy, |Orientation, |Validation rows  |Models tried  |Parameter  |Larger model '|Table \d+: )"
+    r"|(Pose|Length) accuracy[, ]|Orientation, |Validation rows  |Models tried  |Parameter  |Larger model '"
+    r"|Table \d+: )"
 )
 
 #: The line under a heading.

@@ -33,6 +33,7 @@ _LENGTHS = {
     "mean": "mean pose accuracy AP",
     "single": "largest error of a single repeat",
 }
+_NARROW = {**_LENGTHS, "max": "largest AP of a length", "mean": "mean AP of lengths"}
 _ANGLES = {
     "max": "largest AP of orientation",
     "mean": "mean AP of orientation",
@@ -82,7 +83,9 @@ def accuracy_text(found: Mapping[str, Accuracy]) -> str:
         found: By what the robots are called.
     """
     head = ("poses", "AP max", "mean", "RP max", "mean", "single")
-    lines = [_COLUMNS.format("Pose accuracy, ISO 9283 [mm]", *head)]
+    narrow = all(_narrow(one) for one in found.values())
+    title = "Length accuracy [mm]" if narrow else "Pose accuracy, ISO 9283 [mm]"
+    lines = [_COLUMNS.format(title, *head)]
     for name, one in found.items():
         lines.append(_accuracy_row(name, len(one.ap), (one.ap, one.rp, one.single), 1e3, 3))
     if any(len(one.ap_angle) for one in found.values()):
@@ -144,7 +147,8 @@ def _figure_text(a: Acceptance, check: Check) -> str:
     if figure == tolerance:
         # Side by side they must differ where they do.
         figure = _sized(check.figure, angle, 6)
-    what = f"{(_ANGLES if angle else _LENGTHS)[a.criterion]} of {poses} is {figure}"
+    words = _ANGLES if angle else _NARROW if _narrow(a.accuracy) else _LENGTHS
+    what = f"{words[a.criterion]} of {poses} is {figure}"
     where = "" if a.criterion == "mean" else f" ({_rows_label(_worst(a, angle=angle))})"
     side = "above" if check.figure > check.tolerance else "within"
     return f"the {what}{where}, {side} the tolerance of {tolerance}"
@@ -229,7 +233,9 @@ def _repeats_text(one: Accuracy) -> str:
         return ""
     asked = f"ISO 9283 asks for {ISO_REPEATS} repeats of each of {ISO_POSES} poses"
     if high == 1:
-        return f"Each pose was measured once: its AP holds repeatability and noise too, and RP cannot be told. {asked}."
+        text = "Each pose was measured once: its AP holds repeatability and noise too, and RP cannot be told."
+        # What the standard asks for is of poses.
+        return text if _narrow(one) else f"{text} {asked}."
     repeats = f"{low}" if low == high else f"{low} to {high}"
     text = f"{asked}; here are {repeats} of {'each of ' * (count > 1)}{count}"
     if high < FEWEST_REPEATS:
@@ -266,6 +272,11 @@ def _left_out_text(a: Acceptance) -> str:
     return " ".join(parts)
 
 
+def _narrow(one: Accuracy) -> bool:
+    """Whether every row measures one length alone."""
+    return not any(pose.kind in _WHOLE for pose in one.poses)
+
+
 def _sized(value: float, angle: bool, digits: int = 3) -> str:
     """A length in mm or an angle in deg, which has a digit more, with its unit."""
     return f"{np.degrees(value):.{digits + 1}f} deg" if angle else f"{1e3 * value:.{digits}f} mm"
@@ -284,6 +295,8 @@ def _number(value: float, digits: int) -> str:
 def _rows_label(pose: PoseAccuracy) -> str:
     """The rows of a pose in few words."""
     rows = pose.rows
+    if pose.kind == "pair":
+        return f"pair of row {rows[0]}{', ...' * (len(rows) > 1)}"
     if len(rows) == 1:
         return f"row {rows[0]}"
     if rows == tuple(range(rows[0], rows[-1] + 1)):

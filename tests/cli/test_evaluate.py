@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.model.robot import Robot
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def load(path: Path) -> Any:
@@ -157,6 +160,17 @@ def test_a_tolerance_that_is_kept(examples):
     assert [line.split()[1] for line in table[2:7]] == ["32", "35", "34", "31", "33"]
     rows = [line.split()[0] for line in done.lines if line.startswith("  ") and "5 " in line[33:40]]
     assert rows[-2:] == ["nominal", "calibrated"]
+
+
+def test_the_document_shows_what_is_printed(examples):
+    done = examples.starting(
+        "calib evaluate corrected.urdf data.csv --calibration result.json --tol"
+    )
+    text = (DOCS / "acceptance.md").read_text(encoding="utf-8")
+    shown = [b for b in re.findall(r"```\n(.*?)```", text, re.DOTALL) if not b.startswith("calib ")]
+    assert len(shown) == 2
+    for block in shown:
+        assert block in done.out
 
 
 @pytest.mark.parametrize(

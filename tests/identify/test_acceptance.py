@@ -257,6 +257,16 @@ def test_lengths_say_nothing_across_them(calibrated):
     assert "Rows of the kind 'distance' say nothing of errors across them." in text(a)
     row = poses_text(a, ROBOT).splitlines()[2].split()
     assert row[-4:] == ["-", "-", "-", "-"]
+    assert "the largest AP of a length of" in text(a)
+    assert "ISO 9283" not in text(a)
+    assert accuracy_text({"nominal": a.accuracy}).startswith("Length accuracy [mm] ")
+
+
+def test_a_pair_is_named_by_its_first_row(calibrated):
+    _, c = calibrated("pairs")
+    a = acceptance(evaluate(c.nominal, c.measurements, c.cell), 1.0)
+    assert "  pair of row " in poses_text(a, ROBOT)
+    assert "mm (pair of row " in text(a)
 
 
 def test_the_poses_are_listed_worst_first_and_counted(ur3: Robot):
