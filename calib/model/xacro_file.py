@@ -211,7 +211,7 @@ def _alone(call: XacroCall) -> Iterator[Any]:
     ours = _taken_out()
     try:
         try:
-            xacro = importlib.import_module("xacro")
+            xacro = _imported()
         except ImportError as error:
             message = (
                 f"{call.path.name} is a xacro, and the xacro package that flattens it is not installed ({error}). "
@@ -226,6 +226,19 @@ def _alone(call: XacroCall) -> Iterator[Any]:
         sys.modules.update(ours)
         xml.dom.minidom.Element.writexml = writes  # type: ignore[method-assign]
         yaml.SafeLoader.yaml_constructors = constructors
+
+
+def _imported() -> types.ModuleType:
+    """The xacro package, imported anew.
+
+    Raises:
+        ImportError: There is none, or another module has its name.
+    """
+    xacro = importlib.import_module("xacro")
+    if not hasattr(xacro, "process_file"):
+        message = f"xacro is {getattr(xacro, '__file__', None) or 'a folder of that name'}"
+        raise ImportError(message)
+    return xacro
 
 
 def _taken_out() -> dict[str, types.ModuleType]:

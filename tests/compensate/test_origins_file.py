@@ -48,6 +48,15 @@ def test_written_and_read_they_are_the_urdfs_own_numbers(corrected: Robot, tmp_p
     assert write_origins(corrected, path, overwrite=True) == path
 
 
+@pytest.mark.parametrize(
+    ("urdf", "kept"),
+    [("ur3.urdf", "ur3_nominal_origins.yaml"), ("ur3_calibrated.urdf", "ur3_origins.yaml")],
+)
+def test_the_examples_files_are_written_from_the_urdfs(urdf: str, kept: str, tmp_path: Path):
+    path = write_origins(Robot.load(URDF / urdf, "base", "tool0"), tmp_path / kept)
+    assert path.read_bytes() == (URDF / kept).read_bytes()
+
+
 def test_only_the_chains_own_joints_base_to_tip(corrected: Robot):
     names = [name for name, _ in origins_of(corrected).joints]
     assert names == [*corrected.joint_names, "wrist_3_link-tool0_fixed_joint"]

@@ -380,7 +380,7 @@ def test_no_file(tmp_path: Path):
 def test_without_the_package(monkeypatch: pytest.MonkeyPatch):
     for name in [name for name in sys.modules if name.partition(".")[0] == "xacro"]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setattr(sys, "path", [p for p in sys.path if "site-packages" not in p])
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if not Path(p, "xacro").is_dir()])
     with pytest.raises(UrdfError, match="the xacro package that flattens it is not") as error:
         read_xacro(NOMINAL)
     assert str(error.value).endswith(
@@ -388,6 +388,13 @@ def test_without_the_package(monkeypatch: pytest.MonkeyPatch):
         "ur3_from_origins.urdf.xacro origins:=ur3_nominal_origins.yaml > ur3_from_origins.urdf"
     )
     assert "xacro" not in sys.modules
+
+
+def test_another_module_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "xacro.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(UrdfError, match=rf"not installed \(xacro is {tmp_path}/xacro\.py\)\. Inst"):
+        read_xacro(NOMINAL)
 
 
 def test_no_urdf_is_written_as_a_xacro(tmp_path: Path):
