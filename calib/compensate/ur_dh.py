@@ -261,8 +261,13 @@ def _row_to(local: Array, wished: Array) -> Array:
         a = float(np.hypot(crossing[0], crossing[1]))
         normal = crossing * [1.0, 1.0, 0.0] / a if a > ROUNDING else np.array([1.0, 0.0, 0.0])
         a = a if a > ROUNDING else 0.0
-    # Of the normal's two senses that nearer to the wished x.
-    if normal @ [np.cos(wished[0]), np.sin(wished[0]), 0.0] < 0.0:
+    # Of the normal's two senses that with the wished sense of alpha; between parallel axes, whose theta may wander, and
+    # whose alpha has either sign, that with the nearer x.
+    if abs(np.sin(wished[3])) > 0.5:
+        turned = (normal[0] * axis[1] - normal[1] * axis[0]) * np.sin(wished[3]) > 0.0
+    else:
+        turned = normal @ [np.cos(wished[0]), np.sin(wished[0]), 0.0] < 0.0
+    if turned:
         normal, a = -normal, -a
     theta = _near(float(np.arctan2(normal[1], normal[0])), wished[0])
     across = np.array([-normal[1], normal[0], 0.0])

@@ -12,7 +12,7 @@ from calib.compensate.ur_dh import (
     fitted_rows,
     kinematics_hash,
 )
-from calib.compensate.ur_models import ur_model
+from calib.compensate.ur_models import MODELS, ur_model
 from calib.errors import ModelError
 from tests.compensate.ur_cases import CALIBRATIONS, CASES, WITH_DELTAS, rows
 
@@ -146,3 +146,26 @@ def test_six_finite_numbers_are_wanted(column):
 def test_rows_cannot_be_written_to():
     with pytest.raises(ValueError, match="read-only"):
         ur_model("UR3").nominal.a[0] = 1.0
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
+def test_rows_of_many_arms_are_near_the_nominal_ones(model):
+    rng = np.random.default_rng(len(model.name))
+    for size in 10 ** rng.uniform(-4.5, -2.7, 15):
+        twists = rng.normal(size=(7, 6)) * size
+        chain = np.array(
+            [
+                P @ pin.exp6(t).homogeneous
+                for P, t in zip(model.nominal.chain(), twists, strict=True)
+            ]
+        )
+        fitted = fitted_rows(chain, model.nominal)
+        longest = np.abs(fitted.rows.d).max()
+        made = fitted.T_base @ fitted.rows.poses(Q[:10]) @ fitted.T_tool
+        np.testing.assert_allclose(
+            made, chain_poses(chain, Q[:10]), rtol=0, atol=1e-13 + 3e-15 * longest
+        )
+        # Where theta wanders between near-parallel axes, the row behind them keeps its sense.
+        assert np.abs(fitted.deltas.alpha).max() < 0.05
+        assert np.abs(fitted.deltas.a[[0, 3, 4, 5]]).max() < 0.05
+        assert np.abs(fitted.deltas.d[[0, 4, 5]]).max() < 0.05
