@@ -33,6 +33,10 @@ a format cannot hold is said.
 """
 
 
+#: A calibration that moves the tip further [mm] is most often the comparison of two robots.
+_FAR_MM = 50.0
+
+
 class Target(str, Enum):
     """The formats that can be written."""
 
@@ -160,10 +164,13 @@ def _moved(found: Source) -> str:
     if found.robot is found.nominal:
         return "This is a nominal robot: there is no calibration in it."
     mm, deg = 1e3 * apart[0], np.degrees(apart[1])
-    return (
-        f"Over the joint limits '{found.robot.tip}' lies {mm.mean():.3f} mm from where the nominal robot has it in the "
-        f"mean, {mm.max():.3f} mm at most, and is turned by {deg.mean():.3f} deg, {deg.max():.3f} deg at most."
+    text = (
+        f"Over the joint limits '{found.robot.tip}' lies {mm.mean():.3f} mm (mean) and at most {mm.max():.3f} mm from "
+        f"where the nominal robot has it, turned by {deg.mean():.3f} deg (mean) and at most {deg.max():.3f} deg."
     )
+    if mm.max() > _FAR_MM:
+        text += " Calibrations move it by millimetres: check that both are one robot, between the same links."
+    return text
 
 
 def _use(found: Source, wanted: Wanted) -> str:

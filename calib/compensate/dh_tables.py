@@ -206,6 +206,6 @@ def _remarks(robot: Robot, after: DHRows, states: list[Robot]) -> tuple[str, ...
             )
     others = [j for j in _joints(robot) if j.text != j.joint]
     if others:
-        named = "; ".join(f"'{j.joint}': {j.text}" for j in others)
-        remarks.append(f"Joints that are not their own: {named}.")
+        named = ", ".join(f"'{j.joint}' ({j.text})" for j in others)
+        remarks.append(f"Joints without a value of their own: {named}.")
     return tuple(remarks)

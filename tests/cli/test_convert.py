@@ -128,6 +128,14 @@ def test_a_file_of_another_arm_is_doubted(call, folder, tmp_path):
     )
 
 
+def test_another_robot_as_the_nominal_one_is_doubted(call, folder, tmp_path):
+    chain = ("--base", "base", "--tip", "tool0", "--to", "dh", "-o")
+    done = call(folder, "convert", "corrected.urdf", "--robot", "ur5", *chain, tmp_path / "o.csv")
+    assert "check that both are one robot, between the same links." in said(done.out)
+    done = call(folder, "convert", "corrected.urdf", "--robot", "ur3", *chain, tmp_path / "p.csv")
+    assert "check" not in done.out
+
+
 def test_a_held_joint(call, folder, tmp_path):
     words = (
         "--tip",

@@ -195,7 +195,7 @@ def test_joints_that_follow_others_and_held_ones(crooked):
         "_arm|*a*_",
         "-2 * _arm|*a*_ + 5.72957795 deg",
     ]
-    assert tables.remarks[-1].startswith("Joints that are not their own: 'wrist': -2 * _arm")
+    assert tables.remarks[-1].startswith("Joints without a value of their own: 'wrist' (-2 * _")
     held = Robot.from_urdf(crooked.urdf, tip="t", held={"lift, up": 0.25})
     assert dh_tables(held).joints[0].text == "held at 250 mm"
 
