@@ -325,3 +325,42 @@ def test_commands_are_not_taken_for_measurements(call, folder: Path, tmp_path: P
     for count in (8, 1):
         done = call(folder, "evaluate", "robot.urdf", table("m.csv", measured[:count]), *words)
         assert done.code == 3
+
+
+def test_a_larger_model_is_judged_where_it_is_asked_for(call, shop: Path):
+    """Gear gains, which no URDF can hold: the joint origins alone fail where the larger model passes."""
+    whole = ("--base", "base", "--tip", "tool0", "--quiet")
+    gains = ("--model", "dh+gain", "--sizes", "length 0.2 mm, angle 2 mrad, gain 2e-3")
+    simulated = ("--count", "30", "--validation", "12", "--noise", "0.02 mm", "-o", "sim.csv")
+    assert call(shop, "simulate", "robot.urdf", *simulated, *gains, *whole).code == 0
+    fit = ("fit", "robot.urdf", "sim.csv", "--model", "dh+gain", "--no-validate", *whole)
+    assert call(shop, *fit, "--json", "r.json").code == 0
+    words = (
+        "evaluate",
+        "robot.urdf",
+        "sim.csv",
+        "--calibration",
+        "r.json",
+        "--tolerance",
+        "0.3 mm",
+    )
+    done = call(shop, *words, "--judge", "larger")
+    assert (done.code, done.err) == (0, "")
+    assert "Judged is the robot with the larger model of r.json" in " ".join(done.out.split())
+    table = [line.split()[:2] for line in done.lines if line.startswith("  ") and "  12 " in line]
+    assert ["larger", "model"] in table
+    assert call(shop, *words).code == 3
+
+
+def test_a_urdf_that_is_neither_has_a_row_of_its_own(call, folder: Path, tmp_path: Path):
+    other = tmp_path / "other.urdf"
+    text = (folder / "robot.urdf").read_text(encoding="utf-8")
+    other.write_text(text.replace('xyz="0 -0.0925 0.24365"', 'xyz="0 -0.0925 0.2439"'), "utf-8")
+    words = ("data.csv", "--calibration", "result.json", "--tolerance", "0.5 mm")
+    done = call(folder, "evaluate", other, *words)
+    rows = [line.split()[0] for line in done.lines if "  5   " in line and "rows" not in line]
+    assert (done.code, rows) == (0, ["nominal", "URDF", "calibrated"])
+    judged = call(folder, "evaluate", "robot.urdf", *words, "--judge", "urdf")
+    assert judged.code == 3
+    assert "Judged is the URDF as it is: the largest" in judged.out
+    assert any(line.startswith("  URDF as it is  ") for line in judged.lines)
