@@ -238,7 +238,13 @@ def _row(T: Array, line: tuple[Array, Array], convention: str, wanted: _Wanted |
     normal = np.cross(z, axis)
     sine = float(np.linalg.norm(normal))
     between = point - T[:3, 3]
-    if sine < (np.sin(NEARLY_PARALLEL_RAD) if convention == HAYATI else _PARALLEL):
+    if convention == HAYATI:
+        # What is nearly parallel is so in both robots, although the one may lie on this side of the limit.
+        leaning = sine if wanted is None else _sine(wanted.row)
+        parallel = leaning < np.sin(NEARLY_PARALLEL_RAD)
+    else:
+        parallel = sine < _PARALLEL
+    if parallel:
         # The next origin is where the next axis meets the plane through this one's origin: d = 0.
         offset = between - axis * (between @ z) / (axis @ z)
         return _parallel_row(T, axis, offset, convention, x if wanted is None else wanted.x)
@@ -255,6 +261,11 @@ def _row(T: Array, line: tuple[Array, Array], convention: str, wanted: _Wanted |
     alpha = np.arctan2(np.cross(z, axis) @ normal, z @ axis)
     theta = np.arctan2(np.cross(x, normal) @ z, x @ normal)
     return float(theta), float(d), float(a), float(alpha), 0.0
+
+
+def _sine(row: Row) -> float:
+    """The sine of the angle between a row's two axes."""
+    return float(np.hypot(np.sin(row.alpha), np.cos(row.alpha) * np.sin(row.beta)))
 
 
 def _parallel_row(T: Array, axis: Array, offset: Array, convention: str, hint: Array) -> _Numbers:

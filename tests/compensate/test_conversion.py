@@ -194,6 +194,24 @@ def test_factory_calibrations_against_their_own_rows(case, tmp_path):
         write_target(source, Wanted(tmp_path / f"{name}.md", name))
 
 
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["name"])
+def test_standard_rows_are_those_that_the_factory_wrote(case, tmp_path):
+    # From deltas to frames near their nominal places, and from those back to rows: d2 is 439 m again.
+    conf = write_conf(case, tmp_path / "calibration.conf")
+    source = read_source(str(conf), Asked(ur_model=case["robot"]))
+    found = dh_rows(source.robot, "standard", like=source.nominal).rows
+    full = case["full_dh"]
+    assert [row.d for row in found] == pytest.approx(full["d"], rel=1e-9, abs=1e-9)
+    for key in ("a", "alpha", "theta"):
+        # Half a turn of an x axis changes the sign of a and alpha, and theta before and behind it.
+        values = np.array([getattr(row, key) for row in found])
+        wanted = np.array(full[key])
+        if key == "theta":
+            np.testing.assert_allclose(np.sin(2 * values), np.sin(2 * wanted), atol=1e-9)
+        else:
+            np.testing.assert_allclose(np.abs(values), np.abs(wanted), atol=1e-9)
+
+
 def test_a_file_that_reads_back_as_another_robot(shop, tmp_path):
     found = read_source(str(shop / "calibration.conf"), Asked(ur_model="UR3"))
     written = write_ur_conf(found.robot, found.nominal, tmp_path / "k.conf")

@@ -167,6 +167,23 @@ def test_quarter_and_half_turns_keep_their_signs(serial_urdf, theta, convention)
             assert np.abs(change).max() < 0.05, key
 
 
+@pytest.mark.parametrize("nominal_deg", [2.95, 3.05])
+def test_hayati_s_rows_stay_of_one_kind_at_the_limit(serial_urdf, nominal_deg):
+    # A d that is 0 on one side of three degrees would be metres on the other.
+    def arm(degrees: float) -> Robot:
+        tilt = np.radians(degrees)
+        first = ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1))
+        second = ("revolute", (0.3, 0.2, 0.1), (tilt, 0, 0), (0, 0, 1))
+        return Robot.from_urdf(serial_urdf([first, second]))
+
+    nominal, corrected = arm(nominal_deg), arm(6.0 - nominal_deg)
+    before = dh_rows(nominal, "hayati").rows[0]
+    after = dh_rows(corrected, "hayati", like=nominal).rows[0]
+    assert (before.d == 0.0) == (after.d == 0.0) == (nominal_deg < 3.0)
+    assert abs(after.theta - before.theta) < 0.03
+    assert_same_poses(dh_rows(corrected, "hayati", like=nominal), corrected)
+
+
 def test_a_first_axis_along_base_x_keeps_frame_0(serial_urdf):
     robot = Robot.from_urdf(
         serial_urdf(
