@@ -203,3 +203,12 @@ def test_robots_that_are_no_such_arm(panda, ur3, serial_urdf):
     assert recognised(Robot.from_urdf(serial_urdf(slide + 5 * turn))) == ()
     parallel = Robot.from_urdf(serial_urdf(6 * turn))
     assert mount(parallel, ur_model("UR3")) is None
+
+
+def test_a_tool0_that_is_no_flange_is_passed_over():
+    robot = corrected(ur_robot("UR5").rebuilt(tip="wrist_3_link"))
+    moved = robot.urdf.data.replace(b'<parent link="flange"/>', b'<parent link="base_link"/>')
+    aside = Robot.from_urdf(Urdf.from_bytes(moved, "aside.urdf"), "base", "wrist_3_link")
+    model, mounted = the_mount(aside)
+    assert model.name == "UR5"
+    np.testing.assert_allclose(mounted.T_flange_tip, np.eye(4), rtol=0, atol=1e-12)
