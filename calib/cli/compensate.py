@@ -216,7 +216,16 @@ def compensate(
         if quiet:
             return
         larger = truth.result is not None and truth.result.larger is not None and not geometry
-        say(text(found, truth, tool=tool, larger=larger, send=send.value, written=written))
+        said = text(
+            found,
+            truth,
+            tool=tool,
+            larger=larger,
+            send=send.value,
+            in_base=poses_in == BASE,
+            written=written,
+        )
+        say(said)
 
 
 compensate.__doc__ = _HELP

@@ -8,8 +8,11 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from calib.cli.setup import row_ranges
+from calib.model.robot import rigid_inverse
 
 if TYPE_CHECKING:
     from calib.cli.compensate_setup import Truth
@@ -57,7 +60,7 @@ def no_commands(found: Commands, *, skip: bool) -> str:
             label for label, why in zip(found.program.labels, found.reasons, strict=True) if why
         ]
         rows = [*rows[:_MOST_NAMED], fill(f"and rows {_listed(labels[_MOST_NAMED:], more)}", "  ")]
-    advice = [_small(found), _few_joints(found)]
+    advice = [_elsewhere(found), _small(found), _few_joints(found)]
     if count == every and not any(advice):
         advice.append("Check --poses-in, --tool, --match, and the units.")
     if not skip and count < every:
@@ -90,18 +93,55 @@ def _few_joints(found: Commands) -> str:
     return f"With {joints} joints most poses cannot be reached exactly: --match weighted, or --match position."
 
 
-def notes(found: Commands, truth: Truth, *, larger: bool, of_target: bool) -> list[str]:
-    """What to look at before the commands go to the robot."""
-    notes = [_elsewhere(found), _orientation_unsure(found, of_target=of_target)]
+def spread_known(truth: Truth, *, in_base: bool) -> bool:
+    """Whether the standard deviations, which are of poses in the base, hold for the poses that are given.
+
+    The place of the base in a frame that was estimated is part of them, and would have to be taken out again.
+
+    Args:
+        truth: What the commands were made with.
+        in_base: Whether poses are given in the base.
+    """
+    return in_base or not truth.frame_estimated
+
+
+def notes(
+    found: Commands, truth: Truth, *, larger: bool, of_target: bool, poses: bool, in_base: bool
+) -> list[str]:
+    """What to look at before the commands go to the robot.
+
+    Args:
+        found: The commands.
+        truth: What they were made with.
+        larger: Whether the larger model of the result was used.
+        of_target: Whether the tool is the calibrated target.
+        poses: Whether poses are sent.
+        in_base: Whether poses are given in the base.
+    """
+    notes = [_elsewhere(found)]
+    if spread_known(truth, in_base=in_base):
+        notes.append(_orientation_unsure(found, of_target=of_target))
+    if in_base and truth.frame_estimated and np.isfinite(found.std[found.reached, 0]).any():
+        unsure = MM * float(found.std[found.reached, 0].mean())
+        notes.append(
+            "The frame of the measurements was estimated with the robot: where the base stands in it follows from the "
+            f"robot alone, so that places in the base are known to {unsure:.2f} mm (standard deviation). Places in the "
+            "frame that was measured in are known better: --poses-in measured."
+        )
     if truth.was_corrected:
         notes.append(
             "ROBOT has the corrected joint origins already; what the controller has was taken from the result."
         )
-    if not np.array_equal(found.T_tip_tool, found.T_tip_tool_nominal):
-        place = ", ".join(f"{MM * v:.4f}" for v in found.T_tip_tool_nominal[:3, 3])
+    if poses and not np.array_equal(found.T_tip_tool, found.T_tip_tool_nominal):
         notes.append(
-            f"The poses to send are those of a tool at ({place}) mm in '{found.nominal.tip}': set the controller's "
-            "tool to that. It is where the target was before the calibration, which found it elsewhere."
+            f"The poses to send are those of a tool at {_place(found.T_tip_tool_nominal)} in '{found.nominal.tip}': "
+            "set the controller's tool to that. It is where the target was before the calibration, which found it "
+            "elsewhere."
+        )
+    if poses and not in_base:
+        notes.append(
+            "The poses to send are in the frame that was measured in: set the controller's work object to "
+            f"{_place(rigid_inverse(found.T_frame_base))} in '{found.nominal.base}'."
         )
     empty = _named(found, found.reasons)
     if empty:
@@ -111,6 +151,14 @@ def notes(found: Commands, truth: Truth, *, larger: bool, of_target: bool) -> li
         ]
     lists = ["\n".join(empty), _warnings(found, larger=larger)]
     return [*(fill(note) for note in notes if note), *(one for one in lists if one)]
+
+
+def _place(T: NDArray[np.float64]) -> str:
+    """A pose in words; its rotation vector where it is turned."""
+    turn = DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
+    place = ", ".join(f"{MM * v:.4f}" for v in T[:3, 3])
+    turned = f", rotation vector ({', '.join(f'{v + 0.0:.4f}' for v in turn)}) deg"
+    return f"({place}) mm{turned if np.abs(turn).max() > 1e-9 else ''}"
 
 
 def _named(found: Commands, words: Iterable[str]) -> list[str]:

@@ -40,6 +40,11 @@ class Truth:
     was_corrected: bool = False
 
     @property
+    def frame_estimated(self) -> bool:
+        """Whether the frame of the result's points was estimated with the robot."""
+        return self.table is not None and bool(self.table["frames"]["frame_estimated"])
+
+    @property
     def result(self) -> StoredResult | None:
         """The result, where there is one."""
         return None if self.table is None else self.true  # type: ignore[return-value]  # a table is of a result

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.cli.compensate_notes import DEG, MM, counted, fill, notes
+from calib.cli.compensate_notes import DEG, MM, counted, fill, notes, spread_known
 from calib.cli.compensate_words import TARGET
 
 if TYPE_CHECKING:
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from calib.compensate.commands import Commands
 
 Array = NDArray[np.float64]
+
+#: What a controller misses by above this, sent as a pose and not as joint values, is worth a line [m], [rad].
+_ELSEWHERE = 1e-7
 
 #: Rows of the table of corrections.
 _ROWS = 5
@@ -32,6 +35,7 @@ def text(
     tool: str | None,
     larger: bool,
     send: str,
+    in_base: bool,
     written: Path | None,
 ) -> str:
     """All of it.
@@ -42,15 +46,23 @@ def text(
         tool: What was given as the tool.
         larger: Whether the larger model of the result was used.
         send: What is written.
+        in_base: Whether poses are given in the base.
         written: Where to; None where nothing was.
     """
     parts = [
         _expected(found, truth, larger=larger),
         _asked(found, tool),
-        _errors(found),
+        _errors(found, poses=send != "joints", spread=spread_known(truth, in_base=in_base)),
         _joints(found),
         _first_rows(found),
-        *notes(found, truth, larger=larger, of_target=tool is not None and tool.startswith(TARGET)),
+        *notes(
+            found,
+            truth,
+            larger=larger,
+            of_target=tool is not None and tool.startswith(TARGET),
+            poses=send != "joints",
+            in_base=in_base,
+        ),
         _next(send, written),
     ]
     return "\n\n".join(part for part in parts if part)
@@ -136,7 +148,7 @@ def _asked(found: Commands, tool: str | None) -> str:
     )
 
 
-def _errors(found: Commands) -> str:
+def _errors(found: Commands, *, poses: bool, spread: bool) -> str:
     """How far the robot would have missed, what is left, and how far the poses are moved."""
     rows = found.reached
     angles = bool(np.isfinite(found.missed[rows, 1]).any())
@@ -146,10 +158,14 @@ def _errors(found: Commands) -> str:
         + f"{'max mm':>10}{'mean mm':>10}"
         + (f"{'max deg':>10}{'mean deg':>10}" if angles else "")
     ]
+    # A controller with a redundant joint may come to other joint values than those that were meant.
+    other = poses and bool((np.abs(found.left_by_pose - found.left)[rows] > _ELSEWHERE).any())
+    by_pose = [("it misses by, if sent as a pose", found.left_by_pose)] if other else []
     for label, values in (
         ("the tool would miss without correction by", found.missed),
         ("it misses with it by", found.left),
-        ("standard deviation of where it arrives (covariance)", found.std),
+        *by_pose,
+        *([("standard deviation of where it arrives (covariance)", found.std)] if spread else []),
         ("the pose to send is moved by", found.pose_corrections),
     ):
         if not np.isfinite(values[rows]).any():

@@ -202,7 +202,11 @@ def test_rows_that_cannot_be_reached(call, folder: Path):
     )
     assert "row 50: the true robot" in none
     assert "and rows 51 to 60" in none
-    assert none.endswith("Check --poses-in, --tool, --match, and the units.")
+    assert none.endswith("or measured ones (--given joints)?")
+    write(folder / "far.csv", "x [mm],y [mm],z [mm]", "900,900,900", "900,900,800")
+    assert refused(call(folder, *words, "--skip", "--force")).endswith(
+        "Check --poses-in, --tool, --match, and the units."
+    )
 
 
 def test_little_that_is_left_is_named_with_what_accepts_it(call, folder: Path):
@@ -274,6 +278,130 @@ def test_positions_alone_leave_the_orientation_open(call, folder: Path):
     assert "--match position corrects the position alone." in said(done)
     done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT, "--match", "position")
     assert "Positions alone were measured" not in said(done)
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A virtual UR3 with compliances and a target that is turned, seen in two frames that were estimated."""
+    from calib.data import paper_urdf
+    from calib.identify.calibration import calibrate
+    from calib.measure.cell import Cell
+    from calib.measure.measurements import Measurements
+    from calib.model.robot import Robot, read_only
+    from calib.model.torques import Payload, gravity_load
+
+    folder = tmp_path_factory.mktemp("large")
+    shutil.copy(paper_urdf(), folder / "robot.urdf")
+    nominal = Robot.load(folder / "robot.urdf", "base", "tool0")
+    true = Robot.load(Path(__file__).parents[2] / "urdf" / "ur3_calibrated.urdf", "base", "tool0")
+    rng = np.random.default_rng(5)
+    q = rng.uniform(-1.5, 1.5, (24, 6))
+    T = np.eye(4)
+    T[:3, 3], T[:2, :2] = [0.05, 0.05, 0.05], [[0.0, -1.0], [1.0, 0.0]]
+    payload = Payload(2.0, read_only([0.0, 0.0, 0.05]))
+    poses = true.poses(q + 1e-4 * gravity_load(nominal, q, payload)) @ T
+    groups = ("left", "right") * 12
+    poses[1::2, 0, 3] += 0.3  # the tracker stood elsewhere
+    table = Measurements(
+        nominal.joint_names, q, poses[:, :3, 3] + rng.normal(0.0, 2e-5, (24, 3)),
+        rotations=poses[:, :3, :3], groups=groups, kinds=("pose",) * 24,
+    )  # fmt: skip
+    cell = Cell(
+        target=T[:3, 3], target_rotation=T[:3, :3], estimate_frame=True, model="dh+compliance",
+        payload=payload,
+    )  # fmt: skip
+    calibrate(nominal, table, cell=cell, validate=False).write_json(folder / "result.json")
+    write(folder / "program.csv", HEADER, "-40,-85,75,-120,-45,0", "-20,-75,85,-140,-45,0")
+    write(folder / "points.csv", "x [mm],y [mm],z [mm]", "300,-200,300")
+    return folder
+
+
+def joints_of(call, folder: Path, tmp_path: Path, *words: str) -> list[float]:
+    """The joint values of the first row of commands."""
+    path = tmp_path / "c.csv"
+    done = call(
+        folder, "compensate", "robot.urdf", "program.csv", *RESULT, *words, "-o", path, "--force"
+    )
+    assert done.code == 0, done.err
+    return [float(table(path)[0][f"{name}_joint [deg]"]) for name in JOINTS]
+
+
+def test_the_larger_model_and_what_the_tip_carries(call, large: Path, tmp_path: Path):
+    usual = joints_of(call, large, tmp_path)
+    assert joints_of(call, large, tmp_path, "--payload", "2 kg") == usual
+    heavy = joints_of(call, large, tmp_path, "--payload", "5 kg")
+    geometry = joints_of(call, large, tmp_path, "--geometry")
+    assert 1e-6 < np.abs(np.subtract(heavy, usual)).max() < 5.0
+    assert 1e-6 < np.abs(np.subtract(geometry, usual)).max() < 5.0
+    words = ("compensate", "robot.urdf", "program.csv", *RESULT)
+    assert "Verdict: none of result.json, its larger model 'dh+compliance'." in said(
+        call(large, *words)
+    )
+    assert "its joint origins, without the larger model that it has." in said(
+        call(large, *words, "--geometry")
+    )
+    message = refused(call(large, *words, "--geometry", "--payload", "5 kg"))
+    assert message.endswith("Leave it out, or --geometry.")
+    assert '--payload was given as "heavy"; it must be a mass' in refused(
+        call(large, *words, "--payload", "heavy")
+    )
+
+
+def test_frames_that_were_estimated(call, large: Path):
+    words = ("compensate", "robot.urdf", "program.csv", *RESULT)
+    text = said(call(large, *words))
+    assert (
+        "The frame of the measurements was estimated with the robot: where the base stands in it"
+        in text
+    )
+    assert "standard deviation of where it arrives (covariance)" in text
+    text = said(call(large, *words, "--poses-in", "left"))
+    assert re.search(
+        r"set the controller's work object to \(.*\) mm, rotation vector \(.*\) deg in 'base'\.",
+        text,
+    )
+    assert "standard deviation" not in text
+    assert "work object" not in said(call(large, *words, "--poses-in", "left", "--send", "joints"))
+    message = refused(call(large, *words, "--poses-in", "middle"))
+    assert (
+        "choose 'base', 'measured' (the frame of the result's points), or one of its set-ups 'left', 'right'."
+        in message
+    )
+    message = refused(call(large, *words, "--poses-in", "measured"))
+    assert "The calibration has 2 set-ups: 'left', 'right'. Name one of them." in message
+
+
+def test_poses_in_the_frame_that_was_measured_in(call, large: Path, tmp_path: Path):
+    # The same place, said in the frames of both set-ups: the tracker stood 0.3 m further along x.
+    write(large / "there.csv", "x [mm],y [mm],z [mm]", "600,-200,300")
+    sent = []
+    for name, file in (("left", "points.csv"), ("right", "there.csv")):
+        path = tmp_path / f"{name}.csv"
+        words = (
+            "compensate",
+            "robot.urdf",
+            file,
+            *RESULT,
+            "--tool",
+            "target",
+            "--poses-in",
+            name,
+            "-o",
+            path,
+        )
+        assert call(large, *words).code == 0
+        sent.append([float(table(path)[0][f"{joint}_joint [deg]"]) for joint in JOINTS])
+    assert np.abs(np.subtract(*sent)).max() < 0.1
+
+
+def test_a_target_that_is_turned_is_said_with_its_rotation(call, large: Path):
+    words = ("compensate", "robot.urdf", "program.csv", *RESULT, "--tool", "target")
+    text = said(call(large, *words))
+    assert re.search(
+        r"a tool at \(50\.\d+, 50\.\d+, 50\.\d+\) mm, rotation vector \(.*, 90\.0+\) deg in",
+        text,
+    )
+    assert "a tool at" not in said(call(large, *words, "--send", "joints"))
 
 
 @pytest.mark.parametrize(
