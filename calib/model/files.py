@@ -109,7 +109,7 @@ def check_no_xacro(path: str | os.PathLike[str]) -> None:
         message = (
             f"'{path}' is the name of a xacro, and what is written is a URDF, with macros and arguments expanded; name "
             f"it {expanded_name(path)}. A xacro stays one if it takes the origins of its joints from a file: see calib "
-            "convert."
+            "convert --to origins."
         )
         raise FileError(message)
 

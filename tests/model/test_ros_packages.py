@@ -100,7 +100,7 @@ def test_packages_do_not_lie_in_one_another(tmp_path: Path):
 
 
 def test_where_it_looked(file: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("ROS_PACKAGE_PATH", "/opt/ros")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", "/ros/share")
     said = where_packages_are(file)
-    assert said.startswith("AMENT_PREFIX_PATH (not set), ROS_PACKAGE_PATH (/opt/ros), and the")
+    assert said.startswith("AMENT_PREFIX_PATH (not set), ROS_PACKAGE_PATH (/ros/share), and the")
     assert said.endswith(f"beside '{file}'")

@@ -16,7 +16,7 @@ import yaml
 from calib.errors import FileError, UrdfError
 from calib.model.meshes import find_mesh, link_shapes, mesh_folders
 from calib.model.readback import random_joint_values
-from calib.model.robot import Robot, read_urdf
+from calib.model.robot import Robot, find_urdf, read_urdf
 from calib.model.xacro_file import XacroCall, is_xacro, read_xacro
 
 URDF = Path(__file__).parents[2] / "urdf"
@@ -99,6 +99,20 @@ def test_it_is_what_the_xacro_program_writes(tmp_path: Path):
     assert here.data == done.stdout
     assert there.data == here.data
     assert there.sha256 == here.sha256
+
+
+@pytest.mark.parametrize("name", ["panda", "tiago_pro", "ur5"])
+def test_any_urdf_is_a_xacro_too(name: str, tmp_path: Path):
+    """Nothing that calib reads is lost or rounded on the way."""
+    path = tmp_path / "r.urdf.xacro"
+    shutil.copy(find_urdf(name), path)
+    ours, theirs = read_urdf(path), read_urdf(name)
+    assert (ours.name, ours.links) == (theirs.name, theirs.links)
+    for one, other in zip(ours.joints, theirs.joints, strict=True):
+        assert (one.name, one.type, one.mimic) == (other.name, other.type, other.mimic)
+        assert (one.lower, one.upper) == (other.lower, other.upper)
+        np.testing.assert_array_equal(one.T_parent_joint, other.T_parent_joint)
+        np.testing.assert_array_equal(one.axis, other.axis)
 
 
 def test_name_path_and_hash():
