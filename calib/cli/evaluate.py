@@ -112,7 +112,7 @@ def evaluate(
         from dataclasses import replace
 
         from calib.cli.evaluate_data import Fitted, check_measured
-        from calib.cli.evaluate_text import evaluation_text, names_of
+        from calib.cli.evaluate_text import evaluation_text, names_of, own_urdf
         from calib.cli.known import check_chain, with_target_link
         from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
         from calib.cli.terminal import say
@@ -161,7 +161,13 @@ def evaluate(
         judged = judged_robot(judge, found, name)
         figures = {who: accuracy(one, seen=seen) for who, one in found.items()}
         accepted = None if wanted is None else wanted.of(found[judged], seen=seen)
-        note = fitted.outside(found[judged], figures[judged]) if judged in _FITTED else ""
+        advice = _advice(found, setup, stored, anew=frame is not None or target is not None)
+        notes = [
+            fitted.outside(found[judged], figures[judged]) if judged in _FITTED else "",
+            own_urdf(found, judged),
+            advice,
+        ]
+        notes = [note for note in notes if note]
         written = None
         if json is not None:
             content = evaluation_table(
@@ -171,7 +177,7 @@ def evaluate(
                 "accuracy": accuracy_table(figures),
                 "acceptance": None
                 if accepted is None
-                else acceptance_table(accepted, judged, names_of(name or "")[judged], note),
+                else acceptance_table(accepted, judged, names_of(name or "")[judged], notes),
             }
             written = write_table(content, json, overwrite=force)
         if not quiet:
@@ -184,12 +190,10 @@ def evaluate(
                     judged=judged,
                     result=name or "",
                     source=source,
-                    note=note,
+                    notes=notes,
                 )
             )
-            anew = frame is not None or target is not None
-            advice = _advice(found, setup, stored, anew=anew)
-            if advice:
+            if advice and accepted is None:
                 typer.echo("\n" + textwrap.fill(advice, 100, break_on_hyphens=False))
             if written is not None:
                 typer.echo(f"\nWritten: {written}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def evaluation_text(
     judged: str,
     result: str,
     source: str,
-    note: str = "",
+    notes: Sequence[str] = (),
 ) -> str:
     """Everything that was found.
 
@@ -57,7 +57,7 @@ def evaluation_text(
         judged: The key of the robot that was judged.
         result: Name of the result's file.
         source: Where the targets are from, if they were not registered.
-        note: What else must be minded with the outcome.
+        notes: What else must be minded with the outcome.
     """
     from calib.identify.acceptance_text import acceptance_text, accuracy_text, poses_text
 
@@ -68,8 +68,20 @@ def evaluation_text(
         parts.append(accuracy_text(shown))
     if accepted is not None:
         name = names_of(result)[judged]
-        parts = [acceptance_text(accepted, name, note), *parts, poses_text(accepted, name)]
+        parts = [acceptance_text(accepted, name, notes), *parts, poses_text(accepted, name)]
     return "\n\n".join(parts)
+
+
+def own_urdf(found: Mapping[str, Evaluation], judged: str) -> str:
+    """A sentence that says so where the URDF as it is, is neither robot of the result, and is not judged; or nothing.
+
+    Args:
+        found: The errors of each robot.
+        judged: The key of the robot that is judged.
+    """
+    if len(found) == 1 or judged == "urdf" or _twin(found, "urdf", judged):
+        return ""
+    return "The URDF as it is, is another robot than the nominal and the calibrated one; --judge urdf judges it."
 
 
 def _places_text(first: Evaluation, source: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,14 +17,16 @@ def accuracy_table(found: Mapping[str, Accuracy]) -> dict[str, Any]:
     return {who: _accuracy_table(one) for who, one in found.items()}
 
 
-def acceptance_table(a: Acceptance, who: str, judged: str, note: str = "") -> dict[str, Any]:
+def acceptance_table(
+    a: Acceptance, who: str, judged: str, notes: Sequence[str] = ()
+) -> dict[str, Any]:
     """An acceptance as nested tables.
 
     Args:
         a: The acceptance.
         who: The key of the robot that was judged.
         judged: What it is called.
-        note: What else must be minded.
+        notes: What else must be minded.
     """
     return {
         "outcome": a.outcome,
@@ -34,7 +36,7 @@ def acceptance_table(a: Acceptance, who: str, judged: str, note: str = "") -> di
         "share": a.share,
         "length": None if a.length is None else _check_table(a.length, "m"),
         "angle": None if a.angle is None else _check_table(a.angle, "rad"),
-        "reasons": acceptance_reasons(a, judged, note),
+        "reasons": acceptance_reasons(a, judged, notes),
     }
 
 

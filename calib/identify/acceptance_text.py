@@ -42,25 +42,25 @@ _ANGLES = {
 _COLUMNS = "{:<33}{:>5} {:>9} {:>9} {:>9} {:>9} {:>9}"
 
 
-def acceptance_text(a: Acceptance, judged: str, note: str = "") -> str:
+def acceptance_text(a: Acceptance, judged: str, notes: Sequence[str] = ()) -> str:
     """The outcome, and what it stands on.
 
     Args:
         a: The acceptance.
         judged: What the robot is called that was judged.
-        note: What else must be minded.
+        notes: What else must be minded.
     """
-    reasons = acceptance_reasons(a, judged, note)
+    reasons = acceptance_reasons(a, judged, notes)
     return "\n".join([f"Verdict: {a.outcome}", *(wrap(reason, "  ") for reason in reasons)])
 
 
-def acceptance_reasons(a: Acceptance, judged: str, note: str = "") -> list[str]:
+def acceptance_reasons(a: Acceptance, judged: str, notes: Sequence[str] = ()) -> list[str]:
     """What an outcome stands on and what must be minded with it, sentence by sentence.
 
     Args:
         a: The acceptance.
         judged: What the robot is called that was judged.
-        note: What else must be minded.
+        notes: What else must be minded.
     """
     sentences = [
         f"Judged is {judged}: {'; '.join(_figure_text(a, check) for check in a.checks)}.",
@@ -71,7 +71,7 @@ def acceptance_reasons(a: Acceptance, judged: str, note: str = "") -> list[str]:
         _repeats_text(a.accuracy),
         _share_text(a),
         _left_out_text(a),
-        note,
+        *notes,
     ]
     return [sentence for sentence in sentences if sentence]
 

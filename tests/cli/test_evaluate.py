@@ -228,6 +228,12 @@ def test_a_tracker_that_moved_is_named(call, folder: Path, tmp_path: Path):
         csv.writer(file).writerows([header, *moved])
     words = ("evaluate", "corrected.urdf", tmp_path / "moved.csv", "--calibration", "result.json")
     assert "Then add --frame estimate." in " ".join(call(folder, *words).out.split())
+    failed = call(folder, *words, "--tolerance", "3 mm", "--json", tmp_path / "e.json")
+    assert failed.code == 3
+    verdict = failed.out.split("\n\n")[0]
+    assert " ".join(verdict.split()).endswith("Then add --frame estimate.")
+    assert " ".join(failed.out.split()).count("add --frame estimate") == 1
+    assert load(tmp_path / "e.json")["acceptance"]["reasons"][-1].endswith("--frame estimate.")
     anew = call(folder, *words, "--frame", "estimate", "--tolerance", "3 mm")
     assert anew.code == 0
     assert "did the tracker" not in anew.out
@@ -360,6 +366,9 @@ def test_a_urdf_that_is_neither_has_a_row_of_its_own(call, folder: Path, tmp_pat
     done = call(folder, "evaluate", other, *words)
     rows = [line.split()[0] for line in done.lines if "  5   " in line and "rows" not in line]
     assert (done.code, rows) == (0, ["nominal", "URDF", "calibrated"])
+    assert "is another robot than the nominal and the calibrated one; --judge urdf judges it." in (
+        " ".join(done.out.split())
+    )
     judged = call(folder, "evaluate", "robot.urdf", *words, "--judge", "urdf")
     assert judged.code == 3
     assert "Judged is the URDF as it is: the largest" in judged.out

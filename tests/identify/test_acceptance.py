@@ -308,9 +308,9 @@ def test_robots_stand_side_by_side(ur3: Robot):
 def test_the_tables_hold_what_the_text_says(ur3: Robot):
     found = evaluation(ur3, [0.1, 0.2], 3, turns=[1.0, 2.0])
     a = acceptance(found, 0.5e-3, uncertainty=0.1e-3)
-    table = json.loads(json.dumps(plain(acceptance_table(a, "urdf", ROBOT, "Mind the gap."))))
+    table = json.loads(json.dumps(plain(acceptance_table(a, "urdf", ROBOT, ["Mind the gap."]))))
     assert (table["outcome"], table["robot"], table["criterion"]) == ("pass", "urdf", "max")
-    assert table["reasons"] == acceptance_reasons(a, ROBOT, "Mind the gap.")
+    assert table["reasons"] == acceptance_reasons(a, ROBOT, ["Mind the gap."])
     assert table["reasons"][-1] == "Mind the gap."
     assert table["length"]["figure_m"] == pytest.approx(0.2e-3)
     assert (table["length"]["tolerance_m"], table["length"]["uncertainty_m"]) == (0.5e-3, 0.1e-3)
