@@ -69,12 +69,13 @@ def odd(path: str | os.PathLike[str], moved: float, arm: UrModel) -> tuple[str, 
 
 
 def name_remark(robot: Robot, arm: UrModel, mounted: Mount) -> tuple[str, ...]:
-    """A sentence about a nominal robot whose base and flange were found by name."""
-    if not mounted.by_name:
+    """A sentence about a robot that is not nominal, whose base and flange were found by name."""
+    if mounted.off == 0.0:
         return ()
     return (
-        f"'{robot.name}' ({robot.urdf.source}) is calibrated already, it has not the nominal kinematics of the "
-        f"{arm.name}: its base and its flange are taken to be where the names of its links say.",
+        f"'{robot.name}' ({robot.urdf.source}) is not the nominal {arm.name}: its flange lies up to "
+        f"{1e3 * mounted.off:.2g} mm off, because it was calibrated before or its numbers are rounded. Its base and "
+        "its flange are taken to be where the names of its links say.",
     )
 
 

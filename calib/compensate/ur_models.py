@@ -80,13 +80,14 @@ class Mount:
         T_flange_tip: shape (4, 4), [m]: the robot's tip in the controller's flange.
         T_arm_joint: shape (6, 4, 4), [m]: each joint's frame in the arm's frame of that joint, see `FullDH.chain`; a
             motion along and about the axis.
-        by_name: Whether base and flange are where the links' names say, because the robot is calibrated already.
+        off: How far the flange lies from the nominal arm's, at most [m], where the robot is not nominal, and base and
+            flange are where the links' names say; else 0.
     """
 
     T_base_arm: Array
     T_flange_tip: Array
     T_arm_joint: Array
-    by_name: bool = False
+    off: float = 0.0
 
     def chain_of(self, robot: Robot) -> Array:
         """The placements of a robot mounted so as those of the arm, shape (7, 4, 4), [m]."""
@@ -204,7 +205,7 @@ def the_mount(robot: Robot, model: UrModel | None = None) -> tuple[UrModel, Moun
             off = {one: np.abs(arm - one.nominal.poses(_SPREAD)).max() for one in wanted}
             nearest = min(wanted, key=lambda one: float(off[one]))
             if off[nearest] < CALIBRATED:
-                return nearest, _named_mount(robot, nearest, T_base_arm, T_flange_tip)
+                return nearest, _named_mount(robot, nearest, T_base_arm, T_flange_tip, arm)
     names = [other.name for other in recognised(robot)]
     if model is not None:
         is_what = (
@@ -248,13 +249,17 @@ def with_chain(robot: Robot, mounted: Mount, chain: Array) -> Robot:
     return robot.with_placements(mounted.placements_of(chain, robot))
 
 
-def _named_mount(robot: Robot, model: UrModel, T_base_arm: Array, T_flange_tip: Array) -> Mount:
-    """The mount of a calibrated robot; its frames are the arm's where they stand as the new description's do."""
+def _named_mount(
+    robot: Robot, model: UrModel, T_base_arm: Array, T_flange_tip: Array, arm: Array
+) -> Mount:
+    """The mount of a robot that is not nominal; its frames are the arm's where they stand as the new description's."""
     on_axes = []
     frames = T_base_arm @ _poses(model.nominal.chain())
     for T, frame, joint in zip(zero_poses(robot)[0], frames, robot.joints, strict=False):
         on_axes.append(_on_axis(rigid_inverse(frame) @ T, joint.axis, near=CALIBRATED))
-    return Mount(read_only(T_base_arm), read_only(T_flange_tip), read_only(on_axes), by_name=True)
+    moved = arm[:, :3, 3] - model.nominal.poses(_SPREAD)[:, :3, 3]
+    off = float(np.linalg.norm(moved, axis=1).max())
+    return Mount(read_only(T_base_arm), read_only(T_flange_tip), read_only(on_axes), off)
 
 
 def _plain(name: str) -> str:

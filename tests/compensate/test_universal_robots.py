@@ -228,7 +228,7 @@ def test_a_robot_that_was_calibrated_in_the_factory_is_corrected_further(conf_of
     factory = read_ur_conf(conf_of(case), model="UR3")
     robot = displaced(factory.robot, 1e-4)
     written = write_ur_yaml(robot, factory.robot, tmp_path / "k.yaml", hash=factory.hash)
-    assert "is calibrated already" in written.remarks[0]
+    assert "is not the nominal UR3: its flange lies up to" in written.remarks[0]
     again = read_ur_yaml(written.path, robot=factory.nominal).robot
     np.testing.assert_allclose(again.poses(Q) @ written.T_tool, robot.poses(Q), rtol=0, atol=1e-12)
     rows_too = write_ur_conf(robot, factory.robot, tmp_path / "c.conf")
