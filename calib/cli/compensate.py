@@ -9,13 +9,11 @@ import typer
 
 from calib.cli.compensate_words import BASE, Given, Match, Orientation, Send
 from calib.cli.options import (
-    Base,
     Debug,
     Force,
     Hold,
     Quiet,
     RobotFile,
-    Tip,
     reporting,
 )
 from calib.errors import CalibError
@@ -117,7 +115,7 @@ def compensate(
         typer.Option(
             "--accept",
             metavar='"LENGTH ANGLE"',
-            help="What may be left of the error of a row. Default: 1e-5 mm, 1e-6 deg.",
+            help="What may be left of the error of a row. Default: 1e-8 m, 1e-8 rad.",
         ),
     ] = None,
     skip: Annotated[
@@ -142,8 +140,19 @@ def compensate(
             "calibration.",
         ),
     ] = None,
-    base: Base = None,
-    tip: Tip = None,
+    base: Annotated[
+        str | None,
+        typer.Option(
+            help="Link in whose frame poses are. Default: the result's; with --corrected the URDF's root."
+        ),
+    ] = None,
+    tip: Annotated[
+        str | None,
+        typer.Option(
+            help="Link that the tool sits on. Default: the result's; with --corrected the end of the longest chain "
+            "whose joints are in the table."
+        ),
+    ] = None,
     hold: Hold = None,
     columns: Annotated[
         list[str] | None,

@@ -212,7 +212,8 @@ def _warnings(found: Commands, *, larger: bool) -> str:
     if not kinds:
         return ""
     count = sum(bool(said) for said in found.warnings)
-    lines = [f"{count} of {len(found)} rows {'has' if count == 1 else 'have'} a warning:"]
+    who = f"{count} of {len(found)} rows {'has' if count == 1 else 'have'}"
+    lines = [f"{'The row has' if len(found) == 1 else who} a warning:"]
     for rows in kinds.values():
         (label, what), others = rows[0], [other for other, _ in rows[1:]]
         more = (

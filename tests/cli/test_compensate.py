@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import json
 import re
 import shlex
@@ -93,6 +95,16 @@ def test_the_document_s_examples_print_what_it_says(call, examples, tmp_path: Pa
         assert numbers(found)[: len(wanted)] == pytest.approx(wanted, abs=2e-3)
     # The virtual robot, which was measured again at the commands, is where it should be.
     assert numbers(last.split("with the joint origins of virtual.json:")[1])[1] < 0.1
+    # The same in Python, of the same result.
+    code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec(code, {})
+    same = [
+        (tmp_path / name).read_text(encoding="utf-8")
+        for name in ("from_python.csv", "commands.csv")
+    ]
+    rows = [numbers(one) for one in same]
+    assert rows[0] == pytest.approx(rows[1], abs=1e-5)
     sent = table(tmp_path / "sent.csv")
     assert list(sent[0])[:8] == ["point", "x [mm]", "y [mm]", "z [mm]", "qx", "qy", "qz", "qw"]
     assert [row["status"] for row in sent] == ["ok"] * 3
