@@ -8,14 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError
-from calib.model.dh_conventions import (
-    HAYATI,
-    STANDARD,
-    DHRows,
-    dh_rows,
-    near_parallel,
-    taken_as_parallel,
-)
+from calib.model.dh_conventions import HAYATI, STANDARD, DHRows
+from calib.model.dh_rows import dh_rows, near_parallel, taken_as_parallel
 from calib.model.readback import TOLERANCE, column_ranges, spread_between
 from calib.model.robot import Robot
 

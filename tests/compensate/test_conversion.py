@@ -27,7 +27,7 @@ from calib.compensate.conversion import (
 from calib.compensate.conversion_source import KINDS, Asked, Source, read_source, source_kind
 from calib.compensate.universal_robots import write_ur_conf
 from calib.errors import CalibError, FileError, ModelError, UrdfError
-from calib.model.dh_conventions import dh_rows
+from calib.model.dh_rows import dh_rows
 from calib.model.robot import Robot
 from tests.compensate.forms import UR3, write_conf, write_forms
 from tests.compensate.ur_cases import CALIBRATIONS, rows

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from calib.compensate.dh_files import ENDINGS, dh_bytes, write_dh
 from calib.compensate.dh_tables import DHTables, dh_tables
 from calib.errors import FileError, ModelError
-from calib.model.dh_conventions import CONVENTIONS, dh_rows
+from calib.model.dh_conventions import CONVENTIONS
+from calib.model.dh_rows import dh_rows
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 
