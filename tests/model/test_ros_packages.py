@@ -59,7 +59,7 @@ def test_the_path_of_ros_1_and_its_folders_below(
 ):
     package(file.parents[2] / "arm_description", "arm_description")
     other = package(tmp_path / "noetic" / "stacks" / "arms" / "arm", "arm_description")
-    (tmp_path / "noetic" / ".hidden").mkdir()
+    package(tmp_path / "noetic" / ".git" / "arm", "arm_description")
     monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'none'}:{tmp_path / 'noetic'}")
     assert find_package("arm_description", file) == other
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(other))

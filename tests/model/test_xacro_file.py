@@ -330,6 +330,15 @@ FAULTS: dict[str, tuple[str, dict[str, str], str, str]] = {
         '<xacro:property name="h" value="${1 / 0}"/>\n', {}, "",
         "r.urdf.xacro, line 2: division by zero in the expression ${{1 / 0}}; mend the xacro there.",
     ),
+    "two lines that may be meant": (
+        '<xacro:property name="h" value="${1 / 0}"/>\n<xacro:property name="k" value="${1 / 0}"/>\n', {}, "",
+        "r.urdf.xacro: division by zero in the expression ${{1 / 0}}; mend the xacro there.",
+    ),
+    "misspelt argument of a default that fails": (
+        '<xacro:arg name="file" default="k.yaml"/>\n' + FROM_YAML.replace("'k.yaml'", "xacro.arg('file')"),
+        {}, "flie:=l.yaml",
+        "names it. It was given 'flie' and had not asked for it (did you mean 'file'?).",
+    ),
     "missing key": (
         "<xacro:property name=\"h\" value=\"${dict(a=1)['b']}\"/>\n", {}, "",
         "r.urdf.xacro, line 2: there is no 'b' in the expression",
