@@ -105,15 +105,19 @@ def poses_text(a: Acceptance, judged: str) -> str:
     """
     poses = worst_first(a)
     shown = poses[:_MOST_POSES]
-    head = ["repeats", "AP [mm]", "x", "y", "z", "RP"]
+    # Where single repeats are judged, they stand in the place of RP.
+    single = a.criterion == "single"
+    last = "single" if single else "RP"
+    head = ["repeats", "AP [mm]", "x", "y", "z", last]
     turned = any(np.isfinite(pose.ap_angle) for pose in shown)
-    head += ["AP [deg]", "RP"] if turned else []
+    head += ["AP [deg]", last] if turned else []
     order = "worst" if len(a.checks) == 1 else "furthest beyond or nearest to a tolerance"
     name = f"Poses, the {order} first" if len(shown) > 1 else "The pose"
     lines = [wrap(f"{name}, of {judged}:"), _pose_row("", head)]
     for pose in shown:
-        lengths = [_number(1e3 * v, 3) for v in (pose.ap, *pose.ap_xyz, pose.rp)]
-        angles = [_number(np.degrees(v), 4) for v in (pose.ap_angle, np.max(pose.rp_abc))]
+        ends = (pose.single, pose.single_angle) if single else (pose.rp, float(np.max(pose.rp_abc)))
+        lengths = [_number(1e3 * v, 3) for v in (pose.ap, *pose.ap_xyz, ends[0])]
+        angles = [_number(float(np.degrees(v)), 4) for v in (pose.ap_angle, ends[1])]
         label = textwrap.shorten(f"  {_rows_label(pose)}{_place(a, pose)}", 24, placeholder="...")
         row = [str(len(pose.rows)), *lengths, *(angles if turned else [])]
         lines.append(_pose_row(f"  {label}", row))

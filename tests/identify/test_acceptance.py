@@ -276,6 +276,9 @@ def test_the_poses_are_listed_worst_first_and_counted(ur3: Robot):
     assert lines[2].split() == ["rows", "34", "to", "36", "3", "1.200", "1.200", "0.000", "0.000", "0.000"]  # fmt: skip
     assert len(lines) == 13
     assert lines[-1] == "  and 2 more"
+    single = acceptance(found, 0.5e-3, criterion="single")
+    assert poses_text(single, ROBOT).splitlines()[1].split()[-1] == "single"
+    assert poses_text(single, ROBOT).splitlines()[2].split()[-1] == "1.200"
     order = [pose.rows[0] for pose in worst_first(acceptance(found, 0.5e-3, criterion="single"))]
     assert order == list(range(34, 0, -3))
 
