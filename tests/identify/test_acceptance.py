@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import binom
 
 from calib.errors import CalibError, MeasurementError
@@ -358,3 +360,19 @@ def test_a_tolerance_of_angles_needs_angles(ur3: Robot):
         match=r"a tolerance of 0\.1 deg was stated, and no orientation was measured",
     ):
         acceptance(evaluation(ur3, [0.1]), 1e-3, np.radians(0.1))
+
+
+@given(
+    figure=st.floats(0.0, 1e-2),
+    tolerance=st.floats(1e-6, 1e-2),
+    uncertainty=st.floats(0.0, 1e-2),
+    factor=st.floats(1.0, 10.0),
+)
+def test_what_counts_against_an_outcome_never_makes_it_better(
+    figure: float, tolerance: float, uncertainty: float, factor: float
+):
+    plainly = Check(figure, tolerance, 0.0, 1.0, np.nan, seen=False)
+    guarded = replace(plainly, uncertainty=uncertainty, factor=factor)
+    assert plainly.outcome == (PASS if figure <= tolerance else FAIL)
+    assert guarded.outcome in (plainly.outcome, UNDECIDED)
+    assert replace(guarded, seen=True).outcome != PASS
