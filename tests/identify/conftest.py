@@ -441,9 +441,9 @@ def calibrated(
     return run
 
 
-@pytest.fixture(params=CASES)
+@pytest.fixture(params=CASES, scope="session")
 def case(
     request: pytest.FixtureRequest, calibrated: Callable[[str], tuple[Scene, Calibration]]
 ) -> tuple[Scene, Calibration]:
-    """Each of `CASES` in turn."""
+    """Each of `CASES` in turn; of the session, so that all tests of one case follow each other on one worker."""
     return calibrated(request.param)
