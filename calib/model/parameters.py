@@ -234,9 +234,10 @@ class ErrorModel:
         displacements[:, range(4), range(4)] = 1.0
         if y.any():
             products: dict[int, pin.SE3] = {}
+            exp, values = pin.exp6, y.tolist()
             # Backwards, so that the product of the factors after each term is at hand.
             for t, k, twist in self._backwards:
-                later, factor = products.get(k), pin.exp6(twist * y[t])
+                later, factor = products.get(k), exp(twist * values[t])
                 if later is None:
                     products[k] = factor
                 else:

@@ -206,15 +206,11 @@ class _Scan:
 
     def _refuse_xacro(self, tag: str, attributes: dict[str, str]) -> None:
         """Refuse elements and attributes of xacro; its namespace alone may stay declared."""
-        names = {tag}
         for key, value in attributes.items():
-            if not key.startswith("xmlns"):
-                names.add(key)
-            elif "xacro" in value and ":" in key:
+            if key.startswith("xmlns:") and "xacro" in value:
                 self._xacro.add(key.partition(":")[2])
-        for name in names:
-            prefix, colon, _ = name.partition(":")
-            if colon and prefix in self._xacro:
+        for name in (tag, *attributes):
+            if ":" in name and name.partition(":")[0] in self._xacro:
                 line = self.parser.CurrentLineNumber
                 message = (
                     f"{self.source}, line {line}: '{name}' belongs to xacro, not URDF; {XACRO_FIX}"
