@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from calib.compensate.origins_file import Origins, origins_of, read_origins
 from calib.compensate.universal_robots import UrSource, read_ur_conf, read_ur_yaml
 from calib.compensate.ur_models import UrModel, recognised, the_mount, ur_model, ur_robot
+from calib.data import paper_urdf
 from calib.errors import CalibError, FileError, ModelError, choices
 from calib.identify.result_file import read_table, stored_result
 from calib.identify.stored import StoredResult
@@ -236,7 +237,10 @@ def _recorded(table: Mapping[str, Any], folder: Path) -> Urdf | None:
     """The URDF that a result names, where it is at hand unchanged."""
     try:
         inputs = table["inputs"]["urdf"]
-        return recorded_urdf(str(inputs["name"]), inputs["sha256"], folder)
+        # That of the paper's UR3, as of a demo, comes with calib.
+        places = (folder, paper_urdf().parent)
+        found = (recorded_urdf(str(inputs["name"]), inputs["sha256"], place) for place in places)
+        return next((urdf for urdf in found if urdf is not None), None)
     except (KeyError, TypeError):  # it names none
         return None
 

@@ -11,6 +11,9 @@ from calib.model.robot import Robot
 from tests.compensate.forms import write_forms
 
 
+URDFS = Path(__file__).parents[2] / "urdf"
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """A folder with one robot in every form, to write into."""
@@ -134,6 +137,18 @@ def test_another_robot_as_the_nominal_one_is_doubted(call, folder, tmp_path):
     assert "check that both are one robot, between the same links." in said(done.out)
     done = call(folder, "convert", "corrected.urdf", "--robot", "ur3", *chain, tmp_path / "p.csv")
     assert "check" not in done.out
+
+
+def test_a_xacro_becomes_a_urdf(call, folder, tmp_path):
+    xacro = URDFS / "ur3_from_origins.urdf.xacro"
+    done = call(folder, "convert", str(xacro), "-o", tmp_path / "flat.urdf")
+    assert (done.code, done.err) == (0, "")
+    q = np.random.default_rng(1).uniform(-2, 2, (5, 6))
+    flat, wanted = (
+        Robot.load(path, "base", "tool0").poses(q)
+        for path in (tmp_path / "flat.urdf", URDFS / "ur3_calibrated.urdf")
+    )
+    np.testing.assert_allclose(flat, wanted, rtol=0, atol=1e-9)
 
 
 def test_a_held_joint(call, folder, tmp_path):

@@ -325,6 +325,14 @@ def test_the_urdf_of_a_result(shop, tmp_path):
     assert read_source(str(result), Asked()).nominal.urdf.data == nominal.nominal.urdf.data
 
 
+def test_the_urdf_that_comes_with_calib_is_at_hand(shop, tmp_path):
+    table = json.loads((shop / "result.json").read_text())
+    table["inputs"]["urdf"]["name"] = "ur3.urdf"
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(table))
+    assert read_source(str(path), Asked()).nominal.urdf.data == Path(URDF).read_bytes()
+
+
 def test_a_result_that_names_no_urdf(shop, tmp_path):
     table = json.loads((shop / "result.json").read_text())
     table["inputs"] = []
