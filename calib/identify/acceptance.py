@@ -166,7 +166,7 @@ def acceptance(
         )
         raise MeasurementError(message)
     fine = np.ones(len(found.poses), dtype=bool)
-    checks = []
+    checks: list[Check | None] = []
     for limit, sure, is_angle in (
         (tolerance, uncertainty, False),
         (tolerance_angle, uncertainty_angle, True),
@@ -187,7 +187,8 @@ def acceptance(
                 seen=found.seen,
             )
         )
-    return Acceptance(found, criterion, *checks, within=int(np.sum(fine)))
+    length, angle = checks
+    return Acceptance(found, criterion, length, angle, int(np.sum(fine)))
 
 
 def size_of(pose: PoseAccuracy, criterion: str, *, angle: bool) -> float:

@@ -139,19 +139,19 @@ class Accuracy:
     def rp(self) -> Array:
         """RP of the poses that were repeated often enough, [m]."""
         values = np.array([pose.rp for pose in self.poses])
-        return values[np.isfinite(values)]
+        return _finite(values)
 
     @property
     def ap_angle(self) -> Array:
         """AP of the orientation of each pose that has one, [rad]."""
         values = np.array([pose.ap_angle for pose in self.poses])
-        return values[np.isfinite(values)]
+        return _finite(values)
 
     @property
     def rp_angle(self) -> Array:
         """Largest of RP_a, RP_b and RP_c of the poses that were repeated often enough, [rad]."""
         values = np.array([np.max(pose.rp_abc) for pose in self.poses])
-        return values[np.isfinite(values)]
+        return _finite(values)
 
     @property
     def single(self) -> Array:
@@ -162,7 +162,7 @@ class Accuracy:
     def single_angle(self) -> Array:
         """The same of the orientations that there are, [rad]."""
         values = np.array([pose.single_angle for pose in self.poses])
-        return values[np.isfinite(values)]
+        return _finite(values)
 
     @property
     def repeats(self) -> tuple[int, int]:
@@ -217,6 +217,11 @@ def accuracy(evaluation: Evaluation, *, seen: bool = False) -> Accuracy:
     )
 
 
+def _finite(values: Array) -> Array:
+    """Those that there are."""
+    return np.asarray(values[np.isfinite(values)])
+
+
 def _unknowns(setup: Setup) -> int:
     """How many unknowns of frames and targets were not given."""
     targets = setup.target_unknown & ~setup.target_given
@@ -233,7 +238,7 @@ def _numbers(rows: Rows, chosen: Mask) -> int:
 
 def _in_base(residual: Array, rows: Rows, setup: Setup) -> Array:
     """Residuals with three components turned from their set-up's frame into the base's axes; others as they are."""
-    result = residual.copy()
+    result: Array = residual.copy()
     R = setup.T_frame_base[rows.samples.frame, :3, :3]
     for part in (slice(0, 3), slice(3, 6)):
         if residual.shape[1] < part.stop:
