@@ -10,7 +10,6 @@ import pytest
 from calib.model.robot import Robot
 from tests.compensate.forms import write_forms
 
-
 URDFS = Path(__file__).parents[2] / "urdf"
 
 
