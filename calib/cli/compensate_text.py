@@ -152,7 +152,7 @@ def _errors(found: Commands, *, poses: bool, spread: bool) -> str:
     """How far the robot would have missed, what is left, and how far the poses are moved."""
     rows = found.reached
     angles = bool(np.isfinite(found.missed[rows, 1]).any())
-    head = f"{'By the result, over ' + counted(int(rows.sum()), 'row') + ' with commands':<58}"
+    head = f"{'By the calibrated model, over ' + counted(int(rows.sum()), 'row') + ' with commands':<58}"
     lines = [
         head
         + f"{'max mm':>10}{'mean mm':>10}"

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib.compensate.commands import Commands, commands
@@ -106,6 +109,33 @@ def test_every_form_of_an_orientation_is_read_back(
     # What is sent is where the nominal robot is at the joint values of the same row.
     assert np.abs(ur3.poses(program.q) - program.T_wanted).max() < 1e-9
     assert program.kept == tuple((label, cells[:3]) for label, cells in made.program.kept)
+
+
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    turn=st.sampled_from([0.0, 1e-9, 1.0, np.pi - 1e-9, np.pi]),
+    pitch=st.sampled_from([0.0, np.pi / 2, np.pi / 2 - 1e-7, -np.pi / 2]),
+    yaw=st.floats(-4.0, 4.0),
+)
+def test_rotations_by_half_a_turn_and_at_the_pole_are_read_back(
+    made: Commands, tmp_path: Path, ur3: Robot, turn: float, pitch: float, yaw: float
+):
+    R = (
+        Rotation.from_euler("ZYX", [yaw, pitch, 0.0]) * Rotation.from_rotvec([turn, 0.0, 0.0])
+    ).as_matrix()
+    T = made.T_send.copy()
+    T[:, :3, :3] = R
+    for form in ("rotation-vector", "quaternion", "rpy"):
+        path = replace(made, T_send=T, reasons=("",) * 4).write(
+            tmp_path / "c.csv", send="poses", orientation=form, overwrite=True
+        )
+        lines = path.read_text(encoding="utf-8").splitlines()
+        path.write_text("\n".join(lines[:4]), encoding="utf-8")
+        program = Program.read(path, ur3, given="poses")
+        assert program.T_wanted is not None
+        assert np.abs(program.T_wanted[:, :3, :3] - R).max() < 1e-10
 
 
 @pytest.mark.parametrize(
