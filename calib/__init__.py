@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from calib.compensate.commands import Commands, commands
     from calib.compensate.program import Program
     from calib.errors import CalibError
+    from calib.identify.acceptance import Acceptance, acceptance
     from calib.identify.calibration import Calibration, calibrate
     from calib.identify.comparison import Comparison, compare
     from calib.identify.evaluation import Evaluation, evaluate
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0.dev0"
 
 __all__ = [
+    "Acceptance",
     "Box",
     "CalibError",
     "Calibration",
@@ -65,6 +67,7 @@ __all__ = [
     "Tracker",
     "TrackerNoise",
     "Trials",
+    "acceptance",
     "bootstrap",
     "calibrate",
     "commands",
@@ -82,6 +85,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "Acceptance": "calib.identify.acceptance",
     "Box": "calib.measure.surroundings",
     "CalibError": "calib.errors",
     "Calibration": "calib.identify.calibration",
@@ -106,6 +110,7 @@ _MODULES = {
     "Tracker": "calib.measure.surroundings",
     "TrackerNoise": "calib.measure.noise",
     "Trials": "calib.identify.study",
+    "acceptance": "calib.identify.acceptance",
     "bootstrap": "calib.identify.uncertainty",
     "calibrate": "calib.identify.calibration",
     "commands": "calib.compensate.commands",

@@ -18,6 +18,7 @@ CALIB = Path(calib.__file__).parent
 
 #: A name that leaves this list breaks programs that use it.
 NAMES = [
+    "Acceptance",
     "Box",
     "CalibError",
     "Calibration",
@@ -42,6 +43,7 @@ NAMES = [
     "Tracker",
     "TrackerNoise",
     "Trials",
+    "acceptance",
     "bootstrap",
     "calibrate",
     "commands",
