@@ -18,6 +18,9 @@ _DOWN = np.deg2rad(16.0)
 #: The part of the picture's half width for the scene.
 _WIDTH = 0.95
 
+#: Of more points than this only the outermost are looked at.
+_MANY = 200
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
@@ -72,6 +75,7 @@ def look_at(points: Array, back: Array, between: tuple[float, float] = (-0.69, 0
     towards = np.cos(_DOWN) * back + np.sin(_DOWN) * np.array([0.0, 0.0, 1.0])
     right = np.array([-back[1], back[0], 0.0])
     axes = np.stack([right, np.cross(towards, right), towards])
+    points = _outermost(points)
     seen = points @ axes.T
     half = np.tan(0.5 * np.deg2rad(_FOV_DEG)) * np.array([16.0 / 9.0, 1.0])
     centre = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
@@ -88,3 +92,16 @@ def look_at(points: Array, back: Array, between: tuple[float, float] = (-0.69, 0
     target = centre @ axes
     radius = float(np.linalg.norm(points - target, axis=1).max())
     return Camera(target, axes, distance, radius)
+
+
+def _outermost(points: Array) -> Array:
+    """The corners of the points' convex hull, which all others lie between, seen from anywhere."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(points) < _MANY:
+        return points
+    try:
+        corners: Array = points[ConvexHull(points).vertices]
+    except QhullError:  # all in one plane
+        return points
+    return corners

@@ -7,10 +7,16 @@ from calib.show.camera import look_at, row_direction
 
 
 @settings(max_examples=50, deadline=None)
-@given(seed=st.integers(0, 1000), size=st.floats(0.01, 100.0), angle=st.floats(0, 7))
-def test_all_points_are_in_view_and_fill_it(seed, size, angle):
+@given(
+    seed=st.integers(0, 1000),
+    size=st.floats(0.01, 100.0),
+    angle=st.floats(0, 7),
+    count=st.sampled_from([50, 500]),
+    high=st.sampled_from([1.0, 0.0]),
+)
+def test_all_points_are_in_view_and_fill_it(seed, size, angle, count, high):
     rng = np.random.default_rng(seed)
-    points = size * (rng.normal(size=(50, 3)) * [2, 1, 1] + rng.normal(size=3) * 10)
+    points = size * (rng.normal(size=(count, 3)) * [2, 1, high] + rng.normal(size=3) * 10)
     camera = look_at(points, np.array([np.cos(angle), np.sin(angle), 0.0]))
     local = (points - camera.centre) @ camera.axes.T
     depth = camera.distance - local[:, 2]
