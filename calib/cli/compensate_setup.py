@@ -42,7 +42,7 @@ class Truth:
     @property
     def frame_estimated(self) -> bool:
         """Whether the frame of the result's points was estimated with the robot."""
-        return self.table is not None and bool(self.table["frames"]["frame_estimated"])
+        return self.table is not None and bool(self.table["frames"].get("frame_estimated"))
 
     @property
     def result(self) -> StoredResult | None:

@@ -25,6 +25,7 @@ _ELSEWHERE = 1e-7
 _ROWS = 5
 
 _UNKNOWN = "The result was not validated (calib fit --no-validate): how far it can be relied on is not known."
+_OLDER = "The file does not say how far it can be relied on; an older calib wrote it. Fit again, and it does."
 _WORSE = "Commands made with this result may be worse than none. Calibrate anew before they go to the robot."
 
 
@@ -77,7 +78,7 @@ def _expected(found: Commands, truth: Truth, *, larger: bool) -> str:
         )
     sure, used = found.certainty, f"  of {truth.name}, {_model(truth.table, larger=larger)}."
     if sure is None or not sure.use:
-        return "Verdict: none\n" + used + "\n" + fill(_UNKNOWN, "  ")
+        return "\n".join(["Verdict: none", used, fill(_OLDER if sure is None else _UNKNOWN, "  ")])
     lines = [f"Verdict: {sure.use}", used]
     if sure.use != "use":
         lines += [fill(reason, "  ") for reason in sure.reasons]
@@ -103,7 +104,7 @@ def _model(table: dict[str, Any], *, larger: bool) -> str:
     """Which of the result's models was used."""
     if larger:
         return f"its larger model '{table['larger']['set']}'"
-    if table["larger"] is not None:
+    if table.get("larger") is not None:
         return "its joint origins, without the larger model that it has"
     return "its joint origins"
 
@@ -112,11 +113,11 @@ def _unseen(table: dict[str, Any], *, larger: bool) -> list[tuple[str, tuple[flo
     """Largest, mean and rms error on validation rows and on left-out rows, [m], where there are any."""
     errors = table["errors"]
     model = "larger" if larger else "calibrated"
-    crossed = table["larger"]["cross_validation"] if larger else table["cross_validation"]
+    crossed = (table["larger"] if larger else table).get("cross_validation") or {}
     found = [
-        ("validation rows, with the nominal robot", errors["nominal"]["validation"]),
+        ("validation rows, with the nominal robot", errors.get("nominal", {}).get("validation")),
         ("validation rows", errors.get(model, {}).get("validation")),
-        ("left-out rows", None if crossed is None else crossed["without_outliers"]),
+        ("left-out rows", crossed.get("without_outliers")),
     ]
     return [
         (label, (one["max_m"], one["mean_m"], one["rms_m"]))

@@ -434,6 +434,16 @@ def test_the_verdict_of_the_result_comes_first(call, folder: Path, verdict: obje
     assert said(call(folder, "compensate", "robot.urdf", "program.csv", *RESULT)).startswith(wanted)
 
 
+def test_a_result_of_an_older_calib(call, folder: Path):
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    del result["robot"]["ranges"], result["frames"]["frame_estimated"]
+    (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT)
+    assert (done.code, done.err) == (0, "")
+    assert "Verdict: none of result.json" in said(done)
+    assert "an older calib wrote it. Fit again, and it does. Program: 2 rows" in said(done)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
