@@ -162,8 +162,10 @@ def test_dh_rows(source, name, tmp_path):
     assert [row["d_m"] for row in table["after"]["rows"]] == [row.d for row in wanted]
 
 
-def test_what_a_file_of_universal_robots_has_no_place_for_is_said(shop, tmp_path):
-    found = read_source(str(shop / "result.json"), Asked())
+@pytest.mark.parametrize("base", ["base", "base_link"])
+def test_what_a_file_of_universal_robots_has_no_place_for_is_said(shop, tmp_path, base):
+    # Seen from base_link, which is turned by half a turn, a displacement of the arm's base is another one.
+    found = read_source(str(shop / "robot.urdf"), Asked(base=base, tip="tool0"))
     placements = found.robot.placements.copy()
     placements[0, :3, :3] = placements[0, :3, :3] @ Rotation.from_euler("x", 1e-3).as_matrix()
     placements[-1, :3, 3] += [1e-4, 2e-4, 0]

@@ -174,6 +174,7 @@ def test_far_common_normals_are_named_and_hold(ur3, tmp_path):
     tables = dh_tables(moved(ur3, 2e-5), ur3, "standard")
     (remark,) = tables.remarks
     assert "'shoulder_lift_joint' and 'elbow_joint' (0.00" in remark
+    assert "large, here up to" in remark
     assert "Enter every digit" in remark
     assert f"# {remark}\n" in write_dh(tables, tmp_path / "dh.csv").read_text()
     assert dh_tables(moved(ur3, 2e-5), ur3, "hayati").remarks == ()

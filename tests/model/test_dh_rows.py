@@ -179,6 +179,61 @@ def test_hayati_s_rows_stay_of_one_kind_at_the_limit(serial_urdf, nominal_deg):
     assert_same_poses(dh_rows(corrected, "hayati", like=nominal), corrected)
 
 
+@pytest.mark.parametrize(
+    ("convention", "turn", "key", "row"),
+    [(convention, np.pi / 2, "theta", -1) for convention in CONVENTIONS]
+    + [("hayati", np.pi, "alpha", 0)],
+)
+def test_no_angle_jumps_by_a_turn(serial_urdf, convention, turn, key, row):
+    # Half a turn nominally: a little more would be said as -179.9 deg.
+    urdf = serial_urdf(
+        [
+            ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1)),
+            ("revolute", (0.3, 0, 0), (turn, 0, 0), (0, 0, 1)),
+        ],
+        tip=((0, 0, 0.1), (0, 0, np.pi)),
+    )
+    robot = Robot.from_urdf(urdf)
+    assert column(dh_rows(robot, convention), key)[row] == pytest.approx(np.pi)
+    found = [
+        column(dh_rows(displaced(robot, seed), convention, like=robot), key)[row]
+        for seed in range(6)
+    ]
+    assert min(found) < np.pi < max(found)
+    np.testing.assert_allclose(found, np.pi, atol=0.05)
+
+
+def test_a_parallel_axis_beside_the_last_x_keeps_its_side(serial_urdf):
+    # The offset to the next axis lies across x, so that either sign of x is as near.
+    robot = Robot.from_urdf(
+        serial_urdf(
+            [
+                ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1)),
+                ("revolute", (0, 0.3, 0), (0, 0, 0), (0, 0, 1)),
+                ("revolute", (0.2, 0, 0), (np.pi / 2, 0, 0), (0, 0, 1)),
+            ]
+        )
+    )
+    before = dh_rows(robot, "hayati")
+    for seed in range(6):
+        after = dh_rows(displaced(robot, seed), "hayati", like=robot)
+        for key in KEYS:
+            change = np.subtract(column(after, key), column(before, key))
+            assert np.abs(change).max() < 0.05, key
+
+
+def test_a_tip_a_little_beside_the_last_axis_has_no_direction_of_its_own(ur3):
+    placements = ur3.placements.copy()
+    placements[-1, :3, 3] += [1e-4, 2e-4, 3e-4]
+    corrected = ur3.with_placements(placements)
+    for convention in ("standard", "modified"):
+        rows = dh_rows(corrected, convention)
+        assert abs(rows.rows[-1].theta) < 1e-6
+        assert_same_poses(rows, corrected)
+    placements[-1, :3, 3] *= 100.0
+    assert abs(dh_rows(ur3.with_placements(placements)).rows[-1].theta) > 0.1
+
+
 def test_a_first_axis_along_base_x_keeps_frame_0(serial_urdf):
     robot = Robot.from_urdf(
         serial_urdf(
