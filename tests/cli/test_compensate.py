@@ -349,6 +349,9 @@ def test_the_larger_model_and_what_the_tip_carries(call, large: Path, tmp_path: 
     assert "Verdict: none of result.json, its larger model 'dh+compliance'." in said(
         call(large, *words)
     )
+    stronger = "Errors that grow with a joint's value or load, as those of the larger model in use"
+    assert stronger in said(call(large, *words))
+    assert stronger not in said(call(large, *words, "--geometry"))
     assert "its joint origins, without the larger model that it has." in said(
         call(large, *words, "--geometry")
     )
