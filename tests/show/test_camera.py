@@ -12,11 +12,10 @@ from calib.show.camera import look_at, row_direction
     size=st.floats(0.01, 100.0),
     angle=st.floats(0, 7),
     count=st.sampled_from([50, 500]),
-    high=st.sampled_from([1.0, 0.0]),
 )
-def test_all_points_are_in_view_and_fill_it(seed, size, angle, count, high):
+def test_all_points_are_in_view_and_fill_it(seed, size, angle, count):
     rng = np.random.default_rng(seed)
-    points = size * (rng.normal(size=(count, 3)) * [2, 1, high] + rng.normal(size=3) * 10)
+    points = size * (rng.normal(size=(count, 3)) * [2, 1, 1] + rng.normal(size=3) * 10)
     camera = look_at(points, np.array([np.cos(angle), np.sin(angle), 0.0]))
     local = (points - camera.centre) @ camera.axes.T
     depth = camera.distance - local[:, 2]
@@ -31,6 +30,17 @@ def test_all_points_are_in_view_and_fill_it(seed, size, angle, count, high):
     np.testing.assert_allclose(camera.axes @ camera.axes.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(camera.axes) == pytest.approx(1.0)
     assert (np.linalg.norm(points - camera.centre, axis=1) <= camera.radius * (1 + 1e-9)).all()
+
+
+def test_many_points_in_one_plane_are_seen_as_the_few_at_its_corners():
+    grid = np.stack(np.meshgrid(np.linspace(-1, 1, 21), np.linspace(0, 1, 21), [0.5]), axis=-1)
+    points = grid.reshape(-1, 3)
+    corners = points[(np.abs(points[:, 0]) == 1) & np.isin(points[:, 1], [0, 1])]
+    back = np.array([0.6, 0.8, 0.0])
+    many, few = look_at(points, back), look_at(corners, back)
+    np.testing.assert_allclose(many.centre, few.centre, rtol=0, atol=1e-12)
+    assert many.distance == pytest.approx(few.distance, rel=1e-12)
+    assert many.radius == pytest.approx(few.radius, rel=1e-12)
 
 
 @pytest.mark.parametrize("points", [[[0, 0, 0], [1, 0, 1], [2, 0, 0]], [[0, 0, 0], [0, 0, 1]]])
