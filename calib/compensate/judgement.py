@@ -85,8 +85,13 @@ def judged(
     moved = _corrections(pair, starts, solved)
     by_pose = _by_pose(left_by_pose, ~_within(left_by_pose - left, accept))
     outside = _outside(pair, solved.q)
+    where = "at the edge of its reach or in a singularity"
+    if len(robot.joint_names) < matching.rows:
+        where = (
+            f"for it has {len(robot.joint_names)} joints and cannot match {matching.rows} numbers"
+        )
     reasons = tuple(
-        _reason(one, passed, far=bool(f), turned=bool(t))
+        _reason(one, passed, where, far=bool(f), turned=bool(t))
         for one, passed, f, t in zip(left, limits, far, turned, strict=True)
     )
     warnings = tuple(
@@ -188,11 +193,10 @@ def _outside(pair: Pair, q: Array) -> list[tuple[str, ...]]:
     return said
 
 
-def _reason(left: Array, limit_passed: str, *, far: bool, turned: bool) -> str:
+def _reason(left: Array, limit_passed: str, where: str, *, far: bool, turned: bool) -> str:
     """Why there is no command; nothing if there is one."""
     if far:
         angle = "" if np.isnan(left[1]) else f" and {np.degrees(left[1]):.4f} deg"
-        where = "at the edge of its reach or in a singularity"
         return (
             f"the true robot cannot reach it: {1e3 * left[0]:.4f} mm{angle} would be left, {where}"
         )

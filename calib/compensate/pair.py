@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 
 _NO_ROTATION = 1e-6
 
+#: Origins of one robot differ by rounding [m; rotation matrices: 1].
+_SAME = 1e-9
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
@@ -32,14 +35,18 @@ class Pair:
         true: The calibrated model, with the tool where it is.
         T_frame_base: shape (4, 4), the base in the frame that poses are given and sent in [m].
         target: Name of the target that the tool is; None where it is none.
+        set_up: Name of the set-up whose frame it is; None where it is none.
         certainty: How far to trust the result; None where nothing is known of that.
+        began: The robot that the result began with; None where there is no result.
     """
 
     believed: Arm
     true: Arm
     T_frame_base: Array
     target: str | None = None
+    set_up: str | None = None
     certainty: Certainty | None = None
+    began: Robot | None = None
 
     @classmethod
     def of(
@@ -113,8 +120,9 @@ class Pair:
         *,
         larger: bool,
     ) -> Pair:
-        """Of a result; the robot may be the nominal or the corrected one."""
-        believed = stored.nominal(nominal)
+        """Of a result; the robot is the controller's. The corrected one stands for the one that the result began with."""
+        began = stored.nominal(nominal)
+        believed = began if _same_origins(nominal, stored.corrected(nominal)) else nominal
         model = stored.larger if larger else None
         known = stored.known if model is None else model.known
         T_true = T_believed = np.eye(4)
@@ -127,21 +135,25 @@ class Pair:
         elif tool is not None:
             T_true = T_believed = _pose(tool, "tool")
         T_frame_base = np.eye(4)
+        set_up = None
         if isinstance(frame, str):
-            T_frame_base = known.frames[_name(known.frames, frame, "set-up")]
+            set_up = _name(known.frames, frame, "set-up")
+            T_frame_base = known.frames[set_up]
         elif frame is not None:
             T_frame_base = _pose(frame, "frame")
         true = (
             Arm.of_robot(stored.corrected(nominal), T_true)
             if model is None
-            else Arm.of_larger(model, believed, T_true, payload)
+            else Arm.of_larger(model, began, T_true, payload)
         )
         return cls(
             Arm.of_robot(believed, T_believed),
             true,
             read_only(T_frame_base),
             target=target,
+            set_up=set_up,
             certainty=stored.certainty,
+            began=began,
         )
 
     def std(self, q: Array) -> Array:
@@ -150,11 +162,17 @@ class Pair:
         Args:
             q: shape (N, m), joint values [rad] or [m].
         """
-        if self.certainty is None:
+        if self.certainty is None or self.began is None:
             return np.full((len(q), 2), np.nan)
         return self.certainty.pose_std(
-            self.believed.robot, q, self.true.T_tip_tool, target=self.target
+            self.began, q, self.true.T_tip_tool, target=self.target, set_up=self.set_up
         )
+
+
+def _same_origins(a: Robot, b: Robot) -> bool:
+    """Whether the joints of two chains have the same origins, up to rounding."""
+    others = b.origins()
+    return all(np.abs(T - others[name]).max() <= _SAME for name, T in a.origins().items())
 
 
 def _name(poses: Mapping[str, Array], name: str, what: str) -> str:

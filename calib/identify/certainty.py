@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from calib.identify.coverage import OutsideRow, outside
 from calib.identify.setup import turned_at
-from calib.model.error_model import error_model, placed_name
+from calib.model.error_model import DIRECTIONS, error_model, placed_name
 from calib.model.kinematics import Kinematics
-from calib.model.parameters import TARGET, target_place
+from calib.model.parameters import FRAME, TARGET, target_place
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
@@ -78,7 +78,12 @@ class Certainty:
     covariance: Array = field(repr=False)
 
     def pose_std(
-        self, nominal: Robot, q: Array, T_tip_tool: Array, target: str | None = None
+        self,
+        nominal: Robot,
+        q: Array,
+        T_tip_tool: Array,
+        target: str | None = None,
+        set_up: str | None = None,
     ) -> Array:
         """How sure it is where the calibrated robot puts a tool, as far as its covariance knows.
 
@@ -87,6 +92,8 @@ class Certainty:
             q: shape (N, m), joint values [rad] or [m].
             T_tip_tool: shape (4, 4), the tool in the tip [m]; known exactly, unless it is a target.
             target: Name of the target that the tool is; its estimate is then part of what is not sure.
+            set_up: Name of the set-up in whose frame the pose is asked for; where it stands is part of it, too. None:
+                in the base.
 
         Returns:
             shape (N, 2), standard deviations: of the position [m], of the angle [rad].
@@ -99,6 +106,7 @@ class Certainty:
         model = error_model(
             nominal,
             self.model,
+            frame=False if set_up is None else self._frame(set_up),
             target=target is not None,
             targets=(named,),
             rotation=placed_name("target", "rx", named) in self.names,
@@ -110,12 +118,20 @@ class Certainty:
         model = model.without([name for name in model.names if name not in self.names])
         chosen = [self.names.index(name) for name in model.names]
         kinematics = Kinematics(nominal, model, np.eye(4), T_tip_tool)
-        # The tool stands where the target was found already.
-        x = np.where(model.family(TARGET), 0.0, self.x[chosen])
+        # The tool stands where the target was found already; where the frame stands is no matter to a distance.
+        x = np.where(model.family(TARGET, FRAME), 0.0, self.x[chosen])
         _, twists = kinematics.twists(x, q)
         covariance = self.covariance[np.ix_(chosen, chosen)]
         variance = np.einsum("nij,jk,nik->ni", twists, covariance, twists)
         return read_only(np.sqrt(variance.reshape(-1, 2, 3).sum(axis=2)))
+
+    def _frame(self, set_up: str) -> dict[str, tuple[str, ...]]:
+        """The directions of a set-up's frame that were estimated, under the name that its parameters have."""
+        named = (
+            set_up if any(placed_name("frame", d, set_up) in self.names for d in DIRECTIONS) else ""
+        )
+        found = tuple(d for d in DIRECTIONS if placed_name("frame", d, named) in self.names)
+        return {named: found}
 
     def outside(self, robot: Robot, q: Array) -> tuple[OutsideRow, ...]:
         """Joint values outside of the range that the fit has seen, where errors may be larger than expected.

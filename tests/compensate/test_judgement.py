@@ -6,9 +6,11 @@ import pytest
 from calib.compensate.arm import Arm
 from calib.compensate.commands import commands
 from calib.compensate.program import Program
+from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 from tests.compensate.arms import off, stored
+from tests.show.calibrations import made
 
 #: Well inside the workspace, far from singularities [rad].
 GOOD = np.radians([-20.0, -80.0, 60.0, -70.0, -90.0, 10.0])
@@ -100,6 +102,15 @@ def test_a_sliding_joint_is_told_in_millimetres(serial_urdf):
     found = commands(off(robot), Program.of_points([0.1 + 3.01, 0.0, 0.5]), nominal=robot)
     assert "'j1' would have to be at 301" in found.reasons[0]
     assert "mm, beyond its limit 3000.0000; without" in found.reasons[0]
+
+
+def test_too_few_joints_are_told_so():
+    result = made("two_joints")
+    q = 0.5 * random_joint_values(result.nominal, 1)
+    found = commands(result, Program.of_joints(q), match="pose")
+    assert found.reasons[0].endswith(
+        "would be left, for it has 2 joints and cannot match 6 numbers"
+    )
 
 
 def test_near_a_singularity_is_said(ur3):

@@ -51,6 +51,15 @@ def test_with_the_larger_model_or_without():
     assert np.abs(light.true.poses(q) - Pair.of(found).true.poses(q)).max() > 1e-6
 
 
+def test_a_controller_may_have_a_third_model(ur3):
+    factory = off(ur3, seed=9)
+    q = random_joint_values(ur3, 3)
+    pair = Pair.of(stored("paper"), factory)
+    assert pair.believed.poses(q) == pytest.approx(factory.poses(q), abs=1e-12)
+    assert pair.true.poses(q) == pytest.approx(made("paper").robot.poses(q), abs=1e-12)
+    assert pair.std(q) == pytest.approx(Pair.of(stored("paper"), ur3).std(q))
+
+
 def test_of_two_robots(ur3):
     true = off(ur3)
     q = random_joint_values(ur3, 3)
