@@ -120,7 +120,7 @@ class Pair:
         *,
         larger: bool,
     ) -> Pair:
-        """Of a result; the robot is the controller's. The corrected one stands for the one that the result began with."""
+        """Of a result; the robot is the controller's. The corrected one stands for the one that it began with."""
         began = stored.nominal(nominal)
         believed = began if _same_origins(nominal, stored.corrected(nominal)) else nominal
         model = stored.larger if larger else None
