@@ -27,6 +27,7 @@ from calib.compensate.ur_dh import FullDH, at_flange, chain_poses, fitted_rows, 
 from calib.compensate.ur_findings import (
     FARTHEST,
     base_remark,
+    check_arm,
     checked_distance,
     distance_from,
     joint_values,
@@ -118,7 +119,9 @@ def read_ur_conf(
     arm = _arm(path, urcontrol, model, robot)
     nominal = ur_robot(arm) if robot is None else robot
     _, mounted = the_mount(nominal, arm)
-    rows = _rows(path, arm)
+    deltas = read_deltas(path)
+    rows = arm.nominal + deltas
+    check_arm(path, arm, lambda one: distance_from((one.nominal + deltas).chain(), one))
     moved = checked_distance(path, rows.chain(), arm)
     raw = mounted.placements_of(rows.chain(), nominal)
     placements = anchored_placements(raw, nominal.placements, nominal.joints)
@@ -156,6 +159,7 @@ def read_ur_yaml(
             f"{path} does not say of which arm it is; its kinematics are those of the {' or '.join(names)}.",
         )
     nominal = ur_robot(arm) if robot is None else robot
+    check_arm(path, arm, lambda one: distance_from(content.chain, one))
     moved = checked_distance(path, content.chain, arm)
     _, mounted = the_mount(nominal, arm)
     if content.hash is None:

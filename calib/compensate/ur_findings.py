@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,17 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.compensate.ur_dh import COLUMNS, ROUNDING, FullDH, chain_poses
-from calib.compensate.ur_models import TOLERANCE, Mount, UrModel
-from calib.errors import FileError
+from calib.compensate.ur_models import MODELS, TOLERANCE, Mount, UrModel
+from calib.errors import FileError, choices
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
 #: No calibration moves a flange further than the one [m], the file is of another type of arm; the other is odd.
 FARTHEST, ODD = 0.2, 0.02
+
+#: Beyond this it is worth looking whether the file fits another arm [m].
+SUSPECT = 0.01
 
 #: Sets of joint values that are compared, and the seed that they are drawn with: the same every time.
 _POSES, _SEED = 200, 20170401
@@ -56,6 +60,37 @@ def checked_distance(path: str | os.PathLike[str], chain: Array, arm: UrModel) -
         )
         raise FileError(message)
     return moved
+
+
+def check_arm(
+    path: str | os.PathLike[str], arm: UrModel, moved_by: Callable[[UrModel], float]
+) -> None:
+    """Refuse the calibration of an arm of another size.
+
+    The deltas of an arm move its own flange by some millimetres, and that of another one by centimetres: what nearly
+    parallel axes 2 and 3 do to each other cancels for the right length of the upper arm only.
+
+    Args:
+        path: The file.
+        arm: The arm that it is said to be of.
+        moved_by: How far the file moves the flange of an arm [m].
+
+    Raises:
+        FileError: It fits another arm.
+    """
+    moved = moved_by(arm)
+    if moved <= SUSPECT:
+        return
+    by_arm = {one: moved_by(one) for one in MODELS}
+    nearest = min(by_arm.values())
+    if 3.0 * nearest < moved:
+        names = [one.name for one, distance in by_arm.items() if distance <= 1.5 * nearest]
+        message = (
+            f"{path}: this calibration moves the flange of a {arm.name} by up to {1e3 * moved:.0f} mm, and that of "
+            f"{choices(names)} by {1e3 * nearest:.1f} mm only. A calibration moves it by millimetres: the file is of "
+            "another arm. Name the right one with --ur-model, or give its URDF."
+        )
+        raise FileError(message)
 
 
 def odd(path: str | os.PathLike[str], moved: float, arm: UrModel) -> tuple[str, ...]:

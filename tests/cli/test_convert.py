@@ -123,11 +123,12 @@ def test_an_absolute_path_in_the_launch_command(call, folder, tmp_path):
     assert done.lines[-1] == f"    kinematics_params_file:='{path}'"
 
 
-def test_a_file_of_another_arm_is_doubted(call, folder, tmp_path):
+def test_a_file_of_another_arm_is_refused(call, folder, tmp_path):
     words = ("calibration.conf", "--ur-model", "UR5", "-o", tmp_path / "o.urdf")
-    assert "more than calibrations do: check that it is of" in said(
-        call(folder, "convert", *words).out
-    )
+    done = call(folder, "convert", *words)
+    assert done.code == 1
+    assert "moves the flange of a UR5 by up to 36 mm, and that of 'UR3', 'UR3e' by 3" in done.err
+    assert not (tmp_path / "o.urdf").exists()
 
 
 def test_another_robot_as_the_nominal_one_is_doubted(call, folder, tmp_path):

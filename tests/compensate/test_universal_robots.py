@@ -331,16 +331,30 @@ def test_a_conf_alone_is_not_enough(conf_of):
 
 def test_a_conf_of_another_arm(conf_of, tmp_path):
     conf = conf_of(case_of("ur10e"))
-    with pytest.raises(FileError, match=r"up to 0\.\d\d m from where that of a nominal UR3 is"):
+    said = r"flange of a UR3 by up to \d{3} mm, and that of 'UR10', 'UR10e', 'UR12e' by 3\.\d mm only"
+    with pytest.raises(FileError, match=said):
         read_ur_conf(conf, model="UR3")
     with pytest.raises(FileError, match="Check that the file is of a UR3, in metres"):
         read_ur_hash(conf, model="UR3")
     robot = ur_robot("UR10e")
     path = write_ur_yaml(robot, robot, tmp_path / "k.yaml", hash=HASH).path
-    with pytest.raises(FileError, match="from where that of a nominal UR5 is"):
+    with pytest.raises(FileError, match=r"of a UR5 by up to .* of 'UR10e', 'UR12e' by 0.0 mm only"):
         read_ur_yaml(path, model="UR5")
-    with pytest.raises(FileError, match="from where that of a nominal UR3 is"):
+    with pytest.raises(FileError, match="Name the right one with --ur-model, or give its URDF"):
         read_ur_yaml(path, robot=ur_robot("UR3"))
+
+
+@pytest.mark.parametrize("model", ["UR5", "UR10", "UR16e", "UR20"])
+def test_a_conf_of_an_arm_of_another_size(conf_of, model):
+    # Centimetres, no more: nearly parallel axes cancel for the right upper arm only.
+    with pytest.raises(FileError, match="and that of 'UR3', 'UR3e' by 3"):
+        read_ur_conf(conf_of(case_of("ur3_a")), model=model)
+
+
+def test_a_file_that_is_of_no_arm(tmp_path):
+    deltas = FullDH([0.5, 0, 0, 0, 0, 0], [0] * 6, [0] * 6, [0] * 6)
+    with pytest.raises(FileError, match=r"up to 0\.\d\d m from where that of a nominal UR3 is"):
+        read_ur_conf(write_deltas(tmp_path / "c.conf", deltas), model="UR3")
 
 
 def test_a_calibration_that_moves_the_arm_far_is_said(tmp_path):
