@@ -354,5 +354,7 @@ def _arm(nominal: Robot, asked: Asked) -> UrModel | None:
     """
     if asked.ur_model is not None:
         return the_mount(nominal, ur_model(asked.ur_model))[0]
-    found = recognised(nominal)
-    return found[0] if found else None
+    try:
+        return the_mount(nominal)[0]
+    except ModelError:  # of another maker
+        return None

@@ -331,7 +331,9 @@ def test_a_conf_alone_is_not_enough(conf_of):
 
 def test_a_conf_of_another_arm(conf_of, tmp_path):
     conf = conf_of(case_of("ur10e"))
-    said = r"flange of a UR3 by up to \d{3} mm, and that of 'UR10', 'UR10e', 'UR12e' by 3\.\d mm only"
+    said = (
+        r"flange of a UR3 by up to \d{3} mm, and that of 'UR10', 'UR10e', 'UR12e' by 3\.\d mm only"
+    )
     with pytest.raises(FileError, match=said):
         read_ur_conf(conf, model="UR3")
     with pytest.raises(FileError, match="Check that the file is of a UR3, in metres"):
