@@ -52,7 +52,7 @@ class Commands:
         T_frame_base: shape (4, 4), the base in the frame that poses are given and sent in [m].
         T_tip_tool: shape (4, 4), the tool in the true robot's tip [m].
         T_tip_tool_nominal: shape (4, 4), the tool that the controller is to be set to [m]; another one only if the tool
-            is a target that the calibration found elsewhere.
+            is a target that the calibration found elsewhere than was said.
         T_wanted: shape (N, 4, 4), pose of the tool that is wanted, in that frame [m]; where only its position was
             given, oriented as the nominal robot's is.
         q_nominal: shape (N, m), joint values that the nominal model has for it [rad] or [m].

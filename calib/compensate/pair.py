@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from calib.compensate.arm import Arm
 from calib.errors import ModelError, choices
 from calib.identify.certainty import Certainty
-from calib.identify.evaluation import Known
 from calib.identify.result import Calibration
 from calib.identify.result_file import plain, result_table, stored_result
 from calib.identify.stored import StoredResult
@@ -129,9 +128,10 @@ class Pair:
         target = None
         if isinstance(tool, str):
             target = _name(known.targets, tool, "target")
-            of_nominal: Known = stored.nominal_known or known
-            T_true = known.targets[target]
-            T_believed = of_nominal.targets.get(target, T_true)
+            T_true = T_believed = known.targets[target]
+            if target in stored.targets_given and stored.nominal_known is not None:
+                # Where it was said to be, and so where the controller has it. One that was found has no such place.
+                T_believed = stored.nominal_known.targets.get(target, T_true)
         elif tool is not None:
             T_true = T_believed = _pose(tool, "tool")
         T_frame_base = np.eye(4)

@@ -121,6 +121,7 @@ def _stored(table: Mapping[str, Any]) -> StoredResult:
         nominal_origins=_origins(robot["nominal_origins"]),
         larger=None if larger is None else _larger(larger, table["model"]["ties"]),
         certainty=_certainty(table),
+        targets_given=frozenset(map(_text, frames.get("targets_given", []))),
     )
 
 

@@ -62,6 +62,13 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
             if c.fitted.task.setup.target_given[0]
             else None,
             "target_estimated": c.cell.estimate_target,
+            "targets_given": [
+                name
+                for name, given in zip(
+                    c.setup.targets, c.fitted.task.setup.target_given, strict=True
+                )
+                if given
+            ],
             **_places(c, c.setup),
             "nominal": _places(c, c.nominal_setup),
         },

@@ -99,6 +99,7 @@ class StoredResult:
         nominal_origins: The same of the nominal robot.
         larger: The larger model; None where there is none.
         certainty: How far to trust it; None in a file that does not say.
+        targets_given: Targets whose place was stated before the fit; empty in a file that does not say.
     """
 
     base: str
@@ -110,6 +111,7 @@ class StoredResult:
     nominal_origins: Mapping[str, Array]
     larger: StoredLarger | None
     certainty: Certainty | None = None
+    targets_given: frozenset[str] = frozenset()
 
     @property
     def T_frame_base(self) -> Array:
