@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,12 @@ from calib.model.torques import Payload
 __all__ = ["MATCHES", "Commands", "commands"]
 
 Array = NDArray[np.float64]
+
+#: A pose that the nominal robot misses by more is matched in part [m].
+_LOST = 1e-6
+
+#: Less than this is rounding [m], [rad].
+_EXACT = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +168,8 @@ def commands(
         start: Joint values by name [rad] or [m], which the first of a program of poses alone starts near; joints that
             are not named start at the middle of their limits.
         limit: Corrections of the pose larger than this are warned of: position [m], angle [rad].
-        accept: What may be left of the error: position [m], angle [rad]. Not for ``"weighted"``.
+        accept: What may be left of the error: position [m], angle [rad]; no less than 1e-9. With ``"weighted"`` a
+            position may be left that is as large as ``limit``, and any angle.
         larger: Whether to use the larger model, where there is one; else the geometry that the URDF holds.
         payload: What the tip carries; None: what it carried when it was calibrated.
 
@@ -172,12 +179,24 @@ def commands(
     pair = Pair.of(calibration, nominal, tool=tool, frame=frame, larger=larger, payload=payload)
     robot = pair.believed.robot
     matching = Matching(match or _usual_match(robot, program), lever)
+    if matching.name != WEIGHTED:
+        # Where all is reached the lever is one of scale, and the arm's own length is the scale.
+        matching = replace(matching, lever=pair.reach)
+    _check_bounds(accept, limit)
     _check(program, robot, matching, start)
     T_wanted, starts = _nominal(pair, program, matching, start_values(robot, start))
     solved = solve(pair.true, T_wanted, starts.q, matching, column_limits(robot))
     T_send, left_by_pose = poses_to_send(pair, T_wanted, starts, solved, matching)
     found = judged(
-        pair, T_wanted, starts, solved, left_by_pose, matching, accept=accept, limit=limit
+        pair,
+        program,
+        T_wanted,
+        starts,
+        solved,
+        left_by_pose,
+        matching,
+        accept=(max(accept[0], _EXACT), max(accept[1], _EXACT)),
+        limit=limit,
     )
     return Commands(
         nominal=robot,
@@ -205,6 +224,18 @@ def _usual_match(robot: Robot, program: Program) -> str:
     if not program.oriented:
         return POSITION
     return POSE if len(robot.joint_names) >= 6 else WEIGHTED
+
+
+def _check_bounds(accept: tuple[float, float], limit: tuple[float, float]) -> None:
+    """Refuse what is no size.
+
+    Raises:
+        ModelError: A number that is negative or not finite.
+    """
+    for what, sizes in (("be left", accept), ("be corrected without a warning", limit)):
+        if not all(np.isfinite(size) and size >= 0.0 for size in sizes):
+            message = f"What may {what} is {sizes[0]} m and {sizes[1]} rad; both must be 0 or more, and finite."
+            raise ModelError(message)
 
 
 def _check(
@@ -246,14 +277,35 @@ def _nominal(
         poses = believed.poses(program.q)
         return poses, Starts(program.q, poses)
     T_wanted = rigid_inverse(pair.T_frame_base) @ program.T_wanted
-    if program.q is not None:
-        starts = near(believed, T_wanted, program.q, matching)
-    else:
-        starts = following(believed, T_wanted, start, matching)
+    starts = _starts(pair, program, T_wanted, matching, start)
     if not program.oriented:
         # What was not asked for is as the nominal robot has it, so that a pose to send can be held against it.
         T_wanted[:, :3, :3] = starts.T_base_tool[:, :3, :3]
     return T_wanted, starts
+
+
+def _starts(
+    pair: Pair, program: Program, T_wanted: Array, matching: Matching, start: Array
+) -> Starts:
+    """Joint values of the nominal robot: for the whole pose where one is given, and it can have one.
+
+    Also where less is matched: what is left free is to stay as the program has it.
+    """
+    whole = program.oriented and len(pair.believed.robot.joint_names) >= 6
+    full = Matching(POSE, pair.reach) if whole else matching
+    if program.q is not None:
+        starts = near(pair.believed, T_wanted, program.q, full)
+    else:
+        starts = following(pair.believed, T_wanted, start, full)
+    if full.name == matching.name:
+        return starts
+    lost = np.linalg.norm(full.error(starts.T_base_tool, T_wanted), axis=1) > _LOST
+    if not lost.any():
+        return starts
+    again = near(pair.believed, T_wanted[lost], starts.q[lost], matching)
+    q, poses = starts.q.copy(), starts.T_base_tool.copy()
+    q[lost], poses[lost] = again.q, again.T_base_tool
+    return Starts(read_only(q), read_only(poses))
 
 
 def _where(there: NDArray[np.bool_], values: Array) -> Array:

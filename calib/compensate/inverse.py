@@ -23,6 +23,7 @@ from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.int_]
 
 #: No joint moves further than this in one step [rad or m].
 _LONGEST_STEP = 0.3
@@ -38,6 +39,9 @@ _REACHED = 1e-9
 
 #: Damping after the first step that failed, relative to the largest singular value; and when to give up.
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e3
+
+#: A joint this near to its limit is at it [rad or m].
+_AT_LIMIT = 1e-12
 
 #: Singular values below this, relative to the largest, are zero.
 _RANK = 1e-9
@@ -65,7 +69,7 @@ def solve(
     matching: Matching,
     limits: Array | None = None,
     *,
-    steps: int = 100,
+    steps: int = 400,
 ) -> Solved:
     """Joint values that bring the tool to poses, near those that each row starts at.
 
@@ -122,7 +126,6 @@ class _State:
     pulled: bool
     damping: Array
     moving: Mask
-    at_limit: Mask
 
     @classmethod
     def at(
@@ -154,16 +157,12 @@ class _State:
             pulled=pulled,
             damping=np.zeros(len(q)),
             moving=np.ones(len(q), dtype=bool),
-            at_limit=np.zeros(q.shape, dtype=bool),
         )
 
     def step(self) -> None:
         """One step of every row that still moves."""
         rows = np.flatnonzero(self.moving)
-        dq = self._direction(rows)
-        longest = np.abs(dq).max(axis=1)
-        dq *= np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))[:, None]
-        dq, stopped = self._within_limits(rows, dq)
+        dq, stopped = self._within_limits(rows, self._bounded_direction(rows))
         q = self.q[rows] + dq
         poses, twists = self.arm.motion(q)
         error = self.matching.error(poses, self.wanted[rows])
@@ -187,11 +186,33 @@ class _State:
         rest = ((still | stalled) & ~stopped) | (self.damping[rows] > _LARGEST_DAMPING)
         self.moving[rows] = ~rest
 
-    def _direction(self, rows: NDArray[np.int_]) -> Array:
-        """The damped step of each row, and the pull of a redundant arm to where it started."""
+    def _bounded_direction(self, rows: Indices) -> Array:
+        """The step of each row, not too long, with joints that it would push through a limit held there.
+
+        They are held for this step alone, one after the other, the one that is pushed hardest first: what is left for
+        another joint to do is known only then.
+        """
+        held = np.zeros((len(rows), self.q.shape[1]), dtype=bool)
+        dq = self._direction(rows, held)
+        if self.limits is not None:
+            low, high = self.limits.T
+            at_low, at_high = self.q[rows] <= low + _AT_LIMIT, self.q[rows] >= high - _AT_LIMIT
+            for _ in range(self.q.shape[1]):
+                pushed = np.where((at_low & (dq < 0.0)) | (at_high & (dq > 0.0)), np.abs(dq), 0.0)
+                through = np.flatnonzero(pushed.max(axis=1) > 0.0)
+                if not len(through):
+                    break
+                held[through, pushed[through].argmax(axis=1)] = True
+                dq[through] = self._direction(rows[through], held[through])
+        longest = np.abs(dq).max(axis=1)
+        return np.asarray(
+            dq * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))[:, None]
+        )
+
+    def _direction(self, rows: Indices, held: Mask) -> Array:
+        """The damped step of each row, and the pull of a redundant arm to where it started; some joints held."""
         jacobian = self.matching.jacobian(self.twists[rows])
-        stuck = self.at_limit[rows]
-        jacobian *= ~stuck[:, None, :]
+        jacobian *= ~held[:, None, :]
         u, s, vt = np.linalg.svd(jacobian, full_matrices=False)
         scale = s[:, :1]
         kept = s > _RANK * scale
@@ -200,22 +221,18 @@ class _State:
         along = np.einsum("nij,ni->nj", u, self.error[rows]) * inverse
         step = np.einsum("nji,nj->ni", vt, along)
         if self.pulled:
-            pull = np.where(stuck, 0.0, self.start[rows] - self.q[rows])
+            pull = np.where(held, 0.0, self.start[rows] - self.q[rows])
             used = np.einsum("nji,ni->nj", vt, pull) * kept
             step += pull - np.einsum("nji,nj->ni", vt, used)
-        return np.where(stuck, 0.0, step)
+        return np.where(held, 0.0, step)
 
-    def _within_limits(self, rows: NDArray[np.int_], dq: Array) -> tuple[Array, Mask]:
-        """Steps that end at the first limit in their way, and which do; that joint stays there from then on."""
+    def _within_limits(self, rows: Indices, dq: Array) -> tuple[Array, Mask]:
+        """Steps that end at the first limit in their way, and which do."""
         if self.limits is None:
             return dq, np.zeros(len(rows), dtype=bool)
         low, high = self.limits.T
         bound = np.where(dq > 0.0, high, low)
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(dq != 0.0, (bound - self.q[rows]) / dq, np.inf)
-        share = np.where(self.at_limit[rows], np.inf, np.maximum(share, 0.0))
-        first = share.argmin(axis=1)
-        short = share[np.arange(len(rows)), first] < 1.0
-        dq = np.asarray(dq * np.minimum(1.0, share.min(axis=1))[:, None])
-        self.at_limit[rows[short], first[short]] = True
-        return dq, short
+        first = np.clip(share.min(axis=1), 0.0, 1.0)
+        return np.asarray(dq * first[:, None]), first < 1.0

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.compensate import cautions
 from calib.compensate.inverse import Solved
 from calib.compensate.matching import WEIGHTED, Matching
 from calib.compensate.pair import Pair
+from calib.compensate.program import Program
 from calib.compensate.starts import Starts
 from calib.measure.ranges import column_limits
 from calib.model.robot import Robot
@@ -22,9 +24,6 @@ _ROUNDING = 1e-9
 
 #: What may be left where the nominal robot is held to be at the pose [m], [rad].
 _NOMINAL = (1e-6, 1e-6)
-
-#: Near a singularity: the smallest singular value of the tool's motion, lengths in units of the arm's reach.
-NEAR_SINGULAR = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +49,7 @@ class Judged:
 
 def judged(
     pair: Pair,
+    program: Program,
     T_wanted: Array,
     starts: Starts,
     solved: Solved,
@@ -63,12 +63,14 @@ def judged(
 
     Args:
         pair: The two models.
+        program: What was asked for.
         T_wanted: shape (N, 4, 4), poses of the tool in the base [m].
         starts: Joint values of the nominal robot.
         solved: Joint values of the true one.
         left_by_pose: shape (N, 2), what is left if poses are sent [m], [rad].
         matching: What is matched.
-        accept: What may be left: position [m], angle [rad].
+        accept: What may be left: position [m], angle [rad]. A weighted match may leave a position as large as the
+            limit, and any angle.
         limit: Corrections of the pose larger than this are warned of: position [m], angle [rad].
     """
     robot = pair.true.robot
@@ -76,38 +78,53 @@ def judged(
     missed = matching.misses(T_true, T_wanted)
     left = matching.misses(solved.T_base_tool, T_wanted)
     weighted = matching.name == WEIGHTED
+    may_be_left = (limit[0], np.inf) if weighted else accept
     nominal_left = matching.misses(starts.T_base_tool, T_wanted)
-    nominal_reaches = _within(nominal_left, _NOMINAL) | weighted
-    far = ~_within(left, accept) & (not weighted)
-    limits = _limits_passed(robot, solved.q, starts.q)
+    nominal_reaches = _within(nominal_left, may_be_left if weighted else _NOMINAL)
     turned = _other_branch(matching.jacobian(twists_before), matching.jacobian(solved.twists))
-    amplified = _amplification(pair, matching, solved)
-    moved = _corrections(pair, starts, solved)
-    by_pose = _by_pose(left_by_pose, ~_within(left_by_pose - left, accept))
-    outside = _outside(pair, solved.q)
-    where = "at the edge of its reach or in a singularity"
-    if len(robot.joint_names) < matching.rows:
-        where = (
-            f"for it has {len(robot.joint_names)} joints and cannot match {matching.rows} numbers"
-        )
     reasons = tuple(
-        _reason(one, passed, where, far=bool(f), turned=bool(t))
-        for one, passed, f, t in zip(left, limits, far, turned, strict=True)
-    )
-    warnings = tuple(
-        () if reason else _warnings(a, m, limit, nominal_reaches=bool(n)) + b + o
-        for reason, a, m, n, b, o in zip(
-            reasons, amplified, moved, nominal_reaches, by_pose, outside, strict=True
+        _reason(one, passed, _where(robot, matching), far=bool(f), turned=bool(t))
+        for one, passed, f, t in zip(
+            left,
+            _limits_passed(robot, solved.q, starts.q),
+            ~_within(left, may_be_left),
+            turned,
+            strict=True,
         )
+    )
+    reached = np.array([not reason for reason in reasons])
+    moved = Matching("pose", 1.0).misses(pair.believed.poses(solved.q), starts.T_base_tool)
+    given = None if program.T_wanted is None else program.q
+    said = (
+        cautions.nominal_cannot(nominal_reaches),
+        cautions.left_over(left, missed, matching),
+        cautions.near_singularity(pair, matching, starts, solved),
+        cautions.pose_moved(moved, limit),
+        cautions.joints_moved(robot, starts.q, solved.q),
+        cautions.jumps(pair, T_wanted, starts.q, solved.q, program.labels, reached),
+        cautions.far_from_given(robot, given, starts.q),
+        cautions.by_pose(left_by_pose, ~_within(left_by_pose - left, accept)),
+        cautions.outside(pair, solved.q),
     )
     return Judged(
-        reached=np.array([not reason for reason in reasons]),
+        reached=reached,
         nominal_reaches=nominal_reaches,
         missed=missed,
         left=left,
         reasons=reasons,
-        warnings=warnings,
+        warnings=tuple(
+            sum(words, ()) if one else ()
+            for one, words in zip(reached, zip(*said, strict=True), strict=True)
+        ),
     )
+
+
+def _where(robot: Robot, matching: Matching) -> str:
+    """Why something is left over, as far as it can be told."""
+    count = len(robot.joint_names)
+    if count < matching.rows and matching.name != WEIGHTED:
+        return f"for it has {count} joints and cannot match {matching.rows} numbers"
+    return "at the edge of its reach or in a singularity"
 
 
 def _within(misses: Array, allowed: tuple[float, float]) -> Mask:
@@ -149,83 +166,16 @@ def _other_branch(before: Array, after: Array) -> Mask:
     return np.asarray(np.linalg.slogdet(before)[0] * np.linalg.slogdet(after)[0] < 0)
 
 
-def _amplification(pair: Pair, matching: Matching, solved: Solved) -> Array:
-    """How far the joints move at worst for a millimetre of the tool [rad or m]; zero where no singularity is near."""
-    arm = pair.true
-    lengths = np.linalg.norm(arm.placements[:, :3, 3], axis=1)
-    reach = float(lengths.sum() + np.linalg.norm(arm.T_tip_tool[:3, 3])) or 1.0
-    motion = matching.jacobian(solved.twists)
-    motion[:, :3] /= reach
-    motion[:, 3:] /= matching.lever
-    values = np.linalg.svd(motion, compute_uv=False)
-    # With fewer joints than numbers to match, those that can be moved count.
-    smallest = np.maximum(values[:, -1], 1e-300)
-    return np.asarray(np.where(smallest < NEAR_SINGULAR, 1e-3 / reach / smallest, 0.0))
-
-
-def _corrections(pair: Pair, starts: Starts, solved: Solved) -> Array:
-    """How far the nominal model's pose moves with the command: position [m] and angle [rad], shape (N, 2)."""
-    before = starts.T_base_tool
-    after = pair.believed.poses(solved.q)
-    return Matching("pose", 1.0).misses(after, before)
-
-
-def _by_pose(left: Array, elsewhere: Mask) -> list[tuple[str, ...]]:
-    """For each row what may happen if its pose is sent, in words; nothing where the controller comes to its joints."""
-    return [
-        (
-            f"sent as a pose it may end {1e3 * misses[0]:.3g} mm off: the controller can come to other joint "
-            "values",
-        )
-        if far
-        else ()
-        for misses, far in zip(left, elsewhere, strict=True)
-    ]
-
-
-def _outside(pair: Pair, q: Array) -> list[tuple[str, ...]]:
-    """For each row the joints outside of the range that was measured, in words; nothing where none is."""
-    said: list[tuple[str, ...]] = [()] * len(q)
-    if pair.certainty is not None:
-        for row in pair.certainty.outside(pair.believed.robot, q):
-            joints = ", ".join(map(str, row.beyond))
-            said[row.index] = (f"outside the joint range that was measured: {joints}",)
-    return said
-
-
 def _reason(left: Array, limit_passed: str, where: str, *, far: bool, turned: bool) -> str:
     """Why there is no command; nothing if there is one."""
     if far:
         angle = "" if np.isnan(left[1]) else f" and {np.degrees(left[1]):.4f} deg"
         return (
-            f"the true robot cannot reach it: {1e3 * left[0]:.4f} mm{angle} would be left, {where}"
+            f"the true robot cannot reach it: {1e3 * left[0]:.4f} mm{angle} would be left near the nominal joint "
+            f"values, {where}"
         )
     if limit_passed:
         return limit_passed
     if turned:
         return "next to a singularity: the solution lies in another branch of the arm"
     return ""
-
-
-def _warnings(
-    amplified: float,
-    moved: Array,
-    limit: tuple[float, float],
-    *,
-    nominal_reaches: bool,
-) -> tuple[str, ...]:
-    """What to know of a command."""
-    said = []
-    if amplified > 0.0:
-        said.append(
-            f"near a singularity: 1 mm of the tool may take {min(np.degrees(amplified), 360.0):.1f} deg of a joint"
-        )
-    if moved[0] > limit[0]:
-        said.append(f"the pose moves by {1e3 * moved[0]:.2f} mm, more than {1e3 * limit[0]:g} mm")
-    if moved[1] > limit[1]:
-        said.append(
-            f"the pose turns by {np.degrees(moved[1]):.2f} deg, more than {np.degrees(limit[1]):g} deg"
-        )
-    if not nominal_reaches:
-        said.append("the nominal robot cannot reach the pose itself")
-    return tuple(said)

@@ -13,7 +13,10 @@ from calib.errors import ModelError, choices
 from calib.identify.certainty import Certainty
 from calib.identify.result import Calibration
 from calib.identify.result_file import plain, result_table, stored_result
-from calib.identify.stored import StoredResult
+from calib.identify.stored import StoredLarger, StoredResult
+from calib.model.error_model import split_name
+from calib.model.parameters import COMPLIANCE
+from calib.model.readback import spread_poses
 from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload
 
@@ -23,6 +26,10 @@ _NO_ROTATION = 1e-6
 
 #: Origins of one robot differ by rounding [m; rotation matrices: 1].
 _SAME = 1e-9
+
+#: Two robots whose tools are typically further apart than this share of their reach are no calibration of each other;
+#: looked at in so many poses.
+_NO_CALIBRATION, _POSES = 0.1, 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +113,7 @@ class Pair:
             believed=Arm.of_robot(nominal, T_tip_tool),
             true=Arm.of_robot(true, T_tip_tool),
             T_frame_base=read_only(np.eye(4) if frame is None else _pose(frame, "frame")),
-        )
+        )._checked()
 
     @classmethod
     def _of_result(
@@ -141,6 +148,12 @@ class Pair:
             T_frame_base = known.frames[set_up]
         elif frame is not None:
             T_frame_base = _pose(frame, "frame")
+        if payload is not None and not _gives_way(model):
+            message = (
+                "A payload is given, but the model has no compliances: "
+                "its commands would be the same with any. Leave the payload out."
+            )
+            raise ModelError(message)
         true = (
             Arm.of_robot(stored.corrected(nominal), T_true)
             if model is None
@@ -154,7 +167,32 @@ class Pair:
             set_up=set_up,
             certainty=stored.certainty,
             began=began,
-        )
+        )._checked()
+
+    def _checked(self) -> Pair:
+        """The same, unless the two are no calibration of each other.
+
+        Raises:
+            ModelError: They have the tool in places that are far apart.
+        """
+        q = spread_poses(self.believed.robot, _POSES)
+        away = (self.true.poses(q) - self.believed.poses(q))[:, :3, 3]
+        typical = float(np.median(np.linalg.norm(away, axis=1)))
+        if typical > _NO_CALIBRATION * self.reach:
+            message = (
+                f"The calibrated robot has the tool {1e3 * typical:.0f} mm away from where the nominal robot "
+                f"'{self.believed.robot.name}' ({self.believed.robot.urdf.source}) has it; a calibration "
+                "moves it by millimetres. Give the nominal and the calibrated model of one robot, with zero positions "
+                "that agree."
+            )
+            raise ModelError(message)
+        return self
+
+    @property
+    def reach(self) -> float:
+        """How long the true arm is, stretched out, with its tool [m]; at least a millimetre."""
+        lengths = np.linalg.norm(self.true.placements[1:, :3, 3], axis=1)
+        return float(max(lengths.sum() + np.linalg.norm(self.true.T_tip_tool[:3, 3]), 1e-3))
 
     def std(self, q: Array) -> Array:
         """How sure it is where the true robot puts the tool, shape (N, 2), [m], [rad]; NaN where nothing is known.
@@ -167,6 +205,11 @@ class Pair:
         return self.certainty.pose_std(
             self.began, q, self.true.T_tip_tool, target=self.target, set_up=self.set_up
         )
+
+
+def _gives_way(model: StoredLarger | None) -> bool:
+    """Whether a larger model has compliances."""
+    return model is not None and COMPLIANCE in split_name(model.name)[1]
 
 
 def _same_origins(a: Robot, b: Robot) -> bool:

@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 #: The nominal model differs from the true one by a hundredth at most, so that each time two digits are won.
 _TIMES = 6
 
+#: The length that an angle counts as with another controller [m].
+_SHORT = 0.01
+
 #: Below this there is nothing to correct [m].
 _ENOUGH = 1e-12
 
@@ -44,7 +47,7 @@ def poses_to_send(
     Returns:
         shape (N, 4, 4), in the base [m]; and shape (N, 2), position [m] and angle [rad].
     """
-    controller = Matching(POSE, matching.lever)
+    controller, another = (Matching(POSE, lever) for lever in (pair.reach, _SHORT))
     limits = column_limits(pair.believed.robot)
     T_send = pair.believed.poses(solved.q)
     arrived = np.empty_like(T_send)
@@ -59,7 +62,10 @@ def poses_to_send(
             break
         rows = rows[worth]
         T_send[rows] = T_send[rows] @ _steps(error[worth], matching)
-    return T_send, read_only(matching.misses(arrived, T_wanted))
+    # Next to a singularity it is up to the controller where it ends: one that weighs angles otherwise may differ.
+    q = solve(pair.believed, T_send, starts.q, another, limits).q
+    misses = (matching.misses(T, T_wanted) for T in (arrived, pair.true.poses(q)))
+    return T_send, read_only(np.maximum(*misses))
 
 
 def _steps(error: Array, matching: Matching) -> Array:

@@ -47,7 +47,7 @@ def test_the_true_robot_arrives_by_joints_and_by_poses(name, request):
     # The same by the controller's own inverse kinematics, unless a row says that it may come out elsewhere.
     astray = np.array([any("sent as a pose" in w for w in said) for said in found.warnings])
     plain = reached & ~astray
-    assert astray.sum() < 0.02 * len(q)
+    assert astray.sum() < 0.05 * len(q)
     sent = controller(nominal, found.T_send[plain], found.q_nominal[plain], tool)
     assert POSE.misses(true.poses(sent) @ tool, wanted[plain]).max() < 1e-9
     assert found.left_by_pose[plain].max() < 1e-9
