@@ -231,7 +231,7 @@ def compensate(
             tool=tool,
             larger=larger,
             send=send.value,
-            in_base=poses_in == BASE,
+            poses_in=poses_in,
             written=written,
         )
         say(said)

@@ -17,6 +17,7 @@ from calib.model.robot import rigid_inverse
 if TYPE_CHECKING:
     from calib.cli.compensate_setup import Truth
     from calib.compensate.commands import Commands
+    from calib.model.robot import Robot
 
 #: One metre and one radian in the units that are printed.
 MM, DEG = 1e3, float(np.degrees(1.0))
@@ -34,6 +35,9 @@ _MOST_NAMED = 50
 
 #: Hardly anything, on an arm: position [m], angle [deg].
 _HARDLY = (1e-4, 0.2)
+
+#: The link of a URDF that is the controller's frame, where there is one, and what is no other place [mm], [deg].
+_CONTROLLER, _STANDS = "base", (1e-3, 1e-3)
 
 #: What a warning is of: its words up to the first number, name or colon.
 _KIND = re.compile(r"[^\d':]*")
@@ -138,6 +142,8 @@ def notes(
             "set the controller's tool to that. It is where the target was before the calibration, which found it "
             "elsewhere."
         )
+    if in_base and (poses or found.program.T_wanted is not None):
+        notes.append(_another_base(found.nominal, fitted=truth.table is not None))
     if poses and not in_base:
         notes.append(
             "The poses to send are in the frame that was measured in: set the controller's work object to "
@@ -151,6 +157,36 @@ def notes(
         ]
     lists = ["\n".join(empty), _warnings(found, larger=larger)]
     return [*(fill(note) for note in notes if note), *(one for one in lists if one)]
+
+
+def _another_base(robot: Robot, *, fitted: bool) -> str:
+    """The link that is named as the controller's frame is, where poses are in one that stands otherwise.
+
+    URDFs with such a link mean the frame that the controller counts in: Universal Robots, and ROS-Industrial.
+
+    Args:
+        robot: The robot as its controller has it.
+        fitted: Whether the base is that of a fit, and no option here changes it.
+    """
+    if robot.base == _CONTROLLER or _CONTROLLER not in robot.urdf.links:
+        return ""
+    other = robot.rebuilt(base=_CONTROLLER, tip=robot.tip)
+    if other.joint_names != robot.joint_names:
+        return ""
+    q = np.zeros(len(robot.joint_names))
+    T = robot.poses(q)[0] @ rigid_inverse(other.poses(q)[0])
+    turned = DEG * float(Rotation.from_matrix(T[:3, :3]).magnitude())
+    moved = MM * float(np.linalg.norm(T[:3, 3]))
+    ways = [f"turned by {turned:.3g} deg"] * (turned > _STANDS[1])
+    ways += [f"moved by {moved:.3g} mm"] * (moved > _STANDS[0])
+    if not ways:
+        return ""
+    first = "Fit with" if fitted else "Give"
+    return (
+        f"The robot also has a link '{_CONTROLLER}', {' and '.join(ways)} against '{robot.base}'. On Universal Robots, "
+        "and where a URDF of ROS-Industrial has it, that is the frame of the controller's poses. "
+        f"{first} --base {_CONTROLLER} where it is."
+    )
 
 
 def _place(T: NDArray[np.float64]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.cli.compensate_notes import DEG, MM, counted, fill, notes, spread_known
-from calib.cli.compensate_words import TARGET
+from calib.cli.compensate_words import BASE, MEASURED, TARGET
 
 if TYPE_CHECKING:
     from calib.cli.compensate_setup import Truth
@@ -36,7 +36,7 @@ def text(
     tool: str | None,
     larger: bool,
     send: str,
-    in_base: bool,
+    poses_in: str,
     written: Path | None,
 ) -> str:
     """All of it.
@@ -47,12 +47,13 @@ def text(
         tool: What was given as the tool.
         larger: Whether the larger model of the result was used.
         send: What is written.
-        in_base: Whether poses are given in the base.
+        poses_in: What was given as the frame of the poses.
         written: Where to; None where nothing was.
     """
+    in_base = poses_in == BASE
     parts = [
         _expected(found, truth, larger=larger),
-        _asked(found, tool),
+        _asked(found, tool, poses_in),
         _errors(found, poses=send != "joints", spread=spread_known(truth, in_base=in_base)),
         _joints(found),
         _first_rows(found),
@@ -126,8 +127,8 @@ def _unseen(table: dict[str, Any], *, larger: bool) -> list[tuple[str, tuple[flo
     ]
 
 
-def _asked(found: Commands, tool: str | None) -> str:
-    """What is to arrive, and how it is matched."""
+def _asked(found: Commands, tool: str | None, poses_in: str) -> str:
+    """What is to arrive, how it is matched, and in which frame poses are."""
     robot, program = found.nominal, found.program
     what = "joint values"
     if program.T_wanted is not None:
@@ -143,9 +144,13 @@ def _asked(found: Commands, tool: str | None) -> str:
         "axis": "position and direction of the tool's z axis",
         "weighted": "position and orientation, as well as they can be",
     }[found.match]
+    frame = {
+        BASE: f"'{robot.base}'",
+        MEASURED: "the frame that was measured in",
+    }.get(poses_in, f"the frame of the set-up '{poses_in}'")
     return fill(
         f"Program: {len(found)} row{'s' if len(found) > 1 else ''} of {what}. "
-        f"What arrives: {arrives}. Matched: {matched}."
+        f"What arrives: {arrives}. Matched: {matched}. Poses are in {frame}."
     )
 
 

@@ -142,6 +142,32 @@ def test_a_corrected_urdf_in_place_of_a_result(call, folder: Path):
         )
 
 
+def test_the_frame_of_the_poses_is_always_said(call, folder: Path):
+    words = ("compensate", "robot.urdf", "program.csv", "--corrected", "corrected.urdf")
+    # The URDF's root is not the controller's frame: everything is half a turn from where it counts.
+    text = said(call(folder, *words, "--tip", "tool0"))
+    assert "Poses are in 'world'." in text
+    assert "also has a link 'base', turned by 180 deg against 'world'." in text
+    assert text.count("Give --base base where it is.") == 1
+    joints = said(call(folder, *words, "--tip", "tool0", "--send", "joints"))
+    assert "Poses are in 'world'." in joints
+    assert "turned by 180 deg" not in joints
+    text = said(call(folder, *words, "--base", "base", "--tip", "tool0"))
+    assert "Poses are in 'base'." in text
+    assert "also has a link" not in text
+    text = said(call(folder, "compensate", "robot.urdf", "program.csv", *RESULT))
+    assert "Poses are in 'base'." in text
+    text = said(call(folder, *words[:3], *RESULT, "--poses-in", "measured"))
+    assert "Poses are in the frame that was measured in." in text
+
+
+def test_the_base_of_a_fit_is_changed_by_another_fit(call, folder: Path):
+    words = ("--base", "base_link", "--tip", "tool0", "--no-validate", "--json", "root.json")
+    assert call(folder, "fit", "robot.urdf", "data.csv", *words, "--frame", "estimate").code == 0
+    root = ("compensate", "robot.urdf", "program.csv", "--calibration", "root.json")
+    assert "Fit with --base base where it is." in said(call(folder, *root))
+
+
 def test_the_target_of_a_corrected_urdf_is_the_tool(call, folder: Path):
     words = (
         "compensate",
@@ -376,6 +402,7 @@ def test_frames_that_were_estimated(call, large: Path):
         text,
     )
     assert "standard deviation" not in text
+    assert "Poses are in the frame of the set-up 'left'." in text
     assert "work object" not in said(call(large, *words, "--poses-in", "left", "--send", "joints"))
     message = refused(call(large, *words, "--poses-in", "middle"))
     assert (
