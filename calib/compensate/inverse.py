@@ -43,6 +43,12 @@ _FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e3
 #: A joint this near to its limit is at it [rad or m].
 _AT_LIMIT = 1e-12
 
+#: So many joints at their limits are told apart, all sets of them tried.
+_TRIED = 4
+
+#: What an error [m^2] weighs against a distance from the start [rad^2 or m^2] where sets are compared.
+_ERROR_WEIGHT = 1e6
+
 #: Singular values below this, relative to the largest, are zero.
 _RANK = 1e-9
 
@@ -189,25 +195,44 @@ class _State:
     def _bounded_direction(self, rows: Indices) -> Array:
         """The step of each row, not too long, with joints that it would push through a limit held there.
 
-        They are held for this step alone, one after the other, the one that is pushed hardest first: what is left for
-        another joint to do is known only then.
+        Which of those at a limit are to be held for this step is tried out: of the sets with which no joint is pushed
+        through, the one whose step does most for the error, and of these the one nearest to the start.
         """
-        held = np.zeros((len(rows), self.q.shape[1]), dtype=bool)
-        dq = self._direction(rows, held)
+        nothing = np.zeros((len(rows), self.q.shape[1]), dtype=bool)
+        dq = self._direction(rows, nothing)
         if self.limits is not None:
             low, high = self.limits.T
             at_low, at_high = self.q[rows] <= low + _AT_LIMIT, self.q[rows] >= high - _AT_LIMIT
-            for _ in range(self.q.shape[1]):
-                pushed = np.where((at_low & (dq < 0.0)) | (at_high & (dq > 0.0)), np.abs(dq), 0.0)
-                through = np.flatnonzero(pushed.max(axis=1) > 0.0)
-                if not len(through):
-                    break
-                held[through, pushed[through].argmax(axis=1)] = True
-                dq[through] = self._direction(rows[through], held[through])
+            through = np.flatnonzero(_pushed(dq, at_low, at_high).any(axis=1))
+            if len(through):
+                dq[through] = self._held_direction(rows[through], at_low[through], at_high[through])
+            dq = np.where(_pushed(dq, at_low, at_high, 0.0), 0.0, dq)
         longest = np.abs(dq).max(axis=1)
-        return np.asarray(
-            dq * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))[:, None]
-        )
+        shorter = np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
+        return np.asarray(dq * shorter[:, None])
+
+    def _held_direction(self, rows: Indices, at_low: Mask, at_high: Mask) -> Array:
+        """The steps of rows of which some joints are at limits that a free step would push them through."""
+        at_limit = at_low | at_high
+        best = np.zeros(at_limit.shape)
+        lowest = np.full(len(rows), np.inf)
+        # The order of the joints at their limits, in each row, and which bit of a set stands for each.
+        number = np.where(at_limit, at_limit.cumsum(axis=1) - 1, -1)
+        count = min(int(at_limit.sum(axis=1).max()), _TRIED)
+        jacobian = self.matching.jacobian(self.twists[rows])
+        for chosen in range(1, 2**count):
+            bits = (chosen >> np.maximum(number, 0)) & 1 == 1
+            # Joints beyond those that are tried are held.
+            held = at_limit & (bits | (number >= _TRIED))
+            dq = self._direction(rows, held)
+            missing = self.error[rows] - np.einsum("nij,nj->ni", jacobian, dq)
+            away = self.q[rows] + dq - self.start[rows]
+            cost = _ERROR_WEIGHT * np.einsum("ni,ni->n", missing, missing)
+            cost += np.einsum("ni,ni->n", away, away)
+            cost[_pushed(dq, at_low, at_high).any(axis=1)] = np.inf
+            better = cost < lowest
+            best[better], lowest[better] = dq[better], cost[better]
+        return best
 
     def _direction(self, rows: Indices, held: Mask) -> Array:
         """The damped step of each row, and the pull of a redundant arm to where it started; some joints held."""
@@ -236,3 +261,8 @@ class _State:
             share = np.where(dq != 0.0, (bound - self.q[rows]) / dq, np.inf)
         first = np.clip(share.min(axis=1), 0.0, 1.0)
         return np.asarray(dq * first[:, None]), first < 1.0
+
+
+def _pushed(dq: Array, at_low: Mask, at_high: Mask, rounding: float = _AT_LIMIT) -> Mask:
+    """Which joints at a limit a step would push through it by more than rounding."""
+    return np.asarray((at_low & (dq < -rounding)) | (at_high & (dq > rounding)))

@@ -92,6 +92,42 @@ def test_a_redundant_arm_keeps_to_its_limits(panda):
     assert found.q[inside] == pytest.approx(free[inside], abs=1e-6)
 
 
+@pytest.mark.parametrize("match", ["pose", "axis"])
+def test_joints_at_their_limits_are_held_only_as_long_as_they_must_be(panda, match):
+    matching = Matching(match, 1.0)
+    believed, true = Arm.of_robot(panda, np.eye(4)), Arm.of_robot(off(panda), np.eye(4))
+    limits = column_limits(panda)
+    q, rng = well(believed, 40, POSE), np.random.default_rng(3)
+    for row in q:
+        for joint in rng.choice(7, 2, replace=False):
+            row[joint] = limits[joint, rng.integers(2)]
+    wanted = believed.poses(q)
+    found = solve(true, wanted, q, matching, limits)
+    assert (found.q >= limits[:, 0] - 1e-11).all()
+    assert (found.q <= limits[:, 1] + 1e-11).all()
+    reached = np.linalg.norm(matching.error(found.T_base_tool, wanted), axis=1) < 1e-9
+    compared = 0
+    for k in range(12):
+        best = minimize(
+            lambda v, k=k: float(((v - q[k]) ** 2).sum()),
+            found.q[k] if reached[k] else q[k],
+            jac=lambda v, k=k: 2.0 * (v - q[k]),
+            bounds=limits,
+            constraints={
+                "type": "eq",
+                "fun": lambda v, k=k: matching.error(true.poses(v[None]), wanted[k][None])[0],
+                "jac": lambda v: -matching.jacobian(true.motion(v[None])[1])[0],
+            },
+            options={"ftol": 1e-14, "maxiter": 200},
+        )
+        missed = matching.error(true.poses(best.x[None]), wanted[k][None])
+        if np.linalg.norm(missed) < 1e-8 and best.fun < np.radians(10.0) ** 2:
+            compared += 1
+            assert reached[k]
+            assert np.linalg.norm(found.q[k] - q[k]) < 1.02 * np.sqrt(best.fun) + 1e-3
+    assert compared >= 6
+
+
 def test_an_arm_that_needs_all_its_joints_says_where_they_would_be(ur3):
     true = Arm.of_robot(off(ur3), np.eye(4))
     q = well(Arm.of_robot(ur3, np.eye(4)), 20, POSE)
