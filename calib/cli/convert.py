@@ -149,7 +149,7 @@ def _text(source: str, found: Source, wanted: Wanted, remarks: Iterable[str]) ->
     ]
     text = "\n\n".join(
         textwrap.fill(paragraph, 100, break_long_words=False, break_on_hyphens=False)
-        for paragraph in paragraphs
+        for paragraph in dict.fromkeys(paragraphs)  # reader and writer may say the same
     )
     return text + (_launch(found, wanted) if wanted.format == "ur-yaml" else "")
 
@@ -198,7 +198,8 @@ def _use(found: Source, wanted: Wanted) -> str:
 
 def _launch(found: Source, wanted: Wanted) -> str:
     """The command that starts Universal Robots' driver with a kinematics.yaml, on lines of its own to be copied."""
-    kind = "" if found.model is None else found.model.name.lower().replace(" ", "")
+    known = found.model is not None and found.model.known
+    kind = found.model.name.lower().replace(" ", "") if found.model and known else "TYPE"
     here = "" if wanted.path.is_absolute() else '"$PWD"/'
     return (
         f"\n\n  ros2 launch ur_robot_driver ur_control.launch.py ur_type:={kind} robot_ip:=ADDRESS \\"

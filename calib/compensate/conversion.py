@@ -8,24 +8,30 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.compensate.conversion_source import ROBOT, UR_CONF, Source
 from calib.compensate.dh_files import ENDINGS, write_dh
 from calib.compensate.dh_tables import dh_tables
 from calib.compensate.origins_file import write_origins
 from calib.compensate.universal_robots import (
+    UrHash,
     UrWritten,
-    read_ur_conf,
     read_ur_hash,
-    read_ur_yaml,
     write_ur_conf,
     write_ur_yaml,
 )
-from calib.compensate.ur_models import the_mount
+from calib.compensate.ur_conf import other_keys, read_deltas
+from calib.compensate.ur_dh import chain_poses
+from calib.compensate.ur_models import UrModel
+from calib.compensate.ur_mount import the_mount
+from calib.compensate.ur_yaml import read_yaml
 from calib.errors import CalibError, ModelError, choices
 from calib.model.dh_conventions import HAYATI, MODIFIED, STANDARD
 from calib.model.readback import TOLERANCE, check_written, random_joint_values
-from calib.model.robot import Robot, rigid_inverse
+from calib.model.robot import Robot
+
+Array = NDArray[np.float64]
 
 _YAML = (".yaml", ".yml")
 
@@ -185,11 +191,11 @@ def _write_dh(source: Source, wanted: Wanted) -> tuple[str, ...]:
 
 def _write_ur_yaml(source: Source, wanted: Wanted) -> tuple[str, ...]:
     """A kinematics.yaml with the robot's own hash."""
-    nominal = _arm(source, wanted)
+    nominal, arm = _arm(source, wanted)
     if wanted.hash_from is not None:
-        own = read_ur_hash(wanted.hash_from, urcontrol=wanted.urcontrol, robot=nominal)
+        own = read_ur_hash(wanted.hash_from, urcontrol=wanted.urcontrol, model=arm)
     elif source.hash is not None:
-        own = source.hash
+        own = UrHash(source.hash)  # its reader has said what there is to say of it
     else:
         message = (
             f"{wanted.path}: a kinematics.yaml has the hash of the robot's own calibration, which the ROS driver "
@@ -199,61 +205,79 @@ def _write_ur_yaml(source: Source, wanted: Wanted) -> tuple[str, ...]:
         raise CalibError(message)
 
     def write(path: Path) -> UrWritten:
-        return write_ur_yaml(source.robot, nominal, path, hash=own, overwrite=wanted.overwrite)
+        return write_ur_yaml(
+            source.robot, nominal, path, hash=own.hash, model=arm, overwrite=wanted.overwrite
+        )
 
-    def read(path: Path) -> Robot:
-        return read_ur_yaml(path, robot=nominal).robot
+    def read(path: Path, q: Array) -> Array:
+        return chain_poses(read_yaml(path).chain, q)
 
-    return _tried(source, nominal, wanted.path, write, read)
+    return own.remarks + _tried(source, wanted, write, read)
 
 
 def _write_ur_conf(source: Source, wanted: Wanted) -> tuple[str, ...]:
     """The deltas of a calibration.conf."""
-    nominal = _arm(source, wanted)
+    nominal, arm = _arm(source, wanted)
+    like = None if source.conf is None else read_deltas(source.conf)
 
     def write(path: Path) -> UrWritten:
         return write_ur_conf(
-            source.robot, nominal, path, update=wanted.update, overwrite=wanted.overwrite
+            source.robot,
+            nominal,
+            path,
+            update=wanted.update,
+            like=like,
+            model=arm,
+            overwrite=wanted.overwrite,
         )
 
-    def read(path: Path) -> Robot:
-        return read_ur_conf(path, robot=nominal).robot
+    def read(path: Path, q: Array) -> Array:
+        return (arm.nominal + read_deltas(path)).poses(q)
 
-    return _tried(source, nominal, wanted.path, write, read)
+    remarks = _tried(source, wanted, write, read)
+    left_out = () if source.conf is None or wanted.update is not None else other_keys(source.conf)
+    if left_out:
+        remarks += (
+            f"{wanted.path} has the deltas alone; left out of {source.conf}: {choices(left_out)}. --update "
+            f"{source.conf} keeps its other lines.",
+        )
+    return remarks
 
 
 def _tried(
     source: Source,
-    nominal: Robot,
-    path: Path,
+    wanted: Wanted,
     write: Callable[[Path], UrWritten],
-    read: Callable[[Path], Robot],
+    read: Callable[[Path, Array], Array],
 ) -> tuple[str, ...]:
     """Write a file of Universal Robots after it was written elsewhere, read back and compared."""
+    nominal, arm = _arm(source, wanted)
+    q = random_joint_values(source.robot)
     with TemporaryDirectory() as folder:
-        trial = write(Path(folder) / path.name)
-        check_read_back(read(trial.path), source.robot, nominal, trial)
-    return write(path).remarks
+        trial = write(Path(folder) / wanted.path.name)
+        check_read_back(read(trial.path, q), q, source.robot, nominal, arm, trial)
+    return write(wanted.path).remarks
 
 
-def check_read_back(again: Robot, robot: Robot, nominal: Robot, written: UrWritten) -> None:
+def check_read_back(
+    flange: Array, q: Array, robot: Robot, nominal: Robot, arm: UrModel, written: UrWritten
+) -> None:
     """Compare what a file of Universal Robots says, with what it has no place for put back, with the robot.
 
     Args:
-        again: The robot read from the file.
+        flange: The controller's flange in its base by the file's own numbers, shape (N, 4, 4), [m].
+        q: Joint values there, shape (N, 6), [rad].
         robot: The robot that was written.
         nominal: The nominal robot of both.
+        arm: The arm that the source is of, whatever the writer took it for.
         written: What was written.
 
     Raises:
         ModelError: They differ by more than 1e-9 m and rad, or by more than was said when it was written.
     """
-    _, mounted = the_mount(nominal, written.model)
-    at_base, at_tip = mounted.T_base_arm, mounted.T_flange_tip
-    T_base = at_base @ written.T_base @ rigid_inverse(at_base)
-    T_tip = rigid_inverse(at_tip) @ written.T_tool @ at_tip
-    q = random_joint_values(robot)
-    off = float(np.abs(T_base @ again.poses(q) @ T_tip - robot.poses(q)).max())
+    _, mounted = the_mount(nominal, arm)
+    made = mounted.T_base_arm @ written.T_base @ flange @ written.T_tool @ mounted.T_flange_tip
+    off = float(np.abs(made - robot.poses(q)).max())
     # Rows between almost parallel axes may hold less; then a remark has said how much.
     allowed = 1e-6 if any(ROWS_HOLD in remark for remark in written.remarks) else TOLERANCE
     if not off <= allowed:
@@ -264,8 +288,8 @@ def check_read_back(again: Robot, robot: Robot, nominal: Robot, written: UrWritt
         raise ModelError(message)
 
 
-def _arm(source: Source, wanted: Wanted) -> Robot:
-    """The nominal robot, which must be an arm of Universal Robots."""
+def _arm(source: Source, wanted: Wanted) -> tuple[Robot, UrModel]:
+    """The nominal robot, which must be an arm of Universal Robots, and which arm it is."""
     if source.nominal is None or source.model is None:
         known = (
             "no nominal robot is known"
@@ -277,7 +301,7 @@ def _arm(source: Source, wanted: Wanted) -> Robot:
             "--ur-model, or give its nominal URDF as --robot; for other robots write 'urdf', 'origins' or DH rows."
         )
         raise ModelError(message)
-    return source.nominal
+    return source.nominal, source.model
 
 
 _WRITERS: Mapping[str, Callable[[Source, Wanted], tuple[str, ...]]] = {

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from calib.compensate.origins_file import Origins, origins_of, read_origins
 from calib.compensate.universal_robots import UrSource, read_ur_conf, read_ur_yaml
-from calib.compensate.ur_models import UrModel, recognised, the_mount, ur_model, ur_robot
+from calib.compensate.ur_models import UrModel, ur_model, ur_robot
+from calib.compensate.ur_mount import recognised, the_mount
 from calib.data import paper_urdf
 from calib.errors import CalibError, FileError, ModelError, choices
 from calib.identify.result_file import read_table, stored_result
@@ -23,7 +24,7 @@ from calib.model.recorded import recorded_urdf
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 from calib.model.xacro_file import is_xacro
-from calib.model.yaml_file import parse_yaml
+from calib.model.yaml_file import yaml_keys
 
 Array = NDArray[np.float64]
 
@@ -85,6 +86,7 @@ class Source:
         nominal: The same chain with nominal kinematics; None where nothing is known of it.
         hash: The ROS driver's name for the calibration, where the source is a file of Universal Robots and has it.
         model: Which arm of Universal Robots it is, if one.
+        conf: The ``calibration.conf`` that was read, if it is one.
         remarks: What its reader should know, sentence by sentence.
     """
 
@@ -94,6 +96,7 @@ class Source:
     nominal: Robot | None
     hash: str | None = None
     model: UrModel | None = None
+    conf: Path | None = None
     remarks: tuple[str, ...] = ()
 
     def distances(self) -> tuple[Array, Array] | None:
@@ -119,14 +122,13 @@ def source_kind(source: str) -> str:
     if ending in (".conf", ".json"):
         return UR_CONF if ending == ".conf" else RESULT
     if ending in (".yaml", ".yml"):
-        table = parse_yaml(read_bytes(source, "YAML file", _LIMIT_BYTES), source, "YAML file")
-        keys = list(table) if isinstance(table, dict) else []
+        keys = yaml_keys(read_bytes(source, "YAML file", _LIMIT_BYTES), source, "YAML file")
         for key, kind in (("kinematics", UR_YAML), ("origins", ORIGINS)):
             if key in keys:
                 return kind
         message = (
             f"{source}: it has neither 'kinematics', as a kinematics.yaml of Universal Robots, nor 'origins', as an "
-            f"origins file of calib{f'; it has {choices(map(str, keys))}' if keys else ''}. Give {_READ}."
+            f"origins file of calib{f'; it has {choices(keys)}' if keys else ''}. Give {_READ}."
         )
         raise FileError(message)
     message = f"{source}: 'calib convert' does not know the ending '{ending}'. Give {_READ}."
@@ -183,11 +185,12 @@ def _universal_robots(source: str, kind: str, asked: Asked) -> Source:
     name = "" if found.hash is None else f", {found.hash}"
     return Source(
         kind,
-        f"calibration of a {found.model.name}{name}",
+        f"calibration of {found.model.said}{name}",
         found.robot,
         found.nominal,
         found.hash,
         found.model,
+        Path(source) if kind == UR_CONF else None,
         found.remarks,
     )
 

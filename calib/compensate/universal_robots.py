@@ -16,38 +16,39 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.compensate.ur_arm import (
+    FARTHEST,
+    advice,
+    arm_of,
+    checked_distance,
+    distance_from,
+    fits_others,
+    hash_remarks,
+    joint_values,
+    nearest_arm,
+    odd,
+    same,
+)
 from calib.compensate.ur_conf import (
+    not_linearised,
     other_keys,
     read_deltas,
-    read_nominal,
     update_deltas,
     write_deltas,
 )
 from calib.compensate.ur_dh import FullDH, at_flange, chain_poses, fitted_rows, kinematics_hash
 from calib.compensate.ur_findings import (
-    FARTHEST,
     base_remark,
-    check_arm,
-    checked_distance,
-    distance_from,
-    joint_values,
     name_remark,
-    odd,
-    same,
+    rows_remark,
+    status_remark,
     tidy,
     tool_remark,
 )
-from calib.compensate.ur_models import (
-    MODELS,
-    Mount,
-    UrModel,
-    the_mount,
-    ur_model,
-    ur_robot,
-    with_chain,
-)
+from calib.compensate.ur_models import MODELS, UrModel, ur_model, ur_robot
+from calib.compensate.ur_mount import Mount, the_mount, with_chain
 from calib.compensate.ur_yaml import check_hash, read_yaml, write_yaml
-from calib.errors import FileError, ModelError, choices
+from calib.errors import FileError, ModelError
 from calib.model.anchoring import anchored_placements, check_same_joints
 from calib.model.robot import Robot, read_only
 
@@ -76,6 +77,19 @@ class UrSource:
     remarks: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class UrHash:
+    """The name of a calibration, as the ROS driver makes it.
+
+    Attributes:
+        hash: Such as ``"calib_12788084448423163542"``.
+        remarks: What to mind about it, sentence by sentence; most often nothing.
+    """
+
+    hash: str
+    remarks: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class UrWritten:
     """What was written, and what the file cannot hold.
@@ -101,7 +115,7 @@ def read_ur_conf(
     path: str | os.PathLike[str],
     *,
     urcontrol: str | os.PathLike[str] | None = None,
-    model: str | None = None,
+    model: UrModel | str | None = None,
     robot: Robot | None = None,
 ) -> UrSource:
     """The arm that a ``calibration.conf`` describes.
@@ -109,36 +123,48 @@ def read_ur_conf(
     Args:
         path: The file, with the deltas in ``[mounting]``.
         urcontrol: A ``urcontrol.conf`` with the nominal rows in ``[DH]``; default: those of the model.
-        model: Name of the arm, such as ``"UR5e"``; default: what urcontrol or the robot is recognised as.
+        model: The arm, or its name, such as ``"UR5e"``; default: what urcontrol or the robot is recognised as.
         robot: The nominal robot whose URDF is corrected; default: a bare one, see `ur_robot`.
 
     Raises:
         FileError: A file cannot be read, or its numbers are not those of a calibration of this arm.
         ModelError: The model is not known, or is not that of the robot, or is not given.
     """
-    arm = _arm(path, urcontrol, model, robot)
+    arm = arm_of(path, urcontrol, model, robot)
     nominal = ur_robot(arm) if robot is None else robot
     _, mounted = the_mount(nominal, arm)
     deltas = read_deltas(path)
     rows = arm.nominal + deltas
-    check_arm(path, arm, lambda one: distance_from((one.nominal + deltas).chain(), one))
-    moved = checked_distance(path, rows.chain(), arm)
+
+    def chain_of(one: UrModel) -> Array:
+        return (one.nominal + deltas).chain()
+
+    moved = checked_distance(path, arm, chain_of, advice(urcontrol, robot))
     raw = mounted.placements_of(rows.chain(), nominal)
     placements = anchored_placements(raw, nominal.placements, nominal.joints)
     calibrated = nominal.with_placements(placements)
+    hash = kinematics_hash(rows)
     remarks = name_remark(nominal, arm, mounted) + odd(path, moved, arm)
-    return UrSource(nominal, calibrated, kinematics_hash(rows), arm, remarks)
+    if urcontrol is None:
+        given = [("--robot", robot), ("--ur-model", model)]
+        names = " and ".join(option for option, value in given if value is not None)
+        remarks += fits_others(path, arm, chain_of, moved, names)
+    remarks += status_remark(path, not_linearised(path)) + hash_remarks(path, hash)
+    return UrSource(nominal, calibrated, hash, arm, remarks)
 
 
 def read_ur_yaml(
-    path: str | os.PathLike[str], *, model: str | None = None, robot: Robot | None = None
+    path: str | os.PathLike[str],
+    *,
+    model: UrModel | str | None = None,
+    robot: Robot | None = None,
 ) -> UrSource:
     """The arm that a ``kinematics.yaml`` of the ROS driver describes.
 
     Args:
         path: The file.
-        model: Name of the arm, such as ``"UR5e"``; default: what the robot is recognised as, or else the arm that the
-            file's kinematics are nearest to.
+        model: The arm, or its name, such as ``"UR5e"``; default: what the robot is recognised as, or else the arm that
+            the file's kinematics are nearest to.
         robot: The nominal robot whose URDF is corrected; default: a bare one, see `ur_robot`.
 
     Raises:
@@ -153,21 +179,18 @@ def read_ur_yaml(
     elif given is not None:
         arm = given
     else:
-        arm = min(MODELS, key=lambda one: distance_from(content.chain, one))
+        arm = nearest_arm(content.chain)
         names = [one.name for one in MODELS if same(one.nominal, arm.nominal)]
         remarks = (
             f"{path} does not say of which arm it is; its kinematics are those of the {' or '.join(names)}.",
         )
     nominal = ur_robot(arm) if robot is None else robot
-    check_arm(path, arm, lambda one: distance_from(content.chain, one))
-    moved = checked_distance(path, content.chain, arm)
+    moved = checked_distance(path, arm, lambda _: content.chain, advice(None, robot))
     _, mounted = the_mount(nominal, arm)
     if content.hash is None:
         remarks += (f"{path} has no hash; the ROS driver wants the robot's own.",)
-    elif content.hash == arm.default_hash:
-        remarks += (
-            f"{path} has the hash of the nominal {arm.name}: it is of no particular robot.",
-        )
+    else:
+        remarks += hash_remarks(path, content.hash)
     calibrated = with_chain(nominal, mounted, content.chain)
     remarks += name_remark(nominal, arm, mounted) + odd(path, moved, arm)
     return UrSource(nominal, calibrated, content.hash, arm, remarks)
@@ -179,6 +202,7 @@ def write_ur_yaml(
     path: str | os.PathLike[str],
     *,
     hash: str,
+    model: UrModel | str | None = None,
     overwrite: bool = False,
 ) -> UrWritten:
     """Write a robot as the ``kinematics.yaml`` that the ROS driver and Universal Robots' description take.
@@ -189,6 +213,8 @@ def write_ur_yaml(
             the link names of Universal Robots' descriptions.
         path: File to write.
         hash: The robot's own, see `read_ur_hash`: the driver compares it with what the controller reports.
+        model: The arm, or its name; default: what the nominal robot is recognised as. Give that of the source: an arm
+            of a ``urcontrol.conf`` may be near to another one.
         overwrite: Whether a file that exists may be replaced.
 
     Returns:
@@ -199,11 +225,12 @@ def write_ur_yaml(
         FileError: The file cannot be written, or the hash is none.
     """
     check_hash(hash)
-    arm, mounted = the_mount(nominal)
+    arm, mounted = the_mount(nominal, None if model is None else ur_model(model))
     chain = at_flange(_chain_of(robot, nominal, arm, mounted))
     T_tool = tidy(chain[6])
+    kind = arm.name if arm.known else "arm"
     comments = (
-        f"Kinematics of one Universal Robots {arm.name}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll).",
+        f"Kinematics of one Universal Robots {kind}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll).",
     )
     written = write_yaml(path, chain, hash, comments, overwrite=overwrite)
     remarks = name_remark(nominal, arm, mounted) + tool_remark(written, T_tool)
@@ -216,7 +243,8 @@ def write_ur_conf(
     path: str | os.PathLike[str],
     *,
     update: str | os.PathLike[str] | None = None,
-    model: str | None = None,
+    like: FullDH | None = None,
+    model: UrModel | str | None = None,
     overwrite: bool = False,
 ) -> UrWritten:
     """Write a robot as the DH deltas of a ``calibration.conf``.
@@ -226,8 +254,10 @@ def write_ur_conf(
         nominal: The robot that it was corrected from: the arm's nominal one, or one that was calibrated before and has
             the link names of Universal Robots' descriptions.
         path: File to write.
-        update: A ``calibration.conf`` whose other lines are kept; default: the deltas alone.
-        model: Name of the arm; default: what the nominal robot is recognised as.
+        update: A ``calibration.conf`` of this arm whose other lines are kept; default: the deltas alone.
+        like: Deltas whose signs and whole turns are kept, so that what did not change is the same number; default:
+            those of ``update``, or else none.
+        model: The arm, or its name, as of `write_ur_yaml`.
         overwrite: Whether a file that exists may be replaced.
 
     Returns:
@@ -239,17 +269,18 @@ def write_ur_conf(
     """
     arm, mounted = the_mount(nominal, None if model is None else ur_model(model))
     chain = _chain_of(robot, nominal, arm, mounted)
-    like = None if update is None else arm.nominal + read_deltas(update)
+    if update is not None:
+        like = read_deltas(update)
+        _check_deltas(
+            update, arm, like, "Give the calibration.conf of this robot's own controller."
+        )
     fitted = fitted_rows(chain, arm.nominal, like)
     q = joint_values()
     made = fitted.T_base @ fitted.rows.poses(q) @ fitted.T_tool
     missed = float(np.abs(made - chain_poses(chain, q)).max())
     remarks = list(name_remark(nominal, arm, mounted))
     if missed > _EXACT:
-        remarks.append(
-            f"The rows hold the robot to {missed:.1e} m: d is {np.abs(fitted.rows.d).max():.2g} m where two axes are "
-            "almost parallel, and no more digits fit."
-        )
+        remarks.append(rows_remark(fitted.rows, missed))
     if update is None:
         written = write_deltas(path, fitted.deltas, overwrite=overwrite)
     else:
@@ -268,31 +299,46 @@ def read_ur_hash(
     path: str | os.PathLike[str],
     *,
     urcontrol: str | os.PathLike[str] | None = None,
-    model: str | None = None,
+    model: UrModel | str | None = None,
     robot: Robot | None = None,
-) -> str:
+) -> UrHash:
     """The hash of a robot's own ``kinematics.yaml`` or ``calibration.conf``, which its controller reports, too.
 
     Args:
-        path: The file; one that ends in ``.conf`` needs one of the other three.
+        path: The file; one that ends in ``.conf`` needs one of the other three. A ``kinematics.yaml`` is held against
+            the arm that they say.
         urcontrol: A ``urcontrol.conf`` with the nominal rows.
-        model: Name of the arm, such as ``"UR5e"``.
+        model: The arm, or its name, such as ``"UR5e"``.
         robot: The nominal robot.
 
     Raises:
-        FileError: The file cannot be read or has no hash.
+        FileError: The file cannot be read, has no hash, or is of another arm.
         ModelError: The model is not known or not given.
     """
+    own = "Give the file of this robot's own controller."
     if Path(path).suffix.lower() == ".conf":
-        arm = _arm(path, urcontrol, model, robot)
-        rows = _rows(path, arm)
-        checked_distance(path, rows.chain(), arm)
-        return kinematics_hash(rows)
-    found = read_yaml(path).hash
-    if found is None:
+        arm = arm_of(path, urcontrol, model, robot)
+        deltas = read_deltas(path)
+        moved = _check_deltas(path, arm, deltas, own)
+        hash = kinematics_hash(arm.nominal + deltas)
+        return UrHash(hash, odd(path, moved, arm) + hash_remarks(path, hash))
+    content = read_yaml(path)
+    if content.hash is None:
         message = f"{path}: there is no 'hash' in it. Give the robot's own kinematics.yaml, or its calibration.conf."
         raise FileError(message)
-    return found
+    told = urcontrol is not None or model is not None or robot is not None
+    arm = arm_of(path, urcontrol, model, robot) if told else nearest_arm(content.chain)
+    moved = checked_distance(path, arm, lambda _: content.chain, own)
+    return UrHash(content.hash, odd(path, moved, arm) + hash_remarks(path, content.hash))
+
+
+def _check_deltas(path: str | os.PathLike[str], arm: UrModel, deltas: FullDH, advice: str) -> float:
+    """How far the deltas of a file move the flange [m].
+
+    Raises:
+        FileError: They are another arm's.
+    """
+    return checked_distance(path, arm, lambda one: (one.nominal + deltas).chain(), advice)
 
 
 def _chain_of(robot: Robot, nominal: Robot, arm: UrModel, mounted: Mount) -> Array:
@@ -311,47 +357,3 @@ def _chain_of(robot: Robot, nominal: Robot, arm: UrModel, mounted: Mount) -> Arr
         )
         raise ModelError(message)
     return chain
-
-
-def _arm(
-    path: str | os.PathLike[str],
-    urcontrol: str | os.PathLike[str] | None,
-    model: str | None,
-    robot: Robot | None,
-) -> UrModel:
-    """The arm that a ``calibration.conf`` is of, from what was given beside it.
-
-    Raises:
-        ModelError: Nothing was given, the model is not known, or two of them do not agree.
-    """
-    given = None if model is None else ur_model(model)
-    if urcontrol is not None:
-        rows = read_nominal(urcontrol)
-        named = [one for one in MODELS if same(one.nominal, rows)]
-        if given is not None and given not in named:
-            is_what = (
-                f"those of the {' or '.join(one.name for one in named)}"
-                if named
-                else "no arm's that is known"
-            )
-            message = (
-                f"The rows in [DH] of {urcontrol} are {is_what}, not those of the {given.name}. Leave the name of "
-                "the arm out, or give the urcontrol.conf of this robot's own controller."
-            )
-            raise ModelError(message)
-        name = given.name if given else named[0].name if named else f"arm of {Path(urcontrol).name}"
-        return UrModel(name, rows)
-    if robot is not None:
-        return the_mount(robot, given)[0]
-    if given is None:
-        message = (
-            f"{path}: a calibration.conf has only what is added to the nominal rows. Say of which arm it is "
-            f"({choices((one.name for one in MODELS), limit=40)}), or give its urcontrol.conf or its URDF."
-        )
-        raise ModelError(message)
-    return given
-
-
-def _rows(path: str | os.PathLike[str], arm: UrModel) -> FullDH:
-    """The complete rows: nominal plus the deltas of a ``calibration.conf``."""
-    return arm.nominal + read_deltas(path)

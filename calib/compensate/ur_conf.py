@@ -130,6 +130,13 @@ def other_keys(path: str | os.PathLike[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(keys))
 
 
+def not_linearised(path: str | os.PathLike[str]) -> str:
+    """The ``calibration_status`` of a file, where it has one that is not 2, linearised; else empty."""
+    entries = _entries(_text(path, "calibration.conf"))
+    found = [e.value for e in entries if e.section == MOUNTING and e.key == "calibration_status"]
+    return _short(found[-1]) if found and found[-1] != "2" else ""
+
+
 def _deltas(path: str | os.PathLike[str], text: str) -> FullDH:
     """The deltas in the text of a file."""
     found = _wanted(path, text, MOUNTING, "calibration.conf", _delta_keys())
@@ -146,6 +153,12 @@ def _text(path: str | os.PathLike[str], what: str) -> str:
     data = read_bytes(path, what, _LIMIT_BYTES)
     if b"\0" in data:
         message = f"{path}: this is not a {what}: it has bytes that no text has. Copy it from the controller again."
+        raise FileError(message)
+    if b"\r" in data and b"\n" not in data:
+        message = (
+            f"{path}: its lines end in carriage returns alone, so that it is one line to every other program. Save it "
+            "with line feeds (LF or CRLF), or copy it from the controller again."
+        )
         raise FileError(message)
     return data.decode("latin-1")
 
@@ -189,11 +202,11 @@ def _end_of_value(text: str, first: int) -> int:
             own_end = first + len(line)
             if not line.lstrip().startswith("[") or "]" in line:
                 return own_end
+        # A list that is never closed ends with its own line: the next key or list is not its end.
+        elif "=" in line or "[" in line:
+            return own_end
         elif "]" in line:
             return place + len(line)
-        # A list that is never closed ends with its own line.
-        elif newline < 0 or "=" in line or "[" in line:
-            return own_end
         if newline < 0:
             return own_end
         place = newline + 1

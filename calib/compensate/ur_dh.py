@@ -134,22 +134,23 @@ def fitted_rows(chain: Array, nominal: FullDH, like: FullDH | None = None) -> Fi
     Args:
         chain: shape (7, 4, 4), [m], see the module's text.
         nominal: The rows that deltas are added to.
-        like: Rows that make the choices which the convention leaves open: of the two senses of a common normal and of
-            an angle's whole turns the nearest, of parallel axes the d. Default: the nominal ones.
+        like: Deltas that make the choices which the convention leaves open: of the two senses of a common normal and
+            of an angle's whole turns the nearest, of parallel axes the d. Default: none, the nominal rows make them.
     """
-    like = nominal if like is None else like
+    like = FullDH(*np.zeros((4, 6))) if like is None else like
+    rows = nominal + like
     frames = _frames(chain)
     T_base = _first_frame(frames[0])
     F = T_base
     deltas = np.zeros((6, 4))
     for i in range(6):
         local = rigid_inverse(F) @ frames[i + 1]
-        own, wished = (
-            np.array([getattr(rows, name)[i] for name in COLUMNS]) for rows in (nominal, like)
+        own, old, wished = (
+            np.array([getattr(one, name)[i] for name in COLUMNS]) for one in (nominal, like, rows)
         )
         row = _row_to(local, wished) if i < 5 else _last_row(local, wished)
-        row = np.where(np.abs(row - wished) < _SAME, wished, row)
-        deltas[i] = row - own
+        # The old number itself, not nominal + delta - nominal, which is rounded.
+        deltas[i] = np.where(np.abs(row - wished) < _SAME, old, row - own)
         theta, a, d, alpha = own + deltas[i]
         F = F @ _z(theta, d)[0] @ _x(alpha, a)
     T_tool = rigid_inverse(F) @ frames[6]

@@ -1,7 +1,8 @@
 """Where an arm's base and flange are in a URDF, by the names of its links: for one that is calibrated already.
 
-A nominal arm is recognised by its axes to a micrometre, whatever its links are called. The axes of a calibrated one do
-not say where its base and its flange are, the names of Universal Robots' descriptions do.
+A nominal arm is recognised by its axes to a micrometre. Those of a calibrated one do not say where its base and its
+flange are, and no axes show an error of the first joint's zero and height or of the last one's: the names of Universal
+Robots' descriptions do.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ def named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
     """The controller's base in the robot's base and the robot's tip in the flange, as the links' names have them.
 
     Yields:
-        T_base_arm and T_flange_tip, shape (4, 4) each, [m]: every pair that the names allow, the likeliest first.
+        T_base_arm and T_flange_tip, shape (4, 4) each, [m]: every pair that the names allow, the likeliest first: the
+        robot's own base and tip, where these are among the names.
     """
     names = [joint.name for joint in robot.joints]
     prefix = names[0].removesuffix(JOINTS[0])
@@ -47,9 +49,11 @@ def named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
         return
     zero = np.zeros(len(names))
     here = robot.poses(zero)[0]
-    for flange in _FLANGES:
+    flanges = sorted(_FLANGES, key=lambda link: prefix + link != robot.tip)
+    bases = sorted(_BASES, key=lambda base: prefix + base[0] != robot.base)
+    for flange in flanges:
         at_flange = _between(robot, robot.base, prefix + flange)
-        for base, turned in _BASES:
+        for base, turned in bases:
             at_base = _between(robot, prefix + base, robot.tip)
             if at_flange is None or at_base is None:
                 continue

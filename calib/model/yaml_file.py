@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+import contextlib
+from collections.abc import Hashable, Iterator
 from typing import Any, ClassVar
 
 import yaml
@@ -59,8 +60,36 @@ def parse_yaml(data: bytes, source: str, what: str) -> Any:  # noqa: ANN401  wha
     Raises:
         FileError: It is no YAML, a key stands twice, an alias or a tag that YAML itself does not have.
     """
-    try:
+    with _in_words(source, what):
         return yaml.load(data, _StrictLoader)
+
+
+def yaml_keys(data: bytes, source: str, what: str) -> tuple[str, ...]:
+    """The keys of a YAML file's outermost table, whatever is under them: tags are left to who reads it.
+
+    Args:
+        data: The file.
+        source: Name of the file, for messages.
+        what: What the file should be, for messages.
+
+    Returns:
+        The keys in the file's order; none of a file that is no table.
+
+    Raises:
+        FileError: It is no YAML.
+    """
+    with _in_words(source, what):
+        root = yaml.compose(data, Loader=yaml.SafeLoader)
+    return (
+        tuple(str(key.value) for key, _ in root.value) if isinstance(root, yaml.MappingNode) else ()
+    )
+
+
+@contextlib.contextmanager
+def _in_words(source: str, what: str) -> Iterator[None]:
+    """What PyYAML raises, as a message with the file and the line."""
+    try:
+        yield
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"

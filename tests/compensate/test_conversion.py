@@ -25,7 +25,10 @@ from calib.compensate.conversion import (
     write_target,
 )
 from calib.compensate.conversion_source import KINDS, Asked, Source, read_source, source_kind
-from calib.compensate.universal_robots import write_ur_conf
+from calib.compensate.universal_robots import write_ur_conf, write_ur_yaml
+from calib.compensate.ur_conf import write_deltas
+from calib.compensate.ur_dh import FullDH
+from calib.compensate.ur_models import ur_model, ur_robot
 from calib.errors import CalibError, FileError, ModelError, UrdfError
 from calib.model.dh_rows import dh_rows
 from calib.model.robot import Robot
@@ -217,12 +220,14 @@ def test_standard_rows_are_those_that_the_factory_wrote(case, tmp_path):
 def test_a_file_that_reads_back_as_another_robot(shop, tmp_path):
     found = read_source(str(shop / "calibration.conf"), Asked(ur_model="UR3"))
     written = write_ur_conf(found.robot, found.nominal, tmp_path / "k.conf")
-    check_read_back(found.robot, found.robot, found.nominal, written)
+    q = np.random.default_rng(1).uniform(-1, 1, (3, 6))
+    same = (found.robot, found.nominal, found.model, written)
+    check_read_back(found.robot.poses(q), q, *same)
     wanted = (
         r"^k\.conf: read back, it puts the tip of 'ur3' .* 1e-09 is allowed, so it is not written"
     )
     with pytest.raises(ModelError, match=wanted):
-        check_read_back(found.nominal, found.robot, found.nominal, written)
+        check_read_back(found.nominal.poses(q), q, *same)
 
 
 def test_rows_that_hold_less_are_said_before_they_are_allowed_to(shop, tmp_path):
@@ -236,6 +241,106 @@ def test_rows_that_hold_less_are_said_before_they_are_allowed_to(shop, tmp_path)
     written = write_ur_conf(bent.robot, bent.nominal, tmp_path / "k.conf")
     assert written.remarks[0].startswith(ROWS_HOLD)
     assert write_target(bent, Wanted(tmp_path / "l.conf", "ur-conf")) != ()
+
+
+UR5E = ur_model("UR5e").nominal
+
+
+#: All but a and alpha of the last row, which a kinematics.yaml has no place for.
+HELD = np.array([[1] * 6, [1, 1, 1, 1, 1, 0]])[[0, 1, 0, 1]]
+
+
+def write_urcontrol(path: Path, nominal: FullDH) -> Path:
+    lines = [f"{key} = {getattr(nominal, key).tolist()}" for key in ("theta", "a", "d", "alpha")]
+    path.write_text("\n".join(["[DH]", *lines, ""]))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("key", "joint", "change"), [("d", 0, 0.012), ("d", 5, 0.0204), ("theta", 5, 0.02)]
+)
+def test_an_arm_near_to_a_known_one_is_not_taken_for_it(key, joint, change, tmp_path):
+    columns = {name: getattr(UR5E, name).copy() for name in ("theta", "a", "d", "alpha")}
+    columns[key][joint] += change
+    nominal, deltas = FullDH(**columns), FullDH(*np.full((4, 6), 1e-4) * HELD)
+    conf = write_deltas(tmp_path / "c.conf", deltas)
+    urcontrol = write_urcontrol(tmp_path / "u.conf", nominal)
+    source = read_source(str(conf), Asked(urcontrol=urcontrol))
+    assert source.text.startswith("calibration of an arm of u.conf, calib_")
+    wanted = (nominal + deltas).poses(Q)
+    assert write_target(source, Wanted(tmp_path / "o.yaml", "ur-yaml")) == ()
+    np.testing.assert_allclose(poses_of_yaml(tmp_path / "o.yaml", Q), wanted, rtol=0, atol=1e-11)
+    assert write_target(source, Wanted(tmp_path / "o.conf", "ur-conf")) == ()
+    found = (nominal + rows(deltas_of_conf(tmp_path / "o.conf"))).poses(Q)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-11)
+
+
+def test_what_a_writer_took_for_another_arm_is_not_let_through(tmp_path):
+    nominal = UR5E + FullDH([0] * 6, [0] * 6, [0.012, 0, 0, 0, 0, 0], [0] * 6)
+    conf = write_deltas(tmp_path / "c.conf", FullDH(*np.full((4, 6), 1e-4) * HELD))
+    urcontrol = write_urcontrol(tmp_path / "u.conf", nominal)
+    source = read_source(str(conf), Asked(urcontrol=urcontrol))
+    other = ur_robot("UR5e")
+    written = write_ur_yaml(source.robot, other, tmp_path / "k.yaml", hash="calib_1", model="UR5e")
+    flange = poses_of_yaml(written.path, Q)
+    args = (Q, source.robot, source.nominal, source.model)
+    check_read_back(flange, *args, written)  # the height goes into the yaml's own first joint
+    written = write_ur_conf(source.robot, other, tmp_path / "k.conf", model="UR5e")
+    flange = (nominal + rows(deltas_of_conf(written.path))).poses(Q)
+    with pytest.raises(ModelError, match=r"^k\.conf: read back, .* 1\.2e-02 m or rad off"):
+        check_read_back(flange, *args, written)
+
+
+ENDS = FullDH([0.01, 0, 0, 0, 0, 0.02], [0] * 6, [1e-3, 0, 0, 0, 0, 2e-3], [0] * 6)
+
+
+def test_a_calibration_of_the_ends_alone_is_not_lost(tmp_path):
+    # The axes of such an arm are the nominal ones: its base and flange are not.
+    conf = write_deltas(tmp_path / "ends.conf", ENDS)
+    first = read_source(str(conf), Asked(ur_model="UR5e"))
+    write_target(first, Wanted(tmp_path / "mid.urdf", "urdf"))
+    links = {"base": "base", "tip": "tool0"}
+    wanted = (UR5E + ENDS).poses(Q)
+    alone = read_source(str(tmp_path / "mid.urdf"), Asked(**links))
+    assert (alone.nominal, alone.model) == (None, None)
+    source = read_source(str(tmp_path / "mid.urdf"), Asked(ur_model="UR5e", **links))
+    own = tmp_path / "own.yaml"
+    write_target(first, Wanted(own, "ur-yaml"))
+    assert write_target(source, Wanted(tmp_path / "o.yaml", "ur-yaml", hash_from=own)) == ()
+    np.testing.assert_allclose(poses_of_yaml(tmp_path / "o.yaml", Q), wanted, rtol=0, atol=1e-9)
+    assert write_target(source, Wanted(tmp_path / "o.conf", "ur-conf")) == ()
+    found = (UR5E + rows(deltas_of_conf(tmp_path / "o.conf"))).poses(Q)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
+    # A file of the arm's own on this URDF, which has it already, is not added to it.
+    again = read_source(str(conf), Asked(robot=str(tmp_path / "mid.urdf"), **links))
+    np.testing.assert_allclose(again.robot.poses(Q), wanted, rtol=0, atol=1e-9)
+    assert "is not the nominal UR5e: its flange lies up to" in again.remarks[0]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["name"])
+def test_a_conf_of_a_conf_has_the_same_numbers(case, tmp_path):
+    conf = write_conf(case, tmp_path / "own.conf")
+    conf.write_text(conf.read_text() + "joint_checksum = [ 0x1, 0x2]\ncalibration_status = 2\n")
+    source = read_source(str(conf), Asked(ur_model=case["robot"]))
+    (remark,) = write_target(source, Wanted(tmp_path / "o.conf", "ur-conf"))
+    assert f"left out of {conf}: 'joint_checksum', 'calibration_status'. --update {conf}" in remark
+    before, after = deltas_of_conf(conf), deltas_of_conf(tmp_path / "o.conf")
+    for key in before:
+        np.testing.assert_allclose(after[key], before[key], rtol=1e-12, atol=1e-12)
+    again = read_source(str(tmp_path / "o.conf"), Asked(ur_model=case["robot"]))
+    assert again.hash == source.hash
+    kept = write_target(source, Wanted(tmp_path / "p.conf", "ur-conf", update=conf))
+    assert kept[0].startswith("joint_checksum, calibration_status are as in")
+    assert (tmp_path / "p.conf").read_bytes() == conf.read_bytes()
+
+
+def test_what_there_is_to_say_of_a_hash_is_said(shop, tmp_path):
+    source = read_source(str(shop / "result.json"), Asked())
+    own = tmp_path / "own.yaml"
+    text = (shop / "kinematics.yaml").read_text()
+    own.write_text(text.replace(own_hash(shop / "kinematics.yaml"), ur_model("UR3").default_hash))
+    said = write_target(source, Wanted(tmp_path / "k.yaml", "ur-yaml", hash_from=own))
+    assert "has the hash of the nominal UR3: it is of no particular robot" in said[0]
 
 
 def test_how_far_a_source_is_from_its_nominal_robot(shop):

@@ -10,6 +10,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from calib.compensate.universal_robots import (
+    UrHash,
     read_ur_conf,
     read_ur_hash,
     read_ur_yaml,
@@ -25,7 +26,7 @@ from calib.model.robot import Robot
 from tests.compensate.ur_cases import WITH_DELTAS, rows
 
 Q = np.random.default_rng(12).uniform(-2 * np.pi, 2 * np.pi, (100, 6))
-HASH = "calib_12788084448423163542"
+HASH = "calib_4711"
 
 by_name = pytest.mark.parametrize("case", WITH_DELTAS, ids=lambda case: case["name"])
 
@@ -82,7 +83,9 @@ def test_conf_to_urdf(case, conf_of):
     )
     assert source.hash == case["driver_hash"]
     assert source.model.name == case["robot"]
-    assert source.remarks == ()
+    # All that is to be said: the deltas alone do not tell a UR3 from a UR3e, nor a UR10e from a UR10.
+    (remark,) = source.remarks
+    assert "alike: that it is a " in remark
     # Though d2 is hundreds of metres, no frame lies far from its nominal place.
     moved = source.robot.placements[:, :3, 3] - source.nominal.placements[:, :3, 3]
     assert np.linalg.norm(moved, axis=1).max() < 0.02
@@ -309,11 +312,11 @@ def test_a_yaml_of_no_particular_robot(tmp_path):
 def test_the_hash_of_a_robot_s_own_files(conf_of, tmp_path):
     case = case_of("ur3_a")
     conf = conf_of(case)
-    assert read_ur_hash(conf, model="ur3") == case["driver_hash"]
-    assert read_ur_hash(conf, robot=ur_robot("ur3")) == case["driver_hash"]
+    assert read_ur_hash(conf, model="ur3") == UrHash(case["driver_hash"])
+    assert read_ur_hash(conf, robot=ur_robot("ur3")) == UrHash(case["driver_hash"])
     robot = ur_robot("ur3")
     path = write_ur_yaml(robot, robot, tmp_path / "k.yaml", hash="calib_7").path
-    assert read_ur_hash(path) == "calib_7"
+    assert read_ur_hash(path) == UrHash("calib_7")
     path.write_text(path.read_text().replace("hash:", "# hash:"))
     with pytest.raises(FileError, match=r"no 'hash' in it\. Give the robot's own"):
         read_ur_hash(path)
@@ -336,13 +339,13 @@ def test_a_conf_of_another_arm(conf_of, tmp_path):
     )
     with pytest.raises(FileError, match=said):
         read_ur_conf(conf, model="UR3")
-    with pytest.raises(FileError, match="Check that the file is of a UR3, in metres"):
+    with pytest.raises(FileError, match=r"mm only.*Give the file of this robot's own controller"):
         read_ur_hash(conf, model="UR3")
     robot = ur_robot("UR10e")
     path = write_ur_yaml(robot, robot, tmp_path / "k.yaml", hash=HASH).path
     with pytest.raises(FileError, match=r"of a UR5 by up to .* of 'UR10e', 'UR12e' by 0.0 mm only"):
         read_ur_yaml(path, model="UR5")
-    with pytest.raises(FileError, match="Name the right one with --ur-model, or give its URDF"):
+    with pytest.raises(FileError, match="Give the URDF of the right one; the nominal UR3 is anoth"):
         read_ur_yaml(path, robot=ur_robot("UR3"))
 
 
@@ -427,5 +430,5 @@ def test_the_python_of_the_page_runs(conf_of, tmp_path, monkeypatch):
     names: dict[str, object] = {}
     exec(compile(code.replace("UR5e", "UR3"), page.name, "exec"), names)
     assert names["written"].remarks == ()
-    assert read_ur_hash("kinematics.yaml") == case["driver_hash"]
+    assert read_ur_hash("kinematics.yaml").hash == case["driver_hash"]
     assert Robot.load("ur5e.urdf", "base", "tool0").urdf == names["source"].robot.urdf

@@ -12,7 +12,8 @@ import pytest
 
 from calib.compensate.universal_robots import read_ur_conf, read_ur_yaml, write_ur_yaml
 from calib.compensate.ur_conf import write_deltas
-from calib.compensate.ur_models import LINKS, recognised
+from calib.compensate.ur_models import LINKS
+from calib.compensate.ur_mount import recognised
 from calib.errors import UrdfError
 from calib.model.robot import Robot
 from tests.compensate.ur_cases import WITH_DELTAS, rows
