@@ -16,6 +16,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -39,6 +40,10 @@ _LARGEST = {"m": 10.0, "rad": 4.0 * np.pi}
 
 #: What a hash is made of. A space or a line break in it would be another YAML.
 _HASH = re.compile(r"[\w.+-]+")
+
+#: What YAML calls plain text, and nothing; and what its own tags begin with.
+_OF_YAML = "tag:yaml.org,2002:"
+_TEXT, _NULL = f"{_OF_YAML}str", f"{_OF_YAML}null"
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
@@ -107,12 +112,12 @@ def write_yaml(
 
 
 def check_hash(hash: str) -> None:
-    """Refuse what the driver could not have made: a hash with spaces, or none.
+    """Refuse what the driver could not have made: a hash with spaces, none, or what YAML takes for no text.
 
     Raises:
         FileError: It is none.
     """
-    if not _HASH.fullmatch(hash):
+    if not _HASH.fullmatch(hash) or _tag(hash) != _TEXT:
         message = (
             f"The hash '{hash}' is none of a calibration: one such as 'calib_12788084448423163542' is wanted. Take it "
             "from the robot's own kinematics.yaml or calibration.conf."
@@ -138,6 +143,21 @@ def _parsed(path: str | os.PathLike[str], data: bytes) -> UrYaml:
     _check_present(path, "kinematics", links, LINKS)
     chain = [_placement(path, link, links[link]) for link in LINKS]
     return UrYaml(read_only([*chain, np.eye(4)]), _hash(path, links.get("hash")))
+
+
+def _tag(text: str) -> str:
+    """What YAML takes plain text for: true for a truth, 1e+5 for a number."""
+    resolver: Any = yaml.resolver.Resolver()
+    return str(resolver.resolve(yaml.ScalarNode, text, (True, False)))
+
+
+def _check_tag(path: str | os.PathLike[str], node: yaml.Node, what: str, known: str = "") -> None:
+    """Refuse tags but those of YAML itself and the ones that the description knows."""
+    tag = str(node.tag)
+    if not tag.startswith(_OF_YAML) and tag not in known.split():
+        read = f"; {known.replace(' ', ' and ')} are read there" if known else ""
+        message = f"{_where(path, node)}: the tag {tag} of {what} is not known{read}. Write the value without it."
+        raise FileError(message)
 
 
 def _reason(error: Exception) -> str:
@@ -170,6 +190,7 @@ def _mapping(
             "'hash' in it."
         )
         raise FileError(message)
+    _check_tag(path, node, what)
     values: dict[str, yaml.Node] = {}
     for key, value in node.value:
         name = str(key.value)
@@ -203,13 +224,14 @@ def _placement(path: str | os.PathLike[str], link: str, node: yaml.Node) -> Arra
 
 
 def _value(path: str | os.PathLike[str], link: str, key: str, node: yaml.Node, unit: str) -> float:
-    """A number in metres or radians; ``!degrees`` before an angle is heeded."""
+    """A number in metres or radians; ``!degrees`` or ``!radians`` before an angle is heeded."""
+    _check_tag(path, node, f"{key} of '{link}'", "!degrees !radians" if unit == "rad" else "")
     text = node.value if isinstance(node, yaml.ScalarNode) else "a list or a table"
     value = float(text) if _NUMBER.fullmatch(text) else np.inf
     if not np.isfinite(value):
         message = f"{_where(path, node)}: {key} of '{link}' is '{text[:40]}'; a finite number [{unit}] is wanted."
         raise FileError(message)
-    if node.tag == "!degrees" and unit == "rad":
+    if node.tag == "!degrees":
         value = float(np.radians(value))
     if abs(value) > _LARGEST[unit]:
         message = (
@@ -222,12 +244,13 @@ def _value(path: str | os.PathLike[str], link: str, key: str, node: yaml.Node, u
 
 def _hash(path: str | os.PathLike[str], node: yaml.Node | None) -> str | None:
     """The hash, None where there is none."""
-    if node is None or (isinstance(node, yaml.ScalarNode) and not node.value.strip()):
+    if node is None or node.tag == _NULL or (node.tag == _TEXT and not node.value.strip()):
         return None
-    if not isinstance(node, yaml.ScalarNode) or not _HASH.fullmatch(node.value):
+    if node.tag != _TEXT or not _HASH.fullmatch(node.value):
+        said = f"'{node.value[:40]}', " if isinstance(node, yaml.ScalarNode) else ""
         message = (
-            f"{_where(path, node)}: hash is not one word such as 'calib_12788084448423163542'. Take the line from the "
-            "robot's own kinematics.yaml."
+            f"{_where(path, node)}: hash is {said}not one word of text such as 'calib_12788084448423163542'. Take the "
+            "line from the robot's own kinematics.yaml."
         )
         raise FileError(message)
     return str(node.value)

@@ -247,6 +247,41 @@ def test_a_robot_that_was_calibrated_in_the_factory_is_corrected_further(conf_of
     np.testing.assert_allclose(on_it.robot.poses(Q), factory.robot.poses(Q), rtol=0, atol=1e-12)
 
 
+def test_a_displacement_says_in_which_frame_it_is(tmp_path):
+    # From base_link, half a turn from the controller's base, to the old flange of a tool turned by a right angle.
+    bare = ur_robot("UR5e")
+    nominal = bare.rebuilt(base="base_link", tip="flange")
+    placements = np.array(nominal.placements)
+    placements[0, :3, 3] += [1e-3, -1e-9, 0]  # along base_link's x: against the base's
+    placements[0, :3, :3] = placements[0, :3, :3] @ pin.exp3(np.array([0.0, -1e-9, 0.0]))
+    robot = nominal.with_placements(placements)
+    written = write_ur_conf(robot, nominal, tmp_path / "c.conf")
+    (remark,) = written.remarks
+    assert "the first axis lies (-1.0000, 0.0000, 0.0000) mm and (0.0000, 0.0000, 0.0000)" in remark
+    assert "along and about the axes of the controller's base (link 'base')" in remark
+    placements = np.array(nominal.placements)
+    placements[6, :3, 3] += placements[6, :3, :3] @ [0, 0, 1e-3]  # the flange link's z is tool0's y
+    robot = nominal.with_placements(placements)
+    (remark,) = write_ur_yaml(robot, nominal, tmp_path / "k.yaml", hash=HASH).remarks
+    shift = ", ".join(f"{round(value, 4) + 0.0:.4f}" for value in T_tool0_flange()[:3, 2])
+    assert f"the flange lies ({shift}) mm and" in remark
+    assert "along and about the axes of the controller's flange (link 'tool0')" in remark
+
+
+def T_tool0_flange() -> np.ndarray:
+    """The link 'flange' in tool0, of the bare URDF."""
+    return np.linalg.inv(ur_robot("UR5e").urdf.joint("flange-tool0").T_parent_joint)
+
+
+def test_a_calibration_that_the_controller_does_not_use_is_said(conf_of):
+    conf = conf_of(case_of("ur3_a"))
+    for status, said in (("0", True), ("1", True), ("2", False)):
+        conf.write_text(f"{conf.read_text()}calibration_status = {status} # 2 == Linearised\n")
+        remarks = " ".join(read_ur_conf(conf, model="UR3").remarks)
+        assert ("which is not 2, linearised" in remarks) is said
+        assert (f"calibration_status = {status}" in remarks) is said
+
+
 def test_nothing_to_say_of_a_robot_that_the_files_hold(tmp_path):
     # A length, a height, a zero and a flange further out along the last axis.
     nominal = ur_robot("UR5e")
@@ -265,14 +300,20 @@ def test_nothing_to_say_of_a_robot_that_the_files_hold(tmp_path):
 
 def test_rows_lose_digits_where_axes_are_almost_parallel(tmp_path):
     nominal = ur_robot("UR5e")
-    for angle, word in ((2e-8, "The rows hold the robot to"), (1e-4, "")):
+    far, parallel = (
+        "m where two axes are almost parallel, and no more digits fit",
+        "are taken as parallel",
+    )
+    for angle, word in ((2e-8, far), (5e-9, parallel), (1e-4, "")):
         placements = np.array(nominal.placements)
         placements[2] = placements[2] @ pin.exp6(np.array([0, 0, 0, 0, angle, 0])).homogeneous
         placements[2, 1, 3] += 0.01
         robot = nominal.with_placements(placements)
         written = write_ur_conf(robot, nominal, tmp_path / "c.conf", overwrite=True)
-        assert " ".join(written.remarks).startswith(word)
         assert bool(written.remarks) == bool(word)
+        for remark in written.remarks:
+            assert remark.startswith("The rows hold the robot to")
+            assert word in remark
         back = read_ur_conf(written.path, robot=nominal).robot
         np.testing.assert_allclose(back.poses(Q), robot.poses(Q), rtol=0, atol=1e-7)
 

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.compensate.ur_conf import (
+    not_linearised,
     other_keys,
     read_deltas,
     read_nominal,
@@ -193,6 +194,14 @@ DAMAGED = {
         CONF.replace("1.5e-06, 0]", "1.5e-06, 0"),
         r"line 4: delta_a is '\[ 0.00014.*brackets",
     ),
+    "open, the first": (
+        CONF.replace("-7.0e-07] # rad", "-7.0e-07 # rad"),
+        r"line 3: delta_theta is '\[ 2.5e-08.*a list of six numbers in brackets is wanted",
+    ),
+    "old Mac": (
+        CONF.replace("\n", "\r"),
+        r"its lines end in carriage returns alone, .* \(LF or CRLF",
+    ),
     "mm": (CONF.replace("0.0111", "11.1"), r"joint 2 is 11.1, more than 10 m: .* metres"),
     "deg": (CONF.replace("0.0073", "0.73"), r"alpha of joint 3 is 0.73, more than 0.5 rad"),
     "twice": (CONF + "delta_a = [1, 0, 0, 0, 0, 0]\n", r"two values, in line 4 and in line 10"),
@@ -204,13 +213,27 @@ DAMAGED = {
 @pytest.mark.parametrize("damage", DAMAGED)
 def test_damaged_files(damage, conf, tmp_path):
     text, message = DAMAGED[damage]
-    conf.write_text(text)
+    conf.write_bytes(text.encode())
     with pytest.raises(FileError, match=message) as error:
         read_deltas(conf)
     assert str(conf) in str(error.value)
     with pytest.raises(FileError, match=message):
         update_deltas(conf, tmp_path / "new.conf", DELTAS)
     assert not (tmp_path / "new.conf").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "status"),
+    [
+        ("calibration_status = 2 # 0", ""),
+        ("calibration_status = 1 # 0", "1"),
+        ("calibration_status=0;", "0"),
+        ("# calibration_status = 1 0", ""),
+    ],
+)
+def test_whether_a_calibration_is_linearised(conf, line, status):
+    conf.write_text(CONF.replace("calibration_status = 2 # 0", line))
+    assert not_linearised(conf) == status
 
 
 def test_damaged_nominal_rows(tmp_path):

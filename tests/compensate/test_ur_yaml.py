@@ -73,7 +73,9 @@ def test_universal_robots_own_spelling(tmp_path):
     content = read_yaml(path)
     np.testing.assert_allclose(content.chain, ur_model("UR30").nominal.chain(), rtol=0, atol=1e-9)
     assert content.hash == ur_model("UR30").default_hash
-    path.write_text(text.replace("roll: 1.570796327", "roll: !degrees 90"))
+    turned = text.replace("roll: 1.570796327", "roll: !degrees 90")
+    path.write_text(turned.replace("roll: 1.5707963265897931", "roll: !radians 1.5707963265897931"))
+    assert "!radians" in path.read_text()
     content = read_yaml(path)
     np.testing.assert_allclose(content.chain, ur_model("UR30").nominal.chain(), rtol=0, atol=1e-9)
     assert content.hash is None
@@ -107,7 +109,20 @@ DAMAGED = {
         r"line 5: 'x' stands a second time in 'shoulder'",
     ),
     "scalar": (lambda _: "kinematics: 3\n", r"line 1: kinematics has no keys"),
-    "hash": (damaged(HASH, "a b"), r"hash is not one word such as 'calib_"),
+    "hash": (damaged(HASH, "a b"), r"hash is 'a b', not one word of text such as 'calib_"),
+    "hash true": (damaged(HASH, "true"), r"line 45: hash is 'true', not one word of text"),
+    "hash number": (damaged(HASH, "-1"), r"hash is '-1', not one word of text"),
+    "hash real": (damaged(HASH, "1.0e+5"), r"hash is '1.0e\+5', not one word of text"),
+    "hash list": (damaged(HASH, "[calib_1]"), r"hash is not one word of text"),
+    "tag": (damaged("yaw: ", "yaw: !grad "), r"tag !grad of yaw of 'shoulder' .* !degrees and !ra"),
+    "tag of a length": (
+        damaged("x: ", "x: !degrees "),
+        r"tag !degrees of x of 'shoulder' is not k",
+    ),
+    "tag of a link": (
+        damaged("shoulder:", "shoulder: !old"),
+        r"line 3: the tag !old of 'shoulder'",
+    ),
     "deep": (lambda _: "[" * 1000, r"this is not a YAML file: it is nested too deeply"),
     "bytes": (lambda t: t + "\x00", r"this is not a YAML file"),
 }
@@ -128,7 +143,13 @@ def test_bytes_that_are_no_text(written):
         read_yaml(written)
 
 
-@pytest.mark.parametrize("hash_", ["", "a b", "x\ny", "calib_1 # 2"])
+@pytest.mark.parametrize("hash", ["null", "~", "", "''"])
+def test_a_hash_that_is_nothing_is_none(hash, written):
+    written.write_text(written.read_text().replace(HASH, hash))
+    assert read_yaml(written).hash is None
+
+
+@pytest.mark.parametrize("hash_", ["", "a b", "x\ny", "calib_1 # 2", "null", "true", "-1", "1.5"])
 def test_a_hash_that_is_none(hash_, tmp_path):
     with pytest.raises(FileError, match=r"is none of a calibration: one such as"):
         write_yaml(tmp_path / "k.yaml", CHAIN, hash_)
