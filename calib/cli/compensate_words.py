@@ -28,6 +28,9 @@ MEASURED = "measured"
 #: What may be left of an error where nothing else is said: position [m], angle [rad].
 _ACCEPT = (1e-8, 1e-8)
 
+#: What no correction of a pose can pass: a length that no arm has [m], and more than half a turn [rad].
+_UNLIMITED = (1e6, math.tau)
+
 _TOOL = (
     'three numbers and a unit of length, such as "0 0 150 mm", and behind them a rotation vector, "0 0 150 mm 0 0 90 '
     'deg", or roll, pitch and yaw, "0 0 150 mm rpy 0 0 90 deg"; or the calibrated target, "target", or "target:NAME"'
@@ -133,13 +136,13 @@ def parse_lever(text: str) -> float:
 
 
 def parse_limit(text: str) -> tuple[float, float]:
-    """``--limit``: a length [m] and an angle [rad]; infinite where one is not named.
+    """``--limit``: a length [m] and an angle [rad]; what is not named is larger than any correction.
 
     Raises:
         CalibError: Anything else.
     """
     length, angle = parse_pair(text, "--limit", "10 mm 2 deg")
-    return math.inf if length is None else length, math.inf if angle is None else angle
+    return _UNLIMITED[0] if length is None else length, _UNLIMITED[1] if angle is None else angle
 
 
 def parse_accept(text: str | None) -> tuple[float, float]:

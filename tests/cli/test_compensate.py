@@ -202,7 +202,7 @@ def test_robot_may_be_the_corrected_one_but_not_a_third(call, folder: Path):
     text = (folder / "robot.urdf").read_text(encoding="utf-8")
     origin = re.search(r'<joint name="elbow_joint".*?xyz="([^"]*)"', text, re.DOTALL)
     assert origin
-    moved = text[: origin.start(1)] + "0 0.001 -0.24365" + text[origin.end(1) :]
+    moved = text[: origin.start(1)] + "0.001 -0.0925 0.24365" + text[origin.end(1) :]
     (folder / "factory.urdf").write_text(moved, encoding="utf-8")
     message = refused(call(folder, "compensate", "factory.urdf", "program.csv", *RESULT))
     assert (
@@ -248,8 +248,8 @@ def test_rows_that_cannot_be_reached(call, folder: Path):
 
 
 def test_little_that_is_left_is_named_with_what_accepts_it(call, folder: Path):
-    # The wrist is straight: the tool cannot turn about every axis there.
-    write(folder / "straight.csv", HEADER, "-40,-85,75,-120,0,0")
+    # The elbow is nearly straight: the nominal robot just reaches so far.
+    write(folder / "straight.csv", HEADER, "-40,-85,2.2,-120,2,0")
     words = ("compensate", "robot.urdf", "straight.csv", *RESULT)
     message = refused(call(folder, *words))
     assert message.startswith(

@@ -79,8 +79,8 @@ def test_a_tool_in_wrong_units():
 def test_limits():
     assert parse_limit("10 mm 2 deg") == pytest.approx((0.01, math.radians(2)))
     assert parse_limit("2deg, 10mm") == pytest.approx((0.01, math.radians(2)))
-    assert parse_limit("500 um") == pytest.approx((5e-4, math.inf))
-    assert parse_limit("3 mrad") == pytest.approx((math.inf, 3e-3))
+    assert parse_limit("500 um") == pytest.approx((5e-4, math.tau))
+    assert parse_limit("3 mrad") == pytest.approx((1e6, 3e-3))
 
 
 def test_what_may_be_left():
