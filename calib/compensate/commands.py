@@ -14,7 +14,7 @@ calibration, 1987 ("compensation").
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -151,6 +151,7 @@ def commands(
     accept: tuple[float, float] = (1e-8, 1e-8),
     larger: bool = True,
     payload: Payload | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Commands:
     """What to command so that the true robot does what a program wants.
 
@@ -172,6 +173,7 @@ def commands(
             position may be left that is as large as ``limit``, and any angle.
         larger: Whether to use the larger model, where there is one; else the geometry that the URDF holds.
         payload: What the tip carries; None: what it carried when it was calibrated.
+        progress: Called with the number of rows done and of all, where joint values have to be looked for.
 
     Raises:
         ModelError: A tool, frame, match or joint that does not exist, a program of another robot, or no nominal robot.
@@ -184,7 +186,7 @@ def commands(
         matching = replace(matching, lever=pair.reach)
     _check_bounds(accept, limit)
     _check(program, robot, matching, start)
-    T_wanted, starts = _nominal(pair, program, matching, start_values(robot, start))
+    T_wanted, starts = _nominal(pair, program, matching, start_values(robot, start), progress)
     solved = solve(pair.true, T_wanted, starts.q, matching, column_limits(robot))
     T_send, left_by_pose = poses_to_send(pair, T_wanted, starts, solved, matching)
     found = judged(
@@ -268,7 +270,11 @@ def _check(
 
 
 def _nominal(
-    pair: Pair, program: Program, matching: Matching, start: Array
+    pair: Pair,
+    program: Program,
+    matching: Matching,
+    start: Array,
+    progress: Callable[[int, int], None] | None,
 ) -> tuple[Array, Starts]:
     """The poses that are wanted, in the base, and the joint values that the nominal robot has for them."""
     believed = pair.believed
@@ -277,7 +283,7 @@ def _nominal(
         poses = believed.poses(program.q)
         return poses, Starts(program.q, poses)
     T_wanted = rigid_inverse(pair.T_frame_base) @ program.T_wanted
-    starts = _starts(pair, program, T_wanted, matching, start)
+    starts = _starts(pair, program, T_wanted, matching, start, progress)
     if not program.oriented:
         # What was not asked for is as the nominal robot has it, so that a pose to send can be held against it.
         T_wanted[:, :3, :3] = starts.T_base_tool[:, :3, :3]
@@ -285,7 +291,12 @@ def _nominal(
 
 
 def _starts(
-    pair: Pair, program: Program, T_wanted: Array, matching: Matching, start: Array
+    pair: Pair,
+    program: Program,
+    T_wanted: Array,
+    matching: Matching,
+    start: Array,
+    progress: Callable[[int, int], None] | None,
 ) -> Starts:
     """Joint values of the nominal robot: for the whole pose where one is given, and it can have one.
 
@@ -296,7 +307,7 @@ def _starts(
     if program.q is not None:
         starts = near(pair.believed, T_wanted, program.q, full)
     else:
-        starts = following(pair.believed, T_wanted, start, full)
+        starts = following(pair.believed, T_wanted, start, full, progress)
     if full.name == matching.name:
         return starts
     lost = np.linalg.norm(full.error(starts.T_base_tool, T_wanted), axis=1) > _LOST

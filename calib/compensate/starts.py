@@ -6,7 +6,7 @@ the first is the solution nearest to a start, found from joint values spread ove
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,10 +60,23 @@ def near(arm: Arm, T_wanted: Array, q: Array, matching: Matching) -> Starts:
     return Starts(solved.q, solved.T_base_tool)
 
 
-def following(arm: Arm, T_wanted: Array, start: Array, matching: Matching) -> Starts:
+def following(
+    arm: Arm,
+    T_wanted: Array,
+    start: Array,
+    matching: Matching,
+    progress: Callable[[int, int], None] | None = None,
+) -> Starts:
     """Each row's solution follows the row before, and that of the first is the nearest to a start, shape (m,).
 
     A path is followed in blocks, which grow as long as all goes well: rows of a block start at the row before it.
+
+    Args:
+        arm: The nominal arm.
+        T_wanted: shape (N, 4, 4), T_base_tool [m].
+        start: shape (m,), where the first row starts [rad] or [m].
+        matching: What of the poses is to be reached.
+        progress: Called with the number of rows done and of all.
     """
     limits = column_limits(arm.robot)
     spread = _spread(arm.robot)
@@ -86,6 +99,8 @@ def following(arm: Arm, T_wanted: Array, start: Array, matching: Matching) -> St
             q[done], poses[done] = _nearest(arm, wanted[0], before, seeds, matching)
             taken = 1
         done += taken
+        if progress is not None:
+            progress(done, count)
         block = min(2 * block, _LONGEST_BLOCK) if taken == len(good) else 1
     return Starts(read_only(q), read_only(poses))
 

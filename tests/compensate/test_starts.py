@@ -38,7 +38,10 @@ def test_near_is_the_solution_next_to_what_is_given(arm):
 
 def test_a_path_is_followed_in_one_branch(arm):
     wanted = path(arm, 700)
-    found = following(arm, wanted, START, POSE)
+    told: list[tuple[int, int]] = []
+    found = following(arm, wanted, START, POSE, lambda done, count: told.append((done, count)))
+    assert told[-1] == (700, 700)
+    assert sorted(told) == told
     assert found.T_base_tool == pytest.approx(wanted, abs=1e-9)
     assert found.q[0] == pytest.approx(START, abs=1e-9)
     steps = np.abs(np.diff(found.q, axis=0)).max(axis=1)
