@@ -45,11 +45,11 @@ class RowJoint:
         """As a formula, such as ``"-2 * arm + 5 deg"``; of most joints the joint's own name."""
         unit, size = ("mm", 1e3) if self.prismatic else ("deg", 180.0 / np.pi)
         if self.driver is None:
-            return f"held at {size * self.offset:.9g} {unit}"
+            return f"held at {size * self.offset:.12g} {unit}"
         name = self.driver if self.factor == 1.0 else f"{self.factor:.12g} * {self.driver}"
         if self.offset == 0.0:
             return name
-        return f"{name} {'-' if self.offset < 0 else '+'} {size * abs(self.offset):.9g} {unit}"
+        return f"{name} {'-' if self.offset < 0 else '+'} {size * abs(self.offset):.12g} {unit}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

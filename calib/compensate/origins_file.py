@@ -109,7 +109,7 @@ class Origins:
         """The file's bytes: ``header``, then one line for each joint; numbers read back exactly."""
         lines = [f"{_SECTION}:"]
         for name, origin in self.joints:
-            key = name if _PLAIN.fullmatch(name) else json.dumps(name, ensure_ascii=False)
+            key = name if _PLAIN.fullmatch(name) else _quoted(name)
             lines.append(f'  {key}: {{xyz: "{_text(origin.xyz)}", rpy: "{_text(origin.rpy)}"}}')
         return (header + "\n".join(lines) + "\n").encode()
 
@@ -248,6 +248,12 @@ def _triple(values: Iterable[float]) -> tuple[float, float, float]:
 def _text(values: Iterable[float]) -> str:
     """Numbers that read back exactly."""
     return " ".join(map(repr, values))
+
+
+def _quoted(name: str) -> str:
+    """A name in YAML's double quotes; what could end a line, or be no character of YAML, by its number."""
+    quoted = json.dumps(name, ensure_ascii=False)
+    return "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
 
 
 def _one_line(text: str) -> str:

@@ -133,17 +133,17 @@ def _check_target(path: str | os.PathLike[str], target: Path, *, overwrite: bool
     if target.is_dir():
         message = f"'{path}' is a folder; name a file inside it"
         raise FileError(message)
+    if Path(path).exists() and not Path(path).is_file():
+        # Asked of the name given: /dev/stdout leads to a pipe that has no folder.
+        message = f"'{path}' is a device or a pipe, not a file; choose another name"
+        raise FileError(message)
     if not target.parent.is_dir():
         message = (
             f"'{path}' cannot be written: the folder '{target.parent}' does not exist; create it"
         )
         raise FileError(message)
-    if target.exists():
-        if not overwrite:
-            raise FileError(_exists_already(path))
-        if not target.is_file():
-            message = f"'{path}' is a device or a pipe, not a file; choose another name"
-            raise FileError(message)
+    if target.exists() and not overwrite:
+        raise FileError(_exists_already(path))
 
 
 def _exists_already(path: str | os.PathLike[str]) -> str:

@@ -11,6 +11,7 @@ import importlib
 import io
 import os
 import re
+import shlex
 import sys
 import threading
 import types
@@ -93,7 +94,17 @@ class XacroCall:
     @property
     def name(self) -> str:
         """The file's name with the arguments, as one writes them on a line: what messages and results call it."""
-        return " ".join([self.path.name, *(f"{name}:={value}" for name, value in self.arguments)])
+        return " ".join(self._words)
+
+    @property
+    def command(self) -> str:
+        """What flattens the file, to be typed into a shell."""
+        return f"xacro {shlex.join(self._words)}"
+
+    @property
+    def _words(self) -> list[str]:
+        """The file's name and each argument."""
+        return [self.path.name, *(f"{name}:={value}" for name, value in self.arguments)]
 
 
 def is_xacro(source: str | os.PathLike[str]) -> bool:
@@ -131,7 +142,7 @@ def read_xacro(source: str | os.PathLike[str] | XacroCall) -> Urdf:
         return Urdf.from_bytes(data, call.name, call.path)
     except UrdfError as error:
         message = (
-            f"{str(error).rstrip('.')}. This is about the flattened text, which `xacro {call.name}` prints; mend what "
+            f"{str(error).rstrip('.')}. This is about the flattened text, which `{call.command}` prints; mend what "
             f"it comes from.{said}"
         )
         raise UrdfError(message) from error
@@ -216,7 +227,7 @@ def _alone(call: XacroCall) -> Iterator[Any]:
             message = (
                 f"{call.path.name} is a xacro, and the xacro package that flattens it is not installed ({error}). "
                 'Install it with: pip install "calib[xacro]"; or flatten it elsewhere: '
-                f"xacro {call.name} > {expanded_name(call.path)}"
+                f"{call.command} > {shlex.quote(expanded_name(call.path))}"
             )
             raise UrdfError(message) from error
         sys.modules[_AMENT] = _package_index(call.path)

@@ -117,6 +117,28 @@ def test_robots_of_which_no_nominal_one_is_known(call, folder):
     assert (folder / "copy.urdf").read_bytes() == (folder / "robot.urdf").read_bytes()
 
 
+def test_an_arm_without_a_name_has_no_type_to_launch(call, folder, tmp_path):
+    urcontrol = tmp_path / "u.conf"
+    urcontrol.write_text(
+        "[DH]\na = [0, -0.24365, -0.22, 0, 0, 0]\nd = [0.1519, 0, 0, 0.11235, 0.08535, 0.0819]\n"
+        "alpha = [1.570796327, 0, 0, 1.570796327, -1.570796327, 0]\n"
+    )
+    words = ("calibration.conf", "--urcontrol", urcontrol, "-o", tmp_path / "k.yaml")
+    done = call(folder, "convert", *words)
+    assert (done.code, done.err) == (0, "")
+    assert done.lines[0].startswith("Read: calibration.conf, calibration of an arm of u.conf, cal")
+    assert " ur_type:=TYPE robot_ip:=ADDRESS " in done.out
+
+
+def test_nothing_is_said_twice(call, folder, tmp_path):
+    arm = tmp_path / "arm.urdf"
+    assert call(folder, "convert", "calibration.conf", "--ur-model", "UR3", "-o", arm).code == 0
+    words = ("--robot", arm, "--base", "base", "--tip", "tool0", "-o", tmp_path / "k.yaml")
+    done = call(folder, "convert", "calibration.conf", *words)
+    assert (done.code, done.err) == (0, "")
+    assert said(done.out).count("is not the nominal UR3: its flange lies up to") == 1
+
+
 def test_an_absolute_path_in_the_launch_command(call, folder, tmp_path):
     path = tmp_path / "my arm.yaml"
     done = call(folder, "convert", "kinematics.yaml", "--to", "ur-yaml", "-o", path)

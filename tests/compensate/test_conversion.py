@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -374,6 +375,24 @@ def test_how_far_a_source_is_from_its_nominal_robot(shop):
 def test_the_kind_of_a_source(shop, name, kind):
     assert source_kind(str(shop / name)) == kind
     assert kind in KINDS
+
+
+def test_a_kinematics_yaml_with_angles_in_degrees(shop, tmp_path):
+    path = tmp_path / "k.yaml"
+    text = (shop / "kinematics.yaml").read_text()
+    path.write_text(text)
+    q = np.random.default_rng(1).uniform(-1, 1, (3, 6))
+    wanted = read_source(str(path), Asked(ur_model="UR3")).robot.poses(q)
+    degrees = re.sub(
+        "(roll|pitch|yaw): (.*)",
+        lambda found: f"{found[1]}: !degrees {float(np.degrees(float(found[2])))!r}",
+        text,
+    )
+    path.write_text(degrees)
+    assert degrees.count("!degrees") == 18
+    assert source_kind(str(path)) == "ur-yaml"
+    found = read_source(str(path), Asked(ur_model="UR3")).robot.poses(q)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12)
 
 
 def test_names_and_xacros_are_robots():

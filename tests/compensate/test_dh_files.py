@@ -195,11 +195,18 @@ def test_joints_that_follow_others_and_held_ones(crooked):
     assert [joint.text for joint in tables.joints] == [
         "lift, up",
         "_arm|*a*_",
-        "-2 * _arm|*a*_ + 5.72957795 deg",
+        "-2 * _arm|*a*_ + 5.72957795131 deg",
     ]
     assert tables.remarks[-1].startswith("Joints without a value of their own: 'wrist' (-2 * _")
     held = Robot.from_urdf(crooked.urdf, tip="t", held={"lift, up": 0.25})
     assert dh_tables(held).joints[0].text == "held at 250 mm"
+
+
+def test_the_value_of_a_held_joint_has_the_digits_that_1e_9_needs(crooked):
+    held = Robot.from_urdf(crooked.urdf, tip="t", held={"_arm|*a*_": 1.234567890123})
+    texts = [joint.text for joint in dh_tables(held).joints if joint.text.startswith("held at")]
+    degrees = [float(text.split()[2]) for text in texts if text.endswith(" deg")]
+    assert abs(np.radians(degrees[0]) - 1.234567890123) < 1e-11
 
 
 def test_json_has_every_digit(crooked):

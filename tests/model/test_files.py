@@ -129,6 +129,18 @@ def test_never_replaces_a_device_or_a_pipe(tmp_path: Path):
     assert stat.S_ISFIFO(pipe.stat().st_mode)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="/dev/fd leads to no folder on Linux")
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_pipe_without_a_folder_is_said_to_be_one(overwrite: bool):
+    reading, writing = os.pipe()
+    try:
+        with pytest.raises(FileError, match=f"'/dev/fd/{writing}' is a device or a pipe, not a f"):
+            write_atomically(f"/dev/fd/{writing}", b"", overwrite=overwrite)
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_folder_that_takes_no_files(overwrite: bool):

@@ -413,6 +413,17 @@ def test_without_the_package(monkeypatch: pytest.MonkeyPatch):
     assert "xacro" not in sys.modules
 
 
+def test_what_is_to_be_typed_is_quoted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "my arm.urdf.xacro"
+    path.write_text(HALF)
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if not Path(p, "xacro").is_dir()])
+    with pytest.raises(UrdfError) as error:
+        read_xacro(f"{path} name:='left arm' n:=1")
+    assert str(error.value).endswith(
+        "xacro 'my arm.urdf.xacro' 'name:=left arm' n:=1 > 'my arm.urdf'"
+    )
+
+
 def test_another_module_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "xacro.py").write_text("")
     monkeypatch.syspath_prepend(tmp_path)

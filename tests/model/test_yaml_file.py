@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from calib.errors import FileError
-from calib.model.yaml_file import parse_yaml
+from calib.model.yaml_file import parse_yaml, yaml_keys
 
 
 def test_what_yaml_says():
@@ -49,3 +49,14 @@ def test_tags_that_other_programs_add_are_not_ours():
             parse_yaml(b"a: !millimeters 5", "f.yaml", "origins file")
     finally:
         yaml.SafeLoader.yaml_constructors = before
+
+
+def test_the_keys_of_a_file_whatever_its_tags():
+    text = b"kinematics:\n  shoulder: !degrees 90\norigins: &a 1\nb: *a\n1: 2\n"
+    assert yaml_keys(text, "f.yaml", "YAML file") == ("kinematics", "origins", "b", "1")
+    for other in (b"", b"- 1\n", b"word"):
+        assert yaml_keys(other, "f.yaml", "YAML file") == ()
+    with pytest.raises(FileError, match=r"f.yaml, line 2, column 1: this YAML file cannot be read"):
+        yaml_keys(b"a: [1, 2\n", "f.yaml", "YAML file")
+    with pytest.raises(FileError, match="save it as UTF-8 text"):
+        yaml_keys(b"a: \xff\xfe\n", "f.yaml", "YAML file")
