@@ -156,7 +156,7 @@ def evaluate(
 
         found = _evaluations(arm, table, setup, stored, frame=frame is None, target=target is None)
         fitted = Fitted.of(result, str(calibration))
-        seen = fitted.same(table)
+        seen = fitted.among(arm, table, setup, stored)
         name = None if calibration is None else calibration.name
         judged = judged_robot(judge, found, name)
         figures = {who: accuracy(one, seen=seen) for who, one in found.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -9,8 +10,14 @@ from typing import TYPE_CHECKING, Any
 from calib.errors import CalibError, FileError, MeasurementError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from calib.identify.acceptance_rows import FittedRows
     from calib.identify.accuracy import Accuracy
     from calib.identify.evaluation import Evaluation
+    from calib.identify.stored import StoredResult
+    from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
 
@@ -23,10 +30,12 @@ class Fitted:
     """What a result was fitted to.
 
     Attributes:
+        rows: The rows that are known again.
         sha256: Of the table; empty where it was no file.
         ranges: The smallest and the largest value of each joint [rad] or [m].
     """
 
+    rows: FittedRows
     sha256: str
     ranges: Mapping[str, tuple[float, float]]
 
@@ -41,10 +50,13 @@ class Fitted:
         Raises:
             FileError: Something is missing or of another kind.
         """
+        from calib.identify.acceptance_rows import FittedRows
+
         if result is None:
-            return cls("", {})
+            return cls(FittedRows({}), "", {})
         try:
             return cls(
+                FittedRows.of(result["rows"]),
                 str(result["inputs"]["measurements"]["sha256"]),
                 {
                     str(one["joint"]): (float(one["low"]), float(one["high"]))
@@ -59,9 +71,36 @@ class Fitted:
             )
             raise FileError(message) from error
 
-    def same(self, measurements: Measurements) -> bool:
-        """Whether it was fitted to this very file."""
-        return bool(self.sha256) and self.sha256 == measurements.sha256
+    def among(
+        self, robot: Robot, measurements: Measurements, cell: Cell, stored: StoredResult | None
+    ) -> NDArray[np.bool_]:
+        """Which rows it was fitted to, shape (N,): by its own frames and targets, whatever is judged.
+
+        In the very file these are the estimation rows where none is known again.
+
+        Args:
+            robot: The robot.
+            measurements: The rows.
+            cell: The set-up.
+            stored: The result.
+        """
+        import numpy as np
+
+        from calib.identify.evaluation import evaluate
+
+        found = np.zeros(len(measurements), dtype=bool)
+        if stored is not None and stored.nominal_known is not None:
+            both = (
+                (stored.nominal(robot), stored.nominal_known),
+                (stored.corrected(robot), stored.known),
+            )
+            # A set-up that the result does not know has none of its rows.
+            with contextlib.suppress(CalibError):
+                found = self.rows.among(
+                    *(evaluate(one, measurements, cell, known=known) for one, known in both)
+                )
+        same = bool(self.sha256) and self.sha256 == measurements.sha256
+        return measurements.estimation if same and not np.any(found) else found
 
     def outside(self, evaluation: Evaluation, judged: Accuracy) -> str:
         """A sentence that names the judged rows with joint values that the fit did not see, or nothing.

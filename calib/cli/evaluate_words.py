@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from calib.identify.acceptance import Acceptance
     from calib.identify.evaluation import Evaluation
 
@@ -49,8 +52,8 @@ class Wanted:
     uncertainty_angle: float
     criterion: str
 
-    def of(self, evaluation: Evaluation, *, seen: bool) -> Acceptance:
-        """The robot of an evaluation held against it."""
+    def of(self, evaluation: Evaluation, *, seen: NDArray[np.bool_]) -> Acceptance:
+        """The robot of an evaluation held against it; ``seen`` are the rows that its calibration was fitted to."""
         from calib.identify.acceptance import acceptance
 
         return acceptance(

@@ -25,6 +25,7 @@ from calib.identify.evaluation import Evaluation
 from calib.identify.statistics import interval_factor
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 PASS, UNDECIDED, FAIL = "pass", "undecided", "fail"
 
@@ -130,7 +131,7 @@ def acceptance(
     uncertainty: float = 0.0,
     uncertainty_angle: float = 0.0,
     criterion: str = "max",
-    seen: bool = False,
+    seen: bool | Mask = False,
 ) -> Acceptance:
     """Hold a robot's pose accuracy against a tolerance.
 
@@ -142,7 +143,7 @@ def acceptance(
         uncertainty_angle: The same of a measured orientation [rad].
         criterion: What must be within: ``"max"``, the AP of every pose; ``"mean"``, the mean AP; ``"single"``, every
             single repeat.
-        seen: Whether a calibration of this robot was fitted to the estimation rows.
+        seen: Whether a calibration of this robot was fitted to the estimation rows; or to which rows, shape (N,).
 
     Raises:
         CalibError: No tolerance, one that is not positive, an uncertainty below 0, or no such criterion.

@@ -45,6 +45,8 @@ def _accuracy_table(one: Accuracy) -> dict[str, Any]:
     low, high = one.repeats
     table: dict[str, Any] = {
         "rows": one.rows,
+        "measured": one.measured,
+        "fitted": one.fitted,
         "seen": one.seen,
         "repeats_min": low,
         "repeats_max": high,

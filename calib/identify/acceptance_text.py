@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from calib.errors import choices
 from calib.identify.acceptance import UNDECIDED, Acceptance, Check, size_of
+from calib.identify.acceptance_rows import FEWEST_APART
 from calib.identify.accuracy import FEWEST_REPEATS, Accuracy, PoseAccuracy
 from calib.identify.words import wrap
 
@@ -185,17 +186,25 @@ def _uncertainty_text(a: Acceptance) -> str:
 
 def _apart_text(a: Acceptance) -> str:
     """Which rows were judged, and whether a calibration has seen them."""
-    if a.accuracy.seen:
+    one = a.accuracy
+    if one.seen and one.fitted == one.measured:
         return (
             "The calibration was fitted to these very rows: they can show that it fails, not that it passes. Measure "
             "fresh ones."
         )
-    others = a.accuracy.others
-    if not others:
+    if one.seen:
+        return (
+            f"The calibration was fitted to {one.fitted} of the {one.measured} rows, and the others are of fewer than "
+            f"{FEWEST_APART} poses: the rows can show that it fails, not that it passes. Measure fresh ones, and give "
+            "them alone."
+        )
+    if one.rows == "all":
         return ""
-    parts = ["the calibration was fitted"] * ("calibration" in others)
-    parts += [f"the {what} was registered" for what in others if what != "calibration"]
-    return f"The validation rows alone are judged: to the others {' and '.join(parts)}."
+    parts = ["the calibration was fitted"] * ("calibration" in one.others)
+    parts += [f"the {what} was registered" for what in one.others if what != "calibration"]
+    count = sum(len(pose.rows) for pose in one.poses)
+    which = f"{count} of the {one.measured}" if one.rows == "fresh" else "The validation"
+    return f"{which} rows alone are judged: to the others {' and '.join(parts)}."
 
 
 def _registered_text(a: Acceptance) -> str:

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
+from calib.identify.acceptance_rows import estimated, fitted_of, judged_rows
 from calib.identify.evaluation import Evaluation
 from calib.identify.rows import Rows
 from calib.identify.setup import Setup
@@ -113,10 +114,13 @@ class Accuracy:
 
     Attributes:
         poses: The poses in the order of the table.
-        rows: ``"all"``, or ``"validation"``: where something was found from the others, these alone are judged.
-        others: Where these are the validation rows alone, what the others were used for: ``"calibration"``,
-            ``"target"``, ``"frame"``.
-        seen: Whether a calibration was fitted to the rows that are judged.
+        rows: ``"all"``; where something was found from the others, ``"validation"``, the table's validation rows, or
+            ``"fresh"``, others that nothing was found from.
+        others: Where some rows alone are judged, what the others were used for: ``"calibration"``, ``"target"``,
+            ``"frame"``.
+        measured: Number of rows that measure something.
+        fitted: Number of those that the calibration was fitted to.
+        seen: Whether some of these are judged.
         registered: What was registered to them.
         scatter: Of lengths within repeats.
         scatter_angle: Of angles.
@@ -125,6 +129,8 @@ class Accuracy:
     poses: tuple[PoseAccuracy, ...]
     rows: str
     others: tuple[str, ...]
+    measured: int
+    fitted: int
     seen: bool
     registered: Registered
     scatter: Scatter
@@ -171,15 +177,16 @@ class Accuracy:
         return min(counts), max(counts)
 
 
-def accuracy(evaluation: Evaluation, *, seen: bool = False) -> Accuracy:
+def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     """Pose accuracy and repeatability of an evaluation's robot.
 
-    Where a target or a frame was registered to the estimation rows, or a calibration was fitted to them, the validation
-    rows are judged alone, if there are any: of those nothing was taken away.
+    Where a target or a frame was registered to the estimation rows, the validation rows are judged alone, if there are
+    any; where a calibration was fitted to some rows, the others, see `calib.identify.acceptance_rows.judged_rows`: of
+    those nothing was taken away.
 
     Args:
         evaluation: The errors of a robot.
-        seen: Whether a calibration of this robot was fitted to the estimation rows.
+        seen: Whether a calibration of this robot was fitted to the estimation rows; or to which rows, shape (N,).
 
     Raises:
         MeasurementError: No row measures anything.
@@ -193,12 +200,14 @@ def accuracy(evaluation: Evaluation, *, seen: bool = False) -> Accuracy:
             f"{m.source or 'Measurements'}: no row measures anything, so no accuracy can be told."
         )
         raise MeasurementError(message)
-    uses = ("calibration",) * seen + evaluation.registered
-    apart = bool(uses) and bool(np.any(m.validation & told) and np.any(m.estimation))
-    judged = told & m.validation if apart else told
-    what = () if apart else evaluation.registered
-    fitted = told & m.estimation if np.any(m.estimation) else told
-    registered = Registered(what, _unknowns(evaluation.setup), _numbers(rows, fitted))
+    fitted = fitted_of(m, told, seen)
+    judged = judged_rows(m, told, fitted, rows.poses, registered=bool(evaluation.registered))
+    apart = not np.any(judged & estimated(m))
+    what, others = ((), evaluation.registered) if apart else (evaluation.registered, ())
+    if np.any(fitted & ~judged):
+        others = ("calibration", *others)
+    numbers = _numbers(rows, told & estimated(m))
+    registered = Registered(what, _unknowns(evaluation.setup), numbers)
     residual = _in_base(evaluation.residual, rows, evaluation.setup)
     chosen, pose = np.flatnonzero(judged), rows.poses[judged]
     order = np.argsort(pose, kind="stable")
@@ -208,13 +217,22 @@ def accuracy(evaluation: Evaluation, *, seen: bool = False) -> Accuracy:
     of_pose = partial(_of_pose, evaluation, residual)
     return Accuracy(
         poses=tuple(of_pose(own) for own in groups),
-        rows="validation" if apart else "all",
-        others=uses if apart else (),
-        seen=seen and not apart,
+        rows=_called(judged, told, told & m.validation),
+        others=others,
+        measured=int(np.sum(told)),
+        fitted=int(np.sum(fitted)),
+        seen=bool(np.any(fitted & judged)),
         registered=registered,
         scatter=_scatter(groups, residual[:, :3], evaluation.used[:, :3]),
         scatter_angle=_scatter(groups, residual[:, 3:], evaluation.used[:, 3:]),
     )
+
+
+def _called(judged: Mask, told: Mask, validation: Mask) -> str:
+    """What the rows that are judged are called."""
+    if np.array_equal(judged, told):
+        return "all"
+    return "validation" if np.array_equal(judged, validation) else "fresh"
 
 
 def _finite(values: Array) -> Array:

@@ -198,14 +198,83 @@ def test_the_exit_code_says_whether_a_tolerance_is_kept(
     assert (quiet.code, quiet.out, quiet.err) == (done.code, "", "")
 
 
-def test_a_table_of_its_own_name_is_fresh(call, folder: Path, tmp_path: Path):
-    """The rows that a fit has seen are known by the file's bytes; what was measured afterwards is judged whole."""
-    fresh = tmp_path / "fresh.csv"
-    fresh.write_text((folder / "data.csv").read_text(encoding="utf-8") + "\n", encoding="utf-8")
+def rows_of(table: Path) -> tuple[list[str], list[list[str]]]:
+    """The header of a table, and its rows."""
+    with table.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    return header, rows
+
+
+@pytest.mark.parametrize(
+    ("chosen", "code", "said"),
+    [
+        (range(30), 3, "they can show that it fails, not that it passes. Measure fresh ones."),
+        (range(5, 30), 3, "The calibration was fitted to these very rows"),
+        (
+            range(34),
+            3,
+            "The calibration was fitted to 30 of the 34 rows, and the others are of fewer",
+        ),
+        (
+            range(35),
+            0,
+            "5 of the 35 rows alone are judged: to the others the calibration was fitted.",
+        ),
+        (range(30, 35), 0, "All 5 poses are within"),
+    ],
+)
+def test_rows_that_were_fitted_are_known_in_any_file(
+    call, folder: Path, tmp_path: Path, chosen: range, code: int, said: str
+):
+    """Shuffled, renumbered, with other line ends and without the column that says which rows were fitted."""
+    header, rows = rows_of(folder / "data.csv")
+    rows = [rows[k] for k in np.random.default_rng(1).permutation(chosen)]
+    columns = [k for k, label in enumerate(header) if label not in ("row", "set")]
+    with (tmp_path / "new.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\r\n")
+        writer.writerows([one[k] for k in columns] for one in [header, *rows])
+    words = ("--calibration", "result.json", "--tolerance", "5 mm", "--json", tmp_path / "e.json")
+    done = call(folder, "evaluate", "corrected.urdf", tmp_path / "new.csv", *words)
+    assert (done.code, done.err) == (code, "")
+    assert done.lines[0] == ("Verdict: undecided" if code else "Verdict: pass")
+    assert said in " ".join(done.out.split())
+    found = load(tmp_path / "e.json")["accuracy"]["calibration"]
+    assert (found["measured"], found["fitted"]) == (len(chosen), sum(k < 30 for k in chosen))
+    assert found["seen"] == bool(code)
+    # Nor does it help to find frame or target anew.
+    anew = call(
+        folder,
+        "evaluate",
+        "corrected.urdf",
+        tmp_path / "new.csv",
+        *words[:4],
+        "--frame",
+        "estimate",
+    )
+    assert anew.code == code
+
+
+def test_rows_beside_the_fitted_ones_are_judged_alone(call, folder: Path):
+    """The same file with a line end more: as before, its validation rows."""
     words = ("--calibration", "result.json", "--tolerance", "0.5 mm")
-    done = call(folder, "evaluate", "corrected.urdf", fresh, *words)
-    assert done.code == 3
-    assert "largest pose accuracy AP of 35 poses is 1.988 mm (row 11)" in " ".join(done.out.split())
+    text = (folder / "data.csv").read_text(encoding="utf-8")
+    (folder / "ended.csv").write_text(text + "\n", encoding="utf-8")
+    done = call(folder, "evaluate", "corrected.urdf", "ended.csv", *words)
+    assert done.code == 0
+    assert "The validation rows alone are judged: to the others the calibration was fitted." in (
+        " ".join(done.out.split())
+    )
+
+
+def test_the_very_file_is_known_where_no_row_is(call, folder: Path, tmp_path: Path):
+    """Of a result that does not say where the nominal target is, its rows cannot be computed again."""
+    table = load(folder / "result.json")
+    del table["frames"]["nominal"]
+    (tmp_path / "old.json").write_text(json.dumps(table), encoding="utf-8")
+    words = ("--calibration", tmp_path / "old.json", "--tolerance", "0.5 mm")
+    done = call(folder, "evaluate", "corrected.urdf", "data.csv", *words)
+    assert (done.code, done.err) == (0, "")
+    assert "The validation rows alone are judged" in done.out
 
 
 def test_repeats_have_their_accuracy_without_a_tolerance_too(call, shop: Path):
@@ -284,10 +353,16 @@ def test_a_larger_model_that_is_not_there_is_refused(call, folder: Path):
 
 
 @pytest.mark.parametrize(
-    "damage", [("robot", "ranges", [{"joint": 3}]), ("inputs", "measurements", 7)]
+    "damage",
+    [
+        ("robot", "ranges", [{"joint": 3}]),
+        ("inputs", "measurements", 7),
+        ("rows", 3, {"set": "estimate"}),
+        ("rows", 3, {"set": "estimate", "residual_nominal_m": "x", "residual_calibrated_m": 1}),
+    ],
 )
 def test_a_result_that_does_not_say_what_it_was_fitted_to(
-    call, folder: Path, tmp_path: Path, damage: tuple[str, str, Any]
+    call, folder: Path, tmp_path: Path, damage: tuple[str, Any, Any]
 ):
     outer, inner, value = damage
     table = load(folder / "result.json")

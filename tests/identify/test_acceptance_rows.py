@@ -1,0 +1,112 @@
+"""Rows that a calibration was fitted to: known again in any order and kind, and not judged by."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.identify.acceptance_rows import FittedRows, fitted_of, judged_rows
+from calib.identify.calibration import Calibration
+from calib.identify.evaluation import Evaluation, evaluate
+from calib.identify.result_file import plain, result_table, stored_result
+from calib.measure.measurements import Measurements
+
+
+def errors(c: Calibration, m: Measurements) -> tuple[FittedRows, Evaluation, Evaluation]:
+    """What is left over in some rows, under a result that was written and read."""
+    table = plain(result_table(c))
+    stored = stored_result(table, "r.json")
+    nominal = evaluate(stored.nominal(c.nominal), m, c.cell, known=stored.nominal_known)
+    calibrated = evaluate(stored.corrected(c.nominal), m, c.cell, known=stored.known)
+    return FittedRows.of(table["rows"]), nominal, calibrated
+
+
+def test_rows_of_every_kind_are_known_again(case):
+    _, c = case
+    m = c.measurements
+    fitted, nominal, calibrated = errors(c, m)
+    wanted = m.estimation & np.any(c.used, axis=1)
+    assert np.array_equal(fitted.among(nominal, calibrated), wanted)
+
+
+def test_neither_order_nor_number_nor_set_hides_a_row(default_result: Calibration):
+    m = default_result.measurements
+    order = np.random.default_rng(1).permutation(len(m))[:20]
+    shuffled = Measurements(m.joint_names, m.joints[order], m.points[order])
+    fitted, nominal, calibrated = errors(default_result, shuffled)
+    assert np.array_equal(fitted.among(nominal, calibrated), m.estimation[order])
+
+
+@pytest.mark.parametrize(("change", "known"), [(1e-9, True), (1e-6, False)])
+def test_a_row_that_was_measured_again_is_another(
+    default_result: Calibration, change: float, known: bool
+):
+    """What is lost in rounding is not a measurement; a micrometre is."""
+    m = default_result.measurements
+    again = replace(m, points=m.points + change * np.eye(3)[0])
+    fitted, nominal, calibrated = errors(default_result, again)
+    assert fitted.among(nominal, calibrated).sum() == known * m.estimation.sum()
+
+
+def test_rows_without_errors_are_told_apart_by_the_nominal_robot(default_result: Calibration):
+    """Where the calibrated robot explains everything, as it may a simulation without noise."""
+    m = default_result.measurements
+    fitted, nominal, calibrated = errors(default_result, m)
+    exact = {k: stored * [[[1.0], [0.0]]] for k, stored in fitted.residuals.items()}
+    right = replace(calibrated, residual=0.0 * calibrated.residual)
+    assert np.array_equal(FittedRows(exact).among(nominal, right), m.estimation)
+
+
+def test_a_number_that_is_missing_makes_no_row():
+    row = {"set": "estimate", "residual_nominal_m": [None], "residual_calibrated_m": [0.0]}
+    whole = row | {"residual_nominal_m": [0.0]}
+    assert FittedRows.of([row]).residuals == {}
+    assert FittedRows.of([whole, whole | {"set": "validate"}]).residuals[1].shape == (1, 2, 1)
+    with pytest.raises(KeyError, match="residual_calibrated_m"):
+        FittedRows.of([{"residual_nominal_m": [0.0]}])
+
+
+@pytest.mark.parametrize(
+    ("validate", "fitted", "registered", "judged"),
+    [
+        ("", "", False, "0123456789"),
+        ("", "", True, "0123456789"),
+        ("", "01234", False, "56789"),
+        ("", "012345", False, "0123456789"),  # four poses are too few,
+        ("89", "01234567", False, "89"),  # unless the table sets them aside
+        ("89", "01234", False, "56789"),
+        ("89", "01234", True, "89"),
+        ("89", "", True, "89"),
+        ("89", "", False, "0123456789"),
+        ("89", "0123456789", True, "0123456789"),
+    ],
+)
+def test_which_rows_are_judged(validate: str, fitted: str, registered: bool, judged: str):
+    def mask(rows: str) -> np.ndarray:
+        return np.array([str(k) in rows for k in range(10)])
+
+    sets = tuple("validate" if one else "estimate" for one in mask(validate))
+    m = Measurements(("a",), np.zeros((10, 1)), np.zeros((10, 3)), sets=sets)
+    told = np.ones(10, dtype=bool)
+    found = judged_rows(m, told, mask(fitted), np.arange(10), registered=registered)
+    assert np.array_equal(found, mask(judged))
+
+
+def test_repeats_of_one_pose_do_not_count_as_five():
+    m = Measurements(("a",), np.zeros((10, 1)), np.zeros((10, 3)))
+    told = np.ones(10, dtype=bool)
+    fitted = np.arange(10) < 4
+    assert judged_rows(m, told, fitted, np.arange(10) // 2, registered=False).all()
+
+
+def test_what_was_fitted_as_a_word_or_row_by_row():
+    sets = ("estimate", "validate", "estimate")
+    m = Measurements(("a",), np.zeros((3, 1)), np.zeros((3, 3)), sets=sets)
+    told = np.array([True, True, False])
+    assert fitted_of(m, told, seen=True).tolist() == [True, False, False]
+    assert fitted_of(m, told, seen=False).tolist() == [False, False, False]
+    assert fitted_of(m, told, np.array([False, True, True])).tolist() == [False, True, False]
+    alone = m.select(m.validation)
+    assert fitted_of(alone, np.array([True]), seen=True).tolist() == [True]
