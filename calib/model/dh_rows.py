@@ -29,8 +29,9 @@ from calib.model.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 
-#: Axes closer to parallel than this [rad] are rounding of a URDF's text: the common normal would be of noise.
-_PARALLEL = 5e-7
+#: Axes closer to parallel than the first of these [rad] are rounding of a URDF's text: the common normal would be of
+#: noise. Behind a common normal that lies far away even such an angle is metres: there the first that holds is taken.
+_PARALLEL = (5e-7, 1e-8, 1e-10, 1e-12)
 
 #: An offset between parallel axes below this is rounding [m].
 _COINCIDENT = 1e-13
@@ -40,12 +41,16 @@ _ON_AXIS = 1e-3
 
 _TOLERANCE = 1e-9
 
+#: Joint values at which rows are compared with the robot to see whether they hold it, the same every time.
+_POSES, _SEED = 8, 20170401
+
 
 def dh_rows(robot: Robot, convention: str = STANDARD, like: Robot | None = None) -> DHRows:
     """The DH rows of a robot's chain; `DHRows.poses` then equals ``robot.poses`` up to rounding.
 
     Axes within 5e-7 rad of parallel are taken as parallel by the pure conventions, standard and modified: the poses
-    are then off by that angle times the arm's reach.
+    are then off by that angle times the arm's reach. Beside axes that are nearly, but not so nearly, parallel, where
+    they would be off by more, only axes within 1e-8, 1e-10 or 1e-12 rad are.
 
     Args:
         robot: The robot.
@@ -67,24 +72,47 @@ def dh_rows(robot: Robot, convention: str = STANDARD, like: Robot | None = None)
     wanted = None
     if like is not None:
         _check_same_chain(robot, like)
-        wanted = _product(like, convention, None)
-    found = _product(robot, convention, wanted)
+        wanted = _product(like, convention, None, _limit(like))
+    found = _product(robot, convention, wanted, _limit(robot))
     return _rebracketed(found) if convention == MODIFIED else found
 
 
 def near_parallel(robot: Robot) -> dict[tuple[str, str], float]:
     """The angle [rad] between axes of consecutive joints that are nearly, but not exactly, parallel, by their names."""
     names = [joint.name for joint in robot.joints]
+    limit = _limit(robot)
     return {
         pair: float(np.arcsin(sine))
         for pair, sine in zip(pairwise(names), _sines(robot), strict=True)
-        if _PARALLEL <= sine < np.sin(NEARLY_PARALLEL_RAD)
+        if limit <= sine < np.sin(NEARLY_PARALLEL_RAD)
     }
 
 
 def taken_as_parallel(robot: Robot) -> float:
     """The largest angle [rad] between consecutive axes that the pure conventions take as parallel; 0 without such."""
-    return max((sine for sine in _sines(robot) if sine < _PARALLEL), default=0.0)
+    return _largest_below(_limit(robot), _sines(robot))
+
+
+def _limit(robot: Robot) -> float:
+    """The angle [rad] below which axes are taken as parallel: the largest of `_PARALLEL` whose rows hold the robot."""
+    sines = _sines(robot)
+    if _largest_below(_PARALLEL[0], sines) <= _PARALLEL[-1]:
+        return _PARALLEL[0]
+    q = np.random.default_rng(_SEED).uniform(-np.pi, np.pi, (_POSES, len(robot.joint_names)))
+    values, poses = robot.chain_values(q), robot.poses(q)
+    reach = 1.0 + float(np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum())
+    off = {}
+    for limit in _PARALLEL:
+        rows = _product(robot, STANDARD, None, limit)
+        off[limit] = float(np.abs(rows.poses(values) - poses).max())
+        if off[limit] <= _TOLERANCE + 2.0 * reach * _largest_below(limit, sines):
+            return limit
+    return min(off, key=lambda limit: off[limit])
+
+
+def _largest_below(limit: float, sines: list[float]) -> float:
+    """The largest of the sines below a limit; 0 without such."""
+    return max((sine for sine in sines if sine < limit), default=0.0)
 
 
 def _sines(robot: Robot) -> list[float]:
@@ -120,10 +148,11 @@ def _rebracketed(rows: DHRows) -> DHRows:
     )
 
 
-def _product(robot: Robot, convention: str, like: DHRows | None) -> DHRows:
+def _product(robot: Robot, convention: str, like: DHRows | None, limit: float) -> DHRows:
     """The rows in the standard bracketing, each relative to the frame that the rows before it give.
 
-    So what one row cannot hold, as the last digits of a d of kilometres, the next makes good.
+    So what one row cannot hold, as the last digits of a d of kilometres, the next makes good. ``limit`` is the angle
+    [rad] below which the pure conventions take axes as parallel.
     """
     frames, T_base_tip = zero_poses(robot)
     axes = [T[:3, :3] @ joint.axis for T, joint in zip(frames, robot.joints, strict=True)]
@@ -134,10 +163,10 @@ def _product(robot: Robot, convention: str, like: DHRows | None) -> DHRows:
         wanted = None if like is None or seen is None else _Wanted(like.rows[i], seen[i][:3, 0])
         if i + 1 < len(axes):
             line = (frames[i + 1][:3, 3], axes[i + 1])
-            numbers = _row(T, line, convention, wanted)
+            numbers = _row(T, line, convention, wanted, limit)
         else:
             T_n_tip = None if like is None else like.T_n_tip
-            numbers = _last_row(T, T_base_tip, convention, wanted, T_n_tip)
+            numbers = _last_row(T, T_base_tip, convention, wanted, T_n_tip, limit)
         row = _tidy(Row(joint.name, joint.type == "prismatic", *numbers), wanted)
         rows.append(row)
         T = T @ row_matrix(row)
@@ -157,7 +186,9 @@ class _Wanted:
 _Numbers = tuple[float, float, float, float, float]
 
 
-def _row(T: Array, line: tuple[Array, Array], convention: str, wanted: _Wanted | None) -> _Numbers:
+def _row(
+    T: Array, line: tuple[Array, Array], convention: str, wanted: _Wanted | None, limit: float
+) -> _Numbers:
     """The row from a frame to the axis of the next joint, a line through a point."""
     point, axis = line
     z, x = T[:3, 2], T[:3, 0]
@@ -169,7 +200,7 @@ def _row(T: Array, line: tuple[Array, Array], convention: str, wanted: _Wanted |
         leaning = sine if wanted is None else _sine(wanted.row)
         parallel = leaning < np.sin(NEARLY_PARALLEL_RAD)
     else:
-        parallel = sine < _PARALLEL
+        parallel = sine < limit
     if parallel:
         # The next origin is where the next axis meets the plane through this one's origin: d = 0.
         offset = between - axis * (between @ z) / (axis @ z)
@@ -213,13 +244,18 @@ def _parallel_row(T: Array, axis: Array, offset: Array, convention: str, hint: A
 
 
 def _last_row(
-    T: Array, T_base_tip: Array, convention: str, wanted: _Wanted | None, T_n_tip: Array | None
+    T: Array,
+    T_base_tip: Array,
+    convention: str,
+    wanted: _Wanted | None,
+    T_n_tip: Array | None,
+    limit: float,
 ) -> _Numbers:
     """The row from the last axis to the tip, whose frame is the tip's where it can be."""
     z, axis, between = T[:3, 2], T_base_tip[:3, 2], T_base_tip[:3, 3] - T[:3, 3]
     sine = np.linalg.norm(np.cross(z, axis))
     if sine >= np.sin(NEARLY_PARALLEL_RAD):
-        return _row(T, (T_base_tip[:3, 3], axis), convention, wanted)
+        return _row(T, (T_base_tip[:3, 3], axis), convention, wanted, limit)
     if wanted is not None and T_n_tip is not None:
         # How the tip lies behind the axis is no matter of the joint: T_n_tip says how it moved.
         row = wanted.row
@@ -230,7 +266,7 @@ def _last_row(
     along = float(between @ z)
     across = between - along * z
     if convention != HAYATI and (
-        convention == MODIFIED or sine >= _PARALLEL or np.linalg.norm(across) < _ON_AXIS
+        convention == MODIFIED or sine >= limit or np.linalg.norm(across) < _ON_AXIS
     ):
         across = np.zeros(3)
         axis = z * np.sign(axis @ z)

@@ -301,6 +301,33 @@ def test_axes_that_are_parallel_but_for_rounding_are_taken_as_parallel(ur3):
     assert_same_poses(dh_rows(corrected, "hayati", like=ur3), corrected, 1e-12)
 
 
+@pytest.mark.parametrize("size", [1e-7, 1e-8, 1e-9])
+def test_parallel_but_for_rounding_behind_axes_that_are_nearly_so(serial_urdf, size):
+    # The common normal of the first two lies 300 km away: there 4e-7 rad are 0.1 m.
+    turn = ("revolute", (0.3, 0, 0), (0, 0, 0), (0, 0, 1))
+    tilts = [(0, 0, 0), (1e-6, 0, 0), (0, 4e-7, 0), (0, 6e-7, 0)]
+    robot = Robot.from_urdf(serial_urdf([(*turn[:2], rpy, turn[3]) for rpy in tilts]))
+    moved = displaced(robot, size=size / 1e-3)
+    for convention in ("standard", "modified"):
+        assert_same_poses(dh_rows(moved, convention, like=robot), moved, 1e-9)
+    assert taken_as_parallel(moved) < 1e-9
+    assert len(near_parallel(moved)) == 3
+
+
+@pytest.mark.parametrize("tilt", [1e-2, 1e-3, 1e-5, 1e-6])
+@pytest.mark.parametrize("small", [4e-7, 1e-8])
+@pytest.mark.parametrize("first", [True, False])
+def test_two_nearly_parallel_pairs_hold_what_is_said(ur3, tilt, small, first):
+    placements = ur3.placements.copy()
+    for i, angle in zip((2, 3), (tilt, small) if first else (small, tilt), strict=True):
+        R = Rotation.from_rotvec([angle, 0.3 * angle, 0]).as_matrix()
+        placements[i, :3, :3] = placements[i, :3, :3] @ R
+        placements[i, :3, 3] += 1e-3
+    robot = ur3.with_placements(placements)
+    rows = dh_rows(robot, "standard", like=ur3)
+    assert_same_poses(rows, robot, 5e-9 + 4.0 * taken_as_parallel(robot))
+
+
 # Any chain
 
 
