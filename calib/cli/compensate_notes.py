@@ -136,12 +136,8 @@ def notes(
         notes.append(
             "ROBOT has the corrected joint origins already; what the controller has was taken from the result."
         )
-    if poses and not np.array_equal(found.T_tip_tool, found.T_tip_tool_nominal):
-        notes.append(
-            f"The poses to send are those of a tool at {_place(found.T_tip_tool_nominal)} in '{found.nominal.tip}': "
-            "set the controller's tool to that. It is where the target was before the calibration, which found it "
-            "elsewhere."
-        )
+    if of_target and truth.table is not None:
+        notes.append(_believed(found, poses=poses))
     if in_base and (poses or found.program.T_wanted is not None):
         notes.append(_another_base(found.nominal, fitted=truth.table is not None))
     if poses and not in_base:
@@ -157,6 +153,30 @@ def notes(
         ]
     lists = ["\n".join(empty), _warnings(found, larger=larger)]
     return [*(fill(note) for note in notes if note), *(one for one in lists if one)]
+
+
+def _believed(found: Commands, *, poses: bool) -> str:
+    """Where the controller is to have the target, and what the wanted poses were computed with.
+
+    Args:
+        found: The commands.
+        poses: Whether poses are sent.
+    """
+    place = f"{_place(found.T_tip_tool_nominal)} in '{found.nominal.tip}'"
+    same = np.array_equal(found.T_tip_tool, found.T_tip_tool_nominal)
+    why = (
+        "It is where the calibration found the target, whose place was not stated before"
+        if same
+        else "It is where the target was stated to be before the calibration, which found it elsewhere"
+    )
+    if poses:
+        text = f"The poses to send are those of a tool at {place}: set the controller's tool to that. {why}."
+        if found.program.T_wanted is None:
+            text += " The poses wanted were computed from the joint values with the same tool."
+        return text
+    if found.program.T_wanted is not None:
+        return ""
+    return f"The poses wanted were computed from the joint values with a tool at {place}. {why}."
 
 
 def _another_base(robot: Robot, *, fitted: bool) -> str:

@@ -249,7 +249,7 @@ def test_rows_that_cannot_be_reached(call, folder: Path):
 
 def test_little_that_is_left_is_named_with_what_accepts_it(call, folder: Path):
     # The elbow is nearly straight: the nominal robot just reaches so far.
-    write(folder / "straight.csv", HEADER, "-40,-85,2.2,-120,2,0")
+    write(folder / "straight.csv", HEADER, "-40,-85,2.25,-120,2,0")
     words = ("compensate", "robot.urdf", "straight.csv", *RESULT)
     message = refused(call(folder, *words))
     assert message.startswith(
@@ -443,7 +443,39 @@ def test_a_target_that_is_turned_is_said_with_its_rotation(call, large: Path):
         r"a tool at \(50\.\d+, 50\.\d+, 50\.\d+\) mm, rotation vector \(.*, 90\.0+\) deg in",
         text,
     )
-    assert "a tool at" not in said(call(large, *words, "--send", "joints"))
+
+
+def test_with_which_target_the_wanted_poses_were_computed(call, examples, folder: Path):
+    # Stated before the fit: that is what the controller has, and what the program was made with.
+    shutil.copy(examples.folder / "demo" / "calibration.json", folder)
+    stated = "a tool at (-69.9700, 70.2000, 22.5200) mm in 'tool0'"
+    computed = "The poses wanted were computed from the joint values with"
+    before = (
+        "It is where the target was stated to be before the calibration, which found it elsewhere."
+    )
+    asked = ("--calibration", "calibration.json", "--tool", "target")
+    words = ("compensate", "robot.urdf", "program.csv", *asked)
+    text = said(call(folder, *words))
+    assert f"The poses to send are those of {stated}: set the controller's tool to that." in text
+    assert f"{before} {computed} the same tool." in text
+    text = said(call(folder, *words, "--send", "joints"))
+    assert f"{computed} {stated}. {before}" in text
+    assert "The poses to send" not in text
+    write(folder / "both.csv", f"{HEADER},x [mm],y [mm],z [mm]", "-40,-85,75,-120,-45,0,-400,0,300")
+    both = ("compensate", "robot.urdf", "both.csv", *asked)
+    assert "The poses wanted" not in said(call(folder, *both))
+    assert "a tool at" not in said(call(folder, *both, "--send", "joints"))
+    # Never stated: nobody has another place for it than the one that was found.
+    words = ("compensate", "robot.urdf", "program.csv", *RESULT, "--tool", "target")
+    text = said(call(folder, *words))
+    after = "It is where the calibration found the target, whose place was not stated before."
+    assert f"set the controller's tool to that. {after} {computed} the same tool." in text
+    place = re.search(r"What arrives: the point \((.*?)\) mm", text)
+    assert place
+    text = said(call(folder, *words, "--send", "joints"))
+    used = re.search(rf"{computed} a tool at \((.*?)\) mm in 'tool0'\. {after}", text)
+    assert used
+    assert numbers(used[1]) == pytest.approx(numbers(place[1]), abs=1e-3)
 
 
 @pytest.mark.parametrize(
