@@ -29,13 +29,18 @@ from calib.units import Quantity, split_header
 # Signs that people write for "no unit" in the header of a quaternion.
 _NO_UNIT = (None, "", "-", "1")
 
+# A table of commands has these two columns; the second says so where a row has none, and its cells are empty.
+_COMMANDS = ("correction position", "status")
+_NO_COMMAND = "no command: "
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
     """Which column of a table is what.
 
     Attributes:
-        words: the columns ``row``, ``set``, ``kind``, ``target``, ``pair``, ``point`` that are used, by name.
+        words: the columns ``row``, ``set``, ``kind``, ``target``, ``pair``, ``point`` that are used, by name; and
+            ``status`` of a table of commands.
         groups: the columns whose words make the group's name, in the order of the table.
         blocks: the columns of numbers that are used: ``joints`` (in the order asked for, else in that of the
             table), ``torques``, ``points``, ``orientation`` (three or four), ``distance``, ``sigma``,
@@ -95,6 +100,11 @@ class Layout:
         used = [name for name in blocks if name in USES[kind] and kind != "pair"]
         return tuple(column for name in used for column in self.blocks[name])
 
+    def has_no_command(self, cells: Sequence[str]) -> bool:
+        """Whether these are the cells of a row of a table of commands that was never sent."""
+        column = self.words.get("status")
+        return column is not None and cells[column.index].startswith(_NO_COMMAND)
+
     @classmethod
     def find(
         cls,
@@ -150,6 +160,8 @@ class Layout:
         words: dict[str, Column] = {name: named[name] for name in always if name in named}
         if kind is None and "kind" in named:
             words["kind"] = named["kind"]
+        if all(name in named for name in _COMMANDS):
+            words["status"] = named["status"]
         if "pair" in kinds:
             words["pair"] = _pair(table, named)
         if points_elsewhere and "point" in named:

@@ -244,9 +244,10 @@ class _Reader:
             raise MeasurementError(message)
 
     def is_unmeasured(self, row: Row, kind: str) -> bool:
-        """Whether all that this row should have measured is empty: a pose that is still to come."""
+        """Whether all that this row should have measured is empty, a pose still to come; or it was never sent."""
         places = self._measured[kind]
-        return bool(places) and not any(row.cells[i] for i in places)
+        empty = bool(places) and not any(row.cells[i] for i in places)
+        return empty or self._layout.has_no_command(row.cells)
 
     def row_number(self, row: Row, numbered: dict[int, int]) -> int:
         """The number of the row a person sees; ``numbered`` holds those before it, with their lines."""

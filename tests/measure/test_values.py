@@ -63,6 +63,29 @@ def test_poses_that_are_still_to_come_are_left_out(table):
     assert whole.unmeasured == ()
 
 
+COMMANDS = "a [deg],x [mm],y [mm],z [mm],correction a [deg],correction position [mm],status"
+SENT = ("1,100,200,300,0.1,1.5,ok", ',,,,,,"no command: out of reach"', "3,103,200,300,0.1,2,ok")
+
+
+def test_rows_of_commands_that_were_never_sent_are_left_out(table, listed):
+    """`calib compensate --skip` leaves them empty, and the instrument has no point of them."""
+    m = Measurements.read(table(COMMANDS, *SENT), ["a"])
+    assert (m.rows, m.unmeasured) == ((1, 3), (2,))
+    assert m.ignored == ("correction a [deg]", "correction position [mm]")
+    points = listed("100.5 200 300", "103.5 200 300")
+    m = Measurements.read(table(COMMANDS, *SENT), ["a"], points=points)
+    assert (m.rows, m.unmeasured) == ((1, 3), (2,))
+    np.testing.assert_allclose(m.points[:, 0], [0.1005, 0.1035], rtol=1e-14)
+
+
+def test_a_status_of_another_table_is_not_read(table):
+    """A cell that is empty there was forgotten."""
+    lines = [line.replace(",ok", ",x") for line in SENT]
+    other = table(COMMANDS.replace("correction position [mm]", "remark"), *lines)
+    says = "line 3 (row 2), column 'a [deg]': the cell is empty."
+    refused(other, says, kind="fixed", joint_names=["a"])
+
+
 def test_what_a_plan_has_beside_needs_no_word(table):
     m = Measurements.read(table(HEADER + ",remark", *(f"{row},by hand" for row in ROWS)))
     assert m.ignored == ("remark",)
