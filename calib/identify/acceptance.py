@@ -67,10 +67,19 @@ class Check:
             >>> Check(0.4e-3, 0.5e-3, 0.2e-3, 1.0, float("nan"), seen=False).outcome
             'undecided'
         """
-        if self.figure - self.uncertainty > self.tolerance:
+        if self.lowest > self.tolerance:
             return FAIL
-        proved = self.figure * self.factor + self.uncertainty <= self.tolerance
-        return PASS if proved and not self.seen else UNDECIDED
+        return PASS if self.held <= self.tolerance and not self.seen else UNDECIDED
+
+    @property
+    def held(self) -> float:
+        """The sum f A + U, which must be within the tolerance for a pass; infinite where nothing is left to judge by."""
+        return self.figure * self.factor + self.uncertainty
+
+    @property
+    def lowest(self) -> float:
+        """The difference A - U, which must be above the tolerance for a fail."""
+        return self.figure - self.uncertainty
 
     @property
     def by_chance(self) -> bool:

@@ -89,6 +89,7 @@ def _check_table(check: Check, unit: str) -> dict[str, Any]:
         f"tolerance_{unit}": check.tolerance,
         f"uncertainty_{unit}": check.uncertainty,
         f"random_{unit}": check.random,
+        f"held_{unit}": check.held,
         "factor": check.factor,
         "outcome": check.outcome,
     }

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import choices
-from calib.identify.acceptance import UNDECIDED, Acceptance, Check, size_of
+from calib.identify.acceptance import FAIL, UNDECIDED, Acceptance, Check, size_of
 from calib.identify.acceptance_rows import FEWEST_APART
 from calib.identify.accuracy import FEWEST_REPEATS, Accuracy, PoseAccuracy
 from calib.identify.words import wrap
@@ -68,6 +68,7 @@ def acceptance_reasons(a: Acceptance, judged: str, notes: Sequence[str] = ()) ->
         _uncertainty_text(a),
         _apart_text(a),
         _registered_text(a),
+        *(_held_text(check, check is a.angle) for check in a.checks),
         *(_chance_text(a, check) for check in a.checks),
         _repeats_text(a.accuracy),
         _share_text(a),
@@ -225,6 +226,27 @@ def _registered_text(a: Acceptance) -> str:
         f"The {what} {'were' if many else 'was'} registered to these rows: {r.unknowns} unknowns from {r.numbers} "
         f"numbers, so {lost}. What a displaced {what.replace(' and ', ' or ')} explains is not in AP at all."
         f"{advice * (r.factor > _WORTH_ADVICE)}"
+    )
+
+
+def _held_text(check: Check, angle: bool) -> str:
+    """The sum that decided, where it is not the figure itself."""
+    if not np.isfinite(check.held) or check.held == check.figure:
+        return ""
+    fails = check.outcome == FAIL
+    total = check.lowest if fails else check.held
+    digits = 6 if _sized(total, angle) == _sized(check.tolerance, angle) else 3
+    sums = _sized(check.figure, angle, digits)
+    if not fails and check.factor != 1.0:
+        sums += f" x {check.factor:.{digits}f}"
+    if check.uncertainty:
+        sums += f" {'-' if fails else '+'} {_sized(check.uncertainty, angle, digits)}"
+    side = "above" if total > check.tolerance else "within"
+    if total == check.figure:
+        return ""
+    return (
+        f"Held against the tolerance is {sums} = {_sized(total, angle, digits)}: {side} "
+        f"{_sized(check.tolerance, angle)}."
     )
 
 

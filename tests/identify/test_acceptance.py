@@ -208,6 +208,43 @@ def test_uncertainties_are_counted_and_said(ur3: Robot):
     assert "it is not below the tolerance, so that no robot could pass" in text(hopeless)
 
 
+def test_the_sum_that_decides_is_written_down(ur3: Robot):
+    def said(length: float, *angle: float, cell: Cell | None = None, **uncertain: float) -> str:
+        turns = [1e3 * np.radians(0.05)] * 6 if angle else None
+        found = evaluation(ur3, [length, -length] * 3, turns=turns, cell=cell)
+        return text(acceptance(found, 0.5e-3, *angle, **uncertain))
+
+    assert "Held against" not in said(0.4)
+    assert "Held against" not in said(0.6)
+    sums = "Held against the tolerance is 0.400 mm + 0.050 mm = 0.450 mm: within 0.500 mm."
+    assert sums in said(0.4, uncertainty=0.05e-3)
+    # Neither part alone is beyond the tolerance.
+    sums = "Held against the tolerance is 0.450 mm + 0.080 mm = 0.530 mm: above 0.500 mm."
+    assert sums in said(0.45, uncertainty=0.08e-3)
+    sums = "Held against the tolerance is 0.600 mm - 0.050 mm = 0.550 mm: above 0.500 mm."
+    assert sums in said(0.6, uncertainty=0.05e-3)
+    sums = "Held against the tolerance is 0.400000 mm + 0.100001 mm = 0.500001 mm: above 0.500 mm."
+    assert sums in said(0.4, uncertainty=0.100001e-3)
+    sums = "Held against the tolerance is 0.0500 deg + 0.0200 deg = 0.0700 deg: within 0.1000 deg."
+    assert sums in said(0.4, np.radians(0.1), uncertainty_angle=np.radians(0.02))
+
+
+def test_the_factor_stands_in_the_sum(ur3: Robot):
+    found = evaluation(ur3, [0.1, -0.1] * 3, cell=Cell())
+    for tolerance, side in ((1e-3, "within 1.000"), (0.14e-3, "above 0.140")):
+        a = acceptance(found, tolerance, uncertainty=0.04e-3)
+        figure = 1e3 * a.length.figure
+        held = figure * np.sqrt(18 / 15) + 0.04
+        assert a.length.held == pytest.approx(1e-3 * held)
+        assert f"{figure:.3f} mm x 1.095 + 0.040 mm = {held:.3f} mm: {side} mm." in text(a)
+        assert acceptance_table(a, "urdf", ROBOT)["length"]["held_m"] == a.length.held
+    # The factor makes no fail, so it has no part in one.
+    assert "Held against" not in text(acceptance(found, 0.5 * a.length.figure))
+    cell = Cell(estimate_frame=True)
+    nothing_left = acceptance(evaluation(ur3, [0.1, -0.1, 0.1], cell=cell), 1.0)
+    assert "Held against" not in text(nothing_left)
+
+
 def test_figure_and_tolerance_never_look_alike(ur3: Robot):
     a = acceptance(evaluation(ur3, [0.5000004]), 0.5e-3)
     assert a.outcome == FAIL
