@@ -16,6 +16,9 @@ from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
+#: Decimals of mm and mrad in which 1e-9 m and rad can be seen.
+_DECIMALS = 6
+
 #: A d is longer than an arm where a common normal stands far away [m].
 _LONG = 10.0
 
@@ -58,10 +61,11 @@ def tidy(T: Array) -> Array:
 
 def base_remark(path: Path, T: Array) -> tuple[str, ...]:
     """What to do with a displacement of the base."""
-    if not (T - np.eye(4)).any():
+    lies = _displacement(T)
+    if not lies:
         return ()
     return (
-        f"Not in {path}: the first axis lies {_displacement(T)}, along and about the axes of the controller's base "
+        f"Not in {path}: the first axis lies {lies}, along and about the axes of the controller's base "
         "(link 'base'), from where the base has it, and DH rows begin on it. To put this right move the frame that "
         "poses are given in: T_base_frame becomes T_base^-1 T_base_frame, where T_base is this displacement.",
     )
@@ -69,21 +73,24 @@ def base_remark(path: Path, T: Array) -> tuple[str, ...]:
 
 def tool_remark(path: Path, T: Array) -> tuple[str, ...]:
     """What to do with a displacement of the flange."""
-    if not (T - np.eye(4)).any():
+    lies = _displacement(T)
+    if not lies:
         return ()
     return (
-        f"Not in {path}: the flange lies {_displacement(T)}, along and about the axes of the controller's flange "
+        f"Not in {path}: the flange lies {lies}, along and about the axes of the controller's flange "
         "(link 'tool0'), from where the last joint has it, and there is no place for that behind the joint. To put "
         "this right add it to the tool: T_flange_tcp becomes T_tool T_flange_tcp, where T_tool is this displacement.",
     )
 
 
 def _displacement(T: Array) -> str:
-    """A small displacement in words: x, y, z in mm and the rotation vector in mrad."""
+    """A small displacement in words: x, y, z in mm and the rotation vector in mrad; empty below 1e-9 m and rad."""
     vectors = (T[:3, 3], pin.log3(T[:3, :3]))
     # Rounded first, so that nothing is said to be -0.
-    shift, turn = (
-        ", ".join(f"{round(1e3 * float(value), 4) + 0.0:.4f}" for value in vector)
-        for vector in vectors
-    )
+    rounded = [
+        [round(1e3 * float(value), _DECIMALS) + 0.0 for value in vector] for vector in vectors
+    ]
+    if not any(map(any, rounded)):
+        return ""
+    shift, turn = (", ".join(f"{value:.{_DECIMALS}f}" for value in vector) for vector in rounded)
     return f"({shift}) mm and ({turn}) mrad"

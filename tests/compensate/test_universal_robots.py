@@ -252,20 +252,32 @@ def test_a_displacement_says_in_which_frame_it_is(tmp_path):
     bare = ur_robot("UR5e")
     nominal = bare.rebuilt(base="base_link", tip="flange")
     placements = np.array(nominal.placements)
-    placements[0, :3, 3] += [1e-3, -1e-9, 0]  # along base_link's x: against the base's
-    placements[0, :3, :3] = placements[0, :3, :3] @ pin.exp3(np.array([0.0, -1e-9, 0.0]))
+    placements[0, :3, 3] += [1e-3, 1e-10, 0]  # along base_link's x: against the base's
     robot = nominal.with_placements(placements)
     written = write_ur_conf(robot, nominal, tmp_path / "c.conf")
     (remark,) = written.remarks
-    assert "the first axis lies (-1.0000, 0.0000, 0.0000) mm and (0.0000, 0.0000, 0.0000)" in remark
+    assert "lies (-1.000000, 0.000000, 0.000000) mm and (0.000000, 0.000000, 0.000000) " in remark
     assert "along and about the axes of the controller's base (link 'base')" in remark
     placements = np.array(nominal.placements)
     placements[6, :3, 3] += placements[6, :3, :3] @ [0, 0, 1e-3]  # the flange link's z is tool0's y
     robot = nominal.with_placements(placements)
     (remark,) = write_ur_yaml(robot, nominal, tmp_path / "k.yaml", hash=HASH).remarks
-    shift = ", ".join(f"{round(value, 4) + 0.0:.4f}" for value in T_tool0_flange()[:3, 2])
+    shift = ", ".join(f"{round(value, 4) + 0.0:.6f}" for value in T_tool0_flange()[:3, 2])
     assert f"the flange lies ({shift}) mm and" in remark
     assert "along and about the axes of the controller's flange (link 'tool0')" in remark
+
+
+def test_a_displacement_of_rounding_is_not_worth_a_word(tmp_path):
+    nominal = ur_robot("UR5e")
+    for shift, said in ((4e-10, False), (6e-10, True)):
+        placements = np.array(nominal.placements)
+        placements[6, 0, 3] += shift
+        robot = nominal.with_placements(placements)
+        path = tmp_path / "k.yaml"
+        written = write_ur_yaml(robot, nominal, path, hash=HASH, overwrite=True)
+        assert ("(0.000001, 0.000000, 0.000000) mm" in "".join(written.remarks)) is said
+        assert bool(written.remarks) is said
+        assert written.T_tool[0, 3] == pytest.approx(shift, rel=1e-3)
 
 
 def T_tool0_flange() -> np.ndarray:
