@@ -24,6 +24,9 @@ _ELSEWHERE = 1e-7
 #: Rows of the table of corrections.
 _ROWS = 5
 
+#: Corrections that differ by less are the same [rad or m].
+_TIE = 1e-9
+
 _UNKNOWN = "The result was not validated (calib fit --no-validate): how far it can be relied on is not known."
 _OLDER = "The file does not say how far it can be relied on; an older calib wrote it. Fit again, and it does."
 _WORSE = "Commands made with this result may be worse than none. Calibrate anew before they go to the robot."
@@ -51,17 +54,25 @@ def text(
         written: Where to; None where nothing was.
     """
     in_base = poses_in == BASE
+    spread = spread_known(truth, in_base=in_base)
+    of_target = tool is not None and tool.startswith(TARGET)
     parts = [
-        _expected(found, truth, larger=larger),
+        _expected(
+            found,
+            truth,
+            larger=larger,
+            of_target=of_target,
+            spread=spread,
+        ),
         _asked(found, tool, poses_in),
-        _errors(found, poses=send != "joints", spread=spread_known(truth, in_base=in_base)),
+        _errors(found, poses=send != "joints", spread=spread),
         _joints(found),
-        _first_rows(found),
+        _largest(found),
         *notes(
             found,
             truth,
             larger=larger,
-            of_target=tool is not None and tool.startswith(TARGET),
+            of_target=of_target,
             poses=send != "joints",
             in_base=in_base,
         ),
@@ -70,8 +81,16 @@ def text(
     return "\n\n".join(part for part in parts if part)
 
 
-def _expected(found: Commands, truth: Truth, *, larger: bool) -> str:
-    """The verdict of the result and its error on rows that it had not seen: what to expect on the robot."""
+def _expected(found: Commands, truth: Truth, *, larger: bool, of_target: bool, spread: bool) -> str:
+    """The verdict of the result and its error on rows that it had not seen: what to expect on the robot.
+
+    Args:
+        found: The commands.
+        truth: What they were made with.
+        larger: Whether the larger model of the result was used.
+        of_target: Whether the tool is the calibrated target.
+        spread: Whether standard deviations are printed below.
+    """
     if truth.table is None:
         return fill(
             f"The true robot is {truth.name}. How far it can be relied on is not in a URDF: with --calibration "
@@ -80,6 +99,12 @@ def _expected(found: Commands, truth: Truth, *, larger: bool) -> str:
     sure, used = found.certainty, f"  of {truth.name}, {_model(truth.table, larger=larger)}."
     if sure is None or not sure.use:
         return "\n".join(["Verdict: none", used, fill(_OLDER if sure is None else _UNKNOWN, "  ")])
+    if larger:
+        used = fill(
+            f"of {truth.name}, its joint origins: the verdict{_why(sure.use)} of these. The commands are made with "
+            f"its larger model '{truth.table['larger']['set']}', which has no verdict of its own; the errors are its.",
+            "  ",
+        )
     lines = [f"Verdict: {sure.use}", used]
     if sure.use != "use":
         lines += [fill(reason, "  ") for reason in sure.reasons]
@@ -95,10 +120,28 @@ def _expected(found: Commands, truth: Truth, *, larger: bool) -> str:
             f"{label:<58}" + "".join(f"{MM * value:>10.3f}" for value in values)
             for label, values in rows
         ]
-        lines.append(
-            "Expect errors of this size on the robot. What is computed below leaves them out."
-        )
+        lines.append(fill(_expect(of_target=of_target, spread=spread)))
     return "\n".join(lines)
+
+
+def _why(use: str) -> str:
+    """What is said beside the verdict."""
+    return " is" if use == "use" else " and its reasons are"
+
+
+def _expect(*, of_target: bool, spread: bool) -> str:
+    """Of what the errors are, which are those of the target, and what they say of the tool."""
+    if of_target:
+        return "Expect errors of this size on the robot. What is computed below leaves them out."
+    more = (
+        ": expect at least the standard deviation below besides"
+        if spread
+        else ", and may be larger at this tool"
+    )
+    return (
+        f"These are errors of the target that was measured, not of this tool{more}. What is computed below leaves "
+        "them out."
+    )
 
 
 def _model(table: dict[str, Any], *, larger: bool) -> str:
@@ -201,35 +244,38 @@ def _joints(found: Commands) -> str:
     for name, column in zip(robot.joint_names, changes.T, strict=True):
         slides = robot.joint_types[name] == "prismatic"
         cells = _numbers((MM if slides else DEG) * column, 4)
-        where = found.program.labels[int(np.nanargmax(column))]
+        # The first of those that differ by rounding.
+        where = found.program.labels[int(np.flatnonzero(column >= np.nanmax(column) - _TIE)[0])]
         short = textwrap.shorten(f"{name} [{'mm' if slides else 'deg'}]", 55, placeholder="...")
         lines.append(f"  {short:<56}{cells}   {textwrap.shorten(where, 16, placeholder='...')}")
     return "\n".join(lines)
 
 
-def _first_rows(found: Commands) -> str:
-    """The corrections of the first rows that have any."""
-    shown = np.flatnonzero(found.reached)[:_ROWS]
+def _largest(found: Commands) -> str:
+    """The corrections of all rows, or of those where a joint is moved most."""
     robot = found.nominal
     scale = np.array(
         [MM if robot.joint_types[n] == "prismatic" else DEG for n in robot.joint_names]
     )
-    most = min(len(scale), 7)
-    names = [f"joint {i + 1}" for i in range(most)]
-    lines = [
-        f"{'First corrections [mm, deg]':<28}{'pose mm':>9}"
-        + "".join(f"{name:>9}" for name in names)
-    ]
+    changes = scale * found.joint_corrections
+    shown = np.flatnonzero(found.reached)
+    head = "Corrections [mm, deg]"
+    if len(shown) > _ROWS:
+        most = np.nan_to_num(np.abs(changes[shown])).max(axis=1)
+        # Those that differ by rounding stay in their order.
+        shown = shown[np.argsort(-most.round(6), kind="stable")[:_ROWS]]
+        head = "Largest corrections [mm,deg]"
+    columns = min(len(scale), 7)
+    names = [f"joint {i + 1}" for i in range(columns)]
+    lines = [f"{head:<28}{'pose mm':>9}" + "".join(f"{name:>9}" for name in names)]
     for i in shown:
         cells = [f"{MM * found.pose_corrections[i, 0]:>9.4f}"]
         cells += [
             f"{value:>9.4f}" if np.isfinite(value) else f"{'-':>9}"
-            for value in (scale * found.joint_corrections[i])[:most]
+            for value in changes[i, :columns]
         ]
-        lines.append(
-            f"{textwrap.shorten(found.program.labels[i], 26, placeholder='...'):<28}"
-            + "".join(cells)
-        )
+        label = textwrap.shorten(found.program.labels[i], 26, placeholder="...")
+        lines.append(f"{label:<28}" + "".join(cells))
     return "\n".join(lines)
 
 
@@ -240,9 +286,10 @@ def _next(send: str, written: Path | None) -> str:
     how = {
         "joints": "Send the joint values.",
         "poses": "Send the poses to the controller that keeps its own model.",
-        "both": "Send the joint values, or the poses to the controller that keeps its own model: never both corrected "
-        "poses to a controller that was given the corrected model.",
+        "both": "Send the joint values, or the poses to the controller that keeps its own model.",
     }[send]
+    if send != "joints":
+        how += " Do not send corrected poses to a controller that was given the corrected model."
     return f"Written: {written}\n" + fill(
         f"{how} Then measure some rows and see what was gained: docs/compensation.md."
     )

@@ -496,6 +496,72 @@ def test_the_verdict_of_the_result_comes_first(call, folder: Path, verdict: obje
     assert said(call(folder, "compensate", "robot.urdf", "program.csv", *RESULT)).startswith(wanted)
 
 
+def test_of_which_model_the_verdict_is(call, large: Path, tmp_path: Path):
+    result = json.loads((large / "result.json").read_text(encoding="utf-8"))
+    shutil.copy(large / "robot.urdf", tmp_path)
+    shutil.copy(large / "program.csv", tmp_path)
+    words = ("compensate", "robot.urdf", "program.csv", *RESULT)
+    for use, whose, reasons in (
+        ("use with care", "the verdict and its reasons are of these", " Few poses."),
+        ("use", "the verdict is of these", ""),
+    ):
+        result["verdict"] = {"use": use, "reasons": ["Few poses."]}
+        (tmp_path / "result.json").write_text(json.dumps(result), encoding="utf-8")
+        assert said(call(tmp_path, *words)).startswith(
+            f"Verdict: {use} of result.json, its joint origins: {whose}. The commands are made with its larger model "
+            f"'dh+compliance', which has no verdict of its own; the errors are its.{reasons} Pro"
+        )
+    assert "no verdict of its own" not in said(call(tmp_path, *words, "--geometry"))
+
+
+def test_the_errors_of_the_result_are_those_of_its_target(call, folder: Path):
+    words = ("compensate", "robot.urdf", "program.csv", *RESULT)
+    own = "Expect errors of this size on the robot."
+    other = "errors of the target that was measured, not of this tool: expect at least the standard deviation below"
+    text = said(call(folder, *words, "--tool", "target"))
+    assert own in text
+    assert other not in text
+    for tool in ((), ("--tool", "0 0 150 mm")):
+        text = said(call(folder, *words, *tool))
+        assert other in text
+        assert own not in text
+        assert text.index("standard deviation below") < text.index("standard deviation of where")
+
+
+def test_the_rows_with_the_largest_corrections_are_shown(call, folder: Path):
+    # Row 7 is near a straight wrist, where corrections are large; 1 to 6 are the same but for rounding.
+    plain, near = "-40,-85,75,-120,-45,0", "-40,-85,75,-120,5,0"
+    write(folder / "long.csv", HEADER, *[plain] * 6, near)
+    lines = call(folder, "compensate", "robot.urdf", "long.csv", *RESULT, "-o", "c.csv").lines
+    at = next(i for i, line in enumerate(lines) if line.startswith("Largest corrections [mm,deg]"))
+    assert [line.split()[1] for line in lines[at + 1 : at + 6]] == ["7", "1", "2", "3", "4"]
+    assert lines[at + 6] == ""
+    assert any(re.match(r"  wrist_1_joint .* row 7$", line) for line in lines)
+    write(folder / "long.csv", HEADER, *[plain] * 3)
+    lines = call(folder, "compensate", "robot.urdf", "long.csv", *RESULT).lines
+    at = next(i for i, line in enumerate(lines) if line.startswith("Corrections [mm, deg]"))
+    assert [line.split()[1] for line in lines[at + 1 : at + 4]] == ["1", "2", "3"]
+    assert sum(line.endswith("row 1") for line in lines[:at]) == 6
+
+
+def test_of_corrections_that_are_equal_the_first_row_is_named(call, examples, folder: Path):
+    # Joint 1 alone differs between the second and the third row, about an axis that errors do not turn.
+    shutil.copy(examples.folder / "demo" / "calibration.json", folder)
+    write(folder / "tie.csv", HEADER, "-40,-85,75,-120,-45,0", "-40,-75,85,-140,-45,0",
+          "-20,-75,85,-140,-45,0", "-20,-90,70,-110,-45,0")  # fmt: skip
+    words = ("--calibration", "calibration.json", "--tool", "target")
+    lines = call(folder, "compensate", "robot.urdf", "tie.csv", *words).lines
+    assert any(re.fullmatch(r"  wrist_3_joint .* row 2", line) for line in lines)
+
+
+def test_corrected_poses_are_not_for_a_corrected_controller(call, folder: Path):
+    words = ("compensate", "robot.urdf", "program.csv", *RESULT, "--force", "-o", "c.csv")
+    never = "Do not send corrected poses to a controller that was given the corrected model."
+    assert never in said(call(folder, *words))
+    assert never in said(call(folder, *words, "--send", "poses"))
+    assert never not in said(call(folder, *words, "--send", "joints"))
+
+
 def test_a_result_of_an_older_calib(call, folder: Path):
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     del result["robot"]["ranges"], result["frames"]["frame_estimated"]
