@@ -142,12 +142,16 @@ def _table(
     results: Mapping[str, Evaluation], row: Callable[[str, Errors], str], count: str
 ) -> list[str]:
     """The rows of a table of lengths or angles; ``count`` names the attribute that says how many there are."""
+    import numpy as np
+
     lines = []
     for label, result in results.items():
         lines.append(textwrap.shorten(label, 99, placeholder="...") + ":")
         sizes = {name: getattr(errors, count) for name, errors in result.errors.items()}
+        # Where the table sets none aside, nothing says that anything is estimated from these rows.
+        called = {} if np.any(result.measurements.validation) else {"estimation": "measured"}
         for name, errors in result.errors.items():
             said = name == "all" and sizes["all"] in (sizes["estimation"], sizes["validation"])
             if sizes[name] and not said:
-                lines.append(row(f"  {name} rows", errors))
+                lines.append(row(f"  {called.get(name, name)} rows", errors))
     return lines

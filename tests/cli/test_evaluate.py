@@ -104,7 +104,7 @@ def test_only_one_set_is_not_said_twice(call, shop):
     header, *rows = (shop / "data.csv").read_text(encoding="utf-8").splitlines()
     (shop / "some.csv").write_text("\n".join([header, *rows[:20]]), encoding="utf-8")
     done = call(shop, "evaluate", "robot.urdf", "some.csv", "--base", "base")
-    assert [line.split()[0] for line in done.lines if " rows " in line][1:] == ["estimation"]
+    assert [line.split()[0] for line in done.lines if " rows " in line][1:] == ["measured"]
 
 
 @pytest.mark.parametrize(
