@@ -73,7 +73,7 @@ class Check:
 
     @property
     def held(self) -> float:
-        """The sum f A + U, which must be within the tolerance for a pass; infinite where nothing is left to judge by."""
+        """The sum f A + U, which must be within the tolerance for a pass; infinite where nothing is left over."""
         return self.figure * self.factor + self.uncertainty
 
     @property
