@@ -52,9 +52,13 @@ Record = dict[str, str]
 
 def _title(tables: DHTables) -> str:
     """What it is, in one line."""
-    names = (tables.name, tables.base, tables.tip)
-    name, base, tip = ("".join(c if c.isprintable() else "?" for c in text) for text in names)
+    name, base, tip = map(_one_line, (tables.name, tables.base, tables.tip))
     return f"DH rows of '{name}', '{base}' to '{tip}', in the convention '{tables.convention}'"
+
+
+def _one_line(text: str) -> str:
+    """Text without what could end its line."""
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def legend(tables: DHTables) -> Iterator[str]:
@@ -68,7 +72,7 @@ def legend(tables: DHTables) -> Iterator[str]:
     )
     if tables.before is not None:
         yield "change = after - before; of 'base' and 'tool' it is the pose before^-1 after."
-    yield from tables.remarks
+    yield from map(_one_line, tables.remarks)
 
 
 def _records(tables: DHTables, decimals: int) -> list[Record]:
@@ -98,9 +102,9 @@ def _records(tables: DHTables, decimals: int) -> list[Record]:
                         {
                             "table": table,
                             "row": str(i),
-                            "joint": row.joint,
+                            "joint": _one_line(row.joint),
                             "added to": "d" if row.prismatic else "theta",
-                            "value added": joint.text,
+                            "value added": _one_line(joint.text),
                             **numbers(values),
                         }
                     )
@@ -255,7 +259,8 @@ def _grid(heads: list[str], records: list[Record], left: int) -> Iterator[str]:
 
 
 def _escaped(text: str) -> str:
-    """Text that Markdown leaves as it is; an underscore inside a word means nothing to it."""
+    """Text that Markdown leaves as it is, on one line; an underscore inside a word means nothing to it."""
+    text = _one_line(text)
     return re.sub(r"([\\|*`<\[\]#~&]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9]))", r"\\\1", text)
 
 

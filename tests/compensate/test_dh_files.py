@@ -202,6 +202,25 @@ def test_joints_that_follow_others_and_held_ones(crooked):
     assert dh_tables(held).joints[0].text == "held at 250 mm"
 
 
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("name", ["new&#10;line", "a\u2028b", "a&#13;b"])
+def test_names_that_would_end_a_line(ending, name, tmp_path):
+    data = CROOKED.replace(b'"wrist"', f'"{name}"'.encode())
+    robot = Robot.from_urdf(Urdf.from_bytes(data, "m.urdf"), tip="t")
+    path = write_dh(dh_tables(robot), tmp_path / f"dh{ending}")
+    # That it was written says that it was read back; another reader finds as many lines and columns as without.
+    if ending == ".md":
+        plain = dh_bytes(
+            dh_tables(Robot.from_urdf(Urdf.from_bytes(CROOKED, "m.urdf"), tip="t")), "o.md"
+        )
+        assert len(path.read_text().splitlines()) == len(plain.decode().splitlines())
+    if ending == ".csv":
+        with path.open(newline="") as file:
+            rows = list(csv.reader(line for line in file if not line.startswith("#")))
+        assert {len(row) for row in rows} == {15}
+        assert len(rows) == 6
+
+
 def test_the_value_of_a_held_joint_has_the_digits_that_1e_9_needs(crooked):
     held = Robot.from_urdf(crooked.urdf, tip="t", held={"_arm|*a*_": 1.234567890123})
     texts = [joint.text for joint in dh_tables(held).joints if joint.text.startswith("held at")]
