@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from enum import Enum
 from typing import TYPE_CHECKING
 
+from calib.cli.words import parse_pair
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
@@ -155,42 +156,6 @@ def parse_accept(text: str | None) -> tuple[float, float]:
         return _ACCEPT
     length, angle = parse_pair(text, "--accept", "0.01 mm 0.001 deg")
     return _ACCEPT[0] if length is None else length, _ACCEPT[1] if angle is None else angle
-
-
-def parse_pair(text: str, option: str, example: str) -> tuple[float | None, float | None]:
-    """A length [m], an angle [rad], or both: ``10 mm``, ``2 deg``, ``10 mm 2 deg``.
-
-    Args:
-        text: The words.
-        option: For messages.
-        example: For messages.
-
-    Returns:
-        Length and angle; None for what is not named.
-
-    Raises:
-        CalibError: Anything else, a value below zero, or two of one kind.
-    """
-    from calib.measure.quantities import ANGLE, LENGTH, parse_quantity
-
-    found: dict[str, float] = {}
-    parts = re.findall(r"[^\s,]+\s*[A-Za-zµμ]+", text)
-    whole = re.sub(r"[\s,]+", "", "".join(parts)) == re.sub(r"[\s,]+", "", text)
-    try:
-        values = [parse_quantity(part) for part in parts] if whole else []
-    except CalibError as error:
-        message = f'{option} was given as "{text}"; {error}. Write "{example}".'
-        raise CalibError(message) from error
-    for value, kind in values:
-        if kind in (LENGTH, ANGLE) and kind not in found and value >= 0.0:
-            found[kind] = value
-    if not values or len(found) != len(values):
-        message = (
-            f'{option} was given as "{text}"; it must be a length, an angle, or one of each, not below 0 and with '
-            f'units, such as "{example}".'
-        )
-        raise CalibError(message)
-    return found.get(LENGTH), found.get(ANGLE)
 
 
 def parse_start(pairs: Iterable[str], robot: Robot) -> dict[str, float]:

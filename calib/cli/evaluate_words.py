@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
+from calib.cli.words import parse_pair
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
@@ -79,8 +80,6 @@ def wanted_of(
     Raises:
         CalibError: A text is none of its kind, or there is nothing that it could count for.
     """
-    from calib.cli.compensate_words import parse_pair
-
     example = "0.5 mm 0.1 deg"
     if tolerance is None:
         given = {"uncertainty": uncertainty, "criterion": criterion, "judge": judge}

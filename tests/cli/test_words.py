@@ -16,6 +16,7 @@ from calib.cli.words import (
     check_model,
     parse_frame,
     parse_held,
+    parse_pair,
     parse_payload,
     parse_point,
     parse_sweeps,
@@ -197,3 +198,24 @@ def test_sweeps():
     for wrong in (["ring"], ["=1"], ["a="], ["a=1", "a=2"]):
         with pytest.raises(CalibError, match=r"^--sweep was given '.*'; it must be 'name in the"):
             parse_sweeps(wrong)
+
+
+@pytest.mark.parametrize(
+    ("text", "pair"),
+    [
+        ("10 mm", (0.01, None)),
+        ("2deg", (None, np.radians(2.0))),
+        ("0.1 deg, 500 um", (5e-4, np.radians(0.1))),
+    ],
+)
+def test_a_length_and_an_angle(text: str, pair: tuple[float | None, float | None]):
+    assert parse_pair(text, "--limit", "1 mm") == tuple(
+        None if value is None else pytest.approx(value) for value in pair
+    )
+
+
+@pytest.mark.parametrize("text", ["", "3", "1 mm 2 mm", "-1 mm", "1 mm and 2 deg", "1 s"])
+def test_neither_a_length_nor_an_angle(text: str):
+    with pytest.raises(CalibError, match=r'^--limit was given as "') as caught:
+        parse_pair(text, "--limit", "1 mm")
+    assert '"1 mm".' in str(caught.value)
