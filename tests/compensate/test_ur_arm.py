@@ -35,7 +35,9 @@ def yaml_of(tmp_path, conf_of):
 
     def write(name: str, hash: str = "calib_4711"):
         source = read_ur_conf(conf_of(name), model=name)
-        return write_ur_yaml(source.robot, source.nominal, tmp_path / f"{name}.yaml", hash=hash).path
+        return write_ur_yaml(
+            source.robot, source.nominal, tmp_path / f"{name}.yaml", hash=hash
+        ).path
 
     return write
 
@@ -77,7 +79,7 @@ def test_arms_of_the_same_rows_need_no_telling_apart(tmp_path):
 
 def test_a_hash_of_another_arm_is_refused(conf_of, yaml_of):
     for path in (conf_of("UR3"), conf_of("UR10e"), yaml_of("UR3"), yaml_of("UR10e")):
-        with pytest.raises(FileError, match="mm only.*Give the file of this robot's own contr"):
+        with pytest.raises(FileError, match=r"mm only.*Give the file of this robot's own contr"):
             read_ur_hash(path, model="UR5e")
         with pytest.raises(FileError, match="the file is of another arm"):
             read_ur_hash(path, robot=ur_robot("UR5e"))
@@ -122,9 +124,13 @@ def test_another_arm_s_conf_is_not_updated(conf_of, tmp_path):
 def test_what_to_do_is_said_by_what_was_given(conf_of, tmp_path):
     conf = conf_of("UR3")
     urcontrol = urcontrol_of(ur_model("UR5").nominal, tmp_path / "urcontrol.conf")
-    with pytest.raises(FileError, match=r"urcontrol\.conf of the same controller; .* another one's"):
+    with pytest.raises(
+        FileError, match=r"urcontrol\.conf of the same controller; .* another one's"
+    ):
         read_ur_conf(conf, urcontrol=urcontrol)
-    with pytest.raises(FileError, match="Give the URDF of the right one; the nominal UR5 is another"):
+    with pytest.raises(
+        FileError, match="Give the URDF of the right one; the nominal UR5 is another"
+    ):
         read_ur_conf(conf, robot=ur_robot("UR5"))
     with pytest.raises(FileError, match="Name the right one with --ur-model, or give its URDF"):
         read_ur_conf(conf, model="UR5")
