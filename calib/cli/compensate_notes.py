@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.cli.compensate_columns import unread_orientation
 from calib.cli.setup import row_ranges
 from calib.model.robot import rigid_inverse
 
@@ -122,7 +123,7 @@ def notes(
         poses: Whether poses are sent.
         in_base: Whether poses are given in the base.
     """
-    notes = [_elsewhere(found)]
+    notes = [unread_orientation(found.program), _elsewhere(found)]
     if spread_known(truth, in_base=in_base):
         notes.append(_orientation_unsure(found, of_target=of_target))
     if in_base and truth.frame_estimated and np.isfinite(found.std[found.reached, 0]).any():

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.cli.compensate_columns import passed_through
 from calib.cli.compensate_notes import DEG, MM, counted, fill, notes, spread_known
 from calib.cli.compensate_words import BASE, MEASURED, TARGET
 
@@ -193,7 +194,7 @@ def _asked(found: Commands, tool: str | None, poses_in: str) -> str:
     }.get(poses_in, f"the frame of the set-up '{poses_in}'")
     return fill(
         f"Program: {len(found)} row{'s' if len(found) > 1 else ''} of {what}. "
-        f"What arrives: {arrives}. Matched: {matched}. Poses are in {frame}."
+        f"What arrives: {arrives}. Matched: {matched}. Poses are in {frame}. {passed_through(program)}"
     )
 
 

@@ -9,6 +9,7 @@ import json
 import re
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -544,14 +545,32 @@ def test_the_rows_with_the_largest_corrections_are_shown(call, folder: Path):
     assert sum(line.endswith("row 1") for line in lines[:at]) == 6
 
 
-def test_of_corrections_that_are_equal_the_first_row_is_named(call, examples, folder: Path):
-    # Joint 1 alone differs between the second and the third row, about an axis that errors do not turn.
-    shutil.copy(examples.folder / "demo" / "calibration.json", folder)
-    write(folder / "tie.csv", HEADER, "-40,-85,75,-120,-45,0", "-40,-75,85,-140,-45,0",
-          "-20,-75,85,-140,-45,0", "-20,-90,70,-110,-45,0")  # fmt: skip
-    words = ("--calibration", "calibration.json", "--tool", "target")
-    lines = call(folder, "compensate", "robot.urdf", "tie.csv", *words).lines
-    assert any(re.fullmatch(r"  wrist_3_joint .* row 2", line) for line in lines)
+def test_of_corrections_that_are_equal_but_for_rounding_the_first_row_is_named(ur3):
+    from calib.cli.compensate_text import _joints
+    from calib.compensate.commands import commands
+    from calib.compensate.program import Program
+    from calib.model.robot import Robot
+
+    true = Robot.load(Path(__file__).parents[2] / "urdf" / "ur3_calibrated.urdf", "base", "tool0")
+    program = Program.of_joints(np.radians([[-40, -85, 75, -120, -45, 0]] * 3))
+    found = commands(true, program, nominal=ur3)
+    moved = found.q + np.array([[0.0], [1e-13], [2e-13]]) * np.sign(found.joint_corrections)
+    lines = _joints(replace(found, q=moved)).splitlines()
+    assert [line.split()[-1] for line in lines[1:]] == ["1"] * 6
+
+
+def test_columns_that_were_not_read_are_named(call, folder: Path):
+    write(
+        folder / "kuka.csv",
+        "step,x [mm],y [mm],z [mm],A [deg],B [deg],C [deg]",
+        "1,300,-200,300,10,20,30",
+    )
+    text = said(call(folder, "compensate", "robot.urdf", "kuka.csv", *RESULT))
+    assert "Passed through unread: step, A [deg], B [deg], C [deg]." in text
+    assert (
+        '(KUKA): --columns "A=yaw [deg]" --columns "B=pitch [deg]" --columns "C=roll [deg]".'
+        in text
+    )
 
 
 def test_corrected_poses_are_not_for_a_corrected_controller(call, folder: Path):
