@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import platform
 from collections.abc import Mapping
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -62,13 +63,9 @@ def result_table(calibration: Calibration) -> dict[str, Any]:
             if c.fitted.task.setup.target_given[0]
             else None,
             "target_estimated": c.cell.estimate_target,
-            "targets_given": [
-                name
-                for name, given in zip(
-                    c.setup.targets, c.fitted.task.setup.target_given, strict=True
-                )
-                if given
-            ],
+            "targets_given": list(
+                compress(c.setup.targets, c.fitted.task.setup.target_given.tolist())
+            ),
             **_places(c, c.setup),
             "nominal": _places(c, c.nominal_setup),
         },
