@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.compensate_words import BASE, Given, Match, Orientation, Send
+from calib.cli.compensate_words import BASE, Given, Match, Orientation, Send, TableUnits
 from calib.cli.options import (
     Debug,
     Force,
@@ -127,6 +127,13 @@ def compensate(
     orientation: Annotated[
         Orientation, typer.Option("--orientation", help="How orientations are written.")
     ] = Orientation.vector,
+    units: Annotated[
+        TableUnits,
+        typer.Option(
+            "--units",
+            help="Units of the table: 'deg mm', or 'rad m' as ROS and URScript have them. A rotation vector is in rad.",
+        ),
+    ] = TableUnits.deg_mm,
     geometry: Annotated[
         bool,
         typer.Option("--geometry", help="Use the joint origins, not the result's larger model."),
@@ -182,6 +189,7 @@ def compensate(
         from calib.cli.terminal import say
         from calib.cli.words import parse_columns
         from calib.compensate.commands import commands
+        from calib.compensate.commands_file import write_commands
         from calib.compensate.program import Program
 
         if (calibration is None) == (corrected is None):
@@ -219,8 +227,13 @@ def compensate(
             raise CalibError(no_commands(found, skip=skip))
         written = None
         if output is not None:
-            written = found.write(
-                output, send=send.value, orientation=orientation.value, overwrite=force
+            written = write_commands(
+                found,
+                output,
+                send=send.value,
+                orientation=orientation.value,
+                units=units.value,
+                overwrite=force,
             )
         if quiet:
             return

@@ -62,6 +62,13 @@ class Send(str, Enum):
     poses = "poses"
 
 
+class TableUnits(str, Enum):
+    """The units of what is written."""
+
+    deg_mm = "deg mm"
+    rad_m = "rad m"
+
+
 class Orientation(str, Enum):
     """How orientations are written."""
 

@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,8 +30,11 @@ Array = NDArray[np.float64]
 SEND = ("both", "joints", "poses")
 ORIENTATIONS = ("rotation-vector", "quaternion", "rpy")
 
+#: The units of a table: of angles, of lengths. A rotation vector is in radians in both.
+UNITS = ("deg mm", "rad m")
+
 #: Decimals: angles are exact to 1e-11 rad, lengths to 1e-9 m, on any arm far below what a controller resolves.
-_DEG, _RAD, _MM, _NO_UNIT = 9, 12, 6, 12
+_DEG, _RAD, _MM, _M, _NO_UNIT = 9, 12, 6, 9, 12
 
 #: What the column `STATUS` says of a row without anything to say, and before what there is to say.
 OK, WARNING, NO_COMMAND = "ok", "warning: ", "no command: "
@@ -42,6 +46,7 @@ def write_commands(
     *,
     send: str = "both",
     orientation: str = "rotation-vector",
+    units: str = UNITS[0],
     overwrite: bool = False,
 ) -> Path:
     """Write commands as a CSV table; docs/compensation.md describes it.
@@ -54,10 +59,11 @@ def write_commands(
         path: A CSV file.
         send: One of `SEND`: joint values, poses for a controller with the nominal model, or both.
         orientation: One of `ORIENTATIONS`, of the poses.
+        units: One of `UNITS`.
         overwrite: Whether a file that exists is replaced.
 
     Raises:
-        ModelError: No such way to send, or no such form of an orientation.
+        ModelError: No such way to send, no such form of an orientation, or no such units.
         FileError: The file exists and ``overwrite`` is False, or it cannot be written.
     """
     if send not in SEND:
@@ -66,7 +72,10 @@ def write_commands(
     if orientation not in ORIENTATIONS:
         message = f"An orientation cannot be written as '{orientation}'; choose one of {choices(ORIENTATIONS)}."
         raise ModelError(message)
-    blocks = list(_blocks(commands, send, orientation))
+    if units not in UNITS:
+        message = f"Commands cannot be written in '{units}'; choose one of {choices(UNITS)}."
+        raise ModelError(message)
+    blocks = list(_blocks(commands, send, orientation, *_UNITS[units]))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     kept = commands.program.kept
@@ -95,33 +104,50 @@ def status(reason: str, warnings: tuple[str, ...]) -> str:
     return WARNING + "; ".join(warnings) if warnings else OK
 
 
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    """One unit of a table: its symbol, how many of it are one metre or radian, and its decimals."""
+
+    symbol: str
+    scale: float
+    digits: int
+
+
+_UNITS = {
+    UNITS[0]: (_Unit("deg", math.degrees(1.0), _DEG), _Unit("mm", 1e3, _MM)),
+    UNITS[1]: (_Unit("rad", 1.0, _RAD), _Unit("m", 1.0, _M)),
+}
+
+
 def _blocks(
-    commands: Commands, send: str, orientation: str
+    commands: Commands, send: str, orientation: str, angle: _Unit, length: _Unit
 ) -> Iterator[tuple[list[str], Array, list[int]]]:
     """The columns of numbers: their headers, their values, shape (N, k), and their decimals."""
     robot = commands.nominal
-    slides = [robot.joint_types[name] == "prismatic" for name in robot.joint_names]
-    scale = np.where(slides, 1e3, np.degrees(1.0))
-    joints = [
-        f"{name} [{'mm' if slide else 'deg'}]"
-        for name, slide in zip(robot.joint_names, slides, strict=True)
+    units = [
+        length if robot.joint_types[name] == "prismatic" else angle for name in robot.joint_names
     ]
-    digits = [_MM if slide else _DEG for slide in slides]
+    scale = np.array([unit.scale for unit in units])
+    joints = [
+        f"{name} [{unit.symbol}]" for name, unit in zip(robot.joint_names, units, strict=True)
+    ]
+    digits = [unit.digits for unit in units]
     if send != "poses":
         yield joints, commands.q * scale, digits
     if send != "joints":
-        yield [f"{axis} [mm]" for axis in POINT], 1e3 * commands.T_send[:, :3, 3], [_MM] * 3
-        yield _orientation(commands.T_send[:, :3, :3], orientation)
+        places = commands.T_send[:, :3, 3] * length.scale
+        yield [f"{axis} [{length.symbol}]" for axis in POINT], places, [length.digits] * 3
+        yield _orientation(commands.T_send[:, :3, :3], orientation, angle)
     if send != "poses":
         yield [CORRECTION + name for name in joints], commands.joint_corrections * scale, digits
     yield (
-        [f"{CORRECTION}position [mm]", f"{CORRECTION}angle [deg]"],
-        commands.pose_corrections * [1e3, np.degrees(1.0)],
-        [_MM, _DEG],
+        [f"{CORRECTION}position [{length.symbol}]", f"{CORRECTION}angle [{angle.symbol}]"],
+        commands.pose_corrections * [length.scale, angle.scale],
+        [length.digits, angle.digits],
     )
 
 
-def _orientation(R: Array, form: str) -> tuple[list[str], Array, list[int]]:
+def _orientation(R: Array, form: str, angle: _Unit) -> tuple[list[str], Array, list[int]]:
     """Rotation matrices, shape (N, 3, 3), in one of `ORIENTATIONS`; NaN stays NaN."""
     if form == "quaternion":
         return list(QUATERNION), to_quaternions(R), [_NO_UNIT] * 4
@@ -130,7 +156,8 @@ def _orientation(R: Array, form: str) -> tuple[list[str], Array, list[int]]:
     if form == "rpy":
         if there.any():
             values[there] = [pin.rpy.matrixToRpy(matrix) for matrix in R[there]]
-        return [f"{name} [deg]" for name in ROLL_PITCH_YAW], np.degrees(values), [_DEG] * 3
+        names = [f"{name} [{angle.symbol}]" for name in ROLL_PITCH_YAW]
+        return names, values * angle.scale, [angle.digits] * 3
     if there.any():
         values[there] = Rotation.from_matrix(R[there]).as_rotvec()
     return [f"{name} [rad]" for name in ROTATION_VECTOR], values, [_RAD] * 3

@@ -559,6 +559,16 @@ def test_of_corrections_that_are_equal_but_for_rounding_the_first_row_is_named(u
     assert [line.split()[-1] for line in lines[1:]] == ["1"] * 6
 
 
+def test_a_table_in_radians_and_metres(call, folder: Path):
+    words = ("compensate", "robot.urdf", "program.csv", *RESULT, "--send", "joints", "-o")
+    assert call(folder, *words, "deg.csv").code == 0
+    assert call(folder, *words, "rad.csv", "--units", "rad m").code == 0
+    degrees, radians = table(folder / "deg.csv")[0], table(folder / "rad.csv")[0]
+    assert float(radians["elbow_joint [rad]"]) == pytest.approx(
+        np.radians(float(degrees["elbow_joint [deg]"])), abs=1e-11
+    )
+
+
 def test_columns_that_were_not_read_are_named(call, folder: Path):
     write(
         folder / "kuka.csv",

@@ -111,6 +111,34 @@ def test_every_form_of_an_orientation_is_read_back(
     assert program.kept == tuple((label, cells[:3]) for label, cells in made.program.kept)
 
 
+@pytest.mark.parametrize("form", ["rotation-vector", "quaternion", "rpy"])
+def test_radians_and_metres(made: Commands, tmp_path: Path, ur3: Robot, form: str):
+    plain = rows(write_commands(made, tmp_path / "deg.csv", orientation=form))
+    path = write_commands(made, tmp_path / "rad.csv", orientation=form, units="rad m")
+    table = rows(path)
+    assert not any("deg]" in name or "mm]" in name for name in list(table[0])[2:])
+    assert len(table[0]) == len(plain[0])
+    for name in (f"{JOINTS[1]} [rad]", f"correction {JOINTS[1]} [rad]", "correction angle [rad]"):
+        degrees = plain[0][name.replace("rad]", "deg]")]
+        assert float(table[0][name]) == pytest.approx(np.radians(float(degrees)), abs=1e-11)
+    for name in ("x [m]", "correction position [m]"):
+        millimetres = plain[0][name.replace("m]", "mm]")]
+        assert float(table[0][name]) == pytest.approx(1e-3 * float(millimetres), abs=1e-9)
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:4]), encoding="utf-8")
+    program = Program.read(path, ur3, given="poses")
+    assert program.T_wanted is not None
+    assert program.q is not None
+    assert np.abs(program.T_wanted - made.T_send[:3]).max() < 1e-9
+    assert np.abs(program.q - made.q[:3]).max() < 1e-11
+
+
+def test_units_that_there_are_not(made: Commands, tmp_path: Path):
+    with pytest.raises(
+        ModelError, match=r"cannot be written in 'inch'; choose one of 'deg mm', 'rad m'\."
+    ):
+        write_commands(made, tmp_path / "c.csv", units="inch")
+
+
 @settings(
     max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
