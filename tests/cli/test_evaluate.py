@@ -254,12 +254,12 @@ def test_rows_that_were_fitted_are_known_in_any_file(
     assert anew.code == code
 
 
-def test_rows_beside_the_fitted_ones_are_judged_alone(call, folder: Path):
+def test_rows_beside_the_fitted_ones_are_judged_alone(call, folder: Path, tmp_path: Path):
     """The same file with a line end more: as before, its validation rows."""
     words = ("--calibration", "result.json", "--tolerance", "0.5 mm")
     text = (folder / "data.csv").read_text(encoding="utf-8")
-    (folder / "ended.csv").write_text(text + "\n", encoding="utf-8")
-    done = call(folder, "evaluate", "corrected.urdf", "ended.csv", *words)
+    (tmp_path / "ended.csv").write_text(text + "\n", encoding="utf-8")
+    done = call(folder, "evaluate", "corrected.urdf", tmp_path / "ended.csv", *words)
     assert done.code == 0
     assert "The validation rows alone are judged: to the others the calibration was fitted." in (
         " ".join(done.out.split())
