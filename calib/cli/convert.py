@@ -178,6 +178,11 @@ def _use(found: Source, wanted: Wanted) -> str:
     if wanted.format == "urdf":
         if found.nominal is None or found.nominal is found.robot:
             return "It is the robot as it was read."
+        if found.nominal.urdf.path is None:
+            return (
+                "It is a bare arm, without meshes and masses: for computing. To have these origins in a description "
+                "that has them, give that as --robot."
+            )
         return "Only origins of joints differ from the nominal URDF: use it wherever that was used."
     if wanted.format == "origins":
         return (

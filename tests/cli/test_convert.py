@@ -70,6 +70,13 @@ def test_rows_as_markdown(examples):
 # Other conversions
 
 
+def test_a_bare_arm_is_called_one(call, folder, tmp_path):
+    words = ("calibration.conf", "--ur-model", "UR3", "-o", tmp_path / "bare.urdf")
+    done = call(folder, "convert", *words)
+    assert "It is a bare arm, without meshes and masses" in said(done.out)
+    assert "ominal" not in (tmp_path / "bare.urdf").read_text()
+
+
 def test_a_urdf_of_a_result_is_the_corrected_robot(call, folder):
     done = call(folder, "convert", "result.json", "-o", "again.urdf")
     assert (done.code, done.err) == (0, "")
