@@ -143,7 +143,7 @@ def _urdf_text(model: UrModel) -> str:
     name = _plain(model.name)
     lines = [
         '<?xml version="1.0" encoding="utf-8"?>',
-        f"<!-- Kinematics of a Universal Robots {model.name}, without bodies, made by calib: efforts and speeds are only",
+        f"<!-- Kinematics of a Universal Robots {model.name}, without bodies, by calib: efforts and speeds are only",
         "     there because a URDF must have them. -->",
         f'<robot name="{name}">',
         *_fixed("base_link", None, "", "0.0 0.0 0.0"),
