@@ -86,13 +86,13 @@ def compensate(
         ),
     ] = None,
     lever: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--lever",
             metavar="LENGTH",
-            help="With --match weighted: what an angle of one radian counts as.",
+            help="With --match weighted: what an angle of one radian counts as. Default: 10 mm.",
         ),
-    ] = "10 mm",
+    ] = None,
     start: Annotated[
         list[str] | None,
         typer.Option(
@@ -185,6 +185,7 @@ def compensate(
         )
         from calib.cli.compensate_text import text
         from calib.cli.compensate_words import parse_accept, parse_lever, parse_limit, parse_start
+        from calib.cli.progress import progress_bar
         from calib.cli.setup import check_outputs
         from calib.cli.terminal import say
         from calib.cli.words import parse_columns
@@ -209,20 +210,29 @@ def compensate(
         asked = Program.read(
             program, truth.nominal, columns=renamed, given=None if given is None else given.value
         )
-        found = commands(
-            truth.true,
-            asked,
-            nominal=truth.nominal,
-            tool=tool_of(tool, truth),
-            frame=frame_of(poses_in, truth),
-            match=None if match is None else match.value,
-            lever=parse_lever(lever),
-            start=parse_start(start, truth.nominal) if start else None,
-            limit=parse_limit(limit),
-            accept=parse_accept(accept),
-            larger=not geometry,
-            payload=None if payload is None else payload_of(payload, truth, geometry=geometry),
-        )
+        weighs = parse_lever(lever) if lever is not None else None
+        with progress_bar("Rows", quiet=quiet) as progress:
+            found = commands(
+                truth.true,
+                asked,
+                nominal=truth.nominal,
+                tool=tool_of(tool, truth),
+                frame=frame_of(poses_in, truth),
+                match=None if match is None else match.value,
+                start=parse_start(start, truth.nominal) if start else None,
+                limit=parse_limit(limit),
+                accept=parse_accept(accept),
+                larger=not geometry,
+                payload=None if payload is None else payload_of(payload, truth, geometry=geometry),
+                progress=progress,
+                **({} if weighs is None else {"lever": weighs}),
+            )
+        if weighs is not None and found.match != Match.weighted.value:
+            message = (
+                "--lever says what an angle counts as where it is weighed against a position, and here "
+                f"'{found.match}' is matched. Leave it out, or add --match weighted."
+            )
+            raise CalibError(message)
         if not found.reached.all() and (not skip or not found.reached.any()):
             raise CalibError(no_commands(found, skip=skip))
         written = None
@@ -236,6 +246,8 @@ def compensate(
                 overwrite=force,
             )
         if quiet:
+            if found.certainty is not None and found.certainty.use == "do not use":
+                typer.echo(f"calib: the verdict of {truth.name} is 'do not use'.", err=True)
             return
         larger = truth.result is not None and truth.result.larger is not None and not geometry
         said = text(

@@ -98,18 +98,6 @@ def _few_joints(found: Commands) -> str:
     return f"With {joints} joints most poses cannot be reached exactly: --match weighted, or --match position."
 
 
-def spread_known(truth: Truth, *, in_base: bool) -> bool:
-    """Whether the standard deviations, which are of poses in the base, hold for the poses that are given.
-
-    The place of the base in a frame that was estimated is part of them, and would have to be taken out again.
-
-    Args:
-        truth: What the commands were made with.
-        in_base: Whether poses are given in the base.
-    """
-    return in_base or not truth.frame_estimated
-
-
 def notes(
     found: Commands, truth: Truth, *, larger: bool, of_target: bool, poses: bool, in_base: bool
 ) -> list[str]:
@@ -123,9 +111,11 @@ def notes(
         poses: Whether poses are sent.
         in_base: Whether poses are given in the base.
     """
-    notes = [unread_orientation(found.program), _elsewhere(found)]
-    if spread_known(truth, in_base=in_base):
-        notes.append(_orientation_unsure(found, of_target=of_target))
+    notes = [
+        unread_orientation(found.program),
+        _elsewhere(found),
+        _orientation_unsure(found, of_target=of_target),
+    ]
     if in_base and truth.frame_estimated and np.isfinite(found.std[found.reached, 0]).any():
         unsure = MM * float(found.std[found.reached, 0].mean())
         notes.append(
@@ -250,7 +240,7 @@ def _orientation_unsure(found: Commands, *, of_target: bool) -> str:
         return ""
     unsure, moved = DEG * found.std[rows, 1].mean(), DEG * found.pose_corrections[rows, 1].mean()
     best = (
-        "--match position corrects the position alone."
+        "--match position corrects the position alone, and leaves the orientation near the nominal robot's."
         if of_target
         else "The calibrated target is known best: --tool target; or --match position."
     )

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from calib.cli.compensate_columns import passed_through
-from calib.cli.compensate_notes import DEG, MM, counted, fill, notes, spread_known
+from calib.cli.compensate_notes import DEG, MM, counted, fill, notes
 from calib.cli.compensate_words import BASE, MEASURED, TARGET
 
 if TYPE_CHECKING:
@@ -21,6 +22,9 @@ Array = NDArray[np.float64]
 
 #: What a controller misses by above this, sent as a pose and not as joint values, is worth a line [m], [rad].
 _ELSEWHERE = 1e-7
+
+#: A tool that is turned by less is not turned [deg].
+_UNTURNED = 1e-9
 
 #: Rows of the table of corrections.
 _ROWS = 5
@@ -55,7 +59,7 @@ def text(
         written: Where to; None where nothing was.
     """
     in_base = poses_in == BASE
-    spread = spread_known(truth, in_base=in_base)
+    spread = bool(np.isfinite(found.std[found.reached]).any())
     of_target = tool is not None and tool.startswith(TARGET)
     parts = [
         _expected(
@@ -181,7 +185,7 @@ def _asked(found: Commands, tool: str | None, poses_in: str) -> str:
     arrives = f"the tip '{robot.tip}'"
     if tool is not None:
         place = ", ".join(f"{MM * v:.3f}" for v in found.T_tip_tool[:3, 3])
-        arrives = f"the point ({place}) mm in '{robot.tip}'"
+        arrives = f"the point ({place}) mm in '{robot.tip}'{_turned(found.T_tip_tool)}"
     matched = {
         "pose": "position and orientation",
         "position": "position; the orientation is left free",
@@ -196,6 +200,14 @@ def _asked(found: Commands, tool: str | None, poses_in: str) -> str:
         f"Program: {len(found)} row{'s' if len(found) > 1 else ''} of {what}. "
         f"What arrives: {arrives}. Matched: {matched}. Poses are in {frame}. {passed_through(program)}"
     )
+
+
+def _turned(T: NDArray[np.float64]) -> str:
+    """How a tool is turned in the tip, as a rotation vector, where it is."""
+    vector = DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
+    if np.abs(vector).max() < _UNTURNED:
+        return ""
+    return f", turned by the rotation vector ({', '.join(f'{v:.4f}' for v in vector)}) deg"
 
 
 def _errors(found: Commands, *, poses: bool, spread: bool) -> str:

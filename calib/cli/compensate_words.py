@@ -122,6 +122,12 @@ def parse_tool(text: str) -> NDArray[np.float64] | str:
             )
             raise CalibError(message)
         values = np.multiply(turn, UNITS[angles[3]].to_si)
+        if np.abs(values).max() > 2.0 * np.pi + 1e-6:
+            message = (
+                f'--tool was given as "{text}": that is more than a whole turn. Mostly degrees are meant: '
+                f'"{" ".join(parts[:4])} {" ".join(angles[:3])} deg".'
+            )
+            raise CalibError(message)
         rotation = Rotation.from_euler("xyz", values) if by_axes else Rotation.from_rotvec(values)
         T[:3, :3] = rotation.as_matrix()
     return read_only(T)

@@ -119,6 +119,7 @@ class Commands:
         *,
         send: str = "both",
         orientation: str = "rotation-vector",
+        units: str = "deg mm",
         overwrite: bool = False,
     ) -> Path:
         """Write the commands as a table; see docs/compensation.md.
@@ -127,6 +128,7 @@ class Commands:
             path: Where to.
             send: ``"joints"``, ``"poses"`` or ``"both"``.
             orientation: ``"rotation-vector"``, ``"quaternion"`` or ``"rpy"``.
+            units: ``"deg mm"`` or ``"rad m"``.
             overwrite: Whether an existing file may be replaced.
 
         Raises:
@@ -134,7 +136,9 @@ class Commands:
         """
         from calib.compensate.commands_file import write_commands
 
-        return write_commands(self, path, send=send, orientation=orientation, overwrite=overwrite)
+        return write_commands(
+            self, path, send=send, orientation=orientation, units=units, overwrite=overwrite
+        )
 
 
 def commands(
@@ -232,11 +236,11 @@ def _check_bounds(accept: tuple[float, float], limit: tuple[float, float]) -> No
     """Refuse what is no size.
 
     Raises:
-        ModelError: A number that is negative or not finite.
+        ModelError: A number that is negative, or none.
     """
     for what, sizes in (("be left", accept), ("be corrected without a warning", limit)):
-        if not all(np.isfinite(size) and size >= 0.0 for size in sizes):
-            message = f"What may {what} is {sizes[0]} m and {sizes[1]} rad; both must be 0 or more, and finite."
+        if not all(size >= 0.0 for size in sizes):  # NaN is not, infinity is
+            message = f"What may {what} is {sizes[0]} m and {sizes[1]} rad; both must be 0 or more."
             raise ModelError(message)
 
 

@@ -77,7 +77,7 @@ class ProgramColumns:
         """
         names = robot.joint_names
         named = _named(table, robot, columns)
-        _refuse_commands(table, named, given)
+        _refuse_commands(table, named, given, robot)
         empty = _empty_columns(table)
         points = _complete(table, named, POINT, names, "a position")
         if points and all(column.index in empty for column in points):
@@ -98,7 +98,7 @@ class ProgramColumns:
             orientation=_orientation(table, [named[name] for name in form], form),
             form=form,
             row=named.get("row"),
-            kept=_kept(table, named, used, empty),
+            kept=_kept(table, named, used, empty, robot),
         )
 
     def layout(self) -> Layout:
@@ -154,15 +154,26 @@ def _named(table: Table, robot: Robot, columns: Mapping[str, str]) -> dict[str, 
     return result
 
 
-def _refuse_commands(table: Table, named: Mapping[str, Column], given: str | None) -> None:
+def _refuse_commands(
+    table: Table, named: Mapping[str, Column], given: str | None, robot: Robot
+) -> None:
     """Refuse a table of commands unless it was said which of its columns is the program: it is corrected already."""
-    if given is None and any(name.startswith(CORRECTION) for name in named):
+    if given is None and any(_is_correction(name, robot) for name in named):
         message = (
             f"{table.source}: these are commands that calib compensate wrote: they are corrected already. Give the "
             "program that they were made from; or --given joints or --given poses, if these are to be corrected once "
             "more."
         )
         raise MeasurementError(message)
+
+
+def _is_correction(name: str, robot: Robot) -> bool:
+    """Whether a column is one that a table of commands has."""
+    return name in (
+        f"{CORRECTION}position",
+        f"{CORRECTION}angle",
+        *(CORRECTION + joint for joint in robot.joint_names),
+    )
 
 
 def _empty_columns(table: Table) -> set[int]:
@@ -294,11 +305,11 @@ def _orientation(
 
 
 def _kept(
-    table: Table, named: Mapping[str, Column], used: set[int], empty: set[int]
+    table: Table, named: Mapping[str, Column], used: set[int], empty: set[int], robot: Robot
 ) -> tuple[tuple[int, str], ...]:
     """The columns that go along: those of no meaning here, but for what a table of commands holds anew."""
     there = {column.index for column in named.values()}
-    old = {c.index for n, c in named.items() if n == STATUS or n.startswith(CORRECTION)}
+    old = {c.index for n, c in named.items() if n == STATUS or _is_correction(n, robot)}
     return tuple(
         (i, label)
         for i, label in enumerate(table.header)

@@ -121,8 +121,16 @@ def _stored(table: Mapping[str, Any]) -> StoredResult:
         nominal_origins=_origins(robot["nominal_origins"]),
         larger=None if larger is None else _larger(larger, table["model"]["ties"]),
         certainty=_certainty(table),
-        targets_given=frozenset(map(_text, frames.get("targets_given", []))),
+        targets_given=_given(frames),
     )
+
+
+def _given(frames: Mapping[str, Any]) -> frozenset[str]:
+    """The targets whose place was stated; a file that does not name them tells it of the first."""
+    if "targets_given" in frames:
+        return frozenset(map(_text, frames["targets_given"]))
+    stated = frames.get("target_given_m") is not None
+    return frozenset(_text(one["target"]) for one in frames["targets"][: int(stated)])
 
 
 def _certainty(table: Mapping[str, Any]) -> Certainty | None:

@@ -314,7 +314,7 @@ def test_positions_alone_leave_the_orientation_open(call, folder: Path):
     )
     assert "known best: --tool target; or --match position." in said(done)
     done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT, "--tool", "target")
-    assert "--match position corrects the position alone." in said(done)
+    assert "--match position corrects the position alone, and leaves the orientation" in said(done)
     done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT, "--match", "position")
     assert "Positions alone were measured" not in said(done)
 
@@ -402,7 +402,8 @@ def test_frames_that_were_estimated(call, large: Path):
         r"set the controller's work object to \(.*\) mm, rotation vector \(.*\) deg in 'base'\.",
         text,
     )
-    assert "standard deviation" not in text
+    assert "standard deviation of where it arrives (covariance)" in text
+    assert "The frame of the measurements was estimated" not in text
     assert "Poses are in the frame of the set-up 'left'." in text
     assert "work object" not in said(call(large, *words, "--poses-in", "left", "--send", "joints"))
     message = refused(call(large, *words, "--poses-in", "middle"))
@@ -412,6 +413,26 @@ def test_frames_that_were_estimated(call, large: Path):
     )
     message = refused(call(large, *words, "--poses-in", "measured"))
     assert "The calibration has 2 set-ups: 'left', 'right'. Name one of them." in message
+
+
+def test_a_tool_that_is_turned_is_printed_so(call, large: Path):
+    done = call(
+        large, "compensate", "robot.urdf", "program.csv", *RESULT, "--tool", "0 0 50 mm 0 0 90 deg"
+    )
+    assert "the point (0.000, 0.000, 50.000) mm in 'tool0', turned by the rotation vector" in said(
+        done
+    )
+
+
+def test_a_result_not_to_be_used_says_so_even_when_quiet(call, folder: Path, tmp_path: Path):
+    table = json.loads((folder / "result.json").read_text())
+    table["verdict"]["use"] = "do not use"
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps(table))
+    words = ("compensate", "robot.urdf", "program.csv", "--calibration", path)
+    done = call(folder, *words, "--quiet")
+    assert (done.code, done.out) == (0, "")
+    assert "the verdict of bad.json is 'do not use'" in done.err
 
 
 def test_poses_in_the_frame_that_was_measured_in(call, large: Path, tmp_path: Path):
@@ -622,6 +643,8 @@ def test_a_result_of_an_older_calib(call, folder: Path):
         ((*RESULT, "--limit", "5"), '--limit was given as "5"'),
         ((*RESULT, "--accept", "5"), '--accept was given as "5"'),
         ((*RESULT, "--lever", "5"), '--lever was given as "5"'),
+        ((*RESULT, "--lever", "5 mm"), "here 'pose' is matched. Leave it out, or add --match weighted"),
+        ((*RESULT, "--tool", "0 0 0 mm 0 0 90 rad"), "more than a whole turn. Mostly degrees are meant"),
         ((*RESULT, "--given", "poses"), "program.csv: --given poses, and there are no positions"),
         ((*RESULT, "--columns", "a=b"), "there is no column 'a', which --columns maps to 'b'"),
         ((*RESULT, "-o", "program.csv", "--force"), "program.csv is also an input of this command"),

@@ -291,3 +291,10 @@ def test_a_joint_called_roll_is_a_joint(read, one_joint):
 def test_no_file(ur3: Robot, tmp_path: Path):
     with pytest.raises(MeasurementError, match=re.escape("does not exist; check the name")):
         Program.read(tmp_path / "none.csv", ur3)
+
+
+def test_a_column_that_only_begins_like_a_correction_goes_along(tmp_path, ur3):
+    names = ",".join(f"{name} [deg]" for name in ur3.joint_names)
+    path = tmp_path / "p.csv"
+    path.write_text(f"{names},correction factor\n1,2,3,4,5,6,0.5\n")
+    assert Program.read(path, ur3).kept == (("correction factor", ("0.5",)),)
