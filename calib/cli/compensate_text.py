@@ -181,6 +181,7 @@ def _asked(found: Commands, tool: str | None, poses_in: str) -> str:
     what = "joint values"
     if program.T_wanted is not None:
         what = "poses" if program.oriented else "positions"
+        what += f" (orientation: {program.form})" if program.form else ""
         what += ", joint values to start at" if program.q is not None else ""
     arrives = f"the tip '{robot.tip}'"
     if tool is not None:

@@ -31,6 +31,7 @@ class Program:
         oriented: Whether ``T_wanted`` says the orientation too, or the position alone.
         kept: Other columns of the table, header and cells, that go into the commands unchanged.
         source: Name of the file, for messages; empty if there is none.
+        form: How the file's orientations were read, in words; empty if there are none.
 
     Raises:
         ModelError: Neither joint values nor poses, no rows, other shapes, or a number that is not finite.
@@ -42,6 +43,7 @@ class Program:
     oriented: bool = True
     kept: tuple[tuple[str, tuple[str, ...]], ...] = ()
     source: str = ""
+    form: str = ""
 
     def __post_init__(self) -> None:
         """Copy the arrays and check them."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.compensate.program import Program
-from calib.compensate.program_columns import GIVEN, ROLL_PITCH_YAW, ProgramColumns
+from calib.compensate.program_columns import FORMS, GIVEN, ROLL_PITCH_YAW, ProgramColumns
 from calib.errors import MeasurementError, choices
 from calib.measure.columns import QUATERNION
 from calib.measure.orientation import to_matrices, wrong_length
@@ -61,6 +61,7 @@ def read_program(
         oriented=bool(found.form) or not found.points,
         kept=kept,
         source=table.source,
+        form=FORMS[found.form] if found.form else "",
     )
 
 

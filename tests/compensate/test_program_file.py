@@ -119,6 +119,9 @@ def test_the_three_forms_of_an_orientation_are_one(tmp_path_factory, roll, pitch
         assert program.oriented
         assert program.T_wanted is not None
         assert program.q is None
+        assert program.form == {"q": "a quaternion", "R": "roll, pitch and yaw"}.get(
+            header[0], "a rotation vector"
+        )
         assert np.abs(program.T_wanted[0, :3, :3] - R.as_matrix()).max() < 1e-14
         assert program.T_wanted[0, :3, 3] == pytest.approx([0.3, 0.2, 0.1])
 
