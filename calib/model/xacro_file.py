@@ -245,7 +245,10 @@ def _imported() -> types.ModuleType:
     Raises:
         ImportError: There is none, or another module has its name.
     """
-    xacro = importlib.import_module("xacro")
+    with warnings.catch_warnings():
+        # Of the package's own code, which is not ours to mend: of an enumeration of units, with Python 3.10.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        xacro = importlib.import_module("xacro")
     if not hasattr(xacro, "process_file"):
         message = f"xacro is {getattr(xacro, '__file__', None) or 'a folder of that name'}"
         raise ImportError(message)

@@ -92,6 +92,9 @@ def test_a_redundant_arm_keeps_to_its_limits(panda):
     assert found.q[inside] == pytest.approx(free[inside], abs=1e-6)
 
 
+@pytest.mark.filterwarnings(
+    "ignore:Values in x were outside bounds:RuntimeWarning"
+)  # SciPy's, by rounding
 @pytest.mark.parametrize("match", ["pose", "axis"])
 def test_joints_at_their_limits_are_held_only_as_long_as_they_must_be(panda, match):
     matching = Matching(match, 1.0)
