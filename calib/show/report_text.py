@@ -165,7 +165,8 @@ def _broken(text: str, width: int) -> list[str]:
         else:
             lines.append(line)
             line = word
-    return [*lines, line]
+    # A blank behind a word that fills its line is no line of its own.
+    return [*lines, line] if line or not lines else lines
 
 
 def _pieces(words: Iterable[str], width: int) -> Iterator[str]:

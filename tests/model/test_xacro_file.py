@@ -212,6 +212,7 @@ def test_units_in_its_yaml_stay_its_own(written: Written):
     assert yaml.SafeLoader.yaml_constructors == before
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of xacro itself, with Python 3.10
 def test_nothing_of_a_call_is_left_behind(written: Written, capfd: pytest.CaptureFixture[str]):
     """Neither of one that worked nor of one that failed; the process's own xacro, streams and XML writer stay."""
     import xacro

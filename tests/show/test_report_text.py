@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from calib.show.document import (
@@ -101,6 +101,13 @@ def test_wrapped_text_is_whole_and_fits(text, indent):
         min_size=1,
         max_size=4,
     )
+)
+@example([("0" * 21 + " ", "", "-123.456", "0.1"), ("x" * 150, "y" * 40, "-123.456", "0.1")])
+@example(
+    [
+        ("", "0000000\x1f\U00018cd6", "-123.456", "0.1"),
+        ("0000000000\x1f\x1f\x1f\U00018cd6\U00018d09\U00018d09\U00018d09\n", "", "-123.456", "0.1"),
+    ]
 )
 def test_no_table_is_wider_than_the_text(rows):
     block = Table("t", ("a", "b", "c", "d"), tuple(rows), "llrr")
