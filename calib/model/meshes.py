@@ -9,6 +9,7 @@ import os
 import re
 import sys
 import urllib.parse
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -182,7 +183,10 @@ def _whole(path: Path, vertices: Array, scale: Array) -> Any | None:  # noqa: AN
     import trimesh  # takes half a second, and few meshes need it
 
     try:
-        read: Any = trimesh.load(str(path), force="mesh", process=False, skip_materials=True)
+        with warnings.catch_warnings():
+            # What a reader uses of NumPy that will be gone one day is not ours to mend.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            read: Any = trimesh.load(str(path), force="mesh", process=False, skip_materials=True)
         own = np.asarray(read.vertices, dtype=np.float64) * scale
         faces = np.asarray(read.faces, dtype=np.int64).reshape(-1, 3)
         box = np.array([own.min(axis=0), own.max(axis=0)])
