@@ -1,6 +1,7 @@
 # make demo   calibrates the paper's UR3 from its real measurements, into demo/
 # make test   runs the tests
 # make lint   ruff and mypy
+# make coverage   runs the tests and says which lines, branches and messages none of them reaches
 # Each makes its own .venv; all they need is Python 3.10 or newer and make.
 
 # The first Python that is new enough, if none is named.
@@ -10,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint clean
+.PHONY: demo test coverage lint clean
 
 demo: $(STAMP)
 	$(BIN)/calib demo --out demo --force
@@ -19,13 +20,23 @@ test: $(STAMP)
 	@# One thread a worker: the matrices are small, and workers that each start a thread a core stand in each other's way.
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
+# Tests start programs in folders of their own, and COVERAGE_FILE says where all of them count.
+coverage: export COVERAGE_FILE := $(CURDIR)/.coverage
+coverage: $(STAMP)
+	$(BIN)/coverage erase
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/coverage run -m pytest -n auto
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report --skip-covered --show-missing
+	$(BIN)/python scripts/error_messages.py --totals
+	$(BIN)/python scripts/error_messages.py --check
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 clean:
-	rm -rf $(VENV) demo
+	rm -rf $(VENV) demo .coverage .coverage.*
 
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || { \
