@@ -262,8 +262,8 @@ def _replace_token(data: bytes, rng: random.Random, reader: Reader) -> bytes:
     new = rng.choice(choices)
     kind = rng.random()
     if kind < 0.1:
-        new = (new or b"A") * rng.choice((100, 10_000, 300_000))
-        new = new[:_LARGEST]
+        times = rng.choice((100, 10_000, 300_000))
+        new = ((new or b"A") * min(times, 1 + _LARGEST // max(1, len(new))))[:_LARGEST]
     elif kind < 0.3:  # another word of the same file
         again = _TOKEN.search(data, _place(data, rng))
         new = again[0] if again else new
