@@ -2,6 +2,7 @@
 # make test   runs the tests
 # make lint   ruff and mypy
 # make coverage   runs the tests and says which lines, branches and messages none of them reaches
+# make docs   builds the site of docs/, into site/
 # Each makes its own .venv; all they need is Python 3.10 or newer and make.
 
 # The first Python that is new enough, if none is named.
@@ -11,7 +12,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test coverage lint clean
+.PHONY: demo test coverage lint docs clean
 
 demo: $(STAMP)
 	$(BIN)/calib demo --out demo --force
@@ -35,8 +36,13 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: $(STAMP)
+	@# A name that leads nowhere, and a page that loads anything from another place, are errors.
+	$(BIN)/sphinx-build --quiet -W --keep-going --nitpicky docs site
+	@! grep -rnoE '<(script|link|img|iframe)[^>]*(src|href)="(https?:)?//[^"]*"' site --include='*.html'
+
 clean:
-	rm -rf $(VENV) demo .coverage .coverage.*
+	rm -rf $(VENV) demo .coverage .coverage.* site
 
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || { \

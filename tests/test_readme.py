@@ -63,12 +63,13 @@ def test_the_two_commands_stand_at_the_top():
     assert re.findall(r"^make \w+", first, flags=re.MULTILINE) == ["make demo", "make test"]
     assert README.index("make demo") < 600
     targets = (ROOT / "Makefile").read_text()
-    for name in ("demo", "test", "lint"):
+    for name in ("demo", "test", "lint", "docs"):
         assert re.search(rf"^{name}:", targets, flags=re.MULTILINE)
     assert [
         line for line in (ROOT / ".ci" / "run").read_text().splitlines() if line.startswith("make")
     ] == [
         "make lint",
+        "make docs",
         "make demo",
         "make test",
     ]
