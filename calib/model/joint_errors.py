@@ -84,24 +84,28 @@ def joint_displacements(
     moved = np.zeros((len(q), len(robot.joints), len(terms)))
     chain = [joint.name for joint in robot.joints]
     for k, term in enumerate(terms):
+        number = factor_of(robot, term, q, load)
         if term.factor == LOAD:
-            if load is None:
-                message = (
-                    f"'{term.name}' needs the load on the joints. Give it with the joint values."
-                )
-                raise ModelError(message)
-            i = chain.index(term.place)
-            moved[:, i, k] = load[:, i]
+            moved[:, chain.index(term.place), k] = number
         else:
             column = robot.joint_names.index(term.place)
-            number = _number(term.factor, q[:, column])
             moved[:, :, k] = number[:, None] * robot.coupling[:, column]
     return moved
 
 
-def _number(factor: str, q: Array) -> Array:
-    """The known number of a joint's value."""
-    return q if factor == VALUE else np.sin(q) if factor == SIN else np.cos(q)
+def factor_of(robot: Robot, term: Parameter, q: Array, load: Array | None) -> Array:
+    """The known number of the joints' state that multiplies a term, shape (N,); see `joint_displacements`.
+
+    Raises:
+        ModelError: A compliance, and no load.
+    """
+    if term.factor == LOAD:
+        if load is None:
+            message = f"'{term.name}' needs the load on the joints. Give it with the joint values."
+            raise ModelError(message)
+        return load[:, [joint.name for joint in robot.joints].index(term.place)]
+    own = q[:, robot.joint_names.index(term.place)]
+    return own if term.factor == VALUE else np.sin(own) if term.factor == SIN else np.cos(own)
 
 
 def axis_twists(robot: Robot) -> Array:

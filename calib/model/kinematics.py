@@ -4,7 +4,8 @@
 
 with the measurement frame F, the target T in the tip, the displacements D of `calib.model.error_model` and the
 joints' own errors dq of `calib.model.joint_errors`. Forward kinematics and the placement regressor come from
-Pinocchio; the rest is one product with the parameters' directions. No finite differences anywhere.
+Pinocchio; the rest is one product with the parameters' directions. No finite differences anywhere. From
+`calib.model.batch.MANY` samples on `calib.model.kernel` computes the same, compiled.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, choices
+from calib.model.batch import MANY, Displaced, poses_of, twists_of
 from calib.model.joint_errors import axis_twists, joint_displacements
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
-from calib.model.robot import Robot, last_joint_poses, read_only, rigid_inverse
+from calib.model.robot import Robot, last_joint_poses, read_only
 
 Array = NDArray[np.float64]
 
@@ -55,8 +57,8 @@ class Samples:
         """Number of samples."""
         return len(self.q)
 
-    def select(self, chosen: NDArray[np.bool_] | NDArray[np.int_]) -> Samples:
-        """Some of the samples, by a mask or by their indices."""
+    def select(self, chosen: NDArray[np.bool_] | NDArray[np.int_] | slice) -> Samples:
+        """Some of the samples, by a mask, by their indices, or a slice of them."""
         load = None if self.load is None else self.load[chosen]
         return Samples(self.q[chosen], self.frame[chosen], self.target[chosen], load)
 
@@ -110,9 +112,12 @@ class Kinematics:
             shape (N, 4, 4), [m].
         """
         samples = where if isinstance(where, Samples) else Samples.at(where)
-        state = _Displaced.of(self, x)
+        if len(samples) >= MANY:
+            return poses_of(self, x, samples)
+        state = Displaced.of(self, x)
         values, _ = self._chain_values(x, samples)
-        T_root_last = last_joint_poses(state.chain, self.robot.configurations(values))
+        chain = self.robot.chain_model(state.placements)
+        T_root_last = last_joint_poses(chain, self.robot.configurations(values))
         T_last_target = state.T_last_tip @ state.T_tip_target
         result: Array = (
             state.T_frame_root[samples.frame] @ T_root_last @ T_last_target[samples.target]
@@ -133,10 +138,12 @@ class Kinematics:
             shape (N, 4, 4), [m], and shape (N, 6, p), [m or rad per unit of the parameter].
         """
         samples = where if isinstance(where, Samples) else Samples.at(where)
-        state = _Displaced.of(self, x)
+        if len(samples) >= MANY:
+            return twists_of(self, x, samples)
+        state = Displaced.of(self, x)
         values, moved = self._chain_values(x, samples)
         T_root_last, regressor = _regressor(
-            state.chain,
+            self.robot.chain_model(state.placements),
             self.robot.configurations(values),
             state.T_last_tip @ state.T_tip_target,
             samples.target,
@@ -259,34 +266,6 @@ def _regressor(
             chain, data, last, pin.LOCAL_WORLD_ALIGNED, placements[t]
         )
     return T_root_last, regressor
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Displaced:
-    """The placements at one x, in the form that both passes need."""
-
-    chain: pin.Model
-    T_frame_base: Array
-    T_frame_root: Array
-    T_last_tip: Array
-    T_tip_target: Array
-    directions: Array
-
-    @classmethod
-    def of(cls, kinematics: Kinematics, x: Array) -> _Displaced:
-        """Displace every placement."""
-        robot, model = kinematics.robot, kinematics.model
-        displacement, directions = model.displacements(x)
-        n, frames = len(robot.joints), len(kinematics.T_frame_base)
-        T_frame_base = kinematics.T_frame_base @ displacement[:frames]
-        return cls(
-            chain=robot.chain_model(robot.placements[:n] @ displacement[frames : frames + n]),
-            T_frame_base=T_frame_base,
-            T_frame_root=T_frame_base @ rigid_inverse(robot.T_root_base),
-            T_last_tip=robot.placements[n] @ displacement[frames + n],
-            T_tip_target=kinematics.T_tip_target @ displacement[frames + n + 1 :],
-            directions=directions,
-        )
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -1,0 +1,269 @@
+"""Many samples at once: what `calib.model.kernel` reads, prepared from a robot under an error model.
+
+A chunk of samples is one call of the kernel. Chunks are shared out among threads and put together in their order, so
+that the result does not depend on their number.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib.model.joint_errors import LOAD, factor_of
+from calib.model.parameters import FRAME, TARGET, TIP
+from calib.model.robot import Robot, rigid_inverse
+
+if TYPE_CHECKING:
+    from calib.model.kernel import Geometry, Stood
+    from calib.model.kinematics import Kinematics, Samples
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+#: From so many samples on the kernel is used; below, loading it takes longer than Pinocchio's loop.
+MANY = 1500
+
+#: Samples of one call of the kernel.
+CHUNK = 8192
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Displaced:
+    """The placements at one x, and what a unit of each parameter does to them.
+
+    Attributes:
+        placements: shape (n, 4, 4), of the joints [m].
+        T_frame_base: shape (F, 4, 4), [m].
+        T_frame_root: shape (F, 4, 4), [m].
+        T_last_tip: shape (4, 4), of the tip in the last joint [m].
+        T_tip_target: shape (T, 4, 4), [m].
+        directions: shape (6 places, p), see `ErrorModel.displacements`.
+    """
+
+    placements: Array
+    T_frame_base: Array
+    T_frame_root: Array
+    T_last_tip: Array
+    T_tip_target: Array
+    directions: Array
+
+    @classmethod
+    def of(cls, kinematics: Kinematics, x: Array) -> Displaced:
+        """Displace every placement."""
+        robot, model = kinematics.robot, kinematics.model
+        displacement, directions = model.displacements(x)
+        n, frames = len(robot.joints), len(kinematics.T_frame_base)
+        T_frame_base = kinematics.T_frame_base @ displacement[:frames]
+        return cls(
+            placements=robot.placements[:n] @ displacement[frames : frames + n],
+            T_frame_base=T_frame_base,
+            T_frame_root=T_frame_base @ rigid_inverse(robot.T_root_base),
+            T_last_tip=robot.placements[n] @ displacement[frames + n],
+            T_tip_target=kinematics.T_tip_target @ displacement[frames + n + 1 :],
+            directions=directions,
+        )
+
+
+def chunks(count: int) -> Iterator[tuple[int, int]]:
+    """First and behind the last number of each chunk of some samples."""
+    return ((first, min(first + CHUNK, count)) for first in range(0, count, CHUNK))
+
+
+def in_threads(work: Callable[[int, int], T], count: int) -> list[T]:
+    """What ``work`` gives for each chunk of some samples, in their order, by as many threads as there are cores."""
+    parts = list(chunks(count))
+    threads = min(_threads(), len(parts))
+    if threads < 2:
+        return [work(*part) for part in parts]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(lambda part: work(*part), parts))
+
+
+def _threads() -> int:
+    """The cores that this process may use, or as many as OMP_NUM_THREADS says."""
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return max(int(asked) if asked.isdecimal() else (cores or 1), 1)
+
+
+def geometry_of(kinematics: Kinematics, x: Array, *, columns: bool = True) -> Geometry:
+    """The chain at x.
+
+    Args:
+        kinematics: The robot under its error model.
+        x: shape (p,), [m] and [rad].
+        columns: Whether derivatives are asked for.
+    """
+    from calib.model.kernel import Geometry
+
+    robot = kinematics.robot
+    at = Displaced.of(kinematics, x)
+    n = len(robot.joints)
+    turns = _to_axes(robot)
+    placements = [*at.placements, at.T_last_tip]
+    own = [placements[i] @ turns[i] for i in range(n)] + [placements[n]]
+    steps = [own[0], *(turns[i].T @ own[i + 1] for i in range(n))]
+    entries, twists = _entries(kinematics, at.directions, turns) if columns else _no_entries()
+    return Geometry(
+        slides=fixed(np.array([joint.type == "prismatic" for joint in robot.joints])),
+        steps=fixed(_flat(np.array(steps[1:]))),
+        starts=fixed(_flat(at.T_frame_root @ steps[0])),
+        bases=fixed(_flat(at.T_frame_base)),
+        targets=fixed(_flat(at.T_tip_target)),
+        entries=fixed(entries),
+        twists=fixed(twists),
+        columns=len(kinematics.model) if columns else 0,
+    )
+
+
+def stood_at(kinematics: Kinematics, x: Array, samples: Samples, *, columns: bool = True) -> Stood:
+    """The joint values of samples with the joints' own errors at x, and the numbers that multiply their columns."""
+    from calib.model.kernel import Stood
+
+    robot, model = kinematics.robot, kinematics.model
+    values = robot.chain_values(samples.q)
+    terms = [model.terms[t] for t in model.joint_terms]
+    numbers = np.empty((len(samples), len(terms)))
+    for k, term in enumerate(terms):
+        numbers[:, k] = factor_of(robot, term, samples.q, samples.load)
+    if terms and np.any(x):
+        each = model.mixing[list(model.joint_terms)] @ x
+        values = values + (numbers * each) @ _driven(robot, kinematics)
+    return Stood(
+        values=fixed(values),
+        frame=fixed(samples.frame),
+        target=fixed(samples.target),
+        numbers=fixed(numbers if columns else np.empty((len(samples), 0))),
+    )
+
+
+def fixed(values: NDArray[Any]) -> NDArray[Any]:
+    """A contiguous array that cannot be written to: the kernel is compiled for this kind alone."""
+    result: NDArray[Any] = np.ascontiguousarray(values).view()
+    result.setflags(write=False)
+    return result
+
+
+def poses_of(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
+    """T_frame_target, shape (N, 4, 4), [m]."""
+    from calib.model import kernel
+
+    geometry = geometry_of(kinematics, x, columns=False)
+    out = np.empty((len(samples), 4, 4))
+
+    def work(first: int, last: int) -> None:
+        part = stood_at(kinematics, x, samples.select(slice(first, last)), columns=False)
+        kernel.poses(geometry, part, 0, last - first, out[first:last])
+
+    in_threads(work, len(samples))
+    return out
+
+
+def twists_of(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array, Array]:
+    """T_frame_target, and the target's velocity in a unit of each parameter, shape (N, 6, p)."""
+    from calib.model import kernel
+
+    geometry = geometry_of(kinematics, x)
+    poses = np.empty((len(samples), 4, 4))
+    twists = np.empty((len(samples), 6, len(kinematics.model)))
+
+    def work(first: int, last: int) -> None:
+        part = stood_at(kinematics, x, samples.select(slice(first, last)))
+        kernel.poses(geometry, part, 0, last - first, poses[first:last])
+        kernel.twists(geometry, part, 0, last - first, twists[first:last])
+
+    in_threads(work, len(samples))
+    return poses, twists
+
+
+def _to_axes(robot: Robot) -> Array:
+    """For each joint the rotation that takes z to its axis, as a pose, shape (n, 4, 4)."""
+    result = np.tile(np.eye(4), (len(robot.joints), 1, 1))
+    for T_joint, joint in zip(result, robot.joints, strict=True):
+        axis = np.asarray(joint.axis)
+        T_joint[:3, :3] = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
+        T_joint[:3, 2] = axis  # to the last bit
+    return result
+
+
+def _flat(T: Array) -> Array:
+    """R by rows, then the origin, shape (..., 12)."""
+    stacked = np.reshape(T, (-1, 4, 4))
+    return np.ascontiguousarray(
+        np.concatenate([stacked[:, :3, :3].reshape(-1, 9), stacked[:, :3, 3]], axis=1)
+    )
+
+
+def _no_entries() -> tuple[NDArray[np.int_], Array]:
+    """Of a chain whose derivatives are not asked for."""
+    return np.zeros((0, 6), dtype=np.int_), np.zeros((0, 6))
+
+
+def _driven(robot: Robot, kinematics: Kinematics) -> Array:
+    """How far each joint of the chain moves with a unit of each term of the joints' state, shape (terms, n)."""
+    model = kinematics.model
+    names = [joint.name for joint in robot.joints]
+    rows = []
+    for t in model.joint_terms:
+        term = model.terms[t]
+        if term.factor == LOAD:
+            rows.append(np.eye(len(names))[names.index(term.place)])
+        else:
+            rows.append(robot.coupling[:, robot.joint_names.index(term.place)])
+    return np.array(rows).reshape(-1, len(names))
+
+
+def _entries(
+    kinematics: Kinematics, directions: Array, turns: Array
+) -> tuple[NDArray[np.int_], Array]:
+    """What a unit of each parameter does at each place, see `calib.model.kernel.Geometry`."""
+    robot, model = kinematics.robot, kinematics.model
+    places = model.places
+    tip, n = places.index(TIP), len(robot.joints)
+    frames = sum(place.startswith(FRAME) for place in places[:tip])
+    found: list[tuple[tuple[int, int, int, int, int], Array]] = []
+    for k, place in enumerate(places):
+        local = directions[6 * k : 6 * k + 6]
+        joint = k - frames
+        for column in np.flatnonzero(local.any(axis=0)).tolist():
+            twist = local[:, column]
+            if k < frames:
+                found.append(((0, column, k if frames > 1 else -1, -1, -1), twist))
+            elif joint < n:
+                R = turns[joint][:3, :3]
+                own = np.concatenate([R.T @ twist[:3], R.T @ twist[3:]])
+                found.append(((1 + joint, column, -1, -1, -1), own))
+            elif k == tip:
+                found.append(((n + 1, column, -1, -1, -1), twist))
+            else:
+                assert place.startswith(TARGET)
+                targets = len(places) - tip - 1
+                only = k - tip - 1 if targets > 1 else -1
+                found.append(((n + 2, column, -1, only, -1), twist))
+    driven = _driven(robot, kinematics)
+    mixing = model.mixing[list(model.joint_terms)]
+    for number, column in zip(*np.nonzero(mixing), strict=True):
+        for joint in np.flatnonzero(driven[number]).tolist():
+            slides = robot.joints[joint].type == "prismatic"
+            twist = np.zeros(6)
+            twist[2 if slides else 5] = mixing[number, column] * driven[number, joint]
+            found.append(((1 + joint, int(column), -1, -1, int(number)), twist))
+    found += [((0, c, -1, -1, -1), np.zeros(6)) for c in _untouched(found, len(model))]
+    seen: set[int] = set()
+    entries = np.empty((len(found), 6), dtype=np.int_)
+    for e, (numbers, _) in enumerate(found):
+        entries[e] = (*numbers, int(numbers[1] in seen))
+        seen.add(numbers[1])
+    return entries, np.array([twist for _, twist in found]).reshape(-1, 6)
+
+
+def _untouched(found: list[tuple[tuple[int, int, int, int, int], Array]], count: int) -> list[int]:
+    """Columns without an entry: they must be written too."""
+    return sorted(set(range(count)) - {numbers[1] for numbers, _ in found})
