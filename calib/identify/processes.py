@@ -1,0 +1,307 @@
+"""process_executor: worker processes of this machine that outlive a job that kills one of them.
+
+`concurrent.futures.ProcessPoolExecutor` is broken for good when one of its processes ends, and all jobs under way fail
+with it. Here each worker is fed by a thread of its own: when it ends (killed, out of memory) a new one is started, and
+the job that it had is begun again; if that one ends too, the job fails with `WorkerDied`, and the others go on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.context import BaseContext
+from multiprocessing.process import BaseProcess
+from queue import SimpleQueue
+from types import TracebackType
+from typing import Any, TypeVar
+
+from calib.errors import CalibError
+from calib.identify.executors import WorkerDied
+
+T = TypeVar("T")
+
+#: A job whose worker ended so often is not tried again.
+_DEATHS = 2
+
+#: So many workers in a row that end before they could begin are no accident.
+_STARTS = 3
+
+#: What the server that workers are forked from imports, so that it is imported once.
+_PRELOAD = "calib.identify.study"
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """A call as bytes, and where its result goes."""
+
+    call: bytes
+    future: Future[Any]
+
+
+class ProcessExecutor(Executor):
+    """An executor of worker processes; see the module's text. A context manager ends them, at once if interrupted.
+
+    Attributes:
+        workers: Their number.
+    """
+
+    def __init__(self, workers: int) -> None:
+        """Start the workers; they import what they need while the caller does other things.
+
+        Args:
+            workers: Their number, 1 or more.
+
+        Raises:
+            CalibError: Fewer than one.
+        """
+        if workers < 1:
+            message = f"{workers} worker processes were asked for; it takes 1 or more."
+            raise CalibError(message)
+        self.workers = workers
+        self._context = _context()
+        self._jobs: SimpleQueue[_Job | None] = SimpleQueue()
+        self._closed = self._killed = False
+        self._lock = threading.Lock()
+        self._processes: set[BaseProcess] = set()
+        self._threads = [threading.Thread(target=self._feed, daemon=True) for _ in range(workers)]
+        for thread in self._threads:
+            thread.start()
+
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:  # noqa: ANN401
+        """A call under way.
+
+        Raises:
+            RuntimeError: It was shut down.
+        """
+        if self._closed:
+            message = "this executor was shut down"
+            raise RuntimeError(message)
+        future: Future[T] = Future()
+        self._jobs.put(_Job(pickle.dumps((fn, args, kwargs), pickle.HIGHEST_PROTOCOL), future))
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Take no more jobs; those that were given are done, or with ``cancel_futures`` dropped if not begun."""
+        self._closed = True
+        if cancel_futures:
+            self._drop()
+        for _ in self._threads:
+            self._jobs.put(None)
+        if wait:
+            for thread in self._threads:
+                thread.join()
+
+    def kill(self) -> None:
+        """End all workers at once, whatever they are doing; the jobs are dropped."""
+        self._closed = self._killed = True
+        self._drop()
+        with self._lock:
+            for process in self._processes:
+                process.kill()
+        self.shutdown()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
+        """Wait for the jobs; where the block was left by an error or Ctrl-C, end them."""
+        if kind is None:
+            self.shutdown()
+        else:
+            self.kill()
+        return None
+
+    def _drop(self) -> None:
+        """Cancel the jobs that have not begun."""
+        with contextlib.suppress(Exception):  # queue.Empty
+            while True:
+                job = self._jobs.get_nowait()
+                if job is not None:
+                    job.future.cancel()
+
+    def _feed(self) -> None:
+        """Give jobs to one worker, one after the other; in a thread of its own."""
+        worker: _Worker | None = None
+        with contextlib.suppress(CalibError):
+            worker = self._started()
+        while (job := self._jobs.get()) is not None:
+            if job.future.set_running_or_notify_cancel():
+                worker = self._done(job, worker)
+        if worker is not None:
+            worker.connection.close()
+            self._buried(worker)
+
+    def _done(self, job: _Job, worker: _Worker | None) -> _Worker | None:
+        """Have a job done by a worker, or by a new one; the worker that is left."""
+        deaths: list[str] = []
+        while len(deaths) < _DEATHS and not self._killed:
+            try:
+                worker = self._started() if worker is None else worker
+                _settle(job.future, worker.answer(job.call))
+            except CalibError as error:  # noqa: PERF203  at most twice
+                job.future.set_exception(error)
+                return None
+            except (EOFError, OSError):
+                deaths.append("not started" if worker is None else self._buried(worker))
+                worker = None
+            else:
+                return worker
+        message = "the workers were ended"
+        if not self._killed:
+            message = (
+                f"The process that worked on it has ended, and so has the next one: {' and '.join(deaths)}. It may "
+                "need more memory than there is."
+            )
+        job.future.set_exception(WorkerDied(message))
+        return worker
+
+    def _started(self) -> _Worker:
+        """A worker that is ready.
+
+        Raises:
+            CalibError: None can be started.
+        """
+        for _ in range(_STARTS):
+            worker = _Worker(self._context)
+            with self._lock:
+                self._processes.add(worker.process)
+            if self._killed:
+                worker.process.kill()
+            with contextlib.suppress(EOFError, OSError):
+                worker.connection.recv_bytes()
+                return worker
+            how = self._buried(worker)
+            if self._killed:
+                break
+        message = (
+            f"No worker process can be started ({how}). In a script, what calls calib must stand behind "
+            "'if __name__ == \"__main__\":', for each worker imports the script."
+        )
+        raise CalibError(message)
+
+    def _buried(self, worker: _Worker) -> str:
+        """Wait for the end of a worker that has ended; how it did."""
+        worker.process.join()
+        code = worker.process.exitcode
+        with self._lock:
+            self._processes.discard(worker.process)
+        worker.connection.close()
+        if code is not None and code < 0:
+            with contextlib.suppress(ValueError):
+                return f"killed by {signal.Signals(-code).name}"
+        return f"exit code {code}"
+
+
+def process_executor(workers: int) -> ProcessExecutor:
+    """Worker processes, for `calib.study`, `calib.bootstrap` and `calib.fleet`.
+
+    Args:
+        workers: Their number.
+
+    Raises:
+        CalibError: Fewer than one.
+
+    Example:
+        >>> with process_executor(2) as executor:
+        ...     list(executor.map(abs, [-1, -2]))
+        [1, 2]
+    """
+    return ProcessExecutor(workers)
+
+
+class _Worker:
+    """A worker process and the line to it."""
+
+    def __init__(self, context: BaseContext) -> None:
+        """Start it; it sends a word when it is ready."""
+        self.connection, theirs = context.Pipe()
+        self.process: BaseProcess = context.Process(target=_work, args=(theirs,), daemon=True)  # type: ignore[attr-defined]
+        self.process.start()
+        # With our copy open, its end could not be told.
+        theirs.close()
+
+    def answer(self, call: bytes) -> bytes:
+        """What it makes of a call.
+
+        Raises:
+            EOFError, OSError: It has ended.
+        """
+        self.connection.send_bytes(call)
+        return self.connection.recv_bytes()
+
+
+def _context() -> BaseContext:
+    """How workers are started: never forked from this process, whose threads may hold locks.
+
+    Where there is a fork they come from a server that has imported all and has no threads, in a few ms each.
+    """
+    if sys.platform == "linux":
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload([_PRELOAD])
+        return context
+    return multiprocessing.get_context("spawn")
+
+
+def _settle(future: Future[Any], answer: bytes) -> None:
+    """Hand a worker's answer on."""
+    try:
+        done, value, trace = pickle.loads(answer)
+    except Exception as error:  # noqa: BLE001  whoever waits for the result is told
+        future.set_exception(error)
+        return
+    if done:
+        future.set_result(value)
+        return
+    if not isinstance(value, CalibError):
+        value.__cause__ = RuntimeError(f"\n{trace}")
+    future.set_exception(value)
+
+
+def _work(connection: Connection) -> None:
+    """Do calls as they come, until nobody sends any; the main function of a worker."""
+    # Ctrl-C reaches all processes of a terminal; the one that started this one ends it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
+    with contextlib.suppress(EOFError, OSError):
+        connection.send_bytes(b"ready")
+        while True:
+            connection.send_bytes(_answer(connection.recv_bytes()))
+
+
+def _answer(call: bytes) -> bytes:
+    """What a call came to: whether it has a result, that or the error, and the error's trace."""
+    try:
+        function, args, kwargs = pickle.loads(call)
+        return pickle.dumps((True, function(*args, **kwargs), ""), pickle.HIGHEST_PROTOCOL)
+    except Exception as error:  # noqa: BLE001  it is raised where the call came from
+        trace = traceback.format_exc()
+        try:
+            pickle.loads(blob := pickle.dumps((False, error, trace)))
+        except Exception:  # noqa: BLE001  an error that does not travel is told as text
+            return pickle.dumps((False, RuntimeError(f"{type(error).__name__}: {error}"), trace))
+        return blob
+
+
+def end_with_parent() -> None:
+    """End this process when the one that started it is gone: killed, that one can no longer end its workers."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+
+
+def _watch(parent: BaseProcess) -> None:
+    """Wait for the end of a process, then end this one at once, whatever it is doing."""
+    parent.join()
+    os._exit(1)
