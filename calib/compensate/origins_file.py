@@ -126,7 +126,8 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
     """Write `origins_of` a robot as YAML, whole or not at all; it was read back and compared before.
 
     Raises:
-        FileError: The file exists and ``overwrite`` is False, or it cannot be written.
+        FileError: The file exists and ``overwrite`` is False, or it cannot be written; or a joint's name is too long
+            for YAML.
     """
     origins = origins_of(robot)
     header = _HEADER.format(
@@ -138,12 +139,16 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
         joint=_one_line(origins.joints[0][0]),
     )
     data = origins.to_yaml(header)
-    if parse_origins(data, str(path)).joints != origins.joints:
+    try:
+        found = parse_origins(data, str(path))
+    except FileError as error:
+        longest = max((name for name, _ in origins.joints), key=len)
         message = (
-            f"{path}: the origins of '{robot.name}' do not read back as they were written; nothing was written. "
-            "Rename joints that have unusual characters in their names."
+            f"{path}: the origins of '{robot.name}' are not written: YAML takes no name of more than 1024 characters, "
+            f"and the joint '{longest[:30]}...' has one of {len(longest)}. Give it a shorter name in the URDF."
         )
-        raise FileError(message)
+        raise FileError(message) from error
+    assert found.joints == origins.joints, "an origins file reads back as it was written"
     return write_atomically(path, data, overwrite=overwrite)
 
 

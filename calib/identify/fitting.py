@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import MeasurementError, ModelError, SolverError, choices
+from calib.errors import MeasurementError, ModelError, choices
 from calib.identify.estimate import Estimate, Solve, estimate, plain_estimate
 from calib.identify.options import options_of
 from calib.identify.problem import KnownDistance, Problem
@@ -124,7 +124,7 @@ def fit(task: Task, rows: Rows, weights: Array | None = None) -> Fitted:
     Raises:
         ModelError: Unknown solver, parameter set or parameter.
         MeasurementError: Too few rows.
-        SolverError: No finite result.
+        SolverError: The residual at the start is not finite.
     """
     if task.solver not in SOLVERS:
         message = f"There is no solver '{task.solver}'. Choose one of {choices(SOLVERS)}."
@@ -148,9 +148,9 @@ def fit(task: Task, rows: Rows, weights: Array | None = None) -> Fitted:
         )
         options = replace(options, weights=weights)
         estimated = estimate(problem, _solver(task.solver, steps(model.units)), options)
-    if not np.all(np.isfinite(estimated.x)):
-        message = "The solver ended at values that are not finite. Check the measurements, or keep the priors on."
-        raise SolverError(message)
+    assert np.all(np.isfinite(estimated.x)), (
+        "a solver takes no step to where the cost is not finite"
+    )
     return Fitted(task, started, kinematics, estimated)
 
 

@@ -128,12 +128,7 @@ def select(task: Task, rows: Rows) -> Selection:
         one = candidate(name)
         if one is not None and (best is None or better(one, best)):
             best = one
-    if best is None:
-        message = (
-            f"{len(rows)} rows give {rows.count} numbers: too few for any model without priors. Measure more poses, or "
-            "leave the priors on."
-        )
-        raise MeasurementError(message)
+    assert best is not None, "the weights are of a model that there are enough rows for"
     geometry = best
     families = [f for f in JOINT_FAMILIES if f != COMPLIANCE or _has_load(rows)]
     while True:

@@ -295,7 +295,8 @@ def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
     dx, info = dtrtrs(triangle[:p, :p], triangle[:p, p])
     if info != 0:
         message = (
-            "The damped step has no unique solution: a parameter has no effect and no damping."
+            "The damped step has no unique solution: a parameter has no effect, and the damping is zero. Start with a "
+            "damping above 0."
         )
         raise SolverError(message)
     result: Array = dx

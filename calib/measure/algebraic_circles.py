@@ -42,7 +42,7 @@ def algebraic_circle(points: Array, method: str = "taubin", weights: Array | Non
         weights: shape (N,); None: all alike.
 
     Raises:
-        CalibError: No such method, or the points lie on a line.
+        CalibError: No such method, or the points lie on a line or about one.
     """
     if method not in METHODS:
         message = f"'{method}' is no way to fit a circle; choose one of {choices(METHODS)}."
@@ -50,14 +50,20 @@ def algebraic_circle(points: Array, method: str = "taubin", weights: Array | Non
     w = np.ones(len(points)) if weights is None else weights / weights.mean()
     mean, basis, spread = principal_axes(points, w)
     if spread[1] <= 1e-9 * spread[0]:
-        message = "the points lie on a line, through which there is no circle"
+        message = (
+            "the points lie on a line, through which there is no circle. Let the joint turn further, or fix the target "
+            "further from its axis"
+        )
         raise CalibError(message)
     # In units of their spread: the matrices below hold squares beside ones.
     scale = float(spread[0])
     xy = (points - mean) @ basis[:, :2] / scale
     a, b, c, d = METHODS[method](xy, w)
-    if a == 0.0:
-        message = "the points lie on a line, through which there is no circle"
+    if abs(a) <= 1e-12 * np.hypot(b, c):
+        message = (
+            "no circle is nearer to the points than a straight line is: they lie on both sides of it alike. Let the "
+            "joint turn further, or fix the target further from its axis"
+        )
         raise CalibError(message)
     center = mean + basis[:, :2] @ (-0.5 * scale / a * np.array([b, c]))
     radius = scale * np.sqrt(b * b + c * c - 4.0 * a * d) / (2.0 * abs(a))

@@ -185,8 +185,11 @@ def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True
     residuals, jacobian, weights, ring = _circle_problem(points, sigma, used)
     scatter = scatter_of(residuals[used], jacobian[used], weights[used], sigma)
     basis = circle_basis(points[used], ring)
-    covariance = scatter.sigma**2 * inverse_normal(jacobian[used], weights[used])
-    if covariance[5, 5] > (_VAGUE * ring.radius) ** 2:
+    try:
+        covariance = scatter.sigma**2 * inverse_normal(jacobian[used], weights[used])
+    except np.linalg.LinAlgError as error:  # the radius has no effect that the centre has not
+        raise CalibError(_TOO_SHORT) from error
+    if not 0.0 <= covariance[5, 5] <= (_VAGUE * ring.radius) ** 2:
         raise CalibError(_TOO_SHORT)
     return Circle(
         read_only(ring.center),

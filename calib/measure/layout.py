@@ -79,12 +79,9 @@ class Layout:
 
     def span(self, name: str) -> list[int]:
         """Where the columns of a block stand among ``numbers``."""
-        start = 0
-        for block, columns in self.blocks.items():
-            if block == name:
-                return list(range(start, start + len(columns)))
-            start += len(columns)
-        raise KeyError(name)
+        before = list(self.blocks)[: list(self.blocks).index(name)]
+        start = sum(len(self.blocks[block]) for block in before)
+        return list(range(start, start + len(self.blocks[name])))
 
     def used_by(self, kind: str) -> list[int]:
         """Which of ``numbers`` a row of this kind uses."""
