@@ -7,11 +7,33 @@ the class.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+
+#: What a terminal would obey or cannot print: control characters, turns of the reading direction, half characters.
+_UNPRINTABLE = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+
+#: A longer message quotes a file that is none; the middle is left out [characters].
+_LONGEST, _HEAD, _TAIL = 3000, 1500, 1000
 
 
 class CalibError(Exception):
-    """Something given to calib cannot be used; the text says what, where and how to mend it."""
+    """Something given to calib cannot be used; the text says what, where and how to mend it.
+
+    What a file says is quoted in it: it is made printable, and is never longer than a person would read.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(_readable(message))
+
+
+def _readable(text: str) -> str:
+    """The text with unprintable characters by their numbers, and without the middle if it is very long."""
+    if len(text) > _LONGEST:
+        text = f"{text[:_HEAD]} [{len(text) - _HEAD - _TAIL:,} characters left out] {text[-_TAIL:]}"
+    return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 class UrdfError(CalibError):

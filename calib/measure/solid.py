@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +94,7 @@ def _links_with_mass(urdf: Urdf) -> set[str]:
     # Pinocchio keeps the inertias of joints, not of links.
     return {
         link.get("name", "")
-        for link in ElementTree.fromstring(urdf.data).findall("link")
+        for link in urdf.elements().findall("link")
         if any(_positive(mass.get("value", "")) for mass in link.findall("inertial/mass"))
     }
 

@@ -26,6 +26,15 @@ Array = NDArray[np.float64]
 MOVING = ("revolute", "continuous", "prismatic")
 """The types of joints that a chain may move by."""
 
+MOST_JOINTS, DEEPEST, MOST_MOVING = 2000, 200, 150
+"""The most joints of a robot, behind one another, and coordinates that move.
+
+Pinocchio goes down a tree by recursion, and takes memory with the third power of the coordinates that move.
+"""
+
+#: Coordinates of the types that have not just one.
+_COORDINATES = {"fixed": 0, "floating": 6, "planar": 3}
+
 #: What stands before the links' names in the Pinocchio model.
 _LINK = "link:"
 
@@ -162,6 +171,40 @@ def rigid_inverse(T: Array) -> Array:
     return result
 
 
+def check_size(urdf: Urdf) -> None:
+    """Refuse a tree that is no robot's, and that would take Pinocchio all memory.
+
+    Raises:
+        UrdfError: More joints than `MOST_JOINTS`, `DEEPEST` or `MOST_MOVING`.
+    """
+    moving = sum(_COORDINATES.get(joint.type, 1) for joint in urdf.joints)
+    counts = [
+        (len(urdf.joints), MOST_JOINTS, "joints"),
+        (moving, MOST_MOVING, "moving coordinates"),
+    ]
+    if len(urdf.joints) <= MOST_JOINTS:
+        counts.append((_depth(urdf), DEEPEST, "joints behind one another"))
+    for count, most, what in counts:
+        if count > most:
+            message = (
+                f"{urdf.source} has {count:,} {what}; {most:,} are the most that a robot may have here. Leave out "
+                "what does not carry the arm."
+            )
+            raise UrdfError(message)
+
+
+def _depth(urdf: Urdf) -> int:
+    """The most joints between the root and a link."""
+    below: dict[str, list[str]] = {}
+    for joint in urdf.joints:
+        below.setdefault(joint.parent, []).append(joint.child)
+    level, depth = [urdf.root], -1
+    while level:
+        level = [child for link in level for child in below.get(link, ())]
+        depth += 1
+    return depth
+
+
 def full_model(urdf: Urdf) -> pin.Model:
     """The Pinocchio model of all of a URDF, mimic joints free; links are found by `link_frame`.
 
@@ -174,6 +217,7 @@ def full_model(urdf: Urdf) -> pin.Model:
 @lru_cache(maxsize=8)
 def _built_model(urdf: Urdf) -> pin.Model:
     """What `full_model` hands out copies of: reading the XML takes ten times as long as a copy."""
+    check_size(urdf)
     try:
         model = pin.buildModelFromXML(urdf.data.decode(urdf.encoding))
     except (ValueError, RuntimeError) as error:

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -83,8 +82,7 @@ class LinkShape:
 
 def link_shapes(urdf: Urdf, kind: Literal["visual", "collision"]) -> Iterator[LinkShape]:
     """Every shape of that kind of every link, in the file's order."""
-    # Urdf has refused document types already, so that there are no entities to expand.
-    for link in ElementTree.fromstring(urdf.data).findall("link"):
+    for link in urdf.elements().findall("link"):
         for element in link.findall(kind):
             for geometry in element.findall("geometry/*")[:1]:
                 yield LinkShape(link.get("name", ""), _origin(element), geometry)

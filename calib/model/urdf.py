@@ -8,6 +8,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from xml.etree.ElementTree import Element as AnyElement
 
 import numpy as np
 import pinocchio as pin
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from calib.errors import UrdfError, choices
 from calib.model.files import check_no_xacro, read_bytes, write_atomically
 from calib.model.urdf_joints import UrdfJoint, did_you_mean, path_from_root, read_tree
-from calib.model.urdf_xml import Document, Element
+from calib.model.urdf_xml import Document, Element, element_tree
 
 __all__ = ["LIMIT_BYTES", "SAME", "Urdf", "UrdfJoint"]
 
@@ -99,6 +100,10 @@ class Urdf:
         """The link that is no joint's child."""
         children = {joint.child for joint in self.joints}
         return next(link for link in self.links if link not in children)
+
+    def elements(self) -> AnyElement:
+        """The whole file as elements, a tree of its own at each call."""
+        return element_tree(self._document)
 
     def joint(self, name: str) -> UrdfJoint:
         """The joint of that name.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from xml.etree import ElementTree
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
@@ -146,6 +147,16 @@ class Document:
         pieces += [space + key + b"=" + quote + new + quote for key, new in missing.items()]
         pieces.append(tag[last:])
         return b"".join(pieces)
+
+
+def element_tree(document: Document) -> ElementTree.Element:
+    """All elements of a document, their names as written: a prefix need not be declared, as other readers of URDF."""
+    builder = ElementTree.TreeBuilder()
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.Parse(document.data, True)
+    return builder.close()
 
 
 class _Scan:
