@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
 from calib.identify.fitting import Fitted, Task, fit, nominal_setup, predict, without_outliers
+from calib.identify.linear import Linear
 from calib.identify.registration import register_poses
 from calib.identify.rows import FRAME_DIRECTIONS, POINT, POSE, Rows
 from calib.identify.setup import Setup
-from calib.identify.stage import Linear
 from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
 from calib.identify.table_rows import joined_setups
 from calib.model.parameters import ErrorModel, frame_place, target_place

@@ -13,12 +13,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.identify.linear import Linear
 from calib.identify.problem import Problem
 from calib.identify.repeats import repeats
 from calib.identify.robust import Limits
 from calib.identify.rows import POINT, POSE, Rows
 from calib.identify.solvers import Solution
-from calib.identify.stage import FEWEST_FREEDOM, Holds, Linear, Stage
+from calib.identify.stage import FEWEST_FREEDOM, SETTLED, Holds, Stage
 from calib.identify.variance import precision_of
 from calib.measure.cell import Priors
 from calib.model.parameters import FRAME, TARGET
@@ -44,7 +45,8 @@ _FOURTH_POWERS = 1.4
 #: A parameter at its bound is let go where that lowers the squares by more than this.
 _TELLING = 1e-6
 
-_ROUNDS = 12
+#: Limit of the rounds in which weights, and then sizes, settle.
+ROUNDS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,30 +169,67 @@ def _estimate(
     holds = Holds.of(
         problem.kinematics.model, options.priors, options.single, fixed, options.nominal
     )
-    stage = Stage.first(problem, holds, options.weights)
-    solution = solve(stage.problem(problem), holds.centre.copy(), _ROUGH)
-    linear = Linear.at(problem, solution.x)
+    path = _Path(problem, solve, holds.centre.copy())
+    stage = staged(Stage.first(problem, holds, options.weights), path.linear, problem.rows, options)
+    path.solve(stage, _FINE)
+    assert path.solution is not None
+    return _finish(problem, stage, path.solution)
+
+
+class _Path:
+    """Where an estimation has come to: each solve begins where the last one stopped."""
+
+    __slots__ = ("problem", "solution", "solver", "x")
+
+    def __init__(self, problem: Problem, solver: Solve, x: Array) -> None:
+        """At the start."""
+        self.problem, self.solver, self.x = problem, solver, x
+        self.solution: Solution | None = None
+
+    def solve(self, stage: Stage, tolerance: float) -> None:
+        """Go on to the solution with a stage's weights and sizes."""
+        found = self.solver(stage.problem(self.problem), self.x, tolerance)
+        self.solution = found if self.solution is None else found.after(self.solution)
+        self.x = self.solution.x
+
+    def linear(self, stage: Stage) -> Linear:
+        """The problem linearised at the solution with a stage's weights and sizes."""
+        self.solve(stage, _ROUGH)
+        return Linear.at(self.problem, self.x)
+
+
+def staged(
+    stage: Stage, linear_at: Callable[[Stage], Linear], rows: Rows, options: Options
+) -> Stage:
+    """Weights, noise and sizes from the first stage on, until they settle.
+
+    Args:
+        stage: `Stage.first`.
+        linear_at: The problem linearised at the solution with a stage's weights and sizes.
+        rows: The rows.
+        options: See there.
+    """
+    linear = linear_at(stage)
     repeats = options.repeats if options.weights is None else "independent"  # shared out before
-    stage = stage.sharing(linear, problem.rows.poses, repeats)
-    *_, freedom = linear.fit(stage.effective, stage.noise, stage.precision, holds.centre)
+    stage = stage.sharing(linear, rows.poses, repeats)
+    *_, freedom = linear.fit(stage.effective, stage.noise, stage.precision, stage.holds.centre)
     robust = options.robust and options.weights is None and freedom > FEWEST_FREEDOM
     if robust:
-        for _ in range(_ROUNDS):
-            before, linear = stage, Linear.at(problem, solution.x)
+        for _ in range(ROUNDS):
+            before = stage
             stage = stage.by_median(linear)
-            stage = stage.sharing(linear, problem.rows.poses, repeats)
-            solution = solve(stage.problem(problem), solution.x, _ROUGH).after(solution)
-            if np.max(np.abs(stage.effective - before.effective)) < 0.02:
+            stage = stage.sharing(linear, rows.poses, repeats)
+            linear = linear_at(stage)
+            if np.max(np.abs(stage.effective - before.effective)) < SETTLED:
                 break
-    for _ in range(_ROUNDS):
-        before, linear = stage, Linear.at(problem, solution.x)
+    for _ in range(ROUNDS):
+        before = stage
         stage = stage.by_likelihood(linear, robust=robust)
-        stage = stage.sharing(linear, problem.rows.poses, repeats)
-        solution = solve(stage.problem(problem), solution.x, _ROUGH).after(solution)
+        stage = stage.sharing(linear, rows.poses, repeats)
+        linear = linear_at(stage)
         if stage.is_like(before):
             break
-    solution = solve(stage.problem(problem), solution.x, _FINE).after(solution)
-    return _finish(problem, stage, solution)
+    return stage
 
 
 def plain_estimate(problem: Problem, solution: Solution) -> Estimate:
@@ -205,7 +244,7 @@ def plain_estimate(problem: Problem, solution: Solution) -> Estimate:
         solution: Where that solver stopped, x in [m, rad].
     """
     linear = Linear.at(problem, solution.x)
-    residual = replace(linear, y=linear.y - linear.A @ solution.x)
+    residual = replace(linear, y=linear.residual(solution.x))
     data = residual.data(problem.weights)
     rank = np.linalg.matrix_rank(data.H[0], hermitian=True)
     # Both figures for normal noise: see the docstring.
@@ -225,9 +264,9 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     effective, holds = stage.effective, stage.holds
     _, of_least_squares, freedom = linear.fit(effective, stage.noise, stage.precision, holds.centre)
     wider = tuple(float(np.sqrt(spread)) * n for n in stage.noise)
-    residual = linear.y - linear.A @ solution.x
+    residual = linear.residual(solution.x)
     # The estimate itself stays: weights that targets share would be less sharp where they lie to each other.
-    told = replace(linear, A=_shared_by_stops(problem.rows, linear, stage, residual, freedom))
+    told = _shared_by_stops(problem.rows, linear, stage, residual, freedom)
     _, covariance, _ = told.fit(effective, wider, stage.precision, holds.centre)
     own = np.where(holds.flat, 0.0, stage.precision)
     model = problem.kinematics.model
@@ -256,8 +295,8 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
 
 def _shared_by_stops(
     rows: Rows, linear: Linear, stage: Stage, residual: Array, freedom: float
-) -> Array:
-    """The derivative as several targets of one stop let it be known, shape (N, D, p).
+) -> Linear:
+    """The problem with the derivative as several targets of one stop let it be known.
 
     They share where the robot stopped beside where it should: with the correlation rho the mean of n rows has the
     variance s^2 (1 + (n - 1) rho) / n, and so much less is known of what moves all of them alike. What they say of
@@ -269,7 +308,7 @@ def _shared_by_stops(
     stops = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
     counts = np.bincount(stops, alive)
     if len(np.unique(rows.samples.target[alive])) < 2 or np.max(counts) < 2:
-        return linear.A
+        return linear
     paid = float(np.sum(stage.effective @ linear.used)) - freedom
     found = repeats(
         residual[:, :3] / linear.noise_of(stage.noise)[:, :3],
@@ -288,4 +327,4 @@ def _shared_by_stops(
     result: Array = linear.A.copy()
     less = np.where(alive, 1.0 - 1.0 / np.sqrt(wider[stops]), 0.0)
     result[:, :3] -= less[:, None, None] * mean[stops]
-    return result
+    return replace(linear, A=result)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from calib.identify.coverage import coverage, outside_sentence
 from calib.identify.crossvalidation import only_there
 from calib.identify.fitting import Fitted, fit
+from calib.identify.linear import Linear
 from calib.identify.patterns import drift, joint_patterns
 from calib.identify.repeats import pose_means
 from calib.identify.result import Calibration
 from calib.identify.rows import FIXED, PLANE, Rows
-from calib.identify.stage import Linear
 from calib.identify.statistics import Errors, Mask
 from calib.identify.table_rows import joined_setups
 from calib.identify.unpredicted import prediction_square, unpredicted_setup

@@ -25,6 +25,9 @@ _FULL = 0.99
 #: The probability that any row at all of a clean table is flagged.
 _FALSE_ALARM = 0.01
 
+#: A row that leaves less than this of a direction to the others carries it nearly alone.
+_CARRIED = 1e-4
+
 #: The scalars of a point, for which scores are told.
 _POINT = 3
 
@@ -71,7 +74,33 @@ def deleted_norms(residual: Array, jacobian: Array, covariance: Array, weights: 
     """
     # The first product as one of two matrices, not of N small ones.
     spread_rows = (jacobian.reshape(-1, len(covariance)) @ covariance).reshape(jacobian.shape)
-    leverage = spread_rows @ jacobian.transpose(0, 2, 1)
+    return norms_of(residual, spread_rows @ jacobian.transpose(0, 2, 1), weights)
+
+
+def norms_of(residual: Array, leverage: Array, weights: Array) -> Array:
+    """`deleted_norms` with the leverages K themselves, shape (N, D, D).
+
+    (I + (1 - w) K) (I - w K) = I + (1 - 2 w) K - w (1 - w) K^2 is solved as it stands; where a row carries nearly all
+    that is known of a direction, by the eigenvalues of K, none of which may then pass 1 / w.
+    """
+    w = weights[:, None, None]
+    identity = np.eye(residual.shape[1])
+    kept = identity - w * leverage
+    spread = (identity + (1.0 - w) * leverage) @ kept
+    # The product of 1 - w k over the eigenvalues k of K is at most its smallest factor.
+    risky = np.linalg.det(kept) < _CARRIED
+    risky |= np.trace(leverage, axis1=1, axis2=2) > 1.0 / _CARRIED
+    if risky.any():
+        spread[risky] = identity
+    solved = np.linalg.solve(spread, residual[:, :, None])[:, :, 0]
+    result: Array = np.sqrt(np.maximum(np.sum(residual * solved, axis=1), 0.0))
+    if risky.any():
+        result[risky] = _norms_by_eigenvalues(residual[risky], leverage[risky], weights[risky])
+    return result
+
+
+def _norms_by_eigenvalues(residual: Array, leverage: Array, weights: Array) -> Array:
+    """`norms_of` with 1 - w k kept above 0."""
     values, vectors = np.linalg.eigh(leverage)
     along = np.einsum("nij,ni->nj", vectors, residual)
     w = weights[:, None]

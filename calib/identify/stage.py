@@ -8,20 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.identify.linear import Linear
 from calib.identify.problem import Problem
 from calib.identify.repeats import repeats
 from calib.identify.robust import (
     Limits,
     cauchy_weights,
-    deleted_norms,
     median_noise,
-    scores,
 )
 from calib.identify.variance import (
     LARGEST_COMPLIANCE,
     SMALLEST_COMPLIANCE,
-    Known,
-    Linearised,
     Masks,
     Sizes,
     precision_of,
@@ -42,9 +39,6 @@ from calib.model.parameters import (
 
 Array = NDArray[np.float64]
 
-#: Below this the noise is no instrument's but rounding [m, rad].
-_SMALLEST_SIGMA = 1e-8
-
 #: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
 _NOISE_SPREAD = float(np.log(10.0))
 
@@ -63,6 +57,9 @@ _SMALLEST, _LARGEST = 1e-7, 0.1
 
 #: How tightly a parameter is held at its bound, in its unit.
 _FIXED = 1e-10
+
+#: Weights that change by less have settled, and noise and sizes that change by less of themselves.
+SETTLED, SETTLED_SIZES = 0.02, 0.01
 
 #: Repeats must leave this many degrees of freedom before their scatter is believed.
 _TELLING_REPEATS = 6.0
@@ -161,84 +158,6 @@ class Holds:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Linear:
-    """The problem linearised at one x: y = A x + noise, in units of each scalar's sigma.
-
-    Attributes:
-        A: shape (N, D, p).
-        y: shape (N, D).
-        used: shape (N, D), which scalars there are.
-        instruments: shape (N, D), which noise each has.
-        smallest: Smallest noise believed of each instrument, in units of its sigma.
-        C: shape (K, p), of the known distances, whitened.
-        z: shape (K,), likewise.
-    """
-
-    A: Array
-    y: Array
-    used: NDArray[np.bool_]
-    instruments: NDArray[np.int_]
-    smallest: tuple[float, ...]
-    C: Array
-    z: Array
-
-    @classmethod
-    def at(cls, problem: Problem, x: Array) -> Linear:
-        """At the parameters x; the problem's own scales are those that were given."""
-        residual, jacobian = problem.residual_and_jacobian(x)
-        scales = problem.rows.scales
-        A = jacobian / scales[:, :, None]
-        r, C = problem.constraints(x)
-        instruments, _ = problem.rows.instruments
-        count = int(instruments.max()) + 1
-        smallest = [
-            _SMALLEST_SIGMA / float(np.median(scales[instruments == c])) for c in range(count)
-        ]
-        return cls(
-            A,
-            residual / scales + A @ x,
-            problem.rows.used,
-            instruments,
-            tuple(smallest),
-            C,
-            r + C @ x,
-        )
-
-    def known(self, precision: Array, centre: Array) -> Known:
-        """Priors of given precision and mean, and the known distances."""
-        return Known.of(precision, centre, self.C, self.z)
-
-    def noise_of(self, noise: tuple[float, ...]) -> Array:
-        """The noise of each scalar, shape (N, D); 1 where there is none."""
-        return np.append(np.array(noise), 1.0)[self.instruments]
-
-    def data(self, weights: Array) -> Linearised:
-        """The normal equations with these weights."""
-        return Linearised.of(self.A, self.y, weights, self.instruments)
-
-    def fit(
-        self, weights: Array, noise: tuple[float, ...], precision: Array, centre: Array
-    ) -> tuple[Array, Array, float]:
-        """The linear fit with these weights, noise and priors.
-
-        Returns:
-            The residual, shape (N, D), in units of each scalar's sigma; the covariance of x, shape (p, p); and the
-            degrees of freedom: scalars, by weight, minus the parameters that they have to pay for.
-        """
-        data = self.data(weights)
-        x, covariance = data.posterior(noise, self.known(precision, centre))
-        paid = np.einsum("cij,ji->c", data.H, covariance) / np.square(noise)
-        return self.y - self.A @ x, covariance, float(np.sum(data.count - paid))
-
-    def scores(
-        self, residual: Array, covariance: Array, weights: Array, noise: tuple[float, ...]
-    ) -> Array:
-        """How far each row lies from what the others predict, shape (N,)."""
-        scale = self.noise_of(noise)
-        return scores(residual / scale, self.A / scale[:, :, None], covariance, weights, self.used)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Stage:
     """Weights, noise and prior sizes at one time of the estimation.
 
@@ -285,27 +204,20 @@ class Stage:
         """Robust weights against a scale that outliers cannot move, on the linearised problem."""
         weights, noise = self.weights, self.noise
         for _ in range(3):
+            effective = weights * self.share
             residual, covariance, _ = linear.fit(
-                weights * self.share, noise, self.precision, self.holds.centre
+                effective, noise, self.precision, self.holds.centre
             )
             found = []
             for c, smallest in enumerate(linear.smallest):
-                own = linear.instruments == c
-                single = deleted_norms(
-                    residual * own,
-                    linear.A * own[:, :, None],
-                    covariance / noise[c] ** 2,
-                    weights * self.share,
-                )
-                found.append(max(median_noise(single, own), smallest))
+                single = linear.norms(residual, covariance, effective, noise[c], c)
+                found.append(max(median_noise(single, linear.instruments == c), smallest))
             noise = tuple(found)
             # Scores in units of the new noise need the covariance that goes with it.
             residual, covariance, _ = linear.fit(
-                weights * self.share, noise, self.precision, self.holds.centre
+                effective, noise, self.precision, self.holds.centre
             )
-            weights = cauchy_weights(
-                linear.scores(residual, covariance, weights * self.share, noise)
-            )
+            weights = cauchy_weights(linear.scores(residual, covariance, effective, noise))
         return replace(self, weights=weights, noise=noise)
 
     def by_likelihood(self, linear: Linear, *, robust: bool) -> Stage:
@@ -370,6 +282,8 @@ class Stage:
     def is_like(self, other: Stage) -> bool:
         """Whether two stages differ by too little to matter."""
         return bool(
-            np.max(np.abs(self.effective - other.effective)) < 0.02
-            and np.allclose([*self.noise, *self.sizes], [*other.noise, *other.sizes], rtol=0.01)
+            np.max(np.abs(self.effective - other.effective)) < SETTLED
+            and np.allclose(
+                [*self.noise, *self.sizes], [*other.noise, *other.sizes], rtol=SETTLED_SIZES
+            )
         )

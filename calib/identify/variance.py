@@ -27,6 +27,12 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 Array = NDArray[np.float64]
 Masks = tuple[NDArray[np.bool_], ...]
 
+#: sigma of each instrument.
+Noise = tuple[float, ...] | Array
+
+#: For each instrument the row of each of its M scalars, and [A, y] there, shapes (M,) and (M, p + 1).
+Scalars = tuple[tuple[NDArray[np.int_], Array], ...]
+
 #: Bounds of the sizes: far outside of what an arm can have.
 _SMALLEST, _LARGEST = 1e-7, 0.1
 
@@ -119,21 +125,23 @@ class Linearised:
             weights: shape (N,), between 0 and 1.
             instruments: shape (N, D), which noise each scalar has; -1 for none.
         """
-        count = int(instruments.max()) + 1
-        flat = A.reshape(-1, A.shape[2])
-        weight = np.repeat(weights, A.shape[1])
-        root, number, target = np.sqrt(weight), instruments.ravel(), y.ravel()
-        H, g, yy, n = [], [], [], []
-        for c in range(count):
-            own = number == c if count > 1 else number >= 0
-            a, b = flat[own] * root[own, None], target[own] * root[own]
-            H.append(a.T @ a)
-            g.append(a.T @ b)
-            yy.append(float(b @ b))
-            n.append(float(np.sum(weight[own])))
-        return cls(np.array(H), np.array(g), np.array(yy), np.array(n))
+        return cls.of_scalars(scalars_of(A, y, instruments), weights)
 
-    def posterior(self, noise: tuple[float, ...], known: Known) -> tuple[Array, Array]:
+    @classmethod
+    def of_scalars(cls, scalars: Scalars, weights: Array) -> Linearised:
+        """From the scalars of each instrument, see `scalars_of`, and weights of the rows, shape (N,)."""
+        root = np.sqrt(weights)
+        p = scalars[0][1].shape[1] - 1
+        # One product has A^T W A, A^T W y and y^T W y.
+        both = np.empty((len(scalars), p + 1, p + 1))
+        count = np.empty(len(scalars))
+        for c, (row, columns) in enumerate(scalars):
+            whitened = columns * root[row, None]
+            np.matmul(whitened.T, whitened, out=both[c])
+            count[c] = weights[row].sum()
+        return cls(both[:, :p, :p], both[:, :p, p], both[:, p, p], count)
+
+    def posterior(self, noise: Noise, known: Known) -> tuple[Array, Array]:
         """Mean and covariance of x.
 
         Args:
@@ -149,16 +157,17 @@ class Linearised:
         C = _inverse(M * scales) * scales
         return C @ right, C
 
-    def _equations(self, noise: tuple[float, ...], known: Known) -> tuple[Array, Array]:
+    def _equations(self, noise: Noise, known: Known) -> tuple[Array, Array]:
         """The posterior's precision matrix and the right side, shapes (p, p) and (p,)."""
         weight = 1.0 / np.square(noise)
-        M = (weight @ self.H.reshape(len(weight), -1)).reshape(known.H.shape) + known.H
+        M = np.tensordot(weight, self.H, 1) if len(weight) > 1 else weight[0] * self.H[0]
+        M += known.H
         M.reshape(-1)[:: len(M) + 1] += known.precision  # the diagonal
         return M, np.asarray(weight @ self.g + known.g + known.precision * known.centre)
 
     def residual_square(self, x: Array) -> Array:
         """|y - A x|^2 of each instrument, weighted, never below 0, shape (C,)."""
-        square = self.yy - 2.0 * self.g @ x + np.einsum("i,cij,j->c", x, self.H, x)
+        square = self.yy - 2.0 * (self.g @ x) + (self.H @ x) @ x
         return np.asarray(np.maximum(square, 0.0))
 
     def log_likelihood(self, noise: tuple[float, ...], known: Known, own: Array) -> float:
@@ -179,6 +188,22 @@ class Linearised:
         square = float(np.sum(self.residual_square(x) / np.square(noise))) + known.square(x)
         priors = float(np.sum(np.log(own[own > 0.0])))
         return -0.5 * (2.0 * float(self.count @ np.log(noise)) - priors + log_det + square)
+
+
+def scalars_of(A: Array, y: Array, instruments: NDArray[np.int_]) -> Scalars:
+    """The scalars of each instrument below each other.
+
+    Args:
+        A: shape (N, D, p), see `Linearised.of`.
+        y: shape (N, D).
+        instruments: shape (N, D), which noise each scalar has; -1 for none.
+    """
+    both = np.concatenate([A, y[:, :, None]], axis=2)
+    found = []
+    for c in range(int(instruments.max()) + 1):
+        row, column = np.nonzero(instruments == c)
+        found.append((row, both[row, column]))
+    return tuple(found)
 
 
 def sizes_by_reml(
@@ -212,26 +237,35 @@ def sizes_by_reml(
     bounds = ((_SMALLEST, _LARGEST),) * len(families) if bounds is None else bounds
     lowest = np.log(np.array([*smallest_noise, *(low for low, _ in bounds)]))
     highest = np.log(np.array([*(1e6 * s for s in start.noise), *(high for _, high in bounds)]))
-    logs = np.clip(logs, lowest, highest)
+    logs = clipped(logs, lowest, highest)
+    members = np.array(families, dtype=np.float64).reshape(-1, p)
+    of_noise = np.arange(len(logs)) < C
+    spread = np.where(of_noise, 1.0 / noise_spread**2, 0.0)
     for _ in range(iterations):
-        score, information = _score(data, families, known, logs, C)
-        score[:C] -= logs[:C] / noise_spread**2
-        information[range(C), range(C)] += 1.0 / noise_spread**2
+        score, information = _score(data, members, known, logs, C)
+        score -= spread * logs
+        diagonal = information.reshape(-1)[:: len(logs) + 1]
+        diagonal += spread
         # A family at its lower bound with a score that points below it stays there.
-        free = ~((logs <= lowest) & (score < 0)) & ~((logs >= highest) & (score > 0))
-        if not np.any(free):
+        held = ((logs <= lowest) & (score < 0)) | ((logs >= highest) & (score > 0))
+        if held.all():
             break
-        part = information[np.ix_(free, free)]
-        part = part + np.diag(1e-3 * part.diagonal() + 1e-9)
-        step = np.zeros_like(logs)
-        step[free] = np.clip(np.linalg.solve(part, score[free]), -1.0, 1.0)
-        moved = np.clip(logs + step, lowest, highest)
-        done = np.max(np.abs(moved - logs)) < 1e-4
+        diagonal += 1e-3 * diagonal + 1e-9
+        information[held], information[:, held], score[held] = 0.0, 0.0, 0.0
+        diagonal[held] = 1.0
+        step: Array = clipped(np.asarray(np.linalg.solve(information, score)), -1.0, 1.0)
+        moved = clipped(logs + step, lowest, highest)
+        done = np.abs(moved - logs).max() < 1e-4
         logs = moved
         if done:
             break
     values = np.exp(logs)
     return Sizes(tuple(values[:C].tolist()), tuple(values[C:].tolist()))
+
+
+def clipped(values: Array, low: Array | float, high: Array | float) -> Array:
+    """`numpy.clip` without what it does besides."""
+    return np.asarray(np.minimum(np.maximum(values, low), high))
 
 
 def precision_of(families: Masks, sizes: tuple[float, ...], p: int) -> Array:
@@ -265,27 +299,30 @@ def _pseudo_inverse_by_qr(M: Array) -> Array:
 
 
 def _score(
-    data: Linearised, families: Masks, known: Known, logs: Array, C: int
+    data: Linearised, families: Masks | Array, known: Known, logs: Array, C: int
 ) -> tuple[Array, Array]:
     """Gradient of the log likelihood in log sizes, and its expected information."""
+    members = np.asarray(families, dtype=np.float64).reshape(len(families), data.g.shape[1])
     values = np.exp(logs)
-    noise, sizes = tuple(values[:C].tolist()), values[C:]
-    own_precision = precision_of(families, tuple(sizes.tolist()), data.g.shape[1])
+    noise, sizes = values[:C], values[C:]
+    own_precision = (1.0 / sizes**2) @ members
     m, covariance = data.posterior(noise, known.and_families(own_precision))
-    HC = (data.H @ covariance) / np.square(values[:C])[:, None, None]
+    square = noise**2
+    HC = (data.H @ covariance) / square[:, None, None]
     trace = np.trace(HC, axis1=1, axis2=2)
-    k = len(families)
-    score, information = np.empty(C + k), np.empty((C + k, C + k))
-    score[:C] = data.residual_square(m) / np.square(values[:C]) + trace - data.count
-    crossed = np.einsum("cij,dji->cd", HC, HC)
-    information[:C, :C] = 2.0 * (np.diag(data.count - 2.0 * trace) + crossed)
-    if k:
-        variance, both = covariance.diagonal(), np.einsum("ij,cji->ci", covariance, HC)
-        members = np.array(families, dtype=np.float64)
-        score[C:] = members @ (m**2 + variance) / sizes**2 - members.sum(axis=1)
+    score, information = np.empty(len(logs)), np.empty((len(logs), len(logs)))
+    score[:C] = data.residual_square(m) / square + trace - data.count
+    flat = HC.reshape(C, -1)
+    crossed = flat @ HC.transpose(0, 2, 1).reshape(C, -1).T
+    information[:C, :C] = 2.0 * crossed
+    information.reshape(-1)[: C * len(logs) : len(logs) + 1] += 2.0 * (data.count - 2.0 * trace)
+    if len(members):
+        both = (covariance * HC.transpose(0, 2, 1)).sum(axis=2)
+        score[C:] = members @ (m**2 + covariance.diagonal()) / sizes**2 - members.sum(axis=1)
         information[:C, C:] = 2.0 * (both @ members.T) / sizes**2
         information[C:, :C] = information[:C, C:].T
         root = np.sqrt(own_precision)  # 1 / tau, 0 for those of no family
-        block = np.diag((root > 0.0).astype(np.float64)) - covariance * (root[:, None] * root)
+        block = covariance * (-root[:, None] * root)
+        block.reshape(-1)[:: len(root) + 1] += root > 0.0
         information[C:, C:] = 2.0 * (members @ block**2 @ members.T)
     return score, information

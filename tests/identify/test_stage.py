@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.identify.linear import _SMALLEST_SIGMA, Linear
 from calib.identify.problem import Problem
-from calib.identify.stage import _SMALLEST_SIGMA, Holds, Linear, Stage
+from calib.identify.stage import Holds, Stage
 from calib.measure.cell import Priors
 from calib.model.error_model import error_model
 from calib.model.kinematics import Samples
