@@ -30,20 +30,22 @@ that is estimate +- t std.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from concurrent.futures import Executor
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, ModelError, choices
+from calib.identify.bootstrap_sample import fit_sample
+from calib.identify.executors import Lost, batch_size, run
 from calib.identify.findings import ParameterEstimate
 from calib.identify.fitting import Fitted
-from calib.identify.problem import Problem
 from calib.identify.resampling import Profile, bootstrap_indices, profile
 from calib.identify.result import Calibration
 from calib.identify.robustness import Robustness, compare
-from calib.identify.solvers import Solution, levenberg_marquardt
+from calib.identify.solvers import levenberg_marquardt
 from calib.identify.spread import as_one_body, own_moves, position_std, tells_place
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
@@ -63,12 +65,6 @@ FEWEST_SAMPLES = 40
 
 #: Fewer joint values than this have no 95 % quantile.
 _FEWEST_POSES = 20
-
-#: A prior wider than this is no prior but a hold on what nothing determines; its mean stays [m, rad].
-_LEASH = 1.0
-
-#: A fit of a sample ends with steps below this, in steps of 1 mm and 1 mrad.
-_STEP = 1e-4
 
 #: Poses over which a bootstrap's predicted spread is told.
 _POSES = 200
@@ -146,7 +142,11 @@ class Bootstrap:
 
 
 def bootstrap(
-    calibration: Calibration, count: int, seed: int, progress: Progress | None = None
+    calibration: Calibration,
+    count: int,
+    seed: int,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> Bootstrap:
     """Fit the geometry again to rows drawn with replacement, whole poses within each set-up; see the module's text.
 
@@ -155,9 +155,11 @@ def bootstrap(
         count: Number of samples; 200 for standard deviations, 1000 for intervals.
         seed: The samples are the same for the same seed.
         progress: Called after each sample.
+        executor: Where to fit; None: here. The samples are the same to the bit everywhere.
 
     Raises:
-        CalibError: Fewer samples than an interval needs, more than make sense, or a seed below 0.
+        CalibError: Fewer samples than an interval needs, more than make sense, a seed below 0, or an executor that
+            loses samples.
         ModelError: The paper's solver made the calibration.
     """
     if count < FEWEST_SAMPLES or seed < 0:
@@ -175,27 +177,16 @@ def bootstrap(
     drawn = bootstrap_indices(rows.blocks, count, seed, strata=rows.samples.frame)
     # Not the generator that draws the rows: priors would follow them.
     rng = np.random.default_rng([seed, 1])
-    held = problem.precision > 1.0 / _LEASH**2
-    wide = np.where(held, 1.0 / np.sqrt(np.where(held, problem.precision, 1.0)), 0.0)
+    noise = rng.normal(size=(count, len(start) + len(problem.distances)))
     x, stopped = np.empty((count, len(start))), 0
-    for k in range(count):
-        sample = problem.reweighted(
-            problem.weights * drawn[k],
-            problem.scales,
-            problem.precision,
-            problem.centre + wide * rng.normal(size=len(start)),
-        )
-        sample = replace(
-            sample,
-            distances=tuple(
-                replace(d, length=d.length + d.sigma * float(rng.normal()))
-                for d in problem.distances
-            ),
-        )
-        solution = _solved(fitted, sample, start)
-        x[k], stopped = solution.x, stopped + (solution.status != "converged")
+    items, size = zip(drawn, noise, strict=True), batch_size(count, executor)
+    for done, (k, found) in enumerate(run(fit_sample, fitted, items, executor, batch=size), 1):
+        if isinstance(found, Lost):
+            message = f"Sample {k + 1} of the bootstrap has no result. {found.reason}"
+            raise CalibError(message)
+        x[k], stopped = found[0], stopped + (not found[1])
         if progress is not None:
-            progress(k + 1, count)
+            progress(done, count)
     result = Bootstrap(
         fitted, calibration.parameters, read_only(x), seed, stopped, float("nan"), float("nan")
     )
@@ -330,12 +321,6 @@ def _least_squares(fitted: Fitted) -> Fitted:
         )
         raise ModelError(message)
     return fitted
-
-
-def _solved(fitted: Fitted, problem: Problem, start: Array) -> Solution:
-    """The least-squares solution of a problem with the parameters of a fit."""
-    size = steps(fitted.kinematics.model.units)
-    return levenberg_marquardt(problem.system, start, step_size=size, step_tolerance=_STEP)
 
 
 def _least_cost(fitted: Fitted, k: int, value: float) -> float:

@@ -1,0 +1,224 @@
+"""one_trial: a robot with errors of its own, measured, calibrated from that alone, and compared with its truth.
+
+A trial draws a true robot, sends it to the poses, measures it there with noise, calibrates the nominal robot with these
+measurements alone, and asks both robots for the target's position at poses that were not measured: the error there is
+known, because the truth is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtri
+
+from calib.identify.calibration import Calibration, calibrate
+from calib.identify.fitting import Fitted
+from calib.identify.foresight import Outlook
+from calib.identify.spread import without_rigid_motion
+from calib.measure.candidates import draw, planning_ranges
+from calib.measure.cell import Cell
+from calib.measure.kinds import LENGTHS
+from calib.measure.planning import choose_poses
+from calib.measure.scenario import Scenario
+from calib.measure.simulation import Simulated, VirtualCell
+
+Array = NDArray[np.float64]
+
+#: Poses at which a trial is verified, and the seed that they are drawn with.
+VERIFIED = 500
+_VERIFY_SEED = 19790401
+
+#: Candidates that each trial's plan is chosen from: it is made anew each time.
+PLAN_CANDIDATES = 2000
+
+#: What of a stated region should hold the truth.
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trials:
+    """What is done each time.
+
+    Attributes:
+        scenario: What robots and disturbances are drawn.
+        cell: What the fit is told; its model too.
+        poses: shape (N, m), poses to measure, the same each time; None: ``count`` others each time.
+        sets: ``"estimate"`` or ``"validate"`` for each of ``poses``.
+        count: Poses to fit, where they are made each time.
+        validation: Random poses to validate with, besides.
+        planned: Whether they are planned, or drawn at random.
+        criterion: Of the plan.
+        validate: Whether each fit is cross-validated, for its verdict.
+        solver: Of the fit.
+    """
+
+    scenario: Scenario
+    cell: Cell
+    poses: Array | None = None
+    sets: tuple[str, ...] = ()
+    count: int = 30
+    validation: int = 0
+    planned: bool = False
+    criterion: str = "V"
+    validate: bool = True
+    solver: str = "lm"
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One robot, calibrated and verified.
+
+    Attributes:
+        seed: Of everything that was drawn.
+        nominal_rms: Error of the nominal robot, frame and target where they truly are, over the poses of the
+            verification [m].
+        rms: Error of what the calibrated robot predicts there [m].
+        max: The largest [m].
+        stated_rms: What the fit itself says of its error there [m].
+        covered: Share of these positions inside the 95 % ellipsoid that the fit states.
+        sigma: Noise that the fit found, with the larger model where there is one [m].
+        model: The parameter set that was fitted.
+        verdict: The verdict's word; "" without one.
+        outliers: How many rows are outliers in truth.
+        flagged: How many of these the fit named.
+        false_alarms: How many others it named.
+    """
+
+    seed: int
+    nominal_rms: float
+    rms: float
+    max: float
+    stated_rms: float
+    covered: float
+    sigma: float
+    model: str
+    verdict: str
+    outliers: int
+    flagged: int
+    false_alarms: int
+
+
+def one_trial(trials: Trials, seed: int) -> Trial:
+    """Plan, measure, fit and verify once.
+
+    Args:
+        trials: What is done.
+        seed: Of everything that is drawn.
+
+    Raises:
+        CalibError: The poses, the scenario or the cell do not fit the robot, or the fit has no result.
+    """
+    virtual = trials.scenario.draw(seed)
+    q, sets = trial_poses(trials, seed)
+    simulated = virtual.measure(q, seed, sets)
+    result = calibrate(
+        trials.scenario.robot,
+        simulated.measurements,
+        cell=trials.cell,
+        solver=trials.solver,
+        validate=trials.validate,
+    )
+    return _verified(trials, virtual, simulated, result, seed)
+
+
+def verification_poses(scenario: Scenario) -> Array:
+    """The poses at which every trial is verified, shape (500, m), [rad] or [m]: random ones over the joint ranges."""
+    return scenario.random_poses(VERIFIED, _VERIFY_SEED)
+
+
+def _verified(
+    trials: Trials, virtual: VirtualCell, simulated: Simulated, result: Calibration, seed: int
+) -> Trial:
+    """A calibration against the truth, at poses that it has not seen."""
+    q = verification_poses(trials.scenario)
+    truth = virtual.truth
+    predicted = result.predict(q, larger=True)
+    true = truth.points(q)
+    if trials.scenario.kind in LENGTHS:
+        # Lengths do not tell where the base stands: only the shape of all positions counts.
+        true = (truth.tip_poses(q) @ truth.T_tip_target[0])[:, :3, 3]
+        error = without_rigid_motion(predicted, (predicted - true)[:, :, None])[:, :, 0]
+    else:
+        error = predicted - true
+    length = np.linalg.norm(error, axis=1)
+    stated = _stated(trials, result, q, predicted)
+    outliers = set(simulated.outlier_rows)
+    named = {outlier.row for outlier in result.outliers}
+    larger = result.larger
+    return Trial(
+        seed=seed,
+        nominal_rms=float(np.sqrt(np.mean(truth.nominal_errors(q) ** 2))),
+        rms=float(np.sqrt(np.mean(length**2))),
+        max=float(np.max(length)),
+        stated_rms=float(np.sqrt(np.mean(np.trace(stated, axis1=1, axis2=2)))),
+        covered=_covered(result, stated, error),
+        sigma=_sigma(result),
+        model=result.model.name if larger is None else larger.name,
+        verdict="" if result.verdict is None else result.verdict.use,
+        outliers=len(outliers),
+        flagged=len(outliers & named),
+        false_alarms=len(named - outliers),
+    )
+
+
+def _stated(trials: Trials, result: Calibration, q: Array, predicted: Array) -> Array:
+    """The covariances that the fit states for the predicted positions, shape (N, 3, 3), [m^2]."""
+    fitted = _last(result)
+    estimate = fitted.estimate
+    _, J = fitted.kinematics.points_jacobian(estimate.x, result.samples(q))
+    if trials.scenario.kind in LENGTHS:
+        J = without_rigid_motion(predicted, J)
+    return np.asarray(J @ estimate.covariance @ J.transpose(0, 2, 1))
+
+
+def _covered(result: Calibration, stated: Array, error: Array) -> float:
+    """The share of positions whose error lies inside the ellipsoid that the fit states."""
+    square = np.sum(error * np.linalg.solve(stated, error[:, :, None])[:, :, 0], axis=1)
+    limit = 3.0 * fdtri(3, max(_last(result).estimate.freedom, 1.0), _LEVEL)
+    return float(np.mean(square <= limit))
+
+
+def _sigma(result: Calibration) -> float:
+    """The noise of one length that the fit found, of the larger model where there is one [m]; NaN without lengths."""
+    problem = _last(result).estimate.problem
+    lengths = problem.scales[:, :3][problem.rows.used[:, :3]]
+    return float(np.median(lengths)) if lengths.size else float("nan")
+
+
+def _last(result: Calibration) -> Fitted:
+    """The fit that `Calibration.predict` answers from."""
+    return result.fitted if result.larger is None else result.larger.fitted
+
+
+def trial_poses(trials: Trials, seed: int) -> tuple[Array, tuple[str, ...]]:
+    """The poses of one trial, and the set of each."""
+    q, sets = trials.poses, trials.sets
+    if q is None:
+        q = (
+            _planned(trials, seed)
+            if trials.planned
+            else trials.scenario.random_poses(trials.count, seed)
+        )
+        sets = ("estimate",) * len(q)
+    extra = trials.scenario.random_poses(trials.validation, seed, validation=True)
+    return np.concatenate([q, extra]), (*sets, *("validate",) * len(extra))
+
+
+def _planned(trials: Trials, seed: int) -> Array:
+    """Poses that are planned for this trial; collisions are not looked at, for the robot is a virtual one."""
+    robot = trials.scenario.robot
+    sensitivity = Outlook.of(robot, trials.cell).sensitivity
+    ranges = planning_ranges(robot, trials.scenario.cell.ranges, 0.0)
+    pool = draw(robot, ranges, [], max(PLAN_CANDIDATES, trials.count), seed)
+    chosen = choose_poses(
+        sensitivity,
+        pool,
+        count=trials.count,
+        criterion=trials.criterion,
+        ladder=(),
+        seed=seed,
+        restarts=1,
+    )
+    return chosen.planned
