@@ -137,7 +137,7 @@ def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[st
             raise UrdfError(message)
         fault = unit_fault(value, slides=by_name[name].type == "prismatic")
         if fault is not None:
-            message = f"{urdf.source}: what the joint '{name}' is to be held at {fault}."
+            message = f"{urdf.source}: the value that the joint '{name}' is held at {fault}."
             raise UrdfError(message)
     return tuple(sorted((name, float(value)) for name, value in given.items()))
 

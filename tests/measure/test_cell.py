@@ -758,7 +758,7 @@ def test_joint_values_in_another_s_unit_are_refused_by_the_robot(tmp_path: Path,
     with pytest.raises(CalibError, match="'elbow_joint' is a length, and the joint turns"):
         joint_ranges(ur3, ranges)
     held = read(tmp_path, '[held]\nelbow_joint = "10 mm"\n').held
-    with pytest.raises(CalibError, match="'elbow_joint' is to be held at is a length"):
+    with pytest.raises(CalibError, match="'elbow_joint' is held at is a length"):
         Robot.load("ur3", "base", "tool0", held=held)
 
 

@@ -317,11 +317,11 @@ def test_held_joints_tell_robots_apart(panda):
 def test_a_joint_is_held_in_a_unit_of_its_own():
     ends = ("tiago_no_hand", None, "arm_7_link")
     with pytest.raises(
-        UrdfError, match="'torso_lift_joint' is to be held at is an angle, and the joint slides"
+        UrdfError, match="'torso_lift_joint' is held at is an angle, and the joint slides"
     ):
         Robot.load(*ends, held={"torso_lift_joint": Angle(0.3)})
     with pytest.raises(
-        UrdfError, match="'arm_1_joint' is to be held at is a length, and the joint turns"
+        UrdfError, match="'arm_1_joint' is held at is a length, and the joint turns"
     ):
         Robot.load(*ends, held={"arm_1_joint": Length(0.3)})
     held = Robot.load(*ends, held={"torso_lift_joint": Length(0.3)}).held
