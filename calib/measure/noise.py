@@ -86,6 +86,9 @@ def parse_noise(text: str, what: str, repeatability: float = 0.0) -> TrackerNois
             float(v) * UNITS[u].to_si for v, u in zip((match[1], match[3]), units, strict=False)
         ]
     except ValueError as error:
-        message = f'{what} was given as "{text}", where a number cannot be read.'
+        message = (
+            f'{what} was given as "{text}", where a number cannot be read; write it such as "0.05 mm" or '
+            '"15 um + 6 um/m".'
+        )
         raise CalibError(message) from error
     return TrackerNoise(values[0], values[1] if len(values) > 1 else 0.0, repeatability)
