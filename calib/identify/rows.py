@@ -92,6 +92,7 @@ class Rows:
     width: int = field(init=False)
     used: Mask = field(init=False, repr=False)
     _of_kind: tuple[tuple[int, NDArray[np.int_]], ...] = field(init=False, repr=False)
+    _instruments: tuple[NDArray[np.int8], NDArray[np.bool_]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Work out once what every evaluation of a fit asks for."""
@@ -101,7 +102,12 @@ class Rows:
         of_kind = tuple(
             (k, np.flatnonzero(self.kinds == k)) for k in np.unique(self.kinds).tolist()
         )
-        for name, value in (("width", width), ("used", used), ("_of_kind", of_kind)):
+        for name, value in (
+            ("width", width),
+            ("used", used),
+            ("_of_kind", of_kind),
+            ("_instruments", _instruments(used, of_kind)),
+        ):
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
@@ -126,7 +132,7 @@ class Rows:
         return result
 
     @property
-    def instruments(self) -> tuple[NDArray[np.int_], NDArray[np.bool_]]:
+    def instruments(self) -> tuple[NDArray[np.int8], NDArray[np.bool_]]:
         """Which noise each scalar has, and which of these noises are angles.
 
         Rows of different kinds were measured with different instruments, and positions and orientations of poses have
@@ -135,11 +141,7 @@ class Rows:
         Returns:
             shape (N, width), numbered from 0, lengths first; -1 where no scalar stands; and shape (instruments,).
         """
-        angle = np.arange(self.width) >= 3
-        number = np.where(self.used, NONE * angle[None, :] + self.kinds[:, None], -1)
-        present = np.unique(number[number >= 0])
-        index = np.where(number >= 0, np.searchsorted(present, number), -1)
-        return index, present >= NONE
+        return self._instruments
 
     def select(self, mask: Mask) -> Rows:
         """Some of the rows; of a pair both or none."""
@@ -210,6 +212,22 @@ class Rows:
             elif kind == PLANE:
                 result[k, 0] = twists[k, 2]
         return result
+
+
+def _instruments(
+    used: Mask, of_kind: tuple[tuple[int, NDArray[np.int_]], ...]
+) -> tuple[NDArray[np.int8], NDArray[np.bool_]]:
+    """See `Rows.instruments`."""
+    lengths = [kind for kind, _ in of_kind if kind != NONE]
+    angles = [kind for kind in lengths if kind == POSE]
+    index = np.full(used.shape, -1, dtype=np.int8)
+    for number, kind in enumerate(lengths):
+        own = next(rows for k, rows in of_kind if k == kind)
+        index[own, :3] = np.where(used[own, :3], number, -1)
+        if kind == POSE:
+            index[own, 3:] = len(lengths)
+    index.setflags(write=False)
+    return index, np.arange(len(lengths) + len(angles)) >= len(lengths)
 
 
 def _unit(v: Array) -> Array:

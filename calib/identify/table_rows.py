@@ -31,7 +31,7 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
     """
     m, count = measurements, len(measurements)
     q = m.joints_for(robot.joint_names)
-    kinds = np.array([KIND_NAMES.index(kind) for kind in m.kinds])
+    kinds = _numbers(m.kinds, KIND_NAMES)
     partner = _partners(m, kinds)
     paired = kinds == PAIR
     # Of a pair the earlier row carries the distance, and the later one nothing more.
@@ -45,8 +45,8 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
     blocks = same_poses(q)
     samples = Samples(
         q=q,
-        frame=np.array([setup.groups.index(group) for group in m.groups]),
-        target=np.array([setup.targets.index(target) for target in m.targets]),
+        frame=_numbers(m.groups, setup.groups),
+        target=_numbers(m.targets, setup.targets),
         load=_load(robot, m, cell, q),
     )
     rows = Rows(
@@ -99,9 +99,19 @@ def _repeats(
     partner: NDArray[np.int_],
 ) -> NDArray[np.int_]:
     """A number for each pose, frame, target and kind, and of a pair for those of both its rows, shape (N,)."""
+    if int(blocks.max(initial=-1)) + 1 == len(blocks):
+        return blocks  # no pose twice
     own = np.column_stack([blocks, samples.frame, samples.target, kinds])
     other = np.where((partner >= 0)[:, None], own[partner], -1)
     return np.unique(np.hstack([own, other]), axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _numbers(words: Sequence[str], names: Sequence[str]) -> NDArray[np.int_]:
+    """The number of each word among some names, shape (N,)."""
+    if len(set(words)) == 1:
+        return np.full(len(words), names.index(words[0]))
+    number = {name: i for i, name in enumerate(names)}
+    return np.array([number[word] for word in words], dtype=np.int_)
 
 
 def _joined(labels: NDArray[np.int_], pairs: list[tuple[int, int]]) -> NDArray[np.int_]:

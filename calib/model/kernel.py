@@ -558,31 +558,33 @@ def normal(
 
 
 @compiled()
-def residuals(
+def rows(
     geometry: Geometry,
     stood: Stood,
     other: Stood,
     measured: Measured,
+    lengths: Array,
+    angles: Array,
     first: int,
     last: int,
     out: Array,
 ) -> None:
-    """Measured minus predicted of samples ``first`` to ``last``, into out, shape (N, 1, 3 or 6), [m] and [rad].
-
-    The geometry's entries are not used: give it none.
-    """
+    """[J r] of samples ``first`` to ``last``, times ``lengths`` and ``angles``, into out, shape (N, D, columns + 1)."""
     n, p = stood.values.shape[1], geometry.columns
     room, spare = scratch_of(n, p), scratch_of(n, p)
-    U, G, one = np.empty((3, LANES)), np.empty((9, LANES)), np.ones(LANES)
+    U, G, l, a = np.empty((3, LANES)), np.empty((9, LANES)), np.empty(LANES), np.empty(LANES)  # noqa: E741
     for begin in range(first, last, LANES):
         count = min(LANES, last - begin)
-        width = _block(geometry, stood, other, measured, begin, count, one, one, room, spare, U, G)
+        _lanes(lengths, begin, count, l)
+        _lanes(angles, begin, count, a)
+        width = _block(geometry, stood, other, measured, begin, count, l, a, room, spare, U, G)
         for w in range(count):
-            for r in range(width // LANES):
-                out[begin + w, r] = room.J[p, r * LANES + w]
-            if measured.what == POSE:
-                for r in range(3):
-                    out[begin + w, 3 + r] = room.A[p, r * LANES + w]
+            for k in range(p + 1):
+                for r in range(width // LANES):
+                    out[begin + w, r, k] = room.J[k, r * LANES + w]
+                if measured.what == POSE:
+                    for r in range(3):
+                        out[begin + w, 3 + r, k] = room.A[k, r * LANES + w]
 
 
 @compiled()
