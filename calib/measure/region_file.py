@@ -170,8 +170,8 @@ class RegionFile:
         if robot.joint_names != self.joints:
             message = (
                 f"The region was made for the joints {choices(self.joints)} of '{self.robot}'; the chain "
-                f"'{robot.base}' to '{robot.tip}' of '{robot.name}' has {choices(robot.joint_names)}. Make the "
-                "region again with 'calib workspace'."
+                f"'{robot.base}' to '{robot.tip}' of '{robot.name}' has {choices(robot.joint_names)}. Give the "
+                "same --hold, or make the region again with 'calib workspace'."
             )
             raise CalibError(message)
         notes = []

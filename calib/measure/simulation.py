@@ -161,7 +161,10 @@ class VirtualCell:
         sets = (SETS[0],) * len(q) if sets is None else tuple(sets)
         plan = _Plan.of(len(q), self.visits, len(self.truth.targets), len(self.truth.groups))
         if len(sets) != len(q):
-            message = f"There are {len(q)} poses and {len(sets)} words that say their sets."
+            message = (
+                f"There are {len(q)} poses and {len(sets)} words that say their sets; give one of {choices(SETS)} for "
+                "each pose."
+            )
             raise CalibError(message)
         words = tuple(sets[i] for i in plan.pose)
         names = tuple(self.truth.targets[t] for t in plan.target)

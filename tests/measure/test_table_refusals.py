@@ -233,8 +233,12 @@ def test_rows_that_a_program_made_wrong():
         MeasurementError, "own, row 3: 'sigma' holds nan; every value is positive and finite"
     ):
         rows(sigma=[1e-4, 1e-4, np.nan])
-    with refused(MeasurementError, "?"):
-        rows(sigma=[1e-4, 50.0, 1e-4])
+    with refused(
+        MeasurementError,
+        "own, row 2: 'sigma' is 1e+07 m; no instrument has one below 1e-15 or above 1e+06 m. Correct "
+        "it, or leave the column out: the noise is found from the data.",
+    ):
+        rows(sigma=[1e-4, 1e7, 1e-4])
 
 
 def test_a_noise_without_a_number():

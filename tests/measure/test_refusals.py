@@ -1,0 +1,242 @@
+"""What cells, regions, sweeps and virtual cells refuse, in full: what was given, what is allowed, the fix."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib import data
+from calib.errors import CalibError, FileError, MeasurementError, ModelError
+from calib.measure.algebraic_circles import METHODS, algebraic_circle
+from calib.measure.axes import survey
+from calib.measure.cell import Cell
+from calib.measure.cell_parts import GroupDistance
+from calib.measure.disturbances import MovedTarget, Outliers
+from calib.measure.geometric_fits import fit_circle
+from calib.measure.quantities import parse_joint_value
+from calib.measure.ranges import joint_ranges
+from calib.measure.region import Region
+from calib.measure.region_file import RegionFile
+from calib.measure.simulation import VirtualCell
+from calib.measure.truth import draw_truth
+from calib.measure.truth_file import read_truth, write_truth
+from calib.measure.virtual_sweeps import virtual_sweeps
+from calib.model.robot import Robot
+
+
+def refused(kind: type[CalibError], text: str):
+    """The whole message, as it is printed."""
+    return pytest.raises(kind, match=f"^{re.escape(text)}$")
+
+
+def arc(angles: np.ndarray, radius: float = 1.0) -> np.ndarray:
+    return radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))])
+
+
+def test_a_noise_that_no_instrument_has():
+    with refused(
+        CalibError,
+        "The noise sigma is 1e+09 m; no instrument has one below 1e-15 or above 1e+06 m. Leave it "
+        "out: it is found from the data.",
+    ):
+        Cell(sigma=1e9)
+
+
+def test_a_joint_held_at_no_number():
+    with refused(
+        CalibError,
+        "The joint 'elbow_joint' is held at nan; it must be a finite number, in rad or m.",
+    ):
+        Cell(held={"elbow_joint": np.nan})
+
+
+def test_a_distance_to_a_group_without_a_name():
+    with refused(
+        CalibError, "The distance between the groups 'left' and ' ': each must be a name."
+    ):
+        GroupDistance("left", " ", 0.2, 1e-5)
+
+
+def test_outliers_without_a_size():
+    with refused(CalibError, "Outliers are displaced by 0.0 m; it must be a positive number."):
+        Outliers(count=2, size=0.0)
+
+
+def test_a_target_that_moves_behind_the_last_row():
+    with refused(CalibError, "The target is to move before row 9; the table has 8 rows."):
+        MovedTarget(9, (0.0, 0.0, 1e-3)).rows(["target"] * 8)
+
+
+def test_ranges_of_joints(ur3):
+    with refused(
+        CalibError,
+        "The range given for the joint 'elbow_joint' is a length, and the joint turns; give an "
+        'angle, such as "30 deg".',
+    ):
+        joint_ranges(ur3, {"elbow_joint": (parse_joint_value("1 mm", ""), 2.0)})
+    with refused(
+        CalibError,
+        "The range of 'elbow_joint' is -229.183 to 114.592 deg; its limits in the URDF are -180 to "
+        "180 deg. Give a range inside.",
+    ):
+        joint_ranges(ur3, {"elbow_joint": (-4.0, 2.0)})
+
+
+def test_regions_of_no_size():
+    cells = np.ones((1, 1, 1), dtype=bool)
+    with refused(CalibError, "A region's voxel is 0.0 m; it must be greater than 0."):
+        Region(np.zeros(3), 0.0, cells, 0.5, 0.5)
+    with refused(
+        CalibError, "A region's shares are 0.5 and 1.5; they are greater than 0, at most 1."
+    ):
+        Region(np.zeros(3), 0.1, cells, 0.5, 1.5)
+
+
+@pytest.fixture(scope="module")
+def region(ur3) -> RegionFile:
+    cells = np.ones((2, 2, 2), dtype=bool)
+    ranges = joint_ranges(ur3)
+    return RegionFile.of(Region(np.zeros(3), 0.1, cells, 0.5, 0.5), ur3, np.zeros(3), ranges, 9, 0)
+
+
+def test_a_region_of_another_base_or_of_other_joints(region):
+    with refused(
+        CalibError,
+        "The region was made for the base 'base' of 'ur3', and the base is 'base_link' now. Give "
+        "--base base, or make the region again with 'calib workspace'.",
+    ):
+        region.check_fits(Robot.load(data.paper_urdf(), base="base_link", tip="tool0"))
+    held = Robot.load(data.paper_urdf(), base="base", tip="tool0", held={"wrist_3_joint": 0.0})
+    with refused(
+        CalibError,
+        "The region was made for the joints 'shoulder_pan_joint', 'shoulder_lift_joint', "
+        "'elbow_joint', 'wrist_1_joint', 'wrist_2_joint', 'wrist_3_joint' of 'ur3'; the chain 'base' "
+        "to 'tool0' of 'ur3' has 'shoulder_pan_joint', 'shoulder_lift_joint', 'elbow_joint', "
+        "'wrist_1_joint', 'wrist_2_joint'. Give the same --hold, or make the region again with 'calib workspace'.",
+    ):
+        region.check_fits(held)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"samples": 2.5}, "'samples' is 2.5; a whole number of at least 1 is wanted."),
+        ({"box_m": ...}, "'box_m' is missing."),
+    ],
+)
+def test_a_damaged_region(region, tmp_path, change, said):
+    path = region.write(tmp_path / "r.json")
+    table = {**json.loads(path.read_text()), **change}
+    path.write_text(json.dumps({k: v for k, v in table.items() if v is not ...}))
+    with refused(
+        FileError,
+        f"{path}: the region is damaged: {said} Write it again with 'calib workspace -o'.",
+    ):
+        RegionFile.read(path)
+
+
+def test_words_for_sets_that_are_not_one_for_each_pose(ur3):
+    cell = VirtualCell(draw_truth(ur3, "zeros", seed=1))
+    with refused(
+        CalibError,
+        "There are 3 poses and 2 words that say their sets; give one of 'estimate', 'validate' for each pose.",
+    ):
+        cell.measure(np.zeros((3, 6)), sets=["estimate"] * 2)
+
+
+def test_a_truth_that_is_damaged(ur3, tmp_path):
+    cell = VirtualCell(draw_truth(ur3, "zeros", seed=1))
+    path = write_truth(cell, cell.measure(np.zeros((2, 6))), tmp_path / "t.json")
+    table = json.loads(path.read_text())
+    table["targets"][0]["xyz_m"] = [0.1, 0.2]
+    path.write_text(json.dumps(table))
+    with pytest.raises(
+        FileError,
+        match=r"t\.json: the truth is incomplete or damaged .*six finite numbers expected.*\. Simulate it again\.$",
+    ):
+        read_truth(path, ur3)
+
+
+def test_what_the_truth_has_not(ur3):
+    truth = draw_truth(ur3, "zeros", seed=1)
+    with refused(ModelError, "The truth has no target 'probe'; it has 'target'."):
+        truth.poses(np.zeros((1, 6)), target="probe")
+
+
+ZIGZAG = np.array([[-3.0, -0.1, 0.0], [-1.0, 0.1, 0.0], [1.0, -0.1, 0.0], [3.0, 0.1, 0.0]])
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_points_on_a_line_have_no_circle(method):
+    with refused(
+        CalibError,
+        "the points lie on a line, through which there is no circle. Let the joint turn further, or "
+        "fix the target further from its axis",
+    ):
+        algebraic_circle(arc(np.zeros(4)) * np.arange(4.0)[:, None], method)
+
+
+@pytest.mark.parametrize("method", ["pratt", "taubin"])
+def test_points_on_both_sides_of_a_line_alike_have_no_circle(method):
+    with refused(
+        CalibError,
+        "no circle is nearer to the points than a straight line is: they lie on both sides of it "
+        "alike. Let the joint turn further, or fix the target further from its axis",
+    ):
+        algebraic_circle(ZIGZAG, method)
+
+
+def test_a_joint_that_hardly_turned():
+    rng = np.random.default_rng(1)
+    with refused(
+        CalibError,
+        "the arc is too short for its noise: no circle can be told from others. Let the joint turn "
+        "further, or fix the target further from its axis",
+    ):
+        fit_circle(arc(np.linspace(0.0, 1e-6, 9)) + 1e-9 * rng.normal(size=(9, 3)))
+
+
+TOO_SHORT = (
+    "the arc is too short for its noise: no circle can be told from others. Let the joint turn further, or fix the "
+    "target further from its axis"
+)
+
+
+def told(points: np.ndarray) -> str:
+    """What a fit says of points; "" where it finds a circle."""
+    try:
+        radius = fit_circle(points, robust=False).radius
+    except CalibError as error:
+        return str(error)
+    assert radius > 0.0
+    return ""
+
+
+def test_arcs_of_which_no_radius_can_be_told():
+    # As noisy as they are high: the fit runs away.
+    rng = np.random.default_rng(0)
+    noisy = [arc(rng.uniform(-0.5, 0.5, 9)) + 0.07 * rng.normal(size=(9, 3)) for _ in range(40)]
+    assert TOO_SHORT in {told(points) for points in noisy}
+    # Hardly any noise, and so short that the radius and the place of the centre are one number in double precision.
+    short = [
+        arc(rng.uniform(-2e-4, 2e-4, n)) + 1e-11 * rng.normal(size=(n, 3)) for n in range(5, 50)
+    ]
+    assert {told(points) for points in short} == {"", TOO_SHORT}
+
+
+def test_sweeps_of_parallel_axes(ur3):
+    sweeps = virtual_sweeps(ur3, np.eye(4), 0.0, arcs=np.full(3, 2.0), values=False)
+    plane, first, *_ = sweeps.sweeps
+    again = replace(sweeps, sweeps=(plane, first, replace(first, joint=1, name="joint 2")))
+    with refused(
+        MeasurementError,
+        "virtual sweeps, sweeps 'plane', 'shoulder_pan_joint', 'joint 2': the axes of joints 1 and 2 "
+        "are parallel within 0 deg, so that they do not say where y points. If the second sweep is "
+        "of joint 1 again, sweep joint 2; a robot whose first axes are parallel needs another joint "
+        "for it.",
+    ):
+        survey(again)
