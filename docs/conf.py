@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 
 from docutils import nodes  # type: ignore[import-untyped]
+from pygments.lexers.special import TextLexer  # type: ignore[import-untyped]
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
@@ -106,6 +107,7 @@ _FOREIGN = (
 
 def setup(app: Sphinx) -> None:
     """Connect what follows."""
+    app.add_lexer("csv", TextLexer)
     app.connect("source-read", _read_page)
     app.connect("autodoc-process-docstring", _docstring, priority=400)  # before napoleon
     app.connect("autodoc-process-docstring", _types, priority=600)  # after it
