@@ -145,10 +145,12 @@ def _validated(
         parts = 1 if larger is None else 2
         return lambda done, every: progress(part * every + done, parts * every)
 
-    of_calibrated = cross_validation(task, rows, outliers, of_part(0))
+    of_calibrated = cross_validation(task, rows, outliers, of_part(0), fitted=result.fitted)
     candidates = result.candidates
     if larger is not None:
-        found = cross_validation(larger.fitted.task, rows, outliers, of_part(1))
+        found = cross_validation(
+            larger.fitted.task, rows, outliers, of_part(1), fitted=larger.fitted
+        )
         larger = replace(larger, cross_validation=found)
         scales = result.fitted.estimate.problem.scales
         if candidates and not _predicts_better(found, of_calibrated, scales, outliers):

@@ -9,16 +9,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
-from calib.identify.fitting import Fitted, Task, fit, nominal_setup, predict, without_outliers
+from calib.identify.fitting import (
+    Fitted,
+    Task,
+    fit,
+    nominal_setup,
+    predict,
+    task_options,
+    without_outliers,
+)
+from calib.identify.fold_fits import fold_fits
 from calib.identify.linear import Linear
 from calib.identify.registration import register_poses
 from calib.identify.rows import FRAME_DIRECTIONS, POINT, POSE, Rows
 from calib.identify.setup import Setup
+from calib.identify.stage import FEWEST_FREEDOM, Holds
 from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
 from calib.identify.table_rows import joined_setups
 from calib.model.parameters import ErrorModel, frame_place, target_place
 
 Array = NDArray[np.float64]
+
+#: The robot may differ from the linearised one by this share of the noise, rms.
+_LINEAR = 1e-2
+
+#: Scalars of a set-up below which a fold is fitted from the beginning: its frame may be anywhere.
+_FEWEST_SCALARS = 18.0
 
 #: Called with the number of fits done and of fits in all.
 Progress = Callable[[int, int], None]
@@ -49,39 +65,126 @@ def folds_of(task: Task, rows: Rows) -> Folds:
 
 
 def cross_validation(
-    task: Task, rows: Rows, outliers: Mask, progress: Progress | None = None
+    task: Task,
+    rows: Rows,
+    outliers: Mask,
+    progress: Progress | None = None,
+    *,
+    fitted: Fitted | None = None,
 ) -> CrossValidation:
     """Cross-validation of the calibrated robot, fitted anew without each fold.
+
+    With the fit to all rows at hand a fold is fitted on the problem linearised there (`calib.identify.fold_fits`): as
+    from the beginning, but for registration and kinematics. Where the robot itself says that this is not the same
+    (`_linear_enough`), and with the paper's solver, at bounds and with few rows, it is fitted from the beginning.
 
     Args:
         task: What to fit.
         rows: All rows.
         outliers: shape (N,), flagged by the fit to all rows.
         progress: Called after each fit.
+        fitted: The fit to all rows; None to fit each fold from the beginning.
 
     Raises:
         MeasurementError: Too few rows to leave any out.
     """
     left_out = folds_of(task, rows)
     done = 0
+    linear = {} if fitted is None else _linear_solutions(fitted, left_out.masks)
+    masks = iter(range(len(left_out.masks)))
 
     def predict_left_out(mask: Mask) -> Array:
         nonlocal done
-        kept = rows.select(~mask)
-        try:
-            fitted = fit(task, kept)
-        except MeasurementError as error:
-            message = (
-                f"Cross-validation leaves out {mask.sum()} of {len(rows)} rows at a time, and the others are too few: "
-                f"{error} Or do without validation (--no-validate)."
-            )
-            raise MeasurementError(message) from error
+        number = next(masks)
+        found = None
+        if fitted is not None and number in linear:
+            found = _unseen(fitted, linear[number], mask, outliers)
+        if found is None:
+            found = _refitted(task, rows, mask, outliers)
         done += 1
         if progress is not None:
             progress(done, len(left_out.masks))
-        return _as_wide(fitted.unseen(rows.select(mask), kept, outliers[mask]), rows)
+        return found
 
     return cross_validate(_blocks(rows), left_out, outliers, rows.used, predict_left_out)
+
+
+def _refitted(task: Task, rows: Rows, mask: Mask, outliers: Mask) -> Array:
+    """What a fit from the beginning to the other rows leaves over at those left out.
+
+    Raises:
+        MeasurementError: The others are too few.
+    """
+    kept = rows.select(~mask)
+    try:
+        fitted = fit(task, kept)
+    except MeasurementError as error:
+        message = (
+            f"Cross-validation leaves out {mask.sum()} of {len(rows)} rows at a time, and the others are too few: "
+            f"{error} Or do without validation (--no-validate)."
+        )
+        raise MeasurementError(message) from error
+    return _as_wide(fitted.unseen(rows.select(mask), kept, outliers[mask]), rows)
+
+
+def _linear_solutions(fitted: Fitted, masks: tuple[Mask, ...]) -> dict[int, Array]:
+    """The parameters without each fold, where the linearised problem gives them: by the fold's number."""
+    task, estimate = fitted.task, fitted.estimate
+    if task.solver == "paper" or estimate.at_bound:
+        return {}
+    rows, model = estimate.problem.rows, fitted.kinematics.model
+    chosen = [k for k, mask in enumerate(masks) if _enough(rows, ~mask, len(model))]
+    if not chosen:
+        return {}
+    options = task_options(task, model, fitted.setup)
+    holds = Holds.of(model, options.priors, options.single, (), options.nominal)
+    linear = Linear.at(estimate.problem, estimate.x)
+    found = fold_fits(linear, holds, tuple(masks[k] for k in chosen), rows, options)
+    good = (found.freedom > FEWEST_FREEDOM) & np.all(np.isfinite(found.x), axis=1)
+    if options.bounds is not None:
+        low, high = options.bounds.T
+        good &= np.all((found.x >= low) & (found.x <= high), axis=1)
+    return {k: x for k, x, sound in zip(chosen, found.x, good, strict=True) if sound}
+
+
+def _enough(rows: Rows, kept: Mask, parameters: int) -> bool:
+    """Whether the rows that are kept are many for the parameters, in each set-up, and of every kind there is."""
+    if np.sum(rows.used[kept]) < parameters + FEWEST_FREEDOM:
+        return False
+    scalars = np.bincount(rows.samples.frame[kept], np.sum(rows.used[kept], axis=1))
+    instruments, _ = rows.instruments
+    every = np.unique(instruments)
+    return bool(
+        np.all((scalars == 0.0) | (scalars >= _FEWEST_SCALARS))
+        and np.array_equal(np.unique(instruments[kept]), every)
+    )
+
+
+def _unseen(fitted: Fitted, x: Array, mask: Mask, outliers: Mask) -> Array | None:
+    """What parameters that were found without some rows leave over there, by the robot itself.
+
+    None where the robot at x is not the linearised one at the rows that were kept.
+    """
+    estimate = fitted.estimate
+    rows = estimate.problem.rows
+    residual = rows.residual(fitted.kinematics.poses(x, rows.samples))
+    loose = only_there(fitted.kinematics.model, fitted.setup, rows, mask)
+    if not _linear_enough(fitted, x, residual, ~mask):
+        return None
+    if not np.any(loose):
+        return np.asarray(residual[mask])
+    without = replace(fitted, estimate=replace(estimate, x=x))
+    kept = rows.select(~mask)
+    return _as_wide(without.unseen(rows.select(mask), kept, outliers[mask]), rows)
+
+
+def _linear_enough(fitted: Fitted, x: Array, residual: Array, kept: Mask) -> bool:
+    """Whether the robot's residual at x is what the linearised problem has there, next to the noise."""
+    problem = fitted.estimate.problem
+    at, jacobian = problem.residual_and_jacobian(fitted.estimate.x)
+    apart = (at - jacobian @ (x - fitted.estimate.x) - residual) / problem.scales
+    used = problem.rows.used & (kept & (fitted.estimate.weights > 0.0))[:, None]
+    return bool(np.sqrt(np.mean(apart[used] ** 2)) < _LINEAR)
 
 
 def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossValidation:

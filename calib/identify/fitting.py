@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, ModelError, choices
-from calib.identify.estimate import Estimate, Solve, estimate, plain_estimate
+from calib.identify.estimate import Estimate, Options, Solve, estimate, plain_estimate
 from calib.identify.options import options_of
 from calib.identify.problem import KnownDistance, Problem
 from calib.identify.registration import register, register_poses
@@ -143,15 +143,22 @@ def fit(task: Task, rows: Rows, weights: Array | None = None) -> Fitted:
     if task.solver == "paper":
         estimated = plain_estimate(problem, _solve_as_the_paper(problem, started))
     else:
-        options = options_of(
-            task.cell, model, (task.setup, started), robust=task.robust, lenient=task.lenient
-        )
-        options = replace(options, weights=weights)
+        options = replace(task_options(task, model, started), weights=weights)
         estimated = estimate(problem, _solver(task.solver, steps(model.units)), options)
     assert np.all(np.isfinite(estimated.x)), (
         "a solver takes no step to where the cost is not finite"
     )
     return Fitted(task, started, kinematics, estimated)
+
+
+def task_options(task: Task, model: ErrorModel, started: Setup) -> Options:
+    """How a task is estimated from a registered start.
+
+    Raises:
+        ModelError: See `calib.identify.options.options_of`.
+    """
+    setups = (task.setup, started)
+    return options_of(task.cell, model, setups, robust=task.robust, lenient=task.lenient)
 
 
 def model_of(task: Task) -> ErrorModel:

@@ -122,10 +122,10 @@ def scores(
         used: shape (N, D), which scalars there are.
     """
     norms = deleted_norms(residual, jacobian, covariance, weights)
-    return _as_of_a_point(norms, np.sum(used, axis=1))
+    return as_of_a_point(norms, np.sum(used, axis=1))
 
 
-def _as_of_a_point(row_scores: Array, scalars: NDArray[np.int_]) -> Array:
+def as_of_a_point(row_scores: Array, scalars: NDArray[np.int_]) -> Array:
     """The scores that three scalars would have at the same probability.
 
     By the chi-squared distribution as far as its tail can be computed, and by the same step beyond.

@@ -16,6 +16,7 @@ from calib.identify.robust import (
     cauchy_weights,
     median_noise,
 )
+from calib.identify.streamed import Streamed
 from calib.identify.variance import (
     LARGEST_COMPLIANCE,
     SMALLEST_COMPLIANCE,
@@ -40,7 +41,7 @@ from calib.model.parameters import (
 Array = NDArray[np.float64]
 
 #: The noise may be ten times larger or smaller than the one given or assumed, a standard deviation of its logarithm.
-_NOISE_SPREAD = float(np.log(10.0))
+NOISE_SPREAD = float(np.log(10.0))
 
 #: With fewer degrees of freedom no row can be told from the others, and all keep their weight.
 FEWEST_FREEDOM = 6.0
@@ -200,7 +201,7 @@ class Stage:
         scales = np.append(np.array(self.noise), 1.0)[instruments] * problem.rows.scales
         return problem.reweighted(self.effective, scales, self.precision, self.holds.centre)
 
-    def by_median(self, linear: Linear) -> Stage:
+    def by_median(self, linear: Linear | Streamed) -> Stage:
         """Robust weights against a scale that outliers cannot move, on the linearised problem."""
         weights, noise = self.weights, self.noise
         for _ in range(3):
@@ -220,7 +221,7 @@ class Stage:
             weights = cauchy_weights(linear.scores(residual, covariance, effective, noise))
         return replace(self, weights=weights, noise=noise)
 
-    def by_likelihood(self, linear: Linear, *, robust: bool) -> Stage:
+    def by_likelihood(self, linear: Linear | Streamed, *, robust: bool) -> Stage:
         """Noise and prior sizes by restricted likelihood, and the weights that go with them."""
         stage = self
         for _ in range(2):
@@ -233,7 +234,7 @@ class Stage:
                 self.holds.families if self.holds.adapts else (),
                 Sizes(stage.noise, stage.sizes if self.holds.adapts else ()),
                 smallest_noise=linear.smallest,
-                noise_spread=_NOISE_SPREAD,
+                noise_spread=NOISE_SPREAD,
                 known=linear.known(held, self.holds.centre),
                 bounds=self.holds.bounds if self.holds.adapts else (),
             )
@@ -241,7 +242,7 @@ class Stage:
             stage = replace(stage, noise=found.noise, sizes=sizes)
         return stage
 
-    def _row_weights(self, linear: Linear) -> Array:
+    def _row_weights(self, linear: Linear | Streamed) -> Array:
         """The weights that the scores of the linear fit ask for."""
         effective = self.effective
         residual, covariance, freedom = linear.fit(
@@ -254,7 +255,7 @@ class Stage:
         # Half of the rows cannot be outliers of the other half: then it is the noise that is taken too small.
         return found if np.sum(found) > 0.5 * len(found) else np.ones(len(found))
 
-    def sharing(self, linear: Linear, poses: NDArray[np.int_], mode: str) -> Stage:
+    def sharing(self, linear: Linear | Streamed, poses: NDArray[np.int_], mode: str) -> Stage:
         """What each of n repeats counts for, 1 / (1 + (n - 1) rho), with their correlation rho from what is left over.
 
         Args:
@@ -274,7 +275,7 @@ class Stage:
             scale = linear.noise_of(self.noise)
             paid = float(np.sum(self.effective @ linear.used)) - freedom
             found = repeats(
-                residual / scale, linear.used, poses, self.weights, fitted=max(paid, 0.0)
+                linear.scalars(residual) / scale, linear.used, poses, self.weights, fitted=max(paid, 0.0)
             )
             rho = found.rho if found.freedom >= _TELLING_REPEATS else 1.0
         return replace(self, share=1.0 / (1.0 + (np.maximum(counts, 1) - 1.0) * rho))

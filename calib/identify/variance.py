@@ -17,6 +17,7 @@ and its expected (Fisher) information has a closed form in C too: a handful of p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,7 +117,9 @@ class Linearised:
     count: Array
 
     @classmethod
-    def of(cls, A: Array, y: Array, weights: Array, instruments: NDArray[np.int_]) -> Linearised:
+    def of(
+        cls, A: Array, y: Array, weights: Array, instruments: NDArray[np.signedinteger]
+    ) -> Linearised:
         """From rows.
 
         Args:
@@ -141,6 +144,16 @@ class Linearised:
             count[c] = weights[row].sum()
         return cls(both[:, :p, :p], both[:, :p, p], both[:, p, p], count)
 
+    @classmethod
+    def sum(cls, parts: Sequence[Linearised]) -> Linearised:
+        """Of all rows together, from parts of them with the same instruments."""
+        return cls(
+            np.sum([part.H for part in parts], axis=0),
+            np.sum([part.g for part in parts], axis=0),
+            np.sum([part.yy for part in parts], axis=0),
+            np.sum([part.count for part in parts], axis=0),
+        )
+
     def posterior(self, noise: Noise, known: Known) -> tuple[Array, Array]:
         """Mean and covariance of x.
 
@@ -154,7 +167,7 @@ class Linearised:
         M, right = self._equations(noise, known)
         scale = 1.0 / np.sqrt(M.diagonal() + 1e-300)
         scales = scale[:, None] * scale
-        C = _inverse(M * scales) * scales
+        C = inverse(M * scales) * scales
         return C @ right, C
 
     def _equations(self, noise: Noise, known: Known) -> tuple[Array, Array]:
@@ -190,17 +203,20 @@ class Linearised:
         return -0.5 * (2.0 * float(self.count @ np.log(noise)) - priors + log_det + square)
 
 
-def scalars_of(A: Array, y: Array, instruments: NDArray[np.int_]) -> Scalars:
+def scalars_of(
+    A: Array, y: Array, instruments: NDArray[np.signedinteger], count: int | None = None
+) -> Scalars:
     """The scalars of each instrument below each other.
 
     Args:
         A: shape (N, D, p), see `Linearised.of`.
         y: shape (N, D).
         instruments: shape (N, D), which noise each scalar has; -1 for none.
+        count: How many instruments there are; None for those of these rows.
     """
     both = np.concatenate([A, y[:, :, None]], axis=2)
     found = []
-    for c in range(int(instruments.max()) + 1):
+    for c in range(int(instruments.max()) + 1 if count is None else count):
         row, column = np.nonzero(instruments == c)
         found.append((row, both[row, column]))
     return tuple(found)
@@ -276,7 +292,7 @@ def precision_of(families: Masks, sizes: tuple[float, ...], p: int) -> Array:
     return precision
 
 
-def _inverse(M: Array) -> Array:
+def inverse(M: Array) -> Array:
     """The inverse of a positive semidefinite matrix of unit diagonal; its pseudo-inverse where it is singular."""
     if not len(M):  # LAPACK refuses it
         return M

@@ -12,9 +12,9 @@ from calib.identify.variance import (
     Known,
     Linearised,
     Sizes,
-    _inverse,
     _pseudo_inverse_by_qr,
     _score,
+    inverse,
     precision_of,
     sizes_by_reml,
 )
@@ -356,7 +356,7 @@ def test_a_parameter_held_at_a_far_bound_does_not_drown_the_likelihood():
     assert values[0] == pytest.approx(values[1], abs=1e-3)
 
 
-@pytest.mark.parametrize("inverse_of", [_inverse, _pseudo_inverse_by_qr])
+@pytest.mark.parametrize("inverse_of", [inverse, _pseudo_inverse_by_qr])
 def test_the_inverse_of_a_singular_matrix_is_its_pseudo_inverse(inverse_of):
     A = np.random.default_rng(3).normal(size=(5, 12))
     M = A.T @ A
