@@ -7,9 +7,9 @@ import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-__all__ = ["find_package", "named_so", "packages_in", "where_packages_are"]
+__all__ = ["MANIFEST", "find_package", "named_so", "packages_in", "where_packages_are"]
 
-_MANIFEST = "package.xml"
+MANIFEST = "package.xml"
 _MANIFEST_BYTES = 1_000_000
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
@@ -47,7 +47,7 @@ def where_packages_are(file: Path) -> str:
 def named_so(folder: Path, name: str) -> bool:
     """Whether the folder's ``package.xml`` has that name."""
     try:
-        with (folder / _MANIFEST).open("rb") as manifest:
+        with (folder / MANIFEST).open("rb") as manifest:
             found = _NAME.search(_COMMENT.sub(b"", manifest.read(_MANIFEST_BYTES)))
     except OSError:
         return False
@@ -56,7 +56,7 @@ def named_so(folder: Path, name: str) -> bool:
 
 def packages_in(folder: Path, name: str, depth: int = _BESIDE) -> Iterator[Path]:
     """The packages of that name in a folder, the folder itself first, no deeper than ``depth``."""
-    if (folder / _MANIFEST).is_file():  # packages do not lie in one another
+    if (folder / MANIFEST).is_file():  # packages do not lie in one another
         if named_so(folder, name):
             yield folder
     elif depth:
@@ -76,7 +76,7 @@ def _candidates(name: str, above: Iterable[Path]) -> Iterator[Path]:
         yield from packages_in(folder, name, _WORKSPACE if folder.name == "src" else _BESIDE)
     for folder in above:
         plain = folder / name
-        if plain.is_dir() and not (plain / _MANIFEST).exists():
+        if plain.is_dir() and not (plain / MANIFEST).exists():
             yield plain
 
 

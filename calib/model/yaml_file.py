@@ -10,6 +10,12 @@ import yaml
 
 from calib.errors import FileError
 
+LIMIT_BYTES = 300_000
+"""Largest YAML file that is read [bytes]: PyYAML takes a second for it."""
+
+#: Most values of a file once each alias is written out.
+_MOST_VALUES = 200_000
+
 
 class _StrictLoader(yaml.SafeLoader):
     """PyYAML's safe loader without aliases, and without keys that stand twice."""
@@ -18,6 +24,15 @@ class _StrictLoader(yaml.SafeLoader):
     yaml_constructors: ClassVar[dict[str | None, Any]] = dict(
         yaml.constructor.SafeConstructor.yaml_constructors
     )
+
+    @classmethod
+    def whole(cls, data: bytes) -> Any:  # noqa: ANN401  whatever the file holds
+        """The content of a file."""
+        loader = cls(data)
+        try:
+            return loader.get_single_data()
+        finally:
+            loader.dispose()
 
     def compose_node(self, parent: Any, index: Any) -> Any:  # noqa: ANN401  PyYAML's own types
         """A node; aliases are refused."""
@@ -60,8 +75,9 @@ def parse_yaml(data: bytes, source: str, what: str) -> Any:  # noqa: ANN401  wha
     Raises:
         FileError: It is no YAML, a key stands twice, an alias or a tag that YAML itself does not have.
     """
+    check_length(data, source, what)
     with _in_words(source, what):
-        return yaml.load(data, _StrictLoader)
+        return _StrictLoader.whole(data)
 
 
 def yaml_keys(data: bytes, source: str, what: str) -> tuple[str, ...]:
@@ -76,13 +92,62 @@ def yaml_keys(data: bytes, source: str, what: str) -> tuple[str, ...]:
         The keys in the file's order; none of a file that is no table.
 
     Raises:
-        FileError: It is no YAML.
+        FileError: It is no YAML, or too long.
     """
+    check_length(data, source, what)
     with _in_words(source, what):
         root = yaml.compose(data, Loader=yaml.SafeLoader)
     return (
         tuple(str(key.value) for key, _ in root.value) if isinstance(root, yaml.MappingNode) else ()
     )
+
+
+def check_length(data: bytes, source: str, what: str) -> None:
+    """Refuse a file that would take longer to read than any such file does.
+
+    Raises:
+        FileError: It is longer than `LIMIT_BYTES`.
+    """
+    if len(data) > LIMIT_BYTES:
+        message = (
+            f"{source}: this {what} has {len(data):,} bytes, and {LIMIT_BYTES:,} are the most that is read; check "
+            "that it is the right file"
+        )
+        raise FileError(message)
+
+
+def check_weight(root: yaml.Node) -> None:
+    """Refuse a file whose aliases stand for more than it could hold itself, or for themselves.
+
+    Args:
+        root: The file's outermost node, aliases resolved.
+
+    Raises:
+        yaml.MarkedYAMLError: Written out, it has more than 200,000 values, or no end.
+    """
+    weights: dict[int, int] = {}
+    waiting: list[tuple[yaml.Node, bool]] = [(root, False)]
+    while waiting:
+        node, done = waiting.pop()
+        below = _below(node)
+        if done:
+            weights[id(node)] = 1 + sum(weights[id(one)] for one in below)
+        elif id(node) not in weights:
+            weights[id(node)] = _MOST_VALUES  # until it is known: of a node that holds itself
+            waiting.append((node, True))
+            waiting += [(one, False) for one in below]
+    if weights[id(root)] > _MOST_VALUES:
+        raise yaml.MarkedYAMLError(
+            problem=f"its aliases stand for more than {_MOST_VALUES:,} values, or for themselves",
+            problem_mark=root.start_mark,
+        )
+
+
+def _below(node: yaml.Node) -> list[yaml.Node]:
+    """The nodes in a node."""
+    if isinstance(node, yaml.MappingNode):
+        return [one for pair in node.value for one in pair]
+    return list(node.value) if isinstance(node, yaml.SequenceNode) else []
 
 
 @contextlib.contextmanager
