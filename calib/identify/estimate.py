@@ -20,7 +20,8 @@ from calib.identify.robust import Limits
 from calib.identify.rows import POINT, POSE, Rows
 from calib.identify.solvers import Solution
 from calib.identify.stage import FEWEST_FREEDOM, SETTLED, Holds, Stage
-from calib.identify.variance import precision_of
+from calib.identify.streamed import Streamed, linearised, whole_groups
+from calib.identify.variance import Linearised, precision_of
 from calib.measure.cell import Priors
 from calib.model.parameters import FRAME, TARGET
 from calib.model.robot import read_only
@@ -192,14 +193,14 @@ class _Path:
         self.solution = found if self.solution is None else found.after(self.solution)
         self.x = self.solution.x
 
-    def linear(self, stage: Stage) -> Linear:
+    def linear(self, stage: Stage) -> Linear | Streamed:
         """The problem linearised at the solution with a stage's weights and sizes."""
         self.solve(stage, _ROUGH)
-        return Linear.at(self.problem, self.x)
+        return linearised(self.problem, self.x)
 
 
 def staged(
-    stage: Stage, linear_at: Callable[[Stage], Linear], rows: Rows, options: Options
+    stage: Stage, linear_at: Callable[[Stage], Linear | Streamed], rows: Rows, options: Options
 ) -> Stage:
     """Weights, noise and sizes from the first stage on, until they settle.
 
@@ -260,14 +261,14 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
 
     ``spread`` is the covariance that the solver's estimator has, over that of least squares.
     """
-    linear = Linear.at(problem, solution.x)
+    linear = linearised(problem, solution.x)
     effective, holds = stage.effective, stage.holds
     _, of_least_squares, freedom = linear.fit(effective, stage.noise, stage.precision, holds.centre)
     wider = tuple(float(np.sqrt(spread)) * n for n in stage.noise)
-    residual = linear.residual(solution.x)
+    residual = linear.looked_at(solution.x)
     # The estimate itself stays: weights that targets share would be less sharp where they lie to each other.
-    told = _shared_by_stops(problem.rows, linear, stage, residual, freedom)
-    _, covariance, _ = told.fit(effective, wider, stage.precision, holds.centre)
+    told = _shared_by_stops(problem, linear, stage, solution.x, freedom)
+    _, covariance = told.posterior(wider, linear.known(stage.precision, holds.centre))
     own = np.where(holds.flat, 0.0, stage.precision)
     model = problem.kinematics.model
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
@@ -294,24 +295,27 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
 
 
 def _shared_by_stops(
-    rows: Rows, linear: Linear, stage: Stage, residual: Array, freedom: float
-) -> Linear:
-    """The problem with the derivative as several targets of one stop let it be known.
+    problem: Problem, linear: Linear | Streamed, stage: Stage, x: Array, freedom: float
+) -> Linearised:
+    """The normal equations with the derivative as several targets of one stop let it be known.
 
     They share where the robot stopped beside where it should: with the correlation rho the mean of n rows has the
     variance s^2 (1 + (n - 1) rho) / n, and so much less is known of what moves all of them alike. What they say of
     each other counts as ever, though it is known better.
     """
+    rows = problem.rows
     weights = stage.weights * np.isin(rows.kinds, (POINT, POSE))
     alive = weights > 0.0
+    if len(np.unique(rows.samples.target[alive])) < 2:
+        return linear.data(stage.effective)
     labels = np.column_stack([rows.blocks, rows.samples.frame])
     stops = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
     counts = np.bincount(stops, alive)
-    if len(np.unique(rows.samples.target[alive])) < 2 or np.max(counts) < 2:
-        return linear
+    if np.max(counts) < 2:
+        return linear.data(stage.effective)
     paid = float(np.sum(stage.effective @ linear.used)) - freedom
     found = repeats(
-        residual[:, :3] / linear.noise_of(stage.noise)[:, :3],
+        linear.residual(x)[:, :3] / linear.noise_of(stage.noise)[:, :3],
         linear.used[:, :3],
         stops,
         weights,
@@ -322,9 +326,14 @@ def _shared_by_stops(
     sums = np.maximum(np.bincount(stops, w), np.finfo(np.float64).tiny)
     already = sums / np.maximum(np.bincount(stops, weights), np.finfo(np.float64).tiny)
     wider = np.maximum((1.0 + np.maximum(counts - 1.0, 0.0) * found.rho) * already, 1.0)
-    mean = np.zeros((len(sums), 3, linear.A.shape[2]))
-    np.add.at(mean, stops, (w / sums[stops])[:, None, None] * linear.A[:, :3])
-    result: Array = linear.A.copy()
     less = np.where(alive, 1.0 - 1.0 / np.sqrt(wider[stops]), 0.0)
-    result[:, :3] -= less[:, None, None] * mean[stops]
-    return replace(linear, A=result)
+    parts = []
+    for chosen, part in whole_groups(problem, linear, x, stops):
+        names, own = np.unique(stops[chosen], return_inverse=True)
+        mean = np.zeros((len(names), 3, part.A.shape[2]))
+        share = w[chosen] / sums[stops[chosen]]
+        np.add.at(mean, own.reshape(-1), share[:, None, None] * part.A[:, :3])
+        A = part.A.copy()
+        A[:, :3] -= less[chosen][:, None, None] * mean[own.reshape(-1)]
+        parts.append(replace(part, A=A).data(stage.effective[chosen]))
+    return Linearised.sum(parts)

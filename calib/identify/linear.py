@@ -19,7 +19,7 @@ from calib.identify.variance import Known, Linearised, Scalars, scalars_of
 Array = NDArray[np.float64]
 
 #: Below this the noise is no instrument's but rounding [m, rad].
-_SMALLEST_SIGMA = 1e-8
+SMALLEST_SIGMA = 1e-8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +39,7 @@ class Linear:
     A: Array
     y: Array
     used: NDArray[np.bool_]
-    instruments: NDArray[np.int_]
+    instruments: NDArray[np.int8]
     smallest: tuple[float, ...]
     C: Array
     z: Array
@@ -47,7 +47,8 @@ class Linear:
 
     def __post_init__(self) -> None:
         """Put the scalars of each instrument below each other, once for all weights."""
-        object.__setattr__(self, "_scalars", scalars_of(self.A, self.y, self.instruments))
+        found = scalars_of(self.A, self.y, self.instruments, len(self.smallest))
+        object.__setattr__(self, "_scalars", found)
 
     @classmethod
     def at(cls, problem: Problem, x: Array) -> Linear:
@@ -59,7 +60,7 @@ class Linear:
         instruments, _ = problem.rows.instruments
         count = int(instruments.max()) + 1
         smallest = [
-            _SMALLEST_SIGMA / float(np.median(scales[instruments == c])) for c in range(count)
+            SMALLEST_SIGMA / float(np.median(scales[instruments == c])) for c in range(count)
         ]
         return cls(
             A,
@@ -67,6 +68,31 @@ class Linear:
             problem.rows.used,
             instruments,
             tuple(smallest),
+            C,
+            r + C @ x,
+        )
+
+    @classmethod
+    def of_part(cls, problem: Problem, x: Array, mask: Mask) -> Linear:
+        """At the parameters x, of some of the rows of a problem, with all of its instruments."""
+        rows = problem.rows.select(mask)
+        poses, twists = problem.kinematics.twists(x, rows.samples)
+        # As wide as all rows are: those chosen may lack a kind.
+        shape = (len(rows), problem.rows.width)
+        residual, jacobian = np.zeros(shape), np.zeros((*shape, len(x)))
+        residual[:, : rows.width] = rows.residual(poses)
+        jacobian[:, : rows.width] = rows.derivative(poses, twists)
+        scales = problem.rows.scales[mask]
+        A = jacobian / scales[:, :, None]
+        r, C = problem.constraints(x)
+        instruments, _ = problem.rows.instruments
+        count = int(instruments.max()) + 1
+        return cls(
+            A,
+            residual / scales + A @ x,
+            problem.rows.used[mask],
+            instruments[mask],
+            (0.0,) * count,
             C,
             r + C @ x,
         )
@@ -83,6 +109,14 @@ class Linear:
         """What x leaves over, y - A x, shape (N, D)."""
         N, D, p = self.A.shape
         return np.asarray(self.y - (self.A.reshape(N * D, p) @ x).reshape(N, D))
+
+    def looked_at(self, x: Array) -> Array:
+        """What `scores` and `norms` take for x, as `fit` gives it: here the residual itself."""
+        return self.residual(x)
+
+    def scalars(self, looked_at: Array) -> Array:
+        """The residual of what `fit` or `looked_at` gave, shape (N, D)."""
+        return looked_at
 
     def select(self, mask: Mask) -> Linear:
         """The problem of some of the rows; known distances stay."""

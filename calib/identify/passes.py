@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf
 
-from calib.identify.rows import DISTANCE, FIXED, NONE, PAIR, PLANE, POINT, POSE, Rows
+from calib.identify.roots import compressed, smallest_eigenvalue, triangle_of, upper_root
+from calib.identify.rows import NONE, Rows
+from calib.identify.streams import Stream, stream_of
 from calib.model.batch import chunks, fixed, geometry_of, in_threads, stood_at
-from calib.model.kinematics import Kinematics, Samples
+from calib.model.kinematics import Kinematics
 
 if TYPE_CHECKING:
     from calib.model.kernel import Measured, Stood
@@ -26,49 +27,8 @@ Array = NDArray[np.float64]
 #: Normal matrices that are remembered: the solver asks for those of a point that a stage asks for again.
 _REMEMBERED = 3
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Stream:
-    """The rows of one kind.
-
-    Attributes:
-        kind: Its number.
-        index: shape (M,), which rows these are; None for all of them.
-        samples: Where the robot stood.
-        other: Where it stood in the other row of each pair; None of other kinds.
-        measured: What was measured.
-        lengths: Number of the lengths' instrument.
-        angles: That of the angles, -1 where there are none.
-    """
-
-    kind: int
-    index: NDArray[np.int_] | None
-    samples: Samples
-    other: Samples | None
-    measured: Measured
-    lengths: int
-    angles: int
-
-    @property
-    def width(self) -> int:
-        """The scalars of a row."""
-        return {POINT: 3, FIXED: 3, POSE: 6}.get(self.kind, 1)
-
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.samples)
-
-    def own(self, values: Array) -> Array:
-        """What belongs to these rows, of values of all rows."""
-        return fixed(values if self.index is None else values[self.index])
-
-    def put(self, values: Array, into: Array) -> None:
-        """Write what was found for these rows where it belongs among all of them."""
-        into[slice(None) if self.index is None else self.index] = values
-
-    def part(self, first: int, last: int) -> NDArray[np.int_]:
-        """The numbers of some of its rows."""
-        return np.arange(first, last) if self.index is None else self.index[first:last]
+#: Below this an eigenvalue of a scaled normal matrix is half rounding.
+_UNCLEAR = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,12 +52,56 @@ class Passes:
         found = sorted(int(k) for k in np.unique(rows.kinds) if k != NONE)
         # As `Rows.instruments` numbers them: the kinds' lengths, then the angles of poses.
         numbers = {kind: i for i, kind in enumerate(found)}
-        return cls(kinematics, rows, tuple(_stream(rows, kind, numbers) for kind in found))
+        return cls(kinematics, rows, tuple(stream_of(rows, kind, numbers) for kind in found))
 
     @property
     def instruments(self) -> int:
         """The number of instruments."""
         return 1 + max(max(s.lengths, s.angles) for s in self.streams)
+
+    @property
+    def typical(self) -> tuple[float, ...]:
+        """Median standard deviation of each instrument as given or first assumed [m], [rad]."""
+        result = [0.0] * self.instruments
+        for stream in self.streams:
+            result[stream.lengths], of_angles = stream.typical
+            if stream.angles >= 0:
+                result[stream.angles] = of_angles
+        return tuple(result)
+
+    def noise_of(self, scales: Array) -> tuple[float, ...]:
+        """What each instrument's sigma is multiplied by in some standard deviations, shape (N, width), of all rows."""
+        result = [1.0] * self.instruments
+        for stream in self.streams:
+            i = stream.first
+            result[stream.lengths] = float(scales[i, 0] / self.rows.sigma[i])
+            if stream.angles >= 0:
+                result[stream.angles] = float(scales[i, 3] / self.rows.sigma_angle[i])
+        return tuple(result)
+
+    def system(
+        self, x: Array, weights: Array, scales: Array, precision: Array
+    ) -> tuple[Array, Array]:
+        """Numbers, p + 1 of them, and their derivative that stand for all rows' whitened residual and its derivative.
+
+        Their squares, products and sums of squares are those of the rows: [J r] = Q R, and R is what is given. It is
+        made of the normal matrix, or by QR where parameters can hardly be told from each other.
+
+        Args:
+            x: shape (p,).
+            weights: shape (N,), of the rows.
+            scales: shape (N, width), standard deviation of each scalar, [m] and [rad].
+            precision: shape (p,), 1 / tau^2 of the priors that hold the parameters besides.
+
+        Returns:
+            shape (p + 1,) and shape (p + 1, p).
+        """
+        p, noise = len(x), self.noise_of(scales)
+        H = np.tensordot(1.0 / np.square(noise), self.normal(x, weights), 1)
+        R = compressed(H)
+        if smallest_eigenvalue(H[:p, :p] + np.diag(precision)) < _UNCLEAR:
+            R = self.triangle(x, np.sqrt(weights), noise)
+        return R[:, p], -R[:, :p]
 
     def normal(self, x: Array, weights: Array) -> Array:
         """[J r]^T W [J r] of each instrument, in units of the sigma given, shape (C, p + 1, p + 1).
@@ -140,7 +144,7 @@ class Passes:
             instrument: The one whose scalars count; None for all of them.
         """
         root = np.zeros((_tiles(len(x)), _tiles(len(x))))
-        root[: len(x), : len(x)] = _upper_root(covariance)
+        root[: len(x), : len(x)] = upper_root(covariance)
         result = np.zeros(len(self.rows))
         for stream in self.streams:
             part = 0
@@ -296,73 +300,6 @@ class Passes:
         )
 
 
-def compressed(H: Array) -> Array:
-    """A triangle, or square, R with R^T R = H, shape (p, p): all that a problem's rows say, in p of them.
-
-    By Cholesky; by eigenvalues where H is singular to rounding.
-    """
-    size = np.sqrt(np.maximum(H.diagonal(), np.finfo(np.float64).tiny))
-    scaled = H / size / size[:, None]
-    root, failed = dpotrf(scaled, lower=0, clean=1)
-    if failed:
-        values, vectors = np.linalg.eigh(scaled)
-        root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    return np.asarray(root * size)
-
-
-def triangle_of(A: Array) -> Array:
-    """The triangle R of A = Q R, shape (p, p); rows of zeros where A has fewer."""
-    p = A.shape[1]
-    R = np.zeros((p, p))
-    if len(A):
-        found = np.linalg.qr(A, mode="r")
-        R[: len(found)] = found
-    return R
-
-
-def _upper_root(covariance: Array) -> Array:
-    """The upper triangle T with C = T^T T of a positive semidefinite matrix."""
-    values, vectors = np.linalg.eigh(covariance)
-    return triangle_of(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
-
-
 def _tiles(p: int) -> int:
     """The rows of p columns and a residual, in whole tiles of the kernel."""
     return (p + 4) // 4 * 4
-
-
-def _stream(rows: Rows, kind: int, numbers: dict[int, int]) -> Stream:
-    """The rows of one kind."""
-    from calib.model import kernel
-
-    what = {
-        POINT: kernel.POSITION,
-        FIXED: kernel.POSITION,
-        POSE: kernel.POSE,
-        DISTANCE: kernel.DISTANCE,
-        PAIR: kernel.BETWEEN,
-        PLANE: kernel.HEIGHT,
-    }[kind]
-    whole = bool(np.all(rows.kinds == kind))
-    index = None if whole else np.flatnonzero(rows.kinds == kind)
-    chosen = np.arange(len(rows)) if index is None else index
-    count = len(chosen)
-    nothing = np.empty((count, 0))
-
-    def of(values: Array) -> Array:
-        return values if index is None else values[index]
-
-    return Stream(
-        kind=kind,
-        index=index,
-        samples=rows.samples if index is None else rows.samples.select(index),
-        other=rows.samples.select(rows.partner[chosen]) if kind == PAIR else None,
-        measured=kernel.Measured(
-            what,
-            fixed(of(rows.points)),
-            fixed(of(rows.rotations).reshape(count, 9) if kind == POSE else nothing),
-            fixed(of(rows.distances)),
-        ),
-        lengths=numbers[kind],
-        angles=len(numbers) if kind == POSE else -1,
-    )

@@ -15,7 +15,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.identify.passes import Passes
 from calib.identify.rows import Rows
+from calib.model.batch import MANY
 from calib.model.kinematics import Kinematics
 
 Array = NDArray[np.float64]
@@ -50,6 +52,7 @@ class Problem:
         precision: shape (p,), 1 / tau_k^2; 0 for a parameter without prior.
         centre: shape (p,), the priors' means.
         distances: Known distances between frames.
+        passes: What goes through the rows where they are many; None where they are few.
     """
 
     kinematics: Kinematics
@@ -59,6 +62,7 @@ class Problem:
     precision: Array
     centre: Array
     distances: tuple[KnownDistance, ...] = ()
+    passes: Passes | None = None
     _last: _LastPrediction = field(default_factory=lambda: _LastPrediction(), repr=False)
 
     @classmethod
@@ -67,7 +71,8 @@ class Problem:
     ) -> Problem:
         """All rows in full, the noise as given, no priors."""
         ones, nothing = np.ones(len(rows)), np.zeros(len(kinematics.model))
-        return cls(kinematics, rows, rows.scales, ones, nothing, nothing, distances)
+        passes = Passes.of(kinematics, rows) if len(rows) >= MANY else None
+        return cls(kinematics, rows, rows.scales, ones, nothing, nothing, distances, passes)
 
     @property
     def size(self) -> int:
@@ -80,6 +85,8 @@ class Problem:
 
     def residual(self, x: Array) -> Array:
         """Measured minus predicted, shape (N, D), [m] and [rad]."""
+        if self.passes is not None:
+            return self.passes.residual(x)
         return self.rows.residual(self.kinematics.poses(x, self.rows.samples))
 
     def residual_and_jacobian(self, x: Array) -> tuple[Array, Array]:
@@ -111,20 +118,26 @@ class Problem:
     def system(self, x: Array) -> tuple[Array, Array]:
         """The whitened residual and its own derivative, with a row for each prior and each known distance.
 
+        Many rows are told by p + 1 numbers that have the same squares and products, see `Passes.system`.
+
         Returns:
             shape (M + priors + distances,) and shape (M + priors + distances, p); see the module's equation.
         """
-        residual, jacobian = self.residual_and_jacobian(x)
-        used = self.rows.used
-        whiten = np.sqrt(self.weights)[:, None] / self.scales
         held = np.flatnonzero(self.precision)
         root = np.sqrt(self.precision[held])
         between, slope = self.constraints(x)
-        measured = (residual * whiten)[used]
+        if self.passes is None:
+            residual, jacobian = self.residual_and_jacobian(x)
+            used = self.rows.used
+            whiten = np.sqrt(self.weights)[:, None] / self.scales
+            measured = (residual * whiten)[used]
+            derivative = (jacobian * -whiten[:, :, None])[used]
+        else:
+            measured, derivative = self.passes.system(x, self.weights, self.scales, self.precision)
         first, last = len(measured), len(measured) + len(held)
         r = np.concatenate([measured, -root * (x - self.centre)[held], between])
         J = np.zeros((len(r), self.size))
-        J[:first] = (jacobian * -whiten[:, :, None])[used]
+        J[:first] = derivative
         J[first + np.arange(len(held)), held] = -root
         J[last:] = -slope
         return r, J

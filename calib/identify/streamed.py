@@ -7,15 +7,19 @@ A = J and y = r + J x.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.identify.linear import SMALLEST_SIGMA, Linear
 from calib.identify.passes import Passes
+from calib.identify.problem import Problem
 from calib.identify.robust import as_of_a_point
 from calib.identify.statistics import Mask
 from calib.identify.variance import Known, Linearised
+from calib.model.batch import CHUNK
 
 Array = NDArray[np.float64]
 
@@ -38,6 +42,19 @@ class Streamed:
     C: Array
     z: Array
 
+    @classmethod
+    def at(cls, problem: Problem, x: Array) -> Streamed:
+        """At the parameters x; the problem's own scales are those that were given.
+
+        Args:
+            problem: With `Problem.passes`.
+            x: shape (p,).
+        """
+        assert problem.passes is not None
+        r, C = problem.constraints(x)
+        smallest = tuple(SMALLEST_SIGMA / sigma for sigma in problem.passes.typical)
+        return cls(problem.passes, x, smallest, C, r + C @ x)
+
     @property
     def used(self) -> Mask:
         """Which scalars there are, shape (N, D)."""
@@ -55,6 +72,14 @@ class Streamed:
     def noise_of(self, noise: tuple[float, ...]) -> Array:
         """The noise of each scalar, shape (N, D); 1 where there is none."""
         return np.append(np.array(noise), 1.0)[self.instruments]
+
+    def looked_at(self, x: Array) -> Array:
+        """What `scores` and `norms` take for x, as `fit` gives it: here x itself."""
+        return x
+
+    def scalars(self, looked_at: Array) -> Array:
+        """The residual of what `fit` or `looked_at` gave, shape (N, D)."""
+        return self.residual(looked_at)
 
     def residual(self, x: Array) -> Array:
         """What x leaves over, y - A x, shape (N, D)."""
@@ -101,3 +126,37 @@ class Streamed:
         ones = (1.0,) * self.passes.instruments
         moved, of_sigma = x - self.x, covariance / noise**2
         return self.passes.norms(self.x, moved, of_sigma, weights, ones, instrument)
+
+
+def linearised(problem: Problem, x: Array) -> Linear | Streamed:
+    """The problem linearised at the parameters x, in the form that suits the number of its rows."""
+    return Linear.at(problem, x) if problem.passes is None else Streamed.at(problem, x)
+
+
+def whole_groups(
+    problem: Problem, linear: Linear | Streamed, x: Array, groups: NDArray[np.int_]
+) -> Iterator[tuple[NDArray[np.int_], Linear]]:
+    """The linearised problem in parts that hold their derivative, each of whole groups of rows.
+
+    Args:
+        problem: The problem.
+        linear: It linearised at x.
+        x: shape (p,).
+        groups: shape (N,), the group of each row, numbered from 0; of pairs both rows are in one.
+
+    Yields:
+        Numbers of M rows, and their problem.
+    """
+    if isinstance(linear, Linear):
+        yield np.arange(len(problem.rows)), linear
+        return
+    order = np.argsort(groups, kind="stable")
+    ends = np.flatnonzero(np.diff(groups[order], append=-1)) + 1
+    first = 0
+    while first < len(order):
+        last = int(ends[np.searchsorted(ends, min(first + CHUNK, len(order)))])
+        chosen = np.sort(order[first:last])
+        mask = np.zeros(len(order), dtype=bool)
+        mask[chosen] = True
+        yield chosen, Linear.of_part(problem, x, mask)
+        first = last

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.identify.linear import _SMALLEST_SIGMA, Linear
+from calib.identify.linear import SMALLEST_SIGMA, Linear
 from calib.identify.problem import Problem
 from calib.identify.stage import Holds, Stage
 from calib.measure.cell import Priors
@@ -60,7 +60,7 @@ def test_the_linear_problem_is_the_problem_at_that_place(virtual):
     problem = Problem.first(virtual.kinematics, rows)
     linear = Linear.at(problem, x)
     np.testing.assert_allclose((linear.y - linear.A @ x) * 1e-4, problem.residual(x), atol=1e-15)
-    assert linear.smallest == pytest.approx((_SMALLEST_SIGMA / 1e-4,))
+    assert linear.smallest == pytest.approx((SMALLEST_SIGMA / 1e-4,))
     assert linear.noise_of((3.0,)).shape == (12, 3)
 
 

@@ -1,0 +1,107 @@
+"""Rows of one kind, as the compiled kernel reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.identify.rows import DISTANCE, FIXED, PAIR, PLANE, POINT, POSE, Rows
+from calib.model.batch import fixed
+from calib.model.kinematics import Samples
+
+if TYPE_CHECKING:
+    from calib.model.kernel import Measured
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """The rows of one kind.
+
+    Attributes:
+        kind: Its number.
+        index: shape (M,), which rows these are; None for all of them.
+        samples: Where the robot stood.
+        other: Where it stood in the other row of each pair; None of other kinds.
+        measured: What was measured.
+        lengths: Number of the lengths' instrument.
+        angles: That of the angles, -1 where there are none.
+        typical: Median standard deviation of a length and of an angle [m], [rad].
+    """
+
+    kind: int
+    index: NDArray[np.int_] | None
+    samples: Samples
+    other: Samples | None
+    measured: Measured
+    lengths: int
+    angles: int
+    typical: tuple[float, float]
+
+    @property
+    def first(self) -> int:
+        """The number of its first row."""
+        return 0 if self.index is None else int(self.index[0])
+
+    @property
+    def width(self) -> int:
+        """The scalars of a row."""
+        return {POINT: 3, FIXED: 3, POSE: 6}.get(self.kind, 1)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.samples)
+
+    def own(self, values: Array) -> Array:
+        """What belongs to these rows, of values of all rows."""
+        return fixed(values if self.index is None else values[self.index])
+
+    def put(self, values: Array, into: Array) -> None:
+        """Write what was found for these rows where it belongs among all of them."""
+        into[slice(None) if self.index is None else self.index] = values
+
+    def part(self, first: int, last: int) -> NDArray[np.int_]:
+        """The numbers of some of its rows."""
+        return np.arange(first, last) if self.index is None else self.index[first:last]
+
+
+def stream_of(rows: Rows, kind: int, numbers: dict[int, int]) -> Stream:
+    """The rows of one kind."""
+    from calib.model import kernel
+
+    what = {
+        POINT: kernel.POSITION,
+        FIXED: kernel.POSITION,
+        POSE: kernel.POSE,
+        DISTANCE: kernel.DISTANCE,
+        PAIR: kernel.BETWEEN,
+        PLANE: kernel.HEIGHT,
+    }[kind]
+    whole = bool(np.all(rows.kinds == kind))
+    index = None if whole else np.flatnonzero(rows.kinds == kind)
+    chosen = np.arange(len(rows)) if index is None else index
+    count = len(chosen)
+    nothing = np.empty((count, 0))
+
+    def of(values: Array) -> Array:
+        return values if index is None else values[index]
+
+    return Stream(
+        kind=kind,
+        index=index,
+        samples=rows.samples if index is None else rows.samples.select(index),
+        other=rows.samples.select(rows.partner[chosen]) if kind == PAIR else None,
+        measured=kernel.Measured(
+            what,
+            fixed(of(rows.points)),
+            fixed(of(rows.rotations).reshape(count, 9) if kind == POSE else nothing),
+            fixed(of(rows.distances)),
+        ),
+        lengths=numbers[kind],
+        angles=len(numbers) if kind == POSE else -1,
+        typical=(float(np.median(of(rows.sigma))), float(np.median(of(rows.sigma_angle)))),
+    )
