@@ -211,8 +211,10 @@ def _elsewhere(
     if len(found) == 1 and not target.startswith(_FOREIGN):
         kind = "obj" if node["reftype"] == "obj" else domain.objects[found[0]].objtype
         return domain.resolve_xref(env, node["refdoc"], app.builder, kind, found[0], node, shown)
-    exists = node["reftype"] == "obj" and (last in _names() or target.startswith("calib "))
-    return shown if exists or target.startswith(_FOREIGN) else None
+    # What users are given has its types on these pages; what that is made of in turn need not.
+    inner = node["reftype"] == "obj" or node["refdoc"] == "api-parts"
+    known = target.startswith(("calib ", *_FOREIGN)) or (inner and last in _names())
+    return shown if known else None
 
 
 @cache
