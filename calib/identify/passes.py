@@ -20,7 +20,7 @@ from calib.model.batch import chunks, fixed, geometry_of, in_threads, stood_at
 from calib.model.kinematics import Kinematics
 
 if TYPE_CHECKING:
-    from calib.model.kernel import Measured, Stood
+    from calib.model.kernel import Geometry, Measured, Stood
 
 Array = NDArray[np.float64]
 
@@ -45,6 +45,7 @@ class Passes:
     rows: Rows
     streams: tuple[Stream, ...]
     _normals: list[tuple[Array, Array, Array]] = field(default_factory=list, repr=False)
+    _chains: list[tuple[Array, Geometry]] = field(default_factory=list, repr=False)
 
     @classmethod
     def of(cls, kinematics: Kinematics, rows: Rows) -> Passes:
@@ -204,11 +205,20 @@ class Passes:
             found += in_threads(work, len(stream))
         return triangle_of(np.concatenate(found))
 
+    def _geometry(self, x: Array, *, columns: bool = True) -> Geometry:
+        """The chain at x; the last one is remembered, because stages ask for several passes at one x."""
+        if self._chains and np.array_equal(self._chains[0][0], x) and columns:
+            return self._chains[0][1]
+        found = geometry_of(self.kinematics, x, columns=columns)
+        if columns:
+            self._chains[:] = [(x.copy(), found)]
+        return found
+
     def _normal_of(self, stream: Stream, x: Array, root: Array) -> tuple[Array, Array]:
         """The normal matrices of a stream's lengths and angles."""
         from calib.model import kernel
 
-        geometry, size = geometry_of(self.kinematics, x), _tiles(len(x))
+        geometry, size = self._geometry(x), _tiles(len(x))
         lengths, angles = self._scaled(stream, root)
 
         def work(first: int, last: int) -> Array:
@@ -235,7 +245,7 @@ class Passes:
         """The norms of a stream's rows; ``part`` is 0 for all scalars, 1 for lengths, 2 for angles."""
         from calib.model import kernel
 
-        geometry = geometry_of(self.kinematics, x)
+        geometry = self._geometry(x)
         lengths, angles = self._scaled(stream, None)
         lengths = fixed(lengths / noise[stream.lengths])
         angles = fixed(angles / noise[stream.angles])
@@ -261,7 +271,7 @@ class Passes:
         """[J r] of some of a stream's rows in units of sigma times ``root``; r as it is where ``root`` is None."""
         from calib.model import kernel
 
-        geometry = geometry_of(self.kinematics, x, columns=root is not None)
+        geometry = self._geometry(x, columns=root is not None)
         begin, end = (0, len(stream)) if span is None else span
         if root is None:
             lengths = angles = fixed(np.ones(len(stream)))

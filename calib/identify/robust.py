@@ -156,7 +156,7 @@ def median_noise(row_scores: Array, used: NDArray[np.bool_]) -> float:
         used: shape (N, D), which scalars each row has.
     """
     scalars = np.sum(used, axis=1)
-    typical = np.sqrt(chdtri(np.maximum(scalars, 1), 0.5))
+    typical = np.sqrt(chdtri(np.maximum(np.arange(used.shape[1] + 1), 1), 0.5))[scalars]
     return float(np.median((row_scores / typical)[scalars > 0]))
 
 

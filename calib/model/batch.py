@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -31,7 +32,7 @@ T = TypeVar("T")
 MANY = 1500
 
 #: Samples of one call of the kernel.
-CHUNK = 8192
+CHUNK = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,6 +184,7 @@ def twists_of(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array
     return poses, twists
 
 
+@lru_cache(maxsize=16)
 def _to_axes(robot: Robot) -> Array:
     """For each joint the rotation that takes z to its axis, as a pose, shape (n, 4, 4)."""
     result = np.tile(np.eye(4), (len(robot.joints), 1, 1))
@@ -190,6 +192,7 @@ def _to_axes(robot: Robot) -> Array:
         axis = np.asarray(joint.axis)
         T_joint[:3, :3] = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
         T_joint[:3, 2] = axis  # to the last bit
+    result.setflags(write=False)
     return result
 
 

@@ -625,7 +625,7 @@ def norms(
     n, p = stood.values.shape[1], geometry.columns
     room, spare = scratch_of(n, p), scratch_of(n, p)
     U, G, l, a = np.empty((3, LANES)), np.empty((9, LANES)), np.empty(LANES), np.empty(LANES)  # noqa: E741
-    Y, K, M = np.empty(6 * LANES), np.empty((6, 6, LANES)), np.empty((6, 7))
+    Y, K, M = np.empty((4, 6 * LANES)), np.empty((6, 6, LANES)), np.empty((6, 7))
     for begin in range(first, last, LANES):
         count = min(LANES, last - begin)
         _lanes(lengths, begin, count, l)
@@ -651,22 +651,31 @@ def norms(
 def _leverage(room: Scratch, root: Array, p: int, d: int, all_of: int, Y: Array, K: Array) -> None:
     """K = A C A^T of the scalars of each lane, d lengths and then angles, into the lower triangles of K."""
     K[:all_of, :all_of] = 0.0
-    for k in range(p):
+    for k in range(0, p, 4):
         Y[:] = 0.0
-        for j in range(k // 4 * 4, p, 4):
-            t0, t1, t2, t3 = root[k, j], root[k, j + 1], root[k, j + 2], root[k, j + 3]
-            for w in range(d * LANES):
-                Y[w] += (t0 * room.J[j, w] + t1 * room.J[j + 1, w]) + (
-                    t2 * room.J[j + 2, w] + t3 * room.J[j + 3, w]
-                )
-            for w in range((all_of - d) * LANES):
-                Y[d * LANES + w] += (t0 * room.A[j, w] + t1 * room.A[j + 1, w]) + (
-                    t2 * room.A[j + 2, w] + t3 * room.A[j + 3, w]
-                )
-        for r in range(all_of):
-            for c in range(r + 1):
-                for w in range(LANES):
-                    K[r, c, w] += Y[r * LANES + w] * Y[c * LANES + w]
+        for j in range(k, p, 4):
+            _add_tile(room.J, j, d * LANES, root, k, Y, 0)
+            _add_tile(room.A, j, (all_of - d) * LANES, root, k, Y, d * LANES)
+        for i in range(4):
+            for r in range(all_of):
+                for c in range(r + 1):
+                    for w in range(LANES):
+                        K[r, c, w] += Y[i, r * LANES + w] * Y[i, c * LANES + w]
+
+
+@compiled(inline=True)
+def _add_tile(J: Array, j: int, width: int, root: Array, k: int, Y: Array, at: int) -> None:
+    """Add to four rows of Y, from column ``at`` on, four rows of J times a tile of the root."""
+    t00, t01, t02, t03 = root[k, j], root[k, j + 1], root[k, j + 2], root[k, j + 3]
+    t10, t11, t12, t13 = root[k + 1, j], root[k + 1, j + 1], root[k + 1, j + 2], root[k + 1, j + 3]
+    t20, t21, t22, t23 = root[k + 2, j], root[k + 2, j + 1], root[k + 2, j + 2], root[k + 2, j + 3]
+    t30, t31, t32, t33 = root[k + 3, j], root[k + 3, j + 1], root[k + 3, j + 2], root[k + 3, j + 3]
+    for w in range(width):
+        x0, x1, x2, x3 = J[j, w], J[j + 1, w], J[j + 2, w], J[j + 3, w]
+        Y[0, at + w] += (t00 * x0 + t01 * x1) + (t02 * x2 + t03 * x3)
+        Y[1, at + w] += (t10 * x0 + t11 * x1) + (t12 * x2 + t13 * x3)
+        Y[2, at + w] += (t20 * x0 + t21 * x1) + (t22 * x2 + t23 * x3)
+        Y[3, at + w] += (t30 * x0 + t31 * x1) + (t32 * x2 + t33 * x3)
 
 
 @compiled(inline=True)
