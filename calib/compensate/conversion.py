@@ -321,14 +321,14 @@ def check_options(wanted: Wanted, source_kind: str) -> None:
     """
     if wanted.update is not None and wanted.format != "ur-conf":
         message = (
-            f"--update {wanted.update} is the calibration.conf that 'ur-conf' keeps the other lines of; the format "
-            f"here is '{wanted.format}'. Leave it out."
+            f"--update {wanted.update} is the calibration.conf whose other lines the format 'ur-conf' keeps; the "
+            f"format here is '{wanted.format}'. Leave it out, or add --to ur-conf."
         )
         raise CalibError(message)
     if wanted.hash_from is not None and wanted.format != "ur-yaml":
         message = (
-            f"--hash-from {wanted.hash_from} is whose hash a 'ur-yaml' keeps; the format here is '{wanted.format}'. "
-            "Leave it out."
+            f"--hash-from {wanted.hash_from} is the file whose hash the format 'ur-yaml' keeps; the format here is "
+            f"'{wanted.format}'. Leave it out, or add --to ur-yaml."
         )
         raise CalibError(message)
     reads_conf = source_kind == UR_CONF or (
