@@ -11,7 +11,12 @@ from pathlib import Path
 import pytest
 
 #: What may import upwards, late: a result writes its report as it writes its other files.
-UPWARDS = {("calib.identify.result", "calib.show.report")}
+UPWARDS = {
+    ("calib.identify.result", "calib.show.report"),
+    # Each robot of a fleet gets one, in the process that has calibrated it; all bear the date of the run.
+    ("calib.identify.fleet_robot", "calib.show.report"),
+    ("calib.identify.fleet", "calib.show.report_record"),
+}
 
 ROOT = Path(__file__).parents[1]
 CALIB = ROOT / "calib"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from calib.cli.executors import Dask, Workers, executor_of
 from calib.cli.options import (
     Base,
     CellFile,
@@ -36,6 +37,8 @@ from calib.cli.report_files import FigureFolder, FigureKind, ReportFile
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from calib.identify.calibration import Calibration
 
 _HELP = """Calibrate a robot from measurements.
@@ -129,6 +132,8 @@ def fit(
             "number.",
         ),
     ] = None,
+    workers: Workers = None,
+    dask: Dask = None,
     seed: Annotated[
         int | None,
         typer.Option(min=0, metavar="S", help="Seed of --bootstrap; the same S, the same samples."),
@@ -149,7 +154,7 @@ def fit(
     debug: Debug = False,
 ) -> None:
     """See `_HELP`."""
-    with reporting(debug=debug):
+    with reporting(debug=debug), executor_of(workers, dask, bootstrap, default=1) as executor:
         from calib.cli.progress import progress_bar
         from calib.cli.report_files import (
             STDOUT,
@@ -161,7 +166,7 @@ def fit(
         from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
         from calib.cli.terminal import say
 
-        _check_seed(seed, bootstrap)
+        _check_bootstrap(bootstrap, {"--seed": seed, "--workers": workers, "--dask": dask})
         inputs: list[str | Path] = [robot, data, *(path for path in (cell, points) if path)]
         report_file = check_report(report, figures, figure_format)
         check_outputs([output, json, view, report_file], inputs, force=force)
@@ -197,7 +202,9 @@ def fit(
                 validate=validate,
                 progress=progress,
             )
-        texts, tables = _intervals(result, bootstrap, seed or 0, profile or [], quiet=quiet)
+        texts, tables = _intervals(
+            result, bootstrap, seed or 0, profile or [], executor, quiet=quiet
+        )
         check_figures(result, figures, figure_format, force=force)
         # Files first: a reader of the text that goes away (head, less) must not cost the results.
         written = [
@@ -220,17 +227,22 @@ def fit(
             )
 
 
-def _check_seed(seed: int | None, bootstrap: int | None) -> None:
-    """Refuse a seed that nothing is drawn with."""
-    if seed is not None and bootstrap is None:
-        message = (
-            "--seed is for the samples of --bootstrap; say how many, such as --bootstrap 1000."
-        )
-        raise CalibError(message)
+def _check_bootstrap(bootstrap: int | None, given: dict[str, object]) -> None:
+    """Refuse what says how to draw or to fit samples that nobody asked for."""
+    for option, value in given.items():
+        if value is not None and bootstrap is None:
+            message = f"{option} is for the samples of --bootstrap; say how many, such as --bootstrap 1000."
+            raise CalibError(message)
 
 
 def _intervals(
-    result: Calibration, count: int | None, seed: int, names: list[str], *, quiet: bool
+    result: Calibration,
+    count: int | None,
+    seed: int,
+    names: list[str],
+    executor: Executor | None,
+    *,
+    quiet: bool,
 ) -> tuple[list[str], dict[str, Any]]:
     """Bootstrap and profiles, as far as they are asked for: texts to print, and tables for the result file."""
     if count is None and not names:
@@ -243,7 +255,7 @@ def _intervals(
     tables: dict[str, Any] = {}
     if count is not None:
         with progress_bar("bootstrap", quiet=quiet) as progress:
-            found = bootstrap(result, count, seed, progress)
+            found = bootstrap(result, count, seed, progress, executor)
         texts.append(intervals.bootstrap_text(result, found))
         tables["bootstrap"] = intervals.bootstrap_table(found)
     if names:

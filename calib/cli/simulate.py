@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calib.cli.executors import Dask, Workers, executor_of
 from calib.cli.options import (
     Base,
     CellFile,
@@ -229,14 +230,8 @@ def simulate(
             help="Of a study: which errors are estimated. Default: auto.",
         ),
     ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Of a study: processes that share the work. Default: as many as cores.",
-        ),
-    ] = None,
+    workers: Workers = None,
+    dask: Dask = None,
     json: Annotated[
         Path | None, typer.Option("--json", help="Of a study: write every trial as JSON.")
     ] = None,
@@ -245,7 +240,8 @@ def simulate(
     debug: Debug = False,
 ) -> None:
     """See `_HELP`."""
-    with reporting(debug=debug):
+    # Workers begin first: they import what they need while robot and scenario are prepared here.
+    with reporting(debug=debug), executor_of(workers, dask, study) as executor:
         from calib.cli.setup import check_outputs, load, read_cell
         from calib.cli.simulate_setup import Asked, checked_model, prepare, with_tracker
 
@@ -288,10 +284,23 @@ def simulate(
 
             check_alone({"-o": output, "--truth": truth, "--truth-urdf": truth_urdf})
             print_study(
-                prepared, study, fit_model, workers, json, planned=planned, force=force, quiet=quiet
+                prepared,
+                study,
+                fit_model,
+                executor,
+                json,
+                planned=planned,
+                force=force,
+                quiet=quiet,
             )
             return
-        _check_no_study(planned, {"--fit-model": fit_model, "--workers": workers, "--json": json})
+        of_study: dict[str, object] = {
+            "--fit-model": fit_model,
+            "--workers": workers,
+            "--dask": dask,
+            "--json": json,
+        }
+        _check_no_study(planned, of_study)
         table, beside = _outputs(
             output, truth, [*inputs, *([str(truth_urdf)] if truth_urdf else [])], force=force
         )

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import textwrap
-import threading
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +11,7 @@ import typer
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from multiprocessing.process import BaseProcess
+    from concurrent.futures import Executor
 
     from calib.cli.simulate_setup import Prepared
     from calib.identify.study import Study, Trials
@@ -42,7 +36,7 @@ def print_study(
     prepared: Prepared,
     count: int,
     fit_model: str | None,
-    workers: int | None,
+    executor: Executor | None,
     json: Path | None,
     *,
     planned: bool,
@@ -58,9 +52,11 @@ def print_study(
 
     check_model(fit_model or AUTO, "--fit-model")
     trials = trials_of(prepared, fit_model or AUTO, planned=planned)
-    found = run(trials, count, prepared.seed, workers, quiet=quiet)
-    if json is not None:
+    kept = None if json is None else json.with_name(f"{json.name}.unfinished")
+    found = run(trials, count, prepared.seed, executor, kept, force=force, quiet=quiet)
+    if json is not None and kept is not None:
         write_study(study_table(found, trials, prepared.seed), json, overwrite=force)
+        kept.unlink()
     if not quiet:
         typer.echo(study_text(found, trials))
         if json is not None:
@@ -98,13 +94,22 @@ def trials_of(prepared: Prepared, fit_model: str, *, planned: bool) -> Trials:
     )
 
 
-def run(trials: Trials, count: int, seed: int, workers: int | None, *, quiet: bool) -> Study:
-    """Do the trials, in as many processes as there are cores if nothing else is said."""
+def run(
+    trials: Trials,
+    count: int,
+    seed: int,
+    executor: Executor | None,
+    kept: Path | None,
+    *,
+    force: bool,
+    quiet: bool,
+) -> Study:
+    """Do the trials, those aside that an earlier run of the same command has done."""
     from calib.cli.progress import progress_bar
     from calib.identify.study import study
 
-    with progress_bar("trials", quiet=quiet) as progress, _executor(workers, count) as executor:
-        return study(trials, count, seed, executor, progress)
+    with progress_bar("trials", quiet=quiet) as progress:
+        return study(trials, count, seed, executor, progress, kept, overwrite=force)
 
 
 def study_text(found: Study, trials: Trials) -> str:
@@ -237,38 +242,3 @@ def _verified() -> int:
     from calib.identify.study import VERIFIED
 
     return VERIFIED
-
-
-@contextmanager
-def _executor(workers: int | None, count: int) -> Iterator[Executor | None]:
-    """As many processes as asked for, or as there are cores; None for one."""
-    wanted = min(_cores() if workers is None else workers, count)
-    if wanted < 2:
-        yield None
-        return
-    with ProcessPoolExecutor(wanted, initializer=_end_with_parent) as executor:
-        try:
-            yield executor
-        except BaseException:
-            # Interrupted: what has not begun is not waited for.
-            executor.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-def _end_with_parent() -> None:
-    """End this worker when the process that started it is gone: killed, that one can no longer end its workers."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_watch, args=(parent,), daemon=True).start()
-
-
-def _watch(parent: BaseProcess) -> None:
-    """Wait for the end of a process, then end this one at once, whatever it is doing."""
-    parent.join()
-    os._exit(1)
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    count: Callable[[int], set[int]] | None = getattr(os, "sched_getaffinity", None)
-    return len(count(0)) if count is not None else os.cpu_count() or 1

@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -37,7 +37,7 @@ _DEATHS = 2
 _STARTS = 3
 
 #: What the server that workers are forked from imports, so that it is imported once.
-_PRELOAD = "calib.identify.study"
+PRELOADED = ("calib.identify.study",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +55,12 @@ class ProcessExecutor(Executor):
         workers: Their number.
     """
 
-    def __init__(self, workers: int) -> None:
+    def __init__(self, workers: int, preloaded: Sequence[str] = PRELOADED) -> None:
         """Start the workers; they import what they need while the caller does other things.
 
         Args:
             workers: Their number, 1 or more.
+            preloaded: Modules that they will need; a hint.
 
         Raises:
             CalibError: Fewer than one.
@@ -68,7 +69,7 @@ class ProcessExecutor(Executor):
             message = f"{workers} worker processes were asked for; it takes 1 or more."
             raise CalibError(message)
         self.workers = workers
-        self._context = _context()
+        self._context = _context(preloaded)
         self._jobs: SimpleQueue[_Job | None] = SimpleQueue()
         self._closed = self._killed = False
         self._lock = threading.Lock()
@@ -204,11 +205,12 @@ class ProcessExecutor(Executor):
         return f"exit code {code}"
 
 
-def process_executor(workers: int) -> ProcessExecutor:
+def process_executor(workers: int, preloaded: Sequence[str] = PRELOADED) -> ProcessExecutor:
     """Worker processes, for `calib.study`, `calib.bootstrap` and `calib.fleet`.
 
     Args:
         workers: Their number.
+        preloaded: Modules that they will need; a hint.
 
     Raises:
         CalibError: Fewer than one.
@@ -218,7 +220,7 @@ def process_executor(workers: int) -> ProcessExecutor:
         ...     list(executor.map(abs, [-1, -2]))
         [1, 2]
     """
-    return ProcessExecutor(workers)
+    return ProcessExecutor(workers, preloaded)
 
 
 class _Worker:
@@ -242,14 +244,14 @@ class _Worker:
         return self.connection.recv_bytes()
 
 
-def _context() -> BaseContext:
+def _context(preloaded: Sequence[str]) -> BaseContext:
     """How workers are started: never forked from this process, whose threads may hold locks.
 
     Where there is a fork they come from a server that has imported all and has no threads, in a few ms each.
     """
     if sys.platform == "linux":
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload([_PRELOAD])
+        context.set_forkserver_preload(["__main__", *preloaded])
         return context
     return multiprocessing.get_context("spawn")
 

@@ -73,7 +73,7 @@ class Calibration:
         model: The error model of the geometry, which the URDF holds.
         solver: Name of the solver.
         solution: Where it stopped, with its history.
-        seconds: Time that choosing a model, registration and estimation took.
+        seconds: Time that choosing a model, registration and estimation took; NaN where it is not to be told.
         x: shape (p,), offsets from the registered start [m, rad].
         covariance: shape (p, p), of ``x``.
         freedom: Degrees of freedom left for the noise.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 import calib
@@ -229,5 +231,6 @@ def _parameters(c: Calibration) -> str:
 
 
 def _solver(c: Calibration) -> str:
-    """How the solver fared."""
-    return wrap(f"{solver_text(c)}, {1e3 * c.seconds:.0f} ms. {c.solution.message}")
+    """How the solver fared; a fleet's results do not say how long it took."""
+    took = "" if math.isnan(c.seconds) else f", {1e3 * c.seconds:.0f} ms"
+    return wrap(f"{solver_text(c)}{took}. {c.solution.message}")

@@ -43,18 +43,21 @@ _BESIDE = {
 ENDINGS = (".html", ".htm", ".md", ".txt")
 
 
-def report_of(calibration: Calibration, *, command: str = "", figures: bool = True) -> Document:
+def report_of(
+    calibration: Calibration, *, command: str = "", figures: bool = True, date: str = ""
+) -> Document:
     """What the report says, before it is set.
 
-    The date is that of the clock, or ``SOURCE_DATE_EPOCH`` if that is set; nothing else differs between two reports of
-    the same calibration.
+    The date is that of the clock, or ``SOURCE_DATE_EPOCH`` if that is set, where none is given; nothing else differs
+    between two reports of the same calibration.
 
     Args:
         calibration: The calibration.
         command: The command that made it, as it was typed; empty where there was none.
         figures: Whether it has figures.
+        date: That it bears.
     """
-    c, date = calibration, report_date()
+    c, date = calibration, date or report_date()
     pictures = tuple(Picture(one) for one in drawings(c)) if figures else ()
     beside = {
         title: [p for p in pictures if p.drawing.name in names] for title, names in _BESIDE.items()
@@ -81,16 +84,19 @@ def report_of(calibration: Calibration, *, command: str = "", figures: bool = Tr
     )
 
 
-def report_bytes(calibration: Calibration, ending: str, *, command: str = "") -> bytes:
+def report_bytes(
+    calibration: Calibration, ending: str, *, command: str = "", date: str = ""
+) -> bytes:
     """The report as a file's content, UTF-8.
 
     Args:
         calibration: The calibration.
         ending: One of `ENDINGS`.
         command: See `report_of`.
+        date: See `report_of`.
     """
     pictured = ending in (".html", ".htm")
-    document = report_of(calibration, command=command, figures=pictured)
+    document = report_of(calibration, command=command, figures=pictured, date=date)
     text = (
         as_html(document)
         if pictured

@@ -1,0 +1,164 @@
+"""FleetRow: what a fleet's table keeps of one robot, small enough to hold ten thousand of them."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.identify.result import Calibration
+from calib.identify.result_file import plain
+from calib.measure.measurements import Measurements
+from calib.model.parameters import FRAME, TARGET
+
+#: How it went.
+DONE, FAILED = "done", "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class FleetParameter:
+    """One parameter, as it is compared with the other robots'.
+
+    Attributes:
+        name: Its name.
+        unit: Its unit.
+        change: From the nominal value; of a target its place in the tip.
+        std: Standard deviation of it; NaN where the measurements do not determine it, or a bound stopped it.
+    """
+
+    name: str
+    unit: str
+    change: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRow:
+    """One robot of a fleet. Numbers that there are not are NaN, words ``""``.
+
+    Attributes:
+        name: Its name.
+        status: `DONE` or `FAILED`.
+        message: Why it failed.
+        verdict: ``"use"``, ``"use with care"`` or ``"do not use"``.
+        model: The geometry's parameter set.
+        larger: The larger model.
+        rows: Rows that were fitted.
+        outliers: How many of them are flagged.
+        nominal_rms: Error of the nominal robot on the rows that were fitted [m].
+        calibrated_rms: Of the calibrated robot [m].
+        unseen: What ``unseen_rms`` is of: ``"validation"`` or ``"cross-validation"``.
+        unseen_rms: Of the calibrated robot on rows that were not fitted [m].
+        left_out_rms: On left-out rows that are not flagged, by cross-validation [m].
+        sigma: Noise of one coordinate or length that the fit found [m].
+        sigma_angle: Of an angle [rad].
+        kind: What robots must share to be compared: the robot's name, its joints, base and tip.
+        data: The measurements' file.
+        measured: A hash of what was measured, whatever file it stood in.
+        parameters: Those of the geometry, frames aside.
+    """
+
+    name: str
+    status: str
+    message: str = ""
+    verdict: str = ""
+    model: str = ""
+    larger: str = ""
+    rows: int = 0
+    outliers: int = 0
+    nominal_rms: float = math.nan
+    calibrated_rms: float = math.nan
+    unseen: str = ""
+    unseen_rms: float = math.nan
+    left_out_rms: float = math.nan
+    sigma: float = math.nan
+    sigma_angle: float = math.nan
+    kind: str = ""
+    data: str = ""
+    measured: str = ""
+    parameters: tuple[FleetParameter, ...] = ()
+
+    @classmethod
+    def of(cls, name: str, c: Calibration) -> FleetRow:
+        """The row of a calibration."""
+        errors, v = c.errors, c.cross_validation
+        validation = errors["calibrated"]["validation"]
+        left_out = math.nan if v is None else v.errors_without_outliers.rms
+        unseen = "" if v is None else "cross-validation"
+        return cls(
+            name=name,
+            status=DONE,
+            verdict="" if c.verdict is None else c.verdict.use,
+            model=c.model.name,
+            larger="" if c.larger is None else c.larger.name,
+            rows=int(c.measurements.estimation.sum()),
+            outliers=len(c.outliers),
+            nominal_rms=errors["nominal"]["estimation"].rms,
+            calibrated_rms=errors["calibrated"]["estimation"].rms,
+            unseen="validation" if validation.n else unseen,
+            unseen_rms=validation.rms if validation.n else left_out,
+            left_out_rms=left_out,
+            sigma=c.sigma,
+            sigma_angle=c.sigma_angle,
+            kind=" ".join([c.nominal.name, c.nominal.base, c.nominal.tip, *c.nominal.joint_names]),
+            data=c.measurements.source,
+            measured=measured_hash(c.measurements),
+            parameters=_parameters(c),
+        )
+
+    @classmethod
+    def read(cls, table: Mapping[str, Any]) -> FleetRow:
+        """The row of a table as `table` makes it.
+
+        Raises:
+            TypeError, KeyError: It is no such table.
+        """
+        numbers = {k: math.nan if table[k] is None else table[k] for k in table if k in _NUMBERS}
+        parameters = tuple(
+            FleetParameter(p["name"], p["unit"], p["change"], _number(p["std"]))
+            for p in table["parameters"]
+        )
+        return cls(**{**table, **numbers, "parameters": parameters})
+
+    def table(self) -> dict[str, Any]:
+        """All of it for a JSON file, numbers that there are not as None."""
+        found: dict[str, Any] = plain(asdict(self))
+        return found
+
+
+_NUMBERS = ("nominal_rms", "calibrated_rms", "unseen_rms", "left_out_rms", "sigma", "sigma_angle")
+
+
+def measured_hash(measurements: Measurements) -> str:
+    """The same for the same joint values and measurements, in whatever order and file they stand."""
+    m, count = measurements, len(measurements)
+    arrays = [m.joints, m.points]
+    arrays += [a for a in (m.rotations, m.distances) if a is not None]
+    rows = np.hstack([np.asarray(a, dtype=np.float64).reshape(count, -1) for a in arrays])
+    # Rounded to a nanometre and a nanoradian: files hold a few digits, in degrees or radians. No number is -0.
+    lines = sorted(line.tobytes() for line in np.nan_to_num(np.round(rows, 9), nan=1e9) + 0.0)
+    return hashlib.sha256(b"".join(lines)).hexdigest()
+
+
+def _parameters(c: Calibration) -> tuple[FleetParameter, ...]:
+    """The parameters that robots can be compared by: where an instrument stands says nothing of a robot."""
+    families = [p.family for p in c.model.parameters]
+    return tuple(
+        FleetParameter(
+            found.name,
+            found.unit,
+            found.value if family == TARGET else found.delta,
+            found.std if found.identifiable and not found.at_bound else math.nan,
+        )
+        for found, family in zip(c.parameters, families, strict=True)
+        if family != FRAME
+    )
+
+
+def _number(value: float | None) -> float:
+    """A number, NaN where there is none."""
+    return math.nan if value is None else value
