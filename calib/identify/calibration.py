@@ -26,7 +26,7 @@ from calib.identify.fitting import (
     Task,
     fit,
     nominal_setup,
-    predict,
+    seen_from,
     unseen_scores,
 )
 from calib.identify.inspection import known_slopes
@@ -211,7 +211,8 @@ def _assemble(
     robot, model = task.robot, fitted.kinematics.model
     mask, problem = measurements.estimation, estimated.problem
     observability = _observability(fitted)
-    placed = nominal_setup(robot, task.setup, every.select(mask))
+    T_base_tip = robot.poses(every.joints)
+    placed = nominal_setup(T_base_tip[mask], task.setup, every.select(mask))
     residual = fitted.residual(every)
     scores, weights = np.empty(len(mask)), np.zeros(len(mask))
     weights[mask] = estimated.weights
@@ -250,7 +251,7 @@ def _assemble(
         sigma_angle=_median(scales[:, 3:][used[:, 3:]]),
         sizes=estimated.sizes,
         parameters=parameter_estimates(fitted, observability),
-        residual_nominal=read_only(predict(robot, placed, every)),
+        residual_nominal=read_only(every.residual(seen_from(placed, T_base_tip, every))),
         residual_calibrated=read_only(residual),
         used=every.used,
         scores=read_only(scores),

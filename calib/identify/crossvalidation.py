@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,17 +14,18 @@ from calib.identify.fitting import (
     Task,
     fit,
     nominal_setup,
-    predict,
+    seen_from,
     task_options,
     without_outliers,
 )
-from calib.identify.fold_fits import fold_fits
+from calib.identify.fold_fits import fold_fits, fold_means
 from calib.identify.linear import Linear
 from calib.identify.registration import register_poses
 from calib.identify.rows import FRAME_DIRECTIONS, POINT, POSE, Rows
 from calib.identify.setup import Setup
 from calib.identify.stage import FEWEST_FREEDOM, Holds
 from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
+from calib.identify.streamed import Streamed, linearised
 from calib.identify.table_rows import joined_setups
 from calib.model.parameters import ErrorModel, frame_place, target_place
 
@@ -90,15 +91,11 @@ def cross_validation(
     """
     left_out = folds_of(task, rows)
     done = 0
-    linear = {} if fitted is None else _linear_solutions(fitted, left_out.masks)
-    masks = iter(range(len(left_out.masks)))
+    linear = None if fitted is None else _Linearised.of(fitted, left_out.masks)
 
     def predict_left_out(mask: Mask) -> Array:
         nonlocal done
-        number = next(masks)
-        found = None
-        if fitted is not None and number in linear:
-            found = _unseen(fitted, linear[number], mask, outliers)
+        found = None if linear is None else linear.unseen(done, mask, outliers)
         if found is None:
             found = _refitted(task, rows, mask, outliers)
         done += 1
@@ -127,64 +124,73 @@ def _refitted(task: Task, rows: Rows, mask: Mask, outliers: Mask) -> Array:
     return _as_wide(fitted.unseen(rows.select(mask), kept, outliers[mask]), rows)
 
 
-def _linear_solutions(fitted: Fitted, masks: tuple[Mask, ...]) -> dict[int, Array]:
-    """The parameters without each fold, where the linearised problem gives them: by the fold's number."""
-    task, estimate = fitted.task, fitted.estimate
-    if task.solver == "paper" or estimate.at_bound:
-        return {}
-    rows, model = estimate.problem.rows, fitted.kinematics.model
-    chosen = [k for k, mask in enumerate(masks) if _enough(rows, ~mask, len(model))]
-    if not chosen:
-        return {}
-    options = task_options(task, model, fitted.setup)
-    holds = Holds.of(model, options.priors, options.single, (), options.nominal)
-    linear = Linear.at(estimate.problem, estimate.x)
-    found = fold_fits(linear, holds, tuple(masks[k] for k in chosen), rows, options)
-    good = (found.freedom > FEWEST_FREEDOM) & np.all(np.isfinite(found.x), axis=1)
-    if options.bounds is not None:
-        low, high = options.bounds.T
-        good &= np.all((found.x >= low) & (found.x <= high), axis=1)
-    return {k: x for k, x, sound in zip(chosen, found.x, good, strict=True) if sound}
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearised:
+    """The fit to all rows, and the parameters without each fold where the linearised problem gives them.
+
+    Attributes:
+        fitted: The fit.
+        linear: Its problem, linearised at the solution.
+        found: The parameters by the fold's number, each of shape (p,).
+    """
+
+    fitted: Fitted
+    linear: Linear | Streamed
+    found: dict[int, Array]
+
+    @classmethod
+    def of(cls, fitted: Fitted, masks: tuple[Mask, ...]) -> _Linearised | None:
+        """Fit without each fold; None where that takes fits from the beginning."""
+        task, estimate = fitted.task, fitted.estimate
+        if task.solver == "paper" or estimate.at_bound:
+            return None
+        problem, model = estimate.problem, fitted.kinematics.model
+        chosen = [k for k, mask in enumerate(masks) if _enough(problem.rows, ~mask, len(model))]
+        if not chosen:
+            return None
+        options = task_options(task, model, fitted.setup)
+        holds = Holds.of(model, options.priors, options.single, (), options.nominal)
+        linear = linearised(problem, estimate.x)
+        tried = tuple(masks[k] for k in chosen)
+        found = fold_fits(problem, linear, estimate.x, holds, tried, options)
+        good = (found.freedom > FEWEST_FREEDOM) & np.all(np.isfinite(found.x), axis=1)
+        if options.bounds is not None:
+            low, high = options.bounds.T
+            good &= np.all((found.x >= low) & (found.x <= high), axis=1)
+        x = {k: one for k, one, sound in zip(chosen, found.x, good, strict=True) if sound}
+        return cls(fitted, linear, x)
+
+    def unseen(self, fold: int, mask: Mask, outliers: Mask) -> Array | None:
+        """What the parameters without a fold leave over at its rows, by the robot itself, not the linearised one.
+
+        None where there are none, or where the robot is not the linearised one at the rows that were kept.
+        """
+        if fold not in self.found:
+            return None
+        x, fitted = self.found[fold], self.fitted
+        problem = fitted.estimate.problem
+        rows, residual = problem.rows, problem.residual(x)
+        apart = (self.linear.residual(x) - residual / rows.scales) * (rows.scales / problem.scales)
+        used = rows.used & (~mask & (fitted.estimate.weights > 0.0))[:, None]
+        if not np.sqrt(np.mean(apart[used] ** 2)) < _LINEAR:
+            return None
+        if not np.any(only_there(fitted.kinematics.model, fitted.setup, rows, mask)):
+            return np.asarray(residual[mask])
+        without = replace(fitted, estimate=replace(fitted.estimate, x=x))
+        kept = rows.select(~mask)
+        return _as_wide(without.unseen(rows.select(mask), kept, outliers[mask]), rows)
 
 
 def _enough(rows: Rows, kept: Mask, parameters: int) -> bool:
     """Whether the rows that are kept are many for the parameters, in each set-up, and of every kind there is."""
-    if np.sum(rows.used[kept]) < parameters + FEWEST_FREEDOM:
+    count = np.sum(rows.used[kept], axis=1)
+    if np.sum(count) < parameters + FEWEST_FREEDOM:
         return False
-    scalars = np.bincount(rows.samples.frame[kept], np.sum(rows.used[kept], axis=1))
-    instruments, _ = rows.instruments
-    every = np.unique(instruments)
-    return bool(
-        np.all((scalars == 0.0) | (scalars >= _FEWEST_SCALARS))
-        and np.array_equal(np.unique(instruments[kept]), every)
-    )
-
-
-def _unseen(fitted: Fitted, x: Array, mask: Mask, outliers: Mask) -> Array | None:
-    """What parameters that were found without some rows leave over there, by the robot itself.
-
-    None where the robot at x is not the linearised one at the rows that were kept.
-    """
-    estimate = fitted.estimate
-    rows = estimate.problem.rows
-    residual = rows.residual(fitted.kinematics.poses(x, rows.samples))
-    loose = only_there(fitted.kinematics.model, fitted.setup, rows, mask)
-    if not _linear_enough(fitted, x, residual, ~mask):
-        return None
-    if not np.any(loose):
-        return np.asarray(residual[mask])
-    without = replace(fitted, estimate=replace(estimate, x=x))
-    kept = rows.select(~mask)
-    return _as_wide(without.unseen(rows.select(mask), kept, outliers[mask]), rows)
-
-
-def _linear_enough(fitted: Fitted, x: Array, residual: Array, kept: Mask) -> bool:
-    """Whether the robot's residual at x is what the linearised problem has there, next to the noise."""
-    problem = fitted.estimate.problem
-    at, jacobian = problem.residual_and_jacobian(fitted.estimate.x)
-    apart = (at - jacobian @ (x - fitted.estimate.x) - residual) / problem.scales
-    used = problem.rows.used & (kept & (fitted.estimate.weights > 0.0))[:, None]
-    return bool(np.sqrt(np.mean(apart[used] ** 2)) < _LINEAR)
+    scalars = np.bincount(rows.samples.frame[kept], count)
+    if np.any((scalars > 0.0) & (scalars < _FEWEST_SCALARS)):
+        return False
+    kinds = rows.kinds
+    return len(np.unique(kinds[kept])) == len(np.unique(kinds))
 
 
 def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossValidation:
@@ -199,10 +205,13 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
         target_given=~task.setup.target_unknown,
     )
 
+    T_base_tip = task.robot.poses(rows.joints)
+
     def predict_left_out(mask: Mask) -> Array:
         kept = rows.select(~mask)
-        found = nominal_setup(task.robot, setup, kept)
-        return _as_wide(_registered(task, found, rows.select(mask), kept, outliers[mask]), rows)
+        found = nominal_setup(T_base_tip[~mask], setup, kept)
+        left = _registered(T_base_tip[mask], found, rows.select(mask), kept, outliers[mask])
+        return _as_wide(left, rows)
 
     return cross_validate(_blocks(rows), left_out, outliers, rows.used, predict_left_out)
 
@@ -234,15 +243,15 @@ def _as_wide(residual: Array, rows: Rows) -> Array:
     return np.pad(residual, ((0, 0), (0, rows.width - residual.shape[1])))
 
 
-def _registered(task: Task, found: Setup, rows: Rows, seen: Rows, outliers: Mask) -> Array:
+def _registered(T_base_tip: Array, found: Setup, rows: Rows, seen: Rows, outliers: Mask) -> Array:
     """The nominal robot's error on left-out rows, with what only they see registered to them."""
     frames = np.isin(np.arange(len(found.groups)), seen.samples.frame)
     targets = np.isin(np.arange(len(found.targets)), seen.samples.target)
     rest = found.as_known(frames, targets)
-    T_base_tip = task.robot.poses(rows.joints)
-    chosen = without_outliers(rows, outliers)
-    placed = register_poses(T_base_tip[chosen], rest, rows.select(chosen))
-    return predict(task.robot, placed, rows)
+    if rest.count:
+        chosen = without_outliers(rows, outliers)
+        rest = register_poses(T_base_tip[chosen], rest, rows.select(chosen))
+    return rows.residual(seen_from(rest, T_base_tip, rows))
 
 
 def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> CrossValidation:
@@ -255,25 +264,26 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
         outliers: shape (N,), rows that errors are also told without; None for those that this fit flags.
     """
     task, problem, estimate = fitted.task, fitted.estimate.problem, fitted.estimate
-    rows = problem.rows
-    linear = Linear.at(problem, estimate.x)
+    rows, model = problem.rows, fitted.kinematics.model
+    linear = linearised(problem, estimate.x)
     left_out = folds_of(task, rows)
     known = linear.known(problem.precision, problem.centre)
-    model = fitted.kinematics.model
+    found = fold_means(linear, left_out.masks, problem.weights, estimate.noise, known)
+    means = iter(found)
 
     def predict_left_out(mask: Mask) -> Array:
-        weights = np.where(mask, 0.0, problem.weights)
-        x, _ = linear.data(weights).posterior(estimate.noise, known)
+        x = next(means)
         loose = only_there(model, fitted.setup, rows, mask)
-        A, y = linear.A[mask], linear.y[mask]
-        used = linear.used[mask]
+        part = linear.select(mask) if isinstance(linear, Linear) else None
+        part = Linear.of_part(problem, estimate.x, mask) if part is None else part
         if np.any(loose):
             # With the rows' weights: one that has none must not move the frame of the others.
+            used = part.used
             root = np.sqrt(problem.weights[mask])[np.nonzero(used)[0]]
-            rest = (y - A @ np.where(loose, 0.0, x))[used] * root
+            rest = part.residual(np.where(loose, 0.0, x))[used] * root
             x = x.copy()
-            x[loose] = np.linalg.lstsq(A[used][:, loose] * root[:, None], rest, rcond=1e-9)[0]
-        return (y - A @ x) * rows.scales[mask]
+            x[loose] = np.linalg.lstsq(part.A[used][:, loose] * root[:, None], rest, rcond=1e-9)[0]
+        return np.asarray(part.residual(x) * rows.scales[mask])
 
     aside = estimate.outliers if outliers is None else outliers
     return cross_validate(_blocks(rows), left_out, aside, rows.used, predict_left_out)

@@ -148,8 +148,10 @@ def evaluate(
     every, setup = rows_of(robot, measurements, cell)
     setup = setup if known is None else known.placed(setup)
     chosen = measurements.estimation
-    placed = nominal_setup(robot, setup, every.select(chosen) if np.any(chosen) else every)
-    return evaluation_at(robot, measurements, every, setup, placed, robot.poses(every.joints))
+    T_base_tip = robot.poses(every.joints)
+    chosen = chosen if np.any(chosen) else np.ones(len(every), dtype=bool)
+    placed = nominal_setup(T_base_tip[chosen], setup, every.select(chosen))
+    return evaluation_at(robot, measurements, every, setup, placed, T_base_tip)
 
 
 def evaluation_at(

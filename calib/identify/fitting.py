@@ -15,7 +15,7 @@ from calib.errors import MeasurementError, ModelError, choices
 from calib.identify.estimate import Estimate, Options, Solve, estimate, plain_estimate
 from calib.identify.options import options_of
 from calib.identify.problem import KnownDistance, Problem
-from calib.identify.registration import register, register_poses
+from calib.identify.registration import register, register_poses, register_seen
 from calib.identify.robust import scores
 from calib.identify.rows import POINT, Rows
 from calib.identify.setup import Setup, along_own_axes, targets_along_tip
@@ -252,27 +252,33 @@ def _check_enough(model: ErrorModel, cell: Cell, rows: Rows) -> None:
         raise ModelError(message)
 
 
-def nominal_setup(robot: Robot, setup: Setup, rows: Rows) -> Setup:
-    """Frames and targets as given; those that were not given as the nominal robot registers them."""
+def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
+    """Frames and targets as given; those that were not given as the nominal robot registers them.
+
+    Args:
+        T_base_tip: shape (N, 4, 4), poses of the nominal robot [m].
+        setup: What is known.
+        rows: N rows.
+    """
     asked = setup.as_known(setup.frame_given, setup.target_given)
-    return register_without_gross(robot, asked, rows)
+    return register_without_gross(T_base_tip, asked, rows)
 
 
-def register_without_gross(robot: Robot, setup: Setup, rows: Rows) -> Setup:
+def register_without_gross(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
     """The set-up registered to a nominal robot, without the rows that lie far from the others.
 
     One gross row would move target and frame, and with them the errors of the nominal robot on every other row.
 
     Args:
-        robot: The nominal robot.
+        T_base_tip: shape (N, 4, 4), poses of the nominal robot [m].
         setup: What is known.
-        rows: The rows.
+        rows: N rows.
     """
     kept = np.ones(len(rows), dtype=bool)
-    registered = register(robot, setup, rows)
+    registered = register_seen(T_base_tip, setup, rows)
     alive = np.any(rows.used, axis=1)
     for _ in range(_GROSS_ROUNDS if setup.count else 0):
-        residual = predict(robot, registered, rows)
+        residual = rows.residual(seen_from(registered, T_base_tip, rows))
         distance = np.sqrt(np.sum((residual / rows.scales) ** 2, axis=1))
         near = (distance <= _GROSS * np.median(distance[alive])) | ~alive
         if np.array_equal(near, kept) or np.sum(near & alive) < 0.6 * np.sum(alive):
@@ -280,7 +286,8 @@ def register_without_gross(robot: Robot, setup: Setup, rows: Rows) -> Setup:
         if not _keeps_setups(near, rows):
             break
         kept = near
-        registered = register(robot, setup, rows.select(kept | _partners_of(kept, rows)))
+        chosen = kept | _partners_of(kept, rows)
+        registered = register_seen(T_base_tip[chosen], setup, rows.select(chosen))
     return registered
 
 

@@ -16,6 +16,7 @@ from scipy.special import chdtri
 
 from calib.identify.estimate import ROUNDS, Options, staged
 from calib.identify.linear import Linear
+from calib.identify.problem import Problem
 from calib.identify.robust import Limits, as_of_a_point, cauchy_weights, norms_of
 from calib.identify.rows import Rows
 from calib.identify.stage import (
@@ -27,7 +28,8 @@ from calib.identify.stage import (
     Stage,
 )
 from calib.identify.statistics import Mask
-from calib.identify.variance import clipped, inverse
+from calib.identify.streamed import Streamed, linearised
+from calib.identify.variance import Known, Linearised, clipped, inverse
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
@@ -56,21 +58,26 @@ class FoldFits:
 
 
 def fold_fits(
-    linear: Linear, holds: Holds, masks: tuple[Mask, ...], rows: Rows, options: Options
+    problem: Problem,
+    linear: Linear | Streamed,
+    x: Array,
+    holds: Holds,
+    masks: tuple[Mask, ...],
+    options: Options,
 ) -> FoldFits:
     """Fit without each fold.
 
     Args:
-        linear: The problem linearised at the fit to all rows.
+        problem: Of all rows.
+        linear: It linearised at x.
+        x: shape (p,), the fit to all rows.
         holds: What holds the parameters.
         masks: The rows left out, each of shape (N,).
-        rows: All rows.
         options: Of the fit, without weights that stay.
     """
-    columns = len(holds.precision) + 1
-    if len(linear.smallest) * len(rows) * columns**2 > _MOST_NUMBERS:
-        return _one_by_one(linear, holds, masks, rows, options)
-    many = _Many.of(linear, holds, rows, options)
+    if not isinstance(linear, Linear) or not _fits_in_memory(linear):
+        return _one_by_one(problem, x, holds, masks, options)
+    many = _Many.of(linear, holds, problem.rows, options)
     stages = many.shared(_Stages.first(holds, ~np.array(masks), len(linear.smallest)))
     freedom = many.fit(stages)[2]
     active = np.arange(len(masks))
@@ -93,27 +100,65 @@ def fold_fits(
     return FoldFits(many.posterior(many.data(stages.effective), stages)[0], freedom)
 
 
+def fold_means(
+    linear: Linear | Streamed,
+    masks: tuple[Mask, ...],
+    weights: Array,
+    noise: tuple[float, ...],
+    known: Known,
+) -> Array:
+    """Posterior means without each fold, at weights, noise and priors that stay, shape (F, p)."""
+    if not isinstance(linear, Linear) or not _fits_in_memory(linear):
+        each = [linear.data(np.where(mask, 0.0, weights)) for mask in masks]
+    else:
+        data = _normal(*_products(linear), np.where(np.array(masks), 0.0, weights))
+        each = [Linearised(*one) for one in zip(data.H, data.g, data.yy, data.count, strict=True)]
+    return np.array([data.posterior(noise, known)[0] for data in each])
+
+
+def _fits_in_memory(linear: Linear) -> bool:
+    """Whether each row can be multiplied out by itself."""
+    N, _, p = linear.A.shape
+    return bool(len(linear.smallest) * N * (p + 1) ** 2 <= _MOST_NUMBERS)
+
+
 def _one_by_one(
-    linear: Linear, holds: Holds, masks: tuple[Mask, ...], rows: Rows, options: Options
+    problem: Problem, x: Array, holds: Holds, masks: tuple[Mask, ...], options: Options
 ) -> FoldFits:
     """`fold_fits` where there are many rows: one fold after the other, by the stages of a single fit."""
-    x, freedoms = [], []
+    found, freedoms = [], []
     for mask in masks:
-        kept, rest = rows.select(~mask), linear.select(~mask)
-        first = Stage(
-            holds,
-            np.ones(len(kept)),
-            np.ones(len(kept)),
-            (1.0,) * len(linear.smallest),
-            holds.start,
-        )
-        alike = first.sharing(rest, kept.poses, options.repeats)
-        *_, freedom = rest.fit(alike.effective, alike.noise, alike.precision, holds.centre)
-        last = staged(first, lambda _, rest=rest: rest, kept, options)  # type: ignore[misc]
+        without = Problem.first(problem.kinematics, problem.rows.select(~mask), problem.distances)
+        kept, rest = without.rows, linearised(without, x)
+        first = Stage.first(without, holds).sharing(rest, kept.poses, options.repeats)
+        *_, freedom = rest.fit(first.effective, first.noise, first.precision, holds.centre)
+        last = staged(Stage.first(without, holds), lambda _, rest=rest: rest, kept, options)  # type: ignore[misc]
         known = rest.known(last.precision, holds.centre)
-        x.append(rest.data(last.effective).posterior(last.noise, known)[0])
+        found.append(rest.data(last.effective).posterior(last.noise, known)[0])
         freedoms.append(freedom)
-    return FoldFits(np.array(x), np.array(freedoms))
+    return FoldFits(np.array(found), np.array(freedoms))
+
+
+def _products(linear: Linear) -> tuple[Array, Array]:
+    """[A, y]^T [A, y] of each instrument and row, shape (C, N, (p + 1)^2), and numbers of scalars, shape (C, N)."""
+    both = np.concatenate([linear.A, linear.y[:, :, None]], axis=2)
+    products, scalars = [], []
+    for c in range(len(linear.smallest)):
+        own = linear.instruments == c
+        columns = both if own.all() else both * own[:, :, None]
+        products.append((columns.transpose(0, 2, 1) @ columns).reshape(len(both), -1))
+        scalars.append(own.sum(axis=1, dtype=np.float64))
+    return np.array(products), np.array(scalars)
+
+
+def _normal(products: Array, scalars: Array, weights: Array) -> _Normal:
+    """The normal equations with weights of each fold, shape (F, N)."""
+    both = np.stack([weights @ one for one in products], axis=1)
+    q = round(products.shape[2] ** 0.5)
+    both = both.reshape(len(weights), -1, q, q)
+    return _Normal(
+        both[:, :, :-1, :-1], both[:, :, :-1, -1], both[:, :, -1, -1], weights @ scalars.T
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,25 +261,13 @@ class _Many:
     @classmethod
     def of(cls, linear: Linear, holds: Holds, rows: Rows, options: Options) -> _Many:
         """Multiply out each row once."""
-        both = np.concatenate([linear.A, linear.y[:, :, None]], axis=2)
-        products, scalars = [], []
-        for c in range(len(linear.smallest)):
-            own = linear.instruments == c
-            columns = both * own[:, :, None]
-            products.append((columns.transpose(0, 2, 1) @ columns).reshape(len(rows), -1))
-            scalars.append(own.sum(axis=1, dtype=np.float64))
         members = np.array(holds.families, dtype=np.float64).reshape(-1, len(holds.precision))
         repeats = options.repeats if _repeated(rows) else "independent"
-        return cls(linear, holds, rows, repeats, np.array(products), np.array(scalars), members)
+        return cls(linear, holds, rows, repeats, *_products(linear), members)
 
     def data(self, weights: Array) -> _Normal:
         """The normal equations with these weights, shape (F, N)."""
-        q = self.members.shape[1] + 1
-        both = np.stack([weights @ one for one in self.products], axis=1)
-        both = both.reshape(len(weights), -1, q, q)
-        return _Normal(
-            both[:, :, :-1, :-1], both[:, :, :-1, -1], both[:, :, -1, -1], weights @ self.scalars.T
-        )
+        return _normal(self.products, self.scalars, weights)
 
     def precision(self, sizes: Array) -> Array:
         """1 / tau^2 of each parameter, shape (F, p)."""

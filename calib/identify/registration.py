@@ -63,8 +63,19 @@ def register(robot: Robot, setup: Setup, rows: Rows, *, tolerance: float = 1e-12
     if not setup.count:
         return setup
     _check_enough(setup, rows)
-    rows = rows.select(_some(rows))
+    rows = rows if _few(rows) else rows.select(_some(rows))
     return register_poses(robot.poses(rows.joints), setup, rows, tolerance=tolerance)
+
+
+def register_seen(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
+    """`register` with the poses of the tip at all rows, shape (N, 4, 4), in place of a robot."""
+    if not setup.count:
+        return setup
+    _check_enough(setup, rows)
+    if _few(rows):
+        return register_poses(T_base_tip, setup, rows)
+    chosen = _some(rows)
+    return register_poses(T_base_tip[chosen], setup, rows.select(chosen))
 
 
 def register_poses(
@@ -140,6 +151,13 @@ def _check_enough(setup: Setup, rows: Rows) -> None:
                 "or leave its rows out."
             )
             raise MeasurementError(message)
+
+
+def _few(rows: Rows) -> bool:
+    """Whether all rows are needed to find a start."""
+    samples = rows.samples
+    one_view = len(rows) <= _ROWS and not (samples.frame.any() or samples.target.any())
+    return one_view or len(rows) <= _FEWEST_ROWS
 
 
 def _some(rows: Rows) -> NDArray[np.bool_]:
