@@ -65,8 +65,10 @@ class Fitted:
                 },
             )
         except (KeyError, TypeError, ValueError) as error:
+            from calib.model.json_file import damage
+
             message = (
-                f"{name}: what the result was fitted to is missing or damaged ({error!r}). Write it again with "
+                f"{name}: what the result was fitted to is missing or damaged ({damage(error)}). Write it again with "
                 "'calib fit --json'."
             )
             raise FileError(message) from error

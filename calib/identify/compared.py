@@ -17,6 +17,7 @@ from calib.identify.result import Calibration
 from calib.identify.result_file import plain, read_table, result_table, stored_result
 from calib.identify.stored import StoredResult
 from calib.measure.measurements import Measurements
+from calib.model.json_file import damage
 from calib.model.recorded import recorded_urdf
 from calib.model.robot import Robot, read_only
 
@@ -144,7 +145,7 @@ class Compared:
             return cls._of(table, stored, name, nominal or _found(table, stored, folder))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             message = (
-                f"{name}: the result lacks what a comparison needs ({error!r}). Write it again with "
+                f"{name}: the result lacks what a comparison needs ({damage(error)}). Write it again with "
                 "'calib fit --json' of this version."
             )
             raise FileError(message) from error

@@ -23,7 +23,7 @@ from calib.identify.result import Calibration
 from calib.identify.result_tables import SCHEMA, evaluation_table, result_table
 from calib.identify.stored import StoredLarger, StoredResult
 from calib.model.files import write_atomically
-from calib.model.json_file import json_bytes, read_json
+from calib.model.json_file import damage, json_bytes, read_json
 from calib.model.robot import read_only
 from calib.model.torques import Payload
 
@@ -98,7 +98,7 @@ def stored_result(table: Mapping[str, Any], source: str | Path) -> StoredResult:
         return _stored(table)
     except (KeyError, TypeError, ValueError, AttributeError, CalibError) as error:
         message = (
-            f"{source}: the result is incomplete or damaged ({error!r}). Write it again with "
+            f"{source}: the result is incomplete or damaged ({damage(error)}). Write it again with "
             "'calib fit --json'."
         )
         raise FileError(message) from error
@@ -209,7 +209,7 @@ def _text(value: Any) -> str:  # noqa: ANN401
     """One text of a JSON file."""
     if not isinstance(value, str):
         message = f"a text expected, {value!r} found"
-        raise TypeError(message)
+        raise ValueError(message)  # noqa: TRY004  it is the file's fault, as a number would be
     return value
 
 

@@ -20,7 +20,7 @@ from calib.measure.simulation import Simulated, VirtualCell
 from calib.measure.truth import Truth
 from calib.model.error_model import error_model
 from calib.model.files import write_atomically
-from calib.model.json_file import json_bytes, read_json
+from calib.model.json_file import damage, json_bytes, read_json
 from calib.model.readback import check_written, random_joint_values
 from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload
@@ -104,12 +104,14 @@ def read_truth(path: str | Path, robot: Robot) -> Truth:
     """
     expected = f"the truth of a simulated table has {SCHEMA!r}. Give the file that 'calib simulate --truth' wrote."
     table = read_json(path, "truth", _LARGEST_BYTES, SCHEMA, expected)
-    damage = (KeyError, TypeError, ValueError, AttributeError, CalibError)
+    damages = (KeyError, TypeError, ValueError, AttributeError, CalibError)
     try:
         other = _another_robot(table["robot"], robot)
         truth = None if other else _truth(table, robot)
-    except damage as error:
-        message = f"{path}: the truth is incomplete or damaged ({error!r}). Simulate it again."
+    except damages as error:
+        message = (
+            f"{path}: the truth is incomplete or damaged ({damage(error)}). Simulate it again."
+        )
         raise FileError(message) from error
     if truth is None:
         message = f"{path}: this is the truth of another robot: {other}"

@@ -6,7 +6,7 @@ import json
 import os
 from typing import Any
 
-from calib.errors import FileError
+from calib.errors import CalibError, FileError
 from calib.model.files import read_bytes
 
 
@@ -36,6 +36,22 @@ def read_json(
         message = f"{path}: its 'schema' is {found!r}; {expected}"
         raise FileError(message)
     return table
+
+
+def damage(error: Exception) -> str:
+    """What reading a file's nested tables stumbled over, in words.
+
+    Example:
+        >>> damage(KeyError("robot"))
+        "'robot' is missing"
+        >>> damage(TypeError("'float' object is not iterable"))
+        "a value is of another kind: 'float' object is not iterable"
+    """
+    if isinstance(error, KeyError):
+        return f"'{error.args[0]}' is missing"
+    if isinstance(error, (ValueError, CalibError)):
+        return str(error).rstrip(".")
+    return f"a value is of another kind: {error}"
 
 
 def json_bytes(table: object) -> bytes:
