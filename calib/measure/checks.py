@@ -103,7 +103,8 @@ def check_names(m: _Rows) -> None:
     taken = (*RESERVED, *(QUATERNION if "pose" in m.kinds else ()))
     if m.torques is not None:
         taken += tuple(name + TORQUE for name in names)
-    bad = [n for n in names if n in taken or not is_name(n) or names.count(n) > 1]
+    counts = Counter(names)
+    bad = [n for n in names if n in taken or not is_name(n) or counts[n] > 1]
     if bad or not names:
         message = (
             f"{source}: joint names are unique, on one line, without blanks around them, and none "
@@ -114,18 +115,30 @@ def check_names(m: _Rows) -> None:
     if strange:
         message = f"{source}: 'prismatic' names {choices(strange)}; the joints are {choices(names)}"
         raise MeasurementError(message)
+    _check_words(m, source)
+
+
+def _check_words(m: _Rows, source: str) -> None:
+    """Refuse words that are not allowed; each different one is looked at once, for there may be a million rows."""
+    strange = {word for word in set(m.sets) if word not in SETS}
+    no_targets = {target for target in set(m.targets) if not is_name(target)}
+    no_groups = {group for group in set(m.groups) if not (group == "" or is_name(group))}
+    unknown = {kind for kind in set(m.kinds) if kind not in KINDS}
+    pairs = "pair" in m.kinds
+    if not (strange or no_targets or no_groups or unknown or pairs):
+        return
     for row, word, target, group in zip(m.rows, m.sets, m.targets, m.groups, strict=True):
-        if word not in SETS:
+        if word in strange:
             message = f"{source}, row {row}: the set '{word}' is neither of {choices(SETS)}"
             raise MeasurementError(message)
-        if not is_name(target) or not (group == "" or is_name(group)):
+        if target in no_targets or group in no_groups:
             message = (
                 f"{source}, row {row}: target {target!r} and group {group!r} are names on one "
                 "line, without blanks around them; only the group may be empty"
             )
             raise MeasurementError(message)
     for row, kind, pair in zip(m.rows, m.kinds, m.pairs, strict=True):
-        if kind not in KINDS:
+        if kind in unknown:
             message = f"{source}, row {row}: the kind '{kind}' is none of {choices(KINDS)}"
             raise MeasurementError(message)
         if kind == "pair" and not is_name(pair):
@@ -137,8 +150,8 @@ def check_names(m: _Rows) -> None:
 
 
 def is_name(text: str) -> bool:
-    """Whether a text is one line and not empty, without blanks around it."""
-    return text != "" and text == text.strip() and len(text.splitlines()) == 1
+    """Whether a text is one line and not empty, without blanks around it, such as a text file can hold."""
+    return text != "" and text == text.strip() and len(text.splitlines()) == 1 and "\0" not in text
 
 
 def check_values(m: _Rows) -> None:
@@ -148,7 +161,8 @@ def check_values(m: _Rows) -> None:
         MeasurementError: with the row and the value.
     """
     source = m.source or "Measurements"
-    broken = [row for row in m.rows if not isinstance(row, (int, np.integer))]
+    strange = set(map(type, m.rows)) - {int}
+    broken = [row for row in m.rows if strange and not isinstance(row, (int, np.integer))]
     if broken:
         message = (
             f"{source}: the row number {broken[0]!r} is no integer; row numbers are whole numbers"
@@ -295,6 +309,8 @@ def two_rows(m: _Rows) -> dict[str, tuple[int, int]]:
 def _by_word(m: _Rows, kind: str, words: Sequence[str]) -> dict[str, list[int]]:
     """The rows of one kind, from 0, by a word of theirs."""
     found: dict[str, list[int]] = {}
+    if kind not in m.kinds:
+        return found
     for i, (each, word) in enumerate(zip(m.kinds, words, strict=True)):
         if each == kind:
             found.setdefault(word, []).append(i)

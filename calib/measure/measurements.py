@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +19,13 @@ from calib.measure.checks import (
     share_distances,
     two_rows,
 )
-from calib.measure.columns import POINT, QUATERNION, TORQUE
 from calib.measure.kinds import DEFAULT_TARGET, KINDS, LENGTHS, POSITIONS, SETS
 from calib.measure.layout import Layout
-from calib.measure.orientation import to_quaternions
 from calib.measure.points_file import Points, match_points, read_points, unmeasured_points
 from calib.measure.table import Table
+from calib.measure.table_text import table_text
 from calib.measure.values import Values
 from calib.model.files import write_atomically
-from calib.units import UNITS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,8 +109,9 @@ class Measurements:
         check_names(self)
         for name, kinds in _MEASURED_BY.items():
             fill(self, name, self._only(getattr(self, name), *kinds))
-        pairs = zip(self.kinds, self.pairs, strict=True)
-        fill(self, "pairs", tuple(word if kind == "pair" else "" for kind, word in pairs))
+        if any(self.pairs):
+            pairs = zip(self.kinds, self.pairs, strict=True)
+            fill(self, "pairs", tuple(word if kind == "pair" else "" for kind, word in pairs))
         shared = share_distances(self)
         fill(self, "distances", None if shared is None else _read_only(shared))
         check_values(self)
@@ -241,25 +238,25 @@ class Measurements:
                 f"takes one bool for each of the {len(self)} rows, shape ({len(self)},)"
             )
             raise MeasurementError(message)
-        index = np.flatnonzero(chosen).tolist()
+        here = chosen.tolist()
 
         def words(values: Sequence[str]) -> tuple[str, ...]:
             """The chosen of some words."""
-            return tuple(values[i] for i in index)
+            return tuple(compress(values, here))
 
         def numbers(values: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
             """The chosen of some numbers."""
-            return None if values is None else values[index]
+            return None if values is None else values[chosen]
 
         return replace(
             self,
-            joints=self.joints[index],
-            points=self.points[index],
+            joints=self.joints[chosen],
+            points=self.points[chosen],
             sets=words(self.sets),
             sigma=numbers(self.sigma),
             targets=words(self.targets),
             groups=words(self.groups),
-            rows=tuple(self.rows[i] for i in index),
+            rows=tuple(compress(self.rows, here)),
             kinds=words(self.kinds),
             rotations=numbers(self.rotations),
             distances=numbers(self.distances),
@@ -297,52 +294,12 @@ class Measurements:
         return [self.joint_names.index(name) for name in names]
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write a CSV table in degrees and millimetres that `read` gives back to 1e-15, relative.
+        """Write a CSV table in degrees and millimetres, see `calib.measure.table_text`.
 
         Raises:
             FileError: the file exists and ``overwrite`` is False, or it cannot be written.
         """
-        columns = {**self._word_columns(), **self._number_columns()}
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))  # csv writes a float as its repr
-        write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
-
-    def _word_columns(self) -> dict[str, Sequence[object]]:
-        """The columns of words that are needed, by their header."""
-        columns: dict[str, Sequence[object]] = {"row": self.rows, "set": self.sets}
-        if len(set(self.kinds)) > 1 or not set(self.kinds) <= {*POSITIONS, *LENGTHS}:
-            columns["kind"] = self.kinds
-        if any(target != DEFAULT_TARGET for target in self.targets):
-            columns["target"] = self.targets
-        if any(self.groups):
-            columns["group"] = self.groups
-        if any(self.pairs):
-            columns["pair"] = self.pairs
-        return columns
-
-    def _number_columns(self) -> dict[str, Sequence[object]]:
-        """The columns of numbers that are needed, by their header."""
-        found: list[tuple[str, str, NDArray[np.float64]]] = []  # name, unit, values
-        for i, name in enumerate(self.joint_names):
-            sliding = name in self.prismatic
-            found.append((name, "mm" if sliding else "deg", self.joints[:, i]))
-            if self.torques is not None and np.isfinite(self.torques[:, i]).all():
-                found.append((name + TORQUE, "N" if sliding else "Nm", self.torques[:, i]))
-        if self.of_kind(*POSITIONS).any() or not len(self):
-            found += [(name, "mm", self.points[:, i]) for i, name in enumerate(POINT)]
-        if self.rotations is not None:
-            turned = to_quaternions(self.rotations)
-            found += [(name, "", turned[:, i]) for i, name in enumerate(QUATERNION)]
-        for name, unit, values in (
-            ("distance", "mm", self.distances),
-            ("sigma", "mm", self.sigma),
-            ("sigma_angle", "deg", self.sigma_angle),
-        ):
-            if values is not None:
-                found.append((name, unit, values))
-        return dict(_written(*column) for column in found)
+        write_atomically(path, table_text(self).encode(), overwrite=overwrite)
 
 
 _ARRAYS = ("sigma", "rotations", "distances", "sigma_angle", "torques")
@@ -354,13 +311,6 @@ _MEASURED_BY: Mapping[str, tuple[str, ...]] = {
     "distances": LENGTHS,
     "sigma_angle": ("pose",),
 }
-
-
-def _written(name: str, unit: str, values: NDArray[np.float64]) -> tuple[str, list[float | str]]:
-    """The header and the cells of a column of numbers; cells are empty where nothing was measured."""
-    numbers = (values / UNITS[unit].to_si if unit else values).tolist()
-    cells = ["" if math.isnan(number) else number for number in numbers]
-    return (f"{name} [{unit}]" if unit else name), cells
 
 
 def _measured(elsewhere: Points, table: Table, layout: Layout, values: Values) -> Values:
@@ -392,6 +342,10 @@ def _read_only(values: ArrayLike) -> NDArray[np.float64]:
 
 def _mask(words: Sequence[str], *wanted: str) -> NDArray[np.bool_]:
     """True where a word is one of those wanted, read-only."""
-    mask = np.array([word in wanted for word in words], dtype=np.bool_)
+    there = set(words)  # mostly one
+    if there <= set(wanted) or there.isdisjoint(wanted):
+        mask = np.full(len(words), not there.isdisjoint(wanted), dtype=np.bool_)
+    else:
+        mask = np.array([word in wanted for word in words], dtype=np.bool_)
     mask.setflags(write=False)
     return mask

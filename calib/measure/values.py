@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import math
-import re
 from array import array
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, choices
-from calib.measure.columns import Column, check_cells, place
-from calib.measure.kinds import DEFAULT_TARGET, POSITIONS, SETS
+from calib.measure.columns import check_cells
+from calib.measure.kinds import SETS
 from calib.measure.layout import Layout
 from calib.measure.orientation import to_matrices, wrong_length
+from calib.measure.regular_rows import Columns, RegularRows
+from calib.measure.row_reader import DEFAULTS, RowNumbers, RowReader
 from calib.measure.table import Row, Table
 from calib.measure.wrong_units import WrongUnits
-from calib.units import split_header
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,33 +53,24 @@ class Values:
             MeasurementError: a row, a cell or a column's values cannot be used, or no row is
                 ``estimate``, or none is measured.
         """
-        reader = _Reader(table, layout)
-        numbers, lines = array("d"), array("q")
-        numbered: dict[int, int] = {}  # row number: line
-        unmeasured: list[int] = []
-        kinds: list[str] = []
-        words: dict[str, list[str]] = {name: [] for name in reader.words}
-        for row in table.rows():
-            check_cells(table, row, layout.words.get("row"))
-            kind = reader.kind(row)
-            number = reader.row_number(row, numbered)
-            numbered[number] = row.line
-            if reader.is_unmeasured(row, kind):
-                unmeasured.append(number)
-                continue
-            kinds.append(kind)
-            numbers.extend(reader.numbers(row, kind))
-            lines.append(row.line)
-            for name, values in words.items():
-                values.append(reader.word(row, name, kind))
+        found = _Found(table, layout)
+        found.read()
+        numbers, lines, words, unmeasured = (
+            found.numbers,
+            found.lines,
+            found.words,
+            found.unmeasured,
+        )
         if not lines:
             raise MeasurementError(_no_rows(table, layout, len(unmeasured)))
         check_sets(table.source, words.get("set", SETS[:1]), len(unmeasured))
-        grid = np.array(numbers, dtype=np.float64).reshape(len(lines), -1)
-        left_out = set(unmeasured)
-        rows = tuple(number for number in numbered if number not in left_out)
-        _check_quaternions(table, layout, grid, tuple(lines), rows)
-        WrongUnits(table.source, layout, grid, tuple(lines), rows).check()
+        grid = np.frombuffer(numbers, dtype=np.float64).reshape(len(lines), -1)
+        rows = tuple(found.numbered.numbers)
+        if unmeasured:
+            left_out = set(unmeasured)
+            rows = tuple(number for number in rows if number not in left_out)
+        _check_quaternions(table, layout, grid, lines, rows)
+        WrongUnits(table.source, layout, grid, lines, rows).check()
         si = grid * np.array([column.to_si for column in layout.numbers])
 
         def block(name: str) -> NDArray[np.float64] | None:
@@ -91,7 +80,7 @@ class Values:
 
         def word(name: str) -> tuple[str, ...]:
             """The words of one column, or what stands for them without it."""
-            return tuple(words.get(name) or [_DEFAULTS[name]] * len(lines))
+            return tuple(words.get(name) or (DEFAULTS[name],) * len(lines))
 
         points, orientation = layout.span("points"), layout.span("orientation")
         return cls(
@@ -102,7 +91,7 @@ class Values:
             targets=word("target"),
             groups=word("group"),
             rows=rows,
-            kinds=tuple(kinds),
+            kinds=tuple(found.kinds),
             rotations=to_matrices(si[:, orientation]) if orientation else None,
             distances=block("distance"),
             sigma_angle=block("sigma_angle"),
@@ -133,6 +122,74 @@ class Values:
         return Values(**left, unmeasured=tuple(unmeasured))
 
 
+# Words that hardly any two rows have in common.
+_OWN = ("pair", "point")
+
+
+class _Found:
+    """What was found in the rows of a table; numbers one row after the other."""
+
+    __slots__ = (
+        "_layout",
+        "_shared",
+        "_table",
+        "kinds",
+        "lines",
+        "numbered",
+        "numbers",
+        "unmeasured",
+        "words",
+    )
+
+    def __init__(self, table: Table, layout: Layout) -> None:
+        """Nothing yet."""
+        self._table, self._layout = table, layout
+        self.numbers, self.lines, self.numbered = array("d"), array("q"), RowNumbers()
+        self.unmeasured: list[int] = []
+        self.kinds: list[str] = []
+        self.words: dict[str, list[str]] = {}
+        self._shared: dict[str, str] = {}  # a word: one object for all rows that have it
+
+    def read(self) -> None:
+        """Read all rows, many at once where nothing is unusual in them."""
+        reader = RowReader(self._table, self._layout)
+        regular = RegularRows(self._table, self._layout, reader)
+        self.words = {name: [] for name in reader.words}
+        for block in self._table.blocks():
+            columns = regular.read(block, self.numbered)
+            if columns is not None:
+                self._add(columns, block.lines)
+                continue
+            for row in block.rows():
+                self._add_row(row, reader)
+
+    def _add(self, columns: Columns, lines: Sequence[int]) -> None:
+        """Add rows that are all of one kind and measured."""
+        self.numbers.frombytes(columns.numbers.tobytes())
+        self.numbered.add(columns.rows, lines)
+        self.lines.extend(lines)
+        self.kinds += self._layout.kinds * len(lines)
+        for name, values in self.words.items():
+            values += columns.words[name]
+
+    def _add_row(self, row: Row, reader: RowReader) -> None:
+        """Read and add a row."""
+        check_cells(self._table, row, self._layout.words.get("row"))
+        kind = reader.kind(row)
+        number = reader.row_number(row, self.numbered)
+        self.numbered.add([number], [row.line])
+        if reader.is_unmeasured(row, kind):
+            self.unmeasured.append(number)
+            return
+        share = self._shared.setdefault
+        self.kinds.append(share(kind, kind))
+        self.numbers.extend(reader.numbers(row, kind))
+        self.lines.append(row.line)
+        for name, values in self.words.items():
+            word = reader.word(row, name, kind)
+            values.append(word if name in _OWN else share(word, word))
+
+
 def check_sets(source: str, sets: Sequence[str], unmeasured: int) -> None:
     """Refuse a table of which no row is to be estimated from.
 
@@ -161,221 +218,12 @@ def _no_rows(table: Table, layout: Layout, unmeasured: int) -> str:
     )
 
 
-_DEFAULTS = {"set": SETS[0], "target": DEFAULT_TARGET, "group": "", "pair": "", "point": ""}
-
-_MUST: dict[str, str] = {
-    "target": "Name the target, or remove the column when there is only one.",
-    "pair": "The two rows of a measured distance share a word here.",
-    "point": "Name the point of the file of points that was measured here.",
-}
-
-
-class _Reader:
-    """Reads one row after the other, with what has to be remembered between them."""
-
-    __slots__ = ("_groups", "_layout", "_measured", "_picks", "_signs", "_table", "words")
-
-    def __init__(self, table: Table, layout: Layout) -> None:
-        """Prepare for the kinds of rows that there are."""
-        self._table, self._layout = table, layout
-        self._picks = {kind: _Pick.of(layout, layout.used_by(kind)) for kind in layout.kinds}
-        self._measured = {
-            kind: [column.index for column in layout.measured_by(kind)] for kind in layout.kinds
-        }
-        if "pair" in layout.kinds:
-            distance = layout.span("distance")
-            rest = [i for i in layout.used_by("pair") if i not in distance]
-            self._picks["other of a pair"] = _Pick.of(layout, rest)
-        there = {*layout.words, *(["group"] if layout.groups else [])}
-        self.words = tuple(name for name in _DEFAULTS if name in there)
-        self._signs: dict[str, int] = {}  # decimal sign: the first line that has it
-        self._groups: dict[str, tuple[str, ...]] = {}
-
-    def place(self, row: Row, column: Column | None = None) -> str:
-        """Where a cell stands."""
-        return place(self._table, row, self._layout.words.get("row"), column)
-
-    def numbers(self, row: Row, kind: str) -> list[float]:
-        """The numbers of one row, in the order of ``layout.numbers``; NaN where its kind has none."""
-        pick = self._picks[kind]
-        if kind == "pair" and row.cells[pick.columns[pick.distance].index] == "":
-            pick = self._picks["other of a pair"]
-        texts = pick.cells(row.cells)
-        values = self._convert(row, pick.columns, texts)
-        if self._table.separator == ";":
-            self._note_signs(row.line, "".join(texts))
-        if pick.places is None:
-            return values
-        wide = [math.nan] * pick.width
-        for i, value in zip(pick.places, values, strict=True):
-            wide[i] = value
-        return wide
-
-    def _convert(
-        self, row: Row, columns: tuple[Column, ...], texts: tuple[str, ...]
-    ) -> list[float]:
-        """Finite numbers of texts."""
-        if self._table.separator == ";" and any("," in text for text in texts):
-            plain = tuple(text.replace(",", ".") for text in texts)
-        else:
-            plain = texts
-        try:
-            values = [float(text) for text in plain]
-        except ValueError:
-            values = []
-        # float() takes 1_000, which no table means; a sum is finite only if all its terms are.
-        if values and math.isfinite(sum(values)) and "_" not in "".join(plain):
-            return values
-        column, what = _bad_number(self._table, columns, texts, plain)
-        message = f"{self.place(row, column)}: {what}"
-        raise MeasurementError(message)
-
-    def _note_signs(self, line: int, text: str) -> None:
-        """Refuse decimal points beside decimal commas: one of them may separate thousands."""
-        for sign in ".,":
-            if sign in text:
-                self._signs.setdefault(sign, line)
-        if len(self._signs) == 2:
-            message = (
-                f"{self._table.source}: numbers have a decimal point in line {self._signs['.']} and "
-                f"a decimal comma in line {self._signs[',']}. Write all in one way, without a sign "
-                "between thousands."
-            )
-            raise MeasurementError(message)
-
-    def is_unmeasured(self, row: Row, kind: str) -> bool:
-        """Whether all that this row should have measured is empty, a pose still to come; or it was never sent."""
-        places = self._measured[kind]
-        empty = bool(places) and not any(row.cells[i] for i in places)
-        return empty or self._layout.has_no_command(row.cells)
-
-    def row_number(self, row: Row, numbered: dict[int, int]) -> int:
-        """The number of the row a person sees; ``numbered`` holds those before it, with their lines."""
-        column = self._layout.words.get("row")
-        if column is None:
-            return row.ordinal
-        text = row.cells[column.index]
-        where = f"{self._table.source}, line {row.line}, column '{column.label}'"
-        if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
-            message = (
-                f"{where}: '{text}' is not a whole number. Number the rows, or remove the column."
-            )
-            raise MeasurementError(message)
-        number = int(text)
-        if number in numbered:
-            message = (
-                f"{where}: the row number {number} is also that of line {numbered[number]}. Each "
-                "row has its own."
-            )
-            raise MeasurementError(message)
-        return number
-
-    def kind(self, row: Row) -> str:
-        """The kind of a row, which `Layout.find` has looked at."""
-        column = self._layout.words.get("kind")
-        return self._layout.kinds[0] if column is None else row.cells[column.index]
-
-    def word(self, row: Row, name: str, kind: str) -> str:
-        """A word of a row; "" where its kind has no such word."""
-        if name == "group":
-            return self._group(row)
-        if (name == "pair" and kind != "pair") or (name == "point" and kind not in POSITIONS):
-            return ""
-        column = self._layout.words[name]
-        text = row.cells[column.index]
-        if name == "set" and text not in SETS:
-            message = (
-                f"{self.place(row, column)}: '{text}' is not a set; allowed are {choices(SETS)}. If "
-                "the column means something else, "
-                f'--columns "{split_header(column.label)[0]}=-" leaves it out.'
-            )
-            raise MeasurementError(message)
-        if name in _MUST and not text:
-            message = f"{self.place(row, column)}: the cell is empty. {_MUST[name]}"
-            raise MeasurementError(message)
-        return text
-
-    def _group(self, row: Row) -> str:
-        """The name of the set-up of a row, of one column or of several."""
-        columns = self._layout.groups
-        if len(columns) < 2:
-            return row.cells[columns[0].index] if columns else ""
-        words = tuple(row.cells[column.index] for column in columns)
-        name = "/".join(words)
-        if self._groups.setdefault(name, words) != words:
-            message = (
-                f"{self.place(row)}: the words {choices(words)} make the same group '{name}' as "
-                f"{choices(self._groups[name])}. Write words without '/' in these columns."
-            )
-            raise MeasurementError(message)
-        return name
-
-
-@dataclass(frozen=True, slots=True)
-class _Pick:
-    """The number columns that rows of one kind use.
-
-    Attributes:
-        columns: those used.
-        cells: gives their texts out of a row's cells.
-        places: where they stand among all number columns; None when all are used.
-        width: the number of all number columns.
-        distance: the position of the distance among ``columns``; -1 when it is not there.
-    """
-
-    columns: tuple[Column, ...]
-    cells: Callable[[list[str]], tuple[str, ...]]
-    places: list[int] | None
-    width: int
-    distance: int
-
-    @classmethod
-    def of(cls, layout: Layout, used: list[int]) -> _Pick:
-        """The columns ``used`` among ``layout.numbers``."""
-        every = layout.numbers
-        columns = tuple(every[i] for i in used)
-        get = itemgetter(*(column.index for column in columns))
-        distance = layout.span("distance")
-        return cls(
-            columns,
-            get if len(columns) > 1 else lambda cells: (get(cells),),
-            None if len(used) == len(every) else used,
-            len(every),
-            used.index(distance[0]) if distance and distance[0] in used else -1,
-        )
-
-
-def _bad_number(
-    table: Table, columns: tuple[Column, ...], texts: tuple[str, ...], plain: tuple[str, ...]
-) -> tuple[Column, str]:
-    """The first column of a row that does not hold a finite number, and what is wrong with it."""
-    for column, text, candidate in zip(columns, texts, plain, strict=True):
-        if text == "":
-            return column, "the cell is empty. Fill in the number, or remove the row."
-        try:
-            value = math.nan if "_" in candidate else float(candidate)
-            number = "_" not in candidate
-        except ValueError:
-            number = False
-        if number and math.isfinite(value):
-            continue
-        if number:
-            return column, f"'{text}' is not a finite number. Correct it, or remove the row."
-        if "," in text and table.separator != ";":
-            return column, (
-                f"'{text}' has a decimal comma. Write a decimal point, or separate the columns by "
-                "semicolons: then decimal commas are read."
-            )
-        return column, f"'{text}' is not a number. Write it as 123.45; the unit is in the header."
-    return columns[0], "the numbers of the row are too large"
-
-
 def _check_quaternions(
     table: Table,
     layout: Layout,
     grid: NDArray[np.float64],
-    lines: tuple[int, ...],
-    rows: tuple[int, ...],
+    lines: Sequence[int],
+    rows: Sequence[int],
 ) -> None:
     """Refuse quaternions that have not length one."""
     at = layout.span("orientation")

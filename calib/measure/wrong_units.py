@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,8 +53,8 @@ class WrongUnits:
     source: str
     layout: Layout
     grid: NDArray[np.float64]
-    lines: tuple[int, ...]
-    rows: tuple[int, ...]
+    lines: Sequence[int]
+    rows: Sequence[int]
 
     def check(self) -> None:
         """Refuse values that are not what they are said to be.
