@@ -102,25 +102,46 @@ def geometry_of(kinematics: Kinematics, x: Array, *, columns: bool = True) -> Ge
         x: shape (p,), [m] and [rad].
         columns: Whether derivatives are asked for.
     """
+    at, robot = Displaced.of(kinematics, x), kinematics.robot
+    entries = (*_no_entries(), 0)
+    if columns:
+        entries = (*_entries(kinematics, at.directions, _to_axes(robot)), len(kinematics.model))
+    return _geometry(
+        robot,
+        at.placements,
+        at.T_last_tip,
+        entries,
+        at.T_frame_root,
+        at.T_frame_base,
+        at.T_tip_target,
+    )
+
+
+def _geometry(
+    robot: Robot,
+    placements: Array,
+    T_last_tip: Array,
+    columns: tuple[NDArray[np.int_], Array, int],
+    T_frame_root: Array,
+    T_frame_base: Array,
+    T_tip_target: Array,
+) -> Geometry:
+    """A chain of these placements; ``columns`` are entries, twists and the number of parameters."""
     from calib.model.kernel import Geometry
 
-    robot = kinematics.robot
-    at = Displaced.of(kinematics, x)
-    n = len(robot.joints)
-    turns = _to_axes(robot)
-    placements = [*at.placements, at.T_last_tip]
-    own = [placements[i] @ turns[i] for i in range(n)] + [placements[n]]
+    n, turns = len(robot.joints), _to_axes(robot)
+    own = [*(placements[i] @ turns[i] for i in range(n)), T_last_tip]
     steps = [own[0], *(turns[i].T @ own[i + 1] for i in range(n))]
-    entries, twists = _entries(kinematics, at.directions, turns) if columns else _no_entries()
+    entries, twists, count = columns
     return Geometry(
         slides=fixed(np.array([joint.type == "prismatic" for joint in robot.joints])),
         steps=fixed(_flat(np.array(steps[1:]))),
-        starts=fixed(_flat(at.T_frame_root @ steps[0])),
-        bases=fixed(_flat(at.T_frame_base)),
-        targets=fixed(_flat(at.T_tip_target)),
+        starts=fixed(_flat(T_frame_root @ steps[0])),
+        bases=fixed(_flat(T_frame_base)),
+        targets=fixed(_flat(T_tip_target)),
         entries=fixed(entries),
         twists=fixed(twists),
-        columns=len(kinematics.model) if columns else 0,
+        columns=count,
     )
 
 
@@ -138,11 +159,22 @@ def stood_at(kinematics: Kinematics, x: Array, samples: Samples, *, columns: boo
         each = model.mixing[list(model.joint_terms)] @ x
         values = values + (numbers * each) @ _driven(robot, kinematics)
     return Stood(
-        values=fixed(values),
+        values=fixed(_within_reach(robot, values)),
         frame=fixed(samples.frame),
         target=fixed(samples.target),
         numbers=fixed(numbers if columns else np.empty((len(samples), 0))),
     )
+
+
+def _within_reach(robot: Robot, values: Array) -> Array:
+    """Angles so far round that the kernel would not reduce them exactly, by whole turns nearer to zero."""
+    from calib.model.kernel import FARTHEST
+
+    if np.max(np.abs(values), initial=0.0) <= FARTHEST:
+        return values
+    turns = [joint.type != "prismatic" for joint in robot.joints]
+    near = np.arctan2(np.sin(values), np.cos(values))
+    return np.where(np.array(turns), near, values)
 
 
 def fixed(values: NDArray[Any]) -> NDArray[Any]:
@@ -182,6 +214,56 @@ def twists_of(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array
 
     in_threads(work, len(samples))
     return poses, twists
+
+
+def robot_poses(robot: Robot, values: Array) -> Array:
+    """T_base_tip, shape (N, 4, 4), [m].
+
+    Args:
+        robot: The robot.
+        values: shape (N, n), of the chain's joints, see `Robot.chain_values`.
+    """
+    from calib.model import kernel
+
+    n, one = len(robot.joints), np.eye(4)
+    placements, T_last_tip = robot.placements[:n], robot.placements[n]
+    T_base_root = rigid_inverse(robot.T_root_base)
+    geometry = _geometry(robot, placements, T_last_tip, (*_no_entries(), 0), T_base_root, one, one)
+    first = fixed(np.zeros(len(values), dtype=np.int_))
+    stood = kernel.Stood(
+        fixed(_within_reach(robot, values)), first, first, fixed(np.empty((len(values), 0)))
+    )
+    out = np.empty((len(values), 4, 4))
+    in_threads(lambda a, b: kernel.poses(geometry, stood, a, b, out), len(values))
+    return out
+
+
+def warm_up() -> None:
+    """Compile the kernel and keep it on disk, so that the first large table need not wait for it."""
+    from calib.model import kernel
+
+    n, p = 1, 1
+    geometry = kernel.Geometry(
+        slides=fixed(np.zeros(n, dtype=bool)),
+        steps=fixed(np.zeros((n, 12))),
+        starts=fixed(np.zeros((1, 12))),
+        bases=fixed(np.zeros((1, 12))),
+        targets=fixed(np.zeros((1, 12))),
+        entries=fixed(np.zeros((p, 6), dtype=np.int_)),
+        twists=fixed(np.zeros((p, 6))),
+        columns=p,
+    )
+    first, ones = fixed(np.zeros(1, dtype=np.int_)), fixed(np.ones(1))
+    stood = kernel.Stood(fixed(np.zeros((1, n))), first, first, fixed(np.zeros((1, 1))))
+    measured = kernel.Measured(
+        kernel.POSITION, fixed(np.zeros((1, 3))), fixed(np.zeros((1, 9))), ones
+    )
+    seen = (geometry, stood, stood, measured, ones, ones)
+    kernel.poses(geometry, stood, 0, 1, np.empty((1, 4, 4)))
+    kernel.twists(geometry, stood, 0, 1, np.empty((1, 6, p)))
+    kernel.normal(*seen, 0, 1, np.zeros((2, 4, 4)))
+    kernel.rows(*seen, 0, 1, np.empty((1, 3, p + 1)))
+    kernel.norms(*seen, 0, fixed(np.zeros(p)), fixed(np.zeros((4, 4))), ones, 0, 1, np.empty(1))
 
 
 @lru_cache(maxsize=16)

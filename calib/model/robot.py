@@ -199,8 +199,12 @@ class Robot:
         Raises:
             ModelError: ``q`` has not one column for each of ``joint_names``, or a value is not finite.
         """
-        configurations = self.configurations(self.chain_values(q))
-        T_root_last = last_joint_poses(self._chain.model, configurations)
+        from calib.model.batch import MANY, robot_poses
+
+        values = self.chain_values(q)
+        if len(values) >= MANY:
+            return robot_poses(self, values)
+        T_root_last = last_joint_poses(self._chain.model, self.configurations(values))
         result: NDArray[np.float64] = (
             rigid_inverse(self.T_root_base) @ T_root_last @ self.placements[-1]
         )
