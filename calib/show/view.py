@@ -130,7 +130,7 @@ class View:
             )
             raise ModelError(message)
         if not 0 <= self.start < count:
-            message = f"start is {self.start}, and there are {count} poses; give a number from 0 to one less."
+            message = f"start is {self.start}, and there are {count} poses; give a number from 0 to {count - 1}."
             raise ModelError(message)
 
     @property

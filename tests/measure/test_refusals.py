@@ -152,7 +152,7 @@ def test_a_truth_that_is_damaged(ur3, tmp_path):
     cell = VirtualCell(draw_truth(ur3, "zeros", seed=1))
     path = write_truth(cell, cell.measure(np.zeros((2, 6))), tmp_path / "t.json")
     table = json.loads(path.read_text())
-    table["targets"][0]["xyz_m"] = [0.1, 0.2]
+    table["targets"][0].update(xyz_m=[0.1, 0.2], rpy_rad=[0.0, 0.0, 0.0])
     path.write_text(json.dumps(table))
     with refused(
         FileError,
@@ -241,3 +241,15 @@ def test_sweeps_of_parallel_axes(ur3):
         "for it.",
     ):
         survey(again)
+
+
+def test_arcs_that_are_lines_and_planes_of_a_row():
+    points = np.outer(np.linspace(0.0, 0.1, 9), [1.0, 0.0, 0.0])
+    with refused(
+        CalibError,
+        "the points lie on a line (they spread over 32.3 mm along it and 0 mm across): no circle "
+        "lies through them. Let the joint turn further, or fix the target further from its axis",
+    ):
+        fit_circle(points)
+    with refused(CalibError, "?"):
+        fit_plane(points)
