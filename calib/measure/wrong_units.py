@@ -123,13 +123,14 @@ class WrongUnits:
 
     def _positive(self) -> None:
         """Refuse a standard deviation or a distance that is not greater than zero."""
+        leave_out = ". Correct it, or leave the column out: the noise is found from the data."
         for name, what, fix in (
-            ("sigma", "a standard deviation", ""),
-            ("sigma_angle", "a standard deviation", ""),
+            ("sigma", "a standard deviation", leave_out),
+            ("sigma_angle", "a standard deviation", leave_out),
             (
                 "distance",
                 "a distance",
-                ". A target that stays at one point is of the kind 'fixed'",
+                ". A target that stays at one point is of the kind 'fixed'.",
             ),
         ):
             for i in self.layout.span(name):

@@ -196,11 +196,8 @@ class _Scan:
             return
         start = self.parser.CurrentByteIndex
         found = _START_TAG.match(self.data, start)
-        if found is None:  # the position is what everything rests on: never go on without it
-            message = (
-                f"{self.source}, line {self.parser.CurrentLineNumber}: <{tag}> cannot be located"
-            )
-            raise UrdfError(message)
+        # The position is what everything rests on: never go on without it.
+        assert found is not None, f"<{tag}> does not stand where the parser says"
         line = self.parser.CurrentLineNumber
         self._open.append((tag, attributes, line, start, found.end(), []))
 

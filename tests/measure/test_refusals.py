@@ -16,7 +16,7 @@ from calib.measure.axes import survey
 from calib.measure.cell import Cell
 from calib.measure.cell_parts import GroupDistance
 from calib.measure.disturbances import MovedTarget, Outliers
-from calib.measure.geometric_fits import fit_circle
+from calib.measure.geometric_fits import fit_circle, fit_plane
 from calib.measure.quantities import parse_joint_value
 from calib.measure.ranges import joint_ranges
 from calib.measure.region import Region
@@ -251,5 +251,9 @@ def test_arcs_that_are_lines_and_planes_of_a_row():
         "lies through them. Let the joint turn further, or fix the target further from its axis",
     ):
         fit_circle(points)
-    with refused(CalibError, "?"):
+    with refused(
+        CalibError,
+        "the points lie on a line (they spread over 32.3 mm along it and 0 mm across): no plane lies "
+        "through them alone. Touch it at places that are well apart, not in a row",
+    ):
         fit_plane(points)

@@ -257,3 +257,13 @@ def test_a_joint_value_without_a_number():
         '"0.3 m".',
     ):
         parse_joint_value("half a turn", "[held] 'elbow'")
+
+
+def test_a_standard_deviation_of_zero(tmp_path):
+    path = written(tmp_path, "a [deg],x [mm],y [mm],z [mm],sigma [mm]", "1,100,200,300,0")
+    with refused(
+        MeasurementError,
+        "t.csv, line 2 (row 1), column 'sigma [mm]': sigma is '0'; a standard deviation is greater "
+        "than zero. Correct it, or leave the column out: the noise is found from the data.",
+    ):
+        Measurements.read(path)
