@@ -1,0 +1,339 @@
+"""The pages of docs/: all listed, links that lead somewhere, calls and Python that run, messages that calib says.
+
+The site itself is built by `make docs`, where a name that leads nowhere is an error too.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import re
+import shlex
+from collections.abc import Iterator
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
+from typer.main import get_command
+
+import calib
+from calib.cli import app
+from calib.data import paper_measurements, paper_urdf
+from tests.cli.conftest import calib_here
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted(DOCS.glob("*.md"))]
+READER = MarkdownIt().enable("table")
+ENTRY = re.compile(r"^ {3}([\w-]+)$", re.MULTILINE)
+
+
+def name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@cache
+def tokens(page: Path) -> list[Token]:
+    return READER.parse(page.read_text(encoding="utf-8"))
+
+
+@cache
+def anchors(page: Path) -> set[str]:
+    """The anchors that hosts of Git repositories give to a page's headings."""
+    found: set[str] = set()
+    parsed = tokens(page)
+    for token, inner in pairwise(parsed):
+        if token.type == "heading_open":
+            text = "".join(child.content for child in inner.children or ())
+            slug = re.sub(r"[^\w\- ]", "", text.strip().lower()).replace(" ", "-")
+            count = sum(slug == one or one.startswith(f"{slug}-") for one in found)
+            found.add(f"{slug}-{count}" if slug in found else slug)
+    return found
+
+
+def links(page: Path) -> Iterator[str]:
+    for token in tokens(page):
+        for child in token.children or ():
+            target = child.attrGet("href") or child.attrGet("src")
+            if target:
+                yield str(target)
+
+
+def fences(page: Path) -> list[tuple[str, str]]:
+    return [(token.info, token.content) for token in tokens(page) if token.type == "fence"]
+
+
+def test_every_page_stands_in_one_list_of_contents():
+    index = (DOCS / "index.rst").read_text(encoding="utf-8")
+    named = ENTRY.findall(index)
+    pages = {path.stem for path in (*DOCS.glob("*.md"), *DOCS.glob("*.rst"))} - {"index"}
+    assert len(named) == len(set(named))
+    assert set(named) <= pages
+    # A page that is named nowhere appears under the last heading: conf.py fills it in.
+    assert index.rstrip().endswith(".. unlisted")
+    assert pages - set(named) <= {path.stem for path in DOCS.glob("*.md")}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_and_anchors_lead_somewhere(page: Path):
+    for target in links(page):
+        if re.match(r"\w+:", target):
+            continue
+        file, _, anchor = target.partition("#")
+        there = (page.parent / file).resolve() if file else page
+        assert there.exists(), target
+        assert not anchor or anchor in anchors(there), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_files_that_a_page_names_are_there(page: Path):
+    text = page.read_text(encoding="utf-8")
+    for file in re.findall(r"(?<![\w/.])(?:calib|docs|scripts|tests|urdf)/[\w/-]+(?:\.\w+)+", text):
+        assert (ROOT / file).exists(), file
+
+
+def test_the_api_page_has_every_public_name_once():
+    page = (DOCS / "api.rst").read_text(encoding="utf-8")
+    listed = re.findall(r"^\.\. auto\w+:: calib\.(\w+)$", page, re.MULTILINE)
+    assert sorted([*listed, "show"]) == sorted(calib.__all__)
+    assert "calib.show.opening.show" in page
+
+
+@pytest.mark.parametrize("page", ["api.rst", "api-parts.rst"])
+def test_what_the_api_pages_describe_exists(page: str):
+    entries = re.findall(
+        r"^\.\. auto\w+:: ([\w.]+)$", (DOCS / page).read_text("utf-8"), re.MULTILINE
+    )
+    assert len(entries) > 30
+    for entry in entries:
+        module, _, last = entry.rpartition(".")
+        assert hasattr(importlib.import_module(module), last), entry
+
+
+def test_docstrings_name_pages_that_exist():
+    for path in (ROOT / "calib").rglob("*.py"):
+        for page in re.findall(r"\bdocs/[\w-]+\.md", path.read_text(encoding="utf-8")):
+            assert (ROOT / page).exists(), f"{path}: {page}"
+
+
+# --- calls of the program -------------------------------------------------------------------------------------------
+
+COMMAND = get_command(app)
+
+#: What the program's parser raises, in every version of typer.
+UsageError = typer.BadParameter.__bases__[0]
+
+
+def blocks(page: Path) -> Iterator[str]:
+    """Calls of calib that stand in blocks, a line each."""
+    for info, content in fences(page):
+        if info in {"sh", "text", ""}:
+            for line in content.replace("\\\n", " ").splitlines():
+                # What stands behind three blanks in a list of calls is a remark.
+                yield re.split(r"(?<=\S) {3,}(?=[a-z])", line.strip())[0]
+
+
+def spans(page: Path) -> Iterator[str]:
+    """Calls of calib within the text, which may have an option's name without its value."""
+    for token in tokens(page):
+        yield from (c.content for c in token.children or () if c.type == "code_inline")
+
+
+def is_call(text: str) -> bool:
+    return bool(re.match(r"calib [a-z-]+( |$)", text))
+
+
+def parse(call: str) -> None:
+    """Parse a call as the program does; one that is broken off, or has words in capitals, by its options' names.
+
+    Raises:
+        UsageError: There is no such verb or option, or a value is none that it takes.
+    """
+    verb, *words = call.replace('"', " ").split()[1:]
+    if verb.startswith("-"):
+        return
+    command = COMMAND.commands.get(verb)  # type: ignore[attr-defined]
+    if command is None:
+        message = f"there is no verb '{verb}'"
+        raise UsageError(message)
+    known = {"--help"}.union(*(p.opts + p.secondary_opts for p in command.params))
+    for word in words:
+        if word.startswith("--") and word not in known:
+            message = f"there is no option '{word}'"
+            raise UsageError(message)
+
+
+def parse_whole(call: str) -> None:
+    parse(call)
+    words = shlex.split(call, comments=True)
+    if not any(word == "..." or word.isupper() for word in words):
+        COMMAND.commands[words[1]].make_context(call, words[2:])  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_calls_of_the_program_are_such(page: Path):
+    for call in filter(is_call, spans(page)):
+        parse(call)
+    for call in filter(is_call, blocks(page)):
+        parse_whole(call)
+
+
+def test_calls_that_are_none_are_seen():
+    parse_whole('calib fit robot.urdf data.csv --target "0 0 1 mm"')
+    parse_whole("calib fit ... --frame estimate")
+    parse("calib plan --region")
+    for wrong in (
+        "calib fat robot.urdf",
+        "calib fit robot.urdf",
+        "calib fit robot.urdf data.csv --nonsense",
+        "calib fit ... --nonsense",
+        "calib fit robot.urdf data.csv --solver best",
+    ):
+        with pytest.raises(UsageError):
+            parse_whole(wrong)
+
+
+# --- Python ---------------------------------------------------------------------------------------------------------
+
+#: Pages whose Python is run by the tests of what it shows.
+ELSEWHERE = {
+    "README.md": "tests/test_readme.py",
+    "planning.md": "tests/test_readme.py",
+    "simulation.md": "tests/test_readme.py",
+    "compensation.md": "tests/cli/test_compensate.py",
+    "universal-robots.md": "tests/compensate/test_universal_robots.py",
+    "view.md": "tests/show/test_viewer.py",
+}
+
+#: Run here, in this order: what one makes, the next may use.
+HERE = ("quick-start.md", "acceptance.md", "convert.md", "workspace.md")
+
+#: What they show takes long and is run by other tests, in smaller ways: here their calls are held to what is called.
+CALLED = ("fleet.md", "report.md")
+
+
+def python(page: str) -> str:
+    return "\n".join(content for info, content in fences(DOCS / page) if info == "python")
+
+
+def test_the_python_of_every_page_is_run():
+    with_python = {page.name for page in PAGES if any(info == "python" for info, _ in fences(page))}
+    assert with_python <= {*ELSEWHERE, *HERE, *CALLED}
+    for page, tests in ELSEWHERE.items():
+        assert page in (ROOT / tests).read_text(encoding="utf-8")
+
+
+def test_the_python_of_these_pages_runs(tmp_path, monkeypatch, capsys):
+    for file, given in {
+        "robot.urdf": paper_urdf(),
+        "corrected.urdf": ROOT / "urdf" / "ur3_calibrated.urdf",
+        "data.csv": paper_measurements(),
+        "fresh.csv": paper_measurements(),
+    }.items():
+        (tmp_path / file).symlink_to(given)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    calib_here(
+        monkeypatch, tmp_path, "workspace", "robot.urdf", "--samples", "65536", "-o", "region.json"
+    )
+    for page in HERE:
+        exec(compile(python(page), page, "exec"), names)
+        assert capsys.readouterr().out or page == "convert.md"
+        names.update(calibration=names["result"], q=np.zeros(6))
+    made = {path.name for path in tmp_path.iterdir() if not path.is_symlink()}
+    assert {"from_python.urdf", "rows.csv"} <= made
+
+
+@pytest.mark.parametrize("page", [page for page in CALLED if (DOCS / page).exists()])
+def test_the_calls_of_these_pages_fit_what_is_called(page: str):
+    tree = ast.parse(python(page))
+    names: dict[str, object] = {"calib": calib, "calibration": calib.Calibration}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            exec(compile(ast.unparse(node), page, "exec"), names)
+    bound = 0
+    for node in ast.walk(tree):
+        called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+        if called.split(".")[0] in names:
+            method = called.startswith("calibration.")  # of the class, which takes a self
+            signature = inspect.signature(eval(called, names))
+            signature.bind(*node.args, *[None] * method, **{k.arg or "": k for k in node.keywords})
+            bound += 1
+    assert bound >= 4
+
+
+# --- messages -------------------------------------------------------------------------------------------------------
+
+#: What stands for a value in a message's text.
+VALUE = "\0"
+
+
+@cache
+def sentences() -> str:
+    """Every text in calib's sources, a line each, its values as `VALUE`."""
+    found = []
+    for path in (ROOT / "calib").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                parts = (v.value if isinstance(v, ast.Constant) else VALUE for v in node.values)
+                found.append("".join(map(str, parts)))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.append(node.value)
+    found.append((ROOT / "Makefile").read_text(encoding="utf-8"))
+    return "\n".join(one.replace("\n", " ") for one in found)
+
+
+def quoted(page: Path) -> Iterator[str]:
+    """The code in the first column of the tables that are headed "what is said"."""
+    parsed = tokens(page)
+    first, wanted, at = False, False, 0
+    for token in parsed:
+        if token.type == "table_open":
+            first, wanted = True, False
+        elif token.type == "tr_open":
+            at = 0
+        elif token.type in {"th_open", "td_open"}:
+            at += 1
+        elif token.type == "inline" and first and at == 1:
+            wanted, first = token.content == "what is said", False
+        elif token.type == "inline" and wanted and at == 1:
+            yield from (c.content for c in token.children or () if c.type == "code_inline")
+
+
+def is_said(words: str) -> bool:
+    """Whether a quotation is of one text of calib; or, where a text is put together, all its parts of some."""
+    # Dots, numbers and names in it are values, or are written out.
+    words = re.sub(r"'[^']*'|\.\.\.|\d[\d.]*", VALUE, words).strip(VALUE + " ")
+    parts = [part.strip(" ,:;") for part in words.split(VALUE)]
+    if re.search("[^\n]*".join(map(re.escape, parts)), sentences()):
+        return True
+    heard = [said(piece) for part in parts for piece in re.split("[,:;] ", part)]
+    return None not in heard and True in heard
+
+
+def said(words: str) -> bool | None:
+    """Whether most runs of three words are in texts of calib; of fewer words False, as that says nothing; None: no."""
+    several = words.split()
+    runs = [" ".join(several[i : i + 3]) for i in range(len(several) - 2)]
+    if not runs:
+        return False
+    return True if 2 * sum(run in sentences() for run in runs) > len(runs) else None
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_what_pages_say_is_said_is(page: Path):
+    assert [words for words in quoted(page) if not is_said(words)] == []
+
+
+def test_what_is_said_nowhere_is_seen():
+    assert sum(1 for page in PAGES for _ in quoted(page)) > 60
+    assert is_said("has no link '...'")
+    assert is_said("'mm' is not a unit of angle")
+    assert not is_said("the robot is tired of 3 poses")
+    assert not is_said("has no link '...', which was to be foreseen")
