@@ -31,9 +31,10 @@ class CalibError(Exception):
 
 def _readable(text: str) -> str:
     """The text with unprintable characters by their numbers, and without the middle if it is very long."""
+    text = _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
     if len(text) > _LONGEST:
         text = f"{text[:_HEAD]} [{len(text) - _HEAD - _TAIL:,} characters left out] {text[-_TAIL:]}"
-    return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    return text
 
 
 class UrdfError(CalibError):

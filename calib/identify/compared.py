@@ -143,7 +143,7 @@ class Compared:
         stored = stored_result(table, name)
         try:
             return cls._of(table, stored, name, nominal or _found(table, stored, folder))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             message = (
                 f"{name}: the result lacks what a comparison needs ({damage(error)}). Write it again with "
                 "'calib fit --json' of this version."
@@ -162,6 +162,9 @@ class Compared:
         parameters, model, inputs = table["parameters"], table["model"], table["inputs"]
         p, robot, verdict = len(parameters), table["robot"], table["verdict"]
         prior = _floats([one["prior_std"] for one in parameters])
+        if np.any(prior <= 0.0):
+            message = "a prior of a parameter is not greater than zero"
+            raise ValueError(message)
         result = cls(
             name=name,
             stored=stored,

@@ -96,7 +96,7 @@ def stored_result(table: Mapping[str, Any], source: str | Path) -> StoredResult:
     """
     try:
         return _stored(table)
-    except (KeyError, TypeError, ValueError, AttributeError, CalibError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, CalibError) as error:
         message = (
             f"{source}: the result is incomplete or damaged ({damage(error)}). Write it again with "
             "'calib fit --json'."

@@ -128,7 +128,11 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
     data = read_bytes(Path(path), "cell file", 1_000_000)
     try:
         table = tomllib.loads(data.decode("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        _check_whole_numbers(table)
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # TOMLDecodeError is one, and numbers of too many digits
         message = f"{path}: this is not a TOML file: {error}"
         raise FileError(message) from error
     try:
@@ -137,6 +141,20 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
     except CalibError as error:
         message = f"{path}: {error}"
         raise CalibError(message) from error
+
+
+def _check_whole_numbers(value: object) -> None:
+    """Refuse whole numbers larger than TOML allows, anywhere.
+
+    Raises:
+        ValueError: There is one.
+    """
+    if isinstance(value, (dict, list)):
+        for one in value.values() if isinstance(value, dict) else value:
+            _check_whole_numbers(one)
+    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        message = "a whole number is beyond 64 bits"
+        raise ValueError(message)
 
 
 def _check_keys(table: Mapping[str, Any]) -> None:

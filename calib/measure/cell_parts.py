@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -34,8 +35,12 @@ PRIORS = (1e-15, 1e6)
 
 def is_number(value: object) -> bool:
     """Whether a value is a finite number."""
-    number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-    return number and bool(np.isfinite(value))  # type: ignore[call-overload]  # it is a number
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number that no float is
+        return False
 
 
 def is_positive(value: object) -> bool:

@@ -26,6 +26,9 @@ IGNORE = "-"
 #: What stands before the name of a column that says what to expect there, for a person to compare: see plan_file.
 EXPECTED = "expected "
 
+#: Names of which the closest is looked for.
+_MOST_COMPARED = 500
+
 _COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm", "force": "N"}
 
 
@@ -194,7 +197,9 @@ def list_columns(table: Table) -> str:
 
 def close_names(name: str, candidates: Sequence[str]) -> list[str]:
     """The candidates spelt most like a name, small and capital letters alike."""
-    plain = {candidate.casefold(): candidate for candidate in candidates}
+    # Comparing takes long, and a name is not much longer than what it is mistaken for.
+    some = (c for c in candidates[:_MOST_COMPARED] if len(c) <= 3 * len(name) + 10)
+    plain = {candidate.casefold(): candidate for candidate in some}
     return [plain[hit] for hit in difflib.get_close_matches(name.casefold(), plain, n=3)]
 
 

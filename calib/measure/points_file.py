@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +51,16 @@ class Points:
     lines: tuple[int, ...]
     source: str
     sha256: str
+    _at: dict[str, list[int]] = field(init=False, repr=False)
+    _at_last: dict[str, list[int]] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Where each name stands, whole and by its last part, for tables of many rows."""
+        for name, function in (("_at", str), ("_at_last", _last)):
+            found: dict[str, list[int]] = {}
+            for i, whole in enumerate(self.names):
+                found.setdefault(function(whole), []).append(i)
+            object.__setattr__(self, name, found)
 
     def __len__(self) -> int:
         """The number of points, N."""
@@ -62,8 +72,7 @@ class Points:
         Raises:
             MeasurementError: several have.
         """
-        hits = [i for i, whole in enumerate(self.names) if whole == name]
-        hits = hits or [i for i, whole in enumerate(self.names) if _last(whole) == name]
+        hits = self._at.get(name) or self._at_last.get(name) or []
         if len(hits) > 1:
             whole = [self.names[i] for i in hits]
             lines = ", ".join(str(self.lines[i]) for i in hits[:8])
@@ -180,6 +189,7 @@ def _find_columns(text: PointsText, source: str) -> tuple[tuple[str, ...], tuple
         named = [heading.index(n) for part in _NAMES for n in part if heading.count(n) == 1]
         if not named and min(by_header) > 0:
             named = list(range(min(by_header)))
+        _check_width(text, [*named, *by_header], source)
         return _join(text, named), by_header
     start = _first_number(text, source)
     names = _join(text, list(range(start)))
@@ -243,6 +253,13 @@ def _join(text: PointsText, columns: Sequence[int]) -> tuple[str, ...]:
     if not columns:
         return ()
     return tuple(sign.join(line.cells[i] for i in columns) for line in text.lines)
+
+
+def _check_width(text: PointsText, columns: Sequence[int], source: str) -> None:
+    """Refuse a line that ends before these columns."""
+    short = next((line for line in text.lines if len(line.cells) <= max(columns)), None)
+    if short is not None:
+        raise MeasurementError(_no_point(short, source))
 
 
 def _numbers(text: PointsText, places: tuple[int, int, int], source: str) -> NDArray[np.float64]:

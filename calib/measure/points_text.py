@@ -17,6 +17,7 @@ SEPARATORS = (";", "\t", ",", " ")
 _COMMENT = ("#", "//", "!", "%", ";")
 _RULE = re.compile(r"[-=_*+\s]+")
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+_DIGITS = re.compile(r"\d+")
 _WORDS = re.compile(r"[^\W\d_]+")
 
 # "in" is also a word, so it only counts where no other unit stands.
@@ -149,6 +150,8 @@ def _remark(line: str) -> str | None:
 
 def _separator(line: str) -> str:
     """The sign that leaves three numbers side by side; "" when none does."""
+    if len(_DIGITS.findall(line)) < 3:  # most lines above the points
+        return ""
     for separator in SEPARATORS:
         cells = split(line, separator)
         if any(has_point(cells, i) for i in range(len(cells) - 2)):
