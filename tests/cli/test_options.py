@@ -1,0 +1,68 @@
+"""Errors on the command line: one line on stderr, the exit status, the trace for those who ask."""
+
+from __future__ import annotations
+
+import errno
+
+import pytest
+import typer
+
+from calib.cli.options import reporting
+from calib.errors import FileError
+
+FAULT = (
+    "calib: a fault of calib itself: IndexError: list index out of range. Please report it with the output of the same "
+    "command and --debug.\n"
+)
+
+
+def test_a_fault_of_calib_is_one_line_and_how_to_report_it(capsys):
+    with pytest.raises(typer.Exit) as ended, reporting(debug=False):
+        [][0]
+    assert ended.value.exit_code == 1
+    assert capsys.readouterr().err == FAULT
+
+
+def test_with_debug_a_fault_keeps_its_trace():
+    with pytest.raises(IndexError), reporting(debug=True):
+        [][0]
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_what_a_user_can_mend_is_one_line_with_a_trace_before_it_if_asked(capsys, debug):
+    with pytest.raises(typer.Exit) as ended, reporting(debug=debug):
+        raise FileError("a.csv is not there.")
+    said = capsys.readouterr().err
+    assert ended.value.exit_code == 1
+    assert said.endswith("calib: a.csv is not there.\n")
+    assert ("Traceback" in said) == debug
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (
+            OSError(errno.ENOSPC, "No space left on device"),
+            "the printed text cannot be read or written: No space left",
+        ),
+        (
+            OSError(errno.EACCES, "Permission denied", "/a/b"),
+            "'/a/b' cannot be read or written: Permission denied.",
+        ),
+        (OSError(), "the printed text cannot be read or written: OSError."),
+    ],
+)
+@pytest.mark.parametrize("debug", [False, True])
+def test_what_the_system_refuses(capsys, error, said, debug):
+    with pytest.raises(typer.Exit) as ended, reporting(debug=debug):
+        raise error
+    text = capsys.readouterr().err
+    assert ended.value.exit_code == 1
+    assert f"calib: {said}" in text
+    assert ("Traceback" in text) == debug
+
+
+def test_an_ending_passes_through():
+    with pytest.raises(typer.Exit) as ended, reporting(debug=False):
+        raise typer.Exit(3)
+    assert ended.value.exit_code == 3
