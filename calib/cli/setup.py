@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import textwrap
 from collections.abc import Iterable
 from dataclasses import replace
@@ -113,21 +114,21 @@ def check_outputs(
     Raises:
         FileError: An output cannot be written.
     """
-    from calib.model.files import check_no_xacro
+    from calib.model.files import check_no_xacro, check_writable
 
     wanted = [path for path in outputs if path is not None]
-    taken = {Path(path).resolve(): "an input" for path in inputs}
+    taken = {Path(os.path.realpath(path)): "an input" for path in inputs}
     for path in wanted:
-        resolved = path.resolve()
+        resolved = Path(os.path.realpath(path))
         if resolved in taken:
             message = f"{path} is also {taken[resolved]} of this command; choose another name."
             raise FileError(message)
         taken[resolved] = "another output"
         check_no_xacro(path)
-        if path.is_dir():
+        if os.path.isdir(path):  # noqa: PTH112  a name that is too long is no error here
             message = f"{path} is a folder; name a file inside it."
             raise FileError(message)
-        if path.exists() and not force:
+        if os.path.exists(path) and not force:  # noqa: PTH110
             message = f"{path} exists already; add --force or choose another name."
             raise FileError(message)
         if not path.parent.is_dir():
@@ -136,6 +137,7 @@ def check_outputs(
             )
             message = f"{path}: the folder '{path.parent}' does not exist; make it first.{home}"
             raise FileError(message)
+        check_writable(path)
 
 
 def row_ranges(rows: Iterable[int], limit: int = 12) -> str:

@@ -5,14 +5,32 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import select
 import stat
 from pathlib import Path
+from typing import BinaryIO
 
 from calib.errors import FileError
+
+#: How long to wait for somebody to write into a named pipe [s].
+PATIENCE = 10.0
+
+_STANDARD_INPUT = "/dev/stdin"
+
+# What pipes without a name gave, by device and inode: the second who asks finds them empty.
+_PIPED: dict[tuple[int, int], bytes] = {}
+
+
+class _NoFileError(Exception):
+    """What is to be read is no file; the text says what it is."""
 
 
 def read_bytes(path: str | os.PathLike[str], what: str, limit_bytes: int) -> bytes:
     """Read a whole file of at most ``limit_bytes``.
+
+    A pipe is read to its end: standard input as ``-``, a shell's ``<(zcat table.csv.gz)``, a named pipe. What such a
+    pipe without a name gave is kept, for it cannot be read twice. A named one into which nobody begins to write within
+    `PATIENCE` seconds is refused.
 
     Args:
         path: File to read.
@@ -23,11 +41,10 @@ def read_bytes(path: str | os.PathLike[str], what: str, limit_bytes: int) -> byt
         The bytes of the file.
 
     Raises:
-        FileError: There is no such file, it is a folder, it cannot be read, or it is too large.
+        FileError: There is no such file, it is a folder or a device, it cannot be read, or it is too large.
     """
     try:
-        with Path(path).open("rb") as file:
-            data = file.read(limit_bytes + 1)
+        data = _read(_STANDARD_INPUT if os.fspath(path) == "-" else path, limit_bytes + 1)
     except FileNotFoundError as error:
         message = f"{what} '{path}' does not exist; check the name and the folder"
         if ":=" in str(path):
@@ -35,6 +52,9 @@ def read_bytes(path: str | os.PathLike[str], what: str, limit_bytes: int) -> byt
         raise FileError(message) from error
     except IsADirectoryError as error:
         message = f"{what} '{path}' is a folder; name the file inside it"
+        raise FileError(message) from error
+    except _NoFileError as error:
+        message = f"{what} '{path}' is {error}; name a file"
         raise FileError(message) from error
     except (OSError, ValueError) as error:
         message = f"{what} '{path}' cannot be read: {_reason(error)}"
@@ -70,22 +90,36 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
     try:
         target = Path(os.path.realpath(path))
         _check_target(path, target, overwrite=overwrite)
-        temporary = target.parent / f".calib-{secrets.token_hex(8)}.tmp"
-        try:
-            _write_to_disk(temporary, data)
-            if overwrite:
-                _replace(temporary, target)
-            else:
-                _move_to_new(temporary, target)
-        finally:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
+        _write(target, data, overwrite=overwrite)
     except FileExistsError as error:
         raise FileError(_exists_already(path)) from error
     except (OSError, ValueError) as error:
         message = f"'{path}' cannot be written: {_reason(error)}; choose another folder"
         raise FileError(message) from error
     return Path(path)
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Refuse, before the work is done, a place where `write_atomically` cannot write; a file that exists may stay.
+
+    Raises:
+        FileError: It is a folder or a device, its name is too long, or its folder is missing or takes no files.
+    """
+    try:
+        target = Path(os.path.realpath(path))
+        _check_target(path, target, overwrite=True)
+        with contextlib.suppress(FileNotFoundError):
+            target.lstat()  # its name is too long for the disk
+        temporary = target.parent / f".calib-{secrets.token_hex(8)}.tmp"
+        if not _takes_nameless(target.parent):
+            try:
+                _write_to_disk(temporary, b"")
+            finally:
+                with contextlib.suppress(OSError):
+                    temporary.unlink()
+    except (OSError, ValueError) as error:
+        message = f"'{path}' cannot be written: {_reason(error)}; choose another folder"
+        raise FileError(message) from error
 
 
 def expanded_name(path: str | os.PathLike[str]) -> str:
@@ -128,6 +162,56 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
+def _read(path: str | os.PathLike[str], most: int) -> bytes:
+    """The first bytes of a file or of a pipe.
+
+    Raises:
+        _NoFileError: It is neither, or nobody writes into the pipe.
+    """
+    mode = Path(path).stat().st_mode  # before it is opened: opening some devices does something
+    if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
+        terminal = stat.S_ISCHR(mode) and os.fspath(path) == _STANDARD_INPUT
+        message = "the terminal" if terminal else "a device"
+        raise _NoFileError(message)
+    if stat.S_ISFIFO(mode) and hasattr(os, "O_NONBLOCK"):
+        return _read_pipe(path, most)
+    with Path(path).open("rb") as file:
+        return file.read(most)
+
+
+def _read_pipe(path: str | os.PathLike[str], most: int) -> bytes:
+    """The first bytes of a pipe."""
+    found = Path(path).stat()
+    key = found.st_dev, found.st_ino
+    if key in _PIPED:
+        return _PIPED[key]
+    parts: list[bytes] = []
+    size = 0
+    pipe = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # without, opening waits for a writer
+    try:
+        poll = select.poll()
+        poll.register(pipe, select.POLLIN)
+        while size < most:
+            silent = not poll.poll(PATIENCE * 1e3)
+            try:
+                part = os.read(pipe, min(most - size, 1 << 20))
+            except BlockingIOError:  # somebody has it open, and takes time
+                continue
+            if not part and silent:
+                message = f"a pipe into which nothing was written for {PATIENCE:g} s"
+                raise _NoFileError(message)
+            if not part:
+                break
+            parts.append(part)
+            size += len(part)
+    finally:
+        os.close(pipe)
+    data = b"".join(parts)
+    if not Path(os.path.realpath(path)).exists():  # it has no name, and so no second life
+        _PIPED[key] = data
+    return data
+
+
 def _check_target(path: str | os.PathLike[str], target: Path, *, overwrite: bool) -> None:
     """Refuse what can be known before anything is written."""
     if target.is_dir():
@@ -156,12 +240,72 @@ def _reason(error: OSError | ValueError) -> str:
     return str(getattr(error, "strerror", None) or error)
 
 
+def _write(target: Path, data: bytes, *, overwrite: bool) -> None:
+    """Write the bytes under another name, or none, and give them the name of ``target``."""
+    temporary = target.parent / f".calib-{secrets.token_hex(8)}.tmp"
+    try:
+        if not _write_nameless(temporary, target, data, overwrite=overwrite):
+            _write_to_disk(temporary, data)
+            if not overwrite:
+                _move_to_new(temporary, target)
+                return
+        if overwrite:
+            _replace(temporary, target)
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+
+
+def _write_nameless(temporary: Path, target: Path, data: bytes, *, overwrite: bool) -> bool:
+    """Write the bytes into a file without a name, of which nothing is left if the process is killed.
+
+    It gets the name of ``target``, or of ``temporary`` where it is to take the place of another file.
+
+    Returns:
+        Whether it could be done: only Linux has such files, and not in every kind of folder.
+    """
+    if not hasattr(os, "O_TMPFILE"):
+        return False
+    folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        try:
+            nameless = os.open(target.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
+        except OSError:
+            return False
+        with open(nameless, "wb") as file:  # noqa: PTH123  a number, not a name
+            _to_disk(file, data)
+            name = temporary if overwrite else target
+            try:  # with a folder given, the name that /proc has for the file is followed to it
+                os.link(f"/proc/self/fd/{nameless}", name, src_dir_fd=folder, follow_symlinks=True)
+            except FileExistsError:
+                raise
+            except OSError:  # no /proc
+                return False
+    finally:
+        os.close(folder)
+    return True
+
+
+def _takes_nameless(folder: Path) -> bool:
+    """Whether a file without a name can be made in a folder."""
+    try:
+        os.close(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666))
+    except (AttributeError, OSError):
+        return False
+    return True
+
+
 def _write_to_disk(path: Path, data: bytes) -> None:
     """Create ``path`` and wait until its bytes are on the disk."""
     with path.open("xb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
+        _to_disk(file, data)
+
+
+def _to_disk(file: BinaryIO, data: bytes) -> None:
+    """Write the bytes and wait until they are on the disk."""
+    file.write(data)
+    file.flush()
+    os.fsync(file.fileno())
 
 
 def _replace(temporary: Path, target: Path) -> None:

@@ -1,18 +1,27 @@
 from __future__ import annotations
 
+import contextlib
+import functools
 import os
+import random
 import resource
+import signal
 import stat
+import subprocess
 import sys
 import tempfile
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from calib.errors import FileError
+from calib.model import files
 from calib.model.files import (
     check_no_xacro,
+    check_writable,
     expanded_name,
     make_folder,
     read_bytes,
@@ -216,3 +225,188 @@ def test_a_file_in_the_way_of_a_folder_is_named(tmp_path: Path):
             FileError, match=f"{path}: this folder cannot be made: .*Choose another name"
         ):
             make_folder(path)
+
+
+# Pipes, devices, links
+
+
+@pytest.fixture
+def pipe(tmp_path: Path) -> Path:
+    """A named pipe."""
+    path = tmp_path / "pipe.csv"
+    os.mkfifo(path)
+    return path
+
+
+def in_a_thread(function: Callable[[], object]) -> threading.Thread:
+    """The function, running."""
+    thread = threading.Thread(target=function)
+    thread.start()
+    return thread
+
+
+def test_a_named_pipe_is_read_to_its_end_each_time(pipe: Path):
+    for data in (b"x" * 300_000, b"again"):
+        writer = in_a_thread(functools.partial(pipe.write_bytes, data))
+        assert read_bytes(pipe, "table", 10**6) == data
+        writer.join()
+
+
+def test_a_pipe_is_read_no_further_than_the_limit(pipe: Path):
+    def write() -> None:
+        with contextlib.suppress(BrokenPipeError):
+            pipe.write_bytes(b"x" * 3_000_000)
+
+    writer = in_a_thread(write)
+    with pytest.raises(FileError, match=r"pipe\.csv' is larger than 1,000 bytes"):
+        read_bytes(pipe, "table", 1000)
+    writer.join()
+
+
+def test_a_pipe_that_takes_its_time_is_waited_for(pipe: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(files, "PATIENCE", 0.01)
+    opened = threading.Event()
+
+    def write() -> None:
+        with pipe.open("wb", buffering=0) as file:
+            opened.set()
+            time.sleep(0.1)
+            file.write(b"late")
+
+    holder = os.open(pipe, os.O_RDWR)  # so that the writer need not wait for the reader
+    writer = in_a_thread(write)
+    opened.wait()
+    os.close(holder)
+    assert read_bytes(pipe, "table", 10) == b"late"
+    writer.join()
+
+
+def test_a_named_pipe_without_a_writer_is_refused(pipe: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(files, "PATIENCE", 0.05)
+    with pytest.raises(FileError, match=r"pipe\.csv' is a pipe into which nothing was written for"):
+        read_bytes(pipe, "table", 10)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/dev/fd leads to no folder on Linux")
+def test_a_pipe_without_a_name_can_be_asked_for_twice():
+    reading, writing = os.pipe()
+    try:
+        os.write(writing, b"once")
+        os.close(writing)
+        for _ in range(2):
+            assert read_bytes(f"/dev/fd/{reading}", "table", 10) == b"once"
+    finally:
+        os.close(reading)
+
+
+def test_a_device_is_refused_at_once():
+    start = time.monotonic()
+    for name in ("/dev/zero", "/dev/null", "/dev/urandom"):
+        with pytest.raises(FileError, match=f"table '{name}' is a device; name a file"):
+            read_bytes(name, "table", 10**9)
+    assert time.monotonic() - start < 1.0
+
+
+def test_standard_input_is_a_minus():
+    program = "from calib.model.files import read_bytes; print(read_bytes('-', 'table', 99))"
+    call = [sys.executable, "-c", program]
+    for _ in range(2):
+        done = subprocess.run(call, input=b"1;2", capture_output=True, check=True)
+        assert done.stdout.strip() == b"b'1;2'"
+    with Path(__file__).open("rb") as file:
+        done = subprocess.run(call, stdin=file, capture_output=True, check=False)
+    assert b"table '-' is larger than 99 bytes" in done.stderr
+
+
+def test_reads_through_links_and_refuses_circles(tmp_path: Path):
+    (tmp_path / "a").write_bytes(b"1")
+    (tmp_path / "link").symlink_to("a")
+    (tmp_path / "circle").symlink_to("circle")
+    (tmp_path / "gone").symlink_to("nowhere")
+    assert read_bytes(tmp_path / "link", "table", 9) == b"1"
+    with pytest.raises(FileError, match=r"cannot be read: Too many levels of symbolic links"):
+        read_bytes(tmp_path / "circle", "table", 9)
+    with pytest.raises(FileError, match="does not exist"):
+        read_bytes(tmp_path / "gone", "table", 9)
+    with pytest.raises(FileError, match=r"cannot be written: Too many levels of symbolic links"):
+        write_atomically(tmp_path / "circle", b"", overwrite=True)
+
+
+@pytest.mark.parametrize("name", ["a b.csv", "\u00e4\u00f6\u4e2d.csv", "\udcff.csv", "-x", "'\"\n"])
+def test_strange_names(tmp_path: Path, name: str):
+    path = write_atomically(tmp_path / name, b"1", overwrite=False)
+    assert write_atomically(path, b"2", overwrite=True).read_bytes() == b"2"
+    assert read_bytes(path, "table", 9) == b"2"
+    assert names(tmp_path) == [name]
+    with pytest.raises(FileError, match="exists already") as caught:
+        write_atomically(path, b"3", overwrite=False)
+    str(caught.value).encode()
+
+
+def test_a_place_is_tried_before_the_work(tmp_path: Path):
+    kept = tmp_path / "kept"
+    kept.write_bytes(b"1")
+    for good in (kept, tmp_path / "new"):
+        check_writable(good)
+    assert names(tmp_path) == ["kept"]
+    for bad, says in (
+        (tmp_path, "is a folder"),
+        (tmp_path / "missing" / "a", "does not exist; create it"),
+        (kept / "a", "does not exist; create it"),
+        (tmp_path / ("n" * 300), "File name too long"),
+        (Path("/dev/full"), "is a device"),
+    ):
+        with pytest.raises(FileError, match=says):
+            check_writable(bad)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
+def test_a_folder_that_takes_no_files_is_found_before_the_work():
+    with pytest.raises(FileError, match=r"'/proc/calib\.urdf' cannot be written: .*; choose"):
+        check_writable("/proc/calib.urdf")
+
+
+# A process that ends while it writes
+
+
+@pytest.mark.parametrize("nameless", [True, False])
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_the_same_is_written_where_files_need_a_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, nameless: bool, overwrite: bool
+):
+    if not nameless:
+        monkeypatch.delattr(os, "O_TMPFILE", raising=False)
+    path = tmp_path / "a"
+    if overwrite:
+        path.write_bytes(b"old")
+        path.chmod(0o640)
+    write_atomically(path, b"new" * 1000, overwrite=overwrite)
+    check_writable(path)
+    assert path.read_bytes() == b"new" * 1000
+    assert not overwrite or stat.S_IMODE(path.stat().st_mode) == 0o640
+    assert names(tmp_path) == ["a"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="files without names are Linux's")
+def test_a_process_that_is_killed_leaves_the_old_file_or_the_new_one(tmp_path: Path):
+    path = tmp_path / "a.json"
+    old, new = b"old" * 300_000, b"new" * 300_000
+    program = (
+        "import sys\n"
+        "from calib.model.files import write_atomically\n"
+        "print('ready', flush=True)\n"
+        "while True:\n"
+        "    for word in (b'new', b'old'):\n"
+        "        write_atomically(sys.argv[1], word * 300_000, overwrite=True)\n"
+    )
+    path.write_bytes(old)
+    random_ = random.Random(1)
+    for number in [signal.SIGKILL, signal.SIGTERM] * 3:
+        call = [sys.executable, "-c", program, str(path)]
+        with subprocess.Popen(call, stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            time.sleep(0.05 * random_.random())
+            process.send_signal(number)
+        assert path.read_bytes() in (old, new)
+    assert len(names(tmp_path)) <= 2  # the moment between two names is some microseconds
