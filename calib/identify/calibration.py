@@ -35,13 +35,13 @@ from calib.identify.result import Calibration, Larger
 from calib.identify.robust import Limits
 from calib.identify.robustness import compare
 from calib.identify.rows import Rows
-from calib.identify.selection import AUTO, Candidate, select
+from calib.identify.selection import Candidate, select
 from calib.identify.setup_check import better_setup
 from calib.identify.spread import position_std
 from calib.identify.statistics import CrossValidation
 from calib.identify.table_rows import known_distances, rows_of
 from calib.identify.verdict import NO, Verdict, verdict
-from calib.measure.cell import Cell
+from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import split_name
 from calib.model.kinematics import Samples
@@ -103,9 +103,7 @@ def calibrate(
 
     began = time.perf_counter()
     task = Task(robot, cell, setup, cell.model, known_distances(cell, setup), solver, robust)
-    task, larger_task, candidates = _chosen(task, rows)
-    fitted = fit(task, rows)
-    larger = None if larger_task is None else fit(larger_task, rows)
+    fitted, larger, candidates = _fitted(task, rows)
     seconds = time.perf_counter() - began
 
     result = _assemble(measurements, fitted, every, seconds)
@@ -118,18 +116,23 @@ def calibrate(
     return _validated(result, rows, hint, progress)
 
 
-def _chosen(task: Task, rows: Rows) -> tuple[Task, Task | None, tuple[Candidate, ...]]:
-    """The task of the geometry, that of the larger model if there is one, and the ladder they were chosen from."""
+def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candidate, ...]]:
+    """The fit of the geometry, that of the larger model if there is one, and the ladder they were chosen from."""
     if task.model == AUTO and task.solver == "paper":
-        return replace(task, model="dh", lenient=True), None, ()
+        return fit(replace(task, model="dh", lenient=True), rows), None, ()
     if task.model == AUTO:
         chosen = select(task, rows)
-        task = replace(task, lenient=True)
-        larger = replace(task, model=chosen.larger) if chosen.larger else None
-        return replace(task, model=chosen.geometry), larger, chosen.candidates
+        task, common = replace(task, lenient=True), chosen.common
+        fitted = common
+        if chosen.geometry != common.task.model:
+            fitted = fit(replace(task, model=chosen.geometry), rows, started=common.setup)
+        larger = None
+        if chosen.larger:
+            larger = fit(replace(task, model=chosen.larger), rows, started=common.setup)
+        return fitted, larger, chosen.candidates
     base, families = split_name(task.model)
-    larger = task if families else None
-    return replace(task, model=base, lenient=bool(families)), larger, ()
+    fitted = fit(replace(task, model=base, lenient=bool(families)), rows)
+    return fitted, fit(task, rows) if families else None, ()
 
 
 def _validated(

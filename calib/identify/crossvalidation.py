@@ -32,7 +32,7 @@ from calib.model.parameters import ErrorModel, frame_place, target_place
 Array = NDArray[np.float64]
 
 #: The robot may differ from the linearised one by this share of the noise, rms.
-_LINEAR = 1e-2
+_LINEAR = 1e-3
 
 #: Scalars of a set-up below which a fold is fitted from the beginning: its frame may be anywhere.
 _FEWEST_SCALARS = 18.0

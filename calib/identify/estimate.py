@@ -23,6 +23,7 @@ from calib.identify.stage import FEWEST_FREEDOM, SETTLED, Holds, Stage
 from calib.identify.streamed import Streamed, linearised, whole_groups
 from calib.identify.variance import Linearised, precision_of
 from calib.measure.cell import Priors
+from calib.model.observability import steps
 from calib.model.parameters import FRAME, TARGET
 from calib.model.robot import read_only
 
@@ -32,7 +33,11 @@ Array = NDArray[np.float64]
 Solve = Callable[[Problem, Array, float], Solution]
 
 #: Tolerance between stages, whose weights and sizes change far more, and of the last solve.
-_ROUGH, _FINE = 1e-2, 1e-9
+_ROUGH, _FINE = 0.1, 1e-9
+
+#: Between stages a problem that was linearised within this of the solution stays, in steps of 1 mm and 1 mrad: what it
+#: leaves out is of the order of 1e-8 m and rad.
+_NEAR = _ROUGH
 
 #: The noise assumed until the data have told theirs [m], [rad].
 FIRST_SIGMA, FIRST_SIGMA_ANGLE = 1e-4, 1e-3
@@ -180,12 +185,14 @@ def _estimate(
 class _Path:
     """Where an estimation has come to: each solve begins where the last one stopped."""
 
-    __slots__ = ("problem", "solution", "solver", "x")
+    __slots__ = ("last", "problem", "size", "solution", "solver", "x")
 
     def __init__(self, problem: Problem, solver: Solve, x: Array) -> None:
         """At the start."""
         self.problem, self.solver, self.x = problem, solver, x
+        self.size = steps(problem.kinematics.model.units)
         self.solution: Solution | None = None
+        self.last: Linear | Streamed | None = None
 
     def solve(self, stage: Stage, tolerance: float) -> None:
         """Go on to the solution with a stage's weights and sizes."""
@@ -194,9 +201,17 @@ class _Path:
         self.x = self.solution.x
 
     def linear(self, stage: Stage) -> Linear | Streamed:
-        """The problem linearised at the solution with a stage's weights and sizes."""
-        self.solve(stage, _ROUGH)
-        return linearised(self.problem, self.x)
+        """The problem linearised at the solution with a stage's weights and sizes, or where it hardly differs."""
+        if self.last is None or self._moves(self.last, stage) > _NEAR:
+            self.solve(stage, _ROUGH)
+            self.last = linearised(self.problem, self.x)
+        return self.last
+
+    def _moves(self, last: Linear | Streamed, stage: Stage) -> float:
+        """How far a stage's solution lies from where the problem was linearised last, in steps of 1 mm and 1 mrad."""
+        known = last.known(stage.precision, stage.holds.centre)
+        x, _ = last.data(stage.effective).posterior(stage.noise, known)
+        return float(np.linalg.norm((x - self.x) / self.size))
 
 
 def staged(

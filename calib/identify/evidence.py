@@ -170,7 +170,7 @@ def missing_model(fitted: Fitted, rows: Rows) -> str:
         cell=replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={}),
         solver="lm",
     )
-    other = fit(full, rows).estimate
+    other = fit(full, rows, started=fitted.setup).estimate
     noise, less = fitted.estimate.noise[0], other.noise[0]
     if less > _FAR_LESS * noise:
         return ""

@@ -113,13 +113,16 @@ class Fitted:
         return rows.residual(seen_from(found, T_base_tip, rows))
 
 
-def fit(task: Task, rows: Rows, weights: Array | None = None) -> Fitted:
+def fit(
+    task: Task, rows: Rows, weights: Array | None = None, started: Setup | None = None
+) -> Fitted:
     """Register and estimate.
 
     Args:
         task: What to fit.
         rows: The rows to fit.
         weights: shape (N,), weights that stay, repeats shared out; None to find them.
+        started: Frames and targets where `registered` puts them, of another fit to these rows; None to register.
 
     Raises:
         ModelError: Unknown solver, parameter set or parameter.
@@ -131,12 +134,7 @@ def fit(task: Task, rows: Rows, weights: Array | None = None) -> Fitted:
         raise ModelError(message)
     model = model_of(task)
     _check_enough(model, task.cell, rows)
-    # The paper's algorithm starts where it was told to, if it was told.
-    as_given = task.solver == "paper" and bool(np.all(task.setup.target_given))
-    known = np.full(len(task.setup.targets), as_given)
-    no_frame = np.zeros(len(task.setup.groups), dtype=bool)
-    started = register(task.robot, task.setup.as_known(no_frame, known), rows)
-    started = replace(started, target_unknown=task.setup.target_unknown)
+    started = registered(task, rows) if started is None else started
     model = targets_along_tip(along_own_axes(model, started), started)
     kinematics = Kinematics(task.robot, model, started.T_frame_base, started.T_tip_target)
     problem = Problem.first(kinematics, rows, _between_seen(task.distances, rows))
@@ -149,6 +147,20 @@ def fit(task: Task, rows: Rows, weights: Array | None = None) -> Fitted:
         "a solver takes no step to where the cost is not finite"
     )
     return Fitted(task, started, kinematics, estimated)
+
+
+def registered(task: Task, rows: Rows) -> Setup:
+    """Frames and targets where the nominal robot puts them, which is where an estimation starts.
+
+    Raises:
+        MeasurementError: Too few rows.
+    """
+    # The paper's algorithm starts where it was told to, if it was told.
+    as_given = task.solver == "paper" and bool(np.all(task.setup.target_given))
+    known = np.full(len(task.setup.targets), as_given)
+    no_frame = np.zeros(len(task.setup.groups), dtype=bool)
+    started = register(task.robot, task.setup.as_known(no_frame, known), rows)
+    return replace(started, target_unknown=task.setup.target_unknown)
 
 
 def task_options(task: Task, model: ErrorModel, started: Setup) -> Options:

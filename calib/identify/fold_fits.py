@@ -336,7 +336,7 @@ class _Many:
 
     def by_likelihood(self, stages: _Stages, *, robust: bool) -> _Stages:
         """As `Stage.by_likelihood`."""
-        for _ in range(2):
+        for _ in range(2 if robust else 1):
             if robust:
                 stages = replace(stages, weights=self._row_weights(stages))
             stages = self._by_reml(stages)

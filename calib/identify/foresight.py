@@ -17,12 +17,11 @@ from calib.identify.fitting import Task, model_of
 from calib.identify.inspection import GENERIC_TARGET, as_predicted
 from calib.identify.registration import register
 from calib.identify.rows import KIND_NAMES, Rows
-from calib.identify.selection import AUTO
 from calib.identify.setup import Setup, along_own_axes, setup_of, targets_along_tip
 from calib.identify.spread import without_rigid_motion
 from calib.identify.table_rows import rows_of
 from calib.measure.candidates import planning_ranges
-from calib.measure.cell import Cell
+from calib.measure.cell import AUTO, Cell
 from calib.measure.forecast import Forecast, Sensitivity, Workspace
 from calib.measure.forecast import forecast as forecast_of
 from calib.measure.kinds import DEFAULT_TARGET

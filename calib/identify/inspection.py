@@ -12,10 +12,9 @@ from calib.identify.fitting import Task, model_of, seen_from
 from calib.identify.problem import Problem
 from calib.identify.registration import register
 from calib.identify.rows import DISTANCE, Rows
-from calib.identify.selection import AUTO
 from calib.identify.setup import along_own_axes, targets_along_tip
 from calib.identify.table_rows import known_distances, rows_of
-from calib.measure.cell import Cell
+from calib.measure.cell import AUTO, Cell
 from calib.measure.kinds import KINDS
 from calib.measure.measurements import Measurements
 from calib.model.kinematics import Kinematics

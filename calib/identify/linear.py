@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.problem import Problem
-from calib.identify.robust import deleted_norms, scores
+from calib.identify.robust import deleted_norms, median, scores
 from calib.identify.statistics import Mask
 from calib.identify.variance import Known, Linearised, Scalars, scalars_of
 
@@ -59,9 +59,7 @@ class Linear:
         r, C = problem.constraints(x)
         instruments, _ = problem.rows.instruments
         count = int(instruments.max()) + 1
-        smallest = [
-            SMALLEST_SIGMA / float(np.median(scales[instruments == c])) for c in range(count)
-        ]
+        smallest = [SMALLEST_SIGMA / median(scales[instruments == c]) for c in range(count)]
         return cls(
             A,
             residual / scales + A @ x,
@@ -133,15 +131,20 @@ class Linear:
         return Linearised.of_scalars(self._scalars, weights)
 
     def fit(
-        self, weights: Array, noise: tuple[float, ...], precision: Array, centre: Array
+        self,
+        weights: Array,
+        noise: tuple[float, ...],
+        precision: Array,
+        centre: Array,
+        data: Linearised | None = None,
     ) -> tuple[Array, Array, float]:
-        """The linear fit with these weights, noise and priors.
+        """The linear fit with these weights, noise and priors; ``data`` are the normal equations, if at hand.
 
         Returns:
             The residual, shape (N, D), in units of each scalar's sigma; the covariance of x, shape (p, p); and the
             degrees of freedom: scalars, by weight, minus the parameters that they have to pay for.
         """
-        data = self.data(weights)
+        data = self.data(weights) if data is None else data
         x, covariance = data.posterior(noise, self.known(precision, centre))
         paid = np.sum(data.H * covariance, axis=(1, 2)) / np.square(noise)
         return self.residual(x), covariance, float(np.sum(data.count - paid))

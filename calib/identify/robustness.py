@@ -93,7 +93,7 @@ def compare(fitted: Fitted) -> Robustness:
         )
         raise ModelError(message)
     estimate, rows = fitted.estimate, fitted.estimate.problem.rows
-    other = fit(replace(fitted.task, robust=not fitted.task.robust), rows)
+    other = fit(replace(fitted.task, robust=not fitted.task.robust), rows, started=fitted.setup)
     samples = as_one_body(fitted, rows.samples)
     here = fitted.kinematics.points(estimate.x, samples)
     there = other.kinematics.points(other.estimate.x, samples)

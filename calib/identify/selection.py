@@ -27,9 +27,6 @@ from calib.model.parameters import COMPLIANCE, JOINT_FAMILIES
 
 Array = NDArray[np.float64]
 
-#: The model that lets the data choose.
-AUTO = "auto"
-
 #: The geometries, from the smallest to the largest.
 LADDER = ("frames", "zeros", "dh", "hayati", "placement")
 
@@ -80,11 +77,13 @@ class Selection:
         geometry: Name of the set that goes into the URDF.
         larger: Name of the larger model; "" where the data support none.
         candidates: All that were fitted, in order.
+        common: The fit that the weights are from, with weights of its own.
     """
 
     geometry: str
     larger: str
     candidates: tuple[Candidate, ...]
+    common: Fitted
 
 
 def select(task: Task, rows: Rows) -> Selection:
@@ -100,7 +99,8 @@ def select(task: Task, rows: Rows) -> Selection:
     """
     _check_names(task)
     task = replace(task, lenient=True)
-    weights = _common_weights(task, rows)
+    common = _common(task, rows)
+    weights = common.estimate.problem.weights
     tried: dict[str, Candidate] = {}
     # Without priors the likelihood would be that of errors of metres: then left-out rows alone decide.
     step = _STEP * (1.0 + _FEW / max(rows.count - task.setup.count, 1))
@@ -110,7 +110,7 @@ def select(task: Task, rows: Rows) -> Selection:
     def candidate(name: str) -> Candidate | None:
         if name not in tried:
             try:
-                fitted = fit(replace(task, model=name), rows, weights)
+                fitted = fit(replace(task, model=name), rows, weights, common.setup)
             except MeasurementError:
                 return None  # more parameters than numbers, and no priors
             tried[name] = _candidate(name, fitted)
@@ -143,6 +143,7 @@ def select(task: Task, rows: Rows) -> Selection:
         geometry.name,
         larger,
         tuple(replace(c, chosen=marks.get(c.name, ""), needed=step) for c in tried.values()),
+        common,
     )
 
 
@@ -154,8 +155,8 @@ def _steps(name: str, geometries: list[str], families: list[str]) -> list[str]:
     return [*(f"{name}+{f}" for f in more), *("+".join([g, *has]) for g in larger)]
 
 
-def _common_weights(task: Task, rows: Rows) -> Array:
-    """The weights by the largest geometry that there are enough rows for, repeats shared out, shape (N,).
+def _common(task: Task, rows: Rows) -> Fitted:
+    """The fit that the weights are from, repeats shared out: of the largest geometry that there are enough rows for.
 
     What a smaller model leaves over is shared by the repeats of a pose. Weights of its own would thus let it answer for
     fewer numbers than a larger one, and their likelihoods would be those of different data.
@@ -169,9 +170,7 @@ def _common_weights(task: Task, rows: Rows) -> Array:
         for name in LADDER
         if task.cell.priors.sizes != "off" or len(model_of(replace(task, model=name))) <= rows.count
     ]
-    return fit(
-        replace(task, model=enough[-1] if enough else LADDER[0]), rows
-    ).estimate.problem.weights
+    return fit(replace(task, model=enough[-1] if enough else LADDER[0]), rows)
 
 
 def _check_names(task: Task) -> None:
@@ -180,6 +179,8 @@ def _check_names(task: Task) -> None:
     Raises:
         ModelError: There is one.
     """
+    if not (task.cell.frozen or task.cell.ties or task.cell.bounds or task.cell.parameter_priors):
+        return
     cell = replace(task.cell, frozen=(), ties={})
     every = "+".join(("placement", *JOINT_FAMILIES))
     known: set[str] = set()

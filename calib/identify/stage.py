@@ -206,25 +206,22 @@ class Stage:
         weights, noise = self.weights, self.noise
         for _ in range(3):
             effective = weights * self.share
-            residual, covariance, _ = linear.fit(
-                effective, noise, self.precision, self.holds.centre
-            )
+            data, centre = linear.data(effective), self.holds.centre
+            residual, covariance, _ = linear.fit(effective, noise, self.precision, centre, data)
             found = []
             for c, smallest in enumerate(linear.smallest):
                 single = linear.norms(residual, covariance, effective, noise[c], c)
                 found.append(max(median_noise(single, linear.instruments == c), smallest))
             noise = tuple(found)
             # Scores in units of the new noise need the covariance that goes with it.
-            residual, covariance, _ = linear.fit(
-                effective, noise, self.precision, self.holds.centre
-            )
+            residual, covariance, _ = linear.fit(effective, noise, self.precision, centre, data)
             weights = cauchy_weights(linear.scores(residual, covariance, effective, noise))
         return replace(self, weights=weights, noise=noise)
 
     def by_likelihood(self, linear: Linear | Streamed, *, robust: bool) -> Stage:
         """Noise and prior sizes by restricted likelihood, and the weights that go with them."""
         stage = self
-        for _ in range(2):
+        for _ in range(2 if robust else 1):
             if robust:
                 stage = replace(stage, weights=stage._row_weights(linear))
             data = linear.data(stage.effective)
@@ -275,7 +272,11 @@ class Stage:
             scale = linear.noise_of(self.noise)
             paid = float(np.sum(self.effective @ linear.used)) - freedom
             found = repeats(
-                linear.scalars(residual) / scale, linear.used, poses, self.weights, fitted=max(paid, 0.0)
+                linear.scalars(residual) / scale,
+                linear.used,
+                poses,
+                self.weights,
+                fitted=max(paid, 0.0),
             )
             rho = found.rho if found.freedom >= _TELLING_REPEATS else 1.0
         return replace(self, share=1.0 / (1.0 + (np.maximum(counts, 1) - 1.0) * rho))

@@ -104,10 +104,15 @@ class Streamed:
         return Linearised(H, Jr + Hx, rr + 2.0 * Jr @ x + Hx @ x, count)
 
     def fit(
-        self, weights: Array, noise: tuple[float, ...], precision: Array, centre: Array
+        self,
+        weights: Array,
+        noise: tuple[float, ...],
+        precision: Array,
+        centre: Array,
+        data: Linearised | None = None,
     ) -> tuple[Array, Array, float]:
         """The linear fit with these weights, noise and priors; see `calib.identify.linear.Linear.fit`."""
-        data = self.data(weights)
+        data = self.data(weights) if data is None else data
         x, covariance = data.posterior(noise, self.known(precision, centre))
         paid = np.sum(data.H * covariance, axis=(1, 2)) / np.square(noise)
         return x, covariance, float(np.sum(data.count - paid))
