@@ -246,9 +246,10 @@ def _places(c: Facts) -> str:
     lines += _moved(c.targets, "Target", f"in {c.a.stored.tip}")
     lost = [
         f"{what} {choices(names)} of {one.name}"
-        for what, one, names in (
-            ("set-ups", c.a, _without_pair(c.a, c.frames, frames=True)),
-            ("targets", c.a, _without_pair(c.a, c.targets, frames=False)),
+        for one in (c.a, c.b)
+        for what, names in (
+            ("set-ups", _without_pair(one, c.frames, frames=True)),
+            ("targets", _without_pair(one, c.targets, frames=False)),
         )
         if names
     ]
