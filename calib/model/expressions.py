@@ -135,8 +135,7 @@ class Evaluator:
                     return _Method(owner, methods[name])
                 break
         if isinstance(owner, dict):
-            yaml_table: Any = owner
-            return yaml_table[name]
+            return _element(owner, name)
         if isinstance(owner, (int, float, complex)) and name in ("real", "imag"):
             return getattr(owner, name)
         message = f"'.{name}' of {type(owner).__name__} is not read in a xacro's expression"
@@ -148,7 +147,7 @@ class Evaluator:
         if not isinstance(owner, (str, list, tuple, dict, range, *self.namespaces)):
             message = f"{type(owner).__name__} has no elements"
             raise TypeError(message)
-        return owner[key]
+        return _element(owner, key)
 
     def _slice(self, node: ast.Slice, names: Any) -> slice:
         """The bounds of a part."""
@@ -309,6 +308,11 @@ class _Function(Own):
             raise TypeError(message)
         inner = {**dict(zip(self.arguments, values, strict=False)), **named}
         return self.evaluator._value(self.body, _Scope(inner, self.names))
+
+
+def _element(owner: Any, key: Any) -> Any:
+    """An element, as the owner itself finds it."""
+    return owner[key]
 
 
 def _bound(target: ast.expr, value: Any) -> Iterator[tuple[str, Any]]:

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import importlib.metadata
-import itertools
 import math
 import os
-import re
 import sys
 import urllib.parse
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,17 +19,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pinocchio import hppfcl
 
+from calib.model.given_folders import GivenFolders, own_folder
+from calib.model.mesh_files import MeshFault, read_triangles
 from calib.model.ros_packages import packages_in
 from calib.model.urdf import Urdf
 
 Array = NDArray[np.float64]
-
-#: Largest mesh file that is read [bytes].
-LIMIT_BYTES = 200_000_000
-
-#: The unit of a COLLADA file, which stands at its beginning.
-_UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']\s*([0-9.eE+-]+)\s*[\"']")
-_HEAD_BYTES = 100_000
+Faces = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,43 +81,106 @@ def link_shapes(urdf: Urdf, kind: Literal["visual", "collision"]) -> Iterator[Li
                 yield LinkShape(link.get("name", ""), _origin(element), geometry)
 
 
-def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> tuple[Path, ...]:
+class MeshFolders(tuple[Path, ...]):
+    """The folders in which meshes are looked for, and those out of which they may be.
+
+    Attributes:
+        given: A mesh outside of these is not read.
+    """
+
+    given: GivenFolders
+
+
+def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> MeshFolders:
     """The folders in which ``package://`` and relative mesh names are looked for, each once.
 
     Those that the user named, the URDF's own folder and those above it, ``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``,
     the share folder of example-robot-data and the one of this Python.
     """
-    folders = [Path(folder) for folder in package_dirs]
+    named = [Path(folder) for folder in package_dirs]
+    above: tuple[Path, ...] = ()
+    own: tuple[Path, ...] = ()
     if urdf.path is not None:
-        folders += Path(os.path.realpath(urdf.path)).parents
+        above = tuple(Path(os.path.realpath(urdf.path)).parents)
+        own = (own_folder(urdf.path),)
+    others = []
     for name, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
         listed = os.environ.get(name, "").split(os.pathsep)
-        folders += [Path(folder) / below for folder in listed if folder]
-    folders += _robot_data_shares()
-    folders.append(Path(sys.prefix) / "share")
-    return tuple(dict.fromkeys(folders))
+        others += [Path(folder) / below for folder in listed if folder]
+    others += [*_robot_data_shares(), Path(sys.prefix) / "share"]
+    folders = MeshFolders(dict.fromkeys([*named, *above, *others]))
+    folders.given = GivenFolders(own, (*named, *others))
+    return folders
 
 
 def find_mesh(name: str, folders: Sequence[Path]) -> Path | None:
-    """The file that ``package://package/rest``, ``file:///path`` or a plain path means; None if there is none."""
+    """The file that ``package://package/rest``, ``file:///path`` or a plain path means; None if there is none.
+
+    A file outside of the given folders is none: a package is left neither by ``..`` nor over a symbolic link, and a
+    plain path, whole or relative, leads into the URDF's own folder, see `own_folder`, or into one that the user named.
+
+    Args:
+        name: As the URDF has it.
+        folders: See `mesh_folders`; of other folders all count as named by the user.
+    """
+    given = folders.given if isinstance(folders, MeshFolders) else GivenFolders((), tuple(folders))
+    found = (path for path, root in _candidates(name, folders) if _holds(given, path, root))
+    return next(filter(_is_file, found), None)
+
+
+def why_no_mesh(name: str, folders: Sequence[Path]) -> str:
+    """What is wrong with a mesh that `find_mesh` does not find; goes on after its name."""
+    if any(_is_file(path) for path, _ in _candidates(name, folders)):
+        return "lies outside the URDF's own folder and its ROS packages, and is not read"
+    return "was not found"
+
+
+def _candidates(name: str, folders: Sequence[Path]) -> Iterator[tuple[Path, Path | None]]:
+    """The files that a name may mean, the likeliest first, each with its package's folder if it has one."""
     scheme, separator, rest = name.partition("://")
     if not separator:
         scheme, rest = "", name
-    candidates: list[Path] = []
-    named: Iterable[Path] = ()
     if scheme in ("package", "model"):
         rest = rest.lstrip("/")  # a package without a name: what follows lies in one of the folders
-        inside = rest.partition("/")[2]
-        candidates = [folder / rest for folder in folders]
-        candidates += [folder / inside for folder in folders if folder.name == rest.split("/")[0]]
-        package = rest.partition("/")[
-            0
-        ]  # of a folder with another name: only its package.xml tells
-        named = (found / inside for folder in folders for found in packages_in(folder, package))
+        package, _, inside = rest.partition("/")
+        if package.strip(".") and (at := [f for f in folders if f.parent != f]):
+            yield from ((folder / rest, folder / package) for folder in at)
+            yield from ((folder / inside, folder) for folder in at if folder.name == package)
+            # Of a folder with another name only its package.xml tells.
+            for folder in at:
+                yield from ((f / inside, f) for f in packages_in(folder, package))
+        else:
+            yield from ((folder / rest, None) for folder in folders)
     elif scheme in ("", "file"):
         plain = Path(urllib.parse.unquote(rest) if scheme else rest)
-        candidates = [folder / plain for folder in folders] if rest else []
-    return next(filter(_is_file, itertools.chain(candidates, named)), None)
+        yield from ((folder / plain, None) for folder in folders if rest)
+
+
+def _holds(given: GivenFolders, path: Path, package: Path | None) -> bool:
+    """Whether a file may be read: in a given folder, or in the package that its name begins with."""
+    return given.hold(path) or (package is not None and GivenFolders((package,)).hold(path))
+
+
+def read_mesh(path: Path, scale: Sequence[float]) -> tuple[tuple[Array, Faces] | None, str]:
+    """The triangles of a mesh file, and ``""``; or None and what is wrong with the file.
+
+    Args:
+        path: The file.
+        scale: Factors along x, y, z.
+
+    Returns:
+        Vertices, shape (V, 3), [m], and faces, shape (F, 3), indices of vertices.
+    """
+    try:
+        with np.errstate(all="ignore"):  # numbers without end are looked for below
+            vertices, faces = read_triangles(path)
+            vertices = vertices * np.asarray(scale, dtype=np.float64)
+            spread = np.ptp(vertices, axis=0) if len(faces) else np.zeros(3)
+    except MeshFault as error:
+        return None, str(error)
+    if not np.isfinite(spread).all() or not spread.any():
+        return None, "is empty"
+    return (vertices, faces), ""
 
 
 def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
@@ -134,20 +190,15 @@ def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
         path: The file.
         scale: Factors along x, y, z.
     """
-    try:
-        if path.stat().st_size > LIMIT_BYTES:
-            return None, f"is larger than {LIMIT_BYTES:,} bytes"
-        factors = np.asarray(scale, dtype=np.float64) * _unit(path)
-        mesh = hppfcl.MeshLoader().load(str(path), factors)
-        vertices = mesh_vertices(mesh)
-        triangles = mesh.num_tris
-    except (ValueError, RuntimeError, OSError, AttributeError):
-        return None, "cannot be read"
-    if not triangles or not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).any():
-        return None, "is empty"
-    if path.suffix.lower() != ".stl" and len(np.unique(mesh_faces(mesh))) < len(vertices):
-        mesh = _whole(path, vertices, factors)
-        return mesh, "" if mesh is not None else "has several parts that cannot be read"
+    found, problem = read_mesh(path, scale)
+    if found is None:
+        return None, problem
+    vertices, faces = found
+    mesh = hppfcl.BVHModelOBBRSS()
+    mesh.beginModel(len(faces), len(vertices))
+    mesh.addVertices(vertices)
+    mesh.addTriangles(faces)
+    mesh.endModel()
     return mesh, ""
 
 
@@ -156,49 +207,10 @@ def mesh_vertices(mesh: Any) -> Array:  # noqa: ANN401  coal has no types
     return np.array(mesh.vertices(), dtype=np.float64).reshape(-1, 3)
 
 
-def mesh_faces(mesh: Any) -> NDArray[np.int64]:  # noqa: ANN401  coal has no types
+def mesh_faces(mesh: Any) -> Faces:  # noqa: ANN401  coal has no types
     """The faces of a mesh that `load_mesh` gave, shape (F, 3), indices of vertices."""
     corners = [mesh.tri_indices(i) for i in range(mesh.num_tris)]
     return np.array([(c[0], c[1], c[2]) for c in corners], dtype=np.int64).reshape(-1, 3)
-
-
-def _unit(path: Path) -> float:
-    """What a COLLADA file calls 1, [m]; coal takes it as 1 m, ROS and its simulators take the file at its word."""
-    if path.suffix.lower() != ".dae":
-        return 1.0
-    with path.open("rb") as file:
-        found = _UNIT.search(file.read(_HEAD_BYTES))
-    value = float(found[1]) if found else 1.0  # ValueError for what is no number
-    return value if 0.0 < value < math.inf else 1.0
-
-
-def _whole(path: Path, vertices: Array, scale: Array) -> Any | None:  # noqa: ANN401  coal has no types
-    """A mesh of several parts, with the faces of each; None if it cannot be read.
-
-    coal counts the vertices of a node's second part, such as one of another material, from its first vertex again: the
-    faces then join vertices of another part. Its vertices are right, and those of trimesh must lie in the same box.
-    """
-    import trimesh  # takes half a second, and few meshes need it
-
-    try:
-        with warnings.catch_warnings():
-            # What a reader uses of NumPy that will be gone one day is not ours to mend.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            read: Any = trimesh.load(str(path), force="mesh", process=False, skip_materials=True)
-        own = np.asarray(read.vertices, dtype=np.float64) * scale
-        faces = np.asarray(read.faces, dtype=np.int64).reshape(-1, 3)
-        box = np.array([own.min(axis=0), own.max(axis=0)])
-    except Exception:  # noqa: BLE001  what the readers of many formats raise is not known
-        return None
-    box_of_coal = np.array([vertices.min(axis=0), vertices.max(axis=0)])
-    if not np.allclose(box, box_of_coal, rtol=0.0, atol=1e-3 * np.ptp(vertices, axis=0).max()):
-        return None
-    mesh = hppfcl.BVHModelOBBRSS()
-    mesh.beginModel(len(faces), len(own))
-    mesh.addVertices(own)
-    mesh.addTriangles(faces)
-    mesh.endModel()
-    return mesh
 
 
 def numbers(text: str | None, default: tuple[float, float, float]) -> tuple[float, float, float]:

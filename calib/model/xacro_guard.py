@@ -266,7 +266,7 @@ def _check_xml(text: str) -> None:
         nonlocal count, depth
         count, depth = count + 1, depth + 1
         if count > _MOST_ELEMENTS or depth > _DEEPEST:
-            message = f"it has more than {_MOST_ELEMENTS:,} elements, or more than {_DEEPEST} in one another; no xacro has"
+            message = f"it has more than {_MOST_ELEMENTS:,} elements, or {_DEEPEST} in one another; no xacro has"
             raise Refused(message)
 
     def end(_tag: str) -> None:

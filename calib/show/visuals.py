@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from calib.model.meshes import (
     LinkShape,
+    MeshFolders,
     find_mesh,
     link_shapes,
-    load_mesh,
-    mesh_faces,
     mesh_folders,
-    mesh_vertices,
+    read_mesh,
+    why_no_mesh,
 )
 from calib.model.urdf import Urdf
 from calib.show.triangles import Triangles, clustered, shaded
@@ -83,7 +83,7 @@ def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
     for one in shapes:
         if one.mesh is not None:
             asked.setdefault(one.mesh, one.link)
-    files = tuple(_MeshFile.of(find_mesh(name, folders), scale) for name, scale in asked)
+    files = tuple(_MeshFile.of(name, folders, scale) for name, scale in asked)
     drawn = dict(zip(asked, _drawn(files), strict=True))
     warnings = [
         f"link '{link}': the mesh '{mesh[0]}' {drawn[mesh].problem}; a simple shape stands for it"
@@ -150,15 +150,17 @@ class _MeshFile:
     scale: tuple[float, ...]
     size: int
     modified: int
+    missing: str = ""
 
     @classmethod
-    def of(cls, path: Path | None, scale: tuple[float, ...]) -> _MeshFile:
-        """The file at this path; None is one that was not found."""
+    def of(cls, name: str, folders: MeshFolders, scale: tuple[float, ...]) -> _MeshFile:
+        """The file that a name means; its path is None if there is none, and ``missing`` says why."""
+        path = find_mesh(name, folders)
+        if path is None:
+            return cls(None, scale, 0, 0, why_no_mesh(name, folders))
         try:
-            found = None if path is None else path.stat()
-        except OSError:  # gone since it was found: `load_mesh` says so
-            found = None
-        if found is None:
+            found = path.stat()
+        except OSError:  # gone since it was found: `read_mesh` says so
             return cls(path, scale, 0, 0)
         return cls(path, scale, found.st_size, found.st_mtime_ns)
 
@@ -195,11 +197,8 @@ def _drawn(files: tuple[_MeshFile, ...]) -> tuple[_Drawn, ...]:
 def _read_mesh(file: _MeshFile) -> tuple[tuple[Array, NDArray[np.int64]] | None, str]:
     """A mesh's vertices and faces, or None and why it cannot be drawn."""
     if file.path is None:
-        return None, "was not found"
-    mesh, problem = load_mesh(file.path, file.scale)
-    if mesh is None:
-        return None, problem
-    vertices = mesh_vertices(mesh)
-    if (reach := np.abs(vertices).max()) > _FARTHEST:
+        return None, file.missing
+    mesh, problem = read_mesh(file.path, file.scale)
+    if mesh is not None and (reach := np.abs(mesh[0]).max()) > _FARTHEST:
         return None, f"reaches {reach:.0e} m far"
-    return (vertices, mesh_faces(mesh)), ""
+    return mesh, problem

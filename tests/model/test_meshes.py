@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pinocchio import hppfcl
 
 from calib import data
 from calib.model.meshes import (
@@ -14,7 +15,9 @@ from calib.model.meshes import (
     mesh_faces,
     mesh_folders,
     mesh_vertices,
+    read_mesh,
 )
+from calib.model.robot import find_urdf
 from calib.model.urdf import Urdf
 
 TEXT = """<robot name="r"><link name="a">
@@ -145,15 +148,27 @@ def test_the_base_of_the_ur3_is_whole():
     assert 0.06 < area < 0.07  # 0.089 m2 where faces reach from one part to the other
 
 
-def test_parts_that_cannot_be_told_apart_are_named(tmp_path, monkeypatch):
-    (tmp_path / "two.obj").write_text(TWO_PARTS)
-    # A reader that has another idea of the file's units than coal, as some have of COLLADA.
-    import trimesh
+@pytest.mark.parametrize("robot", ["panda", "ur5", "solo12"])
+def test_meshes_are_those_that_coal_reads(robot):
+    """Of STL and COLLADA and OBJ, by assimp, in another language; the faces by their area."""
 
-    read = trimesh.load
-    monkeypatch.setattr(trimesh, "load", lambda *a, **k: read(*a, **k).apply_scale(1e-3))
-    given = load_mesh(tmp_path / "two.obj", (1.0, 1.0, 1.0))
-    assert given == (None, "has several parts that cannot be read")
+    def extent(vertices, faces):
+        sides = vertices[faces[:, 1:]] - vertices[faces[:, :1]]
+        area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum()
+        used = vertices[np.unique(faces)]
+        return [*used.min(axis=0), *used.max(axis=0), area]
+
+    urdf = Urdf.read(find_urdf(robot))
+    paths = {
+        find_mesh(s.mesh[0], mesh_folders(urdf)) for s in link_shapes(urdf, "collision") if s.mesh
+    }
+    assert paths
+    for path in sorted(paths)[:4]:
+        (vertices, faces), problem = read_mesh(path, (1.0, 2.0, 3.0))
+        assert problem == ""
+        theirs = hppfcl.MeshLoader().load(str(path), np.array([1.0, 2.0, 3.0]))
+        expected = extent(mesh_vertices(theirs), mesh_faces(theirs))
+        np.testing.assert_allclose(extent(vertices, faces), expected, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["", "http://x/y.stl", "a" * 300, "package://", "none.stl"])
@@ -169,5 +184,5 @@ def test_files_that_are_no_meshes(tmp_path, monkeypatch):
     assert mesh is None
     assert problem in ("is empty", "cannot be read")
     assert load_mesh(tmp_path / "none.stl", (1, 1, 1)) == (None, "cannot be read")
-    monkeypatch.setattr("calib.model.meshes.LIMIT_BYTES", 3)
+    monkeypatch.setattr("calib.model.mesh_files.LIMIT_BYTES", 3)
     assert load_mesh(tmp_path / "bad.stl", (1, 1, 1)) == (None, "is larger than 3 bytes")
