@@ -13,17 +13,36 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+import numpy.typing
 from docutils import nodes  # type: ignore[import-untyped]
 from pygments.lexers.special import TextLexer  # type: ignore[import-untyped]
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
-from sphinx.util.inspect import TypeAliasForwardRef
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))  # as `python -m sphinx` from another folder does not
 
 import calib  # noqa: E402
+
+
+def _named(name: str) -> type:
+    """A type that is shown by this name alone."""
+    return type(name, (), {"__module__": "builtins"})
+
+
+class _Arrays:
+    """In place of NDArray: "Array" says more than numpy.ndarray[tuple[Any, ...], numpy.dtype[numpy.float64]]."""
+
+    def __class_getitem__(cls, number: type) -> type:
+        """The array of numbers of a type."""
+        kinds = {"b": _named("BoolArray"), "i": _named("IntArray")}
+        return kinds.get(np.dtype(number).kind, _named("Array"))
+
+
+# The modules of calib are imported by autodoc, after this line.
+vars(numpy.typing).update(NDArray=_Arrays, ArrayLike=_named("ArrayLike"))
 
 project = "calib"
 author = "The calib developers"
@@ -42,10 +61,6 @@ myst_heading_anchors = 4
 autodoc_default_options = {"members": True}
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
-# "Array" says more than numpy.ndarray[tuple[Any, ...], numpy.dtype[numpy.float64]]. In `Array | None` Sphinx 9 would
-# show how it calls the alias inside.
-autodoc_type_aliases = {"Array": "Array", "ArrayLike": "ArrayLike"}
-TypeAliasForwardRef.__repr__ = lambda self: self.name  # type: ignore[method-assign]
 napoleon_numpy_docstring = False
 napoleon_attr_annotations = True
 napoleon_use_rtype = False
@@ -101,7 +116,8 @@ _FOREIGN = (
     "pinocchio.",
     "np.",
     "Array",
-    "NDArray",
+    "BoolArray",
+    "IntArray",
 )
 
 
@@ -122,6 +138,8 @@ def _read_page(_: Sphinx, _name: str, source: list[str]) -> None:
         r"^( *)\.\. unlisted$", lambda m: _lines(m[1], _unlisted()), text, flags=re.MULTILINE
     )
     text = re.sub(r"^\.\. modules:: (\w*)$", lambda m: _modules(m[1]), text, flags=re.MULTILINE)
+    # A link that shows a file's name shows the page's title here.
+    text = re.sub(r"\[([\w-]+\.md)\]\((\1(?:#[\w-]+)?)\)", r"[](\2)", text)
     text = re.sub(r"\]\(\.\./CHANGELOG\.md(#[\w-]+)?\)", r"](changelog.rst\1)", text)
     # Folders and sources are not part of the site.
     text = re.sub(r"\[([^][]+)\]\(\.\./[^)]*\)", r"\1", text)
@@ -193,9 +211,11 @@ def _types(
 def _signature(
     _: Sphinx, what: str, name: str, _obj: object, _options: object, args: str | None, returns: str
 ) -> tuple[str, str] | None:
-    """No signature of a class that users are given and do not make: its attributes stand below."""
-    made = what == "class" and args and (name.count(".") > 1 or name.rpartition(".")[2] in _GIVEN)
-    return ("", returns) if made else None
+    """No signature of a class that users are given and do not make: its attributes stand below it."""
+    if what == "class" and (name.count(".") > 1 or name.rpartition(".")[2] in _GIVEN):
+        return ("", returns) if args else None
+    # A default that a function makes, such as an empty table, is no Python and would stop the links.
+    return (args.replace("<factory>", "..."), returns) if args else None
 
 
 def _elsewhere(
