@@ -19,6 +19,7 @@ from calib.cli.convert import convert
 from calib.cli.demo import demo
 from calib.cli.evaluate import evaluate
 from calib.cli.fit import fit
+from calib.cli.fleet import fleet
 from calib.cli.inspect import inspect
 from calib.cli.plan import plan
 from calib.cli.simulate import simulate
@@ -36,6 +37,7 @@ app = typer.Typer(
 )
 app.command()(demo)
 app.command()(fit)
+app.command()(fleet)
 app.command()(evaluate)
 app.command()(compare)
 app.command()(compensate)

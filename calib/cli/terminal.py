@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import typer
 
 #: How a verdict is coloured; the word says it too.
-_VERDICTS = {
+VERDICTS = {
     "use": "bold green",
     "use with care": "bold yellow",
     "do not use": "bold red",
@@ -59,7 +59,7 @@ def styled(text: str) -> Iterator[tuple[str, str]]:
         under = len(following) >= len(line.rstrip()) > 0 and _RULE.match(following) is not None
         if line.startswith("Verdict: "):
             verdict = line.removeprefix("Verdict: ")
-            yield line, _VERDICTS.get(verdict, "bold")
+            yield line, VERDICTS.get(verdict, "bold")
         elif under or _HEAD.match(line):
             yield line, "bold"
         else:

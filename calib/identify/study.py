@@ -140,6 +140,8 @@ def study(
     found = tuple(t for s in seeds if isinstance(t := done[s], Trial))
     failures = tuple((s, t) for s in seeds if isinstance(t := done[s], str))
     if not found:
+        if kept is not None:  # to go on with that makes no sense
+            Path(kept).unlink(missing_ok=True)
         message = (
             f"None of the {count} trials came to an end. The first one's reason: {failures[0][1]}"
         )

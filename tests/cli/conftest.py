@@ -89,6 +89,8 @@ def fill(folder: Path) -> Path:
     (folder / "cell.toml").write_text(example, encoding="utf-8")
     _split(folder)
     _factory(folder)
+    rows = "name,robot,data,target\nSN-1,robot.urdf,data.csv,\nSN-2,robot.urdf,data.csv,70 -70 22.5 mm\n"
+    (folder / "manifest.csv").write_text(rows, encoding="utf-8")
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     sweeps = virtual_sweeps(robot, np.eye(4), 3e-5, arcs=np.radians([270.0, 180.0]))
     write_sweeps(sweeps, folder / "sweeps.csv")

@@ -143,6 +143,7 @@ def test_every_example_of_the_document_works(examples):
         "cell.toml",
         "sweeps.csv",
         "calibration.conf",
+        "manifest.csv",
     }
     made = {
         "demo",
@@ -174,6 +175,7 @@ def test_every_example_of_the_document_works(examples):
         "later.json",
         "compared.json",
         "study.json",
+        "results",
         "truth.json",
         "robot.html",
         "rows.csv",

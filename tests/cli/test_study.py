@@ -144,7 +144,8 @@ def test_a_study_that_is_killed_leaves_no_workers_behind(shop: Path):
         [sys.executable, "-c", program, *words], cwd=shop, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )  # fmt: skip
     try:
-        workers = until(lambda: len(found := children(run.pid)) >= 3 and found)
+        # The workers, the server that they are forked from, and the tracker of what they share.
+        workers = until(lambda: len(found := descendants(run.pid)) >= 5 and found)
     finally:
         run.kill()
         run.wait()
@@ -155,6 +156,12 @@ def children(parent: int) -> list[int]:
     """The processes that a process has started."""
     listed = Path(f"/proc/{parent}/task").glob("*/children")
     return [int(word) for path in listed for word in path.read_text().split()]
+
+
+def descendants(parent: int) -> list[int]:
+    """The processes that a process has started, those that these have started, and so on."""
+    found = children(parent)
+    return [*found, *(inner for child in found for inner in descendants(child))]
 
 
 def is_alive(process: int) -> bool:
