@@ -390,6 +390,19 @@ def _meshes(ending: str, *more: bytes) -> Callable[[], Sequence[bytes]]:
     return lambda: [*more * 3, *_example(ending, _LARGEST_MESH, count=8)]
 
 
+def _exported(kind: str) -> Callable[[], Sequence[bytes]]:
+    """A ball and a box, as trimesh writes them."""
+
+    def files() -> list[bytes]:
+        import trimesh
+
+        shapes = (trimesh.creation.icosphere(1), trimesh.creation.box((1, 2, 3)))
+        written = [shape.export(file_type=kind) for shape in shapes]
+        return [text.encode() if isinstance(text, str) else text for text in written]
+
+    return files
+
+
 def _all(*lists: Callable[[], Iterable[bytes]]) -> Callable[[], list[bytes]]:
     """Files of several kinds."""
     return lambda: [data for files in lists for data in files()]
@@ -413,5 +426,6 @@ READERS = {
         Reader("mesh-stl", _mesh(".stl"), _meshes(".stl", _STL)),
         Reader("mesh-obj", _mesh(".obj"), _meshes(".obj", _OBJ)),
         Reader("mesh-dae", _mesh(".dae"), _meshes(".dae"), _XML_TOKENS),
+        *(Reader(f"mesh-{k}", _mesh(f".{k}"), _exported(k)) for k in ("ply", "off", "glb")),
     )
 }

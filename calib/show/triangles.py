@@ -12,8 +12,8 @@ Array = NDArray[np.float64]
 #: Faces that meet at less than this angle look like one smooth surface [rad].
 CREASE = np.deg2rad(35.0)
 
-#: Corners of one vertex are compared with each other only up to this many faces.
-_MOST_FACES = 256
+#: Corners of one vertex are compared with each other only up to this many faces, and so many pairs of corners in all.
+_MOST_FACES, _MOST_PAIRS = 256, 3_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +44,7 @@ def shaded(vertices: Array, faces: NDArray[np.int64]) -> Triangles:
 
     Args:
         vertices: shape (V, 3), [m]; equal ones are welded.
-        faces: shape (F, 3); those without area are left out.
+        faces: shape (F, 3); those without area are left out, so that none may be left.
     """
     vertices, faces = _welded(vertices, faces)
     sides = vertices[faces[:, 1:]] - vertices[faces[:, :1]]
@@ -52,6 +52,10 @@ def shaded(vertices: Array, faces: NDArray[np.int64]) -> Triangles:
     length = np.linalg.norm(across, axis=1)
     flat = length == 0
     faces, across, length = faces[~flat], across[~flat], length[~flat]
+    if not len(faces):
+        return Triangles(
+            np.empty((0, 3), np.float32), np.empty((0, 3), np.int8), np.empty((0, 3), np.uint16)
+        )
     normals = _corner_normals(faces, across / length[:, None], _angles(vertices[faces]))
     # Halves such as 127 cos(60 deg) go up whatever the rounding before, so that equal normals stay equal.
     packed = np.floor(127.0 * normals + 0.50001).astype(np.int8)
@@ -134,7 +138,10 @@ def _corner_normals(faces: NDArray[np.int64], unit: Array, angles: Array) -> Arr
     degree = degree[degree > 0]
     start = np.concatenate([[0], np.cumsum(degree)[:-1]]).astype(np.int64)
     # Every corner against every corner of the same vertex; those of a huge fan against the first few only.
-    partners = np.repeat(np.minimum(degree, _MOST_FACES), degree)
+    most = _MOST_FACES
+    while most > 1 and (np.minimum(degree, most) * degree).sum() > _MOST_PAIRS:
+        most //= 2
+    partners = np.repeat(np.minimum(degree, most), degree)
     one = np.repeat(np.arange(len(face)), partners)
     offset = np.arange(len(one)) - np.repeat(np.cumsum(partners) - partners, partners)
     other = np.repeat(np.repeat(start, degree), partners) + offset
@@ -147,8 +154,12 @@ def _corner_normals(faces: NDArray[np.int64], unit: Array, angles: Array) -> Arr
     sums += (
         1e-9 * weighted[face]
     )  # a corner beyond the first few of a fan has its own face at least
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     normals = np.empty_like(sums)
-    normals[order] = sums / np.linalg.norm(sums, axis=1, keepdims=True)
+    # A corner so sharp that it has no angle: the face's own.
+    normals[order] = np.where(lengths > 0.0, sums, unit[face]) / np.where(
+        lengths > 0.0, lengths, 1.0
+    )
     result: Array = normals.reshape(-1, 3, 3)
     return result
 

@@ -190,7 +190,9 @@ def _drawn(files: tuple[_MeshFile, ...]) -> tuple[_Drawn, ...]:
         vertices, faces = mesh
         share = max(200, MOST_TRIANGLES * len(faces) // max(total, 1))
         vertices, faces, cell = clustered(vertices, faces, share)
-        result.append(_Drawn(shaded(vertices, faces), cell=cell))
+        triangles = shaded(vertices, faces)
+        drawn = _Drawn(triangles, cell=cell) if len(triangles.faces) else _Drawn(None, "is empty")
+        result.append(drawn)
     return tuple(result)
 
 
