@@ -67,6 +67,11 @@ def imports(tree: ast.Module, *, top_only: bool) -> Iterator[str]:
                     yield inner if inner in NAMES else str(node.module)
 
 
+#: The compiled kernel, and who calls it when there is much to do.
+KERNEL = [name for name in NAMES if name.startswith("calib.model.kernel")]
+COMPILED = ("calib.model.batch", "calib.identify.passes", "calib.identify.streams")
+
+
 def parse(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
@@ -115,6 +120,10 @@ def test_deferred_imports_within_a_folder_are_few():
         deferred |= {(module_name(path), name) for name in hidden}
     assert deferred <= {
         ("calib.identify.result", "calib.identify.summary"),
+        # numba takes its time to load, and few tables are that large.
+        *((of, kernel) for of in COMPILED for kernel in KERNEL),
+        ("calib.model.robot", "calib.model.batch"),  # which is made of robots
+        ("calib.model.batch", "calib.model.kinematics"),  # for the types alone
         ("calib.identify.result", "calib.identify.result_file"),
         *UPWARDS,
         # A program and its commands have files of their own, which are made of them.

@@ -20,7 +20,7 @@ from calib.model.batch import chunks, fixed, geometry_of, in_threads, stood_at
 from calib.model.kinematics import Kinematics
 
 if TYPE_CHECKING:
-    from calib.model.kernel import Geometry, Measured, Stood
+    from calib.model.kernel_types import Geometry, Measured, Stood
 
 Array = NDArray[np.float64]
 

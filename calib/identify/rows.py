@@ -145,6 +145,8 @@ class Rows:
 
     def select(self, mask: Mask) -> Rows:
         """Some of the rows; of a pair both or none."""
+        if np.all(mask):
+            return self
         chosen = np.flatnonzero(mask)
         position = np.full(len(self), -1)
         position[chosen] = np.arange(len(chosen))
@@ -154,7 +156,7 @@ class Rows:
             samples=self.samples.select(chosen),
             kinds=self.kinds[chosen],
             points=self.points[chosen],
-            rotations=self.rotations[chosen],
+            rotations=self._rotations_of(chosen),
             distances=self.distances[chosen],
             partner=np.where(partner >= 0, position[partner], -1),
             sigma=self.sigma[chosen],
@@ -162,6 +164,12 @@ class Rows:
             poses=self.poses[chosen],
             blocks=self.blocks[chosen],
         )
+
+    def _rotations_of(self, chosen: NDArray[np.int_]) -> Array:
+        """Some of the rotations; where no row has one of its own they stay one matrix for all."""
+        if self.rotations.strides[0] == 0:
+            return np.broadcast_to(np.eye(3), (len(chosen), 3, 3))
+        return self.rotations[chosen]
 
     def residual(self, T_frame_target: Array) -> Array:
         """Measured minus predicted, shape (N, width), [m] and [rad].

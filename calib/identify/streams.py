@@ -13,7 +13,7 @@ from calib.model.batch import fixed
 from calib.model.kinematics import Samples
 
 if TYPE_CHECKING:
-    from calib.model.kernel import Measured
+    from calib.model.kernel_types import Measured
 
 Array = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ class Stream:
 
 def stream_of(rows: Rows, kind: int, numbers: dict[int, int]) -> Stream:
     """The rows of one kind."""
-    from calib.model import kernel
+    from calib.model import kernel_types as kernel
 
     what = {
         POINT: kernel.POSITION,

@@ -13,9 +13,10 @@ from calib.identify.problem import KnownDistance
 from calib.identify.rows import KIND_NAMES, NONE, PAIR, Rows
 from calib.identify.setup import Setup, setup_of
 from calib.identify.statistics import same_poses
-from calib.measure.cell import Cell
+from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements
 from calib.model.kinematics import Samples
+from calib.model.parameters import COMPLIANCE
 from calib.model.robot import Robot
 from calib.model.torques import gravity_load
 
@@ -38,16 +39,16 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
     kinds[paired & (partner < np.arange(count))] = NONE
     partner = np.where(kinds == PAIR, partner, -1)
     setup = setup_of(cell, m, kinds)
-    rotations = np.tile(np.eye(3), (count, 1, 1))
+    rotations = np.broadcast_to(np.eye(3), (count, 3, 3))  # one for all of them
     if m.rotations is not None:
         there = np.all(np.isfinite(m.rotations), axis=(1, 2))
-        rotations[there] = m.rotations[there]
+        rotations = np.where(there[:, None, None], m.rotations, rotations)
     blocks = same_poses(q)
     samples = Samples(
         q=q,
         frame=_numbers(m.groups, setup.groups),
         target=_numbers(m.targets, setup.targets),
-        load=_load(robot, m, cell, q),
+        load=_load(robot, m, cell, q) if _load_counts(cell) else None,
     )
     rows = Rows(
         samples=samples,
@@ -142,6 +143,11 @@ def _partners(m: Measurements, kinds: NDArray[np.int_]) -> NDArray[np.int_]:
         )
         raise MeasurementError(message)
     return partner
+
+
+def _load_counts(cell: Cell) -> bool:
+    """Whether a model may be fitted that asks for the load on the joints, which takes its time to work out."""
+    return cell.model == AUTO or COMPLIANCE in cell.model
 
 
 def _load(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:

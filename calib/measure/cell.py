@@ -31,6 +31,9 @@ __all__ = ["DIRECTIONS", "PRIOR_SIZES", "REPEATS", "Cell", "GroupDistance", "Pri
 #: The directions in which a measurement frame can be unknown, `Cell.frame_directions`.
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
+#: The model that lets the data choose.
+AUTO = "auto"
+
 #: What `Cell.repeats` may be.
 REPEATS = ("weighted", "average", "independent")
 
@@ -92,7 +95,7 @@ class Cell:
     estimate_frame: bool = False
     sigma: float | None = None
     priors: Priors = _PRIORS
-    model: str = "auto"
+    model: str = AUTO
     frozen: tuple[str, ...] = ()
     base: str | None = None
     tip: str | None = None

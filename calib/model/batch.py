@@ -22,7 +22,7 @@ from calib.model.parameters import FRAME, TARGET, TIP
 from calib.model.robot import Robot, rigid_inverse
 
 if TYPE_CHECKING:
-    from calib.model.kernel import Geometry, Stood
+    from calib.model.kernel_types import Geometry, Stood
     from calib.model.kinematics import Kinematics, Samples
 
 Array = NDArray[np.float64]
@@ -127,7 +127,7 @@ def _geometry(
     T_tip_target: Array,
 ) -> Geometry:
     """A chain of these placements; ``columns`` are entries, twists and the number of parameters."""
-    from calib.model.kernel import Geometry
+    from calib.model.kernel_types import Geometry
 
     n, turns = len(robot.joints), _to_axes(robot)
     own = [*(placements[i] @ turns[i] for i in range(n)), T_last_tip]
@@ -147,7 +147,7 @@ def _geometry(
 
 def stood_at(kinematics: Kinematics, x: Array, samples: Samples, *, columns: bool = True) -> Stood:
     """The joint values of samples with the joints' own errors at x, and the numbers that multiply their columns."""
-    from calib.model.kernel import Stood
+    from calib.model.kernel_types import Stood
 
     robot, model = kinematics.robot, kinematics.model
     values = robot.chain_values(samples.q)
@@ -168,7 +168,7 @@ def stood_at(kinematics: Kinematics, x: Array, samples: Samples, *, columns: boo
 
 def _within_reach(robot: Robot, values: Array) -> Array:
     """Angles so far round that the kernel would not reduce them exactly, by whole turns nearer to zero."""
-    from calib.model.kernel import FARTHEST
+    from calib.model.kernel_blocks import FARTHEST
 
     if np.max(np.abs(values), initial=0.0) <= FARTHEST:
         return values
@@ -223,14 +223,14 @@ def robot_poses(robot: Robot, values: Array) -> Array:
         robot: The robot.
         values: shape (N, n), of the chain's joints, see `Robot.chain_values`.
     """
-    from calib.model import kernel
+    from calib.model import kernel, kernel_types
 
     n, one = len(robot.joints), np.eye(4)
     placements, T_last_tip = robot.placements[:n], robot.placements[n]
     T_base_root = rigid_inverse(robot.T_root_base)
     geometry = _geometry(robot, placements, T_last_tip, (*_no_entries(), 0), T_base_root, one, one)
     first = fixed(np.zeros(len(values), dtype=np.int_))
-    stood = kernel.Stood(
+    stood = kernel_types.Stood(
         fixed(_within_reach(robot, values)), first, first, fixed(np.empty((len(values), 0)))
     )
     out = np.empty((len(values), 4, 4))
@@ -240,10 +240,10 @@ def robot_poses(robot: Robot, values: Array) -> Array:
 
 def warm_up() -> None:
     """Compile the kernel and keep it on disk, so that the first large table need not wait for it."""
-    from calib.model import kernel
+    from calib.model import kernel, kernel_types
 
     n, p = 1, 1
-    geometry = kernel.Geometry(
+    geometry = kernel_types.Geometry(
         slides=fixed(np.zeros(n, dtype=bool)),
         steps=fixed(np.zeros((n, 12))),
         starts=fixed(np.zeros((1, 12))),
@@ -254,9 +254,9 @@ def warm_up() -> None:
         columns=p,
     )
     first, ones = fixed(np.zeros(1, dtype=np.int_)), fixed(np.ones(1))
-    stood = kernel.Stood(fixed(np.zeros((1, n))), first, first, fixed(np.zeros((1, 1))))
-    measured = kernel.Measured(
-        kernel.POSITION, fixed(np.zeros((1, 3))), fixed(np.zeros((1, 9))), ones
+    stood = kernel_types.Stood(fixed(np.zeros((1, n))), first, first, fixed(np.zeros((1, 1))))
+    measured = kernel_types.Measured(
+        kernel_types.POSITION, fixed(np.zeros((1, 3))), fixed(np.zeros((1, 9))), ones
     )
     seen = (geometry, stood, stood, measured, ones, ones)
     kernel.poses(geometry, stood, 0, 1, np.empty((1, 4, 4)))

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.model import kernel
+from calib.model import kernel_blocks as kernel
 
 
 @given(
