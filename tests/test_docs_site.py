@@ -6,6 +6,7 @@ The site itself is built by `make docs`, where a name that leads nowhere is an e
 from __future__ import annotations
 
 import ast
+import dataclasses
 import importlib
 import inspect
 import re
@@ -106,14 +107,19 @@ def test_the_api_page_has_every_public_name_once():
 
 
 @pytest.mark.parametrize("page", ["api.rst", "api-parts.rst"])
-def test_what_the_api_pages_describe_exists(page: str):
+def test_what_the_api_pages_describe_exists_and_has_its_fields_described(page: str):
     entries = re.findall(
         r"^\.\. auto\w+:: ([\w.]+)$", (DOCS / page).read_text("utf-8"), re.MULTILINE
     )
     assert len(entries) > 30
     for entry in entries:
         module, _, last = entry.rpartition(".")
-        assert hasattr(importlib.import_module(module), last), entry
+        thing = getattr(importlib.import_module(module), last)
+        if dataclasses.is_dataclass(thing) and isinstance(thing, type):
+            said = "".join(base.__doc__ or "" for base in thing.__mro__[:-1])
+            for field in dataclasses.fields(thing):
+                described = re.search(rf"^ +{field.name}:", said, re.MULTILINE)
+                assert described or field.name.startswith("_"), f"{entry}.{field.name}"
 
 
 def test_docstrings_name_pages_that_exist():

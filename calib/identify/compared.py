@@ -61,6 +61,7 @@ class Compared:
     Attributes:
         name: Name of the file, or ``"a"`` or ``"b"``.
         stored: Robot, origins, frames and targets.
+        robot_name: The robot's name in its URDF.
         joints: The measured joints.
         model: The parameter set, such as ``"dh"``.
         frozen: Parameters kept at their nominal values.

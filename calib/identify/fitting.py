@@ -69,7 +69,14 @@ class Task:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """One fit: the registered start and the estimate from there."""
+    """One fit: the registered start and the estimate from there.
+
+    Attributes:
+        task: What was asked.
+        setup: Frames and targets at the start.
+        kinematics: Of the nominal robot with these.
+        estimate: The parameters from there, with their weights and sizes.
+    """
 
     task: Task
     setup: Setup
