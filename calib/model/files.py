@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import secrets
 import select
@@ -11,6 +12,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from calib.errors import FileError
+
+with contextlib.suppress(ImportError):  # Windows has none, and no files without names either
+    import fcntl
 
 #: How long to wait for somebody to write into a named pipe [s].
 PATIENCE = 10.0
@@ -241,49 +245,99 @@ def _reason(error: OSError | ValueError) -> str:
 
 
 def _write(target: Path, data: bytes, *, overwrite: bool) -> None:
-    """Write the bytes under another name, or none, and give them the name of ``target``."""
+    """Write the bytes under no name, or under another, and give them the name of ``target``."""
+    if _write_nameless(target, data, overwrite=overwrite):
+        return
     temporary = target.parent / f".calib-{secrets.token_hex(8)}.tmp"
     try:
-        if not _write_nameless(temporary, target, data, overwrite=overwrite):
-            _write_to_disk(temporary, data)
-            if not overwrite:
-                _move_to_new(temporary, target)
-                return
+        _write_to_disk(temporary, data)
         if overwrite:
-            _replace(temporary, target)
+            with contextlib.suppress(FileNotFoundError):
+                temporary.chmod(_permissions(target))
+            temporary.replace(target)
+        else:
+            _move_to_new(temporary, target)
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
 
 
-def _write_nameless(temporary: Path, target: Path, data: bytes, *, overwrite: bool) -> bool:
+def _write_nameless(target: Path, data: bytes, *, overwrite: bool) -> bool:
     """Write the bytes into a file without a name, of which nothing is left if the process is killed.
-
-    It gets the name of ``target``, or of ``temporary`` where it is to take the place of another file.
 
     Returns:
         Whether it could be done: only Linux has such files, and not in every kind of folder.
     """
     if not hasattr(os, "O_TMPFILE"):
         return False
-    folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
+    with contextlib.ExitStack() as stack:
         try:
             nameless = os.open(target.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
         except OSError:
             return False
-        with open(nameless, "wb") as file:  # noqa: PTH123  a number, not a name
-            _to_disk(file, data)
-            name = temporary if overwrite else target
-            try:  # with a folder given, the name that /proc has for the file is followed to it
-                os.link(f"/proc/self/fd/{nameless}", name, src_dir_fd=folder, follow_symlinks=True)
-            except FileExistsError:
-                raise
-            except OSError:  # no /proc
-                return False
-    finally:
-        os.close(folder)
+        file = stack.enter_context(open(nameless, "wb"))  # noqa: PTH123  a number, no name
+        _to_disk(file, data)
+        folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
+        stack.callback(os.close, folder)
+        if not overwrite:
+            return _link(nameless, target, folder)
+        with contextlib.suppress(FileNotFoundError):
+            os.fchmod(nameless, _permissions(target))
+        temporary = _link_beside(nameless, target, folder)
+        if temporary is None:
+            return False
+        try:
+            temporary.replace(target)
+        except OSError:
+            temporary.unlink()
+            raise
     return True
+
+
+def _link(nameless: int, name: Path, folder: int) -> bool:
+    """Give a file without a name one; False if this system cannot.
+
+    Raises:
+        FileExistsError: Something has that name.
+    """
+    try:  # with a folder given, the name that /proc has for the file is followed to it
+        os.link(f"/proc/self/fd/{nameless}", name, src_dir_fd=folder, follow_symlinks=True)
+    except FileExistsError:
+        raise
+    except OSError:  # no /proc
+        return False
+    return True
+
+
+def _link_beside(nameless: int, target: Path, folder: int) -> Path | None:
+    """Give a file without a name the one from which it takes the place of ``target``; None if this system cannot.
+
+    The name is always the same for a target. A process that is killed between this name and the last leaves a file,
+    which is known by that nobody holds its lock; the next who writes the target takes it away.
+    """
+    digest = hashlib.sha256(os.fsencode(target.name)).hexdigest()
+    usual = target.parent / f".calib-{digest[:16]}.tmp"
+    with contextlib.suppress(OSError):
+        fcntl.flock(nameless, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _remove_dead(usual)
+        with contextlib.suppress(FileExistsError):  # somebody else is just writing the target
+            return usual if _link(nameless, usual, folder) else None
+    other = target.parent / f".calib-{secrets.token_hex(8)}.tmp"
+    return other if _link(nameless, other, folder) else None
+
+
+def _remove_dead(path: Path) -> None:
+    """Remove a temporary file if the process that made it is gone."""
+    with contextlib.suppress(FileNotFoundError, BlockingIOError), path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # Whoever holds the lock of a file may remove it, as long as the name is still the file's.
+        if os.path.samestat(os.fstat(file.fileno()), path.lstat()):
+            path.unlink()
+
+
+def _permissions(path: Path) -> int:
+    """The permissions of a file."""
+    return stat.S_IMODE(path.stat().st_mode)
 
 
 def _takes_nameless(folder: Path) -> bool:
@@ -306,13 +360,6 @@ def _to_disk(file: BinaryIO, data: bytes) -> None:
     file.write(data)
     file.flush()
     os.fsync(file.fileno())
-
-
-def _replace(temporary: Path, target: Path) -> None:
-    """Put the temporary file in the place of ``target``, with the permissions of the old file."""
-    with contextlib.suppress(FileNotFoundError):
-        temporary.chmod(stat.S_IMODE(target.stat().st_mode))
-    temporary.replace(target)
 
 
 def _move_to_new(temporary: Path, target: Path) -> None:
