@@ -29,7 +29,14 @@ from calib.identify.stage import (
 )
 from calib.identify.statistics import Mask
 from calib.identify.streamed import Streamed, linearised
-from calib.identify.variance import Known, Linearised, clipped, inverse
+from calib.identify.variance import (
+    STEPS_DOWN,
+    STEPS_UP,
+    Known,
+    Linearised,
+    clipped,
+    inverse,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
@@ -384,7 +391,7 @@ class _Many:
             information[stays[:, :, None] | stays[:, None, :]] = 0.0
             score[stays], diagonal[stays] = 0.0, 1.0
             step = np.asarray(np.linalg.solve(information, score[:, :, None])[:, :, 0])
-            logs[active] = clipped(at + clipped(step, -1.0, 1.0), low, top)
+            logs[active] = clipped(at + clipped(step, -STEPS_DOWN, STEPS_UP), low, top)
             active = active[np.abs(logs[active] - at).max(axis=1) >= 1e-4]
             if not len(active):
                 break

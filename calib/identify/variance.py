@@ -37,6 +37,9 @@ Scalars = tuple[tuple[NDArray[np.int_], Array], ...]
 #: Bounds of the sizes: far outside of what an arm can have.
 _SMALLEST, _LARGEST = 1e-7, 0.1
 
+#: How far the logarithm of a size may fall and rise in one step: where nothing supports a size it falls to its bound.
+STEPS_DOWN, STEPS_UP = 3.0, 1.0
+
 #: Bounds for compliances [rad/Nm, m/N], whose unit is another.
 SMALLEST_COMPLIANCE, LARGEST_COMPLIANCE = 1e-11, 1e-2
 
@@ -269,7 +272,9 @@ def sizes_by_reml(
         diagonal += 1e-3 * diagonal + 1e-9
         information[held], information[:, held], score[held] = 0.0, 0.0, 0.0
         diagonal[held] = 1.0
-        step: Array = clipped(np.asarray(np.linalg.solve(information, score)), -1.0, 1.0)
+        step: Array = clipped(
+            np.asarray(np.linalg.solve(information, score)), -STEPS_DOWN, STEPS_UP
+        )
         moved = clipped(logs + step, lowest, highest)
         done = np.abs(moved - logs).max() < 1e-4
         logs = moved

@@ -1,0 +1,178 @@
+"""Fits without each fold on the linearised problem: against one fold at a time, and against fits from the beginning."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib.identify.crossvalidation import cross_validation, folds_of
+from calib.identify.fitting import Fitted, Task, fit, task_options
+from calib.identify.fold_fits import _one_by_one, fold_fits, fold_means
+from calib.identify.linear import Linear
+from calib.identify.rows import Rows
+from calib.identify.stage import Holds
+from calib.identify.table_rows import known_distances, rows_of
+from calib.measure.cell import Cell, Priors
+from calib.measure.measurements import Measurements
+
+
+def fitted_to(scene: Any, table: Measurements, cell: Cell, model: str = "dh") -> Fitted:
+    every, setup = rows_of(scene.robot, table, cell)
+    task = Task(scene.robot, cell, setup, model, known_distances(cell, setup), lenient=True)
+    return fit(task, every.select(table.estimation))
+
+
+def of_case(case: tuple[Any, Any]) -> Fitted:
+    _, c = case
+    return c.fitted if c.larger is None else c.larger.fitted
+
+
+def rows_of_fit(fitted: Fitted) -> Rows:
+    return fitted.estimate.problem.rows
+
+
+def with_outliers(make_scene: Any, **given: Any) -> tuple[Any, Measurements]:
+    """30 points, two of them off by millimetres."""
+    usual = {"frames": [np.eye(4)], "length": 3e-4, "angle": 3e-3, "noise": 2e-5}
+    scene = make_scene(91, **(usual | given))
+    table = scene.points(30)
+    points = table.points.copy()
+    points[[4, 17]] += [[2e-3, 0.0, 1e-3], [0.0, -3e-3, 0.0]]
+    return scene, replace(table, points=points)
+
+
+def prepared(fitted: Fitted, masks: tuple[Any, ...]) -> tuple[Any, ...]:
+    """What `fold_fits` takes."""
+    problem, x = fitted.estimate.problem, fitted.estimate.x
+    model = fitted.kinematics.model
+    options = task_options(fitted.task, model, fitted.setup)
+    holds = Holds.of(model, options.priors, options.single, (), options.nominal)
+    return problem, Linear.at(problem, x), x, holds, masks, options
+
+
+def assert_the_same(fitted: Fitted) -> None:
+    """All folds at once are the stages of a single fit, one fold after the other."""
+    masks = folds_of(fitted.task, rows_of_fit(fitted)).masks[:8]
+    problem, linear, x, holds, masks, options = prepared(fitted, masks)
+    at_once = fold_fits(problem, linear, x, holds, masks, options)
+    in_turn = _one_by_one(problem, x, holds, masks, options)
+    std = np.sqrt(np.diag(fitted.estimate.covariance))
+    np.testing.assert_allclose(at_once.x / std, in_turn.x / std, atol=1e-4)
+    np.testing.assert_allclose(at_once.freedom, in_turn.freedom, rtol=1e-6)
+
+
+def test_all_folds_at_once_are_one_fold_after_the_other(case):
+    """For every kind of row, of several instruments, targets and set-ups."""
+    assert_the_same(of_case(case))
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        Cell(),
+        Cell(priors=Priors(sizes="off")),
+        Cell(priors=Priors(sizes="given")),
+        Cell(frozen=("d1",), parameter_priors={"a2": 1e-4}),
+    ],
+    ids=["sizes from the data", "no priors", "sizes as given", "single priors"],
+)
+def test_priors_and_outliers_go_into_each_fold(make_scene, cell):
+    scene, table = with_outliers(make_scene)
+    fitted = fitted_to(scene, table, cell)
+    assert_the_same(fitted)
+    assert_the_same(fit(replace(fitted.task, robust=False), rows_of_fit(fitted)))
+
+
+@pytest.mark.parametrize("mode", ["weighted", "average", "independent"])
+def test_repeats_share_in_each_fold(make_scene, mode):
+    scene = make_scene(92, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
+    m = scene.points(20)
+    noise = 2e-5 * np.random.default_rng(1).normal(size=(60, 3))
+    table = Measurements(
+        m.joint_names, np.tile(m.joints, (3, 1)), np.tile(m.points, (3, 1)) + noise
+    )
+    assert_the_same(fitted_to(scene, table, Cell(repeats=mode)))
+
+
+def test_means_at_sizes_that_stay(make_scene):
+    scene, table = with_outliers(make_scene)
+    fitted = fitted_to(scene, table, Cell())
+    problem, estimate = fitted.estimate.problem, fitted.estimate
+    linear = Linear.at(problem, estimate.x)
+    known = linear.known(problem.precision, problem.centre)
+    masks = folds_of(fitted.task, problem.rows).masks
+    found = fold_means(linear, masks, problem.weights, estimate.noise, known)
+    for mask, x in zip(masks, found, strict=True):
+        one = linear.data(np.where(mask, 0.0, problem.weights)).posterior(estimate.noise, known)[0]
+        np.testing.assert_allclose(x, one, rtol=1e-6, atol=1e-12)
+
+
+def both(fitted: Fitted) -> tuple[Any, Any]:
+    """Cross-validation on the linearised problem, and by fits from the beginning."""
+    task, rows, outliers = fitted.task, rows_of_fit(fitted), fitted.estimate.outliers
+    return (
+        cross_validation(task, rows, outliers, fitted=fitted),
+        cross_validation(task, rows, outliers),
+    )
+
+
+def assert_refitted(fitted: Fitted) -> None:
+    """Each left-out row is predicted as by a fit from the beginning, to a small share of the noise."""
+    linear, refitted = both(fitted)
+    assert linear.method == refitted.method
+    assert linear.errors.rms == pytest.approx(refitted.errors.rms, rel=3e-4, abs=1e-9)
+    assert linear.errors.max == pytest.approx(refitted.errors.max, rel=1e-3, abs=1e-9)
+    used = rows_of_fit(fitted).used
+    apart = (linear.residual - refitted.residual) / fitted.estimate.problem.scales
+    assert np.sqrt(np.mean(apart[used] ** 2)) < 1e-2
+
+
+@pytest.mark.parametrize("name", ["points", "poses", "set-ups", "distances", "pairs", "targets"])
+def test_left_out_rows_are_predicted_as_by_refits(calibrated, name):
+    assert_refitted(of_case(calibrated(name)))
+
+
+def test_outliers_are_found_in_each_fold_as_by_refits(make_scene):
+    scene, table = with_outliers(make_scene)
+    fitted = fitted_to(scene, table, Cell())
+    assert np.flatnonzero(fitted.estimate.outliers).tolist() == [4, 17]
+    assert_refitted(fitted)
+
+
+def test_the_papers_rows_are_predicted_as_by_refits(ur3, table, paper_cell):
+    every, setup = rows_of(ur3, table, paper_cell)
+    task = Task(ur3, paper_cell, setup, "paper")
+    assert_refitted(fit(task, every.select(table.estimation)))
+
+
+@pytest.mark.parametrize(
+    ("cell", "count", "solver"),
+    [
+        (Cell(bounds={"a2": (-1e-5, 1e-5)}), 12, "lm"),
+        (Cell(), 9, "lm"),
+        (Cell(), 14, "paper"),
+    ],
+    ids=["at a bound", "few rows", "the paper's solver"],
+)
+def test_folds_are_fitted_from_the_beginning_where_the_linearised_problem_does_not_do(
+    make_scene, cell, count, solver
+):
+    scene = make_scene(93, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
+    table = scene.points(count)
+    every, setup = rows_of(scene.robot, table, cell)
+    fitted = fit(Task(scene.robot, cell, setup, "dh", solver=solver), every)
+    linear, refitted = both(fitted)
+    np.testing.assert_array_equal(linear.residual, refitted.residual)
+
+
+def test_progress_is_told_of_each_fold(make_scene):
+    scene, table = with_outliers(make_scene)
+    fitted = fitted_to(scene, table, Cell())
+    told: list[tuple[int, int]] = []
+    task, rows = fitted.task, rows_of_fit(fitted)
+    outliers = fitted.estimate.outliers
+    cross_validation(task, rows, outliers, lambda *at: told.append(at), fitted=fitted)
+    assert told == [(k + 1, 30) for k in range(30)]
