@@ -17,7 +17,7 @@ from calib.identify.options import options_of
 from calib.identify.problem import KnownDistance, Problem
 from calib.identify.registration import register, register_poses, register_seen
 from calib.identify.robust import scores
-from calib.identify.rows import POINT, Rows
+from calib.identify.rows import POINT, Rows, evenly
 from calib.identify.setup import Setup, along_own_axes, targets_along_tip
 from calib.identify.solvers import (
     Solution,
@@ -26,6 +26,7 @@ from calib.identify.solvers import (
     scipy_least_squares,
 )
 from calib.measure.cell import Cell
+from calib.model.batch import chunks
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
@@ -37,6 +38,9 @@ Array = NDArray[np.float64]
 #: A row that is this many median distances off does not take part in a nominal robot's registration.
 _GROSS = 5.0
 _GROSS_ROUNDS = 5
+
+#: Rows in which gross ones are looked for; more do not change where targets and frames are registered.
+_ENOUGH = 20_000
 
 #: The solvers' names.
 SOLVERS = ("lm", "paper", "scipy")
@@ -293,6 +297,9 @@ def register_without_gross(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup
         setup: What is known.
         rows: N rows.
     """
+    if len(rows) > _ENOUGH:
+        some = evenly(rows, _ENOUGH)
+        T_base_tip, rows = T_base_tip[some], rows.select(some)
     kept = np.ones(len(rows), dtype=bool)
     registered = register_seen(T_base_tip, setup, rows)
     alive = np.any(rows.used, axis=1)
@@ -344,8 +351,12 @@ def predict(robot: Robot, setup: Setup, rows: Rows) -> Array:
 
 def seen_from(setup: Setup, T_base_tip: Array, rows: Rows) -> Array:
     """T_frame_target of each row, shape (N, 4, 4), [m]."""
-    T_frame_tip = setup.T_frame_base[rows.samples.frame] @ T_base_tip
-    return np.asarray(T_frame_tip @ setup.T_tip_target[rows.samples.target])
+    frame, target = rows.samples.frame, rows.samples.target
+    result = np.empty((len(rows), 4, 4))
+    for first, last in chunks(len(rows)):  # so that no more than the result itself takes room
+        T_frame_tip = setup.T_frame_base[frame[first:last]] @ T_base_tip[first:last]
+        np.matmul(T_frame_tip, setup.T_tip_target[target[first:last]], out=result[first:last])
+    return result
 
 
 def unseen_scores(fitted: Fitted, rows: Rows) -> Array:

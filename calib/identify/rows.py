@@ -222,6 +222,23 @@ class Rows:
         return result
 
 
+def evenly(rows: Rows, most: int) -> Mask:
+    """About so many of the rows, spread evenly over each frame and target in their order, shape (N,); whole pairs.
+
+    Args:
+        rows: The rows.
+        most: How many; of each frame and target at least a hundred.
+    """
+    result = np.zeros(len(rows), dtype=bool)
+    view = rows.samples.frame * (int(rows.samples.target.max()) + 1) + rows.samples.target
+    for one in np.unique(view):
+        own = np.flatnonzero((view == one) & (rows.kinds != NONE))
+        count = min(len(own), max(int(most * len(own) / len(rows)), 100))
+        result[own[np.linspace(0, len(own) - 1, count).astype(int)]] = True
+    result[rows.partner[result & (rows.partner >= 0)]] = True
+    return result
+
+
 def _instruments(
     used: Mask, of_kind: tuple[tuple[int, NDArray[np.int_]], ...]
 ) -> tuple[NDArray[np.int8], NDArray[np.bool_]]:
