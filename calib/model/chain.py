@@ -19,6 +19,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import UrdfError, choices
+from calib.model.native_words import native_words, reason
 from calib.model.urdf import Urdf, UrdfJoint
 
 Array = NDArray[np.float64]
@@ -218,10 +219,14 @@ def full_model(urdf: Urdf) -> pin.Model:
 def _built_model(urdf: Urdf) -> pin.Model:
     """What `full_model` hands out copies of: reading the XML takes ten times as long as a copy."""
     check_size(urdf)
+    said: list[str] = []
     try:
-        model = pin.buildModelFromXML(urdf.data.decode(urdf.encoding))
-    except (ValueError, RuntimeError) as error:
-        message = f"{urdf.source}: Pinocchio cannot build a model of this URDF: {error}"
+        with native_words() as said:
+            model = pin.buildModelFromXML(urdf.data.decode(urdf.encoding))
+    except (ValueError, RuntimeError, MemoryError) as error:
+        message = (
+            f"{urdf.source}: Pinocchio cannot build a model of this URDF: {error}{reason(said)}"
+        )
         raise UrdfError(message) from error
     # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: let links be told apart.
     for frame in model.frames:
