@@ -149,7 +149,7 @@ def _names(node: ast.AST) -> list[str]:
 
 def _is_said(node: ast.AST) -> bool:
     """Whether a piece of code has words in it, two or more."""
-    return " " in _text(node).strip()
+    return any(" " in part.strip() for part in _text(node).split(" | "))
 
 
 def _targets(node: ast.Assign | ast.AugAssign) -> set[str]:
@@ -159,7 +159,7 @@ def _targets(node: ast.Assign | ast.AugAssign) -> set[str]:
 
 
 def _text(node: ast.AST) -> str:
-    """The words in a piece of code: its strings in the order they stand, ``{}`` for values."""
+    """The words in a piece of code: its strings in the order they stand, ``{}`` for values, a bar between two."""
     if isinstance(node, ast.Constant):
         return node.value if isinstance(node.value, str) else ""
     if isinstance(node, ast.JoinedStr):
@@ -167,7 +167,7 @@ def _text(node: ast.AST) -> str:
             _text(part) if isinstance(part, ast.Constant) else "{}" for part in node.values
         )
     parts: Iterable[ast.AST] = ast.iter_child_nodes(node)
-    return " ".join(filter(None, (_text(part) for part in parts)))
+    return " | ".join(filter(None, (_text(part) for part in parts)))
 
 
 def modules() -> list[Path]:

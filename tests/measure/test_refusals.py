@@ -257,3 +257,10 @@ def test_arcs_that_are_lines_and_planes_of_a_row():
         "through them alone. Touch it at places that are well apart, not in a row",
     ):
         fit_plane(points)
+
+
+def test_a_cell_with_a_number_of_too_many_digits(tmp_path):
+    path = tmp_path / "cell.toml"
+    path.write_text(f"sigma_mm = {10**30}\n")
+    with refused(FileError, f"{path}: this is not a TOML file: a whole number is beyond 64 bits"):
+        Cell.read(path)
