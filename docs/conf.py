@@ -187,9 +187,14 @@ def _docstring(
             drawn = not line.lstrip().startswith(">>>")
             text += ["::", ""] if drawn else []
         drawn = drawn and (indented or not line)
-        text.append(line if drawn else line.replace("|", r"\|"))
+        text.append(line if drawn else _linked(line.replace("|", r"\|")))
         before = line or before
     lines[:] = text
+
+
+def _linked(line: str) -> str:
+    """A line with the pages that it names as links."""
+    return re.sub(r"(?<!`)\bdocs/([\w-]+)\.md\b", r":doc:`/\1`", line)
 
 
 def _is_prose(line: str) -> bool:
