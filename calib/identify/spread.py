@@ -34,7 +34,9 @@ def position_std(fitted: Fitted, samples: Samples) -> Array:
     if not tells_place(fitted):
         seen = _points_jacobian(fitted, fitted.estimate.problem.rows.samples)
         jacobian = own_moves(fitted, points, jacobian, seen)
-    spread = np.einsum("nij,jk,nik->n", jacobian, fitted.estimate.covariance, jacobian)
+    covariance = fitted.estimate.covariance
+    wide = (jacobian.reshape(-1, len(covariance)) @ covariance).reshape(jacobian.shape)
+    spread = np.sum(wide * jacobian, axis=(1, 2))
     return np.asarray(np.sqrt(np.maximum(spread, 0.0)))
 
 

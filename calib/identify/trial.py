@@ -8,6 +8,7 @@ known, because the truth is.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from calib.measure.kinds import LENGTHS
 from calib.measure.planning import choose_poses
 from calib.measure.scenario import Scenario
 from calib.measure.simulation import Simulated, VirtualCell
+from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
 
@@ -123,9 +125,10 @@ def one_trial(trials: Trials, seed: int) -> Trial:
     return _verified(trials, virtual, simulated, result, seed)
 
 
+@lru_cache(maxsize=4)
 def verification_poses(scenario: Scenario) -> Array:
     """The poses at which every trial is verified, shape (500, m), [rad] or [m]: random ones over the joint ranges."""
-    return scenario.random_poses(VERIFIED, _VERIFY_SEED)
+    return read_only(scenario.random_poses(VERIFIED, _VERIFY_SEED))
 
 
 def _verified(
@@ -135,10 +138,12 @@ def _verified(
     q = verification_poses(trials.scenario)
     truth = virtual.truth
     predicted = result.predict(q, larger=True)
-    true = truth.points(q)
+    T_base_tip = truth.tip_poses(q)
+    T_base_target = T_base_tip @ truth.T_tip_target[0]
+    true = (truth.T_frame_base[0] @ T_base_target)[:, :3, 3]
     if trials.scenario.kind in LENGTHS:
         # Lengths do not tell where the base stands: only the shape of all positions counts.
-        true = (truth.tip_poses(q) @ truth.T_tip_target[0])[:, :3, 3]
+        true = T_base_target[:, :3, 3]
         error = without_rigid_motion(predicted, (predicted - true)[:, :, None])[:, :, 0]
     else:
         error = predicted - true
@@ -149,7 +154,7 @@ def _verified(
     larger = result.larger
     return Trial(
         seed=seed,
-        nominal_rms=float(np.sqrt(np.mean(truth.nominal_errors(q) ** 2))),
+        nominal_rms=float(np.sqrt(np.mean(truth.nominal_errors(q, T_base_tip) ** 2))),
         rms=float(np.sqrt(np.mean(length**2))),
         max=float(np.max(length)),
         stated_rms=float(np.sqrt(np.mean(np.trace(stated, axis1=1, axis2=2)))),
@@ -170,7 +175,8 @@ def _stated(trials: Trials, result: Calibration, q: Array, predicted: Array) -> 
     _, J = fitted.kinematics.points_jacobian(estimate.x, result.samples(q))
     if trials.scenario.kind in LENGTHS:
         J = without_rigid_motion(predicted, J)
-    return np.asarray(J @ estimate.covariance @ J.transpose(0, 2, 1))
+    wide = (J.reshape(-1, J.shape[2]) @ estimate.covariance).reshape(J.shape)
+    return np.asarray(wide @ J.transpose(0, 2, 1))
 
 
 def _covered(result: Calibration, stated: Array, error: Array) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,6 +48,7 @@ def ranges_of(joints: ArrayLike, margin: float | Array = 0.0, limits: Array | No
     return read_only(np.stack([low, high], axis=1))
 
 
+@lru_cache(maxsize=16)
 def column_limits(robot: Robot) -> Array:
     """The limits of each column of q, shape (m, 2), [rad] or [m]; infinite where there are none.
 
@@ -63,6 +65,7 @@ def column_limits(robot: Robot) -> Array:
     return read_only(limits)
 
 
+@lru_cache(maxsize=16)
 def full_ranges(robot: Robot) -> Array:
     """Values that take each joint everywhere it can go, shape (m, 2), [rad] or [m].
 

@@ -128,13 +128,18 @@ class Truth:
             return None
         return gravity_load(self.nominal, q, self.payload, self.gravity)
 
-    def nominal_errors(self, q: ArrayLike) -> Array:
+    def nominal_errors(self, q: ArrayLike, T_base_tip: Array | None = None) -> Array:
         """How far the nominal robot puts the first target from its true place, shape (N,), [m].
 
         Frame and target are where they truly are: this is the robot's own error.
+
+        Args:
+            q: shape (N, m) or (m,), [rad] or [m].
+            T_base_tip: `tip_poses` there, if they are at hand.
         """
         tip = self.T_tip_target[0]
-        apart = (self.tip_poses(q) @ tip - self.nominal.poses(q) @ tip)[:, :3, 3]
+        true = self.tip_poses(q) if T_base_tip is None else T_base_tip
+        apart = (true @ tip - self.nominal.poses(q) @ tip)[:, :3, 3]
         return np.asarray(np.linalg.norm(apart, axis=1))
 
     def _state(self) -> tuple[ErrorModel, Array]:

@@ -9,6 +9,7 @@ import io
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,7 @@ def random_joint_values(robot: Robot, count: int = _POSES, seed: int = _SEED) ->
     return np.asarray(low + (high - low) * share)
 
 
+@lru_cache(maxsize=16)
 def spread_poses(robot: Robot, count: int = SPREAD) -> NDArray[np.float64]:
     """Joint values spread evenly over the limits (one turn or one metre where there are none), shape (count, m).
 
