@@ -34,7 +34,7 @@ from calib.identify.repeats import Repeats, repeats
 from calib.identify.result import Calibration, Larger
 from calib.identify.robust import Limits
 from calib.identify.robustness import compare
-from calib.identify.rows import Rows
+from calib.identify.rows import Rows, thinned
 from calib.identify.selection import Candidate, select
 from calib.identify.setup_check import better_setup
 from calib.identify.spread import position_std
@@ -55,6 +55,9 @@ Array = NDArray[np.float64]
 
 #: Poses over which expected errors are averaged; more do not change them.
 _MOST_EXPECTED = 1000
+
+#: Rows among which a mistake in the set-up shows as well as among more of them.
+_TELLING_ROWS = 2000
 
 
 def calibrate(
@@ -110,7 +113,7 @@ def calibrate(
     result = replace(result, candidates=candidates)
     if larger is not None:
         result = replace(result, larger=_larger(larger, every))
-    hint = better_setup(robot, cell, setup, rows)
+    hint = better_setup(robot, cell, setup, thinned(rows, _TELLING_ROWS))
     if not validate:
         return replace(result, verdict=Verdict(NO, (hint,))) if hint else result
     return _validated(result, rows, hint, progress)
@@ -194,16 +197,19 @@ def _observability(fitted: Fitted) -> Observability:
     """What the rows that count determine, with every scalar in units of a length."""
     estimated, model = fitted.estimate, fitted.kinematics.model
     problem = estimated.problem
-    _, jacobian = problem.residual_and_jacobian(estimated.x)
+    known, alive = known_slopes(problem, estimated.x), problem.weights > 0.0
+    counts = problem.rows.used & alive[:, None]
     # Angles as lengths, by the ratio of the two standard deviations.
-    scales = problem.rows.scales
-    jacobian = jacobian * (scales[:, :1] / scales)[:, :, None]
-    counts = problem.rows.used & (problem.weights > 0.0)[:, None]
-    return analyse(
-        np.concatenate([jacobian[counts], known_slopes(problem, estimated.x)]),
-        model.names,
-        model.units,
-    )
+    if problem.passes is None:
+        _, jacobian = problem.residual_and_jacobian(estimated.x)
+        scales = problem.rows.scales
+        jacobian = (jacobian * (scales[:, :1] / scales)[:, :, None])[counts]
+    else:
+        as_lengths = np.where(alive, problem.rows.sigma, 0.0)
+        ones = (1.0,) * problem.passes.instruments
+        jacobian = problem.passes.triangle(estimated.x, as_lengths, ones)[:, :-1]
+    seen = np.concatenate([jacobian, known])
+    return analyse(seen, model.names, model.units, int(np.sum(counts)) + len(known))
 
 
 def _assemble(

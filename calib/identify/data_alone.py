@@ -23,9 +23,13 @@ def pushes(c: Calibration) -> list[float]:
     problem, x = estimate.problem, estimate.x
     if c.solver == "paper":  # not at the least of squares, and without priors
         return [float(one) for one in problem.precision * (x - problem.centre)]
-    residual, jacobian = problem.residual_and_jacobian(x)
-    used = problem.rows.used
-    weights = np.where(used, problem.weights[:, None] / problem.scales**2, 0.0)
-    push = np.einsum("nd,ndp->p", weights * np.where(used, residual, 0.0), jacobian)
     between, slope = problem.constraints(x)
+    if problem.passes is None:
+        residual, jacobian = problem.residual_and_jacobian(x)
+        used = problem.rows.used
+        weights = np.where(used, problem.weights[:, None] / problem.scales**2, 0.0)
+        push = np.einsum("nd,ndp->p", weights * np.where(used, residual, 0.0), jacobian)
+    else:
+        precise = 1.0 / np.square(problem.passes.noise_of(problem.scales))
+        push = np.tensordot(precise, problem.passes.normal(x, problem.weights), 1)[:-1, -1]
     return [float(one) for one in push + between @ slope]

@@ -17,6 +17,7 @@ from calib.identify.result import Calibration
 from calib.identify.rows import FIXED, PLANE, Rows
 from calib.identify.statistics import Errors, Mask
 from calib.identify.table_rows import joined_setups
+from calib.identify.thinning import thin
 from calib.identify.unpredicted import prediction_square, unpredicted_setup
 from calib.identify.verdict import Evidence
 from calib.model.error_model import error_model
@@ -71,7 +72,7 @@ def evidence_of(result: Calibration, rows: Rows, hint: str) -> Evidence:
         result.residual_calibrated,
         result.used,
     )
-    larger = result.larger
+    larger, few = result.larger, thin(fitted)
     return Evidence(
         nominal=result.nominal_cross_validation,
         calibrated=result.cross_validation,
@@ -88,15 +89,15 @@ def evidence_of(result: Calibration, rows: Rows, hint: str) -> Evidence:
         still=still_joints(fitted.task.robot, rows.joints),
         missing=""
         if result.candidates or result.solver == "paper"
-        else missing_model(fitted, rows),
+        else missing_model(few, few.estimate.problem.rows),
         findings=(
-            *patterns(fitted),
-            *disagreeing_setups(fitted),
+            *patterns(few),
+            *disagreeing_setups(few),
             *_outliers_of_one_setup(fitted),
             *_scatter(result),
             *_no_scale(fitted),
         ),
-        corner=_corner(fitted, rows),
+        corner=_corner(few, few.estimate.problem.rows),
         outside=_outside(result),
         parameters=len(result.model),
         largest=largest_change(result.model, result.x),

@@ -17,7 +17,7 @@ from calib.identify.options import options_of
 from calib.identify.problem import KnownDistance, Problem
 from calib.identify.registration import register, register_poses, register_seen
 from calib.identify.robust import scores
-from calib.identify.rows import POINT, Rows, evenly
+from calib.identify.rows import POINT, Rows, evenly, whole_blocks
 from calib.identify.setup import Setup, along_own_axes, targets_along_tip
 from calib.identify.solvers import (
     Solution,
@@ -26,7 +26,7 @@ from calib.identify.solvers import (
     scipy_least_squares,
 )
 from calib.measure.cell import Cell
-from calib.model.batch import chunks
+from calib.model.batch import CHUNK, chunks
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
@@ -361,19 +361,19 @@ def seen_from(setup: Setup, T_base_tip: Array, rows: Rows) -> Array:
 
 def unseen_scores(fitted: Fitted, rows: Rows) -> Array:
     """The scores of rows that the fit did not use, shape (N,); see `calib.identify.robust`."""
-    if len(rows) == 0:
-        return read_only(np.zeros(0))
-    poses, twists = fitted.kinematics.twists(fitted.estimate.x, rows.samples)
-    scale = scale_of(fitted, rows)
-    return read_only(
-        scores(
-            rows.residual(poses) / scale,
-            rows.derivative(poses, twists) / scale[:, :, None],
+    result = np.zeros(len(rows))
+    for own in whole_blocks(rows, CHUNK):  # so that derivatives of a part are enough
+        part = rows.select(own)
+        poses, twists = fitted.kinematics.twists(fitted.estimate.x, part.samples)
+        scale = scale_of(fitted, part)
+        result[own] = scores(
+            part.residual(poses) / scale,
+            part.derivative(poses, twists) / scale[:, :, None],
             fitted.estimate.covariance,
-            np.zeros(len(rows)),
-            rows.used,
+            np.zeros(len(part)),
+            part.used,
         )
-    )
+    return read_only(result)
 
 
 def scale_of(fitted: Fitted, rows: Rows) -> Array:

@@ -15,6 +15,7 @@ unknown in some directions: one error model for all. Scalars stand in a row of `
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -237,6 +238,24 @@ def evenly(rows: Rows, most: int) -> Mask:
         result[own[np.linspace(0, len(own) - 1, count).astype(int)]] = True
     result[rows.partner[result & (rows.partner >= 0)]] = True
     return result
+
+
+def whole_blocks(rows: Rows, size: int) -> Iterator[Mask]:
+    """The rows in parts of about so many, repeats of a pose and pairs together, as masks of shape (N,)."""
+    order = np.argsort(rows.blocks, kind="stable")
+    ends = np.flatnonzero(np.diff(rows.blocks[order], append=-1)) + 1
+    first = 0
+    while first < len(rows):
+        last = int(ends[np.searchsorted(ends, min(first + size, len(rows)))])
+        mask = np.zeros(len(rows), dtype=bool)
+        mask[order[first:last]] = True
+        yield mask
+        first = last
+
+
+def thinned(rows: Rows, most: int) -> Rows:
+    """The rows, or where they are more than that about so many of them, see `evenly`."""
+    return rows if len(rows) <= most else rows.select(evenly(rows, most))
 
 
 def _instruments(

@@ -80,11 +80,21 @@ def chunks(count: int) -> Iterator[tuple[int, int]]:
 def in_threads(work: Callable[[int, int], T], count: int) -> list[T]:
     """What ``work`` gives for each chunk of some samples, in their order, by as many threads as there are cores."""
     parts = list(chunks(count))
-    threads = min(_threads(), len(parts))
-    if threads < 2:
+    threads = _threads()
+    if min(threads, len(parts)) < 2:
         return [work(*part) for part in parts]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(lambda part: work(*part), parts))
+    return list(_pool(threads).map(lambda part: work(*part), parts))
+
+
+@lru_cache(maxsize=1)
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """The threads that wait for chunks: to start them anew for each pass would take longer than a short pass does."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="calib")
+
+
+if hasattr(os, "register_at_fork"):
+    # A forked process has none of its parent's threads.
+    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def _threads() -> int:

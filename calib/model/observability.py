@@ -107,7 +107,9 @@ def steps(units: Sequence[str]) -> Array:
     return np.array([STEPS[unit] for unit in units])
 
 
-def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Observability:
+def analyse(
+    jacobian: Array, names: Sequence[str], units: Sequence[str], rows: int | None = None
+) -> Observability:
     """Rank, combinations and indices of a Jacobian.
 
     With singular values s_1 >= ... >= s_r of the scaled Jacobian of N rows (J. Hollerbach, A. Nahvi, 1996;
@@ -118,6 +120,7 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
         jacobian: shape (rows, p), [m per unit of the parameter].
         names: p names.
         units: p units, of `STEPS`.
+        rows: How many rows there are; None for those of the Jacobian, which may also be the triangle of many.
 
     Raises:
         ModelError: The numbers of columns, names and units differ.
@@ -145,7 +148,7 @@ def analyse(jacobian: Array, names: Sequence[str], units: Sequence[str]) -> Obse
         rank=rank,
         condition=float(values[0] / values[rank - 1]) if rank else np.inf,
         singular_values=read_only(values),
-        indices=_indices(values[:rank], len(jacobian)),
+        indices=_indices(values[:rank], len(jacobian) if rows is None else rows),
         unidentifiable=combinations,
         identifiable=identifiable,
     )

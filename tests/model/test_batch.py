@@ -143,3 +143,26 @@ print("same")
         check=False,
     )
     assert ran.stdout == "same\n", ran.stderr
+
+
+def test_a_forked_process_has_threads_of_its_own():
+    code = """
+import os, warnings
+from calib.model import batch
+warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 warns of the very thing that is looked at
+work, count = (lambda first, _: first), 3 * batch.CHUNK
+assert len(batch.in_threads(work, count)) == 3
+child = os.fork()
+if child == 0:
+    os._exit(len(batch.in_threads(work, count)))
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    ran = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"OMP_NUM_THREADS": "2"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ran.stdout == "3\n", ran.stderr
