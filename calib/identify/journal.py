@@ -13,8 +13,9 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 from calib.errors import FileError
 from calib.model.files import read_bytes
@@ -67,7 +68,7 @@ def journal(
         file.close()
 
 
-def lock(file: BinaryIO, path: Path) -> None:
+def lock(file: IO[bytes], path: Path) -> None:
     """Claim an open file for this process until it is closed; where the system knows no such claims, do nothing.
 
     Raises:
@@ -86,20 +87,20 @@ def lock(file: BinaryIO, path: Path) -> None:
         return
 
 
-def _opened(path: Path) -> BinaryIO:
+def _opened(path: Path) -> FileIO:
     """The file, made if there is none.
 
     Raises:
         FileError: It cannot be opened.
     """
     try:
-        return path.open("a+b")
+        return path.open("a+b", buffering=0)  # nothing is left to be written when it is closed
     except OSError as error:
         message = f"'{path}' cannot be written: {error.strerror}; choose another folder"
         raise FileError(message) from error
 
 
-def _kept(path: Path, file: BinaryIO, run: str, *, overwrite: bool) -> list[Record]:
+def _kept(path: Path, file: FileIO, run: str, *, overwrite: bool) -> list[Record]:
     """The records that are whole; the file is cut behind them, and has a first line.
 
     Raises:
@@ -137,16 +138,17 @@ def _whole(data: bytes) -> tuple[list[Record], int]:
     return records, end
 
 
-def _append(path: Path, file: BinaryIO, record: Record, *, sync: bool) -> None:
+def _append(path: Path, file: FileIO, record: Record, *, sync: bool) -> None:
     """Write a record; with ``sync`` it and those before it are on the disk then.
 
     Raises:
         FileError: It cannot be written.
     """
     text = json.dumps(record).encode()
+    line = hashlib.sha256(text).hexdigest().encode() + b" " + text + b"\n"
     try:
-        file.write(hashlib.sha256(text).hexdigest().encode() + b" " + text + b"\n")
-        file.flush()
+        while line:
+            line = line[file.write(line) :]
         if sync:
             os.fsync(file.fileno())
     except OSError as error:

@@ -40,6 +40,12 @@ _STARTS = 3
 PRELOADED = ("calib.identify.study",)
 
 
+_UNGUARDED = (
+    "In a script, what calls calib must stand behind 'if __name__ == \"__main__\":', for each worker imports the "
+    "script."
+)
+
+
 @dataclass(frozen=True, slots=True)
 class _Job:
     """A call as bytes, and where its result goes."""
@@ -63,11 +69,14 @@ class ProcessExecutor(Executor):
             preloaded: Modules that they will need; a hint.
 
         Raises:
-            CalibError: Fewer than one.
+            CalibError: Fewer than one, or a script that its workers cannot import.
         """
         if workers < 1:
             message = f"{workers} worker processes were asked for; it takes 1 or more."
             raise CalibError(message)
+        if getattr(multiprocessing.current_process(), "_inheriting", False):
+            # A worker that imports the script; it would start workers of its own, and so on.
+            raise CalibError(_UNGUARDED)
         self.workers = workers
         self._context = _context(preloaded)
         self._jobs: SimpleQueue[_Job | None] = SimpleQueue()
@@ -135,7 +144,7 @@ class ProcessExecutor(Executor):
     def _feed(self) -> None:
         """Give jobs to one worker, one after the other; in a thread of its own."""
         worker: _Worker | None = None
-        with contextlib.suppress(CalibError):
+        with contextlib.suppress(Exception):  # where it fails again, there is a job to tell
             worker = self._started()
         while (job := self._jobs.get()) is not None:
             if job.future.set_running_or_notify_cancel():
@@ -151,12 +160,12 @@ class ProcessExecutor(Executor):
             try:
                 worker = self._started() if worker is None else worker
                 _settle(job.future, worker.answer(job.call))
-            except CalibError as error:  # noqa: PERF203  at most twice
-                job.future.set_exception(error)
-                return None
-            except (EOFError, OSError):
+            except (EOFError, OSError):  # noqa: PERF203  at most twice
                 deaths.append("not started" if worker is None else self._buried(worker))
                 worker = None
+            except Exception as error:  # noqa: BLE001  whoever waits for the job is told
+                job.future.set_exception(error)
+                return None
             else:
                 return worker
         message = "the workers were ended"
@@ -186,10 +195,7 @@ class ProcessExecutor(Executor):
             how = self._buried(worker)
             if self._killed:
                 break
-        message = (
-            f"No worker process can be started ({how}). In a script, what calls calib must stand behind "
-            "'if __name__ == \"__main__\":', for each worker imports the script."
-        )
+        message = f"No worker process can be started ({how}). {_UNGUARDED}"
         raise CalibError(message)
 
     def _buried(self, worker: _Worker) -> str:

@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import CalibError
+from calib.errors import CalibError, FileError
 from calib.identify.calibration import calibrate
 from calib.identify.study import (
     VERIFIED,
     Trials,
+    _read,
+    _record,
     one_trial,
     study,
     verification_poses,
@@ -21,6 +23,7 @@ from calib.measure.error_sizes import ErrorSizes
 from calib.measure.noise import TrackerNoise
 from calib.measure.scenario import Scenario
 from calib.model.robot import Robot
+from tests.identify.test_executors import Lossy
 
 TARGET = np.array([-0.06997, 0.07020, 0.02252])
 
@@ -207,3 +210,49 @@ def test_where_every_trial_fails_the_first_reason_is_told(ur3):
     what = replace(trials(ur3), cell=cell)
     with pytest.raises(CalibError, match=r"None of the 2 trials came to an end.*'d17'"):
         study(what, 2)
+
+
+def test_a_study_goes_on_where_it_was_killed(ur3, tmp_path):
+    what, kept = trials(ur3, count=15), tmp_path / "kept"
+    whole = study(what, 5, seed=3)
+
+    def killed(done, _):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        study(what, 5, seed=3, progress=killed, kept=kept)
+    kept.write_bytes(kept.read_bytes()[:-10])  # in the middle of the third
+    told = []
+    found = study(what, 5, seed=3, kept=kept, progress=lambda done, _: told.append(done))
+    assert told == [2, 3, 4, 5]
+    assert found.trials == whole.trials
+    # More of them are those of fewer, and others; fewer are the first of them.
+    told.clear()
+    assert (
+        study(what, 6, 3, kept=kept, progress=lambda done, _: told.append(done)).trials[:5]
+        == whole.trials
+    )
+    assert told == [5, 6]
+    assert study(what, 2, seed=3, kept=kept).trials == whole.trials[:2]
+
+    for other, seed in ((what, 4), (replace(what, count=16), 3), (replace(what, validate=True), 3)):
+        with pytest.raises(FileError, match="holds 6 finished parts of another command"):
+            study(other, 2, seed=seed, kept=kept)
+    again = study(what, 2, seed=4, kept=kept, overwrite=True)
+    assert again.trials[0] == whole.trials[1]
+
+
+def test_failed_trials_are_kept_too_and_where_all_fail_nothing_is(ur3, tmp_path):
+    kept = tmp_path / "kept"
+    assert _read(_record(3, "why")) == (3, "why")
+    cell = Cell(target=TARGET, model="hayati", frozen=("d17",))
+    with pytest.raises(CalibError, match="None of the 2 trials"):
+        study(replace(trials(ur3), cell=cell), 2, kept=kept)
+    assert not kept.exists()
+
+
+def test_a_trial_whose_process_ends_is_a_failure(ur3):
+    said = r"None of the 2 trials .* The first one's reason: why"
+    with Lossy(1) as lossy, pytest.raises(CalibError, match=said):
+        study(trials(ur3), 2, executor=lossy)

@@ -1,0 +1,58 @@
+"""A fingerprint is the same for the same values, and another for any other."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.identify.fingerprint import fingerprint
+from calib.measure.cell import Cell
+from calib.measure.surroundings import Tracker
+
+VALUES = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_nan=False)
+    | st.text()
+    | st.binary(),
+    lambda inner: st.lists(inner) | st.tuples(inner, inner) | st.dictionaries(st.text(), inner),
+    max_leaves=8,
+)
+
+
+@given(VALUES, VALUES)
+def test_other_values_have_another(one, two):
+    same = repr(one) == repr(two)  # 1 and 1.0 and True are not the same here
+    assert (fingerprint(one) == fingerprint(two)) == same
+
+
+def test_a_robot_and_a_cell_by_what_they_are(ur3):
+    cell = Cell(target=(0.0, 0.1, 0.2), tracker=Tracker((3.0, 0.0, 0.0)))
+    told = fingerprint(ur3, cell)
+    assert told == fingerprint(*pickle.loads(pickle.dumps((ur3, cell))))
+    others = [
+        (ur3.rebuilt(tip="wrist_3_link"), cell),
+        (ur3, replace(cell, target=np.nextafter(cell.target, 1.0))),
+        (ur3, replace(cell, frozen=("d3",))),
+        (ur3, replace(cell, tracker=None)),
+    ]
+    assert len({told, *(fingerprint(*other) for other in others)}) == 5
+
+
+def test_arrays_by_shape_kind_and_every_bit():
+    x = np.arange(6.0)
+    kinds = [x, x.reshape(2, 3), x.astype(np.float32), -x, np.float64(3.0), 3.0, Path("3.0"), "3.0"]
+    assert len({fingerprint(kind) for kind in kinds}) == len(kinds)
+    assert fingerprint(x[::2]) == fingerprint(x[::2].copy())
+
+
+def test_what_has_none_is_refused():
+    with pytest.raises(TypeError, match="a value of type set has no fingerprint"):
+        fingerprint({"cell": {1, 2}})
