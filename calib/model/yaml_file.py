@@ -161,7 +161,16 @@ def _in_words(source: str, what: str) -> Iterator[None]:
         reason = error.problem or error.context or "it cannot be parsed"
         message = f"{source}{place}: this {what} cannot be read as YAML: {reason}"
         raise FileError(message) from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    # A tag such as !!timestamp before what is none: PyYAML raises whatever comes of it.
+    except (
+        yaml.YAMLError,
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+        TypeError,
+        ValueError,
+    ) as error:
         reason = str(error).partition("\n")[0] or type(error).__name__
         message = f"{source}: this {what} cannot be read as YAML: {reason}; save it as UTF-8 text"
         raise FileError(message) from error
