@@ -21,6 +21,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +67,14 @@ class Refusal:
 
 def refusals(path: Path) -> list[Refusal]:
     """Every ``raise`` with a text in a module, in the order of its lines."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    functions = {node.name: node for node in ast.walk(tree) if isinstance(node, Function)}
+    source = path.read_text(encoding="utf-8")
+    if "raise " not in source:
+        return []
+    tree = ast.parse(source)
+    every = functions_of(tree)
+    functions = {function.name: function for function in every}
     found = []
-    for function in functions_of(tree):
+    for function in every:
         for node in _own(function):
             call = node.exc if isinstance(node, ast.Raise) else None
             if not isinstance(node, ast.Raise) or not isinstance(call, ast.Call):
@@ -107,14 +112,17 @@ def functions_of(tree: ast.Module) -> list[Function]:
     return [node for node in ast.walk(tree) if isinstance(node, Function)]
 
 
-def _own(function: Function) -> Iterator[ast.AST]:
-    """Everything inside of a function that is not inside of a function in it."""
+@cache
+def _own(function: Function) -> tuple[ast.AST, ...]:
+    """Everything inside of a function that is not inside of a function in it, in the order of its lines."""
+    found: list[ast.AST] = []
     waiting: list[ast.AST] = list(function.body)
     while waiting:
         node = waiting.pop()
         if not isinstance(node, Function):
-            yield node
+            found.append(node)
             waiting.extend(ast.iter_child_nodes(node))
+    return tuple(sorted(found, key=lambda node: getattr(node, "lineno", 0)))
 
 
 def _worded(

@@ -195,6 +195,12 @@ delta_alpha = [0, 0, 0, 0, 0, 0]
             ", line 3: delta_a has 5 values; a Universal Robots arm has six joints, six numbers with commas between "
             "them are wanted.",
         ),
+        (
+            "delta_a = [0, 0,",
+            "delta_a = [0, 425,",
+            ", line 3: delta_a of joint 2 is 425, more than 10 m: that is no arm's. Lengths are in metres and angles "
+            "in radians.",
+        ),
     ],
 )
 def test_a_calibration_conf_without_six_numbers_of_each(tmp_path, old, new, said):
@@ -214,6 +220,10 @@ def test_a_calibration_conf_without_six_numbers_of_each(tmp_path, old, new, said
         (
             "y: [0.0]",
             "y of 'shoulder' is 'a list or a table'; a finite number [m] is wanted.",
+        ),
+        (
+            "y: 425.0",
+            "y of 'shoulder' is 425, more than 10 m: that is no arm's. Lengths are in metres and angles in radians.",
         ),
     ],
 )

@@ -159,6 +159,10 @@ def test_a_mesh_of_more_triangles_than_are_shown(tmp_path: Path, monkeypatch: py
     (tmp_path / "m.obj").write_text(TRIANGLE + "f 1 2 3\nf 3 2 1\n")
     with pytest.raises(MeshFault, match=r"has 2 triangles, more than 1$"):
         read_triangles(tmp_path / "m.obj")
+    monkeypatch.setattr("calib.model.mesh_dae._MOST", 3)
+    (tmp_path / "m.dae").write_text(DAE)
+    with pytest.raises(MeshFault, match="has more than 3 triangles$"):
+        read_triangles(tmp_path / "m.dae")
 
 
 def test_a_terminal_that_nobody_types_a_file_into():
