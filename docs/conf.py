@@ -52,6 +52,7 @@ version = release = calib.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 root_doc = "index"
 nitpicky = True
+smartquotes = False
 default_role = "py:obj"
 suppress_warnings = ["config.cache"]
 
