@@ -297,9 +297,9 @@ class _Many:
         covariance = np.array([inverse(one) for one in M]) * scales
         return (covariance @ right[:, :, None])[:, :, 0], covariance
 
-    def fit(self, stages: _Stages) -> tuple[Array, Array, Array]:
+    def fit(self, stages: _Stages, data: _Normal | None = None) -> tuple[Array, Array, Array]:
         """As `Linear.fit`: shapes (F, N, D), (F, p, p) and (F,)."""
-        data = self.data(stages.effective)
+        data = self.data(stages.effective) if data is None else data
         x, covariance = self.posterior(data, stages)
         paid = np.sum(data.H * covariance[:, None], axis=(2, 3)) / stages.noise**2
         N, D, p = self.linear.A.shape
@@ -324,7 +324,8 @@ class _Many:
     def by_median(self, stages: _Stages) -> _Stages:
         """As `Stage.by_median`."""
         for _ in range(3):
-            residual, covariance, _ = self.fit(stages)
+            data = self.data(stages.effective)
+            residual, covariance, _ = self.fit(stages, data)
             K, found = self.leverage(covariance), []
             for c, smallest in enumerate(self.linear.smallest):
                 own = self.linear.instruments == c
@@ -336,7 +337,7 @@ class _Many:
                 median = _medians(norms / typical, stages.alive & (count > 0.0))
                 found.append(np.maximum(median, smallest))
             stages = replace(stages, noise=np.array(found).T)
-            residual, covariance, _ = self.fit(stages)
+            residual, covariance, _ = self.fit(stages, data)
             weights = cauchy_weights(self.scores(stages, residual, covariance))
             stages = replace(stages, weights=weights * stages.alive)
         return stages
