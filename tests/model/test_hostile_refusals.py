@@ -161,7 +161,7 @@ def test_a_mesh_of_more_triangles_than_are_shown(tmp_path: Path, monkeypatch: py
         read_triangles(tmp_path / "m.obj")
     monkeypatch.setattr("calib.model.mesh_dae._MOST", 3)
     (tmp_path / "m.dae").write_text(DAE)
-    with pytest.raises(MeshFault, match="has more than 3 triangles$"):
+    with pytest.raises(MeshFault, match=r"has more than 3 triangles$"):
         read_triangles(tmp_path / "m.dae")
 
 
