@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from calib.errors import FileError, UrdfError, choices
 from calib.model.files import read_bytes, write_atomically
+from calib.model.number_text import NUMBER
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 from calib.model.urdf_joints import FARTHEST, did_you_mean
@@ -38,7 +39,6 @@ LIMIT_BYTES = 10_000_000
 _SECTION = "origins"
 _EXAMPLE = 'elbow_joint: {xyz: "0.0 0.0 0.15", rpy: "0.0 0.0 1e-05"}'
 _KEYS = ("xyz", "rpy")
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 #: Names that YAML takes as text without quotes: all else is quoted, its yes, no, on, off and null too.
 _PLAIN = re.compile(
@@ -232,7 +232,7 @@ def _numbers(value: Any, key: str, where: str) -> tuple[float, float, float]:  #
 def _number(word: object) -> float:
     """A number, or text that is one; NaN for anything else."""
     if isinstance(word, str):
-        return float(word) if _NUMBER.fullmatch(word) else math.nan
+        return float(word) if NUMBER.fullmatch(word) else math.nan
     return (
         float(word) if isinstance(word, (int, float)) and not isinstance(word, bool) else math.nan
     )

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from calib.compensate.ur_dh import COLUMNS, FullDH
 from calib.errors import FileError, choices
 from calib.model.files import read_bytes, write_atomically
+from calib.model.number_text import NUMBER
 from calib.model.urdf_joints import did_you_mean
 
 Array = NDArray[np.float64]
@@ -35,8 +36,6 @@ _LIMIT_BYTES = 10_000_000
 
 #: The byte order mark that some editors put before the text, a character for each byte.
 _MARK = "\xef\xbb\xbf"
-
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,7 +287,7 @@ def _column(path: str | os.PathLike[str], entry: _Entry, name: str) -> Array:
     largest = _LARGEST[entry.section][name]
     unit = "m" if name in ("a", "d") else "rad"
     for i, word in enumerate(words):
-        value = float(word) if _NUMBER.fullmatch(word) else np.inf
+        value = float(word) if NUMBER.fullmatch(word) else np.inf
         if not np.isfinite(value):
             message = (
                 f"{where} of joint {i + 1} is '{_short(word)}'; a finite number [{unit}] is wanted."

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from calib.compensate.ur_models import LINKS
 from calib.errors import FileError, choices
 from calib.model.files import read_bytes, write_atomically
+from calib.model.number_text import NUMBER
 from calib.model.robot import read_only
 from calib.model.urdf_joints import did_you_mean
 
@@ -44,8 +45,6 @@ _HASH = re.compile(r"[\w.+-]+")
 #: What YAML calls plain text, and nothing; and what its own tags begin with.
 _OF_YAML = "tag:yaml.org,2002:"
 _TEXT, _NULL = f"{_OF_YAML}str", f"{_OF_YAML}null"
-
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,7 +226,7 @@ def _value(path: str | os.PathLike[str], link: str, key: str, node: yaml.Node, u
     """A number in metres or radians; ``!degrees`` or ``!radians`` before an angle is heeded."""
     _check_tag(path, node, f"{key} of '{link}'", "!degrees !radians" if unit == "rad" else "")
     text = node.value if isinstance(node, yaml.ScalarNode) else "a list or a table"
-    value = float(text) if _NUMBER.fullmatch(text) else np.inf
+    value = float(text) if NUMBER.fullmatch(text) else np.inf
     if not np.isfinite(value):
         message = f"{_where(path, node)}: {key} of '{link}' is '{text[:40]}'; a finite number [{unit}] is wanted."
         raise FileError(message)

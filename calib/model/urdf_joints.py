@@ -14,6 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import UrdfError, choices
+from calib.model.number_text import NUMBER
 from calib.model.urdf_xml import XACRO_FIX, Document, Element
 
 FloatArray = NDArray[np.float64]
@@ -27,7 +28,7 @@ _ZERO_AXIS = 1e-9
 #: Beyond this [m or rad] doubles are further apart than the 1e-9 that written files agree to.
 FARTHEST = 1e6
 
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_LONGEST_NAME = 200
 _SPACE = " \t\r\n"  # XML's white space; str.split() would take more
 
 
@@ -105,7 +106,9 @@ def path_from_root(link: str, up: Mapping[str, UrdfJoint]) -> tuple[str, ...]:
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
     """The names most like the one given, as the end of a message; empty if none is like it."""
-    close = difflib.get_close_matches(name, list(names), n=3)
+    if len(name) > _LONGEST_NAME:  # its likeness takes time with the square of its length
+        return ""
+    close = difflib.get_close_matches(name, [n for n in names if len(n) <= _LONGEST_NAME], n=3)
     return f" (did you mean {' or '.join(repr(match) for match in close)}?)" if close else ""
 
 
@@ -195,7 +198,7 @@ def _numbers(document: Document, part: Element, key: str, count: int, joint: str
     """The finite numbers of an attribute that is there."""
     text = part.attributes[key]
     words = re.split(f"[{_SPACE}]+", text.strip(_SPACE))
-    if len(words) == count and all(_NUMBER.fullmatch(word) for word in words):
+    if len(words) == count and all(NUMBER.fullmatch(word) for word in words):
         values = np.array([float(word) for word in words])
         if np.isfinite(values).all():
             if part.tag == "origin" and np.abs(values).max() > FARTHEST:
