@@ -60,6 +60,10 @@ class Passes:
         """The number of instruments."""
         return 1 + max(max(s.lengths, s.angles) for s in self.streams)
 
+    def forget(self) -> None:
+        """Remember no normal matrix, so that the next one is computed whatever was asked before."""
+        self._normals.clear()
+
     @property
     def typical(self) -> tuple[float, ...]:
         """Median standard deviation of each instrument as given or first assumed [m], [rad]."""
