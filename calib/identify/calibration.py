@@ -84,7 +84,7 @@ def calibrate(
         solver: ``"lm"`` (default), ``"scipy"`` (the same problem by SciPy), or ``"paper"`` (the paper's algorithm,
             without priors and robust weights).
         robust: Whether outliers lose their weight; they are named either way.
-        validate: Whether to cross-validate; it takes one fit a row up to 60 rows, ten fits above.
+        validate: Whether to cross-validate; one fold a row up to 60 rows, ten folds above.
         progress: Called after each fit of the cross-validation.
 
     Raises:

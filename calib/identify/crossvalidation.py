@@ -76,8 +76,8 @@ def cross_validation(
     """Cross-validation of the calibrated robot, fitted anew without each fold.
 
     With the fit to all rows at hand a fold is fitted on the problem linearised there (`calib.identify.fold_fits`): as
-    from the beginning, but for registration and kinematics. Where the robot itself says that this is not the same
-    (`_linear_enough`), and with the paper's solver, at bounds and with few rows, it is fitted from the beginning.
+    from the beginning, but for registration and kinematics, and the robot itself predicts its rows. Where the robot is
+    not the linearised one there, with the paper's solver, at bounds and with few rows, it is fitted from the beginning.
 
     Args:
         task: What to fit.

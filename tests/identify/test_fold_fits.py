@@ -168,6 +168,19 @@ def test_folds_are_fitted_from_the_beginning_where_the_linearised_problem_does_n
     np.testing.assert_array_equal(linear.residual, refitted.residual)
 
 
+def test_a_left_out_row_does_not_move_its_own_prediction(make_scene):
+    """The fit to all rows gives no more than the place where the problem is linearised."""
+    scene = make_scene(94, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
+    table = scene.points(30)
+    moved = table.points.copy()
+    moved[7] += [3e-3, 4e-3, 0.0]
+    before, after = (
+        both(fitted_to(scene, one, Cell()))[0].residual
+        for one in (table, replace(table, points=moved))
+    )
+    np.testing.assert_allclose(after[7] - before[7], [3e-3, 4e-3, 0.0], atol=1e-7)
+
+
 def test_progress_is_told_of_each_fold(make_scene):
     scene, table = with_outliers(make_scene)
     fitted = fitted_to(scene, table, Cell())
