@@ -253,6 +253,9 @@ def _pose(given: ArrayLike, what: str) -> Array:
         raise ModelError(message)
     R = values[:3, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > _NO_ROTATION or np.linalg.det(R) < 0.0:
-        message = f"The upper left block of the {what}'s pose is no rotation."
+        message = (
+            f"The upper left block of the {what}'s pose is no rotation; its columns must be unit vectors at right "
+            "angles, right-handed."
+        )
         raise ModelError(message)
     return read_only(values)

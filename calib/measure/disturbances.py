@@ -54,7 +54,8 @@ class Outliers:
             return max(round(self.share * among), 1) if self.share > 0.0 and among else 0
         if self.count > among:
             message = (
-                f"{self.count} outliers were asked for among {among} measurements to estimate from."
+                f"{self.count} outliers were asked for among {among} measurements to estimate from. Ask for fewer, or "
+                "measure at more poses."
             )
             raise CalibError(message)
         return self.count
@@ -103,12 +104,10 @@ class MovedTarget:
             CalibError: The table has fewer rows, or no such target.
         """
         if self.row > len(targets):
-            message = (
-                f"The target is to move before row {self.row}; the table has {len(targets)} rows."
-            )
+            message = f"The target is to move before row {self.row}; the table has {len(targets)} rows. Name one of these."
             raise CalibError(message)
         if self.target is not None and self.target not in targets:
-            message = f"The target '{self.target}' is to move; there are {choices(dict.fromkeys(targets))}."
+            message = f"The target '{self.target}' is to move; there are {choices(dict.fromkeys(targets))}. Name one of these."
             raise CalibError(message)
         mask = np.array([self.target in (None, name) for name in targets])
         mask[: self.row - 1] = False

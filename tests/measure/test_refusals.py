@@ -67,7 +67,9 @@ def test_outliers_without_a_size():
 
 
 def test_a_target_that_moves_behind_the_last_row():
-    with refused(CalibError, "The target is to move before row 9; the table has 8 rows."):
+    with refused(
+        CalibError, "The target is to move before row 9; the table has 8 rows. Name one of these."
+    ):
         MovedTarget(9, (0.0, 0.0, 1e-3)).rows(["target"] * 8)
 
 
