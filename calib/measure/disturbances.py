@@ -104,10 +104,16 @@ class MovedTarget:
             CalibError: The table has fewer rows, or no such target.
         """
         if self.row > len(targets):
-            message = f"The target is to move before row {self.row}; the table has {len(targets)} rows. Name one of these."
+            message = (
+                f"The target is to move before row {self.row}; the table has {len(targets)} rows. Name one of "
+                "these."
+            )
             raise CalibError(message)
         if self.target is not None and self.target not in targets:
-            message = f"The target '{self.target}' is to move; there are {choices(dict.fromkeys(targets))}. Name one of these."
+            message = (
+                f"The target '{self.target}' is to move; there are {choices(dict.fromkeys(targets))}. Name one of "
+                "these."
+            )
             raise CalibError(message)
         mask = np.array([self.target in (None, name) for name in targets])
         mask[: self.row - 1] = False
