@@ -35,8 +35,8 @@ _LIMIT_XML, _LIMIT_YAML = 10_000_000, 1_000_000
 #: The most elements of a xacro file, and the most in one another.
 _MOST_ELEMENTS, _DEEPEST = 100_000, 200
 
-#: What an element costs, and a text without expressions.
-_ELEMENT, _TEXT = 3, 3
+#: What the call of a macro costs, an element, and a text without expressions.
+_MACRO, _ELEMENT, _TEXT = 100, 3, 3
 
 #: As xacro's own, without the nested repetition that makes a long word take for ever.
 _DEFAULT = r"""\$\{.*?\}|\$\(.*?\)|(?:'[^']*'|\"[^\"]*\"|[^\s'\"])+|"""
@@ -91,7 +91,7 @@ def _tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]
 
 def _count(xacro: Any, budget: Budget) -> None:
     """Let every element and text cost: macros that call macros grow without bound."""
-    eval_text, eval_all = xacro.eval_text, xacro.eval_all
+    eval_text, eval_all, call = xacro.eval_text, xacro.eval_all, xacro.handle_macro_call
 
     def text_counted(text: Any, symbols: Any) -> Any:
         # The reader of texts copies what is left of one at each $.
@@ -104,7 +104,15 @@ def _count(xacro: Any, budget: Budget) -> None:
         budget.spend(_ELEMENT)
         eval_all(node, macros, symbols)
 
-    xacro.eval_text, xacro.eval_all = text_counted, all_counted
+    def call_counted(node: Any, macros: Any, symbols: Any) -> Any:
+        budget.spend(_MACRO if node.tagName.startswith("xacro:") else 0)
+        return call(node, macros, symbols)
+
+    xacro.eval_text, xacro.eval_all, xacro.handle_macro_call = (
+        text_counted,
+        all_counted,
+        call_counted,
+    )
 
 
 def _replace_eval(xacro: Any, evaluator: Evaluator) -> None:
