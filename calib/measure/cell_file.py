@@ -42,6 +42,9 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+# Dots in a line; the time that keys with dots take grows with the square of their number.
+_MOST_DOTS = 1000
+
 #: The keys of a cell file, each with what its value must be.
 KEYS: dict[str, str] = {
     "base": NAME,
@@ -127,7 +130,9 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
     """
     data = read_bytes(Path(path), "cell file", 1_000_000)
     try:
-        table = tomllib.loads(data.decode("utf-8-sig"))
+        text = data.decode("utf-8-sig")
+        _check_lines(text)
+        table = tomllib.loads(text)
         _check_whole_numbers(table)
     except (
         ValueError,
@@ -141,6 +146,18 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
     except CalibError as error:
         message = f"{path}: {error}"
         raise CalibError(message) from error
+
+
+def _check_lines(text: str) -> None:
+    """Refuse lines with so many dots that the parser would take minutes for them.
+
+    Raises:
+        ValueError: There is one.
+    """
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.count(".") > _MOST_DOTS:
+            message = f"line {number} has {line.count('.'):,} dots; at most {_MOST_DOTS} are read"
+            raise ValueError(message)
 
 
 def _check_whole_numbers(value: object) -> None:

@@ -284,14 +284,15 @@ class Measurements:
 
     def _index(self, names: Sequence[str]) -> list[int]:
         """Where these joints stand among ``joint_names``."""
-        missing = [name for name in names if name not in self.joint_names]
+        where = {name: i for i, name in enumerate(self.joint_names)}
+        missing = [name for name in names if name not in where]
         if missing:
             message = (
                 f"{self.source or 'the measurements'}: no values of the joints {choices(missing)}. "
                 f"The joints there are: {choices(self.joint_names, limit=30)}."
             )
             raise MeasurementError(message)
-        return [self.joint_names.index(name) for name in names]
+        return [where[name] for name in names]
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a CSV table in degrees and millimetres, see `calib.measure.table_text`.

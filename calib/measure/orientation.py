@@ -36,7 +36,8 @@ def to_quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def wrong_length(quaternions: NDArray[np.float64]) -> tuple[int, float] | None:
     """The first quaternion (N, 4) whose length is not one, and that length; None when all are. NaN rows pass."""
-    length = np.linalg.norm(quaternions, axis=1)
+    with np.errstate(over="ignore"):  # what is infinite is too long as well
+        length = np.linalg.norm(quaternions, axis=1)
     wrong = np.flatnonzero(np.abs(length - 1.0) > LENGTH_TOLERANCE)
     return (int(wrong[0]), float(length[wrong[0]])) if wrong.size else None
 

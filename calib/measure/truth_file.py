@@ -104,7 +104,7 @@ def read_truth(path: str | Path, robot: Robot) -> Truth:
     """
     expected = f"the truth of a simulated table has {SCHEMA!r}. Give the file that 'calib simulate --truth' wrote."
     table = read_json(path, "truth", _LARGEST_BYTES, SCHEMA, expected)
-    damages = (KeyError, TypeError, ValueError, AttributeError, CalibError)
+    damages = (KeyError, TypeError, ValueError, AttributeError, OverflowError, CalibError)
     try:
         other = _another_robot(table["robot"], robot)
         truth = None if other else _truth(table, robot)

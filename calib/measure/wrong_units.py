@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,13 @@ class WrongUnits:
     grid: NDArray[np.float64]
     lines: Sequence[int]
     rows: Sequence[int]
+    _columns: tuple[Column, ...] = field(init=False, repr=False)
 
+    def __post_init__(self) -> None:
+        """The columns of ``grid``, put together once."""
+        object.__setattr__(self, "_columns", self.layout.numbers)
+
+    @np.errstate(over="ignore")  # what is infinite is too large as well
     def check(self) -> None:
         """Refuse values that are not what they are said to be.
 
@@ -70,7 +76,7 @@ class WrongUnits:
             self._radians(span("orientation"))
         self._positive()
         for i in span("joints"):
-            if _unit(self.layout.numbers[i]).quantity == "length":
+            if _unit(self._columns[i]).quantity == "length":
                 self._far([i], "further from the origin")
         for name, far, near in (
             ("points", "further from the origin", "no point is further from the origin"),
@@ -83,7 +89,7 @@ class WrongUnits:
 
     def _column(self, i: int) -> Column:
         """The column of ``grid``'s column ``i``."""
-        return self.layout.numbers[i]
+        return self._columns[i]
 
     def _degrees(self, columns: list[int]) -> None:
         """Refuse columns in radians that look like degrees."""

