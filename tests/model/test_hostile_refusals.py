@@ -32,6 +32,10 @@ EXPRESSIONS = {
     "[0 for i in range(2000) for j in range(2000)]": "the file takes more steps than that of any robot; it is not",
     "[x for x in 5]": "'int' object is not iterable",
     "9 ** 99999": "it makes a value of 399,996 bits, and 4,096 are the most",
+    "(a := 1)": "'(a := 1)' is not read in a xacro's expression",
+    "b'1'": "b'1' is not read in a xacro's expression",
+    "[0 for a[0] in [1]]": "'a[0]' is not read in a xacro's expression",
+    "-" * 9000 + "1": "it is nested too deeply",
     "__import__": "Use of invalid name(s): __import__",
     "(1).__class__": "Use of invalid name(s): __class__",
     "1[0]": "int has no elements",
@@ -91,6 +95,19 @@ def test_a_folder_that_a_xacro_reads(folder: Path):
     (folder / "k.yaml").mkdir()
     said = f"'{folder}/k.yaml' is no file"
     assert said in refused(folder, ROBOT.format("${xacro.load_yaml('k.yaml')['h']}"))
+
+
+def test_a_yaml_file_of_a_xacro_that_is_larger_than_any(folder: Path):
+    (folder / "k.yaml").write_text("h: 0.5 #" + 1_000_000 * " ")
+    said = f"'{folder}/k.yaml' is larger than 1,000,000 bytes, the most that is read"
+    assert said in refused(folder, ROBOT.format("${xacro.load_yaml('k.yaml')['h']}"))
+
+
+def test_a_yaml_file_of_another_folder(folder: Path, tmp_path_factory):
+    other = tmp_path_factory.mktemp("other") / "k.yaml"
+    other.write_text("h: 0.5")
+    said = f"'{other}' lies outside the folder and the ROS package of the xacro; name it as an argument, or its folder"
+    assert said in refused(folder, ROBOT.format(f"${{xacro.load_yaml('{other}')['h']}}"))
 
 
 def test_yaml_files_that_are_larger_than_any():
