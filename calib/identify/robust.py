@@ -28,6 +28,9 @@ _FALSE_ALARM = 0.01
 #: A row that leaves less than this of a direction to the others carries it nearly alone.
 _CARRIED = 1e-4
 
+#: Identities by their size, of the 1, 3 or 6 scalars that a row may have.
+_IDENTITIES = tuple(np.eye(d) for d in range(7))
+
 #: The scalars of a point, for which scores are told.
 _POINT = 3
 
@@ -84,17 +87,19 @@ def norms_of(residual: Array, leverage: Array, weights: Array) -> Array:
     that is known of a direction, by the eigenvalues of K, none of which may then pass 1 / w.
     """
     w = weights[:, None, None]
-    identity = np.eye(residual.shape[1])
+    identity = _IDENTITIES[residual.shape[1]]
     kept = identity - w * leverage
     spread = (identity + (1.0 - w) * leverage) @ kept
     # The product of 1 - w k over the eigenvalues k of K is at most its smallest factor.
     risky = np.linalg.det(kept) < _CARRIED
-    risky |= np.trace(leverage, axis1=1, axis2=2) > 1.0 / _CARRIED
-    if risky.any():
+    if leverage.max(initial=0.0) > 1.0 / _CARRIED:
+        risky |= leverage.max(axis=(1, 2)) > 1.0 / _CARRIED
+    some = bool(risky.any())
+    if some:
         spread[risky] = identity
     solved = np.linalg.solve(spread, residual[:, :, None])[:, :, 0]
-    result: Array = np.sqrt(np.maximum(np.sum(residual * solved, axis=1), 0.0))
-    if risky.any():
+    result: Array = np.sqrt(np.maximum((residual * solved).sum(axis=1), 0.0))
+    if some:
         result[risky] = _norms_by_eigenvalues(residual[risky], leverage[risky], weights[risky])
     return result
 

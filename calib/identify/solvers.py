@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -271,24 +272,36 @@ def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
         R, shape (p, p), and rhs, shape (p,).
     """
     p = J.shape[1]
-    R: Array = np.triu(_packed(np.column_stack([J, -r])))
+    both = np.empty((len(r), p + 1), order="F")  # as LAPACK wants it
+    both[:, :p], both[:, p] = J, -r
+    R = _packed(both)
+    R = R * _upper(*R.shape)
     if len(R) < p:
         R = np.vstack([R, np.zeros((p - len(R), p + 1))])
     return R[:p, :p], R[:p, p]
 
 
+@lru_cache(maxsize=64)
+def _upper(rows: int, columns: int) -> Array:
+    """1 on and above the diagonal, 0 below."""
+    return np.triu(np.ones((rows, columns)))
+
+
 def _packed(A: Array) -> Array:
-    """The triangle R of A = Q R, with Q's reflections below it: `numpy.linalg.qr` without what it does besides."""
+    """The triangle R of A = Q R, with Q's reflections below it: `numpy.linalg.qr` without what it does besides.
+
+    A is overwritten if it is laid out by columns.
+    """
     if not A.size:  # LAPACK refuses it
         return np.zeros((min(A.shape), A.shape[1]))
-    packed, _, _, _ = dgeqrf(A)
+    packed, _, _, _ = dgeqrf(A, overwrite_a=1)
     return np.asarray(packed[: min(A.shape)])
 
 
 def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
     """The dx that minimises |R dx - rhs|^2 + |diag(damping) dx|^2, by QR, shape (p,)."""
     p = len(rhs)
-    stacked = np.zeros((2 * p, p + 1))
+    stacked = np.zeros((2 * p, p + 1), order="F")
     stacked[:p, :p], stacked[:p, p] = R, rhs
     stacked[p + np.arange(p), np.arange(p)] = damping
     triangle = _packed(stacked)  # what lies below the diagonal is not read
