@@ -1,0 +1,150 @@
+"""The odd ones of a fleet: those that are, no others, and nothing where there are too few."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.identify.fleet_odd import FEWEST, limit, odd_ones, scores
+from calib.identify.fleet_rows import FleetParameter, FleetRow, measured_hash
+from calib.measure.measurements import Measurements
+
+
+def row(k: int, rng: np.random.Generator, parameters: int = 10) -> FleetRow:
+    """One of many like it."""
+    sizes = np.exp(rng.normal(size=3) * (0.3, 0.15, 0.15)) * (3e-3, 8e-5, 4e-5)
+    nominal, left_out, sigma = sizes.tolist()
+    own = tuple(
+        FleetParameter(f"p{i}", "m", float(rng.normal(0.0, 3e-4)), 1e-5) for i in range(parameters)
+    )
+    return FleetRow(
+        f"r{k}", "done", verdict="use", model="dh", rows=30, nominal_rms=nominal, left_out_rms=left_out, sigma=sigma,
+        kind="ur3 base tool0 j1", data=f"{k}.csv", measured=str(rng.random()), parameters=own,
+    )  # fmt: skip
+
+
+def fleet_of(count: int, seed: int = 0, **more: int) -> list[FleetRow]:
+    rng = np.random.default_rng(seed)
+    return [row(k, rng, **more) for k in range(count)]
+
+
+@pytest.mark.parametrize("count", [5, 12, 60])
+def test_few_fleets_without_odd_ones_have_one(count):
+    fleets = 120
+    flagged = sum(bool(odd_ones(fleet_of(count, seed))[0]) for seed in range(fleets))
+    # 5 % of them, and three standard deviations.
+    assert flagged <= 0.05 * fleets + 3.0 * math.sqrt(0.05 * 0.95 * fleets)
+
+
+def test_the_odd_ones_are_found_with_their_reasons():
+    rows = fleet_of(40)
+    rows[3] = replace(rows[3], sigma=5.0 * rows[3].sigma, left_out_rms=5.0 * rows[3].left_out_rms)
+    rows[7] = replace(
+        rows[7], parameters=(FleetParameter("p0", "m", 0.02, 1e-5), *rows[7].parameters[1:])
+    )
+    rows[9] = replace(rows[9], nominal_rms=rows[9].nominal_rms / 40.0)
+    rows[11] = replace(rows[11], measured=rows[12].measured)
+    rows[20] = replace(rows[20], model="placement", larger="placement+gain")
+    rows[30] = FleetRow("r30", "failed", "why")
+    odd, notes = odd_ones(rows)
+    assert notes == ()
+    found = [(one.name, one.figure) for one in odd]
+    assert set(found[:2]) == {("r3", "noise"), ("r3", "cross-validated error")}
+    assert found[2:] == [
+        ("r7", "p0"),
+        ("r9", "nominal error"),
+        ("r11", "data"),
+        ("r12", "data"),
+        ("r20", "model"),
+    ]
+    texts = [one.text for one in odd]
+    assert texts[2].startswith("p0 20 mm, usually ")
+    assert texts[4] == "the same measurements as r12 (11.csv)"
+    assert texts[6] == "model placement and placement+gain, 38 of 39 have dh"
+    assert abs(odd[0].z) > odd[0].limit == limit(39, 3, 0.025)
+    assert odd[3].z < 0.0
+
+
+def test_a_large_offset_hides_no_other():
+    rows = fleet_of(40)
+    for k, size in ((3, 10.0), (4, 0.01)):
+        rows[k] = replace(
+            rows[k], parameters=(FleetParameter("p0", "m", size, 1e-5), *rows[k].parameters[1:])
+        )
+    assert [(one.name, one.figure) for one in odd_ones(rows)[0]] == [("r3", "p0"), ("r4", "p0")]
+
+
+def test_too_few_say_nothing_but_the_same_data():
+    rows = fleet_of(FEWEST - 1)
+    rows[0] = replace(rows[0], nominal_rms=1.0, measured=rows[1].measured)
+    odd, notes = odd_ones(rows)
+    assert [one.figure for one in odd] == ["data", "data"]
+    assert notes == (
+        "What is usual cannot be told of 4 robots; it takes 5. Only data given twice are looked for.",
+    )
+    assert odd_ones(fleet_of(1))[1][0].startswith(
+        "What is usual cannot be told of 1 robot; it takes 5."
+    )
+    assert odd_ones([]) == ((), ())
+
+
+def test_robots_are_compared_with_their_own_kind():
+    rows = fleet_of(20)
+    others = [replace(r, name=f"o{r.name}", kind="ur5 base tool0", nominal_rms=30 * r.nominal_rms, measured=r.name)
+              for r in rows[:6]]  # fmt: skip
+    odd, notes = odd_ones(
+        [*rows, *others, replace(rows[0], name="x", kind="panda a b", measured="x")]
+    )
+    assert odd == ()
+    assert notes[0].startswith(
+        "What is usual cannot be told of 1 robot of the kind 'panda'; it takes 5."
+    )
+
+
+def test_differences_that_do_not_matter_are_none():
+    rows = [replace(r, nominal_rms=1e-3, left_out_rms=1e-4, sigma=5e-5,
+                    parameters=(FleetParameter("p", "m", 0.0, 1e-7),)) for r in fleet_of(20)]  # fmt: skip
+    assert odd_ones(rows)[0] == ()
+    rows[0] = replace(rows[0], parameters=(FleetParameter("p", "m", 8e-5, 1e-7),), sigma=5.1e-5)
+    assert odd_ones(rows)[0] == ()
+    rows[0] = replace(rows[0], parameters=(FleetParameter("p", "m", 1e-3, 1e-7),))
+    assert [one.name for one in odd_ones(rows)[0]] == ["r0"]
+    # What is not known to better than this is not odd.
+    rows[0] = replace(rows[0], parameters=(FleetParameter("p", "m", 1e-3, 1e-3),))
+    assert odd_ones(rows)[0] == ()
+
+
+def test_models_that_many_have_are_not_odd():
+    rows = fleet_of(40)
+    half = [replace(r, model="placement") if k % 2 else r for k, r in enumerate(rows)]
+    some = [replace(r, model="placement") if k < 5 else r for k, r in enumerate(rows)]
+    two = [replace(r, model="placement") if k < 2 else r for k, r in enumerate(rows)]
+    assert [len(odd_ones(r)[0]) for r in (half, some, two)] == [0, 0, 2]
+
+
+def test_scores():
+    x = np.array([0.0, 1.0, 2.0, 3.0, 104.0, np.nan])
+    z = scores(x, np.zeros(6), 0.0)
+    assert z[:5] == pytest.approx((x[:5] - 2.0) / 1.4826)
+    assert np.isnan(z[5])
+    assert scores(np.ones(4), np.zeros(4), 0.0).tolist() == [0.0] * 4
+    assert scores(np.array([1.0, 1.0, 1.0, 2.0]), np.zeros(4), 0.0)[3] == math.inf
+
+
+def test_the_same_measurements_in_another_order_or_unit_have_the_same_hash(paper_table):
+    m = paper_table
+    turned = Measurements(m.joint_names, m.joints[::-1] * (1.0 + 1e-13), m.points[::-1])
+    assert measured_hash(turned) == measured_hash(m)
+    moved = m.points.copy()
+    moved[4, 1] += 1e-6
+    assert measured_hash(Measurements(m.joint_names, m.joints, moved)) != measured_hash(m)
+
+
+def test_a_row_survives_its_file():
+    one = replace(fleet_of(1)[0], sigma_angle=math.nan)
+    parameters = (*one.parameters, FleetParameter("q", "rad", 0.1, math.nan))
+    one = replace(one, parameters=parameters)
+    assert repr(FleetRow.read(one.table())) == repr(one)
