@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
-import secrets
 import select
 import stat
+from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
-from typing import BinaryIO
 
 from calib.errors import FileError
-
-with contextlib.suppress(ImportError):  # Windows has none, and no files without names either
-    import fcntl
+from calib.model.staging import staged, takes_files
 
 #: How long to wait for somebody to write into a named pipe [s].
 PATIENCE = 10.0
@@ -23,6 +20,12 @@ _STANDARD_INPUT = "/dev/stdin"
 
 # What pipes without a name gave, by device and inode: the second who asks finds them empty.
 _PIPED: dict[tuple[int, int], bytes] = {}
+
+
+# The files of `together` so far: name, target, content, whether it may be there; None outside.
+_WAITING: ContextVar[list[tuple[str | os.PathLike[str], Path, bytes, bool]] | None] = ContextVar(
+    "calib files to be written together", default=None
+)
 
 
 class _NoFileError(Exception):
@@ -75,9 +78,9 @@ def read_bytes(path: str | os.PathLike[str], what: str, limit_bytes: int) -> byt
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bool) -> Path:
     """Write a file so that it holds all of ``data`` or stays as it was.
 
-    The bytes go to a temporary file in the same folder, then to the disk, then under the name. A
-    symbolic link is followed. A file that is overwritten keeps its permissions; a new one gets what
-    the umask allows.
+    The bytes go to the disk under another name or none, see `calib.model.staging`, then under this one. A symbolic link
+    is followed and stays one. A file that is overwritten keeps its permissions; a new one gets what the umask allows.
+    Inside `together` the file appears at the end.
 
     Args:
         path: File to write.
@@ -91,16 +94,42 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
         FileError: The file exists and ``overwrite`` is False, it is a folder or a device, or the
             folder is missing or not writable. Nothing is left behind.
     """
-    try:
+    with _reported(path):
         target = Path(os.path.realpath(path))
         _check_target(path, target, overwrite=overwrite)
-        _write(target, data, overwrite=overwrite)
-    except FileExistsError as error:
-        raise FileError(_exists_already(path)) from error
-    except (OSError, ValueError) as error:
-        message = f"'{path}' cannot be written: {_reason(error)}; choose another folder"
-        raise FileError(message) from error
+        waiting = _WAITING.get()
+        if waiting is not None:
+            waiting.append((path, target, data, overwrite))
+        else:
+            with staged(target, data, overwrite=overwrite) as place:
+                place()
     return Path(path)
+
+
+@contextlib.contextmanager
+def together() -> Iterator[None]:
+    """Write several files all or none: those that are written inside appear at the end, once all are on the disk.
+
+    None is written if anything fails before. Between the first name and the last only a killed process, or a folder
+    that is taken away, leaves some of them.
+
+    Raises:
+        FileError: One of them cannot be written.
+    """
+    waiting: list[tuple[str | os.PathLike[str], Path, bytes, bool]] = []
+    token = _WAITING.set(waiting)
+    try:
+        yield
+    finally:
+        _WAITING.reset(token)
+    with contextlib.ExitStack() as stack:
+        places = []
+        for path, target, data, overwrite in waiting:
+            with _reported(path):
+                places.append(stack.enter_context(staged(target, data, overwrite=overwrite)))
+        for (path, *_), place in zip(waiting, places, strict=True):
+            with _reported(path):
+                place()
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
@@ -109,21 +138,12 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     Raises:
         FileError: It is a folder or a device, its name is too long, or its folder is missing or takes no files.
     """
-    try:
+    with _reported(path):
         target = Path(os.path.realpath(path))
         _check_target(path, target, overwrite=True)
         with contextlib.suppress(FileNotFoundError):
-            target.lstat()  # its name is too long for the disk
-        temporary = target.parent / f".calib-{secrets.token_hex(8)}.tmp"
-        if not _takes_nameless(target.parent):
-            try:
-                _write_to_disk(temporary, b"")
-            finally:
-                with contextlib.suppress(OSError):
-                    temporary.unlink()
-    except (OSError, ValueError) as error:
-        message = f"'{path}' cannot be written: {_reason(error)}; choose another folder"
-        raise FileError(message) from error
+            target.lstat()  # its name may be too long for the disk
+        takes_files(target.parent)
 
 
 def expanded_name(path: str | os.PathLike[str]) -> str:
@@ -234,6 +254,18 @@ def _check_target(path: str | os.PathLike[str], target: Path, *, overwrite: bool
         raise FileError(_exists_already(path))
 
 
+@contextlib.contextmanager
+def _reported(path: str | os.PathLike[str]) -> Iterator[None]:
+    """What the system refuses, as a `FileError`."""
+    try:
+        yield
+    except FileExistsError as error:
+        raise FileError(_exists_already(path)) from error
+    except (OSError, ValueError) as error:
+        message = f"'{path}' cannot be written: {_reason(error)}; choose another folder"
+        raise FileError(message) from error
+
+
 def _exists_already(path: str | os.PathLike[str]) -> str:
     """The message for a file that stands in the way."""
     return f"'{path}' exists already; add --force (overwrite=True) or choose another name"
@@ -242,137 +274,3 @@ def _exists_already(path: str | os.PathLike[str]) -> str:
 def _reason(error: OSError | ValueError) -> str:
     """What the system says, without the name of the temporary file."""
     return str(getattr(error, "strerror", None) or error)
-
-
-def _write(target: Path, data: bytes, *, overwrite: bool) -> None:
-    """Write the bytes under no name, or under another, and give them the name of ``target``."""
-    if _write_nameless(target, data, overwrite=overwrite):
-        return
-    temporary = target.parent / f".calib-{secrets.token_hex(8)}.tmp"
-    try:
-        _write_to_disk(temporary, data)
-        if overwrite:
-            with contextlib.suppress(FileNotFoundError):
-                temporary.chmod(_permissions(target))
-            temporary.replace(target)
-        else:
-            _move_to_new(temporary, target)
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-
-
-def _write_nameless(target: Path, data: bytes, *, overwrite: bool) -> bool:
-    """Write the bytes into a file without a name, of which nothing is left if the process is killed.
-
-    Returns:
-        Whether it could be done: only Linux has such files, and not in every kind of folder.
-    """
-    if not hasattr(os, "O_TMPFILE"):
-        return False
-    with contextlib.ExitStack() as stack:
-        try:
-            nameless = os.open(target.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
-        except OSError:
-            return False
-        file = stack.enter_context(open(nameless, "wb"))  # noqa: PTH123  a number, no name
-        _to_disk(file, data)
-        folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
-        stack.callback(os.close, folder)
-        if not overwrite:
-            return _link(nameless, target, folder)
-        with contextlib.suppress(FileNotFoundError):
-            os.fchmod(nameless, _permissions(target))
-        temporary = _link_beside(nameless, target, folder)
-        if temporary is None:
-            return False
-        try:
-            temporary.replace(target)
-        except OSError:
-            temporary.unlink()
-            raise
-    return True
-
-
-def _link(nameless: int, name: Path, folder: int) -> bool:
-    """Give a file without a name one; False if this system cannot.
-
-    Raises:
-        FileExistsError: Something has that name.
-    """
-    try:  # with a folder given, the name that /proc has for the file is followed to it
-        os.link(f"/proc/self/fd/{nameless}", name, src_dir_fd=folder, follow_symlinks=True)
-    except FileExistsError:
-        raise
-    except OSError:  # no /proc
-        return False
-    return True
-
-
-def _link_beside(nameless: int, target: Path, folder: int) -> Path | None:
-    """Give a file without a name the one from which it takes the place of ``target``; None if this system cannot.
-
-    The name is always the same for a target. A process that is killed between this name and the last leaves a file,
-    which is known by that nobody holds its lock; the next who writes the target takes it away.
-    """
-    digest = hashlib.sha256(os.fsencode(target.name)).hexdigest()
-    usual = target.parent / f".calib-{digest[:16]}.tmp"
-    with contextlib.suppress(OSError):
-        fcntl.flock(nameless, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        _remove_dead(usual)
-        with contextlib.suppress(FileExistsError):  # somebody else is just writing the target
-            return usual if _link(nameless, usual, folder) else None
-    other = target.parent / f".calib-{secrets.token_hex(8)}.tmp"
-    return other if _link(nameless, other, folder) else None
-
-
-def _remove_dead(path: Path) -> None:
-    """Remove a temporary file if the process that made it is gone."""
-    with contextlib.suppress(FileNotFoundError, BlockingIOError), path.open("rb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # Whoever holds the lock of a file may remove it, as long as the name is still the file's.
-        if os.path.samestat(os.fstat(file.fileno()), path.lstat()):
-            path.unlink()
-
-
-def _permissions(path: Path) -> int:
-    """The permissions of a file."""
-    return stat.S_IMODE(path.stat().st_mode)
-
-
-def _takes_nameless(folder: Path) -> bool:
-    """Whether a file without a name can be made in a folder."""
-    try:
-        os.close(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666))
-    except (AttributeError, OSError):
-        return False
-    return True
-
-
-def _write_to_disk(path: Path, data: bytes) -> None:
-    """Create ``path`` and wait until its bytes are on the disk."""
-    with path.open("xb") as file:
-        _to_disk(file, data)
-
-
-def _to_disk(file: BinaryIO, data: bytes) -> None:
-    """Write the bytes and wait until they are on the disk."""
-    file.write(data)
-    file.flush()
-    os.fsync(file.fileno())
-
-
-def _move_to_new(temporary: Path, target: Path) -> None:
-    """Give the temporary file its name; FileExistsError if someone was faster."""
-    try:
-        target.hardlink_to(temporary)
-    except FileExistsError:
-        raise
-    except OSError:  # FAT and some network drives have no hard links: claim the name, then replace
-        with target.open("xb"):
-            pass
-        try:
-            temporary.replace(target)
-        except OSError:
-            target.unlink()
-            raise

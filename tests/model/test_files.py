@@ -25,6 +25,7 @@ from calib.model.files import (
     expanded_name,
     make_folder,
     read_bytes,
+    together,
     write_atomically,
 )
 
@@ -410,3 +411,61 @@ def test_a_process_that_is_killed_leaves_the_old_file_or_the_new_one(tmp_path: P
             process.send_signal(number)
         assert path.read_bytes() in (old, new)
     assert len(names(tmp_path)) <= 2  # the moment between two names is some microseconds
+
+
+# Several files
+
+
+def test_files_of_one_command_appear_together(tmp_path: Path):
+    (tmp_path / "a").write_bytes(b"old")
+    with together():
+        assert write_atomically(tmp_path / "a", b"1", overwrite=True) == tmp_path / "a"
+        write_atomically(tmp_path / "b", b"2", overwrite=False)
+        assert names(tmp_path) == ["a"]
+        assert (tmp_path / "a").read_bytes() == b"old"
+    assert [(tmp_path / name).read_bytes() for name in names(tmp_path)] == [b"1", b"2"]
+
+
+def write_two(first: Path, second: Path, data: bytes, *, then: Callable[[], object] = dict) -> None:
+    """Write both, and do something else."""
+    with together():
+        write_atomically(first, b"1", overwrite=False)
+        write_atomically(second, data, overwrite=False)
+        then()
+
+
+def test_none_of_them_appears_if_one_cannot_be_written(tmp_path: Path):
+    a, b = tmp_path / "a", tmp_path / "b"
+    with pytest.raises(FileError, match="does not exist; create it"):
+        write_two(a, tmp_path / "missing" / "b", b"2")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(FileError, match=r"/b' cannot be written: File too large"):
+            write_two(a, b, b"2" * 5000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with pytest.raises(FileNotFoundError):
+        write_two(a, b, b"2", then=(tmp_path / "none").read_bytes)
+    assert names(tmp_path) == []
+    write_two(a, b, b"2")
+    assert names(tmp_path) == ["a", "b"]
+
+
+def test_a_file_that_a_killed_process_left_is_taken_away_by_the_next_writer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    path = tmp_path / "a"
+    with monkeypatch.context() as patch:
+
+        def killed(*_: object) -> None:
+            raise SystemExit
+
+        patch.setattr(Path, "replace", killed)
+        with pytest.raises(SystemExit):
+            write_atomically(path, b"1", overwrite=True)
+    left = [name for name in names(tmp_path) if name.endswith(".tmp")]
+    assert len(left) == (1 if hasattr(os, "O_TMPFILE") else 0)
+    write_atomically(path, b"2", overwrite=True)
+    assert names(tmp_path) == ["a"]
+    assert path.read_bytes() == b"2"
