@@ -104,6 +104,16 @@ def test_carried_data_go_into_fit(call, bench: Path):
     assert result["errors"]["calibrated"]["estimation"]["rms_m"] < 1e-4
 
 
+def test_columns_that_are_not_carried_are_named(call, bench: Path):
+    head, *rows = (bench / "seen.csv").read_text(encoding="utf-8").splitlines()
+    more = [f"{head},remark,speed", *(f"{row},fine,250" for row in rows)]
+    (bench / "more.csv").write_text("\n".join(more) + "\n", encoding="utf-8")
+    done = call(bench, "base-frame", "sweeps.csv", *ROBOT, "--carry", "more.csv", "-o", "m.csv")
+    assert (done.code, done.err) == (0, "")
+    assert "Columns left out: 'remark', 'speed'." in " ".join(done.out.split())
+    assert (bench / "m.csv").read_text(encoding="utf-8").splitlines()[0] == head
+
+
 def test_findings_are_printed(call, bench: Path):
     lines = (bench / "sweeps.csv").read_text(encoding="utf-8").splitlines()
     cells = lines[30].split(",")
