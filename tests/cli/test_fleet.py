@@ -1,0 +1,279 @@
+"""``calib fleet``: a manifest in, a folder of results and a table out; and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import pty
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from calib.cli.fleet import _command
+from tests.identify.fleet_arms import arms
+
+DOC = Path(__file__).parents[2] / "docs" / "fleet.md"
+ARM = ("--base", "base", "--tip", "tool0", "--model", "zeros", "--workers", "1")
+QUICK = (*ARM, "--no-reports", "--no-validate")
+
+
+@pytest.fixture
+def arms_shop(tmp_path: Path, ur3) -> Path:
+    """A folder with six arms and their manifest."""
+    arms(tmp_path, ur3, range(6))
+    manifest(tmp_path, *(f"SN-{k},robot.urdf,arm-{k}.csv" for k in range(6)))
+    return tmp_path
+
+
+def manifest(folder: Path, *rows: str, header: str = "name,robot,data") -> None:
+    (folder / "m.csv").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+
+
+def test_a_fleet_is_calibrated_compared_and_kept(call, arms_shop: Path):
+    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *ARM, "--no-reports")
+    assert (done.code, done.err) == (0, "")
+    assert done.lines[0] == "Errors and noise, rms [mm]:"
+    assert done.lines[1].split() == [
+        "robot",
+        "verdict",
+        "nominal",
+        "calibrated",
+        "unseen",
+        "noise",
+        "model",
+        "rows",
+        "out",
+    ]
+    assert [line.split()[0] for line in done.lines[2:8]] == [f"SN-{k}" for k in range(6)]
+    assert re.fullmatch(r"6 of 6 robots calibrated \(.*\); \d odd, 0 failed\.", done.lines[-3])
+    assert done.lines[-2:] == ["Written: r/fleet.csv", "Written: r/fleet.json"]
+    again = call(arms_shop, "fleet", "m.csv", "--out", "r", *ARM, "--no-reports")
+    assert "calibrated (" in again.lines[-3]
+    assert ", 6 of them by an earlier run; " in again.lines[-3]
+    quiet = call(
+        arms_shop, "fleet", "m.csv", "--out", "r", *ARM, "--no-reports", "--quiet", "--force"
+    )
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+
+    table = json.loads((arms_shop / "r" / "fleet.json").read_text())
+    keys = {"schema", "notes", *keys_of("robots", table), *keys_of("odd", table)}
+    keys |= {f"robots[].{key}" for key in keys_of("parameters", table["robots"][0])}
+    said = set(
+        re.findall(
+            r"^\| `([a-z_\[\].]+)` \| [a-z]+(?:, null| of texts)? \|", DOC.read_text(), re.MULTILINE
+        )
+    )
+    # Of the odd ones there may be none here.
+    assert {k for k in keys if not k.startswith("odd")} - {"robots[].parameters"} == {
+        k for k in said if not k.startswith("odd")
+    }
+    rows = list(csv.DictReader((arms_shop / "r" / "fleet.csv").read_text().splitlines()))
+    assert [row["name"] for row in rows] == [f"SN-{k}" for k in range(6)]
+    assert {row["unseen by"] for row in rows} == {"cross-validation"}
+    for row, one in zip(rows, table["robots"], strict=True):
+        assert float(row["nominal rms [mm]"]) == pytest.approx(1e3 * one["nominal_rms_m"], rel=1e-5)
+        assert float(row["noise [mm]"]) == pytest.approx(1e3 * one["sigma_m"], rel=1e-5)
+
+
+def keys_of(name: str, table: dict[str, list[dict[str, object]]]) -> set[str]:
+    return {f"{name}[].{key}" for one in table[name] for key in one}
+
+
+def test_failed_and_odd_ones_are_told(call, arms_shop: Path):
+    shutil.copy(arms_shop / "arm-1.csv", arms_shop / "again.csv")
+    rows = [f"SN-{k},robot.urdf,arm-{k}.csv" for k in range(6)]
+    manifest(
+        arms_shop,
+        *rows,
+        "SN-6,robot.urdf,again.csv",
+        "SN-7,robot.urdf,gone.csv",
+        "SN-8,ur99,arm-1.csv",
+    )
+    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK)
+    assert done.code == 1
+    assert done.err.startswith("calib: 2 of 9 robots failed; 'SN-7': m.csv, line 9: The table ")
+    assert done.err.count("\n") == 1
+    assert "  SN-1: the same measurements as SN-6 (arm-1.csv)" in done.lines
+    assert any(
+        line.startswith("  SN-8: m.csv, line 10: ") and "ur99" in line for line in done.lines
+    )
+    assert "7 of 9 robots calibrated (7 no verdict); " in done.lines[-3]
+    rows = list(csv.DictReader((arms_shop / "r" / "fleet.csv").read_text().splitlines()))
+    assert rows[1]["odd"] == "the same measurements as SN-6 (arm-1.csv)"
+    assert rows[7]["status"] == "failed"
+    odd = json.loads((arms_shop / "r" / "fleet.json").read_text())["odd"]
+    said = set(re.findall(r"^\| `odd\[\]\.([a-z]+)`", DOC.read_text(), re.MULTILINE))
+    assert {key for one in odd for key in one} == said
+
+
+def test_a_small_fleet_says_that_it_is_small(call, arms_shop: Path):
+    manifest(arms_shop, "a,robot.urdf,arm-0.csv")
+    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK)
+    assert (
+        "What is usual cannot be told of 1 robot; it takes 5. Only data given twice are looked for."
+        in done.lines
+    )
+
+
+def test_a_row_s_own_words_win(call, arms_shop: Path):
+    (arms_shop / "sub").mkdir()
+    (arms_shop / "cell.toml").write_text('model = "dh"\n')
+    for name in ("arm-0.csv", "arm-1.csv", "robot.urdf"):
+        shutil.copy(arms_shop / name, arms_shop / "sub" / name)
+    table = [line.split(",") for line in (arms_shop / "sub" / "arm-1.csv").read_text().splitlines()]
+    places = [i for i, head in enumerate(table[0]) if head[0] in "xyz" and head[1] == " "]
+    joints = [[c for i, c in enumerate(row) if i not in places] for row in table]
+    lines = [["point", *joints[0]], *([f"P{k}", *row] for k, row in enumerate(joints[1:], 1))]
+    (arms_shop / "sub" / "joints.csv").write_text("\n".join(",".join(line) for line in lines))
+    points = [f"P{k} " + " ".join(row[i] for i in places) for k, row in enumerate(table[1:], 1)]
+    (arms_shop / "sub" / "points.txt").write_text("\n".join(points))
+    table[0] = [f"J{k}" if "joint [" in head else head for k, head in enumerate(table[0])]
+    (arms_shop / "sub" / "renamed.csv").write_text("\n".join(",".join(line) for line in table))
+    names = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"]
+    first = next(k for k, head in enumerate(table[0]) if head.startswith("J"))
+    unit = "deg" if "[deg]" in (arms_shop / "arm-1.csv").read_text().splitlines()[0] else "rad"
+    columns = ";".join(f"J{first + k}={name}_joint [{unit}]" for k, name in enumerate(names))
+    header = "name,robot,data,cell,points,points_unit,base,tip,target,frame,model,kind,payload,hold,columns"
+    rows = [
+        "plain,robot.urdf,arm-0.csv,,,,,,,,,,,,",
+        "celled,robot.urdf,arm-0.csv,../cell.toml,,,,,,,,,,,",
+        "own,robot.urdf,arm-0.csv,,,,base_link,wrist_3_link,0 0 50 mm,estimate,zeros+gain,point,1 kg,,",
+        "listed,robot.urdf,joints.csv,,points.txt,mm,,,,,,,,,",
+        f"renamed,robot.urdf,renamed.csv,,,,,,,,,,,,{columns}",
+        f"named,ur3,{arms_shop / 'arm-0.csv'},,,,,,,,,,,,",
+        f"absolute,{arms_shop / 'robot.urdf'},arm-0.csv,,,,,,,,,,,,",
+    ]
+    (arms_shop / "sub" / "m.csv").write_text("\n".join([header, *rows]))
+    words = ("--base", "base", "--tip", "tool0", "--no-reports", "--no-validate", "--workers", "1")
+    given = (
+        "--target",
+        "-70 70 22.5 mm",
+        "--fix-target",
+        "--freeze",
+        "elbow_joint.zero",
+        "--priors",
+        "given",
+    )
+    done = call(arms_shop, "fleet", "sub/m.csv", "--out", "r", *words, *given, "--model", "zeros",
+                "--repeats", "average", "--points-unit", "m", "--target-link")  # fmt: skip
+    assert (done.code, done.err) == (0, "")
+    found = {
+        name: json.loads((arms_shop / "r" / name / "result.json").read_text())
+        for name in ("plain", "celled", "own", "listed", "renamed", "named", "absolute")
+    }
+    plain, own = found["plain"], found["own"]
+    assert (plain["robot"]["base"], plain["robot"]["tip"]) == ("base", "tool0")
+    assert (own["robot"]["base"], own["robot"]["tip"]) == ("base_link", "wrist_3_link")
+    # --model on the line wins over a cell file, a row's model over both.
+    assert [found[n]["model"]["set"] for n in ("plain", "celled", "own")] == ["zeros"] * 3
+    assert own["larger"]["set"] == "zeros+gain"
+    assert own["larger"]["payload"]["mass_kg"] == 1.0
+    assert (plain["frames"]["frame_estimated"], own["frames"]["frame_estimated"]) == (False, True)
+    assert plain["frames"]["target_m"] == plain["frames"]["target_given_m"]
+    assert own["frames"]["target_given_m"] == [0.0, 0.0, 0.05]
+    assert not plain["frames"]["target_estimated"]
+    assert plain["model"]["frozen"] == ["elbow_joint.zero"]
+    assert "calib_target" in (arms_shop / "r" / "plain" / "corrected.urdf").read_text()
+    for name in ("listed", "renamed", "named", "absolute"):
+        assert found[name]["solver"]["status"] == "converged"
+    assert found["listed"]["parameters"] == found["renamed"]["parameters"]
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "said"),
+    [
+        ("name,robot", ["a,robot.urdf"], "m.csv: of its columns 'data' is missing. A manifest has 'name', 'robot', "),
+        ("name,robot,data,color", ["a,b,c,d"], "of its columns 'color' is not known"),
+        ("name,robot,data,data", ["a,b,c,d"], "of its columns 'data' is there more than once"),
+        ("name,robot,data", [], "m.csv: there are no robots in it, only a header."),
+        ("name,robot,data", ["a,robot.urdf"], "m.csv, line 2: 'data' is empty; each robot has 'name', 'robot', 'data'"),
+        ("name,robot,data", ["a,b,c,d"], "m.csv, line 2: 4 cells, and the header has 3 columns."),
+        ("name,robot,data", ["a,b,c", "A,b,c"], "m.csv, line 3: the name 'A' is that of another robot, 'a' (m.csv, "),
+        ("name,robot,data", ["../a,b,c"], "m.csv, line 2: the name '../a' cannot be that of a folder."),
+    ],
+)  # fmt: skip
+def test_a_manifest_that_is_none_is_refused(call, tmp_path: Path, header, rows, said):
+    manifest(tmp_path, *rows, header=header)
+    done = call(tmp_path, "fleet", "m.csv", "--out", "r", *QUICK)
+    assert (done.code, done.out) == (1, "")
+    assert said in done.err
+    assert done.err.count("\n") == 1
+    assert not (tmp_path / "r").exists()
+
+
+@pytest.mark.parametrize(
+    ("column", "cell", "said"),
+    [
+        ("kind", "points", "m.csv, line 2: 'points' is no kind of measurement; choose one of 'point', 'pose'"),
+        ("points_unit", "mm", "m.csv, line 2: points_unit is the unit of a list of points; name the list in the "),
+        ("cell", "no.toml", "m.csv, line 2: "),
+        ("target", "7 mm", "m.csv, line 2: --target was given as "),
+        ("model", "dhh", "m.csv, line 2: --model: there is no model 'dhh'."),
+        ("hold", "x", "m.csv, line 2: --hold was given 'x'"),
+    ],
+)  # fmt: skip
+def test_a_cell_that_is_wrong_fails_its_robot(call, arms_shop: Path, column, cell, said):
+    manifest(
+        arms_shop,
+        f"a,robot.urdf,arm-0.csv,{cell}",
+        "b,robot.urdf,arm-1.csv,",
+        header=f"name,robot,data,{column}",
+    )
+    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK)
+    assert done.code == 1
+    assert f"calib: 1 of 2 robots failed; 'a': {said}" in done.err
+    assert (arms_shop / "r" / "b" / "result.json").is_file()
+
+
+def test_workers_or_dask(call, arms_shop: Path):
+    words = ("fleet", "m.csv", "--out", "r", "--no-reports")
+    done = call(arms_shop, *words, "--workers", "2", "--dask", "tcp://127.0.0.1:1")
+    assert done.code == 1
+    assert done.err.startswith(
+        "calib: --workers are processes of this machine, and --dask has its own"
+    )
+    done = call(arms_shop, *words, "--dask", "here")
+    assert "'here' is no address of a Dask scheduler" in done.err
+    assert call(arms_shop, *words, "--workers", "0").code == 2
+    assert call(arms_shop, "fleet", "m.csv").code == 2
+    done = call(arms_shop, "fit", "robot.urdf", "arm-0.csv", "--workers", "2")
+    assert done.err.startswith("calib: --workers is for the samples of --bootstrap")
+    assert not (arms_shop / "r").exists()
+
+
+def test_a_bootstrap_in_processes_prints_the_same(call, arms_shop: Path):
+    words = ("fit", "robot.urdf", "arm-0.csv", *ARM[:-2], "--no-validate", "--bootstrap", "40")
+    one, two = (call(arms_shop, *words, "--workers", n) for n in "12")
+    clean = [re.sub(r"\d+ ms", "", done.out) for done in (one, two)]
+    assert clean[0] == clean[1]
+    assert one.code == two.code == 0
+
+
+def test_a_report_says_the_command_without_where_it_ran(monkeypatch):
+    words = (
+        "calib fleet m.csv --workers 2 --out r --dask=tcp://h:1 --force --base=b --quiet --debug"
+    )
+    monkeypatch.setattr("sys.argv", [*words.split(), "--target", "1 2 3 mm", "--dask", "tcp://h:1"])
+    assert _command() == "calib fleet m.csv --out r --base=b --target '1 2 3 mm'"
+
+
+def test_a_terminal_has_colours(program, arms_shop: Path):
+    words = [*program, "fleet", "m.csv", "--out", "r", *QUICK]
+    ours, theirs = pty.openpty()
+    env = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | {
+        "TERM": "xterm-256color",
+        "COLUMNS": "120",
+    }
+    done = subprocess.run(
+        words, cwd=arms_shop, stdout=theirs, stderr=subprocess.PIPE, env=env, timeout=60
+    )
+    os.close(theirs)
+    printed = os.read(ours, 100_000).decode()
+    os.close(ours)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert "\x1b[1" in printed
+    assert "SN-5" in printed
