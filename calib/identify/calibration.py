@@ -21,15 +21,9 @@ from calib.identify.crossvalidation import (
 )
 from calib.identify.evidence import evidence_of
 from calib.identify.findings import Outlier, parameter_estimates
-from calib.identify.fitting import (
-    Fitted,
-    Task,
-    fit,
-    nominal_setup,
-    seen_from,
-    unseen_scores,
-)
+from calib.identify.fitting import Fitted, Task, fit, unseen_scores
 from calib.identify.inspection import known_slopes
+from calib.identify.nominal import nominal_on
 from calib.identify.repeats import Repeats, repeats
 from calib.identify.result import Calibration, Larger
 from calib.identify.robust import Limits
@@ -220,8 +214,7 @@ def _assemble(
     robot, model = task.robot, fitted.kinematics.model
     mask, problem = measurements.estimation, estimated.problem
     observability = _observability(fitted)
-    T_base_tip = robot.poses(every.joints)
-    placed = nominal_setup(T_base_tip[mask], task.setup, every.select(mask))
+    placed, residual_nominal = nominal_on(robot, task.setup, every, mask)
     residual = fitted.residual(every)
     scores, weights = np.empty(len(mask)), np.zeros(len(mask))
     weights[mask] = estimated.weights
@@ -260,7 +253,7 @@ def _assemble(
         sigma_angle=_median(scales[:, 3:][used[:, 3:]]),
         sizes=estimated.sizes,
         parameters=parameter_estimates(fitted, observability),
-        residual_nominal=read_only(every.residual(seen_from(placed, T_base_tip, every))),
+        residual_nominal=read_only(residual_nominal),
         residual_calibrated=read_only(residual),
         used=every.used,
         scores=read_only(scores),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
 from calib.identify.fitting import (
+    ENOUGH,
     Fitted,
     Task,
     fit,
@@ -21,12 +22,13 @@ from calib.identify.fitting import (
 from calib.identify.fold_fits import fold_fits, fold_means
 from calib.identify.linear import Linear
 from calib.identify.registration import register_poses
-from calib.identify.rows import FRAME_DIRECTIONS, POINT, POSE, Rows
+from calib.identify.rows import FRAME_DIRECTIONS, POINT, POSE, Rows, evenly
 from calib.identify.setup import Setup
 from calib.identify.stage import FEWEST_FREEDOM, Holds
 from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
 from calib.identify.streamed import Streamed, linearised
 from calib.identify.table_rows import joined_setups
+from calib.model.batch import MANY
 from calib.model.parameters import ErrorModel, frame_place, target_place
 
 Array = NDArray[np.float64]
@@ -170,9 +172,15 @@ class _Linearised:
         x, fitted = self.found[fold], self.fitted
         problem = fitted.estimate.problem
         rows, residual = problem.rows, problem.residual(x)
-        apart = (self.linear.residual(x) - residual / rows.scales) * (rows.scales / problem.scales)
-        used = rows.used & (~mask & (fitted.estimate.weights > 0.0))[:, None]
-        if not np.sqrt(np.mean(apart[used] ** 2)) < _LINEAR:
+        looked_at = ~mask & (fitted.estimate.weights > 0.0)
+        if isinstance(self.linear, Linear):
+            expected = self.linear.residual(x)[looked_at]
+        else:  # in some of many rows
+            looked_at &= evenly(rows, ENOUGH)
+            expected = Linear.of_part(problem, fitted.estimate.x, looked_at).residual(x)
+        given, found = rows.scales[looked_at], problem.scales[looked_at]
+        apart = (expected - residual[looked_at] / given) * (given / found)
+        if not np.sqrt(np.mean(apart[rows.used[looked_at]] ** 2)) < _LINEAR:
             return None
         if not np.any(only_there(fitted.kinematics.model, fitted.setup, rows, mask)):
             return np.asarray(residual[mask])
@@ -205,12 +213,18 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
         target_given=~task.setup.target_unknown,
     )
 
-    T_base_tip = task.robot.poses(rows.joints)
+    few = len(rows) < MANY
+    every = task.robot.poses(rows.joints) if few else np.zeros((0, 4, 4))
+    some = evenly(rows, ENOUGH) if len(rows) > ENOUGH else np.ones(len(rows), dtype=bool)
+
+    def poses(chosen: Mask) -> Array:
+        return every[chosen] if few else task.robot.poses(rows.joints[chosen])
 
     def predict_left_out(mask: Mask) -> Array:
-        kept = rows.select(~mask)
-        found = nominal_setup(T_base_tip[~mask], setup, kept)
-        left = _registered(T_base_tip[mask], found, rows.select(mask), kept, outliers[mask])
+        looked_at = ~mask & some
+        kept = rows.select(looked_at)
+        found = nominal_setup(poses(looked_at), setup, kept)
+        left = _registered(poses(mask), found, rows.select(mask), kept, outliers[mask])
         return _as_wide(left, rows)
 
     return cross_validate(_blocks(rows), left_out, outliers, rows.used, predict_left_out)
@@ -274,6 +288,8 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     def predict_left_out(mask: Mask) -> Array:
         x = next(means)
         loose = only_there(model, fitted.setup, rows, mask)
+        if isinstance(linear, Streamed) and not np.any(loose):
+            return np.asarray(problem.residual(x)[mask])  # the robot itself: it takes one pass
         part = linear.select(mask) if isinstance(linear, Linear) else None
         part = Linear.of_part(problem, estimate.x, mask) if part is None else part
         if np.any(loose):

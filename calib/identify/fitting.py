@@ -40,7 +40,7 @@ _GROSS = 5.0
 _GROSS_ROUNDS = 5
 
 #: Rows in which gross ones are looked for; more do not change where targets and frames are registered.
-_ENOUGH = 20_000
+ENOUGH = 20_000
 
 #: The solvers' names.
 SOLVERS = ("lm", "paper", "scipy")
@@ -297,8 +297,8 @@ def register_without_gross(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup
         setup: What is known.
         rows: N rows.
     """
-    if len(rows) > _ENOUGH:
-        some = evenly(rows, _ENOUGH)
+    if len(rows) > ENOUGH:
+        some = evenly(rows, ENOUGH)
         T_base_tip, rows = T_base_tip[some], rows.select(some)
     kept = np.ones(len(rows), dtype=bool)
     registered = register_seen(T_base_tip, setup, rows)
@@ -342,11 +342,6 @@ def _partners_of(kept: NDArray[np.bool_], rows: Rows) -> NDArray[np.bool_]:
     result = np.zeros(len(rows), dtype=bool)
     result[rows.partner[kept & (rows.partner >= 0)]] = True
     return result
-
-
-def predict(robot: Robot, setup: Setup, rows: Rows) -> Array:
-    """Measured minus what a robot predicts in a set-up, shape (N, D), [m] and [rad]."""
-    return rows.residual(seen_from(setup, robot.poses(rows.joints), rows))
 
 
 def seen_from(setup: Setup, T_base_tip: Array, rows: Rows) -> Array:

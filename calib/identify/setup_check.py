@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.fitting import predict
+from calib.identify.nominal import residual_of
 from calib.identify.registration import register
 from calib.identify.rows import POINT, Rows
 from calib.identify.setup import Setup
@@ -177,5 +177,5 @@ def _standing_links(robot: Robot) -> list[str]:
 
 def _rms(robot: Robot, setup: Setup, rows: Rows) -> float:
     """Error of the nominal robot where target (and frame, if asked) are registered, rms [m]."""
-    residual = predict(robot, register(robot, setup, rows, tolerance=_TOLERANCE), rows)
+    residual = residual_of(robot, register(robot, setup, rows, tolerance=_TOLERANCE), rows)
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.errors import MeasurementError
-from calib.identify.fitting import predict
+from calib.identify.nominal import residual_of
 from calib.identify.registration import _some, _system, register, register_poses
 from calib.identify.table_rows import rows_of
 from calib.measure.cell import Cell
@@ -31,7 +31,7 @@ def registered(scene, table, cell):
 
 
 def rms(scene, found, rows):
-    residual = predict(scene.robot, found, rows)[rows.used]
+    residual = residual_of(scene.robot, found, rows)[rows.used]
     return np.sqrt(np.mean(residual**2))
 
 

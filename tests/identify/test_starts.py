@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.identify.fitting import predict
+from calib.identify.nominal import residual_of
 from calib.identify.starts import (
     _anchor,
     _plane_frame,
@@ -31,7 +31,7 @@ def started(scene, table, cell, start):
 
 
 def worst(scene, rows, setup, found):
-    return np.abs(predict(scene.robot, setup.placed(*found), rows)[rows.used]).max()
+    return np.abs(residual_of(scene.robot, setup.placed(*found), rows)[rows.used]).max()
 
 
 def test_targets_and_translations_by_one_least_squares(make_scene, join):
