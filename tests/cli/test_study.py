@@ -110,6 +110,7 @@ def test_without_noise_there_is_no_forecast(simulate):
             "'--planned' is for a study of many robots; add --study 200",
         ),
         (("--workers", "2", "-o", "t.csv"), "'--workers' is for a study of many robots"),
+        (("--dask", "tcp://h:1", "-o", "t.csv"), "'--dask' is for a study of many robots"),
         (("--fit-model", "dh", "-o", "t.csv"), "'--fit-model' is for a study of many robots"),
         (("--json", "s.json", "-o", "t.csv"), "'--json' is for a study of many robots"),
         (("--study", "2", "-o", "t.csv"), "A study writes no table and no truth; leave '-o' out."),
@@ -179,3 +180,30 @@ def until(asked, seconds: float = 30.0):
         assert time.monotonic() < end, "it did not come about"
         time.sleep(0.05)
     return answer
+
+
+def test_a_study_that_is_killed_goes_on(shop: Path, simulate):
+    words = ("--study", "8", "--count", "12", "--fit-model", "zeros", "--seed", "2")
+    whole = simulate(*words, "--workers", "1", "--json", "whole.json")
+    assert (whole.code, sorted(shop.glob("whole*"))) == (0, [shop / "whole.json"])
+    kept = shop / "study.json.unfinished"
+    # The same program, but for a power cut in the fifth trial.
+    cut = (
+        "import os, sys, calib.identify.study as s; one = s.one_trial\n"
+        "s.one_trial = lambda t, seed: one(t, seed) if seed < 6 else os.kill(os.getpid(), 9)\n"
+        "from calib.cli import main; sys.exit(main())"
+    )
+    call = ["simulate", "robot.urdf", *ARM, *words, "--workers", "1", "--json", "study.json"]
+    run = subprocess.run([sys.executable, "-c", cut, *call], cwd=shop, check=False)
+    assert run.returncode == -9
+    assert len(kept.read_bytes().splitlines()) == 1 + 4  # its head, and seeds 2 to 5
+    other = simulate(*words[:-1], "3", "--workers", "1", "--json", "study.json")
+    assert (other.code, other.err.count("\n")) == (1, 1)
+    assert "study.json.unfinished holds 4 finished parts of another command" in other.err
+    done = simulate(*words, "--workers", "2", "--json", "study.json")
+    assert (done.code, done.err) == (0, "")
+    assert not kept.exists()
+    assert (shop / "study.json").read_bytes() == (shop / "whole.json").read_bytes()
+    assert simulate(*words, "--dask", "tcp://127.0.0.1").err.startswith(
+        "calib: 'tcp://127.0.0.1' is no ad"
+    )

@@ -330,3 +330,23 @@ def test_ctrl_c_leaves_whole_folders_only(shop, tmp_path):
     assert not [*out.glob(".calib-new*")]
     assert fleet(robots_of(shop), out, QUICK).kept >= 2
     assert files(out) == files(shop / "serial")
+
+
+def test_the_example_of_the_document_runs(shop, tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    script = tmp_path / "example.py"
+    script.write_text(example, encoding="utf-8")
+    (tmp_path / "robot.urdf").write_bytes((shop / "robot.urdf").read_bytes())
+    for k in range(1, 4):
+        (tmp_path / f"{k}.csv").write_bytes((shop / f"arm-{k % 2}.csv").read_bytes())
+    done = subprocess.run(
+        [sys.executable, script], cwd=tmp_path, capture_output=True, encoding="utf-8", timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert [line.split()[0] for line in lines[:3]] == ["SN-1", "SN-2", "SN-3"]
+    assert lines[3:] == [
+        "SN-1 the same measurements as SN-3 (1.csv)",
+        "SN-3 the same measurements as SN-1 (3.csv)",
+    ]
