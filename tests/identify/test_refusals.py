@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from calib.errors import CalibError, FileError, ModelError, SolverError
 from calib.identify.calibration import calibrate
 from calib.identify.comparison import compare
+from calib.identify.executors import WorkerDied
 from calib.identify.foresight import forecast
 from calib.identify.result_file import read_result
 from calib.identify.solvers import levenberg_marquardt, paper_levenberg_marquardt
@@ -132,3 +134,20 @@ def test_results_with_parameters_that_the_model_has_not(ur3, written, tmp_path):
         "not, or not in this order. Give the URDF that the result was made with.",
     ):
         compare(written, other, ur3)
+
+
+class Dying(Executor):
+    """Workers that end whenever they have something to do."""
+
+    def submit(self, _fn, /, *_args, **_kwargs):
+        future = Future()
+        future.set_exception(WorkerDied("The process that worked on it has ended."))
+        return future
+
+
+def test_a_bootstrap_of_which_a_sample_is_lost(default_result):
+    with refused(
+        CalibError,
+        "Sample 8 of the bootstrap has no result. The process that worked on it has ended.",
+    ):
+        bootstrap(default_result, 40, seed=0, executor=Dying())

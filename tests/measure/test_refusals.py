@@ -266,3 +266,12 @@ def test_a_cell_with_a_number_of_too_many_digits(tmp_path):
     path.write_text(f"sigma_mm = {10**30}\n")
     with refused(FileError, f"{path}: this is not a TOML file: a whole number is beyond 64 bits"):
         Cell.read(path)
+
+
+def test_a_cell_with_a_line_of_dots(tmp_path):
+    path = tmp_path / "cell.toml"
+    path.write_text("model = 'dh'\na" + 2000 * ".a" + " = 1\n")
+    with refused(
+        FileError, f"{path}: this is not a TOML file: line 2 has 2,000 dots; at most 1000 are read"
+    ):
+        Cell.read(path)
