@@ -146,6 +146,8 @@ class Dying(Executor):
 
 
 def test_a_bootstrap_of_which_a_sample_is_lost(default_result):
-    said = r"^Sample \d+ of the bootstrap has no result\. The process that worked on it has ended\.$"
+    said = (
+        r"^Sample \d+ of the bootstrap has no result\. The process that worked on it has ended\.$"
+    )
     with pytest.raises(CalibError, match=said):
         bootstrap(default_result, 40, seed=0, executor=Dying())
