@@ -209,6 +209,23 @@ def poses_of(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
     return out
 
 
+def points_of(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
+    """The target's positions, shape (N, 3), [m]: no more than that is kept of the poses."""
+    from calib.model import kernel
+
+    geometry = geometry_of(kinematics, x, columns=False)
+    out = np.empty((len(samples), 3))
+
+    def work(first: int, last: int) -> None:
+        part = stood_at(kinematics, x, samples.select(slice(first, last)), columns=False)
+        poses = np.empty((last - first, 4, 4))
+        kernel.poses(geometry, part, 0, last - first, poses)
+        out[first:last] = poses[:, :3, 3]
+
+    in_threads(work, len(samples))
+    return out
+
+
 def twists_of(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array, Array]:
     """T_frame_target, and the target's velocity in a unit of each parameter, shape (N, 6, p)."""
     from calib.model import kernel

@@ -19,7 +19,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, choices
-from calib.model.batch import MANY, Displaced, poses_of, twists_of
+from calib.model.batch import MANY, Displaced, points_of, poses_of, twists_of
 from calib.model.joint_errors import axis_twists, joint_displacements
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
 from calib.model.robot import Robot, last_joint_poses, read_only
@@ -126,7 +126,10 @@ class Kinematics:
 
     def points(self, x: Array, where: Where) -> Array:
         """The target's position in the measurement frame, shape (N, 3), [m]."""
-        return self.poses(x, where)[:, :3, 3]
+        samples = where if isinstance(where, Samples) else Samples.at(where)
+        if len(samples) >= MANY:
+            return points_of(self, x, samples)
+        return self.poses(x, samples)[:, :3, 3]
 
     def twists(self, x: Array, where: Where) -> tuple[Array, Array]:
         """T_frame_target, and the velocity of the target in a unit of each parameter.
