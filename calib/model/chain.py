@@ -20,21 +20,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import UrdfError, choices
 from calib.model.native_words import native_words, reason
+from calib.model.tree_checks import check_same, check_size
 from calib.model.urdf import Urdf, UrdfJoint
 
 Array = NDArray[np.float64]
 
 MOVING = ("revolute", "continuous", "prismatic")
 """The types of joints that a chain may move by."""
-
-MOST_JOINTS, DEEPEST, MOST_MOVING = 2000, 200, 150
-"""The most joints of a robot, behind one another, and coordinates that move.
-
-Pinocchio goes down a tree by recursion, and takes memory with the third power of the coordinates that move.
-"""
-
-#: Coordinates of the types that have not just one.
-_COORDINATES = {"fixed": 0, "floating": 6, "planar": 3}
 
 #: What stands before the links' names in the Pinocchio model.
 _LINK = "link:"
@@ -172,40 +164,6 @@ def rigid_inverse(T: Array) -> Array:
     return result
 
 
-def check_size(urdf: Urdf) -> None:
-    """Refuse a tree that is no robot's, and that would take Pinocchio all memory.
-
-    Raises:
-        UrdfError: More joints than `MOST_JOINTS`, `DEEPEST` or `MOST_MOVING`.
-    """
-    moving = sum(_COORDINATES.get(joint.type, 1) for joint in urdf.joints)
-    counts = [
-        (len(urdf.joints), MOST_JOINTS, "joints"),
-        (moving, MOST_MOVING, "moving coordinates"),
-    ]
-    if len(urdf.joints) <= MOST_JOINTS:
-        counts.append((_depth(urdf), DEEPEST, "joints behind one another"))
-    for count, most, what in counts:
-        if count > most:
-            message = (
-                f"{urdf.source} has {count:,} {what}; {most:,} are the most that a robot may have here. Leave out "
-                "what does not carry the arm."
-            )
-            raise UrdfError(message)
-
-
-def _depth(urdf: Urdf) -> int:
-    """The most joints between the root and a link."""
-    below: dict[str, list[str]] = {}
-    for joint in urdf.joints:
-        below.setdefault(joint.parent, []).append(joint.child)
-    level, depth = [urdf.root], -1
-    while level:
-        level = [child for link in level for child in below.get(link, ())]
-        depth += 1
-    return depth
-
-
 def full_model(urdf: Urdf) -> pin.Model:
     """The Pinocchio model of all of a URDF, mimic joints free; links are found by `link_frame`.
 
@@ -228,6 +186,7 @@ def _built_model(urdf: Urdf) -> pin.Model:
             f"{urdf.source}: Pinocchio cannot build a model of this URDF: {error}{reason(said)}"
         )
         raise UrdfError(message) from error
+    check_same(urdf, model)
     # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: let links be told apart.
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY:

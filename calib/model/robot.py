@@ -23,9 +23,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import UrdfError, choices
-from calib.model.chain import Chain, check_size, last_joint_poses, read_only, rigid_inverse
+from calib.model.chain import Chain, last_joint_poses, read_only, rigid_inverse
 from calib.model.coupling import Coupling, all_values, checked_held
 from calib.model.tips import farthest_link
+from calib.model.tree_checks import check_size
 from calib.model.urdf import Urdf, UrdfJoint
 from calib.model.xacro_file import is_xacro, read_xacro
 
