@@ -73,6 +73,12 @@ def refusals(path: Path) -> list[Refusal]:
     tree = ast.parse(source)
     every = functions_of(tree)
     functions = {function.name: function for function in every}
+    constants = {
+        name: _text(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        for name in _targets(node)
+    }
     found = []
     for function in every:
         for node in _own(function):
@@ -85,7 +91,8 @@ def refusals(path: Path) -> list[Refusal]:
             if kind not in _NO_REFUSALS:
                 worded = dict(_worded(node, function, functions))
                 own = [call, *(one for one, direct in worded.items() if direct)]
-                text = " | ".join(filter(None, map(_text, own)))
+                texts = [*map(_text, own), *(constants.get(name, "") for name in _names(call))]
+                text = " | ".join(filter(None, texts))
                 lines = tuple(dict.fromkeys([node.lineno, *(one.lineno for one in worded)]))
                 found.append(Refusal(path, node.lineno, kind, lines, text))
     return sorted(found, key=lambda refusal: refusal.line)
