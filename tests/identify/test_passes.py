@@ -36,7 +36,7 @@ def rows_of_kinds(robot, kinds, seed=0, count=COUNT) -> tuple[Kinematics, Rows]:
     of = rng.choice([k for k in kinds if k != PAIR] or [NONE], count)
     partner = np.full(count, -1)
     if PAIR in kinds:
-        last = count // 3 if len(kinds) > 1 else count
+        last = count // 6 * 2 if len(kinds) > 1 else count
         of[:last], of[1:last:2] = PAIR, NONE
         partner[:last:2] = np.arange(1, last, 2)
     samples = Samples(
