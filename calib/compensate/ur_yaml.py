@@ -29,6 +29,7 @@ from calib.model.files import read_bytes, write_atomically
 from calib.model.number_text import NUMBER
 from calib.model.robot import read_only
 from calib.model.urdf_joints import did_you_mean
+from calib.model.yaml_file import check_length
 
 Array = NDArray[np.float64]
 
@@ -126,6 +127,7 @@ def check_hash(hash: str) -> None:
 
 def _parsed(path: str | os.PathLike[str], data: bytes) -> UrYaml:
     """What the bytes of a file say."""
+    check_length(data, str(path), "kinematics.yaml")
     try:
         root = yaml.compose(data.decode("utf-8-sig"), Loader=yaml.SafeLoader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:

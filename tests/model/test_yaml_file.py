@@ -31,6 +31,16 @@ REFUSED = {
     "no text": (b"a: \xff\xfe\n", "f.yaml: this origins file cannot be read as YAML: .*UTF-8 text"),
     "control": (b"a: \x01\n", "f.yaml: this origins file cannot be read as YAML: "),
     "list as key": (b"? [1]\n: 2\n", "unhashable key"),
+    "bomb": (
+        b"a: &a [1, 1]\n" + b"".join(b"b%d: &b%d [*a, *a]\n" % (i, i) for i in range(99)),
+        "an alias",
+    ),
+    "no time": (b"a: !!timestamp x\n", "f.yaml: this origins file cannot be read as YAML: "),
+    "no month": (b"a: 2020-99-99\n", "month must be in 1"),
+    "no truth": (b"a: !!bool x\n", "f.yaml: this origins file cannot be read as YAML: "),
+    "no number": (b"a: !!int x\n", "f.yaml: this origins file cannot be read as YAML: "),
+    "half a character": (b'a: "\\ud800"\nb: [', "line 2"),
+    "10 MB": (b"a: " + b"x" * 10_000_000, "has 10,000,003 bytes, and 300,000 are the most that is"),
     "deep": (b"[" * 20_000, "f.yaml: this origins file cannot be read as YAML: "),
 }
 
@@ -39,6 +49,11 @@ REFUSED = {
 def test_what_is_refused(text: bytes, message: str):
     with pytest.raises(FileError, match=message):
         parse_yaml(text, "f.yaml", "origins file")
+
+
+def test_keys_of_what_is_too_long():
+    with pytest.raises(FileError, match="300,000 are the most"):
+        yaml_keys(b"- a\n" * 100_000, "f.yaml", "YAML file")
 
 
 def test_tags_that_other_programs_add_are_not_ours():

@@ -104,3 +104,25 @@ def test_a_small_mesh_is_left_alone():
     assert cell == 0
     assert vertices is CUBE
     assert faces is CUBE_FACES
+
+
+def test_faces_without_area_leave_nothing():
+    line = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    mesh = shaded(line, np.array([[0, 1, 2]]))
+    assert (mesh.vertices.shape, mesh.normals.shape, mesh.faces.shape) == ((0, 3),) * 3
+
+
+def test_many_faces_at_one_vertex_take_bounded_memory():
+    """Sixty thousand equal faces: each corner is compared with few others."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = np.tile([[0, 1, 2], [0, 2, 3]], (30_000, 1))
+    mesh = shaded(corners, faces)
+    assert mesh.faces.shape == (60_000, 3)
+    lengths = np.linalg.norm(mesh.normals.astype(float), axis=1)
+    np.testing.assert_allclose(lengths, 127.0, atol=1.5)
+
+
+def test_a_needle_has_the_normal_of_its_face():
+    corners = np.array([[0.0, 0, 0], [1e6, 0, 0], [1e6, 1e-3, 0]])
+    mesh = shaded(corners, np.array([[0, 1, 2]]))
+    np.testing.assert_array_equal(mesh.normals, [[0, 0, 127]] * 3)
