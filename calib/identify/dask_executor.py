@@ -7,6 +7,7 @@ worker that ends are done by others; one that ends several workers in a row is g
 
 from __future__ import annotations
 
+import logging
 import re
 import time
 import warnings
@@ -110,13 +111,26 @@ def dask_executor(address: str, timeout: float = TIMEOUT) -> Iterator[DaskExecut
             "need none: --workers."
         )
         raise CalibError(message) from error
-    client = _connected(distributed, address, timeout)
+    with _quiet():
+        client = _connected(distributed, address, timeout)
+        try:
+            _check_workers(client, address, timeout)
+            yield DaskExecutor(client, address)
+        finally:
+            with suppress(Exception):
+                client.close(timeout=timeout)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without Dask's own log, whose traces say less than the errors here."""
+    log = logging.getLogger("distributed")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
     try:
-        _check_workers(client, address, timeout)
-        yield DaskExecutor(client, address)
+        yield
     finally:
-        with suppress(Exception):
-            client.close(timeout=timeout)
+        log.setLevel(level)
 
 
 def _connected(distributed: Any, address: str, timeout: float) -> Any:  # noqa: ANN401

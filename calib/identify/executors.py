@@ -50,7 +50,7 @@ _LARGEST_BATCH = 50
 _PATIENCE = 5.0
 
 #: One job a process at a time: threads of one process share its linear algebra, and matplotlib.
-_TURN = threading.Lock()
+_TURN = threading.RLock()
 
 # scipy brings linear algebra of its own, which must be loaded before its threads can be limited.
 _LOADED = (np.__name__, scipy.linalg.__name__)
