@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import shlex
 from pathlib import Path
 
@@ -264,3 +265,16 @@ def test_files_that_exist_are_not_overwritten_unless_asked(simulate, shop: Path,
     assert sorted(shop.iterdir()) == before
     assert simulate("-o", "t.csv", "--truth-urdf", "true.urdf", "--force").code == 0
     assert (shop / taken).read_text() != "mine"
+
+
+def test_its_files_appear_all_or_none(simulate, shop: Path):
+    before = sorted(path.name for path in shop.iterdir())
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8000, hard))  # the table fits, the truth does not
+    try:
+        done = simulate("-o", "t.csv", "--count", "8", "--validation", "0")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert done.code == 1
+    assert "t_truth.json' cannot be written: File too large; choose another folder" in done.err
+    assert sorted(path.name for path in shop.iterdir()) == before
