@@ -39,6 +39,9 @@ _ROUGH, _FINE = 0.1, 1e-9
 #: leaves out is of the order of 1e-8 m and rad.
 _NEAR = _ROUGH
 
+#: A stage's solution within this is looked for by the linearised problem first, in the same steps.
+_CLOSE = 5.0
+
 #: The noise assumed until the data have told theirs [m], [rad].
 FIRST_SIGMA, FIRST_SIGMA_ANGLE = 1e-4, 1e-3
 
@@ -202,16 +205,27 @@ class _Path:
 
     def linear(self, stage: Stage) -> Linear | Streamed:
         """The problem linearised at the solution with a stage's weights and sizes, or where it hardly differs."""
-        if self.last is None or self._moves(self.last, stage) > _NEAR:
-            self.solve(stage, _ROUGH)
-            self.last = linearised(self.problem, self.x)
+        if self.last is not None:
+            x, moves = self._solution_of(self.last, stage)
+            if moves <= _NEAR:
+                return self.last
+            if moves <= _CLOSE:
+                # A step as short as this needs no damping, if the next one confirms it.
+                start, self.x = self.x, x
+                moved = linearised(self.problem, x)
+                if self._solution_of(moved, stage)[1] <= _NEAR:
+                    self.last = moved
+                    return moved
+                self.x = start
+        self.solve(stage, _ROUGH)
+        self.last = linearised(self.problem, self.x)
         return self.last
 
-    def _moves(self, last: Linear | Streamed, stage: Stage) -> float:
-        """How far a stage's solution lies from where the problem was linearised last, in steps of 1 mm and 1 mrad."""
-        known = last.known(stage.precision, stage.holds.centre)
-        x, _ = last.data(stage.effective).posterior(stage.noise, known)
-        return float(np.linalg.norm((x - self.x) / self.size))
+    def _solution_of(self, linear: Linear | Streamed, stage: Stage) -> tuple[Array, float]:
+        """A stage's solution of the linearised problem, and how far it lies from x in steps of 1 mm and 1 mrad."""
+        known = linear.known(stage.precision, stage.holds.centre)
+        x, _ = linear.data(stage.effective).posterior(stage.noise, known)
+        return x, float(np.linalg.norm((x - self.x) / self.size))
 
 
 def staged(
