@@ -8,12 +8,15 @@ import os
 import pty
 import re
 import shutil
+import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
 
 from calib.cli.fleet import _command
+from tests.cli.test_study import descendants, is_alive, until
 from tests.identify.fleet_arms import arms
 
 DOC = Path(__file__).parents[2] / "docs" / "fleet.md"
@@ -277,3 +280,22 @@ def test_a_terminal_has_colours(program, arms_shop: Path):
     assert (done.returncode, done.stderr) == (0, b"")
     assert "\x1b[1" in printed
     assert "SN-5" in printed
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="asks /proc which processes there are")
+def test_ctrl_c_ends_it_and_all_its_processes(program, arms_shop: Path):
+    words = [*program, "fleet", "m.csv", "--out", "r", *ARM[:-2], "--no-reports", "--workers", "2"]
+    # As at a terminal: all processes of the group get it.
+    run = subprocess.Popen(
+        words, cwd=arms_shop, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+    )
+    until(lambda: (arms_shop / "r" / "SN-0").exists() or run.poll() is not None)
+    workers = descendants(run.pid)
+    began = time.monotonic()
+    os.killpg(run.pid, signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    assert time.monotonic() - began < 15.0
+    assert (run.returncode, out) == (130, b"")
+    assert err == b"calib: interrupted; no file was left half written.\n"
+    until(lambda: not any(map(is_alive, workers)))
+    assert not [*(arms_shop / "r").glob(".calib-new*")]
