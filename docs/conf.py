@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing
 from docutils import nodes  # type: ignore[import-untyped]
 from pygments.lexers.special import TextLexer  # type: ignore[import-untyped]
-from sphinx.addnodes import pending_xref
+from sphinx.addnodes import desc_signature, pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 
@@ -129,6 +129,7 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", _docstring, priority=400)  # before napoleon
     app.connect("autodoc-process-docstring", _types, priority=600)  # after it
     app.connect("autodoc-process-signature", _signature)
+    app.connect("doctree-read", _short_contents, priority=400)  # before the contents are collected
     app.connect("missing-reference", _elsewhere)
 
 
@@ -164,14 +165,11 @@ def _modules(folder: str) -> str:
     place = HERE.parent / "calib" / folder
     entries = []
     for path in sorted(place.glob("*.py")):
-        if path.stem.startswith("__"):
-            continue
-        module = ".".join(["calib", *([folder] if folder else []), path.stem])
-        title = f"``{module}``"
-        entries.append(
-            f".. rubric:: {title}\n\n.. automodule:: {module}\n   :no-members:\n   :no-index:\n"
-        )
-    return "\n".join(entries)
+        if not path.stem.startswith("__"):
+            title = ".".join(["calib", *([folder] if folder else []), path.stem])
+            said = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+            entries.append("\n".join([f".. rubric:: ``{title}``", "", *_shown(said.split("\n"))]))
+    return "\n\n".join(entries)
 
 
 def _docstring(
@@ -180,6 +178,11 @@ def _docstring(
     """Make an indented block of a docstring's text, which is an equation or a table, one that keeps its lines."""
     if what in _TYPED:  # napoleon would take what stands before the first colon for a type
         lines[:] = [line.replace(":", _COLON) for line in lines]
+    lines[:] = _shown(lines)
+
+
+def _shown(lines: list[str]) -> list[str]:
+    """The lines of a docstring, whose indented blocks stay as they stand."""
     text: list[str] = []
     before, drawn = "", False
     for index, line in enumerate(lines):
@@ -190,7 +193,7 @@ def _docstring(
         drawn = drawn and (indented or not line)
         text.append(line if drawn else _linked(line.replace("|", r"\|")))
         before = line or before
-    lines[:] = text
+    return text
 
 
 def _linked(line: str) -> str:
@@ -224,6 +227,13 @@ def _signature(
     return (args.replace("<factory>", "..."), returns) if args else None
 
 
+def _short_contents(_: Sphinx, page: nodes.document) -> None:
+    """Leave what a class has out of the list of a page's contents: the classes themselves are long enough a list."""
+    for signature in page.findall(desc_signature):
+        if signature.parent["objtype"] in {"attribute", "property", "method"}:
+            signature["_toc_name"] = ""
+
+
 def _elsewhere(
     app: Sphinx, env: BuildEnvironment, node: pending_xref, shown: nodes.TextElement
 ) -> nodes.Node | None:
@@ -234,6 +244,7 @@ def _elsewhere(
     last = target.rpartition(".")[2]
     domain = env.domains.python_domain
     found = [name for name in domain.objects if name == last or name.endswith(f".{last}")]
+    found = [f"calib.{last}"] if f"calib.{last}" in found else found  # and not where it is defined
     if len(found) == 1 and not target.startswith(_FOREIGN):
         kind = "obj" if node["reftype"] == "obj" else domain.objects[found[0]].objtype
         return domain.resolve_xref(env, node["refdoc"], app.builder, kind, found[0], node, shown)
