@@ -285,11 +285,15 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     found = fold_means(linear, left_out.masks, problem.weights, estimate.noise, known)
     means = iter(found)
 
+    scales = rows.scales
+
     def predict_left_out(mask: Mask) -> Array:
         x = next(means)
         loose = only_there(model, fitted.setup, rows, mask)
-        if isinstance(linear, Streamed) and not np.any(loose):
-            return np.asarray(problem.residual(x)[mask])  # the robot itself: it takes one pass
+        if not np.any(loose):
+            if isinstance(linear, Streamed):
+                return np.asarray(problem.residual(x)[mask])  # the robot itself: it takes one pass
+            return np.asarray((linear.y[mask] - linear.A[mask] @ x) * scales[mask])
         part = linear.select(mask) if isinstance(linear, Linear) else None
         part = Linear.of_part(problem, estimate.x, mask) if part is None else part
         if np.any(loose):
@@ -299,7 +303,7 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
             rest = part.residual(np.where(loose, 0.0, x))[used] * root
             x = x.copy()
             x[loose] = np.linalg.lstsq(part.A[used][:, loose] * root[:, None], rest, rcond=1e-9)[0]
-        return np.asarray(part.residual(x) * rows.scales[mask])
+        return np.asarray(part.residual(x) * scales[mask])
 
     aside = estimate.outliers if outliers is None else outliers
     return cross_validate(_blocks(rows), left_out, aside, rows.used, predict_left_out)
@@ -315,4 +319,6 @@ def only_there(model: ErrorModel, setup: Setup, rows: Rows, mask: Mask) -> NDArr
     for t, name in enumerate(setup.target_names):
         if not np.any((rows.samples.target == t) & ~mask):
             places.append(target_place(name))
+    if not places:
+        return np.zeros(len(model), dtype=bool)
     return np.array([p.place in places for p in model.parameters], dtype=bool)
