@@ -96,7 +96,7 @@ class WrongUnits:
         if any(_unit(self._column(i)).symbol != "rad" for i in columns):
             return
         size = np.linalg.norm(self.grid[:, columns], axis=1)
-        median = float(np.median(size[np.isfinite(size)]))
+        median = float(np.median(size[~np.isnan(size)]))
         if median > TURNS_RAD:
             column = self._column(columns[0])
             message = (
@@ -111,7 +111,7 @@ class WrongUnits:
         if any(_unit(self._column(i)).symbol != "deg" for i in columns):
             return
         size = np.linalg.norm(self.grid[:, columns], axis=1)
-        size = size[np.isfinite(size)]
+        size = size[~np.isnan(size)]
         low, high = VECTOR_DEG
         if not (np.median(size) > low and size.max() < high):
             return

@@ -301,3 +301,11 @@ def test_a_column_that_only_begins_like_a_correction_goes_along(tmp_path, ur3):
     path = tmp_path / "p.csv"
     path.write_text(f"{names},correction factor\n1,2,3,4,5,6,0.5\n")
     assert Program.read(path, ur3).kept == (("correction factor", ("0.5",)),)
+
+
+@pytest.mark.filterwarnings("error")
+def test_huge_numbers_are_refused_without_a_warning(read):
+    text = refused(read, f"{XYZ},qx,qy,qz,qw", "100,200,300,1e300,0,0,1e300")
+    assert "the length inf; that of an orientation is 1" in text
+    text = refused(read, f"{XYZ},rx [rad],ry [rad],rz [rad]", "100,200,300,1e200,1e200,0")
+    assert "look like degrees" in text

@@ -784,3 +784,18 @@ def test_the_documents_defaults_are_the_defaults():
         ("prior_compliance_rad_per_Nm", cell.priors.compliance),
     ):
         assert float(said[key]) == pytest.approx(value), key
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("prior_gain = 0x" + "F" * 5000, "a whole number is beyond 64 bits"),
+        ("target_mm = [0, 0, 0x" + "F" * 20 + "]", "a whole number is beyond 64 bits"),
+        ("prior_gain = " + "9" * 5000, "Exceeds the limit|beyond 64 bits"),
+        ("held = " + "[" * 3000, "recursion|Invalid"),
+        ("a" + ".a" * 200_000 + " = 1", "line 1 has 200,000 dots; at most 1000 are read"),
+    ],
+)
+def test_a_file_that_its_parser_cannot_take(tmp_path: Path, text: str, says: str):
+    with pytest.raises(FileError, match=f"cell.toml: this is not a TOML file: .*({says})"):
+        read(tmp_path, text)

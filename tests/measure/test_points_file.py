@@ -1,4 +1,5 @@
 import hashlib
+import time
 from pathlib import Path
 
 import numpy as np
@@ -295,3 +296,25 @@ def test_names_in_the_table_only(listed, table):
         Measurements.read(joints, points=path, points_unit="mm")
     m = Measurements.read(joints, points=path, points_unit="mm", columns={"point": "-"})
     assert len(m) == 1
+
+
+def test_a_line_that_ends_before_the_names_is_named(listed):
+    path = listed("x [mm],y [mm],z [mm],point", "1,2,300,P1", "4,5,600")
+    refused(path, "tracker.txt, line 3: '4 5 600' has not its three numbers where the other lines")
+
+
+def test_many_lines_without_points_are_passed_over_quickly(listed):
+    path = listed("# Units: mm", *(['a b"', "b"] * 50_000), "P1 100 200 300")
+    start = time.process_time()
+    assert len(read_points(path)) == 1
+    assert time.process_time() - start < 2.0
+
+
+def test_many_points_are_found_by_their_names_quickly(listed, table):
+    names = [f"P{i}" for i in range(20_000)]
+    points = listed("# Units: mm", *(f"{name} {i} 200 300" for i, name in enumerate(names)))
+    rows = table("a [deg],point", *(f"{i % 90},{name}" for i, name in enumerate(names[::-1])))
+    start = time.process_time()
+    m = Measurements.read(rows, points=points)
+    assert m.points[:2, 0] == pytest.approx([19.999, 19.998])
+    assert time.process_time() - start < 4.0

@@ -213,7 +213,7 @@ def test_what_is_no_truth(ur3, tmp_path, text, said):
 @pytest.mark.parametrize("key", ["parameters", "origins", "targets", "set_ups", "gravity_m_s2"])
 def test_a_damaged_truth(ur3, path, key):
     table = json.loads(path.read_text())
-    for value in (None, [{"name": 1}], "x"):
+    for value in (None, [{"name": 1}], "x", [{"name": "a", "value": 10**400}], 10**400):
         path.write_text(json.dumps({**table, key: value}))
         with pytest.raises(CalibError, match="incomplete or damaged"):
             read_truth(path, ur3)
