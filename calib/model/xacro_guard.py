@@ -29,8 +29,8 @@ from calib.model.yaml_file import check_weight
 
 __all__ = ["guard"]
 
-#: Largest file that a xacro reads [bytes]: another xacro, a YAML.
-_LIMIT_XML, _LIMIT_YAML = 10_000_000, 1_000_000
+#: Largest file that a xacro reads [bytes]: a xacro, itself among them, a YAML; longest text in it [characters].
+_LIMIT_XML, _LIMIT_YAML, _LIMIT_TEXT = 2_000_000, 1_000_000, 200_000
 
 #: The most elements of a xacro file, and the most in one another.
 _MOST_ELEMENTS, _DEEPEST = 100_000, 200
@@ -94,6 +94,9 @@ def _count(xacro: Any, budget: Budget) -> None:
     eval_text, eval_all, call = xacro.eval_text, xacro.eval_all, xacro.handle_macro_call
 
     def text_counted(text: Any, symbols: Any) -> Any:
+        if len(text) > _LIMIT_TEXT:
+            message = f"a text of {len(text):,} characters; {_LIMIT_TEXT:,} are the most in a xacro"
+            raise Refused(message)
         # The reader of texts copies what is left of one at each $.
         budget.spend(_TEXT + len(text) * (1 + text.count("$")) // 1000)
         value = eval_text(text, symbols)

@@ -146,7 +146,10 @@ BOMBS = {
         f'<xacro:property name="p{i}" value="{f"${{p{i - 1}}}" * 10}"/>' for i in range(1, 10)
     )
     + '<gazebo v="${p9}"/>',
-    "dollars": f'<gazebo v="{"$a" * 200_000}"/>',
+    "a long text": f'<gazebo v="{"a" * 300_000}"/>',
+    "a long expression": f'<gazebo v="${{{"a" * 150_000}}}"/>',
+    "a long file": "<!-- -->" * 300_000,
+    "dollars": f'<gazebo v="{"$a" * 90_000}"/>',
     "deep elements": "<a>" * 50_000 + "</a>" * 50_000,
     "many elements": "<a/>" * 150_000,
 }
