@@ -246,7 +246,7 @@ class AllFolds:
         high[:, :C] = logs[:, :C] + np.log(1e6)
         logs = clipped(logs, low, high)
         spread = np.where(np.arange(logs.shape[1]) < C, 1.0 / NOISE_SPREAD**2, 0.0)
-        active = np.arange(len(logs))
+        active, last = np.arange(len(logs)), np.zeros_like(logs)
         for _ in range(_STEPS):
             at, top = logs[active], high[active]
             part = FoldNormal(data.H[active], data.g[active], data.yy[active], data.count[active])
@@ -260,7 +260,9 @@ class AllFolds:
             information[stays[:, :, None] | stays[:, None, :]] = 0.0
             score[stays], diagonal[stays] = 0.0, 1.0
             step = np.asarray(np.linalg.solve(information, score[:, :, None])[:, :, 0])
-            logs[active] = clipped(at + clipped(step, -STEPS_DOWN, STEPS_UP), low, top)
+            step = clipped(step, -STEPS_DOWN, STEPS_UP)
+            last[active] = np.where(step * last[active] < 0.0, 0.5 * step, step)
+            logs[active] = clipped(at + last[active], low, top)
             active = active[np.abs(logs[active] - at).max(axis=1) >= 1e-4]
             if not len(active):
                 break

@@ -260,6 +260,7 @@ def sizes_by_reml(
     members = np.array(families, dtype=np.float64).reshape(-1, p)
     of_noise = np.arange(len(logs)) < C
     spread = np.where(of_noise, 1.0 / noise_spread**2, 0.0)
+    last = np.zeros_like(logs)
     for _ in range(iterations):
         score, information = _score(data, members, known, logs, C)
         score -= spread * logs
@@ -275,7 +276,9 @@ def sizes_by_reml(
         step: Array = clipped(
             np.asarray(np.linalg.solve(information, score)), -STEPS_DOWN, STEPS_UP
         )
-        moved = clipped(logs + step, lowest, highest)
+        # The expected information may be too small by half: then full steps overshoot, to and fro.
+        last = np.where(step * last < 0.0, 0.5 * step, step)
+        moved = clipped(logs + last, lowest, highest)
         done = np.abs(moved - logs).max() < 1e-4
         logs = moved
         if done:
