@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import MappingProxyType
 
 from calib.errors import CalibError
@@ -225,10 +224,7 @@ _KEPT = 8
 
 def _files(c: Calibration, options: FleetOptions, name: str) -> dict[str, bytes]:
     """The bytes of a robot's files by name."""
-    with TemporaryDirectory(prefix="calib-") as folder:
-        # Written as always: read back by other readers before it counts.
-        path = c.write_urdf(Path(folder) / URDF, target_link=options.target_link)
-        files = {URDF: path.read_bytes()}
+    files = {URDF: c.checked_urdf(target_link=options.target_link).data}
     files[RESULT] = json_bytes(plain(result_table(c)))
     files[SUMMARY] = f"{c.summary()}\n".encode("utf-8", "backslashreplace")
     if options.reports:

@@ -312,6 +312,15 @@ class Calibration:
             ModelError: Several targets, which one link cannot stand for.
             FileError: The file exists, or cannot be written.
         """
+        return self.checked_urdf(target_link=target_link).write(path, overwrite=overwrite)
+
+    def checked_urdf(self, *, target_link: bool = False) -> Urdf:
+        """What `write_urdf` writes, read back with Pinocchio and yourdfpy as it does.
+
+        Raises:
+            UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad.
+            ModelError: Several targets, which one link cannot stand for.
+        """
         robot = self.robot
         if target_link:
             if len(self.setup.targets) > 1:
@@ -324,7 +333,7 @@ class Calibration:
         q = random_joint_values(robot)
         # Straight from the parameters, by the path that the fit took, not through the corrected robot.
         check_written(robot, self.fitted.tip_poses(Samples.at(q)), q)
-        return robot.urdf.write(path, overwrite=overwrite)
+        return robot.urdf
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the result as JSON; the keys are documented in docs/result-json.md.
