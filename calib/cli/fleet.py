@@ -103,7 +103,7 @@ def fleet(
 ) -> None:
     """See `_HELP`."""
     with reporting(debug=debug):
-        from calib.cli.fleet_manifest import Said, read_manifest
+        from calib.cli.fleet_manifest import Said, check_out, read_manifest
         from calib.cli.fleet_text import print_fleet
         from calib.cli.progress import progress_bar
         from calib.identify.fleet import FleetOptions
@@ -126,6 +126,7 @@ def fleet(
             priors=priors,
             repeats=repeats,
         )
+        check_out(manifest, out)
         robots = read_manifest(manifest, said)
         options = FleetOptions(
             solver=solver.value,

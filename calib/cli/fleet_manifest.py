@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from calib.cli.options import Kind, PriorSizes, Repeats
 from calib.cli.setup import read_cell
 from calib.cli.words import parse_columns
-from calib.errors import CalibError, choices
+from calib.errors import CalibError, FileError, choices
 
 if TYPE_CHECKING:
     from calib.identify.fleet_robot import FleetInputs, FleetRobot
@@ -213,9 +213,17 @@ def read_manifest(path: Path, said: Said) -> tuple[FleetRobot, ...]:
     return tuple(FleetRobot(entry.cells["name"], entry.load) for entry in entries)
 
 
-def inputs_of(path: Path, said: Said) -> list[str | Path]:
-    """The files that all robots share, which no output may replace."""
-    return [path, *([said.cell] if said.cell else [])]
+def check_out(path: Path, out: Path) -> None:
+    """Refuse a folder whose table would be the manifest.
+
+    Raises:
+        FileError: It would.
+    """
+    from calib.identify.fleet_tables import CSV
+
+    if path.resolve() == (out / CSV).resolve():
+        message = f"{path} is the manifest, and the table of results would have its name; choose another --out."
+        raise FileError(message)
 
 
 def _check_header(header: list[str], path: Path) -> None:

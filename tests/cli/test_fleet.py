@@ -232,6 +232,14 @@ def test_a_cell_that_is_wrong_fails_its_robot(call, arms_shop: Path, column, cel
     assert (arms_shop / "r" / "b" / "result.json").is_file()
 
 
+def test_the_manifest_is_not_written_over(call, arms_shop: Path):
+    (arms_shop / "m.csv").rename(arms_shop / "fleet.csv")
+    (arms_shop / "fleet.json").write_text('{"schema": "fleet 1"}')
+    done = call(arms_shop, "fleet", "fleet.csv", "--out", ".", *QUICK)
+    assert done.code == 1
+    assert "fleet.csv is the manifest, and the table of results would have its name" in done.err
+
+
 def test_workers_or_dask(call, arms_shop: Path):
     words = ("fleet", "m.csv", "--out", "r", "--no-reports")
     done = call(arms_shop, *words, "--workers", "2", "--dask", "tcp://127.0.0.1:1")
