@@ -21,7 +21,7 @@ from pinocchio import hppfcl
 
 from calib.model.given_folders import GivenFolders, own_folder
 from calib.model.mesh_files import MeshFault, read_triangles
-from calib.model.ros_packages import packages_in
+from calib.model.ros_packages import MANIFEST, is_near, packages_in
 from calib.model.urdf import Urdf
 
 Array = NDArray[np.float64]
@@ -85,10 +85,12 @@ class MeshFolders(tuple[Path, ...]):
     """The folders in which meshes are looked for, and those out of which they may be.
 
     Attributes:
-        given: A mesh outside of these is not read.
+        given: A mesh outside of these and of a package is not read.
+        above: The folders above the URDF, the nearest first.
     """
 
     given: GivenFolders
+    above: tuple[Path, ...] = ()
 
 
 def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> MeshFolders:
@@ -109,7 +111,7 @@ def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> MeshFol
         others += [Path(folder) / below for folder in listed if folder]
     others += [*_robot_data_shares(), Path(sys.prefix) / "share"]
     folders = MeshFolders(dict.fromkeys([*named, *above, *others]))
-    folders.given = GivenFolders(own, (*named, *others))
+    folders.given, folders.above = GivenFolders(own, (*named, *others)), above
     return folders
 
 
@@ -124,7 +126,8 @@ def find_mesh(name: str, folders: Sequence[Path]) -> Path | None:
         folders: See `mesh_folders`; of other folders all count as named by the user.
     """
     given = folders.given if isinstance(folders, MeshFolders) else GivenFolders((), tuple(folders))
-    found = (path for path, root in _candidates(name, folders) if _holds(given, path, root))
+    above = folders.above if isinstance(folders, MeshFolders) else ()
+    found = (p for p, root in _candidates(name, folders) if _holds(given, above, p, root))
     return next(filter(_is_file, found), None)
 
 
@@ -156,9 +159,13 @@ def _candidates(name: str, folders: Sequence[Path]) -> Iterator[tuple[Path, Path
         yield from ((folder / plain, None) for folder in folders if rest)
 
 
-def _holds(given: GivenFolders, path: Path, package: Path | None) -> bool:
+def _holds(given: GivenFolders, above: Sequence[Path], path: Path, package: Path | None) -> bool:
     """Whether a file may be read: in a given folder, or in the package that its name begins with."""
-    return given.hold(path) or (package is not None and GivenFolders((package,)).hold(path))
+    if given.hold(path):
+        return True
+    if package is None or not ((package / MANIFEST).is_file() or is_near(package, above)):
+        return False
+    return GivenFolders((package,)).hold(path)
 
 
 def read_mesh(path: Path, scale: Sequence[float]) -> tuple[tuple[Array, Faces] | None, str]:

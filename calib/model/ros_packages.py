@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-__all__ = ["MANIFEST", "find_package", "named_so", "packages_in", "where_packages_are"]
+__all__ = ["MANIFEST", "find_package", "is_near", "named_so", "packages_in", "where_packages_are"]
 
 MANIFEST = "package.xml"
 _MANIFEST_BYTES = 1_000_000
@@ -16,6 +16,9 @@ _NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 
 #: How many folders down a package may lie: below ROS_PACKAGE_PATH, in a workspace's `src`, anywhere else.
 _DEEP, _WORKSPACE, _BESIDE = 5, 2, 1
+
+#: How many folders above a file may have a package without a ``package.xml`` in them.
+_NEAR = 4
 
 
 def find_package(name: str, file: Path) -> Path | None:
@@ -64,7 +67,20 @@ def packages_in(folder: Path, name: str, depth: int = _BESIDE) -> Iterator[Path]
             yield from packages_in(below, name, depth - 1)
 
 
-def _candidates(name: str, above: Iterable[Path]) -> Iterator[Path]:
+def is_near(package: Path, above: Sequence[Path]) -> bool:
+    """Whether a folder without a ``package.xml`` may be meant: one above the file, or beside those next above it.
+
+    Farther up every folder of the disk would be a package, and its files those of the description.
+
+    Args:
+        package: The folder.
+        above: Those above the file, the nearest first.
+    """
+    beside = [folder for folder in above[:_NEAR] if folder.parent != folder]
+    return package in above or package.parent in beside
+
+
+def _candidates(name: str, above: Sequence[Path]) -> Iterator[Path]:
     """The folders that the name may mean, the likeliest first."""
     for prefix in _listed("AMENT_PREFIX_PATH"):
         index = prefix / "share" / "ament_index" / "resource_index" / "packages" / name
@@ -76,7 +92,7 @@ def _candidates(name: str, above: Iterable[Path]) -> Iterator[Path]:
         yield from packages_in(folder, name, _WORKSPACE if folder.name == "src" else _BESIDE)
     for folder in above:
         plain = folder / name
-        if plain.is_dir() and not (plain / MANIFEST).exists():
+        if plain.is_dir() and not (plain / MANIFEST).exists() and is_near(plain, above):
             yield plain
 
 

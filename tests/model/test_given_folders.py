@@ -208,6 +208,29 @@ def test_a_file_given_as_an_argument_is_read(places: Path):
         read_xacro(f"{path} f:=/etc/../etc/./nothing.yaml")
 
 
+def test_folders_far_away_are_no_packages(places: Path, tmp_path: Path):
+    """Without a package.xml a folder is a package above the file, and beside the next few above it, not anywhere."""
+    deep = places / "urdf" / "a" / "b"
+    deep.mkdir(parents=True)
+    near = places / "urdf" / "near"
+    near.mkdir()
+    for folder in (near, tmp_path / "secret"):
+        (folder / "k.yaml").write_text("h: 0.5\n")
+        (folder / "m.stl").write_text(STL)
+    path = deep / "r.urdf.xacro"
+    for name, words in (("near", ""), ("secret", "no ROS package"), ("etc", "no ROS package")):
+        load = f"<gazebo x=\"${{xacro.load_yaml('$(find {name})/k.yaml')}}\"/>"
+        path.write_text(HEAD + load + BODY)
+        if words:
+            with pytest.raises(UrdfError, match=words):
+                read_xacro(path)
+        else:
+            assert b"0.5" in read_xacro(path).data
+        (deep / "r.urdf").write_text(robot(f"package://{name}/m.stl"))
+        urdf = Urdf.read(deep / "r.urdf")
+        assert bool(find_mesh(f"package://{name}/m.stl", mesh_folders(urdf))) is not bool(words)
+
+
 def test_a_whole_disk_is_not_given_by_an_argument(places: Path):
     path = places / "urdf" / "r.urdf.xacro"
     ns = '<xacro:arg name="ns" default=""/><gazebo x="${xacro.load_yaml(\'/etc/passwd\')}"/>'
