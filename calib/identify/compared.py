@@ -163,7 +163,9 @@ class Compared:
         parameters, model, inputs = table["parameters"], table["model"], table["inputs"]
         p, robot, verdict = len(parameters), table["robot"], table["verdict"]
         prior = _floats([one["prior_std"] for one in parameters])
-        if np.any(prior <= 0.0):
+        with np.errstate(over="ignore", divide="ignore"):
+            precision = np.where(np.isnan(prior), 0.0, 1.0 / prior**2)
+        if np.any(prior <= 0.0) or not np.all(np.isfinite(precision)):
             message = "a prior of a parameter is not greater than zero"
             raise ValueError(message)
         result = cls(
@@ -179,7 +181,7 @@ class Compared:
             value=_floats([one["value"] for one in parameters]),
             delta=_floats([one["delta"] for one in parameters]),
             covariance=_floats(table["covariance"]).reshape(p, p),
-            precision=read_only(np.where(np.isnan(prior), 0.0, 1.0 / prior**2)),
+            precision=read_only(precision),
             push=_floats([one["push"] for one in parameters]),
             at_bound=np.array([one["at_bound"] for one in parameters], dtype=bool),
             identifiable=np.array([one["identifiable"] for one in parameters], dtype=bool),

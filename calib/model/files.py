@@ -18,7 +18,10 @@ PATIENCE = 10.0
 
 _STANDARD_INPUT = "/dev/stdin"
 
-# What pipes without a name gave, by device and inode: the second who asks finds them empty.
+# How long to wait for it where the pipe gave something before [s].
+_AGAIN = 0.2
+
+# What pipes gave, by device and inode: a command looks at a table more than once, and finds them empty the second time.
 _PIPED: dict[tuple[int, int], bytes] = {}
 
 
@@ -35,9 +38,9 @@ class _NoFileError(Exception):
 def read_bytes(path: str | os.PathLike[str], what: str, limit_bytes: int) -> bytes:
     """Read a whole file of at most ``limit_bytes``.
 
-    A pipe is read to its end: standard input as ``-``, a shell's ``<(zcat table.csv.gz)``, a named pipe. What such a
-    pipe without a name gave is kept, for it cannot be read twice. A named one into which nobody begins to write within
-    `PATIENCE` seconds is refused.
+    A pipe is read to its end: standard input as ``-``, a shell's ``<(zcat table.csv.gz)``, a named pipe. It cannot be
+    read twice, so what it gave is kept, and given to who asks again while nobody writes anew. A pipe into which nobody
+    has begun to write within `PATIENCE` seconds is refused.
 
     Args:
         path: File to read.
@@ -207,8 +210,7 @@ def _read_pipe(path: str | os.PathLike[str], most: int) -> bytes:
     """The first bytes of a pipe."""
     found = Path(path).stat()
     key = found.st_dev, found.st_ino
-    if key in _PIPED:
-        return _PIPED[key]
+    patience = _AGAIN if key in _PIPED else PATIENCE
     parts: list[bytes] = []
     size = 0
     pipe = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # without, opening waits for a writer
@@ -216,11 +218,13 @@ def _read_pipe(path: str | os.PathLike[str], most: int) -> bytes:
         poll = select.poll()
         poll.register(pipe, select.POLLIN)
         while size < most:
-            silent = not poll.poll(PATIENCE * 1e3)
+            silent = not poll.poll(patience * 1e3)
             try:
                 part = os.read(pipe, min(most - size, 1 << 20))
             except BlockingIOError:  # somebody has it open, and takes time
                 continue
+            if not part and not parts and key in _PIPED:
+                return _PIPED[key]
             if not part and silent:
                 message = f"a pipe into which nothing was written for {PATIENCE:g} s"
                 raise _NoFileError(message)
@@ -230,9 +234,7 @@ def _read_pipe(path: str | os.PathLike[str], most: int) -> bytes:
             size += len(part)
     finally:
         os.close(pipe)
-    data = b"".join(parts)
-    if not Path(os.path.realpath(path)).exists():  # it has no name, and so no second life
-        _PIPED[key] = data
+    _PIPED[key] = data = b"".join(parts)
     return data
 
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import pty
 import random
 import resource
 import signal
@@ -251,6 +252,7 @@ def test_a_named_pipe_is_read_to_its_end_each_time(pipe: Path):
         writer = in_a_thread(functools.partial(pipe.write_bytes, data))
         assert read_bytes(pipe, "table", 10**6) == data
         writer.join()
+        assert read_bytes(pipe, "table", 10**6) == data  # as a command does that looks twice
 
 
 def test_a_pipe_is_read_no_further_than_the_limit(pipe: Path):
@@ -306,6 +308,18 @@ def test_a_device_is_refused_at_once():
         with pytest.raises(FileError, match=f"table '{name}' is a device; name a file"):
             read_bytes(name, "table", 10**9)
     assert time.monotonic() - start < 1.0
+
+
+def test_the_terminal_is_refused():
+    program = "from calib.model.files import read_bytes; read_bytes('-', 'table', 99)"
+    ours, theirs = pty.openpty()
+    try:
+        call = [sys.executable, "-c", program]
+        done = subprocess.run(call, stdin=theirs, capture_output=True, check=False)
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    assert b"table '-' is the terminal; name a file" in done.stderr
 
 
 def test_standard_input_is_a_minus():
