@@ -19,6 +19,7 @@ BITS, CHARACTERS, ELEMENTS = 4096, 1_000_000, 100_000
 
 _WIDEST = 200
 _DIGITS = re.compile(r"[0-9]+")
+_PERCENT = re.compile(r"%(?:\([^()]*\))?[#0 +-]*([0-9]*|\*)(?:\.([0-9]*|\*))?")
 _PLAIN_FIELD = re.compile(r"\w*")
 
 
@@ -60,6 +61,13 @@ class Budget:
         for value in values:
             self.spend(1)
             yield value
+
+    def made(self, value: object) -> None:
+        """Take steps away for the memory of a value itself."""
+        if isinstance(value, str):
+            self.spend(len(value) // 100)
+        elif isinstance(value, (list, tuple, dict, set, frozenset)):
+            self.spend(len(value) // 10)
 
     def weigh(self, value: object) -> None:
         """Take away as many steps as a value has elements, those of its elements among them."""
@@ -133,19 +141,18 @@ def joined(kind: ast.operator, left: Any, right: Any) -> Any:
                 _check(len(sequence) * times, most, "elements")
     if isinstance(kind, ast.Mod) and isinstance(left, str):
         _check_widths(left)
-        if "*" in left:
-            message = "'*' as a width of '%' is not read in a xacro's expression"
-            raise Refused(message)
         Budget(ELEMENTS).weigh(right)
     return result(operation(left, right))
 
 
 def _check_widths(text: str) -> None:
     """Refuse a format that makes one value longer than a line."""
-    for found in _DIGITS.findall(text):
-        if len(found) > 6 or int(found) > _WIDEST:
-            # Digits of the text itself may be long; those of a format are not told from them.
-            _check(int(found[:9]), CHARACTERS, "characters")
+    for found in _PERCENT.finditer(text):
+        for digits in filter(None, found.groups()):
+            if digits == "*":
+                message = "'*' as a width of '%' is not read in a xacro's expression"
+                raise Refused(message)
+            _check(int(digits[:9]), _WIDEST, "characters")
 
 
 class _Formatter(string.Formatter):

@@ -101,7 +101,9 @@ class Evaluator:
         if found is None:
             message = f"'{ast.unparse(node)[:60]}' is not read in a xacro's expression"
             raise Refused(message)
-        return found(self, node, names)
+        value = found(self, node, names)
+        self.budget.made(value)
+        return value
 
     def _constant(self, node: ast.Constant, _names: Any) -> Any:
         """A number, a text, True, False or None."""
