@@ -54,27 +54,25 @@ def main() -> int:
             kind, text = judged(reader, data)
             print(f"{reader.name}: {kind} in {time.process_time() - start:.2f} s\n{text}")
         return 0
-    table: list[tuple[str, Tally]] = []
+    print(f"{'reader':<20}{'cases':>8}{'accepted':>10}{'refused':>9}{'findings':>10}", end="")
+    print(f"{'slowest [s]':>13}{'memory [MB]':>13}{'printed':>9}", flush=True)
+    found = 0
     for reader in chosen:
         indices = range(asked.first, asked.first + asked.count)
         tally = fuzzed(reader, indices, asked.seed, asked.workers, _shown(reader.name))
         saved(reader, asked.seed, tally, asked.out)
-        table.append((reader.name, tally))
-        for text, count in Counter(_last_line(t) for t in tally.findings.values()).most_common(20):
-            first = next(i for i, t in tally.findings.items() if _last_line(t) == text)
-            print(f"\r{reader.name}: {count} x {text[:150]} (case {first})")
-    print(f"\r{'reader':<20}{'cases':>8}{'accepted':>10}{'refused':>9}{'findings':>10}", end="")
-    print(f"{'slowest [s]':>13}{'memory [MB]':>13}{'printed':>9}")
-    for name, tally in table:
-        print(f"{name:<20}{tally.cases:>8}{tally.accepted:>10}{tally.refused:>9}", end="")
+        found += len(tally.findings)
+        print(f"{reader.name:<20}{tally.cases:>8}{tally.accepted:>10}{tally.refused:>9}", end="")
         print(
             f"{len(tally.findings):>10}{tally.slowest[0]:>13.2f}{tally.memory / 1e6:>13.0f}", end=""
         )
-        print(f"{len(tally.printed):>9}")
-    if any(tally.findings for _, tally in table):
+        print(f"{len(tally.printed):>9}", flush=True)
+        for text, count in Counter(_last_line(t) for t in tally.findings.values()).most_common(20):
+            first = next(i for i, t in tally.findings.items() if _last_line(t) == text)
+            print(f"    {count} x {text[:150]} (case {first})", flush=True)
+    if found:
         print(f"The findings are in {asked.out}.")
-        return 1
-    return 0
+    return int(found > 0)
 
 
 def _last_line(text: str) -> str:
