@@ -37,7 +37,13 @@ class MeshFault(Exception):
 
 
 def dae_triangles(data: bytes) -> tuple[Array, Faces]:
-    """The triangles of a COLLADA file, vertices in metres.
+    """The triangles of a COLLADA file.
+
+    Args:
+        data: The file.
+
+    Returns:
+        Vertices, shape (V, 3), [m]; faces, shape (F, 3), indices of vertices.
 
     Raises:
         MeshFault: It cannot be read.
