@@ -19,7 +19,7 @@ BITS, CHARACTERS, ELEMENTS = 4096, 1_000_000, 100_000
 
 _WIDEST = 200
 _DIGITS = re.compile(r"[0-9]+")
-_PERCENT = re.compile(r"%(?:\([^()]*\))?[#0 +-]*([0-9]*|\*)(?:\.([0-9]*|\*))?")
+_PERCENT = re.compile(r"%(?:\([^()]*\))?[#0 +-]*([0-9]+|\*)?(?:\.([0-9]+|\*)?)?")
 _PLAIN_FIELD = re.compile(r"\w*")
 
 

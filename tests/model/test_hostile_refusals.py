@@ -26,6 +26,7 @@ ROBOT = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
 #: Expressions, and what is wrong with each.
 EXPRESSIONS = {
     "[0] @ [1]": "the operation MatMult is not read in a xacro's expression",
+    "'%.*f' % (9, 1)": "'*' as a width of '%' is not read in a xacro's expression",
     "'%*d' % (9, 1)": "'*' as a width of '%' is not read in a xacro's expression",
     "list(map(xacro.load_yaml, [1]))": "map, filter, sorted, min and max take a lambda, or a function such as",
     "list(map(None, [1]))": "'NoneType' object is not callable",
@@ -162,6 +163,8 @@ def test_the_meshes_that_are_changed_below_are_read(tmp_path: Path):
             DAE.replace('<instance_geometry url="#g"/>', '<instance_node url="#n"/>'),
             "has nodes that hold one another, or too many of them",
         ),
+        ("m.dae", DAE.replace('<instance_geometry url="#g"/>', ""), "is empty"),
+        ("m.stl", "solid without any triangle\n", "cannot be read"),
         ("m.dae", "<a>" * 300 + "</a>" * 300, "elements, or more than 100 in one another"),
     ],
 )
@@ -180,6 +183,22 @@ def test_a_mesh_of_more_triangles_than_are_shown(tmp_path: Path, monkeypatch: py
     (tmp_path / "m.dae").write_text(DAE)
     with pytest.raises(MeshFault, match=r"has more than 3 triangles$"):
         read_triangles(tmp_path / "m.dae")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "limit", "said"),
+    [
+        ("m.dae", DAE, "mesh_dae._LIMIT_TEXT", "is larger than 9 bytes"),
+        ("m.obj", TRIANGLE, "mesh_files.LIMIT_TEXT", "cannot be read"),
+        ("m.stl", "solid m\nfacet\n", "mesh_files.LIMIT_TEXT", "cannot be read"),
+        ("m.off", "OFF\n3 1 0\n", "mesh_files.LIMIT_TEXT", "cannot be read"),
+    ],
+)
+def test_texts_that_are_larger_than_any_mesh(tmp_path, monkeypatch, name, text, limit, said):
+    monkeypatch.setattr(f"calib.model.{limit}", 9)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(MeshFault, match=f"^{said}$"):
+        read_triangles(tmp_path / name)
 
 
 def test_a_terminal_that_nobody_types_a_file_into():
