@@ -86,6 +86,11 @@ def test_a_xacro_with_a_document_type(folder: Path):
     assert said in refused(folder, '<!DOCTYPE robot [<!ENTITY a "1">]>\n' + ROBOT.format("&a;"))
 
 
+def test_a_xacro_with_a_text_that_is_longer_than_any(folder: Path):
+    said = "a text of 300,004 characters; 200,000 are the most in a xacro"
+    assert said in refused(folder, ROBOT.format(300_000 * "1"))
+
+
 def test_a_xacro_of_elements_in_one_another(folder: Path):
     deep = "<a>" * 300 + "</a>" * 300
     said = "elements, or 200 in one another; no xacro has"
