@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 from pathlib import Path
 
 from calib.errors import FileError, UrdfError
@@ -33,7 +34,8 @@ def recorded_urdf(name: str, sha256: str, folder: Path) -> Urdf | None:
         places.append(find_urdf(Path(name).stem.removesuffix("_robot")))
     for place in places:
         # Told by its bytes, before it is read as a URDF: any other file of that name is none of ours.
-        if place.is_file() and place.stat().st_size <= LIMIT_BYTES:
+        # A name that is too long for a file is none of one: os.path says so.
+        if os.path.isfile(place) and place.stat().st_size <= LIMIT_BYTES:  # noqa: PTH113
             data = read_bytes(place, "URDF", LIMIT_BYTES)
             if hashlib.sha256(data).hexdigest() == sha256:
                 return Urdf.read(place)
@@ -45,7 +47,7 @@ def _flattened(name: str, sha256: str, folder: Path) -> Urdf | None:
     with contextlib.suppress(UrdfError):  # no arguments that can be read
         call = XacroCall.parse(name)
         for place in (folder / call.path, call.path):
-            if place.is_file():
+            if os.path.isfile(place):  # noqa: PTH113
                 with contextlib.suppress(UrdfError, FileError):  # it became another since then
                     urdf = read_xacro(XacroCall(place, call.arguments))
                     if urdf.sha256 == sha256:

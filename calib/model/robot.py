@@ -14,6 +14,7 @@ some mimic others or are held, see `calib.model.coupling`.
 from __future__ import annotations
 
 import importlib.metadata
+import os
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -314,7 +315,7 @@ def find_urdf(source: str | Path) -> Path:
         UrdfError: Neither a file nor a known robot.
     """
     path = Path(source)
-    if path.suffix or len(path.parts) != 1 or path.is_file():
+    if path.suffix or len(path.parts) != 1 or os.path.isfile(path):  # noqa: PTH113  of any length
         return path
     try:
         files = importlib.metadata.files("example-robot-data") or []

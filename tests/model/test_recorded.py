@@ -53,3 +53,10 @@ def test_a_xacro_that_became_another(tmp_path: Path):
     origins = tmp_path / "ur3_nominal_origins.yaml"
     origins.write_text(origins.read_text().replace("0.1519", "0.152"))
     assert recorded_urdf(XACRO, urdf.sha256, tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    "name", ["u" * 300, "u" * 300 + ".urdf", "u" * 300 + ".xacro a:=1", "u/" * 3000]
+)
+def test_a_name_that_no_file_has(tmp_path: Path, name: str):
+    assert recorded_urdf(name, "0" * 64, tmp_path) is None
