@@ -7,7 +7,7 @@ and uncertainty, errors on rows that the fit did not see, the verdict.
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,30 +28,21 @@ from calib.identify.repeats import Repeats, repeats
 from calib.identify.result import Calibration, Larger
 from calib.identify.robust import Limits
 from calib.identify.robustness import compare
-from calib.identify.rows import Rows, thinned
+from calib.identify.rows import Rows
 from calib.identify.selection import Candidate, select
 from calib.identify.setup_check import better_setup
-from calib.identify.spread import position_std
 from calib.identify.statistics import CrossValidation
 from calib.identify.table_rows import known_distances, rows_of
 from calib.identify.verdict import NO, Verdict, verdict
 from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import split_name
-from calib.model.kinematics import Samples
 from calib.model.observability import Observability, analyse
-from calib.model.readback import spread_poses
 from calib.model.robot import Robot, read_only
 
 __all__ = ["Calibration", "calibrate"]
 
 Array = NDArray[np.float64]
-
-#: Poses over which expected errors are averaged; more do not change them.
-_MOST_EXPECTED = 1000
-
-#: Rows among which a mistake in the set-up shows as well as among more of them.
-_TELLING_ROWS = 2000
 
 
 def calibrate(
@@ -95,22 +86,51 @@ def calibrate(
             raise ModelError(message)
     cell = Cell() if cell is None else cell
     cell = cell if model is None else replace(cell, model=model)
+    fits = fit_table(robot, measurements, cell, solver=solver, robust=robust)
+    result = _assemble(measurements, fits.fitted, fits.every, fits.seconds)
+    result = replace(result, candidates=fits.candidates)
+    if fits.larger is not None:
+        result = replace(result, larger=_larger(fits.larger, fits.every))
+    if not validate:
+        return replace(result, verdict=Verdict(NO, (fits.hint,))) if fits.hint else result
+    return _validated(result, fits.rows, fits.hint, progress)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fits:
+    """What `calibrate` makes its result of.
+
+    Attributes:
+        fitted: The fit of the geometry.
+        larger: That of the larger model, if there is one.
+        candidates: The ladder they were chosen from; empty for a model that was named.
+        every: All rows of the table.
+        rows: Those that were fitted.
+        hint: What set-up would explain the measurements far better, a sentence; or nothing.
+        seconds: How long the fits took.
+    """
+
+    fitted: Fitted
+    larger: Fitted | None
+    candidates: tuple[Candidate, ...]
+    every: Rows
+    rows: Rows
+    hint: str
+    seconds: float
+
+
+def fit_table(
+    robot: Robot, measurements: Measurements, cell: Cell, *, solver: str = "lm", robust: bool = True
+) -> Fits:
+    """The fits alone, without what a result says of them; arguments and errors are those of `calibrate`."""
     every, setup = rows_of(robot, measurements, cell)
     rows = every.select(measurements.estimation)
-
     began = time.perf_counter()
     task = Task(robot, cell, setup, cell.model, known_distances(cell, setup), solver, robust)
     fitted, larger, candidates = _fitted(task, rows)
     seconds = time.perf_counter() - began
-
-    result = _assemble(measurements, fitted, every, seconds)
-    result = replace(result, candidates=candidates)
-    if larger is not None:
-        result = replace(result, larger=_larger(larger, every))
-    hint = better_setup(robot, cell, setup, thinned(rows, _TELLING_ROWS))
-    if not validate:
-        return replace(result, verdict=Verdict(NO, (hint,))) if hint else result
-    return _validated(result, rows, hint, progress)
+    hint = better_setup(robot, cell, setup, rows)
+    return Fits(fitted, larger, candidates, every, rows, hint, seconds)
 
 
 def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candidate, ...]]:
@@ -268,8 +288,6 @@ def _assemble(
         outside=_outside(robot, every, mask),
         cross_validation=None,
         nominal_cross_validation=None,
-        expected_measured=_expected(fitted, problem.rows.samples),
-        expected_everywhere=_expected(fitted, Samples.at(spread_poses(robot))),
         observability=observability,
         candidates=(),
         larger=None,
@@ -300,9 +318,3 @@ def _outside(robot: Robot, every: Rows, mask: NDArray[np.bool_]) -> tuple[Outsid
     """The validation rows outside of the range of the estimation rows."""
     types = [joint.type for joint in robot.inputs]
     return outside(every.joints[mask], every.joints[~mask], robot.joint_names, types)
-
-
-def _expected(fitted: Fitted, samples: Samples) -> float:
-    """Predicted standard deviation of the target's position, rms over poses [m]."""
-    chosen = samples.select(np.arange(min(len(samples), _MOST_EXPECTED)))
-    return float(np.sqrt(np.mean(position_std(fitted, chosen) ** 2)))

@@ -18,6 +18,7 @@ from calib.identify.robustness import Robustness
 from calib.identify.selection import Candidate
 from calib.identify.setup import Setup
 from calib.identify.solvers import Solution
+from calib.identify.spread import expected_error
 from calib.identify.statistics import CrossValidation, Errors
 from calib.identify.verdict import Verdict
 from calib.measure.cell import Cell
@@ -98,9 +99,6 @@ class Calibration:
         cross_validation: Errors on left-out estimation rows; None where it was not asked for.
         nominal_cross_validation: The same of the nominal robot, with target (and frame, if it is estimated) fitted to
             the other rows.
-        expected_measured: Standard deviation of the predicted point at the measured poses, rms [m]; from the
-            covariance, so it knows nothing of errors that the model lacks.
-        expected_everywhere: The same over joint values spread over the limits [m].
         observability: Rank, and what the measured poses cannot tell apart.
         candidates: The ladder of models that ``auto`` chose from; empty for a model that was named.
         larger: The larger model, if one was chosen or asked for.
@@ -138,13 +136,24 @@ class Calibration:
     outside: tuple[OutsideRow, ...]
     cross_validation: CrossValidation | None
     nominal_cross_validation: CrossValidation | None
-    expected_measured: float
-    expected_everywhere: float
     observability: Observability
     candidates: tuple[Candidate, ...]
     larger: Larger | None
     fitted: Fitted
     verdict: Verdict | None
+
+    @property
+    def expected_measured(self) -> float:
+        """Standard deviation of the predicted point at the measured poses, rms [m].
+
+        From the covariance, so it knows nothing of errors that the model lacks.
+        """
+        return expected_error(self.fitted, everywhere=False)
+
+    @property
+    def expected_everywhere(self) -> float:
+        """The same over joint values spread over the limits [m]."""
+        return expected_error(self.fitted, everywhere=True)
 
     def __repr__(self) -> str:
         """In one line; `summary` has the rest."""

@@ -17,8 +17,12 @@ from numpy.typing import NDArray
 from calib.identify.fitting import Fitted
 from calib.identify.rows import POINT, POSE
 from calib.model.kinematics import Samples
+from calib.model.readback import spread_poses
 
 Array = NDArray[np.float64]
+
+#: Poses over which expected errors are averaged; more do not change them.
+_MOST_EXPECTED = 1000
 
 
 def position_std(fitted: Fitted, samples: Samples) -> Array:
@@ -38,6 +42,20 @@ def position_std(fitted: Fitted, samples: Samples) -> Array:
     wide = (jacobian.reshape(-1, len(covariance)) @ covariance).reshape(jacobian.shape)
     spread = np.sum(wide * jacobian, axis=(1, 2))
     return np.asarray(np.sqrt(np.maximum(spread, 0.0)))
+
+
+def expected_error(fitted: Fitted, *, everywhere: bool) -> float:
+    """Predicted standard deviation of the target's position, rms [m]; see `position_std`.
+
+    Args:
+        fitted: The fit.
+        everywhere: Over joint values spread over the limits, or over the measured poses, a thousand at most.
+    """
+    samples = fitted.estimate.problem.rows.samples
+    if everywhere:
+        samples = Samples.at(spread_poses(fitted.task.robot))
+    chosen = samples.select(slice(0, _MOST_EXPECTED))
+    return float(np.sqrt(np.mean(position_std(fitted, chosen) ** 2)))
 
 
 def as_one_body(fitted: Fitted, samples: Samples) -> Samples:

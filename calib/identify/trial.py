@@ -14,17 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
-from calib.identify.calibration import Calibration, calibrate
+from calib.identify.calibration import calibrate, fit_table
 from calib.identify.fitting import Fitted
 from calib.identify.foresight import Outlook
 from calib.identify.spread import without_rigid_motion
+from calib.identify.verdict import NO
 from calib.measure.candidates import draw, planning_ranges
 from calib.measure.cell import Cell
 from calib.measure.kinds import LENGTHS
 from calib.measure.planning import choose_poses
 from calib.measure.scenario import Scenario
 from calib.measure.simulation import Simulated, VirtualCell
-from calib.model.robot import read_only
+from calib.model.batch import twists_of
+from calib.model.joint_errors import LOAD
+from calib.model.kinematics import Samples
+from calib.model.robot import read_only, rigid_inverse
+from calib.model.torques import gravity_load
 
 Array = NDArray[np.float64]
 
@@ -115,14 +120,38 @@ def one_trial(trials: Trials, seed: int) -> Trial:
     virtual = trials.scenario.draw(seed)
     q, sets = trial_poses(trials, seed)
     simulated = virtual.measure(q, seed, sets)
-    result = calibrate(
-        trials.scenario.robot,
-        simulated.measurements,
-        cell=trials.cell,
-        solver=trials.solver,
-        validate=trials.validate,
-    )
-    return _verified(trials, virtual, simulated, result, seed)
+    return _verified(trials, virtual, simulated, _calibrated(trials, simulated), seed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Calibrated:
+    """What a trial asks of its calibration.
+
+    Attributes:
+        fitted: The last fit: of the larger model where there is one.
+        verdict: Its word; "" without one.
+        named: The table's rows that are flagged.
+    """
+
+    fitted: Fitted
+    verdict: str
+    named: frozenset[int]
+
+
+def _calibrated(trials: Trials, simulated: Simulated) -> _Calibrated:
+    """Calibrate from the simulated measurements; without validation only the fits are made, not all that is said."""
+    robot, table = trials.scenario.robot, simulated.measurements
+    if trials.validate:
+        result = calibrate(robot, table, cell=trials.cell, solver=trials.solver)
+        assert result.verdict is not None
+        fitted = result.fitted if result.larger is None else result.larger.fitted
+        named = frozenset(outlier.row for outlier in result.outliers)
+        return _Calibrated(fitted, result.verdict.use, named)
+    fits = fit_table(robot, table, trials.cell, solver=trials.solver)
+    fitted = fits.fitted if fits.larger is None else fits.larger
+    rows = np.array(table.rows)[table.estimation]
+    flagged = frozenset(rows[fits.fitted.estimate.outliers].tolist())
+    return _Calibrated(fitted, NO if fits.hint else "", flagged)
 
 
 @lru_cache(maxsize=4)
@@ -132,70 +161,68 @@ def verification_poses(scenario: Scenario) -> Array:
 
 
 def _verified(
-    trials: Trials, virtual: VirtualCell, simulated: Simulated, result: Calibration, seed: int
+    trials: Trials, virtual: VirtualCell, simulated: Simulated, found: _Calibrated, seed: int
 ) -> Trial:
     """A calibration against the truth, at poses that it has not seen."""
-    q = verification_poses(trials.scenario)
-    truth = virtual.truth
-    predicted = result.predict(q, larger=True)
+    q, truth = verification_poses(trials.scenario), virtual.truth
     T_base_tip = truth.tip_poses(q)
     T_base_target = T_base_tip @ truth.T_tip_target[0]
-    true = (truth.T_frame_base[0] @ T_base_target)[:, :3, 3]
+    predicted, J = _predicted(trials, found.fitted, q)
     if trials.scenario.kind in LENGTHS:
         # Lengths do not tell where the base stands: only the shape of all positions counts.
         true = T_base_target[:, :3, 3]
         error = without_rigid_motion(predicted, (predicted - true)[:, :, None])[:, :, 0]
+        J = without_rigid_motion(predicted, J)
     else:
-        error = predicted - true
+        error = predicted - (truth.T_frame_base[0] @ T_base_target)[:, :3, 3]
     length = np.linalg.norm(error, axis=1)
-    stated = _stated(trials, result, q, predicted)
+    estimate = found.fitted.estimate
+    wide = (J.reshape(-1, J.shape[2]) @ estimate.covariance).reshape(J.shape)
+    stated = wide @ J.transpose(0, 2, 1)
     outliers = set(simulated.outlier_rows)
-    named = {outlier.row for outlier in result.outliers}
-    larger = result.larger
     return Trial(
         seed=seed,
         nominal_rms=float(np.sqrt(np.mean(truth.nominal_errors(q, T_base_tip) ** 2))),
         rms=float(np.sqrt(np.mean(length**2))),
         max=float(np.max(length)),
         stated_rms=float(np.sqrt(np.mean(np.trace(stated, axis1=1, axis2=2)))),
-        covered=_covered(result, stated, error),
-        sigma=_sigma(result),
-        model=result.model.name if larger is None else larger.name,
-        verdict="" if result.verdict is None else result.verdict.use,
+        covered=_covered(estimate.freedom, stated, error),
+        sigma=_sigma(found.fitted),
+        model=found.fitted.kinematics.model.name,
+        verdict=found.verdict,
         outliers=len(outliers),
-        flagged=len(outliers & named),
-        false_alarms=len(named - outliers),
+        flagged=len(outliers & found.named),
+        false_alarms=len(found.named - outliers),
     )
 
 
-def _stated(trials: Trials, result: Calibration, q: Array, predicted: Array) -> Array:
-    """The covariances that the fit states for the predicted positions, shape (N, 3, 3), [m^2]."""
-    fitted = _last(result)
-    estimate = fitted.estimate
-    _, J = fitted.kinematics.points_jacobian(estimate.x, result.samples(q))
+def _predicted(trials: Trials, fitted: Fitted, q: Array) -> tuple[Array, Array]:
+    """Predicted positions, in the base where lengths were measured, and their derivative, shapes (N, 3) and (N, 3, p).
+
+    By the compiled kernel, however few poses there are: a study asks at the same ones again and again.
+    """
+    robot, cell = trials.scenario.robot, trials.cell
+    load = None
+    if any(term.factor == LOAD for term in fitted.kinematics.model.terms):
+        load = gravity_load(robot, q, cell.payload, cell.gravity)
+    poses, twists = twists_of(fitted.kinematics, fitted.estimate.x, Samples.at(q, load))
     if trials.scenario.kind in LENGTHS:
-        J = without_rigid_motion(predicted, J)
-    wide = (J.reshape(-1, J.shape[2]) @ estimate.covariance).reshape(J.shape)
-    return np.asarray(wide @ J.transpose(0, 2, 1))
+        poses = rigid_inverse(fitted.placed().T_frame_base[0]) @ poses
+    return poses[:, :3, 3], twists[:, :3]
 
 
-def _covered(result: Calibration, stated: Array, error: Array) -> float:
+def _covered(freedom: float, stated: Array, error: Array) -> float:
     """The share of positions whose error lies inside the ellipsoid that the fit states."""
     square = np.sum(error * np.linalg.solve(stated, error[:, :, None])[:, :, 0], axis=1)
-    limit = 3.0 * fdtri(3, max(_last(result).estimate.freedom, 1.0), _LEVEL)
+    limit = 3.0 * fdtri(3, max(freedom, 1.0), _LEVEL)
     return float(np.mean(square <= limit))
 
 
-def _sigma(result: Calibration) -> float:
-    """The noise of one length that the fit found, of the larger model where there is one [m]; NaN without lengths."""
-    problem = _last(result).estimate.problem
+def _sigma(fitted: Fitted) -> float:
+    """The noise of one length that the fit found [m]; NaN without lengths."""
+    problem = fitted.estimate.problem
     lengths = problem.scales[:, :3][problem.rows.used[:, :3]]
     return float(np.median(lengths)) if lengths.size else float("nan")
-
-
-def _last(result: Calibration) -> Fitted:
-    """The fit that `Calibration.predict` answers from."""
-    return result.fitted if result.larger is None else result.larger.fitted
 
 
 def trial_poses(trials: Trials, seed: int) -> tuple[Array, tuple[str, ...]]:
