@@ -82,8 +82,20 @@ class DaskExecutor(Executor):
         self._inner.shutdown(wait=wait and not cancel_futures)
 
     def _count(self) -> int:
-        """Workers that the scheduler has now."""
-        return len(self._client.nthreads())
+        """Workers that the scheduler has now.
+
+        Raises:
+            CalibError: It does not answer.
+        """
+        try:
+            return len(self._client.nthreads())
+        except Exception as error:
+            reason = str(error) or type(error).__name__
+            message = (
+                f"The Dask scheduler at {self._address} does not answer any more ({reason}). Start it again, and give "
+                "the same command."
+            )
+            raise CalibError(message) from error
 
 
 @contextmanager

@@ -290,7 +290,7 @@ def test_dask_does_the_same_to_the_bit_and_outlives_its_workers():
     """One scheduler for all of it: to start one takes seconds."""
     with scheduler() as dask:
         with pytest.raises(CalibError, match=r"has no workers\. Start some: 'dask worker tcp://"):
-            connect(dask.address, timeout=0.3)
+            connect(dask.address, timeout=2.0)
         for before, said in (
             (
                 "import sys; sys.modules['calib'] = None",
@@ -308,7 +308,8 @@ def test_dask_does_the_same_to_the_bit_and_outlives_its_workers():
 
         first = dask.worker()
         dask.worker()
-        with dask_executor(dask.address) as executor:
+        connect(dask.address)
+        with dask_executor(dask.address, timeout=3.0) as executor:
             until(lambda: executor._count() == 2)
             items = [1.0 + k / 7 for k in range(9)]
             here = collected(run(squared, MATRIX, items))
@@ -335,10 +336,12 @@ def test_dask_does_the_same_to_the_bit_and_outlives_its_workers():
             with pytest.raises(CalibError, match=r"has had no workers for -1 s\. Start some"):
                 executor.check()
             dask.kill()
-            with pytest.raises(CalibError, match="The executor has dropped jobs"):
+            with pytest.raises(
+                CalibError, match=r"The executor has dropped jobs|does not answer any"
+            ):
                 list(run(nap, 0, [0.0], executor))
 
 
-def connect(address, timeout=10.0):
+def connect(address, timeout=60.0):
     with dask_executor(address, timeout):
         pass

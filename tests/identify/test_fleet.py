@@ -130,7 +130,7 @@ def test_a_run_that_is_killed_goes_on_and_dask_does_too(shop, tmp_path):
     with scheduler() as dask:
         first = dask.worker()
         dask.worker()
-        with dask_executor(dask.address) as executor:
+        with dask_executor(dask.address, timeout=60.0) as executor:
             until(lambda: executor._count() == 2)
             found = fleet(
                 robots_of(shop), out, QUICK, executor=executor, progress=lambda done, _: done == 4 and first.kill()
