@@ -27,9 +27,7 @@ def test_a_kind_of_figure_that_is_not_written():
 
 
 def test_a_view_that_starts_behind_its_last_pose(ur3_view):
-    with refused(
-        ModelError, "start is 35, and there are 35 poses; give a number from 0 to 34."
-    ):
+    with refused(ModelError, "start is 35, and there are 35 poses; give a number from 0 to 34."):
         replace(ur3_view, start=35)
 
 
