@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import re
 from concurrent.futures import Executor, Future
 from pathlib import Path
@@ -15,6 +16,7 @@ from calib.identify.calibration import calibrate
 from calib.identify.comparison import compare
 from calib.identify.executors import WorkerDied
 from calib.identify.foresight import forecast
+from calib.identify.processes import ProcessExecutor
 from calib.identify.result_file import read_result
 from calib.identify.solvers import levenberg_marquardt, paper_levenberg_marquardt
 from calib.identify.uncertainty import bootstrap
@@ -151,3 +153,33 @@ def test_a_bootstrap_of_which_a_sample_is_lost(default_result):
     )
     with pytest.raises(CalibError, match=said):
         bootstrap(default_result, 40, seed=0, executor=Dying())
+
+
+class Ending(Executor):
+    """Workers that are sent away with what they have been given."""
+
+    def submit(self, _fn, /, *_args, **_kwargs):
+        future = Future()
+        future.cancel()
+        future.set_running_or_notify_cancel()
+        return future
+
+
+def test_a_bootstrap_whose_executor_ends(default_result):
+    with refused(
+        CalibError,
+        "The executor has dropped jobs that it was given: it was shut down, or the scheduler that it belongs to has "
+        "ended. Start it again, and give the same command.",
+    ):
+        bootstrap(default_result, 40, seed=0, executor=Ending())
+
+
+def test_a_script_that_its_own_workers_import(monkeypatch):
+    # As it is while a new worker imports the script that made it.
+    monkeypatch.setattr(multiprocessing.current_process(), "_inheriting", True, raising=False)
+    with refused(
+        CalibError,
+        "In a script, what calls calib must stand behind 'if __name__ == \"__main__\":', for each worker imports the "
+        "script.",
+    ):
+        ProcessExecutor(1)
