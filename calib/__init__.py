@@ -21,9 +21,13 @@ if TYPE_CHECKING:
     from calib.identify.acceptance import Acceptance, acceptance
     from calib.identify.calibration import Calibration, calibrate
     from calib.identify.comparison import Comparison, compare
+    from calib.identify.dask_executor import dask_executor
     from calib.identify.evaluation import Evaluation, evaluate
+    from calib.identify.fleet import Fleet, fleet
+    from calib.identify.fleet_robot import FleetOptions, FleetRobot
     from calib.identify.foresight import forecast
     from calib.identify.plan import Plan, plan
+    from calib.identify.processes import process_executor
     from calib.identify.study import Study, Trials, study
     from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
     from calib.measure.axes import Survey, survey
@@ -51,6 +55,9 @@ __all__ = [
     "Comparison",
     "Density",
     "Evaluation",
+    "Fleet",
+    "FleetOptions",
+    "FleetRobot",
     "GroupDistance",
     "Measurements",
     "Payload",
@@ -72,9 +79,12 @@ __all__ = [
     "calibrate",
     "commands",
     "compare",
+    "dask_executor",
     "evaluate",
+    "fleet",
     "forecast",
     "plan",
+    "process_executor",
     "profile_interval",
     "read_sweeps",
     "sample_workspace",
@@ -94,6 +104,9 @@ _MODULES = {
     "Comparison": "calib.identify.comparison",
     "Density": "calib.measure.workspace",
     "Evaluation": "calib.identify.evaluation",
+    "Fleet": "calib.identify.fleet",
+    "FleetOptions": "calib.identify.fleet_robot",
+    "FleetRobot": "calib.identify.fleet_robot",
     "GroupDistance": "calib.measure.cell",
     "Measurements": "calib.measure.measurements",
     "Payload": "calib.model.torques",
@@ -115,9 +128,12 @@ _MODULES = {
     "calibrate": "calib.identify.calibration",
     "commands": "calib.compensate.commands",
     "compare": "calib.identify.comparison",
+    "dask_executor": "calib.identify.dask_executor",
     "evaluate": "calib.identify.evaluation",
+    "fleet": "calib.identify.fleet",
     "forecast": "calib.identify.foresight",
     "plan": "calib.identify.plan",
+    "process_executor": "calib.identify.processes",
     "profile_interval": "calib.identify.uncertainty",
     "read_sweeps": "calib.measure.sweeps",
     "sample_workspace": "calib.measure.workspace",

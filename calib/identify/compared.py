@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from calib.errors import FileError
 from calib.identify.result import Calibration
-from calib.identify.result_file import plain, read_table, result_table, stored_result
+from calib.identify.result_file import read_table, result_table, stored_result
 from calib.identify.stored import StoredResult
 from calib.measure.measurements import Measurements
-from calib.model.json_file import damage
+from calib.model.json_file import damage, plain
 from calib.model.recorded import recorded_urdf
 from calib.model.robot import Robot, read_only
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from calib.identify.result import Calibration
-from calib.identify.result_file import plain
 from calib.measure.measurements import Measurements
+from calib.model.json_file import plain
 from calib.model.parameters import FRAME, TARGET
 
 #: How it went.

@@ -13,9 +13,8 @@ from typing import Any
 from calib.errors import FileError
 from calib.identify.fleet_odd import Odd
 from calib.identify.fleet_rows import FleetRow
-from calib.identify.result_file import plain
 from calib.model.files import write_atomically
-from calib.model.json_file import json_bytes
+from calib.model.json_file import json_bytes, plain
 
 CSV, JSON = "fleet.csv", "fleet.json"
 SCHEMA = "fleet 1"

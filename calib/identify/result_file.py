@@ -30,7 +30,6 @@ from calib.model.torques import Payload
 __all__ = [
     "StoredResult",
     "evaluation_table",
-    "plain",
     "read_result",
     "read_table",
     "result_table",
@@ -59,7 +58,7 @@ def write_table(table: Mapping[str, Any], path: str | Path, *, overwrite: bool =
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    return write_atomically(Path(path), json_bytes(plain(table)), overwrite=overwrite)
+    return write_atomically(Path(path), json_bytes(table), overwrite=overwrite)
 
 
 def read_result(path: str | Path) -> StoredResult:
@@ -210,19 +209,4 @@ def _text(value: Any) -> str:  # noqa: ANN401
     if not isinstance(value, str):
         message = f"a text expected, {value!r} found"
         raise ValueError(message)  # noqa: TRY004  it is the file's fault, as a number would be
-    return value
-
-
-def plain(value: Any) -> Any:  # noqa: ANN401
-    """Nested tables as JSON has them: arrays as lists, numbers that do not exist as None."""
-    if isinstance(value, Mapping):
-        return {key: plain(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.integer):
-        return int(value)
     return value

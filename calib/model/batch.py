@@ -156,7 +156,7 @@ def _geometry(
 
 
 def stood_at(kinematics: Kinematics, x: Array, samples: Samples, *, columns: bool = True) -> Stood:
-    """The joint values of samples with the joints' own errors at x, and the numbers that multiply their columns."""
+    """The joint values of samples with the joints' own errors at x, shape (p,), and what multiplies their columns."""
     from calib.model.kernel_types import Stood
 
     robot, model = kinematics.robot, kinematics.model
@@ -188,7 +188,7 @@ def _within_reach(robot: Robot, values: Array) -> Array:
 
 
 def fixed(values: NDArray[Any]) -> NDArray[Any]:
-    """A contiguous array that cannot be written to: the kernel is compiled for this kind alone."""
+    """A contiguous array of the same shape that cannot be written to: the kernel is compiled for this kind alone."""
     result: NDArray[Any] = np.ascontiguousarray(values).view()
     result.setflags(write=False)
     return result

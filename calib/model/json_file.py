@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from calib.errors import CalibError, FileError
 from calib.model.files import read_bytes
+
+#: A list of more entries than that has one of them a line.
+_LONG = 500
 
 
 def read_json(
@@ -54,10 +61,46 @@ def damage(error: Exception) -> str:
     return f"a value is of another kind: {error}"
 
 
-def json_bytes(table: object) -> bytes:
-    """A table as JSON, UTF-8, one value a line.
+def json_bytes(table: Mapping[str, Any]) -> bytes:
+    """A table as JSON, UTF-8, one value a line; of a long list one entry a line.
 
-    What UTF-8 lacks, such as a byte of a file's name that is no letter, stands as JSON's own escape.
+    Arrays stand as lists, numbers that do not exist as null. What UTF-8 lacks, such as a byte of a file's name that is
+    no letter, stands as JSON's own escape.
     """
-    text = json.dumps(table, indent=1, allow_nan=False, ensure_ascii=False)
-    return (text + "\n").encode("utf-8", "backslashreplace")
+    lines = [f" {json.dumps(key)}: {_indented(value)}" for key, value in table.items()]
+    text = "{\n" + ",\n".join(lines) + "\n}\n" if lines else "{}\n"
+    return text.encode("utf-8", "backslashreplace")
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401
+    """Nested tables as JSON has them: arrays as lists, numbers that do not exist as None."""
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value
+
+
+def _indented(value: Any) -> str:  # noqa: ANN401
+    """An entry of a table, its lines one step in."""
+    if isinstance(value, (list, tuple)) and len(value) > _LONG:
+        return "[\n  " + ",\n  ".join(map(_in_one_line, value)) + "\n ]"
+    text = json.dumps(plain(value), indent=1, allow_nan=False, ensure_ascii=False)
+    return text.replace("\n", "\n ")
+
+
+def _in_one_line(value: Any) -> str:  # noqa: ANN401
+    """An entry of a long list; only where a number does not exist it has to be looked through first."""
+    try:
+        return _QUICKLY.encode(value)
+    except ValueError:
+        return _QUICKLY.encode(plain(value))
+
+
+_QUICKLY = json.JSONEncoder(allow_nan=False, ensure_ascii=False, default=plain)

@@ -1,8 +1,8 @@
 """The compiled arithmetic of many samples: poses, Jacobian columns and normal matrices of a whole chunk in one pass.
 
 `calib.model.batch` and `calib.identify.passes` prepare what it reads and are the only callers; what each number means
-is said in `calib.model.kernel_types`. Pinocchio's regressor is the reference: `calib.model.kinematics` gives the same for
-few samples, and tests compare. Residual is measured minus predicted; columns are the derivative of what is predicted.
+is said in `calib.model.kernel_types`. Pinocchio's regressor is the reference: `calib.model.kinematics` gives the same
+for few samples, and tests compare. Residual is measured minus predicted; columns are the derivative of the prediction.
 
 A chunk is always computed in the same order, whatever the number of threads, so that results are the same to the bit.
 """

@@ -17,7 +17,7 @@ FARTHEST = 1e5
 
 @compiled(exact=True)
 def sines(q: Array, S: Array, C: Array) -> None:
-    """Sine and cosine of each entry of q, into S and C."""
+    """Sine and cosine of each entry of q, into S and C, all of one shape, [rad]."""
     for i in range(q.shape[0]):
         for w in range(q.shape[1]):
             x = q[i, w]
@@ -182,7 +182,7 @@ def columns_of(
 def turning_of(
     geometry: Geometry, stood: Stood, first: int, count: int, scale: Array, F: Array, J: Array
 ) -> None:
-    """The target's angular velocity in a unit of each parameter, times ``scale``; as `columns_of`."""
+    """The target's angular velocity in a unit of each parameter, times ``scale``, into J, shape (columns, 3 LANES)."""
     entries, twists = geometry.entries, geometry.twists
     frame, target, numbers = stood.frame, stood.target, stood.numbers
     for e in range(entries.shape[0]):
@@ -203,7 +203,7 @@ def turning_of(
 
 @compiled()
 def gram(J: Array, H: Array, width: int) -> None:
-    """Add J J^T to the lower half of H, in tiles of 4 by 4; J has a multiple of four rows, ``width`` columns count."""
+    """Add J J^T to the lower half of H, in tiles of 4 by 4; J has the shape (4 k, any), ``width`` columns count."""
     for i in range(0, J.shape[0], 4):
         for l in range(0, i + 4, 4):  # noqa: E741
             a00 = a01 = a02 = a03 = a10 = a11 = a12 = a13 = 0.0

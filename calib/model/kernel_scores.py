@@ -27,7 +27,7 @@ def _add_tile(J: Array, j: int, width: int, root: Array, k: int, Y: Array, at: i
 
 @compiled(inline=True)
 def leverage(room: Scratch, root: Array, p: int, d: int, all_of: int, Y: Array, K: Array) -> None:
-    """K = A C A^T of the scalars of each lane, d lengths and then angles, into the lower triangles of K."""
+    """K = A C A^T of each lane's scalars, d lengths and then angles, into K's lower triangles, shape (6, 6, LANES)."""
     K[:all_of, :all_of] = 0.0
     for k in range(0, p, 4):
         Y[:] = 0.0
@@ -43,7 +43,7 @@ def leverage(room: Scratch, root: Array, p: int, d: int, all_of: int, Y: Array, 
 
 @compiled(inline=True)
 def deleted(K: Array, weight: float, d: int, M: Array) -> None:
-    """(I + (1 - w) K) (I - w K), the lower triangle, into M; K's lower triangle counts."""
+    """(I + (1 - w) K) (I - w K), the lower triangle, into M; of K, shape (6, 6), the lower triangle counts."""
     for r in range(d):
         for c in range(r + 1):
             square = 0.0
@@ -55,7 +55,7 @@ def deleted(K: Array, weight: float, d: int, M: Array) -> None:
 
 @compiled()
 def square_over(M: Array, d: int) -> float:
-    """r^T M^-1 r of the leading d by d lower triangle of M and r in its last column, by Cholesky's root in place."""
+    """r^T M^-1 r of M's leading lower triangle, shape (d, d), and r in its last column, by Cholesky's root in place."""
     total = 0.0
     for r in range(d):
         for c in range(r + 1):

@@ -90,7 +90,16 @@ class Measured(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room for one block: frames of the places, columns, and what goes into them."""
+    """Room for one block.
+
+    Attributes:
+        Q: shape (n, LANES), joint values.
+        S: shape (n, LANES), their sines.
+        C: shape (n, LANES), their cosines.
+        F: shape (n + 3, 12, LANES), the frames of all places.
+        J: shape (rows, 3 LANES), columns and residual of lengths; rows in whole tiles of four.
+        A: shape (rows, 3 LANES), of angles.
+    """
 
     Q: Array
     S: Array

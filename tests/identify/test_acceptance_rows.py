@@ -10,8 +10,9 @@ import pytest
 from calib.identify.acceptance_rows import FittedRows, fitted_of, judged_rows
 from calib.identify.calibration import Calibration
 from calib.identify.evaluation import Evaluation, evaluate
-from calib.identify.result_file import plain, result_table, stored_result
+from calib.identify.result_file import result_table, stored_result
 from calib.measure.measurements import Measurements
+from calib.model.json_file import plain
 
 
 def errors(c: Calibration, m: Measurements) -> tuple[FittedRows, Evaluation, Evaluation]:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calib.identify.certainty import certainty_of
-from calib.identify.result_file import plain, result_table
+from calib.identify.result_file import result_table
+from calib.model.json_file import plain
 from calib.model.parameters import FRAME
 from calib.model.readback import random_joint_values
 from tests.compensate.arms import stored

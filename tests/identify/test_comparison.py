@@ -20,10 +20,11 @@ from calib.identify.calibration import Calibration, calibrate
 from calib.identify.comparison import Comparison, compare
 from calib.identify.data_alone import prior_stds, pushes
 from calib.identify.drift import LEVEL
-from calib.identify.result_file import plain, result_table, write_table
+from calib.identify.result_file import result_table, write_table
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
+from calib.model.json_file import plain
 from calib.model.kinematics import Kinematics
 from calib.model.observability import STEPS
 from calib.model.parameters import GEOMETRY

@@ -22,13 +22,13 @@ from calib.identify.calibration import Calibration, calibrate
 from calib.identify.evaluation import evaluate
 from calib.identify.result_file import (
     evaluation_table,
-    plain,
     read_result,
     write_result,
     write_table,
 )
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
+from calib.model.json_file import plain
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload
