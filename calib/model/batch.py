@@ -31,8 +31,9 @@ T = TypeVar("T")
 #: From so many samples on the kernel is used; below, loading it takes longer than Pinocchio's loop.
 MANY = 1500
 
-#: Samples of one call of the kernel.
+#: Samples of one call of the kernel; four times as many of a table of so many chunks, for what a call costs besides.
 CHUNK = 4096
+_HUGE = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +75,8 @@ class Displaced:
 
 def chunks(count: int) -> Iterator[tuple[int, int]]:
     """First and behind the last number of each chunk of some samples."""
-    return ((first, min(first + CHUNK, count)) for first in range(0, count, CHUNK))
+    size = CHUNK if count < _HUGE * CHUNK else 4 * CHUNK
+    return ((first, min(first + size, count)) for first in range(0, count, size))
 
 
 def in_threads(work: Callable[[int, int], T], count: int) -> list[T]:
