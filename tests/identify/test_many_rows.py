@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.identify import calibration, nominal, problem, thinning
+from calib.identify import nominal, problem, thinning
 from calib.identify.calibration import calibrate
 from calib.identify.nominal import residual_of
 from calib.identify.rows import NONE, Rows, evenly, thinned, whole_blocks
@@ -128,7 +128,6 @@ def test_a_thin_fit_is_the_fit_on_some_of_its_rows(both):
     np.testing.assert_array_equal(fitted.estimate.problem.scales[own], few.estimate.problem.scales)
     assert thin(fitted) is fitted
     assert thinning.MOST > COUNT
-    assert calibration._TELLING_ROWS > COUNT
 
 
 @pytest.mark.parametrize("kind", KINDS)
