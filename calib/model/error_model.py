@@ -90,11 +90,31 @@ def error_model(
             "choose --model dh."
         )
         raise ModelError(message)
+    estimated = (targets if target else ()) if isinstance(target, bool) else target
+    of_frames = tuple((group, tuple(directions)) for group, directions in frames.items())
+    return _assembled(
+        robot, name, base, families, of_frames, tuple(estimated), tuple(targets), rotation
+    )
+
+
+@lru_cache(maxsize=64)
+def _assembled(
+    robot: Robot,
+    name: str,
+    base: str,
+    families: tuple[str, ...],
+    frames: tuple[tuple[str, tuple[str, ...]], ...],
+    estimated: tuple[str, ...],
+    targets: tuple[str, ...],
+    rotation: bool,
+) -> ErrorModel:
+    """`error_model` of arguments that can be remembered: folds, candidates and trials ask for the same ones."""
     parameters = [*_own_parameters(robot, base)]
     for family in families:
         parameters += joint_parameters(robot, family)
-    estimated = (targets if target else ()) if isinstance(target, bool) else target
-    placed = frame_and_target_model(frames, estimated, known_targets=targets, rotation=rotation)
+    placed = frame_and_target_model(
+        dict(frames), estimated, known_targets=targets, rotation=rotation
+    )
     count = len(frames)
     joints = tuple(joint.name for joint in robot.joints)
     places = (*placed.places[:count], *joints, *placed.places[count:])

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -210,10 +211,8 @@ def add_outer_twists(
         poses: Of base, tip and target of each sample in its frame, each of shape (N, 4, 4), [m].
     """
     point = poses[2][:, :3, 3]
-    tip = places.index(TIP)
-    for k, place in enumerate(places):
-        if not (k == tip or place.startswith((FRAME, TARGET))):
-            continue
+    tip, outer = _outer_places(tuple(places))
+    for k in outer:
         local = directions[6 * k : 6 * k + 6]
         used = np.flatnonzero(local.any(axis=0))
         if not len(used):
@@ -231,6 +230,14 @@ def add_outer_twists(
             twists[:, :, first:last] += _moved_with(pose, point, local)
         else:
             twists[seen, :, first:last] += _moved_with(pose[seen], point[seen], local)
+
+
+@lru_cache(maxsize=64)
+def _outer_places(places: tuple[str, ...]) -> tuple[int, tuple[int, ...]]:
+    """The number of the tip, and those of all places that are no joint's."""
+    tip = places.index(TIP)
+    outer = (k for k, one in enumerate(places) if k == tip or one.startswith((FRAME, TARGET)))
+    return tip, tuple(outer)
 
 
 def _moved_with(T: Array, point: Array, local: Array) -> Array:

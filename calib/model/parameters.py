@@ -158,6 +158,8 @@ class ErrorModel:
         gone = {self.index(name) for name in names}
         if not gone:
             return self
+        if not gone:
+            return self
         kept = [k for k in range(len(self)) if k not in gone]
         mixing = self.mixing[:, kept]
         used = [t for t in range(len(self.terms)) if np.any(mixing[t])]
@@ -174,6 +176,8 @@ class ErrorModel:
         Raises:
             ModelError: No such parameter, one that is tied to itself or in a circle, or units that differ.
         """
+        if not ties:
+            return self
         if not ties:
             return self
         mixing, model = self.mixing.copy(), self
