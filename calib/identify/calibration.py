@@ -39,12 +39,14 @@ from calib.measure.measurements import Measurements
 from calib.model.error_model import split_name
 from calib.model.observability import Observability, analyse
 from calib.model.robot import Robot, read_only
+from calib.model.threads import one_blas_thread
 
 __all__ = ["Calibration", "calibrate"]
 
 Array = NDArray[np.float64]
 
 
+@one_blas_thread()
 def calibrate(
     robot: Robot,
     measurements: Measurements,
@@ -119,6 +121,7 @@ class Fits:
     seconds: float
 
 
+@one_blas_thread()
 def fit_table(
     robot: Robot, measurements: Measurements, cell: Cell, *, solver: str = "lm", robust: bool = True
 ) -> Fits:

@@ -18,6 +18,7 @@ from calib.identify.table_rows import rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only
+from calib.model.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -121,6 +122,7 @@ class Evaluation:
         }
 
 
+@one_blas_thread()
 def evaluate(
     robot: Robot,
     measurements: Measurements,

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Integers = NDArray[np.int_]
 
+#: Of the poses' means so little is left over where the parameters fit them all: what remains is rounding.
+_NOTHING_KEPT = 1e-6
+
 #: Degrees of freedom below this are rounding.
 _SOME_FREEDOM = 1e-9
 
@@ -186,7 +189,7 @@ def _correlation(m: _Moments, fitted: float) -> float:
     # A mean for each component is gone in any case; further parameters shrink what is left of the means.
     left = float(np.sum(np.maximum(m.cells - 1.0, 0.0)))
     kept = min((float(m.cells.sum()) - fitted) / left, 1.0) if left > 0.0 else 0.0
-    if not np.isfinite(within) or kept <= 0.0:
+    if not np.isfinite(within) or kept < _NOTHING_KEPT:
         return 0.0
     between = float(m.between.sum()) / kept - float(m.between_noise.sum()) * within
     shared = max(between / float(m.between_pose.sum()), 0.0)

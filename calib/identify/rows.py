@@ -224,18 +224,25 @@ class Rows:
 
 
 def evenly(rows: Rows, most: int) -> Mask:
-    """About so many of the rows, spread evenly over each frame and target in their order, shape (N,); whole pairs.
+    """About so many of the rows, the same share of each frame, target and kind, shape (N,); whole pairs.
+
+    Which ones is drawn at random, always alike: tables have cycles, and every tenth row may be of one kind of pose.
 
     Args:
         rows: The rows.
-        most: How many; of each frame and target at least a hundred.
+        most: How many; of each frame, target and kind at least a hundred, as long as these are not more than that.
     """
+    told = np.flatnonzero(rows.kinds != NONE)
+    seen = np.stack([rows.samples.frame, rows.samples.target, rows.kinds], axis=1)[told]
+    _, view, count = np.unique(seen, axis=0, return_inverse=True, return_counts=True)
+    view = view.reshape(-1)
+    fewest = min(100, max(most // len(count), 1))
+    quota = np.minimum(count, np.maximum(most * count // max(len(rows), 1), fewest))
+    order = np.lexsort((np.random.default_rng(0).random(len(told)), view))
+    first = np.concatenate([[0], np.cumsum(count)[:-1]])
+    place = np.arange(len(told)) - first[view[order]]
     result = np.zeros(len(rows), dtype=bool)
-    view = rows.samples.frame * (int(rows.samples.target.max()) + 1) + rows.samples.target
-    for one in np.unique(view):
-        own = np.flatnonzero((view == one) & (rows.kinds != NONE))
-        count = min(len(own), max(int(most * len(own) / len(rows)), 100))
-        result[own[np.linspace(0, len(own) - 1, count).astype(int)]] = True
+    result[told[order[place < quota[view[order]]]]] = True
     result[rows.partner[result & (rows.partner >= 0)]] = True
     return result
 

@@ -18,8 +18,11 @@ Mask = NDArray[np.bool_]
 #: Rows whose joint values differ by less than this are repeats of a pose [rad or m].
 _SAME_POSE = 1e-3
 
-#: Side of a cell in which repeats are looked for, in `_SAME_POSE`, and what each joint's cell is multiplied by.
-_CELL = 100.0
+#: Side of a cell in which repeats are looked for, and where the cells begin: no step that tables are made in, and joints
+#: at zero stand at no wall. A row near more walls than that is looked at by the tree.
+_CELL, _SHIFT, _MOST_WALLS = 97.13 * _SAME_POSE, 0.3819, 3
+
+#: What the number of each joint's cell is multiplied by.
 _HASH = np.random.default_rng(0).integers(1, 2**63, 256, dtype=np.uint64) | np.uint64(1)
 
 #: Up to this number of poses each is left out in turn; above it, a tenth of them at a time.
@@ -141,40 +144,43 @@ def same_poses(joints: Array) -> NDArray[np.int_]:
     Returns:
         shape (N,).
     """
-    alone = _alone(joints)
-    first = np.arange(len(joints))
-    others = np.flatnonzero(~alone)
+    leader = np.arange(len(joints))
+    others = np.flatnonzero(~_alone(joints))
     if len(others):
-        near = cKDTree(joints[others]).query_ball_point(joints[others], _SAME_POSE, p=np.inf)
-        free = np.ones(len(others), dtype=bool)
-        for i, neighbours in enumerate(near):
-            if free[i]:
-                repeats = np.array(neighbours)
-                repeats = repeats[free[repeats]]
-                first[others[repeats]] = others[i]
-                free[repeats] = False
-    return np.unique(first, return_inverse=True)[1].reshape(-1)
+        # Rows that are the same to the bit, such as commanded values, are asked about once, in the table's order.
+        unique, first, copy = np.unique(
+            joints[others], axis=0, return_index=True, return_inverse=True
+        )
+        found, free = first.copy(), np.ones(len(unique), dtype=bool)
+        tree = cKDTree(unique)
+        for i in np.argsort(first).tolist():
+            if free[i]:  # a leader takes its neighbours, and they are asked no more
+                near = np.array(tree.query_ball_point(unique[i], _SAME_POSE, p=np.inf))
+                near = near[free[near]]
+                found[near], free[near] = first[i], False
+        leader[others] = others[found[copy.reshape(-1)]]
+    return np.unique(leader, return_inverse=True)[1].reshape(-1)
 
 
 def _alone(joints: Array) -> Mask:
     """Rows that no other row can be a repeat of, shape (N,).
 
     Each row lies in one cell of a coarse grid, and near a wall in the next one too. Who has its cells to itself has no
-    neighbour; two cells taken for one by their hash only hide some of these rows. A sort takes far less time than to
-    ask a tree for the neighbours of each row.
+    neighbour; two cells taken for one by their hash, or a row near many walls, only hide some of these rows. A sort
+    takes far less time than to ask a tree for the neighbours of each row.
     """
-    row, size = np.arange(len(joints)), _CELL * _SAME_POSE
-    cell = np.zeros(len(joints), dtype=np.uint64)
-    for column, factor in zip(joints.T, _HASH[: joints.shape[1]], strict=True):
-        number = np.floor(column / size)
-        inside = (column - number * size)[row]
-        cell = cell + number.astype(np.int64).astype(np.uint64)[row] * factor
-        before = np.flatnonzero(inside < 1.01 * _SAME_POSE)
-        behind = np.flatnonzero(inside > size - 1.01 * _SAME_POSE)
-        row = np.concatenate([row, row[before], row[behind]])
-        cell = np.concatenate([cell, cell[before] - factor, cell[behind] + factor])
+    number = np.floor(joints / _CELL + _SHIFT)
+    inside = joints - (number - _SHIFT) * _CELL
+    before, behind = inside < 1.01 * _SAME_POSE, inside > _CELL - 1.01 * _SAME_POSE
+    alone: Mask = np.sum(before | behind, axis=1) <= _MOST_WALLS
+    factors = _HASH[np.arange(joints.shape[1]) % len(_HASH)]
+    row = np.arange(len(joints))
+    cell = (number.astype(np.int64).astype(np.uint64) * factors).sum(axis=1, dtype=np.uint64)
+    for column, factor in enumerate(factors):
+        low, high = (np.flatnonzero((wall[:, column] & alone)[row]) for wall in (before, behind))
+        row = np.concatenate([row, row[low], row[high]])
+        cell = np.concatenate([cell, cell[low] - factor, cell[high] + factor])
     _, entry, count = np.unique(cell, return_inverse=True, return_counts=True)
-    alone: Mask = np.ones(len(joints), dtype=bool)
     alone[row[count[entry] > 1]] = False
     return alone
 

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from calib.errors import MeasurementError, ModelError, choices
 from calib.identify.estimate import FIRST_SIGMA, FIRST_SIGMA_ANGLE
@@ -115,12 +117,18 @@ def _numbers(words: Sequence[str], names: Sequence[str]) -> NDArray[np.int_]:
     return np.array([number[word] for word in words], dtype=np.int_)
 
 
-def _joined(labels: NDArray[np.int_], pairs: list[tuple[int, int]]) -> NDArray[np.int_]:
+def _joined(labels: NDArray[np.int_], pairs: Sequence[tuple[int, int]]) -> NDArray[np.int_]:
     """Labels after joining those of some pairs of entries, numbered from 0 in order."""
-    joined = labels.copy()
-    for i, j in pairs:
-        low, high = sorted((joined[i], joined[j]))
-        joined[joined == high] = low
+    if not len(pairs):
+        return np.unique(labels, return_inverse=True)[1].reshape(-1)
+    count = int(labels.max()) + 1
+    one, other = labels[np.array(pairs)].T
+    graph = coo_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
+    _, component = connected_components(graph, directed=False)
+    # By the smallest label of each component, as if each pair's larger one had been renamed.
+    smallest = np.full(count, count)
+    np.minimum.at(smallest, component, np.arange(count))
+    joined = smallest[component[labels]]
     return np.unique(joined, return_inverse=True)[1].reshape(-1)
 
 

@@ -51,6 +51,7 @@ from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
 from calib.model.readback import spread_poses
 from calib.model.robot import read_only
+from calib.model.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -141,6 +142,7 @@ class Bootstrap:
         return mean, (points - mean).transpose(1, 2, 0)
 
 
+@one_blas_thread()
 def bootstrap(
     calibration: Calibration,
     count: int,
@@ -202,6 +204,7 @@ def bootstrap(
     )
 
 
+@one_blas_thread()
 def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -> Profile:
     """The interval of one parameter from the profile of the cost; see the module's text.
 

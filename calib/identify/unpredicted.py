@@ -101,8 +101,24 @@ def prediction_square(r: Array, A: Array, covariance: Array, nuisance: Array) ->
     Returns:
         The sum and M less the rank of the nuisance.
     """
-    root = np.linalg.cholesky(np.eye(len(r)) + A @ covariance @ A.T)
-    whitened = np.linalg.solve(root, np.column_stack([r, nuisance]))
+    whitened = _whitened(A, covariance, np.column_stack([r, nuisance]))
     base = range_of(whitened[:, 1:], norms_of(whitened[:, 1:]), CUT)
     rest = whitened[:, 0] - base @ (base.T @ whitened[:, 0])
     return float(rest @ rest), len(r) - base.shape[1]
+
+
+def _whitened(A: Array, covariance: Array, values: Array) -> Array:
+    """Values times a symmetric root of (I + A C A^T)^-1, whose other directions than A's own stay as they are.
+
+    With A C^(1/2) = U S V^T that is I + U ((1 + S^2)^(-1/2) - 1) U^T: no matrix of all scalars by all is made.
+
+    Args:
+        A: shape (M, p).
+        covariance: shape (p, p), C.
+        values: shape (M, k).
+    """
+    sizes, vectors = np.linalg.eigh(covariance)
+    moved = A @ (vectors * np.sqrt(np.maximum(sizes, 0.0)))
+    U, S, _ = np.linalg.svd(moved, full_matrices=False)
+    shrunk = 1.0 / np.sqrt(1.0 + S**2) - 1.0
+    return np.asarray(values + U @ (shrunk[:, None] * (U.T @ values)))

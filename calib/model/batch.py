@@ -7,6 +7,7 @@ that the result does not depend on their number.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -34,6 +35,9 @@ MANY = 1500
 #: Samples of one call of the kernel; four times as many of a table of so many chunks, for what a call costs besides.
 CHUNK = 4096
 _HUGE = 64
+
+#: What the threads are called.
+_NAME = "calib-chunks"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +87,8 @@ def in_threads(work: Callable[[int, int], T], count: int) -> list[T]:
     """What ``work`` gives for each chunk of some samples, in their order, by as many threads as there are cores."""
     parts = list(chunks(count))
     threads = _threads()
-    if min(threads, len(parts)) < 2:
+    # Work that is itself in one of the threads must not wait for them.
+    if min(threads, len(parts)) < 2 or threading.current_thread().name.startswith(_NAME):
         return [work(*part) for part in parts]
     return list(_pool(threads).map(lambda part: work(*part), parts))
 
@@ -91,7 +96,7 @@ def in_threads(work: Callable[[int, int], T], count: int) -> list[T]:
 @lru_cache(maxsize=1)
 def _pool(threads: int) -> ThreadPoolExecutor:
     """The threads that wait for chunks: to start them anew for each pass would take longer than a short pass does."""
-    return ThreadPoolExecutor(threads, thread_name_prefix="calib")
+    return ThreadPoolExecutor(threads, thread_name_prefix=_NAME)
 
 
 if hasattr(os, "register_at_fork"):

@@ -10,7 +10,7 @@ import pytest
 from calib.identify import nominal, problem, thinning
 from calib.identify.calibration import calibrate
 from calib.identify.nominal import residual_of
-from calib.identify.rows import NONE, Rows, evenly, thinned, whole_blocks
+from calib.identify.rows import NONE, PLANE, Rows, evenly, thinned, whole_blocks
 from calib.identify.table_rows import rows_of
 from calib.identify.thinning import thin
 from calib.measure.cell import Cell
@@ -148,3 +148,15 @@ def _points_of(robot, rows) -> Measurements:
 def _in_one_frame(rows: Rows) -> Rows:
     nothing = np.zeros(len(rows), dtype=int)
     return replace(rows, samples=replace(rows.samples, frame=nothing, target=nothing))
+
+
+def test_thin_rows_have_every_kind_and_no_cycle(ur3):
+    _, rows = rows_of_kinds(ur3, KINDS["point"], count=4000)
+    kinds = rows.kinds.copy()
+    kinds[1234] = PLANE
+    some = np.flatnonzero(evenly(replace(rows, kinds=kinds), 400))
+    assert 1234 in some
+    for cycle in (2, 3, 10):
+        shares = np.bincount(some % cycle) / len(some)
+        assert np.all(np.abs(shares * cycle - 1.0) < 0.5)
+    np.testing.assert_array_equal(evenly(rows, 400), evenly(rows, 400))

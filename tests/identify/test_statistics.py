@@ -175,3 +175,37 @@ def test_cross_validation_puts_errors_back_in_their_rows():
 )
 def test_interval_factor_is_students(freedom, factor):
     assert interval_factor(freedom) == pytest.approx(factor, abs=1e-3)
+
+
+def by_brute_force(joints):
+    """Each row that has no pose yet takes all rows near it that have none either."""
+    labels = np.full(len(joints), -1)
+    for i in range(len(joints)):
+        if labels[i] < 0:
+            near = np.all(np.abs(joints - joints[i]) <= 1e-3, axis=1) & (labels < 0)
+            labels[near] = labels.max() + 1
+    return labels
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_poses_as_by_brute_force(seed):
+    rng = np.random.default_rng(seed)
+    count, n = int(rng.integers(1, 300)), int(rng.integers(1, 9))
+    q = rng.uniform(-3.0, 3.0, (count, n)) * (0.003 if seed % 3 == 0 else 1.0)
+    if seed % 3 == 1:
+        q = q[rng.integers(0, count, count)] + rng.uniform(-6e-4, 6e-4, (count, n))
+    if seed % 4 == 0:
+        q[:, 0] = 0.0
+    if seed % 5 == 0:
+        q = np.round(q, 1)  # a grid, with many rows twice
+    np.testing.assert_array_equal(same_poses(q), by_brute_force(q))
+
+
+def test_many_repeats_and_joints_at_zero_take_no_longer():
+    rng = np.random.default_rng(0)
+    jitter = rng.uniform(-4e-4, 4e-4, (20_000, 6))
+    assert same_poses(1.0 + jitter).max() == 0
+    still = np.zeros((5_000, 14))
+    still[:, :2] = rng.uniform(-3.0, 3.0, (5_000, 2))
+    assert len(np.unique(same_poses(still))) > 4_900
+    assert len(np.unique(same_poses(rng.integers(-30, 30, (2_000, 14)) * 0.1))) == 2_000

@@ -11,7 +11,7 @@ from calib.errors import MeasurementError, ModelError
 from calib.identify.estimate import FIRST_SIGMA, FIRST_SIGMA_ANGLE
 from calib.identify.problem import KnownDistance
 from calib.identify.rows import DISTANCE, FIXED, NONE, PAIR, PLANE, POINT, POSE
-from calib.identify.table_rows import joined_setups, known_distances, rows_of
+from calib.identify.table_rows import _joined, joined_setups, known_distances, rows_of
 from calib.measure.cell import Cell, GroupDistance
 from calib.measure.measurements import Measurements
 from calib.model.torques import Payload, gravity_load
@@ -174,3 +174,15 @@ def test_a_pattern_that_fits_no_two_groups_is_refused(scene, ur3):
     _, setup = rows_of(ur3, table, cell)
     with pytest.raises(ModelError, match=r"'\*/0' and '\*/1', which fits no two of 'a/0', 'b/1'"):
         known_distances(cell, setup)
+
+
+def test_many_pairs_are_joined_as_one_after_the_other():
+    rng = np.random.default_rng(0)
+    labels = rng.integers(0, 60, 200)
+    pairs = [(int(i), int(j)) for i, j in rng.integers(0, 200, (25, 2))]
+    expected = labels.copy()
+    for i, j in pairs:
+        low, high = sorted((expected[i], expected[j]))
+        expected[expected == high] = low
+    expected = np.unique(expected, return_inverse=True)[1]
+    np.testing.assert_array_equal(_joined(labels, pairs), expected)

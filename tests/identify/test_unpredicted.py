@@ -104,3 +104,25 @@ def test_the_nuisance_of_a_set_up_does_not_count():
     moved, _ = prediction_square(r + B @ rng.normal(size=8) * 100.0, A, 0.5 * np.eye(4), B)
     assert freedom == 24
     assert moved == pytest.approx(square, rel=1e-8)
+
+
+def test_the_square_is_that_of_the_whole_covariance():
+    rng = np.random.default_rng(4)
+    A, nuisance, r = rng.normal(size=(50, 7)), rng.normal(size=(50, 3)), rng.normal(size=50)
+    root = rng.normal(size=(7, 5))  # a covariance that is singular
+    whole = np.eye(50) + A @ root @ root.T @ A.T
+    white = np.linalg.solve(np.linalg.cholesky(whole), np.column_stack([r, nuisance]))
+    left = white[:, 0] - white[:, 1:] @ np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
+    square, degrees = prediction_square(r, A, root @ root.T, nuisance)
+    assert square == pytest.approx(float(left @ left), rel=1e-10)
+    assert degrees == 47
+
+
+def test_a_large_set_up_needs_no_matrix_of_all_by_all():
+    rng = np.random.default_rng(5)
+    A = rng.normal(size=(60_000, 6))
+    square, degrees = prediction_square(
+        rng.normal(size=60_000), A, 1e-3 * np.eye(6), np.zeros((60_000, 0))
+    )
+    assert degrees == 60_000
+    assert square == pytest.approx(60_000, rel=0.03)

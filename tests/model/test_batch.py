@@ -112,6 +112,17 @@ def test_threads_give_results_in_the_order_of_the_chunks(monkeypatch, threads):
     assert found == list(chunks(count))
 
 
+def test_work_in_a_thread_may_ask_for_chunks_itself(monkeypatch):
+    """It must not wait for threads that all wait for theirs."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    count = 5 * batch.CHUNK
+
+    def work(first: int, last: int) -> int:
+        return sum(in_threads(lambda a, b: b - a, count)) + last - first
+
+    assert sum(in_threads(work, count)) == count + 5 * count
+
+
 def test_the_kernel_can_be_compiled_beforehand():
     warm_up()  # does not say anything
     warm_up()

@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import threading
+
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from calib.model.threads import one_blas_thread
+
+
+def threads() -> set[int]:
+    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+
+@pytest.fixture(autouse=True)
+def several():
+    """Whoever runs the tests may have said one thread."""
+    with threadpool_limits(limits=2, user_api="blas"):
+        if threads() != {2}:
+            pytest.fail("the linear algebra of this machine cannot have two threads")
+        yield
+
+
+def test_one_thread_within_and_as_before_after():
+    with one_blas_thread():
+        assert threads() == {1}
+        with one_blas_thread():
+            assert threads() == {1}
+        assert threads() == {1}
+    assert threads() == {2}
+
+
+def test_what_was_before_comes_back_after_an_error():
+    with pytest.raises(ZeroDivisionError), one_blas_thread():
+        _ = 1 / 0
+    assert threads() == {2}
+
+
+def test_blocks_of_several_threads_end_in_any_order():
+    inside, leave = threading.Event(), threading.Event()
+
+    def first() -> None:
+        with one_blas_thread():
+            inside.set()
+            leave.wait(10.0)
+
+    other = threading.Thread(target=first)
+    other.start()
+    inside.wait(10.0)
+    with one_blas_thread():
+        leave.set()
+        other.join()
+    assert threads() == {2}
