@@ -1,7 +1,7 @@
 """fleet: many robots calibrated, each from its own data into a folder of its own, and compared with each other.
 
 Robots are read when their turn has come and calibrated in any executor; what is kept of each is its row of the fleet's
-table. A robot that fails is told with its reason, and the others are finished.
+table. A robot that fails is told with its reason, and the others are finished; what earlier runs have made of it stays.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from calib.identify.executors import Lost, run
 from calib.identify.fleet_folder import (
     check_names,
     check_own,
+    holds_result,
     kept_row,
-    remove_folder,
     results_folder,
     strangers,
     write_folder,
@@ -30,10 +30,11 @@ from calib.identify.fleet_robot import (
     Made,
     calibrate_one,
     fault,
+    file_names,
     inputs_fingerprint,
     urdf_reader,
 )
-from calib.identify.fleet_rows import FAILED, FleetRow
+from calib.identify.fleet_rows import DONE, FAILED, STALE, FleetRow
 from calib.identify.fleet_tables import check_tables, write_tables
 from calib.model.urdf import Urdf
 
@@ -61,8 +62,8 @@ class Fleet:
 
     @property
     def failed(self) -> tuple[FleetRow, ...]:
-        """The robots without a result."""
-        return tuple(row for row in self.rows if row.status == FAILED)
+        """The robots without a result of these inputs."""
+        return tuple(row for row in self.rows if row.status != DONE)
 
 
 def fleet(
@@ -76,8 +77,9 @@ def fleet(
 ) -> Fleet:
     """Calibrate many robots into a folder: one of its own for each, and the tables ``fleet.csv`` and ``fleet.json``.
 
-    A robot whose folder an earlier run has made of the same inputs, options and versions is kept as it is. Files
-    are the same to the bit in any executor, but for the dates of reports, see `FleetOptions.date`.
+    A robot whose folder an earlier run has made of the same inputs, options and versions is kept as it is, also if it
+    has more than is asked for: a report or a cross-validation. Of one that fails the folder stays as it was. Files are
+    the same to the bit in any executor, but for the dates of reports, see `FleetOptions.date`.
 
     Args:
         robots: The robots.
@@ -104,6 +106,11 @@ def fleet(
             work.finish(number, result)
         rows = tuple(work.rows[robot.name] for robot in robots)
         odd, notes = odd_ones(rows)
+        if work.gone:
+            notes = (
+                *notes,
+                f"Removed, for the new results have no such file: {', '.join(work.gone)}.",
+            )
         others = strangers(path, work.rows)
         if others:
             notes = (*notes, _others(others, path))
@@ -127,6 +134,7 @@ class _Work:
         self.force, self.progress = force, progress
         self.rows: dict[str, FleetRow] = {}
         self.kept = 0
+        self.gone: list[str] = []
         self._sent: list[tuple[str, str]] = []
 
     def jobs(self) -> Iterator[Job]:
@@ -137,7 +145,7 @@ class _Work:
             if inputs is None:
                 continue
             told = inputs_fingerprint(robot.name, inputs, self.options)
-            row = None if self.force else kept_row(self.path / robot.name, told)
+            row = None if self.force else self._kept(robot.name, inputs, told)
             if row is None:
                 self._sent.append((robot.name, told))
                 yield robot.name, inputs
@@ -152,11 +160,19 @@ class _Work:
             self._fail(name, result.reason if isinstance(result, Lost) else result)
             return
         try:
-            write_folder(self.path / name, told, result.row, result.files)
+            gone = write_folder(self.path / name, told, result.row, result.files)
         except CalibError as error:
             self._fail(name, str(error))
         else:
+            self.gone += [f"{name}/{file}" for file in gone]
             self._settle(result.row)
+
+    def _kept(self, name: str, inputs: FleetInputs, told: str) -> FleetRow | None:
+        """The row of a robot that an earlier run has finished, if there is all that is asked for."""
+        wanted = {told}
+        if not self.options.validate:
+            wanted.add(inputs_fingerprint(name, inputs, replace(self.options, validate=True)))
+        return kept_row(self.path / name, wanted, file_names(self.options))
 
     def _inputs(self, robot: FleetRobot, urdf_of: Callable[[str], Urdf]) -> FleetInputs | None:
         """What was read of a robot; None, and a note, where that fails."""
@@ -170,12 +186,9 @@ class _Work:
         return None
 
     def _fail(self, name: str, message: str) -> None:
-        """Note a robot without a result, and remove what an earlier run made of other inputs."""
-        try:
-            remove_folder(self.path / name)
-        except CalibError as error:
-            message = str(error)
-        self._settle(FleetRow(name, FAILED, message))
+        """Note a robot without a result; one of earlier inputs stays."""
+        status = STALE if holds_result(self.path / name) else FAILED
+        self._settle(FleetRow(name, status, message))
 
     def _settle(self, row: FleetRow) -> None:
         """Keep a robot's row."""

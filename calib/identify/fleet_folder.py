@@ -2,7 +2,8 @@
 
 A robot's files go into a folder beside its own, then to the disk, then the folder gets the robot's name. With them goes
 ``made.json``: the fingerprint of all that they hang on, their own hashes, and the robot's row of the fleet's table. By
-these a later run knows what it may keep.
+these a later run knows what it may keep, and which files are its own: any other file in a robot's folder is somebody's,
+and goes with the folder. A folder is replaced by a whole new one only.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import re
 import secrets
 import shutil
 import unicodedata
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,7 @@ def check_names(names: Iterable[tuple[str, str]]) -> None:
 
 @contextmanager
 def results_folder(path: Path) -> Iterator[None]:
-    """The folder of a fleet, made if missing, for this run alone; what killed runs have left in it is removed.
+    """The folder of a fleet, made if missing, for this run alone; what killed runs have left in it is put in order.
 
     Raises:
         FileError: It cannot be made, or another run has it.
@@ -83,25 +84,26 @@ def results_folder(path: Path) -> Iterator[None]:
         raise FileError(message) from error
     try:
         lock(file, path)
-        for entry in path.iterdir():
-            if _TEMPORARY.fullmatch(entry.name):
-                shutil.rmtree(entry, ignore_errors=True)
+        _put_in_order(path)
         yield
     finally:
         file.close()
 
 
-def kept_row(folder: Path, told: str) -> FleetRow | None:
+def kept_row(folder: Path, told: Collection[str], names: Collection[str] = ()) -> FleetRow | None:
     """The row of a robot whose folder is whole and was made of just this; None of any other.
 
     Args:
         folder: The robot's.
-        told: The fingerprint of its inputs.
+        told: The fingerprints that its inputs may have.
+        names: Files that it must have; it may have more.
     """
     table = _made_table(folder)
-    if table is None or table.get("fingerprint") != told:
+    if table is None or table.get("fingerprint") not in told:
         return None
     try:
+        if not set(names) <= table["files"].keys():
+            return None
         for name, wanted in table["files"].items():
             if hashlib.sha256((folder / name).read_bytes()).hexdigest() != wanted:
                 return None
@@ -110,11 +112,21 @@ def kept_row(folder: Path, told: str) -> FleetRow | None:
         return None
 
 
-def write_folder(folder: Path, told: str, row: FleetRow, files: Mapping[str, bytes]) -> None:
-    """Write a robot's folder, in the place of one that an earlier run made.
+def holds_result(folder: Path) -> bool:
+    """Whether a robot's folder is there and an earlier run has made it."""
+    return _made_table(folder) is not None
+
+
+def write_folder(
+    folder: Path, told: str, row: FleetRow, files: Mapping[str, bytes]
+) -> tuple[str, ...]:
+    """Write a robot's folder, in the place of one that an earlier run made; files of other origin move into it.
+
+    Returns:
+        Names of the earlier run's files that have no successor and are gone.
 
     Raises:
-        FileError: Something else has its name, or it cannot be written.
+        FileError: Something else has its name or that of a file, or it cannot be written.
     """
     table = {
         "schema": SCHEMA,
@@ -122,6 +134,9 @@ def write_folder(folder: Path, told: str, row: FleetRow, files: Mapping[str, byt
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in files.items()},
         "row": row.table(),
     }
+    check_own(folder)
+    own = _own_files(folder)
+    _check_free(folder, own, files)
     new = folder.with_name(f".calib-new-{secrets.token_hex(8)}")
     try:
         new.mkdir()
@@ -131,23 +146,21 @@ def write_folder(folder: Path, told: str, row: FleetRow, files: Mapping[str, byt
                 file.flush()
                 os.fsync(file.fileno())
         _sync(new)
-        remove_folder(folder)
-        new.rename(folder)
-        _sync(folder.parent)
+        _swap(new, folder)
     except OSError as error:
         message = f"{folder}: this folder cannot be written: {error.strerror}."
         raise FileError(message) from error
     finally:
         shutil.rmtree(new, ignore_errors=True)
+    return tuple(sorted(own - {MADE, *files}))
 
 
-def remove_folder(folder: Path) -> None:
-    """Remove the folder of a robot, at once and not file by file; one that is not there is no matter.
+def _swap(new: Path, folder: Path) -> None:
+    """Give a new folder the name of an old one, and what lay in that and is not calib's.
 
-    Raises:
-        FileError: It is none that a fleet's run has made.
+    A kill at any point leaves what `_put_in_order` brings to one of both ends.
     """
-    check_own(folder)
+    old = None
     if folder.exists():
         old = folder.with_name(f".calib-old-{secrets.token_hex(8)}")
         try:
@@ -155,7 +168,67 @@ def remove_folder(folder: Path) -> None:
         except OSError as error:
             message = f"{folder}: this folder cannot be replaced: {error.strerror}."
             raise FileError(message) from error
+    try:
+        new.rename(folder)
+    except OSError:
+        if old is not None:
+            old.rename(folder)
+        raise
+    if old is not None:
+        _empty(old, folder)
+    _sync(folder.parent)
+
+
+def _empty(old: Path, folder: Path) -> None:
+    """Move what is not calib's from an old folder into the new one, and remove the rest; no file is written over."""
+    own = _own_files(old)
+    for entry in [*old.iterdir()]:
+        if entry.name not in own and not os.path.lexists(folder / entry.name):
+            entry.rename(folder / entry.name)
+    if all(entry.name in own for entry in old.iterdir()):
         shutil.rmtree(old, ignore_errors=True)
+
+
+def _put_in_order(path: Path) -> None:
+    """Finish what killed runs have begun: folders half written are removed, half replaced ones are one again."""
+    for entry in [*path.iterdir()]:
+        match = _TEMPORARY.fullmatch(entry.name)
+        if match is None:
+            continue
+        if match[1] == "new":
+            shutil.rmtree(entry, ignore_errors=True)
+            continue
+        row = (_made_table(entry) or {}).get("row")
+        name = row.get("name") if isinstance(row, dict) else None
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            continue
+        with contextlib.suppress(OSError):
+            if os.path.lexists(path / name):
+                _empty(entry, path / name)
+            else:
+                entry.rename(path / name)
+
+
+def _own_files(folder: Path) -> set[str]:
+    """Names of the files in a robot's folder that calib has written; of no folder none."""
+    table = _made_table(folder)
+    files = None if table is None else table.get("files")
+    return set() if table is None else {MADE, *(files if isinstance(files, dict) else ())}
+
+
+def _check_free(folder: Path, own: Collection[str], names: Iterable[str]) -> None:
+    """Refuse to write over a file of other origin in a robot's folder.
+
+    Raises:
+        FileError: There is one with a name that is needed.
+    """
+    for name in names:
+        if name not in own and os.path.lexists(folder / name):
+            message = (
+                f"{folder / name} is a file of other origin, and the result has one of that name; move it away and "
+                "give the same command again."
+            )
+            raise FileError(message)
 
 
 def check_own(folder: Path) -> None:

@@ -160,12 +160,20 @@ class Made:
 
 
 def inputs_fingerprint(name: str, inputs: FleetInputs, options: FleetOptions) -> str:
-    """What a robot's files hang on: its inputs, the options, and the versions of what computes."""
-    robot = inputs.robot
+    """What a robot's files hang on: its inputs, the options, and the versions of what computes.
+
+    Whether there is a report makes no difference to the other files, and counts by its file: see `file_names`.
+    """
+    robot, options = inputs.robot, replace(options, reports=True)
     measured = {f: getattr(inputs.measurements, f) for f in Measurements.__dataclass_fields__}
     return fingerprint(
         name, robot, robot.urdf.source, measured, inputs.cell, options, versions(), _LAYOUT
     )
+
+
+def file_names(options: FleetOptions) -> tuple[str, ...]:
+    """The files that a robot gets."""
+    return (URDF, RESULT, SUMMARY, *((REPORT,) if options.reports else ()))
 
 
 #: Counted up when the files of a robot change.

@@ -18,6 +18,9 @@ from calib.model.parameters import FRAME, TARGET
 #: How it went.
 DONE, FAILED = "done", "failed"
 
+#: It failed, and what an earlier run has made of other inputs, or of these when they could be read, still stands.
+STALE = "failed; the folder holds the result of earlier inputs"
+
 
 @dataclass(frozen=True, slots=True)
 class FleetParameter:
@@ -42,7 +45,7 @@ class FleetRow:
 
     Attributes:
         name: Its name.
-        status: `DONE` or `FAILED`.
+        status: `DONE`, `FAILED` or `STALE`.
         message: Why it failed.
         verdict: ``"use"``, ``"use with care"`` or ``"do not use"``.
         model: The geometry's parameter set.

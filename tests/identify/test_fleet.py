@@ -181,18 +181,19 @@ def test_only_what_has_changed_is_done_again(tmp_path, ur3):
 def test_a_row_that_cannot_be_read_is_made_again(tmp_path):
     folder = tmp_path / "arm"
     write_folder(folder, "told", FleetRow("arm", "done"), {"a": b"b"})
-    assert kept_row(folder, "told") is not None
-    assert kept_row(folder, "other") is None
+    assert kept_row(folder, ["told"]) is not None
+    assert kept_row(folder, ["other"]) is None
     made = json.loads((folder / "made.json").read_bytes())
     del made["row"]["sigma"]
     made["row"]["colour"] = "red"
     (folder / "made.json").write_text(json.dumps(made))
-    assert kept_row(folder, "told") is None
+    assert kept_row(folder, ["told"]) is None
 
 
 def test_robots_that_fail_are_told_and_the_others_finished(shop, tmp_path, ur3):
     out, robots = tmp_path / "out", arms(tmp_path, ur3, range(2))
     fleet(robots, out, QUICK)
+    before = files(out / "arm-0")
     (tmp_path / "arm-0.csv").write_text("what,is,this\n")
 
     def faulty(_):
@@ -219,11 +220,101 @@ def test_robots_that_fail_are_told_and_the_others_finished(shop, tmp_path, ur3):
         f"{out / 'stranger'} exists already and was not made by 'calib fleet'"
     )
     assert found.kept == 1
-    # Results of other inputs are not left in the place of those that there are not.
-    assert not (out / "arm-0").exists()
+    # What was finished stands, and the table says of what it is.
+    assert files(out / "arm-0") == before
     assert [*(out / "stranger").iterdir()] == []
     lines = (out / "fleet.csv").read_text().splitlines()
-    assert [line.split(",")[1] for line in lines[1:]] == ["failed", "done", *["failed"] * 4]
+    stale = "failed; the folder holds the result of earlier inputs"
+    assert [line.split(",")[1] for line in lines[1:]] == [stale, "done", *["failed"] * 4]
+
+
+def test_nothing_finished_is_lost_where_all_fail(tmp_path, ur3):
+    out, robots = tmp_path / "out", arms(tmp_path, ur3, range(2))
+    fleet(robots, out, QUICK)
+    before = {k: v for k, v in files(out).items() if "/" in k}
+    wrong = [replace(r, load=lambda _, r=r: r.load(lambda _: 1 / 0)) for r in robots]
+    for path in (tmp_path / "arm-0.csv", tmp_path / "arm-1.csv"):
+        path.rename(path.with_suffix(".away"))
+    for these, force in ((robots, False), (wrong, True)):
+        found = fleet(these, out, QUICK, force=force)
+        assert len(found.failed) == 2
+        assert {k: v for k, v in files(out).items() if "/" in k} == before
+    for path in (tmp_path / "arm-0.away", tmp_path / "arm-1.away"):
+        path.rename(path.with_suffix(".csv"))
+    assert fleet(robots, out, QUICK).kept == 2
+
+
+def test_files_of_other_origin_go_with_the_folder(tmp_path, ur3):
+    out, robots = tmp_path / "out", arms(tmp_path, ur3, range(1))
+    fleet(robots, out, QUICK)
+    (out / "arm-0" / "notes.txt").write_text("mine")
+    (out / "arm-0" / "photos").mkdir()
+    (out / "arm-0" / "photos" / "1.png").write_bytes(b"1")
+    fleet(robots, out, replace(QUICK, robust=False), force=True)
+    assert {path.name for path in (out / "arm-0").iterdir()} == MADE | {"notes.txt", "photos"}
+    assert (out / "arm-0" / "photos" / "1.png").read_bytes() == b"1"
+    assert fleet(robots, out, replace(QUICK, robust=False)).kept == 1
+    (out / "arm-0" / "report.html").write_text("mine")
+    found = fleet(robots, out, replace(QUICK, reports=True))
+    (row,) = found.failed
+    assert row.message.startswith(f"{out / 'arm-0' / 'report.html'} is a file of other origin")
+    assert (out / "arm-0" / "report.html").read_text() == "mine"
+
+
+def write(folder: Path, told: str, *names: str) -> tuple[str, ...]:
+    """A robot's folder with files of the same bytes."""
+    return write_folder(
+        folder, told, FleetRow(folder.name, "done"), dict.fromkeys(names, told.encode())
+    )
+
+
+def test_a_kill_between_two_renames_loses_nothing(tmp_path):
+    arm, old = tmp_path / "arm", tmp_path / ".calib-old-0123456789abcdef"
+    new = tmp_path / ".calib-new-0123456789abcdef"
+    write(arm, "one", "a")
+    (arm / "notes.txt").write_text("mine")
+    # The old one has no name, and the new one has none yet.
+    arm.rename(old)
+    new.mkdir()
+    with results_folder(tmp_path):
+        assert files(arm)["a"] == b"one"
+        assert (arm / "notes.txt").read_text() == "mine"
+    # The new one has the name, and the old one still has what is not calib's.
+    arm.rename(old)
+    write(arm, "two", "a")
+    with results_folder(tmp_path):
+        assert set(files(arm)) == {"a", "made.json", "notes.txt"}
+        assert files(arm)["a"] == b"two"
+    assert {path.name for path in tmp_path.iterdir()} == {"arm", ".calib-fleet.lock"}
+    # What is in the way stays where it is, and so does what says not whose it is.
+    arm.rename(old)
+    write(arm, "three", "a", "notes.txt")
+    strange = tmp_path / ".calib-old-fedcba9876543210"
+    strange.mkdir()
+    with results_folder(tmp_path):
+        assert (old / "notes.txt").read_text() == "mine"
+    assert strange.is_dir()
+
+
+def test_what_has_no_successor_is_told(tmp_path):
+    write(tmp_path / "arm", "one", "a", "b")
+    assert write(tmp_path / "arm", "two", "a") == ("b",)
+    assert set(files(tmp_path / "arm")) == {"a", "made.json"}
+
+
+def test_a_folder_that_has_more_than_is_asked_for_is_kept(shop, tmp_path):
+    out, robots = tmp_path / "out", robots_of(shop, 1)
+    all_of_it = replace(QUICK, reports=True, validate=True)
+    fleet(robots, out, all_of_it)
+    before = files(out / "arm-0")
+    for less in (replace(all_of_it, reports=False), replace(all_of_it, validate=False), QUICK):
+        assert fleet(robots, out, less).kept == 1
+    assert files(out / "arm-0") == before
+    found = fleet(robots, out, replace(QUICK, robust=False))
+    assert found.kept == 0
+    assert "Removed, for the new results have no such file: arm-0/report.html." in found.notes
+    assert fleet(robots, out, replace(all_of_it, robust=False)).kept == 0
+    assert "report.html" in files(out / "arm-0")
 
 
 def test_a_robot_whose_process_ends_fails_alone(shop, tmp_path):

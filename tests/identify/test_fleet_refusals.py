@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from calib.errors import FileError
-from calib.identify.fleet_folder import MADE, SCHEMA, remove_folder
+from calib.identify.fleet_folder import MADE, SCHEMA, _swap
 
 NOBODY = 65534
 
@@ -36,7 +36,7 @@ def guarded() -> Iterator[Path]:
 
 def test_a_robots_folder_that_may_not_be_replaced(guarded: Path):
     with pytest.raises(FileError) as raised:
-        remove_folder(guarded / "arm 1")
+        _swap(guarded / "new", guarded / "arm 1")
     assert (
         str(raised.value) == f"{guarded}/arm 1: this folder cannot be replaced: Permission denied."
     )
