@@ -301,7 +301,11 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     own = np.where(holds.flat, 0.0, stage.precision)
     model = problem.kinematics.model
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
-    cleaned = ~model.family(FRAME, TARGET) & (not holds.off) & np.isin(model.units, ("m", "rad"))
+    cleaned = (
+        ~model.family(FRAME, TARGET)
+        & (not holds.off)
+        & np.array([u in ("m", "rad") for u in model.units])
+    )
     x = np.where(cleaned & (np.abs(solution.x) < _NOTHING), 0.0, solution.x)
     for k, value in holds.fixed:
         x[k] = value
@@ -333,6 +337,8 @@ def _shared_by_stops(
     each other counts as ever, though it is known better.
     """
     rows = problem.rows
+    if rows.samples.target.min() == rows.samples.target.max():
+        return linear.data(stage.effective)
     weights = stage.weights * np.isin(rows.kinds, (POINT, POSE))
     alive = weights > 0.0
     if len(np.unique(rows.samples.target[alive])) < 2:

@@ -210,6 +210,8 @@ def model_of(task: Task) -> ErrorModel:
 
 def _between_seen(distances: tuple[KnownDistance, ...], rows: Rows) -> tuple[KnownDistance, ...]:
     """The distances between frames that these rows see."""
+    if not distances:
+        return ()
     seen = set(np.unique(rows.samples.frame).tolist())
     return tuple(d for d in distances if d.first in seen and d.second in seen)
 

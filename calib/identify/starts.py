@@ -36,7 +36,8 @@ def linear_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Ar
         T_frame_base, shape (F, 4, 4), and T_tip_target, shape (T, 4, 4), [m].
     """
     known_turns = all(not {"rx", "ry", "rz"} & set(directions) for directions in setup.unknown)
-    if not known_turns or not np.all(np.isin(rows.kinds, (POINT, POSE, FIXED))):
+    placed = (rows.kinds == POINT) | (rows.kinds == POSE) | (rows.kinds == FIXED)
+    if not known_turns or not np.all(placed):
         return None
     frame, target = rows.samples.frame, rows.samples.target
     R = setup.T_frame_base[frame][:, :3, :3]
