@@ -18,8 +18,8 @@ Mask = NDArray[np.bool_]
 #: Rows whose joint values differ by less than this are repeats of a pose [rad or m].
 _SAME_POSE = 1e-3
 
-#: Side of a cell in which repeats are looked for, and where the cells begin: no step that tables are made in, and no joint
-#: at zero, stands at a wall. A row near more walls than that is looked at by the tree.
+#: Side of a cell in which repeats are looked for, and where the cells begin: no step that tables are made in, and no
+#: joint at zero, stands at a wall. A row near more walls than that is looked at by the tree.
 _CELL, _SHIFT, _MOST_WALLS = 97.13 * _SAME_POSE, 0.3819, 3
 
 #: What the number of each joint's cell is multiplied by.
