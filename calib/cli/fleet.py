@@ -149,12 +149,11 @@ def fleet(
             for name in ("fleet.csv", "fleet.json"):
                 typer.echo(f"Written: {out / name}")
         if found.failed:
-            failed = found.failed
-            first = " ".join(failed[0].message.split())
-            typer.echo(
-                f"calib: {len(failed)} of {len(found.rows)} robots failed; '{failed[0].name}': {first}",
-                err=True,
-            )
+            text = f"calib: {len(found.failed)} of {len(found.rows)} robots failed"
+            # What was printed above has the reasons.
+            first = found.failed[0]
+            text += f"; '{first.name}': {' '.join(first.message.split())}" if quiet else "."
+            typer.echo(text, err=True)
             raise typer.Exit(1)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,11 +12,12 @@ from typing import TYPE_CHECKING
 from calib.cli.options import Kind, PriorSizes, Repeats
 from calib.cli.setup import read_cell
 from calib.cli.words import parse_columns
-from calib.errors import CalibError, FileError, choices
+from calib.errors import CalibError, FileError, MeasurementError, choices
 
 if TYPE_CHECKING:
     from calib.identify.fleet_robot import FleetInputs, FleetRobot
     from calib.measure.cell import Cell
+    from calib.measure.table import Table
     from calib.model.urdf import Urdf
 
 NEEDED = ("name", "robot", "data")
@@ -65,6 +67,25 @@ class Said:
     priors: PriorSizes | None = None
     repeats: Repeats | None = None
 
+    def check(self) -> Cell:
+        """Refuse what can be said of no robot; the set-up of those whose row says nothing.
+
+        Raises:
+            CalibError: An option that is none, or a cell file that cannot be read.
+        """
+        parse_columns(self.columns)
+        return read_cell(
+            self.cell,
+            base=self.base,
+            tip=self.tip,
+            target=self.target,
+            frame=self.frame,
+            model=self.model,
+            kind=self.kind,
+            hold=self.hold,
+            payload=self.payload,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
@@ -93,7 +114,7 @@ class _Entry:
         try:
             robot = FleetRobot.of_files(
                 self.cells["name"],
-                self._robot(),
+                self.source(),
                 self.folder / self.cells["data"],
                 self._setup(),
                 columns=parse_columns(self._listed("columns") or self.said.columns),
@@ -102,8 +123,27 @@ class _Entry:
             )
             return robot.load(urdf_of)
         except CalibError as error:
-            message = f"{self.where}: {error}"
+            message = f"{self.where}: {self._told(str(error))}"
             raise CalibError(message) from error
+
+    def robot(self, urdf_of: Callable[[str], Urdf]) -> Urdf | None:
+        """The robot; None where it cannot be read."""
+        try:
+            return urdf_of(self.source())
+        except CalibError:
+            return None
+
+    def says(self, column: str) -> bool:
+        """Whether the row has a word of its own on this, or a cell file that may."""
+        return column in self.cells or "cell" in self.cells
+
+    def _told(self, text: str) -> str:
+        """A message with the row's columns in the place of options that are not on the line."""
+        for column in OPTIONAL:
+            if column in self.cells:
+                option = re.escape(f"--{column.replace('_', '-')}")
+                text = re.sub(rf"{option}(?![\w-])", f"column '{column}'", text)
+        return text
 
     def _setup(self) -> Cell:
         """The cell file with what the command line says on top of it, and what the row says on top of that."""
@@ -112,9 +152,7 @@ class _Entry:
         if "kind" in own:
             kinds = [k.value for k in Kind]
             if own["kind"] not in kinds:
-                message = (
-                    f"'{own['kind']}' is no kind of measurement; choose one of {choices(kinds)}."
-                )
+                message = f"column 'kind': '{own['kind']}' is no kind of measurement; choose one of {choices(kinds)}."
                 raise CalibError(message)
             kind = Kind(own["kind"])
         setup = read_cell(
@@ -138,7 +176,7 @@ class _Entry:
             repeats=setup.repeats if said.repeats is None else said.repeats.value,
         )
 
-    def _robot(self) -> str:
+    def source(self) -> str:
         """The robot's file, with what stands behind a xacro, or its name in example-robot-data where it is no file."""
         from calib.model.xacro_file import is_xacro
 
@@ -182,13 +220,13 @@ def read_manifest(path: Path, said: Said) -> tuple[FleetRobot, ...]:
 
     Raises:
         CalibError: It cannot be read, a column is missing, unknown or there twice, a row has no name, robot or data, or
-            names are those of no folder or of two robots.
+            names are those of no folder or of two robots; or what the command line says can be said of no robot.
     """
     from calib.identify.fleet_folder import check_names
     from calib.identify.fleet_robot import FleetRobot
-    from calib.measure.table import Table
 
-    table = Table.read(path)
+    setup = said.check()
+    table = _table(path)
     header = [label.strip().lower() for label in table.header]
     _check_header(header, path)
     entries = []
@@ -210,7 +248,55 @@ def read_manifest(path: Path, said: Said) -> tuple[FleetRobot, ...]:
         message = f"{path.name}: there are no robots in it, only a header."
         raise CalibError(message)
     check_names((entry.cells["name"], entry.where) for entry in entries)
+    for column, link in (("base", setup.base), ("tip", setup.tip)):
+        _check_link(column, link, [entry for entry in entries if not entry.says(column)])
     return tuple(FleetRobot(entry.cells["name"], entry.load) for entry in entries)
+
+
+def _table(path: Path) -> Table:
+    """The manifest as text.
+
+    Raises:
+        MeasurementError: It cannot be read, or has no header.
+    """
+    from calib.measure.table import Table as TableClass
+
+    try:
+        return TableClass.read(path)
+    except MeasurementError as error:
+        reason, sign, _ = str(error).partition(" A table begins with a header")
+        if not sign:
+            raise
+        message = f"{reason} A manifest begins with the header '{','.join(NEEDED)}', a line for each robot below it."
+        raise MeasurementError(message) from error
+
+
+def _check_link(column: str, link: str | None, entries: Iterable[_Entry]) -> None:
+    """Refuse a base or tip that none of the robots has that are to have it.
+
+    Raises:
+        CalibError: None has it. Where one does, the others fail alone: a fleet may have robots of several kinds.
+    """
+    from calib.identify.fleet_robot import urdf_reader
+    from calib.model.urdf_joints import did_you_mean
+
+    if link is None:
+        return
+    urdf_of, seen, first = urdf_reader(), set(), None
+    for entry in entries:
+        source = entry.source()
+        urdf = None if source in seen else entry.robot(urdf_of)
+        seen.add(source)
+        if urdf is not None:
+            if link in urdf.links:
+                return
+            first = first or urdf
+    if first is not None:
+        message = (
+            f"--{column} '{link}': no robot of the manifest that it is for has such a link"
+            f"{did_you_mean(link, first.links)}. The links of {first.source}: {choices(first.links)}."
+        )
+        raise CalibError(message)
 
 
 def check_out(path: Path, out: Path) -> None:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from calib.identify.fleet import Fleet
+    from calib.identify.fleet_odd import Odd
     from calib.identify.fleet_rows import FleetRow
 
 _WIDTH = 100
@@ -26,7 +27,16 @@ LISTED = 40
 #: Reasons that are told of one robot; fleet.json has them all.
 _REASONS = 4
 
-_HEADS = ("robot", "verdict", "nominal", "calibrated", "unseen", "noise", "model", "rows", "out")
+#: What `Odd.figure` says of data that are another robot's too.
+DATA = "data"
+
+_HEADS = ("robot", "verdict", "model", "nominal", "calibrated", "unseen", "noise", "rows", "out")
+
+#: The first columns hold words.
+_WORDS = 3
+
+#: Behind "unseen" where that is of validation rows: what robots are compared by.
+_CROSS = "cross-val."
 
 
 def print_fleet(found: Fleet) -> None:
@@ -42,7 +52,7 @@ def print_fleet(found: Fleet) -> None:
 
             Console(highlight=False, markup=False, emoji=False).print(_table(shown))
         else:
-            typer.echo("\n".join(table_lines([_HEADS, *map(_cells, shown)])))
+            typer.echo("\n".join(table_lines(cells_of(shown))))
         typer.echo("")
     for paragraph in paragraphs(found):
         typer.echo(paragraph)
@@ -62,29 +72,48 @@ def shown_rows(found: Fleet) -> list[FleetRow]:
 def paragraphs(found: Fleet) -> Iterator[str]:
     """The odd ones, the failed ones, what could not be said, and how many there were."""
     reasons: dict[str, list[str]] = {}
-    for one in found.odd:
+    for one in odd_figures(found):
         reasons.setdefault(one.name, []).append(one.text)
     if reasons:
         yield "Odd ones out:"
         for name, texts in reasons.items():
             yield _hung(f"{name}: {'; '.join(texts[:_REASONS])}{_more(len(texts) - _REASONS)}")
         yield ""
+    twice = [one for one in found.odd if one.figure == DATA]
+    if twice:
+        yield "Data given twice, which count once in what is usual:"
+        yield from (_hung(f"{one.name}: {one.text}") for one in twice)
+        yield ""
     if found.failed:
         yield "Failed:"
-        yield from (_hung(f"{row.name}: {row.message}") for row in found.failed)
+        yield from (_hung(f"{row.name}: {row.message}{_stands(row)}") for row in found.failed)
         yield ""
     for note in found.notes:
         yield textwrap.fill(note, _WIDTH, break_on_hyphens=False)
     yield _counts(found)
 
 
+def cells_of(rows: Sequence[FleetRow]) -> list[tuple[str, ...]]:
+    """The table's header and its cells, row by row."""
+    cross = any(row.unseen == "validation" and row.left_out_rms == row.left_out_rms for row in rows)
+    heads = tuple(
+        head for name in _HEADS for head in (name, *((_CROSS,) * (cross and name == "unseen")))
+    )
+    return [heads, *(_cells(row, cross=cross) for row in rows)]
+
+
+def odd_figures(found: Fleet) -> list[Odd]:
+    """What is odd about robots; data given twice are told apart."""
+    return [one for one in found.odd if one.figure != DATA]
+
+
 def table_lines(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Cells as lines: the first two columns and the model from the left, numbers from the right."""
+    """Cells as lines: the first columns, words, from the left, numbers from the right."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = []
     for row in rows:
         cells = [
-            cell.ljust(width) if k in (0, 1, 6) else cell.rjust(width)
+            cell.ljust(width) if k < _WORDS else cell.rjust(width)
             for k, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         lines.append("  ".join(cells).rstrip())
@@ -97,21 +126,23 @@ def _table(rows: Sequence[FleetRow]) -> Table:
     from rich.text import Text
 
     table = RichTable(box=None, pad_edge=False, header_style="bold")
-    for k, head in enumerate(_HEADS):
-        table.add_column(head, justify="left" if k in (0, 1, 6) else "right", overflow="fold")
-    for row in rows:
-        cells = [Text(cell) for cell in _cells(row)]
+    heads, *lines = cells_of(rows)
+    for k, head in enumerate(heads):
+        table.add_column(head, justify="left" if k < _WORDS else "right", overflow="fold")
+    for row, line in zip(rows, lines, strict=True):
+        cells = [Text(cell) for cell in line]
         cells[1].stylize(VERDICTS.get(row.verdict, ""))
         table.add_row(*cells)
     return table
 
 
-def _cells(row: FleetRow) -> tuple[str, ...]:
+def _cells(row: FleetRow, *, cross: bool) -> tuple[str, ...]:
     """A robot's cells."""
     model = f"{row.model} ({row.larger})" if row.larger else row.model
-    numbers = (row.nominal_rms, row.calibrated_rms, row.unseen_rms, row.sigma)
+    left_out = (row.left_out_rms,) if cross else ()
+    numbers = (row.nominal_rms, row.calibrated_rms, row.unseen_rms, *left_out, row.sigma)
     shown = ("" if value != value else f"{1e3 * value:.3f}" for value in numbers)
-    return (row.name, row.verdict or "-", *shown, model, str(row.rows), str(row.outliers))
+    return (row.name, row.verdict or "-", model, *shown, str(row.rows), str(row.outliers))
 
 
 def _which(shown: int, done: int) -> str:
@@ -123,15 +154,26 @@ def _which(shown: int, done: int) -> str:
 
 def _counts(found: Fleet) -> str:
     """How many robots, with which verdicts."""
-    from calib.identify.fleet_rows import DONE
+    from calib.identify.fleet_rows import DONE, STALE
 
     done = [row for row in found.rows if row.status == DONE]
     verdicts = Counter(row.verdict or "no verdict" for row in done)
     words = ", ".join(f"{count} {word}" for word, count in verdicts.most_common())
     text = f"{len(done)} of {len(found.rows)} robots calibrated" + (f" ({words})" if words else "")
     kept = f", {found.kept} of them by an earlier run" if found.kept else ""
-    odd = len({one.name for one in found.odd})
-    return f"{text}{kept}; {odd} odd, {len(found.failed)} failed."
+    odd = len({one.name for one in odd_figures(found)})
+    twice = sum(one.figure == DATA for one in found.odd)
+    said = f", {twice} with the data of another" if twice else ""
+    stale = sum(row.status == STALE for row in found.failed)
+    stand = f" ({stale} of them with a result of earlier inputs in the folder)" if stale else ""
+    return f"{text}{kept}; {odd} odd{said}, {len(found.failed)} failed{stand}."
+
+
+def _stands(row: FleetRow) -> str:
+    """That the folder of a robot that failed is that of earlier inputs."""
+    from calib.identify.fleet_rows import STALE
+
+    return " Its folder holds the result of earlier inputs." if row.status == STALE else ""
 
 
 def _more(count: int) -> str:

@@ -12,7 +12,8 @@ figures, were they normally distributed:
     limit = quantile of Student's t with 0.41 n degrees of freedom at 1 - 0.05 / (2 n k)
 
 The degrees of freedom make up for the MAD's own scatter; 0.41 is just below what simulations of 5 to 500 robots gave.
-Half of the 0.05 is spent on the errors and the noise, the other half on the parameters.
+Half of the 0.05 is spent on the errors and the noise, the other half on the parameters. Of robots with the same
+data one counts in n, median and MAD, and all are compared.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from scipy.special import stdtrit
 from calib.identify.fleet_rows import DONE, FleetRow
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: With fewer robots nothing is said of what is usual.
 FEWEST = 5
@@ -89,13 +91,15 @@ def odd_ones(rows: Sequence[FleetRow]) -> tuple[tuple[Odd, ...], tuple[str, ...]
     """
     done = [row for row in rows if row.status == DONE]
     found, notes = list(_same_data(done)), []
-    kinds = Counter(row.kind for row in done)
-    for kind, count in kinds.items():
+    kinds = dict.fromkeys(row.kind for row in done)
+    for kind in kinds:
         alike = [row for row in done if row.kind == kind]
+        count = int(np.sum(_counted(alike)))
         if count >= FEWEST:
             found += [*_figures(alike), *_models(alike)]
             continue
-        robots = f"{count} robot{'s' * (count > 1)}"
+        robots = f"{len(alike)} robot{'s' * (len(alike) > 1)}"
+        robots += f" with the data of {count}" * (count < len(alike))
         which = f"{robots} of the kind '{kind.split()[0]}'" if len(kinds) > 1 else robots
         notes.append(
             f"What is usual cannot be told of {which}; it takes {FEWEST}. Only data given twice are looked for."
@@ -120,18 +124,27 @@ def limit(robots: int, figures: int, chance: float = CHANCE) -> float:
     return float(stdtrit(_FREEDOM * robots, 1.0 - chance / (2.0 * robots * figures)))
 
 
+def _counted(rows: Sequence[FleetRow]) -> Mask:
+    """Which robots count in what is usual, shape (n,): of those with the same data the first."""
+    first = {row.measured: k for k, row in reversed([*enumerate(rows)])}
+    return np.array([first[row.measured] == k for k, row in enumerate(rows)], dtype=bool)
+
+
 def _figures(rows: list[FleetRow]) -> Iterator[Odd]:
     """Robots whose errors, noise or parameters are odd."""
+    once = _counted(rows)
+    count = int(np.sum(once))
     told = {name: np.array([getattr(row, name) for row in rows]) for name in _FIGURES}
-    told = {name: x for name, x in told.items() if np.sum(x > 0.0) >= FEWEST}
+    told = {name: x for name, x in told.items() if np.sum(x[once] > 0.0) >= FEWEST}
     for name, x in told.items():
         with np.errstate(divide="ignore", invalid="ignore"):
             log = np.where(x > 0.0, np.log(x), np.nan)
-        z = scores(log, np.zeros(len(x)), _LOG_FLOOR)
-        bound, usual = limit(len(rows), len(told), 0.5 * CHANCE), float(np.exp(np.nanmedian(log)))
+        z = scores(log, np.zeros(len(x)), _LOG_FLOOR, once)
+        bound, usual = limit(count, len(told), 0.5 * CHANCE), float(np.exp(np.nanmedian(log[once])))
         unit = "rad" if name == "sigma_angle" else "m"
         yield from _flagged(rows, _FIGURES[name], unit, x, usual, z, bound)
-    names = [p.name for row in rows for p in row.parameters if p.std == p.std]
+    counted = [row for row, one in zip(rows, once, strict=True) if one]
+    names = [p.name for row in counted for p in row.parameters if p.std == p.std]
     shared = [name for name, count in Counter(names).items() if count >= FEWEST]
     by_name = [{p.name: p for p in row.parameters} for row in rows]
     for name in shared:
@@ -139,24 +152,26 @@ def _figures(rows: list[FleetRow]) -> Iterator[Odd]:
         unit = next(p.unit for p in own if p is not None)
         x = np.array([math.nan if p is None or p.std != p.std else p.change for p in own])
         std = np.array([math.nan if p is None else p.std for p in own])
-        z = scores(x, std, _FLOORS.get(unit, 0.0))
-        bound = limit(len(rows), len(shared), 0.5 * CHANCE)
-        yield from _flagged(rows, name, unit, x, float(np.nanmedian(x)), z, bound)
+        z = scores(x, std, _FLOORS.get(unit, 0.0), once)
+        bound = limit(count, len(shared), 0.5 * CHANCE)
+        yield from _flagged(rows, name, unit, x, float(np.nanmedian(x[once])), z, bound)
 
 
-def scores(x: Array, std: Array, floor: float) -> Array:
+def scores(x: Array, std: Array, floor: float, once: Mask | None = None) -> Array:
     """How far each value is from the median, in scales; see the module's text.
 
     Args:
         x: shape (n,), NaN where there is none.
         std: shape (n,), standard deviation of each.
         floor: The least scale.
+        once: shape (n,), which count in median and MAD; None: all.
 
     Returns:
         shape (n,), NaN where there is no value.
     """
-    away = x - np.nanmedian(x)
-    scale = np.fmax(np.fmax(1.4826 * np.nanmedian(np.abs(away)), floor), std)
+    counted = np.ones(len(x), dtype=bool) if once is None else once
+    away = x - np.nanmedian(x[counted])
+    scale = np.fmax(np.fmax(1.4826 * np.nanmedian(np.abs(away[counted])), floor), std)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(away == 0.0, 0.0, away / scale)
 
@@ -177,13 +192,14 @@ def _flagged(
 def _models(rows: list[FleetRow]) -> Iterator[Odd]:
     """Robots with another model than nearly all others."""
     models = [" and ".join(filter(None, (row.model, row.larger))) for row in rows]
-    counts = Counter(models)
+    counts = Counter(model for model, one in zip(models, _counted(rows), strict=True) if one)
     usual, most = counts.most_common(1)[0]
-    if most < _USUAL * len(rows):
+    count = counts.total()
+    if most < _USUAL * count:
         return
     for row, model in zip(rows, models, strict=True):
-        if model != usual and counts[model] <= max(1.0, _UNUSUAL * len(rows)):
-            text = f"model {model}, {most} of {len(rows)} have {usual}"
+        if model != usual and counts[model] <= max(1.0, _UNUSUAL * count):
+            text = f"model {model}, {most} of {count} have {usual}"
             yield _word(row.name, "model", text)
 
 

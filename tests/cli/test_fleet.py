@@ -43,11 +43,11 @@ def test_a_fleet_is_calibrated_compared_and_kept(call, arms_shop: Path):
     assert done.lines[1].split() == [
         "robot",
         "verdict",
+        "model",
         "nominal",
         "calibrated",
         "unseen",
         "noise",
-        "model",
         "rows",
         "out",
     ]
@@ -98,9 +98,14 @@ def test_failed_and_odd_ones_are_told(call, arms_shop: Path):
     )
     done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK)
     assert done.code == 1
-    assert done.err.startswith("calib: 2 of 9 robots failed; 'SN-7': m.csv, line 9: The table ")
-    assert done.err.count("\n") == 1
-    assert "  SN-1: the same measurements as SN-6 (arm-1.csv)" in done.lines
+    assert done.err == "calib: 2 of 9 robots failed.\n"
+    assert done.out.count("line 9") == 1
+    place = done.lines.index("Data given twice, which count once in what is usual:")
+    assert done.lines[place + 1 : place + 3] == [
+        "  SN-1: the same measurements as SN-6 (arm-1.csv)",
+        "  SN-6: the same measurements as SN-1 (again.csv)",
+    ]
+    assert re.search(r"; \d odd, 2 with the data of another, 2 failed\.", done.out)
     assert any(
         line.startswith("  SN-8: m.csv, line 10: ") and "ur99" in line for line in done.lines
     )
@@ -108,6 +113,9 @@ def test_failed_and_odd_ones_are_told(call, arms_shop: Path):
     rows = list(csv.DictReader((arms_shop / "r" / "fleet.csv").read_text().splitlines()))
     assert rows[1]["odd"] == "the same measurements as SN-6 (arm-1.csv)"
     assert rows[7]["status"] == "failed"
+    quiet = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK, "--quiet")
+    assert quiet.err.startswith("calib: 2 of 9 robots failed; 'SN-7': m.csv, line 9: The table ")
+    assert (quiet.out, quiet.err.count("\n")) == ("", 1)
     odd = json.loads((arms_shop / "r" / "fleet.json").read_text())["odd"]
     said = set(re.findall(r"^\| `odd\[\]\.([a-z]+)`", DOC.read_text(), re.MULTILINE))
     assert {key for one in odd for key in one} == said
@@ -211,12 +219,16 @@ def test_a_manifest_that_is_none_is_refused(call, tmp_path: Path, header, rows, 
 @pytest.mark.parametrize(
     ("column", "cell", "said"),
     [
-        ("kind", "points", "m.csv, line 2: 'points' is no kind of measurement; choose one of 'point', 'pose'"),
+        ("kind", "points", "m.csv, line 2: column 'kind': 'points' is no kind of measurement; choose one of 'point'"),
         ("points_unit", "mm", "m.csv, line 2: points_unit is the unit of a list of points; name the list in the "),
         ("cell", "no.toml", "m.csv, line 2: "),
-        ("target", "7 mm", "m.csv, line 2: --target was given as "),
-        ("model", "dhh", "m.csv, line 2: --model: there is no model 'dhh'."),
-        ("hold", "x", "m.csv, line 2: --hold was given 'x'"),
+        ("target", "7 mm", "m.csv, line 2: column 'target' was given as "),
+        ("model", "dhh", "m.csv, line 2: column 'model': there is no model 'dhh'."),
+        ("frame", "world", "m.csv, line 2: column 'frame' was given as "),
+        ("payload", "5", "m.csv, line 2: column 'payload' was given as "),
+        ("base", "bse", "m.csv, line 2: robot.urdf has no link 'bse'"),
+        ("columns", "x", "m.csv, line 2: column 'columns' was given 'x'"),
+        ("hold", "x", "m.csv, line 2: column 'hold' was given 'x'"),
     ],
 )  # fmt: skip
 def test_a_cell_that_is_wrong_fails_its_robot(call, arms_shop: Path, column, cell, said):
@@ -226,10 +238,93 @@ def test_a_cell_that_is_wrong_fails_its_robot(call, arms_shop: Path, column, cel
         "b,robot.urdf,arm-1.csv,",
         header=f"name,robot,data,{column}",
     )
-    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK)
+    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK, "--quiet")
     assert done.code == 1
     assert f"calib: 1 of 2 robots failed; 'a': {said}" in done.err
     assert (arms_shop / "r" / "b" / "result.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--model", "foo"), "--model: there is no model 'foo'."),
+        (("--frame", "world"), "--frame was given as "),
+        (("--target", "7 mm"), "--target was given as "),
+        (("--hold", "x"), "--hold was given 'x'"),
+        (("--columns", "x"), "--columns was given 'x'"),
+        (("--payload", "5"), "--payload was given as "),
+        (("--cell", "no.toml"), "no.toml"),
+        (("--base", "bse"), "--base 'bse': no robot of the manifest that it is for has such a link (did you mean"),
+        (("--tip", "tool9"), "--tip 'tool9': no robot of the manifest that it is for has such a link"),
+    ],
+)  # fmt: skip
+def test_an_option_that_is_wrong_refuses_the_run(call, arms_shop: Path, words, said):
+    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK, *words)
+    assert (done.code, done.out) == (1, "")
+    assert said in done.err
+    assert "line " not in done.err
+    assert done.err.count("\n") == 1
+    assert not (arms_shop / "r").exists()
+
+
+def test_a_base_that_some_robots_have_is_no_wrong_one(call, arms_shop: Path):
+    other = (arms_shop / "robot.urdf").read_text().replace('"base"', '"bottom"')
+    (arms_shop / "other.urdf").write_text(other)
+    manifest(
+        arms_shop,
+        "a,gone.urdf,arm-0.csv,",
+        "b,other.urdf,arm-0.csv,",
+        "c,robot.urdf,arm-0.csv,",
+        "d,other.urdf,arm-1.csv,bottom",
+        header="name,robot,data,base",
+    )
+    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK)
+    assert done.code == 1
+    assert "2 of 4 robots calibrated" in done.out
+    assert "  b: m.csv, line 3: other.urdf has no link 'base'" in done.out
+
+
+def test_a_robot_that_fails_later_keeps_its_result(call, arms_shop: Path):
+    words = ("fleet", "m.csv", "--out", "r", *QUICK)
+    assert call(arms_shop, *words).code == 0
+    before = (arms_shop / "r" / "SN-2" / "result.json").read_bytes()
+    (arms_shop / "arm-2.csv").unlink()
+    done = call(arms_shop, *words)
+    assert done.code == 1
+    assert "Its folder holds the result of earlier inputs." in re.sub(r"\s+", " ", done.out)
+    assert done.lines[-3].endswith(
+        "1 failed (1 of them with a result of earlier inputs in the folder)."
+    )
+    assert (arms_shop / "r" / "SN-2" / "result.json").read_bytes() == before
+    rows = list(csv.DictReader((arms_shop / "r" / "fleet.csv").read_text().splitlines()))
+    assert rows[2]["status"] == "failed; the folder holds the result of earlier inputs"
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n\n", "1,2,3\n"])
+def test_a_manifest_without_a_header_is_told_what_one_is(call, tmp_path: Path, text):
+    (tmp_path / "m.csv").write_text(text)
+    done = call(tmp_path, "fleet", "m.csv", "--out", "r", *QUICK)
+    assert done.code == 1
+    assert done.err.endswith(
+        " A manifest begins with the header 'name,robot,data', a line for each robot below it.\n"
+    )
+    assert "A table begins" not in done.err
+
+
+def test_what_robots_are_compared_by_is_shown(call, arms_shop: Path):
+    for k in range(2):
+        path = arms_shop / f"arm-{k}.csv"
+        path.write_bytes(path.read_bytes().replace(b"estimate", b"validate", 2))
+    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *ARM, "--no-reports")
+    assert done.lines[1].split()[5:8] == ["unseen", "cross-val.", "noise"]
+    robots = json.loads((arms_shop / "r" / "fleet.json").read_text())["robots"]
+    rows = list(csv.DictReader((arms_shop / "r" / "fleet.csv").read_text().splitlines()))
+    for line, row, one in zip(done.lines[2:8], rows, robots, strict=True):
+        assert f" {1e3 * one['left_out_rms_m']:.3f} " in line
+        assert float(row["cross-validated rms [mm]"]) == pytest.approx(
+            1e3 * one["left_out_rms_m"], rel=1e-5
+        )
+    assert [row["unseen by"] for row in rows[:3]] == ["validation"] * 2 + ["cross-validation"]
 
 
 def test_the_manifest_is_not_written_over(call, arms_shop: Path):

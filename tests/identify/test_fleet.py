@@ -406,7 +406,7 @@ def test_urdfs_that_robots_share_are_read_once_and_the_last_are_kept(shop, tmp_p
 def test_a_table_says_nothing_where_there_is_nothing():
     row = FleetRow("a", "failed", "line one\nline two")
     line = csv_bytes([row], []).decode().splitlines()[1]
-    assert line == "a,failed" + "," * 13 + "line one line two"
+    assert line == "a,failed" + "," * 14 + "line one line two"
 
 
 def test_ctrl_c_leaves_whole_folders_only(shop, tmp_path):

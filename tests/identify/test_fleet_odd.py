@@ -63,8 +63,9 @@ def test_the_odd_ones_are_found_with_their_reasons():
     texts = [one.text for one in odd]
     assert texts[2].startswith("p0 20 mm, usually ")
     assert texts[4] == "the same measurements as r12 (11.csv)"
-    assert texts[6] == "model placement and placement+gain, 38 of 39 have dh"
-    assert abs(odd[0].z) > odd[0].limit == limit(39, 3, 0.025)
+    # r11 and r12 count once.
+    assert texts[6] == "model placement and placement+gain, 37 of 38 have dh"
+    assert abs(odd[0].z) > odd[0].limit == limit(38, 3, 0.025)
     assert odd[3].z < 0.0
 
 
@@ -83,12 +84,32 @@ def test_too_few_say_nothing_but_the_same_data():
     odd, notes = odd_ones(rows)
     assert [one.figure for one in odd] == ["data", "data"]
     assert notes == (
-        "What is usual cannot be told of 4 robots; it takes 5. Only data given twice are looked for.",
+        "What is usual cannot be told of 4 robots with the data of 3; it takes 5. "
+        "Only data given twice are looked for.",
     )
     assert odd_ones(fleet_of(1))[1][0].startswith(
         "What is usual cannot be told of 1 robot; it takes 5."
     )
     assert odd_ones([]) == ((), ())
+
+
+def test_data_given_many_times_count_once():
+    rows = fleet_of(12)
+    rows[0] = replace(rows[0], nominal_rms=50.0 * rows[0].nominal_rms)
+    alone = odd_ones(rows)[0]
+    assert [(one.name, one.figure) for one in alone] == [("r0", "nominal error")]
+    copies = [replace(rows[0], name=f"c{k}", data=f"c{k}.csv") for k in range(20)]
+    odd, _ = odd_ones([*rows, *copies])
+    figures = [one for one in odd if one.figure != "data"]
+    assert [one.name for one in figures] == ["r0", *(copy.name for copy in copies)]
+    assert {(one.z, one.usual, one.limit) for one in figures} == {
+        (alone[0].z, alone[0].usual, alone[0].limit)
+    }
+    few = fleet_of(FEWEST - 1)
+    notes = odd_ones([*few, replace(few[0], name="copy")])[1]
+    assert notes[0].startswith(
+        "What is usual cannot be told of 5 robots with the data of 4; it takes 5."
+    )
 
 
 def test_robots_are_compared_with_their_own_kind():
