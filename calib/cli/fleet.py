@@ -137,13 +137,19 @@ def fleet(
             command=_command(),
         )
         preloaded = ("calib.identify.fleet", *(("calib.show.report",) if reports else ()))
-        with (
-            executor_of(workers, dask, len(robots), preloaded=preloaded) as executor,
-            progress_bar("robots", quiet=quiet) as progress,
-        ):
-            found = calibrate_fleet(
-                robots, out, options, executor=executor, progress=progress, force=force
+        try:
+            with (
+                executor_of(workers, dask, len(robots), preloaded=preloaded) as executor,
+                progress_bar("robots", quiet=quiet) as progress,
+            ):
+                found = calibrate_fleet(
+                    robots, out, options, executor=executor, progress=progress, force=force
+                )
+        except KeyboardInterrupt as error:
+            message = (
+                f"Finished robots are kept in {out}: the same command goes on with the others."
             )
+            raise KeyboardInterrupt(message) from error
         if not quiet:
             print_fleet(found)
             for name in ("fleet.csv", "fleet.json"):

@@ -149,7 +149,10 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show the trace of an error
 
 @contextmanager
 def reporting(*, debug: bool) -> Iterator[None]:
-    """Errors as one line on stderr and exit code 1; with ``debug`` the trace before it."""
+    """Errors as one line on stderr and exit code 1; with ``debug`` the trace before it.
+
+    The text of a `KeyboardInterrupt` says what stays of the work.
+    """
     try:
         yield
     except CalibError as error:
@@ -158,7 +161,8 @@ def reporting(*, debug: bool) -> Iterator[None]:
         typer.echo(f"calib: {error}", err=True)
         raise typer.Exit(1) from error
     except KeyboardInterrupt as error:
-        typer.echo("calib: interrupted; no file was left half written.", err=True)
+        more = f" {error}" if str(error) else ""
+        typer.echo(f"calib: interrupted; no file was left half written.{more}", err=True)
         raise typer.Exit(130) from error
     except BrokenPipeError as error:
         # The reader of our output (head, less) has gone: nothing to say to it.

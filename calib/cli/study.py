@@ -108,8 +108,17 @@ def run(
     from calib.cli.progress import progress_bar
     from calib.identify.study import study
 
-    with progress_bar("trials", quiet=quiet) as progress:
-        return study(trials, count, seed, executor, progress, kept, overwrite=force)
+    try:
+        with progress_bar("trials", quiet=quiet) as progress:
+            found = study(trials, count, seed, executor, progress, kept, overwrite=force)
+    except KeyboardInterrupt as error:
+        if kept is None:
+            raise
+        message = f"Finished trials are kept in {kept}: the same command goes on with them."
+        raise KeyboardInterrupt(message) from error
+    if found.kept and kept is not None and not quiet:
+        typer.echo(f"calib: {found.kept} of {count} trials were taken from {kept}.", err=True)
+    return found
 
 
 def study_text(found: Study, trials: Trials) -> str:

@@ -11,6 +11,7 @@ import contextlib
 import multiprocessing
 import os
 import pickle
+import shutil
 import signal
 import sys
 import threading
@@ -21,6 +22,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
+from multiprocessing.util import get_temp_dir
 from queue import SimpleQueue
 from types import TracebackType
 from typing import Any, TypeVar
@@ -39,6 +41,14 @@ _STARTS = 3
 #: What the server that workers are forked from imports, so that it is imported once.
 PRELOADED = ("calib.identify.study",)
 
+#: In the place of a call: there are no more.
+_GOODBYE = b""
+
+#: How long a worker that has lost its line waits for the end of its parent [s].
+_MOURNED = 5.0
+
+#: Whether workers come from a server that forks them.
+_SERVER = sys.platform == "linux"
 
 _UNGUARDED = (
     "In a script, what calls calib must stand behind 'if __name__ == \"__main__\":', for each worker imports the "
@@ -58,14 +68,14 @@ class ProcessExecutor(Executor):
     """An executor of worker processes; see the module's text. A context manager ends them, at once if interrupted.
 
     Attributes:
-        workers: Their number.
+        workers: Their number at most; there are never more than there were jobs.
     """
 
     def __init__(self, workers: int, preloaded: Sequence[str] = PRELOADED) -> None:
-        """Start the workers; they import what they need while the caller does other things.
+        """Begin; what workers need is imported while the caller does other things, and they start with the jobs.
 
         Args:
-            workers: Their number, 1 or more.
+            workers: Their number at most, 1 or more.
             preloaded: Modules that they will need; a hint.
 
         Raises:
@@ -83,9 +93,8 @@ class ProcessExecutor(Executor):
         self._closed = self._killed = False
         self._lock = threading.Lock()
         self._processes: set[BaseProcess] = set()
-        self._threads = [threading.Thread(target=self._feed, daemon=True) for _ in range(workers)]
-        for thread in self._threads:
-            thread.start()
+        self._threads: list[threading.Thread] = []
+        self._open = 0
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:  # noqa: ANN401
         """A call under way.
@@ -97,6 +106,11 @@ class ProcessExecutor(Executor):
             message = "this executor was shut down"
             raise RuntimeError(message)
         future: Future[T] = Future()
+        with self._lock:
+            self._open += 1
+            if len(self._threads) < min(self.workers, self._open):
+                self._threads.append(threading.Thread(target=self._feed, daemon=True))
+                self._threads[-1].start()
         self._jobs.put(_Job(pickle.dumps((fn, args, kwargs), pickle.HIGHEST_PROTOCOL), future))
         return future
 
@@ -140,6 +154,8 @@ class ProcessExecutor(Executor):
                 job = self._jobs.get_nowait()
                 if job is not None:
                     job.future.cancel()
+                    with self._lock:
+                        self._open -= 1
 
     def _feed(self) -> None:
         """Give jobs to one worker, one after the other; in a thread of its own."""
@@ -149,8 +165,11 @@ class ProcessExecutor(Executor):
         while (job := self._jobs.get()) is not None:
             if job.future.set_running_or_notify_cancel():
                 worker = self._done(job, worker)
+            with self._lock:
+                self._open -= 1
         if worker is not None:
-            worker.connection.close()
+            with contextlib.suppress(OSError):
+                worker.connection.send_bytes(_GOODBYE)
             self._buried(worker)
 
     def _done(self, job: _Job, worker: _Worker | None) -> _Worker | None:
@@ -215,7 +234,7 @@ def process_executor(workers: int, preloaded: Sequence[str] = PRELOADED) -> Proc
     """Worker processes, for `calib.study`, `calib.bootstrap` and `calib.fleet`.
 
     Args:
-        workers: Their number.
+        workers: Their number at most; each starts when there is a job for it.
         preloaded: Modules that they will need; a hint.
 
     Raises:
@@ -235,7 +254,10 @@ class _Worker:
     def __init__(self, context: BaseContext) -> None:
         """Start it; it sends a word when it is ready."""
         self.connection, theirs = context.Pipe()
-        self.process: BaseProcess = context.Process(target=_work, args=(theirs,), daemon=True)  # type: ignore[attr-defined]
+        litter = get_temp_dir() if _SERVER else None
+        self.process: BaseProcess = context.Process(  # type: ignore[attr-defined]
+            target=_work, args=(theirs, litter), daemon=True
+        )
         self.process.start()
         # With our copy open, its end could not be told.
         theirs.close()
@@ -255,9 +277,14 @@ def _context(preloaded: Sequence[str]) -> BaseContext:
 
     Where there is a fork they come from a server that has imported all and has no threads, in a few ms each.
     """
-    if sys.platform == "linux":
+    if _SERVER:
+        from multiprocessing.forkserver import ensure_running
+
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["__main__", *preloaded])
+        # Its socket lies in a folder of this process's own: made here once, for threads would make one each.
+        get_temp_dir()
+        ensure_running()
         return context
     return multiprocessing.get_context("spawn")
 
@@ -277,15 +304,24 @@ def _settle(future: Future[Any], answer: bytes) -> None:
     future.set_exception(value)
 
 
-def _work(connection: Connection) -> None:
-    """Do calls as they come, until nobody sends any; the main function of a worker."""
+def _work(connection: Connection, litter: str | None) -> None:
+    """Do calls as they come, until nobody sends any; the main function of a worker.
+
+    Args:
+        connection: Where they come from.
+        litter: A folder that a killed parent leaves behind.
+    """
     # Ctrl-C reaches all processes of a terminal; the one that started this one ends it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
+    watching = end_with_parent(litter)
     with contextlib.suppress(EOFError, OSError):
         connection.send_bytes(b"ready")
-        while True:
-            connection.send_bytes(_answer(connection.recv_bytes()))
+        while (call := connection.recv_bytes()) != _GOODBYE:
+            connection.send_bytes(_answer(call))
+        return
+    # Nobody said goodbye: the thread that waits for the parent's end cleans up, and ends this process.
+    if watching is not None:
+        watching.join(_MOURNED)
 
 
 def _answer(call: bytes) -> bytes:
@@ -302,14 +338,26 @@ def _answer(call: bytes) -> bytes:
         return blob
 
 
-def end_with_parent() -> None:
-    """End this process when the one that started it is gone: killed, that one can no longer end its workers."""
+def end_with_parent(litter: str | None = None) -> threading.Thread | None:
+    """End this process when the one that started it is gone: killed, that one can no longer end its workers.
+
+    Args:
+        litter: A temporary folder of that one, which it can then no longer remove either.
+
+    Returns:
+        The thread that waits for that; None of a process that no other of Python's started.
+    """
     parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+    if parent is None:
+        return None
+    thread = threading.Thread(target=_watch, args=(parent, litter), daemon=True)
+    thread.start()
+    return thread
 
 
-def _watch(parent: BaseProcess) -> None:
+def _watch(parent: BaseProcess, litter: str | None) -> None:
     """Wait for the end of a process, then end this one at once, whatever it is doing."""
     parent.join()
+    if litter is not None:
+        shutil.rmtree(litter, ignore_errors=True)
     os._exit(1)

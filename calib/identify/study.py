@@ -54,11 +54,13 @@ class Study:
         failures: Seed and reason of those that ended with an error.
         forecast: What was to be expected: of the first trial's poses, or where poses are random of those in the middle
             of several trials'; None where the robots' errors or what is fitted have no forecast.
+        kept: How many of all were taken from an earlier run.
     """
 
     trials: tuple[Trial, ...]
     failures: tuple[tuple[int, str], ...]
     forecast: Forecast | None
+    kept: int = 0
 
     def values(self, name: str) -> Array:
         """One figure of all trials, shape (trials,)."""
@@ -130,6 +132,7 @@ def study(
     with journal(kept, told, overwrite=overwrite) as (records, append):
         done.update(_read(record) for record in records)
         done = {one: done[one] for one in seeds if one in done}
+        taken = len(done)
         if progress is not None and done:
             progress(len(done), count)
         for one, result in _results(trials, [s for s in seeds if s not in done], executor):
@@ -148,7 +151,7 @@ def study(
         raise CalibError(message)
     with one_thread():
         expected = _forecast(trials, seed, count)
-    return Study(found, failures, expected)
+    return Study(found, failures, expected, taken)
 
 
 def study_fingerprint(trials: Trials, seed: int) -> str:

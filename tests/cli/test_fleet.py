@@ -399,6 +399,9 @@ def test_ctrl_c_ends_it_and_all_its_processes(program, arms_shop: Path):
     out, err = run.communicate(timeout=60)
     assert time.monotonic() - began < 15.0
     assert (run.returncode, out) == (130, b"")
-    assert err == b"calib: interrupted; no file was left half written.\n"
+    assert err.decode() == (
+        "calib: interrupted; no file was left half written. Finished robots are kept in r: the same command goes on "
+        "with the others.\n"
+    )
     until(lambda: not any(map(is_alive, workers)))
     assert not [*(arms_shop / "r").glob(".calib-new*")]

@@ -201,9 +201,41 @@ def test_a_study_that_is_killed_goes_on(shop: Path, simulate):
     assert (other.code, other.err.count("\n")) == (1, 1)
     assert "study.json.unfinished holds 4 finished parts of another command" in other.err
     done = simulate(*words, "--workers", "2", "--json", "study.json")
-    assert (done.code, done.err) == (0, "")
+    assert (done.code, done.err) == (
+        0,
+        "calib: 4 of 8 trials were taken from study.json.unfinished.\n",
+    )
     assert not kept.exists()
     assert (shop / "study.json").read_bytes() == (shop / "whole.json").read_bytes()
     assert simulate(*words, "--dask", "tcp://127.0.0.1").err.startswith(
         "calib: 'tcp://127.0.0.1' is no ad"
     )
+
+
+@pytest.mark.parametrize("json", [("--json", "study.json"), ()])
+def test_ctrl_c_says_what_is_kept(shop: Path, json):
+    """Interrupted in the third trial."""
+    stop = (
+        "import os, signal, sys, calib.identify.study as s; one = s.one_trial\n"
+        "s.one_trial = lambda t, seed: one(t, seed) if seed < 4 else os.kill(os.getpid(), signal.SIGINT)\n"
+        "from calib.cli import main; sys.exit(main())"
+    )
+    words = (
+        "--study",
+        "8",
+        "--count",
+        "12",
+        "--fit-model",
+        "zeros",
+        "--seed",
+        "2",
+        "--workers",
+        "1",
+    )
+    call = ["simulate", "robot.urdf", *ARM, *words, *json]
+    run = subprocess.run(
+        [sys.executable, "-c", stop, *call], cwd=shop, capture_output=True, encoding="utf-8", timeout=60
+    )  # fmt: skip
+    said = "calib: interrupted; no file was left half written."
+    more = " Finished trials are kept in study.json.unfinished: the same command goes on with them."
+    assert (run.returncode, run.stderr) == (130, said + more * bool(json) + "\n")

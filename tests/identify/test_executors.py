@@ -194,10 +194,46 @@ def test_interrupted_it_ends_its_workers_at_once():
 
 def interrupted(workers):
     with process_executor(2) as executor:
-        until(lambda: len(executor._processes) == 2)
-        workers += [process.pid for process in executor._processes]
         for _ in run(nap, 0, [0.0, *[60.0] * 5], executor):
+            until(lambda: len(executor._processes) == 2)
+            workers += [process.pid for process in executor._processes]
             raise KeyboardInterrupt
+
+
+def test_there_are_no_more_workers_than_jobs():
+    with process_executor(8) as executor:
+        assert len(executor._threads) == 0
+        assert sorted(executor.map(abs, [-1, -2])) == [1, 2]
+        assert 1 <= len(executor._processes) <= 2
+        for k in range(20):
+            assert executor.submit(abs, k).result() == k
+        assert len(executor._threads) <= 8
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers come from a server there")
+def test_a_run_that_is_killed_leaves_no_temporary_folder(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import time\n"
+        "from calib.identify.processes import process_executor\n"
+        "if __name__ == '__main__':\n"
+        "    with process_executor(2) as executor:\n"
+        "        executor.submit(abs, -1).result()\n"
+        "        print('ready', flush=True)\n"
+        "        time.sleep(60.0)\n"
+    )
+    place = tmp_path / "t"
+    place.mkdir()
+    run = subprocess.Popen(
+        [sys.executable, script], env={**os.environ, "TMPDIR": str(place)}, stdout=subprocess.PIPE
+    )
+    try:
+        assert run.stdout.readline() == b"ready\n"
+        assert len([*place.glob("pymp-*")]) == 1
+    finally:
+        run.kill()
+        run.communicate()
+    until(lambda: not [*place.iterdir()])
 
 
 def test_an_executor_that_has_ended_is_told():
