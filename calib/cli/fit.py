@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib.cli.executors import Dask, Workers, executor_of
+from calib.cli.executors import Dask, SampleWorkers, executor_of
 from calib.cli.options import (
     Base,
     CellFile,
@@ -132,7 +132,7 @@ def fit(
             "number.",
         ),
     ] = None,
-    workers: Workers = None,
+    workers: SampleWorkers = None,
     dask: Dask = None,
     seed: Annotated[
         int | None,
@@ -155,7 +155,7 @@ def fit(
 ) -> None:
     """See `_HELP`."""
     with reporting(debug=debug), executor_of(workers, dask, bootstrap, default=1) as executor:
-        from calib.cli.progress import progress_bar
+        from calib.cli.progress import progress_bar, say_compiling
         from calib.cli.report_files import (
             STDOUT,
             check_figures,
@@ -193,6 +193,7 @@ def fit(
 
         from calib.identify.calibration import calibrate
 
+        say_compiling(len(table), quiet=quiet)
         with progress_bar("cross-validation", quiet=quiet) as progress:
             result = calibrate(
                 arm,
@@ -252,7 +253,7 @@ def _intervals(
     if count is None and not names:
         return [], {}
     from calib.cli import intervals
-    from calib.cli.progress import progress_bar
+    from calib.cli.progress import progress_bar, say_compiling
     from calib.identify.uncertainty import bootstrap, profile_interval
 
     texts: list[str] = []

@@ -272,6 +272,15 @@ def robot_poses(robot: Robot, values: Array) -> Array:
     return out
 
 
+def must_compile(count: int) -> bool:
+    """Whether so many samples are the first that need the kernel, which is then compiled: some ten seconds."""
+    if count < MANY:
+        return False
+    from calib.model import kernel, kernel_types
+
+    return not kernel_types.is_kept(kernel.normal)
+
+
 def warm_up() -> None:
     """Compile the kernel and keep it on disk, so that the first large table need not wait for it."""
     from calib.model import kernel, kernel_types

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -112,12 +113,49 @@ class Scratch(NamedTuple):
 def compiled(*, exact: bool = False, inline: bool = False) -> Callable[[_F], _F]:
     """Compile with numba, kept on disk; sums may be put in another order unless they must be exact."""
     allowed = {"contract"} if exact else {"contract", "reassoc", "nsz", "arcp"}
-    decorator = njit(
-        fastmath=allowed, nogil=True, cache=True, error_model="numpy", forceinline=inline
-    )
+    decorator = njit(fastmath=allowed, nogil=True, error_model="numpy", forceinline=inline)
 
     def compile_as(function: _F) -> _F:
         function.__qualname__ = f"{function.__qualname__}_{_CONTENTS}"
-        return cast("_F", decorator(function))
+        dispatcher: Any = decorator(function)
+        if hasattr(dispatcher, "enable_caching"):  # not where numba is told to interpret
+            with suppress(
+                RuntimeError
+            ):  # neither the package nor a cache folder can be written: each process compiles
+                dispatcher.enable_caching()
+                dispatcher._cache = _Kept(dispatcher._cache)  # numba has no other way in
+        return cast("_F", dispatcher)
 
     return compile_as
+
+
+class _Kept:
+    """numba's files on disk, without which everything works: damaged, or with no room for them, they end nothing."""
+
+    def __init__(self, cache: Any) -> None:  # noqa: ANN401  numba's
+        """Of one function."""
+        self._cache = cache
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  whatever numba asks for besides
+        """As numba has it."""
+        return getattr(self._cache, name)
+
+    def load_overload(self, signature: Any, context: Any) -> Any:  # noqa: ANN401
+        """What was compiled before; None where there is none that can be read."""
+        try:
+            return self._cache.load_overload(signature, context)
+        except Exception:  # noqa: BLE001  unpickling damaged files raises anything
+            with suppress(OSError):
+                self._cache.flush()
+            return None
+
+    def save_overload(self, signature: Any, data: Any) -> None:  # noqa: ANN401
+        """Keep it, where that is possible."""
+        with suppress(OSError):
+            self._cache.save_overload(signature, data)
+
+
+def is_kept(function: Any) -> bool:  # noqa: ANN401
+    """Whether a compiled function lies on disk, so that its first call need not wait for the compiler."""
+    folder = getattr(getattr(function, "_cache", None), "cache_path", None)
+    return folder is not None and any(Path(folder).glob(f"*{function.__qualname__}*.nbi"))
