@@ -7,9 +7,11 @@ does not match its sum, and is cut off when the journal is opened again. The fir
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import stat
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -91,13 +93,43 @@ def _opened(path: Path) -> FileIO:
     """The file, made if there is none.
 
     Raises:
-        FileError: It cannot be opened.
+        FileError: It is a symbolic link, or no file, or it cannot be opened.
     """
+
+    def opener(name: str, flags: int) -> int:
+        # Its name is calib's own: a link there would have another file written over. Opening a pipe must not wait.
+        flags |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+        return os.open(name, flags, 0o666)
+
     try:
-        return path.open("a+b", buffering=0)  # nothing is left to be written when it is closed
+        found = path.lstat().st_mode
+    except (OSError, ValueError):
+        found = stat.S_IFREG  # none yet; what else is wrong is said when it is opened
+    try:
+        if not stat.S_ISREG(found):  # before it is opened: opening some devices does something
+            raise FileError(_no_file(path, found))
+        # Nothing is left to be written when it is closed.
+        file: FileIO = open(path, "a+b", buffering=0, opener=opener)  # noqa: SIM115
     except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise FileError(_no_file(path, stat.S_IFLNK)) from error
         message = f"'{path}' cannot be written: {error.strerror}; choose another folder"
         raise FileError(message) from error
+    found = os.fstat(file.fileno()).st_mode
+    if not stat.S_ISREG(found):
+        file.close()
+        raise FileError(_no_file(path, found))
+    return file
+
+
+def _no_file(path: Path, mode: int) -> str:
+    """The message for something else in the journal's place."""
+    kinds = {stat.S_IFLNK: "a symbolic link", stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe"}
+    kind = kinds.get(stat.S_IFMT(mode), "a device")
+    return (
+        f"'{path}' is {kind}, and calib keeps the finished parts of a long run in a "
+        "file of that name; delete it or move it away, or choose another name for the result."
+    )
 
 
 def _kept(path: Path, file: FileIO, run: str, *, overwrite: bool) -> list[Record]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 
 import pytest
@@ -90,3 +91,24 @@ def test_where_it_cannot_be_written_it_says_so(tmp_path):
             written(tmp_path / "j", [])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without named pipes")
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_what_is_no_file_is_refused_and_left_as_it_is(tmp_path, overwrite):
+    path, other = tmp_path / "j", tmp_path / "other"
+    other.write_text("a table of mine\n")
+    path.symlink_to(other)
+    with pytest.raises(FileError, match=r"is a symbolic link, and calib keeps the finished parts"):
+        written(path, [], overwrite=overwrite)
+    assert other.read_text() == "a table of mine\n"
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(FileError, match=r"is a pipe, .*delete it or move it away, or choose"):
+        written(path, [], overwrite=overwrite)
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(FileError, match="is a folder, and calib keeps"):
+        written(path, [], overwrite=overwrite)
+    with pytest.raises(FileError, match="is a device, and calib keeps"):
+        written(os.devnull, [], overwrite=overwrite)
