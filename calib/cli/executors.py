@@ -19,8 +19,16 @@ Workers = Annotated[
     typer.Option(
         min=1,
         metavar="N",
-        help="Processes that share the work of a study, a bootstrap or a fleet. Default: as many as cores; one for a "
-        "bootstrap.",
+        help="Processes that share the work, one for each core if nothing is said.",
+    ),
+]
+SampleWorkers = Annotated[
+    int | None,
+    typer.Option(
+        "--workers",
+        min=1,
+        metavar="N",
+        help="Processes that share the samples of --bootstrap, one if nothing is said.",
     ),
 ]
 Dask = Annotated[
