@@ -70,8 +70,13 @@ class Budget:
             self.spend(len(value) // 10)
 
     def weigh(self, value: object) -> None:
-        """Take away as many steps as a value has elements, those of its elements among them."""
+        """Take away as many steps as a value has elements, and as many hundred characters, those of its elements too.
+
+        Raises:
+            Refused: No steps are left, or its text is longer than texts are.
+        """
         waiting = [value]
+        characters = 0
         while waiting:
             one = waiting.pop()
             if isinstance(one, dict):
@@ -80,8 +85,12 @@ class Budget:
             elif isinstance(one, (list, tuple, set, frozenset)):
                 self.spend(1 + len(one))
                 waiting += list.__iter__(one) if isinstance(one, list) else one
-            elif isinstance(one, str):
-                self.spend(len(one) // 1000)
+            elif isinstance(one, (str, int)):
+                # Three bits make a digit, about.
+                size = len(one) if isinstance(one, str) else one.bit_length() // 3
+                self.spend(size // 100)
+                characters += size
+                _check(characters, CHARACTERS, "characters")
 
 
 def result(value: Any) -> Any:

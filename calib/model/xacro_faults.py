@@ -145,6 +145,8 @@ def _under(error: BaseException) -> Iterator[BaseException]:
 def _line(file: Path, needles: tuple[str, ...]) -> int:
     """The only line of a file that has one of these texts; 0 where it is not known."""
     with contextlib.suppress(OSError, ValueError):
+        if not file.is_file():  # a pipe would be waited for
+            return 0
         with file.open("rb") as opened:
             lines = opened.read(_BYTES).decode("utf-8", "replace").splitlines()
         for needle in needles:

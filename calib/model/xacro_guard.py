@@ -55,7 +55,9 @@ def guard(xacro: Any, given: Callable[[], GivenFolders]) -> None:
     evaluator = _evaluator(xacro, budget, files)
 
     def safe_eval(expression: str, names: Any, _locals: Any = None) -> Any:
-        return evaluator(expression, names)
+        value = evaluator(expression, names)
+        budget.weigh(value)  # before it is made part of a text
+        return value
 
     xacro.safe_eval = safe_eval
     xacro.load_yaml = files.load_yaml
@@ -99,9 +101,7 @@ def _count(xacro: Any, budget: Budget) -> None:
             raise Refused(message)
         # The reader of texts copies what is left of one at each $.
         budget.spend(_TEXT + len(text) * (1 + text.count("$")) // 1000)
-        value = eval_text(text, symbols)
-        budget.weigh(value)
-        return value
+        return eval_text(text, symbols)
 
     def all_counted(node: Any, macros: Any, symbols: Any) -> None:
         budget.spend(_ELEMENT)

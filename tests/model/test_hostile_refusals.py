@@ -7,6 +7,7 @@ import pty
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -230,3 +231,30 @@ def test_trees_that_are_no_robots():
         "deep.urdf has 201 joints behind one another; 200 are the most that a robot may have here. Leave out what does "
         "not carry the arm."
     )
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without named pipes")
+def test_a_pipe_that_a_xacro_includes(folder: Path):
+    os.mkfifo(folder / "more.xacro")
+    included = '<xacro:include filename="more.xacro"/></robot>'
+    path = folder / "r.urdf.xacro"
+    path.write_text(ROBOT.format(0).replace("</robot>", included))
+    with pytest.raises(UrdfError, match=r"more\.xacro, included by .*more\.xacro' is no file"):
+        Robot.load(path)
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        "[[0]*10000]*10000",
+        "[['a'*10000]*1000]*100",
+        "[2**2000]*100000",
+        "str([2**2000]*100000)",
+        "'%s' % [['a'*10000]*1000]",
+    ],
+)
+def test_a_value_whose_text_would_be_too_long(folder: Path, expression: str):
+    began = time.process_time()
+    said = refused(folder, ROBOT.format("1${" + expression + "}"))
+    assert re.search("it makes a value of [0-9,]+ characters|takes more steps than", said)
+    assert time.process_time() - began < 3.0
