@@ -248,8 +248,16 @@ def read_manifest(path: Path, said: Said) -> tuple[FleetRobot, ...]:
         message = f"{path.name}: there are no robots in it, only a header."
         raise CalibError(message)
     check_names((entry.cells["name"], entry.where) for entry in entries)
-    for column, link in (("base", setup.base), ("tip", setup.tip)):
-        _check_link(column, link, [entry for entry in entries if not entry.says(column)])
+    for column, what, names in (
+        ("base", "link", [setup.base]),
+        ("tip", "link", [setup.tip]),
+        ("hold", "joint", setup.held),
+    ):
+        # What the line does not say stands in its cell file.
+        where = f"--{column}" if getattr(said, column) else f"{said.cell}: {column}"
+        for name in names:
+            silent = [entry for entry in entries if not entry.says(column)]
+            _check_known(where, what, name, silent)
     return tuple(FleetRobot(entry.cells["name"], entry.load) for entry in entries)
 
 
@@ -271,8 +279,8 @@ def _table(path: Path) -> Table:
         raise MeasurementError(message) from error
 
 
-def _check_link(column: str, link: str | None, entries: Iterable[_Entry]) -> None:
-    """Refuse a base or tip that none of the robots has that are to have it.
+def _check_known(where: str, what: str, name: str | None, entries: Iterable[_Entry]) -> None:
+    """Refuse a link or joint that none of the robots has that are to have it.
 
     Raises:
         CalibError: None has it. Where one does, the others fail alone: a fleet may have robots of several kinds.
@@ -280,7 +288,7 @@ def _check_link(column: str, link: str | None, entries: Iterable[_Entry]) -> Non
     from calib.identify.fleet_robot import urdf_reader
     from calib.model.urdf_joints import did_you_mean
 
-    if link is None:
+    if name is None:
         return
     urdf_of, seen, first = urdf_reader(), set(), None
     for entry in entries:
@@ -288,13 +296,15 @@ def _check_link(column: str, link: str | None, entries: Iterable[_Entry]) -> Non
         urdf = None if source in seen else entry.robot(urdf_of)
         seen.add(source)
         if urdf is not None:
-            if link in urdf.links:
+            names = urdf.links if what == "link" else [joint.name for joint in urdf.joints]
+            if name in names:
                 return
-            first = first or urdf
+            first = first or (urdf.source, names)
     if first is not None:
+        source, names = first
         message = (
-            f"--{column} '{link}': no robot of the manifest that it is for has such a link"
-            f"{did_you_mean(link, first.links)}. The links of {first.source}: {choices(first.links)}."
+            f"{where} '{name}': no robot of the manifest that it is for has such a {what}"
+            f"{did_you_mean(name, names)}. The {what}s of {source}: {choices(names)}."
         )
         raise CalibError(message)
 

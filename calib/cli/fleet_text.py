@@ -30,6 +30,9 @@ _REASONS = 4
 #: What `Odd.figure` says of data that are another robot's too.
 DATA = "data"
 
+#: Robots of one reason that are named.
+_NAMES = 5
+
 _HEADS = ("robot", "verdict", "model", "nominal", "calibrated", "unseen", "noise", "rows", "out")
 
 #: The first columns hold words.
@@ -86,7 +89,7 @@ def paragraphs(found: Fleet) -> Iterator[str]:
         yield ""
     if found.failed:
         yield "Failed:"
-        yield from (_hung(f"{row.name}: {row.message}{_stands(row)}") for row in found.failed)
+        yield from map(_hung, failed_lines(found.failed))
         yield ""
     for note in found.notes:
         yield textwrap.fill(note, _WIDTH, break_on_hyphens=False)
@@ -169,11 +172,22 @@ def _counts(found: Fleet) -> str:
     return f"{text}{kept}; {odd} odd{said}, {len(found.failed)} failed{stand}."
 
 
-def _stands(row: FleetRow) -> str:
-    """That the folder of a robot that failed is that of earlier inputs."""
+def failed_lines(rows: Sequence[FleetRow]) -> Iterator[str]:
+    """Each reason once, with the robots that it is of."""
     from calib.identify.fleet_rows import STALE
 
-    return " Its folder holds the result of earlier inputs." if row.status == STALE else ""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        groups.setdefault((row.message, row.status), []).append(row.name)
+    for (message, status), names in groups.items():
+        more = f" and {len(names) - _NAMES} more" if len(names) > _NAMES else ""
+        whose = (
+            "Their folders hold the results" if len(names) > 1 else "Its folder holds the result"
+        )
+        stand = f"{'' if message.endswith('.') else '.'} {whose} of earlier inputs." * (
+            status == STALE
+        )
+        yield f"{', '.join(names[:_NAMES])}{more}: {message}{stand}"
 
 
 def _more(count: int) -> str:

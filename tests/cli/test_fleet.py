@@ -251,6 +251,8 @@ def test_a_cell_that_is_wrong_fails_its_robot(call, arms_shop: Path, column, cel
         (("--frame", "world"), "--frame was given as "),
         (("--target", "7 mm"), "--target was given as "),
         (("--hold", "x"), "--hold was given 'x'"),
+        (("--hold", "lift=1 rad"), "--hold 'lift': no robot of the manifest that it is for has such a joint. "),
+        (("--cell", "wrong.toml"), "wrong.toml: tip 'tool8': no robot of the manifest that it is for has such a link"),
         (("--columns", "x"), "--columns was given 'x'"),
         (("--payload", "5"), "--payload was given as "),
         (("--cell", "no.toml"), "no.toml"),
@@ -259,7 +261,9 @@ def test_a_cell_that_is_wrong_fails_its_robot(call, arms_shop: Path, column, cel
     ],
 )  # fmt: skip
 def test_an_option_that_is_wrong_refuses_the_run(call, arms_shop: Path, words, said):
-    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK, *words)
+    (arms_shop / "wrong.toml").write_text('tip = "tool8"\n')
+    given = [word for word in QUICK if "--cell" not in words or word not in ("--tip", "tool0")]
+    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *given, *words)
     assert (done.code, done.out) == (1, "")
     assert said in done.err
     assert "line " not in done.err
@@ -282,6 +286,18 @@ def test_a_base_that_some_robots_have_is_no_wrong_one(call, arms_shop: Path):
     assert done.code == 1
     assert "2 of 4 robots calibrated" in done.out
     assert "  b: m.csv, line 3: other.urdf has no link 'base'" in done.out
+
+
+def test_a_reason_that_many_have_is_printed_once(call, arms_shop: Path):
+    words = ("fleet", "m.csv", "--out", "r", *QUICK)
+    assert call(arms_shop, *words).code == 0
+    done = call(arms_shop, *words, "--freeze", "nope")
+    assert done.code == 1
+    text = re.sub(r"\s+", " ", done.out)
+    assert "Failed: SN-0, SN-1, SN-2, SN-3, SN-4 and 1 more: " in text
+    assert text.count("'nope'") == 1
+    assert ". Their folders hold the results of earlier inputs. 0 of 6 robots calibrated;" in text
+    assert (arms_shop / "r" / "SN-5" / "result.json").is_file()
 
 
 def test_a_robot_that_fails_later_keeps_its_result(call, arms_shop: Path):
