@@ -253,7 +253,7 @@ def _intervals(
     if count is None and not names:
         return [], {}
     from calib.cli import intervals
-    from calib.cli.progress import progress_bar, say_compiling
+    from calib.cli.progress import progress_bar
     from calib.identify.uncertainty import bootstrap, profile_interval
 
     texts: list[str] = []
