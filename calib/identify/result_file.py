@@ -42,6 +42,9 @@ Array = NDArray[np.float64]
 
 _LARGEST_BYTES = 500_000_000
 
+#: By how much correlations may be wrong.
+_ROUNDING = 1e-6
+
 
 def write_result(calibration: Calibration, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write a calibration as JSON.
@@ -110,6 +113,8 @@ def _stored(table: Mapping[str, Any]) -> StoredResult:
         KeyError, TypeError, ValueError: Something is missing or of another kind.
     """
     robot, frames, larger = table["robot"], table["frames"], table["larger"]
+    if "covariance" in table:
+        _check_covariance(table["covariance"])
     return StoredResult(
         base=_text(robot["base"]),
         tip=_text(robot["tip"]),
@@ -122,6 +127,42 @@ def _stored(table: Mapping[str, Any]) -> StoredResult:
         certainty=_certainty(table),
         targets_given=_given(frames),
     )
+
+
+def _check_covariance(value: Any) -> None:  # noqa: ANN401
+    """Refuse what is no covariance of anything; numbers may be missing.
+
+    Raises:
+        ValueError: A variance below zero, numbers that differ across the diagonal, or correlations that contradict
+            each other.
+    """
+    covariance = np.array(value, dtype=np.float64)
+    if covariance.size == 0:
+        return
+    if covariance.ndim != 2 or covariance.shape[0] != covariance.shape[1]:
+        message = f"'covariance' has the shape {covariance.shape}, and has as many rows as columns"
+        raise ValueError(message)
+    if np.isinf(covariance).any():
+        message = "'covariance' has a number that is too large"
+        raise ValueError(message)
+    variance = np.diag(covariance)
+    for k in np.flatnonzero(variance < 0.0):
+        message = f"'covariance[{k}][{k}]' is {variance[k]:g}, and no variance is below zero"
+        raise ValueError(message)
+    std = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # what becomes infinite is larger than 1, too
+        correlation = covariance / std[:, None] / std
+    for i, j in np.argwhere(np.abs(correlation - correlation.T) > _ROUNDING):
+        message = (
+            f"'covariance[{i}][{j}]' is {covariance[i, j]:g} and 'covariance[{j}][{i}]' {covariance[j, i]:g}, and the "
+            "two are the same number"
+        )
+        raise ValueError(message)
+    if np.isfinite(correlation).all() and np.linalg.eigvalsh(correlation)[0] < -_ROUNDING:
+        message = "'covariance' has an eigenvalue below zero, which no covariance has"
+        raise ValueError(message)
 
 
 def _given(frames: Mapping[str, Any]) -> frozenset[str]:

@@ -33,8 +33,14 @@ def read_json(
         FileError: It cannot be read, is no JSON, or of another schema.
     """
     data = read_bytes(path, what, limit_bytes)
+    strange: list[str] = []
+
+    def constant(name: str) -> float:
+        strange.append(name)
+        return float(name)
+
     try:
-        table = json.loads(data)
+        table = json.loads(data, parse_constant=constant)
     except (ValueError, RecursionError) as error:
         message = f"{path}: this is not a JSON file: {error}. Wanted is a {what} with its 'schema'; {expected}"
         raise FileError(message) from error
@@ -42,7 +48,28 @@ def read_json(
     if not isinstance(table, dict) or found != schema:
         message = f"{path}: its 'schema' is {found!r}; {expected}"
         raise FileError(message)
+    if strange:
+        message = (
+            f"{path}: {_place(table)} is {strange[0]}, which calib does not write and JSON does not have. Write the "
+            "number, or null where there is none."
+        )
+        raise FileError(message)
     return table
+
+
+def _place(table: Mapping[str, Any]) -> str:
+    """The first number of nested tables that is not finite: its keys, and its place in lists from 0."""
+    waiting: list[tuple[str, Any]] = [("", table)]
+    while waiting:
+        place, value = waiting.pop()
+        if isinstance(value, float) and not math.isfinite(value):
+            return f"'{place}'"
+        if isinstance(value, dict):
+            found = [(f"{place}.{key}" if place else str(key), one) for key, one in value.items()]
+            waiting += reversed(found)
+        elif isinstance(value, list):
+            waiting += reversed([(f"{place}[{k}]", one) for k, one in enumerate(value)])
+    return "a number"  # under a key that stands there twice
 
 
 def damage(error: Exception) -> str:

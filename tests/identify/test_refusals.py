@@ -113,6 +113,22 @@ def changed(written: Path, folder: Path, change) -> Path:
             "a value is of another kind: list indices must be integers or slices, not str",
         ),
         (lambda t: t["robot"].update(tip=6), "a text expected, 6 found"),
+        (
+            lambda t: t["covariance"][1].__setitem__(1, -2e-6),
+            "'covariance[1][1]' is -2e-06, and no variance is below zero",
+        ),
+        (
+            lambda t: t.update(covariance=[[1.0, 0.5], [0.25, 1.0]]),
+            "'covariance[0][1]' is 0.5 and 'covariance[1][0]' 0.25, and the two are the same number",
+        ),
+        (
+            lambda t: t.update(covariance=[[1.0, 2.0], [2.0, 1.0]]),
+            "'covariance' has an eigenvalue below zero, which no covariance has",
+        ),
+        (
+            lambda t: t["covariance"].pop(),
+            "'covariance' has the shape (26, 27), and has as many rows as columns",
+        ),
     ],
 )
 def test_a_damaged_result(written, tmp_path, change, said):
@@ -121,6 +137,13 @@ def test_a_damaged_result(written, tmp_path, change, said):
         FileError,
         f"{path}: the result is incomplete or damaged ({said}). Write it again with 'calib fit --json'.",
     ):
+        read_result(path)
+
+
+def test_a_covariance_with_a_number_that_is_none(written, tmp_path):
+    path = changed(written, tmp_path, lambda t: t.update(covariance=[[12345]]))
+    path.write_text(path.read_text().replace("12345", "1e999"))
+    with pytest.raises(FileError, match=r"'covariance' has a number that is too large"):
         read_result(path)
 
 

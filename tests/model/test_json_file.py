@@ -52,3 +52,19 @@ def test_names_that_utf_8_lacks_are_read_as_they_were(tmp_path):
     path.write_bytes(json_bytes(table))
     assert read(path) == table
     assert "é 関" in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('"a": {"b": [1, {"c": NaN}]}', "'a.b[1].c' is NaN, which calib does not write"),
+        ('"a": -Infinity', "'a' is -Infinity, which calib does not write and JSON does not have"),
+        ('"a": NaN, "a": 1', "a number is NaN, which calib does not write"),
+    ],
+)
+def test_numbers_that_json_does_not_have(tmp_path, text, said):
+    path = tmp_path / "t.json"
+    path.write_text(f'{{"schema": "thing 1", {text}}}')
+    with pytest.raises(FileError, match="Write the number, or null where there is none") as raised:
+        read(path)
+    assert said in str(raised.value)
