@@ -169,7 +169,7 @@ def fit(
 
         _check_bootstrap(bootstrap, {"--seed": seed, "--workers": workers, "--dask": dask})
         inputs: list[str | Path] = [robot, data, *(path for path in (cell, points) if path)]
-        report_file = check_report(report, figures, figure_format)
+        report_file = check_report(report, figures, figure_format, [output, json, view])
         check_outputs([output, json, view, report_file], inputs, force=force)
         setup = read_cell(
             cell,

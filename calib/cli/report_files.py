@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterable, Iterator
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -49,7 +50,10 @@ FigureKind = Annotated[
 
 
 def check_report(
-    report: Path | None, figures: Path | None, kind: FigureFormat | None
+    report: Path | None,
+    figures: Path | None,
+    kind: FigureFormat | None,
+    others: Iterable[Path | None] = (),
 ) -> Path | None:
     """Refuse before the work what cannot be written after it.
 
@@ -57,12 +61,14 @@ def check_report(
         report: The report's file, or `STDOUT`.
         figures: The figures' folder.
         kind: Their kind.
+        others: What else the command reads and writes.
 
     Returns:
         The report's file for the checks of all outputs; None where it is printed.
 
     Raises:
-        FileError: The report's name has an ending that no report has, or a file stands where the folder should.
+        FileError: The report's name has an ending that no report has, or a file stands where the folder should,
+            or will.
         CalibError: A kind of figures, and no folder for them.
     """
     if kind is not None and figures is None:
@@ -73,12 +79,33 @@ def check_report(
     if figures is not None and figures.exists() and not figures.is_dir():
         message = f"{figures} is a file; --figures names a folder, choose another name."
         raise FileError(message)
+    if figures is not None:
+        _check_folder(figures, (report, *others))
     if report is None or report == STDOUT:
         return None
     from calib.show.report import check_ending
 
     check_ending(report)
     return report
+
+
+def _check_folder(folder: Path, files: Iterable[Path | None]) -> None:
+    """Refuse a folder whose name a file is to have, or in whose path one stands.
+
+    Raises:
+        FileError: It has.
+    """
+    real = Path(os.path.realpath(folder))
+    for file in files:
+        if file is None or file == STDOUT:
+            continue
+        taken = Path(os.path.realpath(file))
+        if taken == real or taken in real.parents:
+            message = (
+                f"{folder} is the folder of --figures, and {file} is a file of this command: both cannot have the "
+                "name; choose another for one of them."
+            )
+            raise FileError(message)
 
 
 def check_figures(
