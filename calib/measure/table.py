@@ -249,11 +249,21 @@ def _header(line: str, separator: str, source: str) -> list[str]:
         return next(_reader([line], separator))
     except csv.Error as error:
         message = f'{source}: not a CSV table ({error}). Check the double quotes (") in its header.'
+        if "field larger than field limit" in str(error):
+            message = (
+                f"{source}: a cell of the header is longer than {csv.field_size_limit():,} characters, and no column's "
+                "name is. Check that it is the right file."
+            )
         raise MeasurementError(message) from error
 
 
 def _no_csv(source: str, line: int, error: csv.Error) -> str:
     """What to say of a line that cannot be taken apart."""
+    if "field larger than field limit" in str(error):
+        return (
+            f"{source}, line {line}: a cell is longer than {csv.field_size_limit():,} characters, and no measurement is"
+            '. Delete it; if it runs over several lines, a double quote (") there does not close.'
+        )
     return f'{source}, line {line}: not a CSV table ({error}). Check the double quotes (") there and above.'
 
 

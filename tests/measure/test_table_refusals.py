@@ -267,3 +267,21 @@ def test_a_standard_deviation_of_zero(tmp_path):
         "than zero. Correct it, or leave the column out: the noise is found from the data.",
     ):
         Measurements.read(path)
+
+
+@pytest.mark.parametrize("cell", [1_000_000 * "1", '"' + 1_000_000 * "1" + '"'])
+def test_a_cell_that_is_longer_than_any(tmp_path, cell):
+    path = written(tmp_path, "a [deg],x [mm],y [mm],z [mm]", "1,2,3,4", f"1,2,3,{cell}", "1,2,3,4")
+    with refused(
+        MeasurementError,
+        "t.csv, line 3: a cell is longer than 131,072 characters, and no measurement is. Delete it; if it runs over "
+        'several lines, a double quote (") there does not close.',
+    ):
+        Measurements.read(path)
+    path = written(tmp_path, f"a [deg],{cell}", "1,2")
+    with refused(
+        MeasurementError,
+        "t.csv: a cell of the header is longer than 131,072 characters, and no column's name is. Check that it is the "
+        "right file.",
+    ):
+        Measurements.read(path)
