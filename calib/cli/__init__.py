@@ -1,6 +1,7 @@
 """The command line: one thin file a verb, parsing and printing only.
 
-Nothing heavy is imported before a verb runs, so that ``calib --help`` answers at once.
+Nothing heavy is imported before a verb runs, so that ``calib --help`` answers at once; and nothing at all before `main`
+can say that it was interrupted.
 """
 
 from __future__ import annotations
@@ -8,84 +9,60 @@ from __future__ import annotations
 import io
 import os
 import sys
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import typer
+if TYPE_CHECKING:
+    from calib.cli.program import app
 
-from calib.cli.base_frame import base_frame
-from calib.cli.compare import compare
-from calib.cli.compensate import compensate
-from calib.cli.convert import convert
-from calib.cli.demo import demo
-from calib.cli.evaluate import evaluate
-from calib.cli.fit import fit
-from calib.cli.fleet import fleet
-from calib.cli.inspect import inspect
-from calib.cli.plan import plan
-from calib.cli.simulate import simulate
-from calib.cli.view import view
-from calib.cli.workspace import workspace
-
-app = typer.Typer(
-    name="calib",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    help="Kinematic calibration of robot arms: URDF in, corrected URDF out.",
-    epilog="Start with:  calib demo     then:  calib fit robot.urdf data.csv -o corrected.urdf",
-)
-app.command()(demo)
-app.command()(fit)
-app.command()(fleet)
-app.command()(evaluate)
-app.command()(compare)
-app.command()(compensate)
-app.command()(inspect)
-app.command()(base_frame)
-app.command()(plan)
-app.command()(simulate)
-app.command()(convert)
-app.command()(view)
-app.command()(workspace)
+__all__ = ["app", "main"]
 
 
-def _print_version(wanted: bool) -> None:
-    """Print the version and stop."""
-    if wanted:
-        import calib
+def __getattr__(name: str) -> Any:  # noqa: ANN401  any attribute
+    """``app``, imported when it is first asked for.
 
-        typer.echo(f"calib {calib.__version__}")
-        raise typer.Exit
+    Raises:
+        AttributeError: Another name, which there is not.
+    """
+    if name == "app":
+        from calib.cli.program import app
 
-
-@app.callback()
-def _options(
-    version: bool = typer.Option(
-        False,
-        "--version",
-        callback=_print_version,
-        is_eager=True,
-        help="Print the version and stop.",
-    ),
-) -> None:
-    """Options before the verb."""
-    del version
+        return app
+    message = f"module '{__name__}' has no attribute '{name}'"
+    raise AttributeError(message)
 
 
 def main() -> None:
     """The entry point of the ``calib`` command."""
+    try:
+        _run()
+    except KeyboardInterrupt:  # before a verb runs, which says itself what stays of its work
+        code, said = 130, "interrupted; no file was left half written."
+    except OSError as error:  # a full disk behind `>`
+        # What could not be printed must not be tried again at the end.
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
+        where = f"'{error.filename}'" if error.filename else "the printed text"
+        code, said = 1, f"{where} cannot be read or written: {error.strerror or error}."
+    else:
+        return
+    sys.stderr.write(f"calib: {said}\n")
+    sys.exit(code)
+
+
+def _run() -> None:
+    """Prepare what the program runs in, and run it."""
     # The matrices are small: more threads gain nothing, and on a busy machine their waiting for each other takes ten
     # times as long as the work. NumPy reads this when it is imported, after this line; who sets it keeps it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Who is started with one of them closed, as services are, has None there, and a file that is opened would be it.
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
-            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115
     # Pictures go into files, through no window: a window system that matplotlib lacks must not end a fit.
     os.environ["MPLBACKEND"] = "agg"
     for stream in (sys.stdout, sys.stderr):
         # A name that the terminal's encoding lacks is printed as an escape, not refused.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    from calib.cli.program import app
+
     app(prog_name="calib")

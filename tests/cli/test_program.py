@@ -308,3 +308,38 @@ def test_a_terminal_sees_progress_and_a_pipe_does_not(program, shop: Path):
     assert b"bootstrap" in seen
     assert "\x1b" not in out
     assert "Verdict: use" in out
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a system without /dev/full")
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["fit", "--help"]])
+def test_help_onto_a_full_disk(program, tmp_path: Path, words: list[str]):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*program, *words],
+            cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, encoding="utf-8", check=False,
+        )  # fmt: skip
+    said = "calib: the printed text cannot be read or written: No space left on device.\n"
+    assert (done.returncode, done.stderr) == (1, said)
+
+
+def test_ctrl_c_while_the_verbs_are_imported(tmp_path: Path):
+    script = (
+        "import os, signal, sys\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'typer': os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+        "from calib.cli import main\n"
+        "main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, "--help"],
+        cwd=tmp_path, capture_output=True, encoding="utf-8", check=False,
+    )  # fmt: skip
+    said = "calib: interrupted; no file was left half written.\n"
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", said)
+
+
+def test_the_package_has_no_other_names():
+    with pytest.raises(AttributeError, match=r"module 'calib\.cli' has no attribute 'nothing'"):
+        _ = calib.cli.nothing

@@ -1,0 +1,65 @@
+"""program: the verbs of the command line in one, with the options before them."""
+
+from __future__ import annotations
+
+import typer
+
+from calib.cli.base_frame import base_frame
+from calib.cli.compare import compare
+from calib.cli.compensate import compensate
+from calib.cli.convert import convert
+from calib.cli.demo import demo
+from calib.cli.evaluate import evaluate
+from calib.cli.fit import fit
+from calib.cli.fleet import fleet
+from calib.cli.inspect import inspect
+from calib.cli.plan import plan
+from calib.cli.simulate import simulate
+from calib.cli.view import view
+from calib.cli.workspace import workspace
+
+app = typer.Typer(
+    name="calib",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Kinematic calibration of robot arms: URDF in, corrected URDF out.",
+    epilog="Start with:  calib demo     then:  calib fit robot.urdf data.csv -o corrected.urdf",
+)
+app.command()(demo)
+app.command()(fit)
+app.command()(fleet)
+app.command()(evaluate)
+app.command()(compare)
+app.command()(compensate)
+app.command()(inspect)
+app.command()(base_frame)
+app.command()(plan)
+app.command()(simulate)
+app.command()(convert)
+app.command()(view)
+app.command()(workspace)
+
+
+def _print_version(wanted: bool) -> None:
+    """Print the version and stop."""
+    if wanted:
+        import calib
+
+        typer.echo(f"calib {calib.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(
+        False,
+        "--version",
+        callback=_print_version,
+        is_eager=True,
+        help="Print the version and stop.",
+    ),
+) -> None:
+    """Options before the verb."""
+    del version
