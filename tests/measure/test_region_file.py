@@ -173,7 +173,7 @@ REMOVED = object()
         ("share", 0, "shares are 0.0 and"),
         ("held", 1.2, "shares are 0.9 and 1.2"),
         ("volume_m3", 1.0, "'volume_m3' is 1, and its voxels have 0"),
-        ("volume_m3", math.nan, "'volume_m3' is nan; a finite number"),
+        ("volume_m3", math.nan, "'volume_m3' is NaN, which calib does not write"),
         ("box_m", 3, "'box_m' is 3; a list is wanted"),
         ("box_m", [[1, 2, 3]], "two corners of three numbers, or null"),
         ("box_m", [[1, 2, 3], [0, 0, 0]], "the second greater than the first"),
