@@ -101,23 +101,22 @@ def _opened(path: Path) -> FileIO:
         flags |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
         return os.open(name, flags, 0o666)
 
+    file: FileIO | None = None
     try:
         found = path.lstat().st_mode
     except (OSError, ValueError):
         found = stat.S_IFREG  # none yet; what else is wrong is said when it is opened
     try:
-        if not stat.S_ISREG(found):  # before it is opened: opening some devices does something
-            raise FileError(_no_file(path, found))
-        # Nothing is left to be written when it is closed.
-        file: FileIO = open(path, "a+b", buffering=0, opener=opener)  # noqa: SIM115
+        if stat.S_ISREG(found):  # or it stays shut: opening some devices does something
+            # Nothing is left to be written when it is closed.
+            file = open(path, "a+b", buffering=0, opener=opener)  # noqa: SIM115
+            found = os.fstat(file.fileno()).st_mode
     except OSError as error:
-        if error.errno == errno.ELOOP:
-            raise FileError(_no_file(path, stat.S_IFLNK)) from error
-        message = f"'{path}' cannot be written: {error.strerror}; choose another folder"
-        raise FileError(message) from error
-    found = os.fstat(file.fileno()).st_mode
-    if not stat.S_ISREG(found):
-        file.close()
+        if error.errno != errno.ELOOP:
+            message = f"'{path}' cannot be written: {error.strerror}; choose another folder"
+            raise FileError(message) from error
+        found = stat.S_IFLNK  # made a link since it was looked at
+    if file is None or not stat.S_ISREG(found):
         raise FileError(_no_file(path, found))
     return file
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -18,7 +19,7 @@ import threadpoolctl
 
 from calib.errors import CalibError
 from calib.identify import executors
-from calib.identify.dask_executor import dask_executor
+from calib.identify.dask_executor import DaskExecutor, dask_executor
 from calib.identify.executors import (
     Lost,
     WorkerDied,
@@ -381,3 +382,22 @@ def test_dask_does_the_same_to_the_bit_and_outlives_its_workers():
 def connect(address, timeout=60.0):
     with dask_executor(address, timeout):
         pass
+
+
+class _Gone:
+    """A client whose scheduler has ended."""
+
+    def get_executor(self, *, pure: bool) -> None:
+        assert not pure
+
+    def nthreads(self) -> None:
+        raise OSError("Timed out trying to connect")
+
+
+def test_a_scheduler_that_is_gone_is_told_by_its_address():
+    said = (
+        "The Dask scheduler at tcp://there:1 does not answer any more (Timed out trying to connect). Start it again, "
+        "and give the same command."
+    )
+    with pytest.raises(CalibError, match=re.escape(said)):
+        DaskExecutor(_Gone(), "tcp://there:1").check()

@@ -173,7 +173,7 @@ REMOVED = object()
         ("share", 0, "shares are 0.0 and"),
         ("held", 1.2, "shares are 0.9 and 1.2"),
         ("volume_m3", 1.0, "'volume_m3' is 1, and its voxels have 0"),
-        ("volume_m3", math.nan, "'volume_m3' is NaN, which calib does not write"),
+        ("volume_m3", "nan", "'volume_m3' is 'nan'; a finite number"),
         ("box_m", 3, "'box_m' is 3; a list is wanted"),
         ("box_m", [[1, 2, 3]], "two corners of three numbers, or null"),
         ("box_m", [[1, 2, 3], [0, 0, 0]], "the second greater than the first"),
@@ -207,6 +207,13 @@ def test_each_key_is_checked(path, key, value, said):
     assert str(error.value).startswith(f"{path}: the region is damaged: ")
     assert str(error.value).endswith("Write it again with 'calib workspace -o'.")
     assert "\n" not in str(error.value)
+
+
+def test_a_number_that_is_none_is_no_json(path):
+    table = json.loads(path.read_text()) | {"volume_m3": math.nan}
+    path.write_text(json.dumps(table))
+    with pytest.raises(FileError, match="'volume_m3' is NaN, which calib does not write and JSON"):
+        RegionFile.read(path)
 
 
 def test_all_voxels_outside_is_refused(path):
