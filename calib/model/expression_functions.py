@@ -10,6 +10,7 @@ import math
 import operator
 import re
 import string
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -240,14 +241,14 @@ METHODS: Mapping[type, Mapping[str, Callable[..., Any]]] = {
 """The methods of values: what each does with the budget, its owner and its arguments."""
 
 
-class Own:
+class Own(ABC):
     """A function that an expression defines itself, a lambda; called with values it gives one."""
 
     __slots__ = ()
 
+    @abstractmethod
     def __call__(self, *values: Any, **named: Any) -> Any:
         """Its value."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
