@@ -15,6 +15,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 import unicodedata
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -105,7 +106,7 @@ def kept_row(folder: Path, told: Collection[str], names: Collection[str] = ()) -
         if not set(names) <= table["files"].keys():
             return None
         for name, wanted in table["files"].items():
-            if hashlib.sha256((folder / name).read_bytes()).hexdigest() != wanted:
+            if hashlib.sha256(_own_bytes(folder / name)).hexdigest() != wanted:
                 return None
         return FleetRow.read(table["row"])
     except (OSError, KeyError, TypeError, AttributeError):
@@ -252,10 +253,21 @@ def strangers(path: Path, names: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted(name for name in found if _made_table(path / name) is not None))
 
 
+def _own_bytes(path: Path) -> bytes:
+    """A file that calib wrote; what stands in its place and is no file, such as a pipe, would not end.
+
+    Raises:
+        OSError: It is not there, or no file.
+    """
+    if not stat.S_ISREG(path.lstat().st_mode):
+        raise FileNotFoundError(path)
+    return path.read_bytes()
+
+
 def _made_table(folder: Path) -> dict[str, Any] | None:
     """What `MADE` says in a folder; None where there is no such file."""
     try:
-        table = json.loads((folder / MADE).read_bytes())
+        table = json.loads(_own_bytes(folder / MADE))
     except (OSError, ValueError, RecursionError):
         return None
     return table if isinstance(table, dict) and table.get("schema") == SCHEMA else None

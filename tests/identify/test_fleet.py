@@ -441,3 +441,14 @@ def test_the_example_of_the_document_runs(shop, tmp_path):
         "SN-1 the same measurements as SN-3 (1.csv)",
         "SN-3 the same measurements as SN-1 (3.csv)",
     ]
+
+
+def test_what_is_no_file_in_a_results_place_is_not_waited_for(tmp_path):
+    folder = tmp_path / "arm"
+    write_folder(folder, "told", FleetRow("arm", "done"), {"a": b"b"})
+    (folder / "a").unlink()
+    (folder / "a").symlink_to("/dev/zero")
+    assert kept_row(folder, ["told"]) is None
+    (folder / "made.json").unlink()
+    os.mkfifo(folder / "made.json")
+    assert kept_row(folder, ["told"]) is None
