@@ -792,7 +792,7 @@ def test_the_documents_defaults_are_the_defaults():
         ("prior_gain = 0x" + "F" * 5000, "a whole number is beyond 64 bits"),
         ("target_mm = [0, 0, 0x" + "F" * 20 + "]", "a whole number is beyond 64 bits"),
         ("prior_gain = " + "9" * 5000, "Exceeds the limit|beyond 64 bits"),
-        ("held = " + "[" * 3000, "recursion|Invalid"),
+        ("held = " + "[" * 3000, "recursion|Invalid|nested"),
         ("a" + ".a" * 200_000 + " = 1", "line 1 has 200,000 dots; at most 1000 are read"),
     ],
 )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, reject
 from hypothesis import strategies as st
 
 import calib
@@ -780,9 +780,12 @@ def test_many_thousand_columns(table):
 def test_any_cells_are_read_or_refused(tmp_path_factory, cells, sign):
     path = tmp_path_factory.mktemp("any") / "data.csv"
     with path.open("w", encoding="utf-8", errors="surrogatepass", newline="") as file:
-        csv.writer(file, delimiter=sign).writerows(
-            [["a [deg]", "x [mm]", "y [mm]", "z [mm]"], *cells]
-        )
+        try:
+            csv.writer(file, delimiter=sign).writerows(
+                [["a [deg]", "x [mm]", "y [mm]", "z [mm]"], *cells]
+            )
+        except csv.Error:  # Python 3.10 writes no NUL
+            reject()
     try:
         count, text = len(Measurements.read(path)), ""
     except MeasurementError as error:

@@ -154,7 +154,8 @@ def test_a_fault_far_down_is_named_by_line_and_column(tmp_path):
     lines[6000] = '6000,"estimate' + lines[6000].removeprefix("6000,estimate")
     path.write_text("\n".join(lines))
     with pytest.raises(
-        MeasurementError, match=r"data.csv, line \d+: not a CSV table \(.*Check the double quotes"
+        MeasurementError,
+        match=r"data.csv, line \d+: a cell is longer than .*a double quote \(\"\) there does not close",
     ):
         Measurements.read(path)
 
