@@ -65,7 +65,7 @@ def test_read_says_what_is_wrong(tmp_path: Path):
         read_bytes(tmp_path, "URDF", 10)
     with pytest.raises(FileError, match="cannot be read: Not a directory"):
         read_bytes(Path(__file__) / "x.urdf", "URDF", 10)
-    with pytest.raises(FileError, match="cannot be read: .*embedded null"):
+    with pytest.raises(FileError, match=r"cannot be read: .*embedded null"):
         read_bytes("a\0b", "URDF", 10)
 
 
