@@ -142,18 +142,16 @@ def _check_covariance(value: Any) -> None:  # noqa: ANN401
     if covariance.ndim != 2 or covariance.shape[0] != covariance.shape[1]:
         message = f"'covariance' has the shape {covariance.shape}, and has as many rows as columns"
         raise ValueError(message)
-    if np.isinf(covariance).any():
-        message = "'covariance' has a number that is too large"
-        raise ValueError(message)
     variance = np.diag(covariance)
     for k in np.flatnonzero(variance < 0.0):
         message = f"'covariance[{k}][{k}]' is {variance[k]:g}, and no variance is below zero"
         raise ValueError(message)
     std = np.sqrt(np.where(variance > 0.0, variance, 1.0))
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # what becomes infinite is larger than 1, too
+    with np.errstate(over="ignore", invalid="ignore"):
         correlation = covariance / std[:, None] / std
+    if np.isinf(correlation).any():
+        message = "'covariance' has a number that is too large"
+        raise ValueError(message)
     for i, j in np.argwhere(np.abs(correlation - correlation.T) > _ROUNDING):
         message = (
             f"'covariance[{i}][{j}]' is {covariance[i, j]:g} and 'covariance[{j}][{i}]' {covariance[j, i]:g}, and the "

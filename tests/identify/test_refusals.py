@@ -140,6 +140,13 @@ def test_a_damaged_result(written, tmp_path, change, said):
         read_result(path)
 
 
+def test_a_covariance_whose_correlation_is_beyond_all_numbers(written, tmp_path):
+    tiny = [[1e-300, 1e200], [1e200, 1e-300]]
+    path = changed(written, tmp_path, lambda t: t.update(covariance=tiny))
+    with pytest.raises(FileError, match=r"'covariance' has a number that is too large"):
+        read_result(path)
+
+
 def test_a_covariance_with_a_number_that_is_none(written, tmp_path):
     path = changed(written, tmp_path, lambda t: t.update(covariance=[[12345]]))
     path.write_text(path.read_text().replace("12345", "1e999"))
