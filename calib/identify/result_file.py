@@ -149,7 +149,7 @@ def _check_covariance(value: Any) -> None:  # noqa: ANN401
     std = np.sqrt(np.where(variance > 0.0, variance, 1.0))
     with np.errstate(over="ignore", invalid="ignore"):
         correlation = covariance / std[:, None] / std
-    if np.isinf(correlation).any():
+    if np.isinf(covariance).any() or np.isinf(correlation).any():
         message = "'covariance' has a number that is too large"
         raise ValueError(message)
     for i, j in np.argwhere(np.abs(correlation - correlation.T) > _ROUNDING):
