@@ -1,5 +1,6 @@
 # make demo   calibrates the paper's UR3 from its real measurements, into demo/
-# make test   runs the tests
+# make test   runs the tests that take minutes
+# make verify   runs all tests, the slow studies too
 # make lint   ruff and mypy
 # make coverage   runs the tests and says which lines, branches and messages none of them reaches
 # make docs   builds the site of docs/, into site/
@@ -12,7 +13,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test coverage lint docs clean
+.PHONY: demo test verify coverage lint docs clean
 
 demo: $(STAMP)
 	$(BIN)/calib demo --out demo --force
@@ -21,11 +22,14 @@ test: $(STAMP)
 	@# One thread a worker: the matrices are small, and workers that each start a thread a core stand in each other's way.
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
+verify: $(STAMP)
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "slow or not slow"
+
 # Tests start programs in folders of their own, and COVERAGE_FILE says where all of them count.
 coverage: export COVERAGE_FILE := $(CURDIR)/.coverage
 coverage: $(STAMP)
 	$(BIN)/coverage erase
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/coverage run -m pytest -n auto
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/coverage run -m pytest -n auto -m "slow or not slow"
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --skip-covered --show-missing
 	$(BIN)/python scripts/error_messages.py --totals
