@@ -15,8 +15,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib.errors import ModelError, choices
 from calib.identify.stored import StoredLarger
-from calib.model.joint_errors import COS, LOAD, SIN, joint_displacements
+from calib.model.joint_errors import COS, LOAD, SIN, VALUE, joint_displacements
 from calib.model.parameters import TIP, Parameter
 from calib.model.robot import Robot, read_only, rigid_inverse
 from calib.model.torques import Payload, gravity_load
@@ -148,5 +149,14 @@ class Arm:
 
 
 def _slope(factor: str, q: Array) -> Array:
-    """The derivative of the known number of a joint's value."""
-    return np.cos(q) if factor == SIN else -np.sin(q) if factor == COS else np.ones_like(q)
+    """The derivative of the known number of a joint's value.
+
+    Raises:
+        ModelError: A factor whose slope is not known: a wrong one would be a wrong Newton step, without an error.
+    """
+    if factor == VALUE:
+        return np.ones_like(q)
+    if factor in (SIN, COS):
+        return np.cos(q) if factor == SIN else -np.sin(q)
+    message = f"The slope of the factor '{factor}' of a joint's error is not known; known are {choices((VALUE, SIN, COS))}."
+    raise ModelError(message)
