@@ -158,5 +158,5 @@ def _slope(factor: str, q: Array) -> Array:
         return np.ones_like(q)
     if factor in (SIN, COS):
         return np.cos(q) if factor == SIN else -np.sin(q)
-    message = f"The slope of the factor '{factor}' of a joint's error is not known; known are {choices((VALUE, SIN, COS))}."
+    message = f"The slope of a joint error's factor '{factor}' is not known; choose {choices((VALUE, SIN, COS))}."
     raise ModelError(message)
