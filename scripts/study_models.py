@@ -22,7 +22,6 @@ from calib.identify.calibration import calibrate
 from calib.identify.inspection import inspect
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.model.parameters import COMPLIANCE
 from calib.model.robot import Robot
 
 # ---- auto ----
@@ -182,7 +181,7 @@ def compliance(case: str, rng: np.random.Generator) -> Found:
     assert result.larger is not None
     inside, std, of = {}, {}, result.larger.fitted.kinematics.model
     for p, parameter in zip(result.larger.parameters, of.parameters, strict=True):
-        if parameter.family == COMPLIANCE:
+        if parameter.family == "compliance":
             inside[p.name] = p.low <= 1e-5 <= p.high
             std[p.name] = p.std
     return {

@@ -131,7 +131,7 @@ def _model(plan: Plan, asked: str) -> Iterator[str]:
 
 def _parameters(forecast: Forecast) -> str:
     """How well each parameter will be known, those that these poses tell by themselves."""
-    from calib.model.observability import SHOWN
+    from calib.model.families import unit_of
 
     known: dict[str, list[str]] = {}
     for name, unit, std, alone in zip(
@@ -142,7 +142,7 @@ def _parameters(forecast: Forecast) -> str:
         strict=True,
     ):
         if alone:
-            scale, shown = SHOWN[unit]
+            scale, shown = unit_of(unit).shown
             known.setdefault(shown, []).append(f"{name} {scale * std:.2g}")
     lists = "; ".join(f"in {unit}: {', '.join(values)}" for unit, values in known.items())
     rest = len(forecast.names) - sum(map(bool, forecast.identifiable))

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy as np
     from numpy.typing import NDArray
 
     from calib.measure.cell import Cell
     from calib.measure.disturbances import Outliers
-    from calib.measure.error_sizes import ErrorSizes
     from calib.measure.noise import TrackerNoise
     from calib.measure.scenario import Scenario
     from calib.model.robot import Robot
@@ -185,16 +186,17 @@ def _sigma_angle(cell: Cell, said: str | None, *, any_noise: bool) -> float:
     return math.radians(_PROBE_DEG) if cell.sigma_angle is None else cell.sigma_angle
 
 
-def _sizes(cell: Cell, sizes: str | None, *, named: bool) -> ErrorSizes | None:
+def _sizes(cell: Cell, sizes: str | None, *, named: bool) -> Mapping[str, float] | None:
     """The sizes of errors that are drawn: as said, none beside single errors, the cell's, or a typical arm's."""
     from calib.cli.simulate_words import parse_sizes
-    from calib.measure.error_sizes import TYPICAL, ErrorSizes
+    from calib.model.families import FAMILIES
 
     if sizes is not None:
         return parse_sizes(sizes)
     if named:
         return None
-    return ErrorSizes.of(cell.priors) if cell.priors.sizes == "given" else TYPICAL
+    given = cell.priors.sizes == "given"
+    return {f: cell.priors.of(f) for f in FAMILIES} if given else {}
 
 
 def prepare(robot: Robot, cell: Cell, asked: Asked) -> Prepared:

@@ -17,16 +17,6 @@ if TYPE_CHECKING:
 
 _WIDTH = 100
 
-#: How a number of each unit is shown: the factor and the unit.
-_SHOWN = {
-    "m": (1e3, "mm"),
-    "rad": (1e3, "mrad"),
-    "1": (1e3, "mrad/rad"),
-    "m/m": (1e3, "mm/m"),
-    "rad/Nm": (1e6, "urad/Nm"),
-    "m/N": (1e6, "um/N"),
-}
-
 
 def simulated_text(cell: VirtualCell, made: Simulated, notes: Sequence[str]) -> str:
     """What was simulated, what is wrong with the robot, and what disturbs the measurements.
@@ -82,14 +72,14 @@ def _what(cell: VirtualCell, made: Simulated) -> str:
 
 def _errors(truth: Truth, made: Simulated) -> Iterator[str]:
     """The true errors by family, and what they come to."""
-    from calib.model.parameters import FAMILIES
+    from calib.model.families import FAMILIES
 
     yield f"The robot's true errors, model {truth.model.name}:"
     pairs = [
         (p, float(v)) for p, v in zip(truth.model.parameters, truth.x, strict=True) if v != 0.0
     ]
     shown = {(p.family, p.unit): None for p, _ in pairs}
-    for family, unit in sorted(shown, key=lambda key: (FAMILIES.index(key[0]), key[1])):
+    for family, unit in sorted(shown, key=lambda key: (list(FAMILIES).index(key[0]), key[1])):
         yield _family_line(
             family, unit, [(p, v) for p, v in pairs if (p.family, p.unit) == (family, unit)]
         )
@@ -104,7 +94,9 @@ def _errors(truth: Truth, made: Simulated) -> Iterator[str]:
 
 def _family_line(family: str, unit: str, pairs: Sequence[tuple[Parameter, float]]) -> str:
     """One family: how many errors, their rms, the largest."""
-    scale, symbol = _SHOWN[unit]
+    from calib.model.families import unit_of
+
+    scale, symbol = unit_of(unit).shown
     rms = math.sqrt(sum(v * v for _, v in pairs) / len(pairs))
     one, largest = max(pairs, key=lambda pair: abs(pair[1]))
     count = f"{len(pairs):>3} " + ("error, " if len(pairs) == 1 else "errors,")

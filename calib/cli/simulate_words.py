@@ -10,28 +10,8 @@ from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
     from calib.measure.disturbances import Encoder, MovedTarget, Outliers
-    from calib.measure.error_sizes import ErrorSizes
     from calib.measure.noise import TrackerNoise
     from calib.model.parameters import Parameter
-
-#: What the sizes of families are, as `calib.measure.quantities` says it, and an example.
-_FAMILIES = {
-    "length": ("a length", "0.5 mm"),
-    "angle": ("an angle", "3 mrad"),
-    "zero": ("an angle", "5 mrad"),
-    "gain": ("a number", "5e-4"),
-    "eccentricity": ("an angle", "0.5 mrad"),
-    "compliance": ("a compliance", "1e-5 rad/Nm"),
-}
-
-_UNITS = {
-    "m": ("a length", "0.5 mm"),
-    "rad": ("an angle", "2 mrad"),
-    "1": ("a number", "5e-4"),
-    "m/m": ("a number", "5e-4"),
-    "rad/Nm": ("a compliance", "1e-5 rad/Nm"),
-    "m/N": ("a compliance", "1e-6 m/N"),
-}
 
 _NONE = "none"
 
@@ -82,32 +62,32 @@ def parse_angle(text: str, option: str, example: str = "0.01 deg") -> float:
     return value
 
 
-def parse_sizes(text: str) -> ErrorSizes | None:
+def parse_sizes(text: str) -> dict[str, float] | None:
     """``length 0.5 mm, angle 3 mrad``; families that are not named keep the sizes of a typical arm; ``none``.
 
     Raises:
         CalibError: No such family, one twice, or a value that is no size of it.
     """
-    from calib.measure.error_sizes import ErrorSizes
+    from calib.model.families import FAMILIES
 
     if text.strip() == _NONE:
         return None
     found: dict[str, float] = {}
     for part in text.split(","):
         words = part.split(None, 1)
-        if len(words) != 2 or words[0] not in _FAMILIES or words[0] in found:
+        if len(words) != 2 or words[0] not in FAMILIES or words[0] in found:
             message = (
                 f"--sizes was given as \"{text}\"; it must be '{_NONE}', or sizes with commas between them such as "
-                f'"length 0.5 mm, angle 3 mrad", each once of {choices(_FAMILIES)}.'
+                f'"length 0.5 mm, angle 3 mrad", each once of {choices(FAMILIES)}.'
             )
             raise CalibError(message)
-        wanted, example = _FAMILIES[words[0]]
-        value = _quantity(words[1], wanted, example, f"--sizes, {words[0]}")
+        unit = FAMILIES[words[0]].unit
+        value = _quantity(words[1], unit.quantity, unit.example, f"--sizes, {words[0]}")
         if value < 0.0:
             message = f'--sizes was given as "{text}"; the size of {words[0]} must not be below 0.'
             raise CalibError(message)
         found[words[0]] = value
-    return ErrorSizes(**found)
+    return found
 
 
 def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tuple[str, float], ...]:
@@ -120,6 +100,7 @@ def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tupl
     Raises:
         CalibError: A pair without an equals sign, a name twice or unknown, or a value with another unit.
     """
+    from calib.model.families import unit_of
     from calib.model.urdf_joints import did_you_mean
 
     units = {parameter.name: parameter.unit for parameter in known}
@@ -139,7 +120,8 @@ def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tupl
                 "others."
             )
             raise CalibError(message)
-        found[name] = _quantity(value, *_UNITS[units[name]], f"--error '{pair}'")
+        unit = unit_of(units[name])
+        found[name] = _quantity(value, unit.quantity, unit.example, f"--error '{pair}'")
     return tuple(found.items())
 
 

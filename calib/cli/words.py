@@ -115,16 +115,16 @@ def check_model(text: str, source: str) -> None:
         CalibError: No such set or family, or a family twice.
     """
     from calib.model.error_model import MODELS
-    from calib.model.parameters import JOINT_FAMILIES
+    from calib.model.families import joint_families
 
     if text == AUTO:
         return
     base, *families = (part.strip() for part in text.split("+"))
-    known = base in MODELS and set(families) <= set(JOINT_FAMILIES)
+    known = base in MODELS and set(families) <= set(joint_families())
     if not known or len(set(families)) < len(families):
         message = (
             f"{source}: there is no model '{text}'. It is '{AUTO}', or one of {choices(MODELS)} and behind it, each "
-            f"with a '+' and once, any of {choices(JOINT_FAMILIES)}: 'dh+gain'."
+            f"with a '+' and once, any of {choices(joint_families())}: 'dh+gain'."
         )
         raise CalibError(message)
 

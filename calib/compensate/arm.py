@@ -15,9 +15,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.errors import ModelError, choices
 from calib.identify.stored import StoredLarger
-from calib.model.joint_errors import COS, LOAD, SIN, VALUE, joint_displacements
+from calib.model.joint_errors import joint_displacements, slope_of
 from calib.model.parameters import TIP, Parameter
 from calib.model.robot import Robot, read_only, rigid_inverse
 from calib.model.torques import Payload, gravity_load
@@ -81,7 +80,7 @@ class Arm:
         chosen = list(model.joint_terms)
         terms = tuple(model.terms[t] for t in chosen)
         weight = payload or larger.payload
-        loaded = any(term.factor == LOAD for term in terms)
+        loaded = any(term.factor and term.factor.loaded for term in terms)
         return cls(
             robot=nominal,
             placements=read_only(nominal.placements @ displacements[order]),
@@ -137,26 +136,11 @@ class Arm:
     def _slopes(self, q: Array) -> Array:
         """How the chain's joints move with the measured ones, shape (n, m) or (N, n, m)."""
         coupling = self.robot.coupling
-        if not any(term.factor != LOAD for term in self.terms):
+        if not any(term.factor and term.factor.slope for term in self.terms):
             return coupling
         names = self.robot.joint_names
         own = np.ones((len(q), len(names)))
         for term, size in zip(self.terms, self.sizes, strict=True):
-            if term.factor != LOAD:
-                column = names.index(term.place)
-                own[:, column] += size * _slope(term.factor, q[:, column])
+            if term.factor and term.factor.slope:
+                own[:, names.index(term.place)] += size * slope_of(self.robot, term, q, None)
         return coupling * own[:, None, :]
-
-
-def _slope(factor: str, q: Array) -> Array:
-    """The derivative of the known number of a joint's value.
-
-    Raises:
-        ModelError: A factor whose slope is not known: a wrong one would be a wrong Newton step, without an error.
-    """
-    if factor == VALUE:
-        return np.ones_like(q)
-    if factor in (SIN, COS):
-        return np.cos(q) if factor == SIN else -np.sin(q)
-    message = f"The slope of a joint error's factor '{factor}' is not known; choose {choices((VALUE, SIN, COS))}."
-    raise ModelError(message)

@@ -15,8 +15,8 @@ from calib.identify.result import Calibration
 from calib.identify.result_file import result_table, stored_result
 from calib.identify.stored import StoredLarger, StoredResult
 from calib.model.error_model import split_name
+from calib.model.families import FAMILIES
 from calib.model.json_file import plain
-from calib.model.parameters import COMPLIANCE
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload
@@ -210,7 +210,7 @@ class Pair:
 
 def _gives_way(model: StoredLarger | None) -> bool:
     """Whether a larger model has compliances."""
-    return model is not None and COMPLIANCE in split_name(model.name)[1]
+    return model is not None and any(FAMILIES[f].loaded for f in split_name(model.name)[1])
 
 
 def _same_origins(a: Robot, b: Robot) -> bool:

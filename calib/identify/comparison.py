@@ -31,8 +31,8 @@ from calib.identify.differences import (
 from calib.identify.drift import DriftTest, Pair, drift_test
 from calib.identify.moves import Compensated, Move, Seen
 from calib.identify.result_file import write_table
+from calib.model.families import ZERO
 from calib.model.observability import steps
-from calib.model.parameters import ZERO
 from calib.model.readback import spread_between, spread_poses
 from calib.model.robot import Robot
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.identify.compared import Compared
 from calib.identify.drift import DriftTest
-from calib.model.observability import STEPS
+from calib.model.families import unit_of
 from calib.model.robot import rigid_inverse
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ def parameter_differences(
         factor, told = test.shows_from(number), test.explained(number)
         unit = pairs[0][0].units[pairs[0][1]]
         # Both must have it: what one leaves out is no change of the robot.
-        shown = factor < _NEVER * STEPS[unit] and len(pairs) == 2
+        shown = factor < _NEVER * unit_of(unit).step and len(pairs) == 2
         result.append(
             ParameterDifference(
                 name=name,

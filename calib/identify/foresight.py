@@ -27,8 +27,8 @@ from calib.measure.forecast import forecast as forecast_of
 from calib.measure.kinds import DEFAULT_TARGET
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise
+from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
-from calib.model.parameters import COMPLIANCE
 from calib.model.readback import spread_between
 from calib.model.robot import Robot, read_only
 from calib.model.torques import gravity_load
@@ -140,7 +140,7 @@ class Outlook:
     def _samples(self, q: Array) -> Samples:
         """Every target at every pose, pose by pose."""
         k = len(self.setup.targets)
-        needed = any(p.family == COMPLIANCE for p in self.kinematics.model.parameters)
+        needed = any(p.factor and p.factor.loaded for p in self.kinematics.model.parameters)
         load = gravity_load(self.robot, q, self.cell.payload, self.cell.gravity) if needed else None
         return Samples(
             q=np.repeat(q, k, axis=0),
@@ -327,7 +327,8 @@ def _precision(outlook: Outlook) -> Array:
     priors, own = outlook.cell.priors, outlook.cell.parameter_priors
     result = np.zeros(len(outlook.kinematics.model))
     for k, parameter in enumerate(outlook.kinematics.model.parameters):
-        size = None if priors.sizes == "off" else getattr(priors, parameter.family, None)
+        shared = priors.sizes != "off" and parameter.family in FAMILIES
+        size = priors.of(parameter.family) if shared else None
         size = own.get(parameter.name, size)
         result[k] = 0.0 if size is None else 1.0 / size**2
     return read_only(result)

@@ -20,6 +20,7 @@ from calib.identify.result import Calibration
 from calib.identify.selection import Candidate
 from calib.identify.setup import Setup
 from calib.identify.statistics import Errors
+from calib.model.families import FAMILIES
 from calib.model.robot import Robot
 
 Array = NDArray[np.float64]
@@ -27,16 +28,6 @@ Array = NDArray[np.float64]
 #: The layout of a result, and of what `calib evaluate --json` writes; a word, so that one is not taken for the other.
 SCHEMA = 1
 EVALUATION_SCHEMA = "evaluation 1"
-
-#: The unit of the size of each family's errors, as the suffix of its key.
-SIZE_UNITS = {
-    "length": "m",
-    "angle": "rad",
-    "zero": "rad",
-    "gain": "1",
-    "eccentricity": "rad",
-    "compliance": "rad_Nm",
-}
 
 
 def result_table(calibration: Calibration) -> dict[str, Any]:
@@ -241,7 +232,7 @@ def _ranges(c: Calibration) -> list[dict[str, Any]]:
 
 def _sizes(sizes: Mapping[str, float]) -> dict[str, float]:
     """The size of each family's errors, the unit in the key."""
-    return {f"{name}_{SIZE_UNITS[name]}": size for name, size in sizes.items()}
+    return {f"{name}_{FAMILIES[name].unit.key}": size for name, size in sizes.items()}
 
 
 def _held(robot: Robot) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ nothing, whatever its number of parameters. One step up the ladder must gain `_S
 worse on left-out rows.
 
 The geometry (frames only, zeros, DH, Hayati, full placement) is chosen first: it alone goes into a URDF. The families
-that no URDF can hold (gain, eccentricity, compliance) are then added to it one by one, as long as one of them passes.
+that no URDF can hold (`calib.model.families`) are then added to it one by one, as long as one of them passes.
 What they left over may have hidden a larger geometry: with one of them found, the sets above are asked again.
 """
 
@@ -23,7 +23,7 @@ from calib.identify.crossvalidation import linear_cross_validation
 from calib.identify.fitting import Fitted, Task, fit, model_of
 from calib.identify.rows import Rows
 from calib.identify.statistics import CrossValidation
-from calib.model.parameters import COMPLIANCE, JOINT_FAMILIES
+from calib.model.families import FAMILIES, joint_families
 
 Array = NDArray[np.float64]
 
@@ -130,7 +130,7 @@ def select(task: Task, rows: Rows) -> Selection:
             best = one
     assert best is not None, "the weights are of a model that there are enough rows for"
     geometry = best
-    families = [f for f in JOINT_FAMILIES if f != COMPLIANCE or _has_load(rows)]
+    families = [f for f in joint_families() if not FAMILIES[f].loaded or _has_load(rows)]
     while True:
         names = _steps(best.name, geometries, families)
         passed = [c for c in map(candidate, names) if c is not None and better(c, best)]
@@ -182,7 +182,7 @@ def _check_names(task: Task) -> None:
     if not (task.cell.frozen or task.cell.ties or task.cell.bounds or task.cell.parameter_priors):
         return
     cell = replace(task.cell, frozen=(), ties={})
-    every = "+".join(("placement", *JOINT_FAMILIES))
+    every = "+".join(("placement", *joint_families()))
     known: set[str] = set()
     for model in (every, "dh", "hayati", "zeros"):
         known |= set(model_of(replace(task, cell=cell, model=model)).names)

@@ -18,23 +18,16 @@ from calib.identify.robust import (
 )
 from calib.identify.streamed import Streamed
 from calib.identify.variance import (
-    LARGEST_COMPLIANCE,
-    SMALLEST_COMPLIANCE,
     Masks,
     Sizes,
     precision_of,
     sizes_by_reml,
 )
 from calib.measure.cell import Priors
+from calib.model.families import FAMILIES
 from calib.model.parameters import (
-    ANGLE,
-    COMPLIANCE,
-    ECCENTRICITY,
     FRAME,
-    GAIN,
-    LENGTH,
     TARGET,
-    ZERO,
     ErrorModel,
 )
 
@@ -52,9 +45,6 @@ _LEASH = 1.0
 #: Target and frame stay within this of where registration put them, unless the data say otherwise: far more than
 #: registration is off by, and a hold where nothing tells them from each other [m and rad].
 _PLACED = 1.0
-
-#: Bounds of the sizes of errors [m, rad, 1].
-_SMALLEST, _LARGEST = 1e-7, 0.1
 
 #: How tightly a parameter is held at its bound, in its unit.
 _FIXED = 1e-10
@@ -118,21 +108,13 @@ class Holds:
             precision[k] = 1.0 / single[model.names[k]] ** 2
         for number, _ in fixed:
             alone[number], precision[number] = True, 1.0 / _FIXED**2
-        given = {
-            LENGTH: priors.length,
-            ANGLE: priors.angle,
-            ZERO: priors.zero,
-            GAIN: priors.gain,
-            ECCENTRICITY: priors.eccentricity,
-            COMPLIANCE: priors.compliance,
-        }
         off = priors.sizes == "off"
         known = np.zeros(len(model)) if nominal is None else np.where(alone, nominal, 0.0)
         names = [f for f in model.families if np.any(model.family(f) & ~alone)]
         return cls(
             names=tuple(names),
             families=tuple(model.family(f) & ~alone for f in names),
-            start=tuple(_LEASH if off else given[f] for f in names),
+            start=tuple(_LEASH if off else priors.of(f) for f in names),
             precision=precision,
             flat=placed & ~alone,
             adapts=priors.sizes == "data",
@@ -152,10 +134,7 @@ class Holds:
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
         """Smallest and largest size of each family."""
-        return tuple(
-            (SMALLEST_COMPLIANCE, LARGEST_COMPLIANCE) if f == COMPLIANCE else (_SMALLEST, _LARGEST)
-            for f in self.names
-        )
+        return tuple(FAMILIES[f].bounds for f in self.names)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from calib.identify.result import Calibration
 from calib.identify.selection import Candidate
 from calib.identify.statistics import Errors
 from calib.identify.words import three
-from calib.model.observability import SHOWN
+from calib.model.families import FAMILIES, unit_of
 from calib.model.parameters import FRAME, TARGET
 
 #: Kinds of row that measure one length.
@@ -34,16 +34,6 @@ _TENTHS = "a tenth of the poses at a time, predicted from the others"
 
 #: Degrees of freedom from which on the noise is that of the rows.
 _TELLING = 6.0
-
-#: How the size of each family's errors is written.
-_SIZES = {
-    "length": (1e3, "mm"),
-    "angle": (1e3, "mrad"),
-    "zero": (1e3, "mrad"),
-    "gain": (1e3, "mrad/rad"),
-    "eccentricity": (1e3, "mrad"),
-    "compliance": (1e6, "urad/Nm"),
-}
 
 #: A size of errors below this says that there are none [mm, mrad, urad/Nm].
 _NOTHING = 2e-3
@@ -211,7 +201,7 @@ def errorless(c: Calibration) -> frozenset[str]:
     if c.cell.priors.sizes != "data":
         return frozenset()
     own = set(c.cell.parameter_priors)
-    none = {f for f, size in c.sizes.items() if _SIZES[f][0] * size <= _NOTHING}
+    none = {f for f, size in c.sizes.items() if FAMILIES[f].unit.shown[0] * size <= _NOTHING}
     return frozenset(p.name for p in c.model.parameters if p.family in none and p.name not in own)
 
 
@@ -264,9 +254,11 @@ def larger_parameters(c: Calibration) -> Sequence[tuple[str, str, str, str]]:
     return [
         (
             p.name,
-            three(SHOWN[p.unit][0] * p.value),
-            "(at bound)" if p.at_bound else f"± {0.5 * SHOWN[p.unit][0] * (p.high - p.low):.3f}",
-            SHOWN[p.unit][1],
+            three(unit_of(p.unit).shown[0] * p.value),
+            "(at bound)"
+            if p.at_bound
+            else f"± {0.5 * unit_of(p.unit).shown[0] * (p.high - p.low):.3f}",
+            unit_of(p.unit).shown[1],
         )
         for p in shown
     ]
@@ -280,5 +272,5 @@ def solver_text(c: Calibration) -> str:
 
 def _size(family: str, size: float) -> str:
     """The size of a family's errors in words."""
-    factor, unit = _SIZES[family]
+    factor, unit = FAMILIES[family].unit.shown
     return f"{family} {factor * size:.3g} {unit}" if factor * size > _NOTHING else f"{family} none"

@@ -17,8 +17,9 @@ from calib.identify.setup import Setup, setup_of
 from calib.identify.statistics import same_poses
 from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements
+from calib.model.error_model import split_name
+from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
-from calib.model.parameters import COMPLIANCE
 from calib.model.robot import Robot
 from calib.model.torques import gravity_load
 
@@ -155,7 +156,7 @@ def _partners(m: Measurements, kinds: NDArray[np.int_]) -> NDArray[np.int_]:
 
 def _load_counts(cell: Cell) -> bool:
     """Whether a model may be fitted that asks for the load on the joints, which takes its time to work out."""
-    return cell.model == AUTO or COMPLIANCE in cell.model
+    return cell.model == AUTO or any(FAMILIES[f].loaded for f in split_name(cell.model)[1])
 
 
 def _load(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:

@@ -26,7 +26,6 @@ from calib.measure.planning import choose_poses
 from calib.measure.scenario import Scenario
 from calib.measure.simulation import Simulated, VirtualCell
 from calib.model.batch import twists_of
-from calib.model.joint_errors import LOAD
 from calib.model.kinematics import Samples
 from calib.model.robot import read_only, rigid_inverse
 from calib.model.torques import gravity_load
@@ -203,7 +202,7 @@ def _predicted(trials: Trials, fitted: Fitted, q: Array) -> tuple[Array, Array]:
     """
     robot, cell = trials.scenario.robot, trials.cell
     load = None
-    if any(term.factor == LOAD for term in fitted.kinematics.model.terms):
+    if any(term.factor and term.factor.loaded for term in fitted.kinematics.model.terms):
         load = gravity_load(robot, q, cell.payload, cell.gravity)
     poses, twists = twists_of(fitted.kinematics, fitted.estimate.x, Samples.at(q, load))
     if trials.scenario.kind in LENGTHS:

@@ -40,9 +40,6 @@ _SMALLEST, _LARGEST = 1e-7, 0.1
 #: How far the logarithm of a size may fall and rise in one step: where nothing supports a size it falls to its bound.
 STEPS_DOWN, STEPS_UP = 3.0, 1.0
 
-#: Bounds for compliances [rad/Nm, m/N], whose unit is another.
-SMALLEST_COMPLIANCE, LARGEST_COMPLIANCE = 1e-11, 1e-2
-
 
 @dataclass(frozen=True, slots=True)
 class Sizes:

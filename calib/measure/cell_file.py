@@ -34,6 +34,7 @@ from calib.measure.quantities import (
     parse_joint_value,
     parse_quantity,
 )
+from calib.model.families import FAMILIES, Unit
 from calib.model.files import read_bytes
 from calib.model.torques import Payload
 
@@ -62,12 +63,6 @@ KEYS: dict[str, str] = {
     "sigma_mm": POSITIVE,
     "sigma_angle_deg": POSITIVE,
     "priors": "'data', 'given' or 'off'",
-    "prior_length_mm": POSITIVE,
-    "prior_angle_mrad": POSITIVE,
-    "prior_zero_mrad": POSITIVE,
-    "prior_gain": POSITIVE,
-    "prior_eccentricity_mrad": POSITIVE,
-    "prior_compliance_rad_per_Nm": POSITIVE,
     "gravity_m_per_s2": THREE,
     "targets_mm": TABLE,
     "frames": TABLE,
@@ -99,26 +94,37 @@ _INNER: dict[str, dict[str, tuple[str, bool]]] = {
 #: The tables with keys of their own, and lists of such tables.
 _SINGLE, _LISTED = ("payload", "tracker", "reflector"), ("distances", "boxes")
 
-#: Keys of the sizes of priors, the attribute of each and what one of its unit is in SI.
-_PRIORS = {
-    "prior_length_mm": ("length", 1e-3),
-    "prior_angle_mrad": ("angle", 1e-3),
-    "prior_zero_mrad": ("zero", 1e-3),
-    "prior_gain": ("gain", 1.0),
-    "prior_eccentricity_mrad": ("eccentricity", 1e-3),
-    "prior_compliance_rad_per_Nm": ("compliance", 1.0),
-}
-
 _EXAMPLES = {LENGTH: '"0.5 mm"', ANGLE: '"1 mrad"', NUMBER: "1e-3", COMPLIANCE: '"1e-5 rad/Nm"'}
 
 #: How parameters are named, and what they are; see docs/parameters.md. The first that fits is taken.
 _PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
     (r"[ad]\d+|(frame|target)_[xyz](\[.*\])?|.*\.[xyz]", (LENGTH,)),
-    (r"(alpha|beta|theta)\d+|(frame|target)_r[xyz](\[.*\])?|.*\.(r[xyz]|sin|cos)", (ANGLE,)),
+    (r"(alpha|beta|theta)\d+|(frame|target)_r[xyz](\[.*\])?|.*\.r[xyz]", (ANGLE,)),
     (r".*\.zero", (LENGTH, ANGLE)),
-    (r".*\.gain", (NUMBER,)),
-    (r".*\.compliance", (COMPLIANCE,)),
 )
+
+
+def keys() -> dict[str, str]:
+    """Every key of a cell file and what its value must be: `KEYS`, and the size of the prior of each family."""
+    return KEYS | dict.fromkeys(_prior_keys(), POSITIVE)
+
+
+def _prior_keys() -> dict[str, tuple[str, float]]:
+    """The keys of the sizes of priors, such as ``prior_length_mm``: the family, and one of the key's unit in SI."""
+    return {
+        f"prior_{name}{row.unit.cell[0]}": (name, row.unit.cell[1])
+        for name, row in FAMILIES.items()
+    }
+
+
+def _units_of_joint_error(suffix: str) -> list[Unit]:
+    """The units that ``<joint>.<suffix>`` may have, at a joint that turns and one that slides; none if no family's."""
+    return [
+        unit
+        for row in FAMILIES.values()
+        for unit in (row.unit, row.sliding)
+        if unit is not None and suffix in [factor.name for factor in row.factors]
+    ]
 
 
 def read_cell_file(path: str | Path) -> dict[str, Any]:
@@ -176,16 +182,17 @@ def _check_whole_numbers(value: object) -> None:
 
 def _check_keys(table: Mapping[str, Any]) -> None:
     """Refuse unknown keys and values of the wrong kind."""
+    allowed = keys()
     for key, value in table.items():
-        if key not in KEYS:
-            message = f"unknown key '{key}'.{_close(key, KEYS)} A cell file may have {choices(KEYS, limit=40)}."
+        if key not in allowed:
+            message = f"unknown key '{key}'.{_close(key, allowed)} A cell file may have {choices(allowed, limit=40)}."
             raise CalibError(message)
-        if not fits(value, KEYS[key]):
-            message = f"'{key}' is {value!r}; it must be {KEYS[key]}."
+        if not fits(value, allowed[key]):
+            message = f"'{key}' is {value!r}; it must be {allowed[key]}."
             raise CalibError(message)
-        if KEYS[key] == TABLE and key not in _SINGLE:
+        if allowed[key] == TABLE and key not in _SINGLE:
             # TOML's own trap: what stands below a [table] belongs to it.
-            strayed = [name for name in value if name in KEYS]
+            strayed = [name for name in value if name in allowed]
             if strayed:
                 message = (
                     f"'{strayed[0]}' stands in the table [{key}]; the cell's own keys must stand above the first line "
@@ -218,7 +225,7 @@ def _check_inner(where: str, table: Mapping[str, Any] | None, kind: str) -> None
         if key not in allowed:
             above = (
                 " The cell's own keys must stand above the first line in brackets."
-                if key in KEYS
+                if key in keys()
                 else _close(key, allowed)
             )
             message = f"{where} has an unknown key '{key}'.{above} It may have {choices(allowed)}."
@@ -281,7 +288,7 @@ def _values(table: Mapping[str, Any]) -> dict[str, Any]:
 
 def _priors(table: Mapping[str, Any]) -> Priors:
     """The sizes of priors."""
-    sizes = {name: table[key] * unit for key, (name, unit) in _PRIORS.items() if key in table}
+    sizes = {f: table[key] * unit for key, (f, unit) in _prior_keys().items() if key in table}
     return Priors(sizes=table.get("priors", "data"), **sizes)
 
 
@@ -322,6 +329,9 @@ def _ties(table: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
 def _change(name: str, value: object, where: str) -> float:
     """The change of a parameter in SI units; its name tells what it can be."""
     allowed = next((kinds for pattern, kinds in _PARAMETERS if re.fullmatch(pattern, name)), ())
+    allowed = allowed or tuple(
+        {unit.quantity: None for unit in _units_of_joint_error(name.rpartition(".")[2])}
+    )
     examples = " or ".join(_EXAMPLES[kind] for kind in (allowed or _EXAMPLES))
     try:
         number, kind = parse_quantity(value)

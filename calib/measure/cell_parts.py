@@ -13,21 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import CalibError, choices
 from calib.measure.checks import FARTHEST
+from calib.model.families import family_of
 from calib.model.robot import read_only
 
 #: What `Priors.sizes` may be.
 PRIOR_SIZES = ("data", "given", "off")
-
-#: The sizes in a `Priors` and their units.
-_SIZES = {
-    "length": "m",
-    "angle": "rad",
-    "zero": "rad",
-    "gain": "rad/rad",
-    "eccentricity": "rad",
-    "compliance": "rad/Nm",
-}
-
 
 #: A prior outside of these says nothing, or is a constraint; their squares would leave the range of numbers.
 PRIORS = (1e-15, 1e6)
@@ -62,40 +52,45 @@ def check_prior(value: float, what: str) -> None:
         raise CalibError(message)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, init=False)
 class Priors:
     """How large a robot's errors are expected to be: zero-mean normal distributions, a size for each family.
 
     Attributes:
-        sizes: ``"data"``: the sizes are found from the measurements, starting at those below; ``"given"``: they are
-            those below; ``"off"``: none, plain least squares, but for a leash on what no measurement determines.
-        length: Standard deviation of an error in length [m].
-        angle: Standard deviation of an error in angle [rad].
-        zero: Standard deviation of the error of a joint's zero [rad].
-        gain: Standard deviation of the relative error of a gear ratio [rad/rad].
-        eccentricity: Standard deviation of the amplitude of an encoder's once-per-turn error [rad].
-        compliance: Standard deviation of a joint's compliance [rad/Nm].
+        sizes: ``"data"``: the sizes are found from the measurements, starting at those given; ``"given"``: they are
+            those given; ``"off"``: none, plain least squares, but for a leash on what no measurement determines.
+        given: Standard deviations by family that are other than its row of the registry has, in the family's unit.
+
+    Example:
+        >>> Priors("given", length=1e-3).of("length")
+        0.001
     """
 
-    sizes: str = "data"
-    length: float = 3e-3
-    angle: float = 15e-3
-    zero: float = 15e-3
-    gain: float = 1e-3
-    eccentricity: float = 1e-3
-    compliance: float = 1e-5
+    sizes: str
+    given: tuple[tuple[str, float], ...]
 
-    def __post_init__(self) -> None:
-        """Refuse an unknown word and sizes that are no standard deviations."""
-        if self.sizes not in PRIOR_SIZES:
-            message = f"Priors of the kind '{self.sizes}' were asked for; choose one of {choices(PRIOR_SIZES)}."
+    def __init__(self, sizes: str = "data", **given: float) -> None:
+        """Sizes by name: ``Priors("given", length=1e-3, compliance=2e-6)``.
+
+        Raises:
+            CalibError: An unknown word or family, or a size that is no standard deviation.
+        """
+        if sizes not in PRIOR_SIZES:
+            message = f"Priors of the kind '{sizes}' were asked for; choose one of {choices(PRIOR_SIZES)}."
             raise CalibError(message)
-        for name, unit in _SIZES.items():
-            value = getattr(self, name)
+        for name, value in given.items():
+            unit = family_of(name).unit.symbol
             if not is_positive(value):
                 message = f"The prior's {name} is {value} {unit}; it must be positive. Use sizes 'off' for none."
                 raise CalibError(message)
             check_prior(value, f"The prior's {name}")
+        object.__setattr__(self, "sizes", sizes)
+        others = {name: value for name, value in given.items() if value != family_of(name).prior}
+        object.__setattr__(self, "given", tuple(sorted(others.items())))
+
+    def of(self, family: str) -> float:
+        """The standard deviation of a family's errors, in its unit: as given, or that of its row of the registry."""
+        return dict(self.given).get(family, family_of(family).prior)
 
 
 @dataclass(frozen=True, slots=True)

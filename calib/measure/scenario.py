@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.measure.cell import Cell, Priors
+from calib.measure.cell import Cell
 from calib.measure.disturbances import Encoder, MovedTarget, Outliers
-from calib.measure.error_sizes import TYPICAL, ErrorSizes
 from calib.measure.noise import TrackerNoise
 from calib.measure.random_streams import stream
 from calib.measure.ranges import column_limits, joint_ranges, range_text
@@ -56,7 +55,7 @@ class Scenario:
     robot: Robot
     cell: Cell = field(default_factory=Cell)
     model: str = DEFAULT_MODEL
-    sizes: ErrorSizes | Priors | None = TYPICAL
+    sizes: Mapping[str, float] | None = field(default_factory=dict)
     errors: tuple[tuple[str, float], ...] = ()
     true_robot: Robot | None = None
     target_error: float = TARGET_ERROR

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
@@ -17,14 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, ModelError, choices
-from calib.measure.cell import Cell, Priors
-from calib.measure.error_sizes import TYPICAL, ErrorSizes
+from calib.measure.cell import Cell
+from calib.measure.cell_parts import is_number
 from calib.measure.kinds import DEFAULT_TARGET
 from calib.measure.random_streams import stream
 from calib.model.error_model import error_model, split_name
-from calib.model.joint_errors import LOAD
+from calib.model.families import FAMILIES, family_of, unit_of
 from calib.model.kinematics import Kinematics, Samples
-from calib.model.parameters import COMPLIANCE, FRAME, TARGET, TIP, ErrorModel
+from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
 from calib.model.robot import Robot, read_only, rigid_inverse
 from calib.model.torques import Payload, gravity_load
 from calib.model.urdf_joints import did_you_mean
@@ -39,12 +40,6 @@ TARGET_ERROR, TARGET_TURN = 1e-3, 10e-3
 
 #: Of a drawn set-up: distance of the tracker from the base, heights between which it stands [m], tilt [rad].
 _AWAY, _HEIGHTS, _TILT = 3.0, (-0.5, 1.0), 0.01
-
-#: A sliding joint's compliance is drawn with the size of a turning one's at a lever of 0.1 m.
-_LEVER = 0.1
-
-#: The largest errors that are taken for errors, by unit.
-_LARGEST = {"m": 1.0, "rad": 2.0 * np.pi, "1": 1.0, "m/m": 1.0, "rad/Nm": 1.0, "m/N": 1.0}
 
 #: Unit vectors that differ by no more are the same axis.
 _SAME_AXIS = 1e-9
@@ -124,7 +119,7 @@ class Truth:
 
     def load(self, q: ArrayLike) -> Array | None:
         """The load on each joint of the chain, shape (N, n), [Nm] or [N]; None without compliances."""
-        if not any(term.factor == LOAD for term in self.model.terms):
+        if not any(term.factor and term.factor.loaded for term in self.model.terms):
             return None
         return gravity_load(self.nominal, q, self.payload, self.gravity)
 
@@ -153,7 +148,7 @@ class Truth:
 def draw_truth(
     robot: Robot,
     model: str = "placement",
-    sizes: ErrorSizes | Priors | None = TYPICAL,
+    sizes: Mapping[str, float] | None = MappingProxyType({}),
     seed: int = 0,
     *,
     cell: Cell | None = None,
@@ -167,7 +162,8 @@ def draw_truth(
     Args:
         robot: The nominal robot.
         model: In which errors the robot is wrong: a parameter set, and families behind it, ``"placement+gain"``.
-        sizes: Standard deviations of the errors, by family; None: none is drawn. Compliances are drawn positive.
+        sizes: Standard deviations of the errors by family, in its unit; a family that is missing is wrong by what is
+            typical of it. None: no errors are drawn.
         seed: Of the random numbers.
         cell: Targets, frames, payload, gravity, and what is frozen, tied, bounded or has a prior of its own.
         errors: Values of single errors by name, in their units [m], [rad]...; they win over what is drawn.
@@ -242,19 +238,23 @@ def _limited(model: ErrorModel, cell: Cell, free: Sequence[str]) -> ErrorModel:
     return model.without(n for n in cell.frozen if n in known and n in model.names)
 
 
-def _drawn(model: ErrorModel, sizes: ErrorSizes | Priors | None, seed: int, cell: Cell) -> Array:
+def _drawn(model: ErrorModel, sizes: Mapping[str, float] | None, seed: int, cell: Cell) -> Array:
     """Errors of the sizes of their families, or of their own in the cell, inside the cell's bounds, shape (p,)."""
     unit = stream(seed, "errors").standard_normal(len(model))
     if sizes is None:
         return np.zeros(len(model))
+    for name, size in sizes.items():
+        if not is_number(size) or size < 0.0:
+            message = f"The size of errors in {family_of(name).name} is {size!r}; it must be a number, not below 0."
+            raise CalibError(message)
     x = np.empty(len(model))
     for k, parameter in enumerate(model.parameters):
-        size = getattr(sizes, parameter.family)
-        if parameter.unit == "m/N":
-            size *= _LEVER
+        family = FAMILIES[parameter.family]
+        size = sizes.get(family.name, family.typical)
+        if family.sliding is not None and parameter.unit == family.sliding.symbol:
+            size *= family.lever
         size = cell.parameter_priors.get(parameter.name, size)
-        # No joint gives way against its load.
-        value = size * (abs(unit[k]) if parameter.family == COMPLIANCE else unit[k])
+        value = size * (abs(unit[k]) if family.positive else unit[k])
         low, high = cell.bounds.get(parameter.name, (-np.inf, np.inf))
         x[k] = min(max(value, low), high)
     return x
@@ -275,9 +275,10 @@ def _with_given(model: ErrorModel, x: Array, errors: Mapping[str, float]) -> Arr
             raise CalibError(message)
         x[model.index(name)] = value
     for parameter, value in zip(model.parameters, x, strict=True):
-        if abs(value) > _LARGEST[parameter.unit]:
+        largest = unit_of(parameter.unit).largest
+        if abs(value) > largest:
             message = (
-                f"The error '{parameter.name}' is {value:.3g} {parameter.unit}; more than {_LARGEST[parameter.unit]:g} "
+                f"The error '{parameter.name}' is {value:.3g} {parameter.unit}; more than {largest:g} "
                 f"{parameter.unit} is not an error but another robot."
             )
             raise CalibError(message)

@@ -193,7 +193,7 @@ def _displacements(truth: Truth) -> list[dict[str, Any]]:
     """Every term of the error model: where it acts, along which twist, and how far.
 
     The twist is in metres, and in radians, of a unit of the value. ``times`` is the number of the joint's state that
-    multiplies it: "" for 1, "value", "sin", "cos" or "load".
+    multiplies it: "" for 1, "gain", "sin", "cos", "compliance" or that of a registered family.
     """
     values = truth.model.values(truth.x)
     return [
@@ -202,7 +202,7 @@ def _displacements(truth: Truth) -> list[dict[str, Any]]:
             "place": term.place,
             "twist": term.direction.tolist(),
             "value": float(value),
-            "times": term.factor,
+            "times": term.factor.name if term.factor else "",
         }
         for term, value in zip(truth.model.terms, values, strict=True)
     ]

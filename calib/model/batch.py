@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.model.joint_errors import LOAD, factor_of
+from calib.model.joint_errors import driven_joints, factor_of
 from calib.model.parameters import FRAME, TARGET, TIP
 from calib.model.robot import Robot, rigid_inverse
 
@@ -337,15 +337,7 @@ def _no_entries() -> tuple[NDArray[np.int_], Array]:
 def _driven(robot: Robot, kinematics: Kinematics) -> Array:
     """How far each joint of the chain moves with a unit of each term of the joints' state, shape (terms, n)."""
     model = kinematics.model
-    names = [joint.name for joint in robot.joints]
-    rows = []
-    for t in model.joint_terms:
-        term = model.terms[t]
-        if term.factor == LOAD:
-            rows.append(np.eye(len(names))[names.index(term.place)])
-        else:
-            rows.append(robot.coupling[:, robot.joint_names.index(term.place)])
-    return np.array(rows).reshape(-1, len(names))
+    return driven_joints(robot, [model.terms[t] for t in model.joint_terms])
 
 
 def _entries(

@@ -26,15 +26,12 @@ from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
 from calib.model.dh import dh_frames, dh_table, zero_poses
+from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
 from calib.model.joint_errors import axis_twists, joint_parameters
 from calib.model.parameters import (
-    ANGLE,
     FRAME,
-    JOINT_FAMILIES,
-    LENGTH,
     TARGET,
     TIP,
-    ZERO,
     ErrorModel,
     Parameter,
     frame_place,
@@ -67,8 +64,8 @@ def error_model(
         robot: The nominal robot.
         name: ``paper`` or ``dh`` (a, alpha, d, theta of each DH row), ``hayati`` (beta in place of d where axes are
             nearly parallel), ``placement`` (all six of each joint), ``zeros`` (the joint zeros only) or ``frames``
-            (no error of the robot at all); behind it, each with a "+", any of ``gain``, ``eccentricity`` and
-            ``compliance``: ``"dh+compliance"``.
+            (no error of the robot at all); behind it, each with a "+", any of the families of the
+            joints' state (`calib.model.families`): ``"dh+compliance"``.
         frame: Whether the measurement frame is estimated too: True for all six parameters of the one frame, or for
             each set-up which of `DIRECTIONS` are (none for a frame that is known).
         target: Whether the targets are, or the names of those that are.
@@ -178,14 +175,14 @@ def split_name(name: str) -> tuple[str, tuple[str, ...]]:
     if base not in MODELS:
         message = (
             f"There is no parameter set '{base}'. Choose one of {choices(MODELS)}, and behind it, each with a '+', "
-            f"any of {choices(JOINT_FAMILIES)}."
+            f"any of {choices(joint_families())}."
         )
         raise ModelError(message)
-    wrong = [f for f in families if f not in JOINT_FAMILIES or families.count(f) > 1]
+    wrong = [f for f in families if f not in joint_families() or families.count(f) > 1]
     if wrong:
         message = (
             f"'{name}' adds {choices(dict.fromkeys(wrong))} to the set '{base}'; what can be added, each once, is "
-            f"{choices(JOINT_FAMILIES)}."
+            f"{choices(joint_families())}."
         )
         raise ModelError(message)
     return base, tuple(families)

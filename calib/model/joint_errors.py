@@ -1,14 +1,4 @@
-"""Errors that change with the joints' state: gear gain, eccentricity, compliance.
-
-Each moves a joint about (along) its own axis by a parameter times a known number of the state:
-
-    gain          dq = g q
-    eccentricity  dq = s sin q + c cos q       the encoder's once-per-turn error
-    compliance    dq = c tau                   tau: the load on the joint, by gravity and payload, or measured
-
-No URDF can hold them. Sources: J. Hollerbach, W. Khalil, M. Gautier, Handbook of Robotics, ch. 6 (gain, compliance);
-the once-per-turn error is what an encoder disc that is off its axis shows.
-"""
+"""The parameters of the joints' state, and how far they move the joints; `calib.model.families` has the rows."""
 
 from __future__ import annotations
 
@@ -17,53 +7,42 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import ModelError, choices
-from calib.model.parameters import COMPLIANCE, ECCENTRICITY, GAIN, JOINT_FAMILIES, Parameter
+from calib.errors import ModelError
+from calib.model.families import JointState, family_of
+from calib.model.parameters import Parameter
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
-VALUE, SIN, COS, LOAD = "value", "sin", "cos", "load"
-
 
 def joint_parameters(robot: Robot, family: str) -> list[Parameter]:
-    """The parameters of one family of `JOINT_FAMILIES`, named ``<joint>.gain`` and so on.
-
-    Gain and eccentricity belong to a measured joint, and move all joints that follow it; compliance belongs to every
-    joint of the chain. Prismatic joints have no eccentricity.
+    """The parameters of one family of the joints' state, named ``<joint>.gain`` and so on.
 
     Raises:
-        ModelError: No such family.
+        ModelError: No such family, or one of the geometry.
     """
-    if family not in JOINT_FAMILIES:
-        message = f"There is no family '{family}' to add to a model. Choose among {choices(JOINT_FAMILIES)}."
+    row = family_of(family)
+    if row.geometric:
+        message = f"'{family}' is a family of the geometry: it belongs to a parameter set, and cannot be added to one."
         raise ModelError(message)
     parameters = []
-    for joint in robot.joints if family == COMPLIANCE else robot.inputs:
+    for joint in robot.joints if row.every_joint else robot.inputs:
         slides = joint.type == "prismatic"
+        unit = row.sliding if slides else row.unit
+        if unit is None:
+            continue
         twist = _axis_twist(joint.axis, slides=slides)
-        if family == GAIN:
-            parameters.append(
-                Parameter(
-                    f"{joint.name}.gain",
-                    "m/m" if slides else "1",
-                    joint.name,
-                    twist,
-                    GAIN,
-                    factor=VALUE,
-                )
+        parameters += [
+            Parameter(
+                f"{joint.name}.{factor.name}",
+                unit.symbol,
+                joint.name,
+                twist,
+                family,
+                factor=factor,
             )
-        elif family == COMPLIANCE:
-            unit = "m/N" if slides else "rad/Nm"
-            name = f"{joint.name}.compliance"
-            parameters.append(Parameter(name, unit, joint.name, twist, COMPLIANCE, factor=LOAD))
-        elif not slides:
-            parameters += [
-                Parameter(
-                    f"{joint.name}.{part}", "rad", joint.name, twist, ECCENTRICITY, factor=part
-                )
-                for part in (SIN, COS)
-            ]
+            for factor in row.factors
+        ]
     return parameters
 
 
@@ -76,36 +55,54 @@ def joint_displacements(
         robot: The robot, n joints in its chain.
         terms: With a ``factor``.
         q: shape (N, m), values of the measured joints, [rad] or [m].
-        load: shape (N, n), torque or force on each joint [Nm, N]; needed for compliance only.
+        load: shape (N, n), torque or force on each joint [Nm, N]; None if no term needs it.
 
     Raises:
-        ModelError: A compliance, and no load.
+        ModelError: A term needs the load, and there is none.
     """
     moved = np.zeros((len(q), len(robot.joints), len(terms)))
-    chain = [joint.name for joint in robot.joints]
+    driven = driven_joints(robot, terms)
     for k, term in enumerate(terms):
-        number = factor_of(robot, term, q, load)
-        if term.factor == LOAD:
-            moved[:, chain.index(term.place), k] = number
-        else:
-            column = robot.joint_names.index(term.place)
-            moved[:, :, k] = number[:, None] * robot.coupling[:, column]
+        moved[:, :, k] = factor_of(robot, term, q, load)[:, None] * driven[k]
     return moved
+
+
+def driven_joints(robot: Robot, terms: Sequence[Parameter]) -> Array:
+    """How far each joint of the chain moves where a term moves its own joint by one, shape (len(terms), n)."""
+    names = [joint.name for joint in robot.joints]
+    rows = [
+        np.eye(len(names))[names.index(term.place)]
+        if family_of(term.family).every_joint
+        else robot.coupling[:, robot.joint_names.index(term.place)]
+        for term in terms
+    ]
+    return np.array(rows).reshape(-1, len(names))
 
 
 def factor_of(robot: Robot, term: Parameter, q: Array, load: Array | None) -> Array:
     """The known number of the joints' state that multiplies a term, shape (N,); see `joint_displacements`.
 
     Raises:
-        ModelError: A compliance, and no load.
+        ModelError: It needs the load, and there is none; or the term has no factor.
     """
-    if term.factor == LOAD:
-        if load is None:
-            message = f"'{term.name}' needs the load on the joints. Give it with the joint values."
-            raise ModelError(message)
-        return load[:, [joint.name for joint in robot.joints].index(term.place)]
-    own = q[:, robot.joint_names.index(term.place)]
-    return own if term.factor == VALUE else np.sin(own) if term.factor == SIN else np.cos(own)
+    if term.factor is None:
+        message = f"'{term.name}' is an error of the geometry; no number of the joints' state multiplies it."
+        raise ModelError(message)
+    return term.factor.value(JointState(robot, term.place, q, load))
+
+
+def slope_of(robot: Robot, term: Parameter, q: Array, load: Array | None) -> Array:
+    """The derivative of `factor_of` by the joint's own value, shape (N,).
+
+    Raises:
+        ModelError: It needs the load, and there is none; or the term has no factor.
+    """
+    if term.factor is None:
+        message = f"'{term.name}' is an error of the geometry; no number of the joints' state multiplies it."
+        raise ModelError(message)
+    if term.factor.slope is None:
+        return np.zeros(len(q))
+    return term.factor.slope(JointState(robot, term.place, q, load))
 
 
 def axis_twists(robot: Robot) -> Array:

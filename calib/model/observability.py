@@ -14,20 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError
+from calib.model.families import unit_of
 from calib.model.robot import read_only
-
-#: The steps that make parameters comparable: what arms are typically wrong by, in each unit.
-STEPS = {"m": 1e-3, "rad": 1e-3, "1": 1e-3, "m/m": 1e-3, "rad/Nm": 1e-5, "m/N": 1e-6}
-
-#: How a change in each unit is written for a person: a factor and the unit that it leads to.
-SHOWN = {
-    "m": (1e3, "mm"),
-    "rad": (1e3, "mrad"),
-    "1": (1e3, "mrad/rad"),
-    "m/m": (1e3, "mm/m"),
-    "rad/Nm": (1e6, "urad/Nm"),
-    "m/N": (1e6, "um/N"),
-}
 
 #: A direction whose effect on the measurements is smaller than this share of the strongest one's cannot be
 #: identified: 1 mm of it moves the measured points by less than the repeatability of any arm.
@@ -59,7 +47,7 @@ class Combination:
         names: The parameters, in the model's order.
         steps: How much each changes, in its own unit, scaled so that the leading one, as a rule the first, changes
             by its declared step.
-        units: Of each, one of `STEPS`.
+        units: Of each, see `calib.model.families.unit_of`.
     """
 
     names: tuple[str, ...]
@@ -69,7 +57,7 @@ class Combination:
     def __str__(self) -> str:
         """In words, such as ``d2 and d4 together (+1 mm, -1 mm)``."""
         amounts = ", ".join(
-            f"{SHOWN[u][0] * s:+.3g} {SHOWN[u][1]}"
+            f"{unit_of(u).shown[0] * s:+.3g} {unit_of(u).shown[1]}"
             for s, u in zip(self.steps, self.units, strict=True)
         )
         if len(self.names) == 1:
@@ -104,7 +92,7 @@ class Observability:
 
 def steps(units: Sequence[str]) -> Array:
     """The declared step of each parameter, shape (p,), by its unit."""
-    return np.array([STEPS[unit] for unit in units])
+    return np.array([unit_of(unit).step for unit in units])
 
 
 def analyse(
@@ -119,7 +107,7 @@ def analyse(
     Args:
         jacobian: shape (rows, p), [m per unit of the parameter].
         names: p names.
-        units: p units, of `STEPS`.
+        units: p units.
         rows: How many rows there are; None for those of the Jacobian, which may also be the triangle of many.
 
     Raises:

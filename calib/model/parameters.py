@@ -14,24 +14,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
+from calib.model.families import FAMILIES, Factor
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
 #: The places that are not joints; no URDF calls a joint so.
 FRAME, TIP, TARGET = "(frame)", "(tip)", "(target)"
-
-#: Errors of the geometry: what a URDF can hold. A zero is an angle about a joint's own axis.
-LENGTH, ANGLE, ZERO = "length", "angle", "zero"
-
-#: Errors that change with the joints' state: no URDF holds them.
-GAIN, ECCENTRICITY, COMPLIANCE = "gain", "eccentricity", "compliance"
-
-GEOMETRY = (LENGTH, ANGLE, ZERO)
-JOINT_FAMILIES = (GAIN, ECCENTRICITY, COMPLIANCE)
-
-#: All families that share the size of a prior; frame and target have none.
-FAMILIES = (*GEOMETRY, *JOINT_FAMILIES)
 
 #: A placement that is displaced by less than this stays as it is, and so does its <origin> [m, rad].
 _UNMOVED = 1e-12
@@ -53,14 +42,14 @@ class Parameter:
 
     Attributes:
         name: Unique, such as ``"d1"``, ``"elbow_joint.rx"`` or ``"target_x"``.
-        unit: "m", "rad", "rad/Nm", "m/N", "1", or "m/m" for the gain of a joint that slides.
+        unit: The symbol of a `calib.model.families.Unit`: "m", "rad", "rad/Nm", ...
         place: A joint's name, `TIP`, or that of a frame or a target.
         direction: shape (6,), twist in the place's local frame, linear then angular, of a unit of the parameter. For
             errors that change with the joints' state: of a unit of the joint's displacement.
-        family: One of `FAMILIES`, `FRAME` or `TARGET`.
+        family: One of `calib.model.families.FAMILIES`, `FRAME` or `TARGET`.
         nominal: The value that the parameter adds to, in its unit: the DH table's, or 0. A target's is where
             the cell says it is.
-        factor: The known number of the joint's state that multiplies it; "" for 1. See `calib.model.joint_errors`.
+        factor: The known number of the joint's state that multiplies it; None for 1.
     """
 
     name: str
@@ -69,7 +58,7 @@ class Parameter:
     direction: Array
     family: str
     nominal: float = 0.0
-    factor: str = ""
+    factor: Factor | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,12 +91,14 @@ class ErrorModel:
         if doubled:
             message = f"Parameters {choices(doubled)} appear twice in the model '{self.name}'; names must differ."
             raise ModelError(message)
-        unknown = sorted({t.place for t in self.terms if not t.factor} - set(self.places))
+        unknown = sorted({t.place for t in self.terms if t.factor is None} - set(self.places))
         if unknown:
             message = f"The chain has no places {choices(unknown)}; it has {choices(self.places)}."
             raise ModelError(message)
         number = {place: k for k, place in enumerate(self.places)}
-        acting = [(t, number[term.place]) for t, term in enumerate(self.terms) if not term.factor]
+        acting = [
+            (t, number[term.place]) for t, term in enumerate(self.terms) if term.factor is None
+        ]
         undisplaced = np.zeros((6 * len(self.places), len(self.terms)))
         for t, k in acting:
             undisplaced[6 * k : 6 * k + 6, t] = self.terms[t].direction
@@ -127,7 +118,7 @@ class ErrorModel:
 
     @property
     def families(self) -> tuple[str, ...]:
-        """The families that the model has, of `FAMILIES` and in their order."""
+        """The families that the model has, in the order of the registry."""
         return tuple(f for f in FAMILIES if any(p.family == f for p in self.parameters))
 
     def __len__(self) -> int:
@@ -158,8 +149,6 @@ class ErrorModel:
         gone = {self.index(name) for name in names}
         if not gone:
             return self
-        if not gone:
-            return self
         kept = [k for k in range(len(self)) if k not in gone]
         mixing = self.mixing[:, kept]
         used = [t for t in range(len(self.terms)) if np.any(mixing[t])]
@@ -176,8 +165,6 @@ class ErrorModel:
         Raises:
             ModelError: No such parameter, one that is tied to itself or in a circle, or units that differ.
         """
-        if not ties:
-            return self
         if not ties:
             return self
         mixing, model = self.mixing.copy(), self
@@ -206,7 +193,7 @@ class ErrorModel:
     @property
     def joint_terms(self) -> tuple[int, ...]:
         """The terms that change with the joints' state."""
-        return tuple(t for t, term in enumerate(self.terms) if term.factor)
+        return tuple(t for t, term in enumerate(self.terms) if term.factor is not None)
 
     def values(self, x: Array) -> Array:
         """The value of every term, shape (terms,).

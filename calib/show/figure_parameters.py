@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.identify.findings import ParameterEstimate
 from calib.identify.result import Calibration
 from calib.identify.statements import errorless
-from calib.model.observability import SHOWN
+from calib.model.families import unit_of
 from calib.model.parameters import FRAME, TARGET
 from calib.show.figure_base import WIDTH, few_ticks, legend_above, new_figure, short_names
 from calib.show.palette import CALIBRATED, INK, NOMINAL, SOFT
@@ -65,7 +65,7 @@ def _by_unit(parameters: tuple[ParameterEstimate, ...]) -> list[_Unit]:
     names = {"m": "Lengths", "rad": "Angles", "1": "Gear ratios and sines", "rad/Nm": "Compliances"}
     result = []
     for unit in dict.fromkeys(p.unit for p in parameters):
-        scale, word = SHOWN[unit]
+        scale, word = unit_of(unit).shown
         if unit == "rad":
             scale, word = float(np.degrees(1.0)), "deg"
         chosen = tuple(p for p in parameters if p.unit == unit)

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.compensate.arm import Arm, _slope
+from calib.compensate.arm import Arm
 from calib.compensate.matching import Matching
-from calib.errors import ModelError
 from calib.identify.evaluation import Known
 from calib.identify.stored import StoredLarger
 from calib.model.error_model import error_model
@@ -97,9 +96,3 @@ def test_a_calibrated_robot_is_an_arm_too(ur3):
     x *= np.where(np.array(model.units) == "m", 0.5e-3, 2e-3)
     straight = Kinematics(ur3, model, np.eye(4), np.eye(4)).poses(x, q)
     assert Arm.of_robot(true, np.eye(4)).poses(q) == pytest.approx(straight, abs=1e-12)
-
-
-def test_an_unknown_factor_has_no_slope():
-    """A wrong slope would be a wrong Newton step without any error."""
-    with pytest.raises(ModelError, match="harmonic"):
-        _slope("harmonic", np.zeros(1))

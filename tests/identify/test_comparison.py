@@ -24,10 +24,10 @@ from calib.identify.result_file import result_table, write_table
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
+from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.json_file import plain
 from calib.model.kinematics import Kinematics
 from calib.model.observability import STEPS
-from calib.model.parameters import GEOMETRY
 from calib.model.readback import spread_between
 from calib.model.robot import Robot
 
@@ -274,7 +274,9 @@ def test_results_that_began_with_different_urdfs(arm: Arm, before: Calibration):
 
 
 def test_the_data_push_as_hard_as_the_priors_pull(before: Calibration):
-    of_robot = [k for k, p in enumerate(before.model.parameters) if p.family in GEOMETRY]
+    of_robot = [
+        k for k, p in enumerate(before.model.parameters) if p.family in (LENGTH, ANGLE, ZERO)
+    ]
     pull = before.x / np.array(prior_stds(before)) ** 2
     told = [k for k in of_robot if before.x[k]]
     assert len(told) > 15

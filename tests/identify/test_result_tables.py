@@ -8,7 +8,7 @@ import pytest
 from calib.identify.result_tables import SIZE_UNITS, errors_table, evaluation_table, result_table
 from calib.identify.statistics import Errors
 from calib.measure.cell_parts import _SIZES
-from calib.model.parameters import FAMILIES
+from calib.model.families import FAMILIES
 
 
 def test_every_family_of_errors_has_a_unit():

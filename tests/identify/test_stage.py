@@ -12,8 +12,9 @@ from calib.identify.problem import Problem
 from calib.identify.stage import Holds, Stage
 from calib.measure.cell import Priors
 from calib.model.error_model import error_model
+from calib.model.families import ZERO
 from calib.model.kinematics import Samples
-from calib.model.parameters import FRAME, TARGET, ZERO
+from calib.model.parameters import FRAME, TARGET
 
 
 @pytest.fixture(scope="module")

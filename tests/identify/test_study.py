@@ -19,7 +19,6 @@ from calib.identify.study import (
 )
 from calib.measure.cell import Cell
 from calib.measure.disturbances import Outliers
-from calib.measure.error_sizes import ErrorSizes
 from calib.measure.noise import TrackerNoise
 from calib.measure.scenario import Scenario
 from calib.model.robot import Robot
@@ -125,9 +124,7 @@ def test_distances_are_verified_by_their_shape(ur3):
     T_anchor_base = np.eye(4)
     T_anchor_base[:3, 3] = (-0.7, 0.5, -0.3)
     cell = Cell(target=TARGET, kind="distance", T_frame_base=T_anchor_base, model="zeros")
-    scenario = Scenario(
-        ur3, cell=cell, model="zeros", sizes=ErrorSizes(), noise=TrackerNoise(1e-6, 0.0, 0.0)
-    )
+    scenario = Scenario(ur3, cell=cell, model="zeros", sizes={}, noise=TrackerNoise(1e-6, 0.0, 0.0))
     found = study(Trials(scenario, cell, count=40, validate=False), 2)
     assert found.rms < 0.05 * found.nominal_rms
 

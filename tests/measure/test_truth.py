@@ -9,11 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, ModelError
 from calib.measure.cell import Cell
-from calib.measure.cell_parts import Priors
-from calib.measure.error_sizes import TYPICAL, ErrorSizes
 from calib.measure.surroundings import Tracker
 from calib.measure.truth import TARGET_ERROR, draw_truth, tracker_pose
 from calib.model.error_model import MODELS, error_model
+from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, rigid_inverse
@@ -83,7 +82,7 @@ def test_drawn_errors_have_the_sizes_of_their_families(ur3):
     ].all()
     for family in model.families:
         rms = np.sqrt((x[:, model.family(family)] ** 2).mean())
-        assert rms == pytest.approx(getattr(TYPICAL, family), rel=0.08)
+        assert rms == pytest.approx(FAMILIES[family].typical, rel=0.08)
     assert (x[:, model.family("compliance")] > 0.0).all()
 
 
@@ -91,7 +90,7 @@ def test_sizes_that_are_nothing_leave_the_robot_as_it_is(ur3):
     nothing = draw_truth(ur3, "placement", None, seed=1)
     assert nothing.robot.urdf == ur3.urdf
     assert (nothing.x == 0.0).all()
-    turned = draw_truth(ur3, "placement", ErrorSizes(length=0.0), seed=1)
+    turned = draw_truth(ur3, "placement", {"length": 0.0}, seed=1)
     assert (turned.x[turned.model.family("length")] == 0.0).all()
     assert (turned.x[turned.model.family("angle")] != 0.0).all()
 
@@ -163,7 +162,7 @@ def test_what_a_cell_says_of_single_errors_holds(ur3):
 
 
 def test_the_cell_s_own_sizes(ur3):
-    truth = draw_truth(ur3, "placement", Priors(length=1e-9, angle=1e-9, zero=1e-9), seed=1)
+    truth = draw_truth(ur3, "placement", {"length": 1e-9, "angle": 1e-9, "zero": 1e-9}, seed=1)
     assert 0.0 < np.abs(truth.x).max() < 1e-8
 
 
