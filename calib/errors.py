@@ -7,6 +7,7 @@ the class.
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterable
 
@@ -69,3 +70,14 @@ def choices(names: Iterable[str], limit: int = 12) -> str:
     listed = list(names)
     text = ", ".join(f"'{name}'" for name in listed[:limit])
     return text if len(listed) <= limit else f"{text} and {len(listed) - limit} more"
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """The names most like the one given, as the end of a message; empty if none is like it.
+
+    Example:
+        >>> did_you_mean("tool", ["base", "tool0"])
+        " (did you mean 'tool0'?)"
+    """
+    close = difflib.get_close_matches(name, names, n=3)
+    return f" (did you mean {' or '.join(repr(match) for match in close)}?)" if close else ""

@@ -9,7 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from calib.cli.words import parse_pair
-from calib.errors import CalibError, choices
+from calib.errors import CalibError, choices, did_you_mean
 
 if TYPE_CHECKING:
     import numpy as np
@@ -178,7 +178,6 @@ def parse_start(pairs: Iterable[str], robot: Robot) -> dict[str, float]:
         CalibError: No pair, a name that the chain does not have, or a unit that is not the joint's.
     """
     from calib.cli.words import parse_held
-    from calib.model.urdf_joints import did_you_mean
     from calib.units import unit_fault
 
     start = parse_held(pairs, "--start")

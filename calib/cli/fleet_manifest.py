@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from calib.cli.options import Kind, PriorSizes, Repeats
 from calib.cli.setup import read_cell
 from calib.cli.words import parse_columns
-from calib.errors import CalibError, FileError, MeasurementError, choices
+from calib.errors import CalibError, FileError, MeasurementError, choices, did_you_mean
 
 if TYPE_CHECKING:
     from calib.identify.fleet_robot import FleetInputs, FleetRobot
@@ -286,7 +286,6 @@ def _check_known(where: str, what: str, name: str | None, entries: Iterable[_Ent
         CalibError: None has it. Where one does, the others fail alone: a fleet may have robots of several kinds.
     """
     from calib.identify.fleet_robot import urdf_reader
-    from calib.model.urdf_joints import did_you_mean
 
     if name is None:
         return

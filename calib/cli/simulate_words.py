@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from calib.errors import CalibError, choices
+from calib.errors import CalibError, choices, did_you_mean
 
 if TYPE_CHECKING:
     from calib.measure.disturbances import Encoder, MovedTarget, Outliers
@@ -101,7 +101,6 @@ def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tupl
         CalibError: A pair without an equals sign, a name twice or unknown, or a value with another unit.
     """
     from calib.model.families import unit_of
-    from calib.model.urdf_joints import did_you_mean
 
     units = {parameter.name: parameter.unit for parameter in known}
     found: dict[str, float] = {}

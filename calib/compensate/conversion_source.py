@@ -20,8 +20,8 @@ from calib.identify.result_file import read_table, stored_result
 from calib.identify.stored import StoredResult
 from calib.model.files import read_bytes
 from calib.model.readback import spread_poses
-from calib.model.recorded import recorded_urdf
 from calib.model.robot import Robot
+from calib.model.sources import recorded_urdf
 from calib.model.urdf import Urdf
 from calib.model.xacro_file import is_xacro
 from calib.model.yaml_file import yaml_keys

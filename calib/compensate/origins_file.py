@@ -21,12 +21,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.errors import FileError, UrdfError, choices
+from calib.errors import FileError, UrdfError, choices, did_you_mean
 from calib.model.files import read_bytes, write_atomically
 from calib.model.number_text import NUMBER
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
-from calib.model.urdf_joints import FARTHEST, did_you_mean
+from calib.model.urdf_joints import FARTHEST
 from calib.model.yaml_file import parse_yaml
 
 __all__ = ["JointOrigin", "Origins", "origins_of", "parse_origins", "read_origins", "write_origins"]

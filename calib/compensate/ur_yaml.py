@@ -24,11 +24,10 @@ import yaml
 from numpy.typing import NDArray
 
 from calib.compensate.ur_models import LINKS
-from calib.errors import FileError, choices
+from calib.errors import FileError, choices, did_you_mean
 from calib.model.files import read_bytes, write_atomically
 from calib.model.number_text import NUMBER
 from calib.model.robot import read_only
-from calib.model.urdf_joints import did_you_mean
 from calib.model.yaml_file import check_length
 
 Array = NDArray[np.float64]

@@ -18,8 +18,8 @@ from calib.identify.result_file import read_table, result_table, stored_result
 from calib.identify.stored import StoredResult
 from calib.measure.measurements import Measurements
 from calib.model.json_file import damage, plain
-from calib.model.recorded import recorded_urdf
 from calib.model.robot import Robot, read_only
+from calib.model.sources import recorded_urdf
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """dask_executor: the workers of a Dask scheduler, on any number of machines.
 
-Dask is an extra (``pip install "calib[dask]"``) and imported when it is asked for. Workers need calib and the same
+Dask is an extra (``pip install ".[dask]"``) and imported when it is asked for. Workers need calib and the same
 versions of what computes, and no shared disk: jobs carry their inputs, and their results come back. The tasks of a
 worker that ends are done by others; one that ends several workers in a row is given up by Dask.
 """
@@ -119,8 +119,8 @@ def dask_executor(address: str, timeout: float = TIMEOUT) -> Iterator[DaskExecut
         import distributed
     except ImportError as error:
         message = (
-            "Dask is not installed here; it is an extra: pip install 'calib[dask]'. Workers of this machine alone "
-            "need none: --workers."
+            "Dask is not installed here; it is an extra: pip install '.[dask]' in calib's folder. Workers of "
+            "this machine alone need none: --workers."
         )
         raise CalibError(message) from error
     with _quiet():

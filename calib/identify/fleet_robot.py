@@ -23,7 +23,8 @@ from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.table import Table
 from calib.model.json_file import json_bytes
-from calib.model.robot import Robot, read_urdf
+from calib.model.robot import Robot
+from calib.model.sources import read_urdf
 from calib.model.urdf import Urdf
 from calib.units import split_header
 

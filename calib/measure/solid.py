@@ -18,7 +18,6 @@ from calib.model.meshes import (
     link_shapes,
     load_mesh,
     mesh_folders,
-    why_no_mesh,
 )
 from calib.model.urdf import Urdf
 
@@ -154,11 +153,8 @@ def _mesh(
     if path is None:
         listed = ", ".join(str(folder) for folder in folders[:4])
         more = f" and {len(folders) - 4} more folders" if len(folders) > 4 else ""
-        why = why_no_mesh(name, folders)
-        if why.startswith("was"):
-            why += f" in {listed}{more}"
         message = (
-            f"{urdf.source}: link '{link}': the mesh '{name}' {why}. Name the folder that "
+            f"{urdf.source}: link '{link}': the mesh '{name}' was not found in {listed}{more}. Name the folder that "
             "holds it, for package://NAME/... the one that NAME stands in, by --package-dir, or plan without "
             "collisions (--no-collisions)."
         )

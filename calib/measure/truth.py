@@ -17,7 +17,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.errors import CalibError, ModelError, choices
+from calib.errors import CalibError, ModelError, choices, did_you_mean
 from calib.measure.cell import Cell
 from calib.measure.cell_parts import is_number
 from calib.measure.kinds import DEFAULT_TARGET
@@ -28,7 +28,6 @@ from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
 from calib.model.robot import Robot, read_only, rigid_inverse
 from calib.model.torques import Payload, gravity_load
-from calib.model.urdf_joints import did_you_mean
 
 Array = NDArray[np.float64]
 

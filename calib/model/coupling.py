@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import ModelError, UrdfError, choices
+from calib.errors import ModelError, UrdfError, choices, did_you_mean
 from calib.model.chain import MOVING, read_only
 from calib.model.urdf import Urdf, UrdfJoint
-from calib.model.urdf_joints import did_you_mean
 from calib.units import unit_fault
 
 Array = NDArray[np.float64]

@@ -7,6 +7,7 @@ import math
 import os
 import sys
 import urllib.parse
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,13 +20,14 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pinocchio import hppfcl
 
-from calib.model.given_folders import GivenFolders, own_folder
-from calib.model.mesh_files import MeshFault, read_triangles
-from calib.model.ros_packages import MANIFEST, is_near, packages_in
+from calib.model.ros_packages import listed_folders, packages_in
 from calib.model.urdf import Urdf
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
+
+KINDS = (".stl", ".obj", ".dae", ".ply", ".off", ".glb")
+"""The mesh files that are read, by the ending of the name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,113 +83,77 @@ def link_shapes(urdf: Urdf, kind: Literal["visual", "collision"]) -> Iterator[Li
                 yield LinkShape(link.get("name", ""), _origin(element), geometry)
 
 
-class MeshFolders(tuple[Path, ...]):
-    """The folders in which meshes are looked for, and those out of which they may be.
-
-    Attributes:
-        given: A mesh outside of these and of a package is not read.
-        above: The folders above the URDF, the nearest first.
-    """
-
-    given: GivenFolders
-    above: tuple[Path, ...] = ()
-
-
-def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> MeshFolders:
+def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> tuple[Path, ...]:
     """The folders in which ``package://`` and relative mesh names are looked for, each once.
 
     Those that the user named, the URDF's own folder and those above it, ``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``,
     the share folder of example-robot-data and the one of this Python.
     """
-    named = [Path(folder) for folder in package_dirs]
-    above: tuple[Path, ...] = ()
-    own: tuple[Path, ...] = ()
+    folders = [Path(folder) for folder in package_dirs]
     if urdf.path is not None:
-        above = tuple(Path(os.path.realpath(urdf.path)).parents)
-        own = (own_folder(urdf.path),)
-    others = []
-    for name, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
-        listed = os.environ.get(name, "").split(os.pathsep)
-        others += [Path(folder) / below for folder in listed if folder]
-    others += [*_robot_data_shares(), Path(sys.prefix) / "share"]
-    folders = MeshFolders(dict.fromkeys([*named, *above, *others]))
-    folders.given, folders.above = GivenFolders(own, (*named, *others)), above
-    return folders
+        folders += urdf.path.resolve().parents
+    folders += listed_folders("ROS_PACKAGE_PATH")
+    folders += [prefix / "share" for prefix in listed_folders("AMENT_PREFIX_PATH")]
+    folders += [*_robot_data_shares(), Path(sys.prefix) / "share"]
+    return tuple(dict.fromkeys(folders))
 
 
 def find_mesh(name: str, folders: Sequence[Path]) -> Path | None:
     """The file that ``package://package/rest``, ``file:///path`` or a plain path means; None if there is none.
 
-    A file outside of the given folders is none: a package is left neither by ``..`` nor over a symbolic link, and a
-    plain path, whole or relative, leads into the URDF's own folder, see `own_folder`, or into one that the user named.
-
     Args:
         name: As the URDF has it.
-        folders: See `mesh_folders`; of other folders all count as named by the user.
+        folders: See `mesh_folders`.
     """
-    given = folders.given if isinstance(folders, MeshFolders) else GivenFolders((), tuple(folders))
-    above = folders.above if isinstance(folders, MeshFolders) else ()
-    found = (p for p, root in _candidates(name, folders) if _holds(given, above, p, root))
-    return next(filter(_is_file, found), None)
+    # os.path: a name that the system cannot have is that of no file.
+    return next((path for path in _candidates(name, folders) if os.path.isfile(path)), None)  # noqa: PTH113
 
 
-def why_no_mesh(name: str, folders: Sequence[Path]) -> str:
-    """What is wrong with a mesh that `find_mesh` does not find; goes on after its name."""
-    if any(_is_file(path) for path, _ in _candidates(name, folders)):
-        return "lies outside the URDF's own folder and its ROS packages, and is not read"
-    return "was not found"
-
-
-def _candidates(name: str, folders: Sequence[Path]) -> Iterator[tuple[Path, Path | None]]:
-    """The files that a name may mean, the likeliest first, each with its package's folder if it has one."""
+def _candidates(name: str, folders: Sequence[Path]) -> Iterator[Path]:
+    """The files that a name may mean, the likeliest first."""
     scheme, separator, rest = name.partition("://")
-    if not separator:
-        scheme, rest = "", name
-    if scheme in ("package", "model"):
-        rest = rest.lstrip("/")  # a package without a name: what follows lies in one of the folders
-        package, _, inside = rest.partition("/")
-        if package.strip(".") and (at := [f for f in folders if f.parent != f]):
-            yield from ((folder / rest, folder / package) for folder in at)
-            yield from ((folder / inside, folder) for folder in at if folder.name == package)
-            # Of a folder with another name only its package.xml tells.
-            for folder in at:
-                yield from ((f / inside, f) for f in packages_in(folder, package))
-        else:
-            yield from ((folder / rest, None) for folder in folders)
-    elif scheme in ("", "file"):
-        plain = Path(urllib.parse.unquote(rest) if scheme else rest)
-        yield from ((folder / plain, None) for folder in folders if rest)
-
-
-def _holds(given: GivenFolders, above: Sequence[Path], path: Path, package: Path | None) -> bool:
-    """Whether a file may be read: in a given folder, or in the package that its name begins with."""
-    if given.hold(path):
-        return True
-    if package is None or not ((package / MANIFEST).is_file() or is_near(package, above)):
-        return False
-    return GivenFolders((package,)).hold(path)
+    if not separator or scheme == "file":
+        plain = urllib.parse.unquote(rest) if separator else name
+        yield from (folder / plain for folder in folders)
+    elif scheme in ("package", "model"):
+        package, _, inside = rest.lstrip("/").partition("/")
+        yield from (folder / package / inside for folder in folders)
+        yield from (folder / inside for folder in folders if folder.name == package)
+        for folder in folders:  # of a folder with another name its package.xml tells
+            yield from (found / inside for found in packages_in(folder, package))
 
 
 def read_mesh(path: Path, scale: Sequence[float]) -> tuple[tuple[Array, Faces] | None, str]:
     """The triangles of a mesh file, and ``""``; or None and what is wrong with the file.
 
+    A COLLADA file is as large as its ``<unit>`` says and stands as it is written: ``<up_axis>`` is not heeded, as ROS
+    and its simulators do not.
+
     Args:
-        path: The file.
+        path: The file; its ending says of which kind it is.
         scale: Factors along x, y, z.
 
     Returns:
         Vertices, shape (V, 3), [m], and faces, shape (F, 3), indices of vertices.
     """
+    kind = path.suffix.lower()
+    if kind not in KINDS:
+        return None, f"is of a kind that is not read; save it as one of {', '.join(KINDS)}"
+    import trimesh  # takes half a second
+
     try:
-        with np.errstate(all="ignore"):  # numbers without end are looked for below
-            vertices, faces = read_triangles(path)
-            vertices = vertices * np.asarray(scale, dtype=np.float64)
-            spread = np.ptp(vertices, axis=0) if len(faces) else np.zeros(3)
-    except MeshFault as error:
-        return None, str(error)
-    if not np.isfinite(spread).all() or not spread.any():
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scene: Any = trimesh.load_scene(file, file_type=kind[1:], process=False)
+            mesh = scene.to_mesh()
+            unit = trimesh.units.unit_conversion(scene.units, "meters") if kind == ".dae" else 1.0
+            used, faces = np.unique(mesh.faces, return_inverse=True)
+            vertices: Array = mesh.vertices[used] * (unit * np.asarray(scale, dtype=np.float64))
+    except Exception:  # noqa: BLE001  what the readers of many formats raise is not known
+        return None, "cannot be read"
+    if not len(vertices) or not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).any():
         return None, "is empty"
-    return (vertices, faces), ""
+    return (vertices, faces.reshape(-1, 3).astype(np.int64)), ""
 
 
 def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
@@ -251,11 +217,3 @@ def _origin(element: Element) -> Array:
         rpy = numbers(origin.get("rpy"), (0.0, 0.0, 0.0))
         T[:3, :3] = pin.rpy.rpyToMatrix(*rpy)
     return T
-
-
-def _is_file(path: Path) -> bool:
-    """Whether there is such a file; no for a name that the system cannot have."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False

@@ -13,8 +13,6 @@ some mimic others or are held, see `calib.model.coupling`.
 
 from __future__ import annotations
 
-import importlib.metadata
-import os
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,15 +21,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import UrdfError, choices
+from calib.errors import UrdfError
 from calib.model.chain import Chain, last_joint_poses, read_only, rigid_inverse
 from calib.model.coupling import Coupling, all_values, checked_held
+from calib.model.sources import read_urdf
 from calib.model.tips import farthest_link
 from calib.model.tree_checks import check_size
 from calib.model.urdf import Urdf, UrdfJoint
-from calib.model.xacro_file import is_xacro, read_xacro
 
-__all__ = ["Robot", "find_urdf", "last_joint_poses", "read_only", "read_urdf", "rigid_inverse"]
+__all__ = ["Robot", "last_joint_poses", "read_only", "rigid_inverse"]
 
 #: A placement that no <origin> holds may differ by rounding [m; rotation matrices: 1].
 _ROUNDING = 1e-12
@@ -293,41 +291,3 @@ class Robot:
             "<origin> behind that joint that could hold a correction. Add a fixed joint and a link to the "
             "URDF and name that link as --tip."
         )
-
-
-def read_urdf(source: str | Path) -> Urdf:
-    """The URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data.
-
-    Raises:
-        FileError: The file cannot be read.
-        UrdfError: No such robot, no URDF, or a xacro that cannot be flattened.
-    """
-    return read_xacro(source) if is_xacro(source) else Urdf.read(find_urdf(source))
-
-
-def find_urdf(source: str | Path) -> Path:
-    """The URDF file that a path or a robot's name means.
-
-    A name is looked for in the file list of the installed ``example-robot-data`` package, as
-    ``<name>_robot.urdf`` and then ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``.
-
-    Raises:
-        UrdfError: Neither a file nor a known robot.
-    """
-    path = Path(source)
-    if path.suffix or len(path.parts) != 1 or os.path.isfile(path):  # noqa: PTH113  of any length
-        return path
-    try:
-        files = importlib.metadata.files("example-robot-data") or []
-    except importlib.metadata.PackageNotFoundError:
-        files = []
-    urdfs = {file.name: Path(str(file.locate())) for file in files if file.suffix == ".urdf"}
-    for name in (f"{source}_robot.urdf", f"{source}.urdf"):
-        if name in urdfs:
-            return urdfs[name]
-    known = sorted(name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs)
-    message = (
-        f"'{source}' is neither a file here nor a robot of example-robot-data. Give the path of a URDF or "
-        f"xacro, or one of {choices(dict.fromkeys(known), limit=60)}."
-    )
-    raise UrdfError(message)

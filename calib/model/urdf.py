@@ -14,9 +14,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.errors import UrdfError, choices
+from calib.errors import UrdfError, choices, did_you_mean
 from calib.model.files import check_no_xacro, read_bytes, write_atomically
-from calib.model.urdf_joints import UrdfJoint, did_you_mean, path_from_root, read_tree
+from calib.model.urdf_joints import UrdfJoint, path_from_root, read_tree
 from calib.model.urdf_xml import Document, Element, element_tree
 
 __all__ = ["LIMIT_BYTES", "SAME", "Urdf", "UrdfJoint"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -13,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.errors import UrdfError, choices
+from calib.errors import UrdfError, choices, did_you_mean
 from calib.model.number_text import NUMBER
 from calib.model.urdf_xml import XACRO_FIX, Document, Element
 
@@ -28,7 +27,6 @@ _ZERO_AXIS = 1e-9
 #: Beyond this [m or rad] doubles are further apart than the 1e-9 that written files agree to.
 FARTHEST = 1e6
 
-_LONGEST_NAME = 200
 _SPACE = " \t\r\n"  # XML's white space; str.split() would take more
 
 
@@ -102,14 +100,6 @@ def path_from_root(link: str, up: Mapping[str, UrdfJoint]) -> tuple[str, ...]:
         names.append(up[link].name)
         link = up[link].parent
     return tuple(reversed(names))
-
-
-def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """The names most like the one given, as the end of a message; empty if none is like it."""
-    if len(name) > _LONGEST_NAME:  # its likeness takes time with the square of its length
-        return ""
-    close = difflib.get_close_matches(name, [n for n in names if len(n) <= _LONGEST_NAME], n=3)
-    return f" (did you mean {' or '.join(repr(match) for match in close)}?)" if close else ""
 
 
 def _check_root(document: Document) -> None:

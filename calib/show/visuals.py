@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,12 +12,10 @@ from numpy.typing import NDArray
 
 from calib.model.meshes import (
     LinkShape,
-    MeshFolders,
     find_mesh,
     link_shapes,
     mesh_folders,
     read_mesh,
-    why_no_mesh,
 )
 from calib.model.urdf import Urdf
 from calib.show.triangles import Triangles, clustered, shaded
@@ -153,11 +152,11 @@ class _MeshFile:
     missing: str = ""
 
     @classmethod
-    def of(cls, name: str, folders: MeshFolders, scale: tuple[float, ...]) -> _MeshFile:
+    def of(cls, name: str, folders: Sequence[Path], scale: tuple[float, ...]) -> _MeshFile:
         """The file that a name means; its path is None if there is none, and ``missing`` says why."""
         path = find_mesh(name, folders)
         if path is None:
-            return cls(None, scale, 0, 0, why_no_mesh(name, folders))
+            return cls(None, scale, 0, 0, "was not found")
         try:
             found = path.stat()
         except OSError:  # gone since it was found: `read_mesh` says so

@@ -142,11 +142,7 @@ def test_calibrated_and_nominal_are_one_xacro_with_two_files(description: Path, 
 
 def test_arguments_that_the_description_cannot_do_without(description: Path):
     """Its <robot name="$(arg name)"> stands before the argument's default; and its default arm there is not."""
-    with pytest.raises(
-        UrdfError, match=r"ur\.urdf\.xacro.*: the argument 'name' has no value; give"
-    ):
+    with pytest.raises(UrdfError, match="Undefined substitution argument name"):
         Robot.load(description)
-    with pytest.raises(
-        UrdfError, match=r"config/ur5x/default_kinematics\.yaml' cannot be read: no"
-    ):
+    with pytest.raises(UrdfError, match=r"config/ur5x/default_kinematics\.yaml"):
         Robot.load(f"{description} name:=ur")

@@ -16,7 +16,8 @@ from calib.errors import CalibError, UrdfError
 from calib.model.chain import full_configurations, full_model, link_frame
 from calib.model.dh import dh_placements, dh_table
 from calib.model.readback import check_written
-from calib.model.robot import Robot, find_urdf
+from calib.model.robot import Robot
+from calib.model.sources import find_urdf
 from calib.model.torques import Payload, gravity_load
 from calib.model.urdf import Urdf
 

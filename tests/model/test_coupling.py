@@ -5,7 +5,8 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import ModelError, UrdfError
-from calib.model.robot import Robot, find_urdf
+from calib.model.robot import Robot
+from calib.model.sources import find_urdf
 from calib.model.urdf import Urdf
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'

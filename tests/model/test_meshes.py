@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from pinocchio import hppfcl
 
 from calib import data
 from calib.model.meshes import (
+    KINDS,
     find_mesh,
     link_shapes,
     load_mesh,
@@ -17,7 +19,7 @@ from calib.model.meshes import (
     mesh_vertices,
     read_mesh,
 )
-from calib.model.robot import find_urdf
+from calib.model.sources import find_urdf
 from calib.model.urdf import Urdf
 
 TEXT = """<robot name="r"><link name="a">
@@ -110,7 +112,6 @@ DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="
         ('<unit name="meter" meter="1"/>', 4.0),
         ('<unit name="millimeter" meter="0.001"/>', 4e-3),
         ("<unit meter='2.54e-2' name='inch'/>", 0.1016),
-        ('<unit name="nothing" meter="0"/>', 4.0),
     ],
 )
 def test_a_collada_file_is_as_large_as_it_says(tmp_path, unit, length):
@@ -176,13 +177,26 @@ def test_a_name_that_means_no_file(tmp_path, name):
     assert find_mesh(name, [tmp_path]) is None
 
 
-def test_files_that_are_no_meshes(tmp_path, monkeypatch):
-    (tmp_path / "bad.stl").write_bytes(b"no mesh")
-    assert load_mesh(tmp_path / "bad.stl", (1, 1, 1)) == (None, "cannot be read")
+def test_files_that_are_no_meshes(tmp_path):
+    (tmp_path / "bad.dae").write_bytes(b"no mesh")
+    assert load_mesh(tmp_path / "bad.dae", (1, 1, 1)) == (None, "cannot be read")
     (tmp_path / "point.obj").write_text("v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n")
     mesh, problem = load_mesh(tmp_path / "point.obj", (1, 1, 1))
     assert mesh is None
     assert problem in ("is empty", "cannot be read")
     assert load_mesh(tmp_path / "none.stl", (1, 1, 1)) == (None, "cannot be read")
-    monkeypatch.setattr("calib.model.mesh_files.LIMIT_BYTES", 3)
-    assert load_mesh(tmp_path / "bad.stl", (1, 1, 1)) == (None, "is larger than 3 bytes")
+    (tmp_path / "m.fbx").write_bytes(b"")
+    mesh, problem = load_mesh(tmp_path / "m.fbx", (1, 1, 1))
+    assert mesh is None
+    assert problem.startswith("is of a kind that is not read; save it as one of .stl, .obj, .dae")
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != ".dae"])
+def test_each_kind_is_read_as_trimesh_writes_it(tmp_path: Path, kind: str):
+    box = trimesh.creation.box((1.0, 2.0, 3.0))
+    box.export(tmp_path / f"box{kind}")
+    (vertices, faces), problem = read_mesh(tmp_path / f"box{kind}", (1.0, 1.0, 1.0))
+    assert problem == ""
+    assert faces.shape == (12, 3)
+    corners = np.unique(vertices.round(6), axis=0)
+    np.testing.assert_allclose(corners, np.unique(box.vertices, axis=0), atol=1e-6)

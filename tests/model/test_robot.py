@@ -13,7 +13,8 @@ import yourdfpy
 
 import calib.data
 from calib.errors import FileError, ModelError, UrdfError
-from calib.model.robot import Robot, find_urdf, read_only, rigid_inverse
+from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.model.sources import find_urdf
 from calib.model.urdf import Urdf
 from calib.units import Angle, Length
 

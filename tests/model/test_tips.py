@@ -3,7 +3,8 @@ from __future__ import annotations
 import pytest
 
 from calib.errors import UrdfError
-from calib.model.robot import Robot, find_urdf
+from calib.model.robot import Robot
+from calib.model.sources import find_urdf
 from calib.model.tips import farthest_link
 from calib.model.urdf import Urdf
 

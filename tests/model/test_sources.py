@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.model.recorded import recorded_urdf
-from calib.model.robot import read_urdf
+from calib.model.sources import read_urdf, recorded_urdf
 
 URDF = Path(__file__).parents[2] / "urdf"
 XACRO = "ur3_from_origins.urdf.xacro origins:=ur3_nominal_origins.yaml"

@@ -1,0 +1,87 @@
+"""Where a URDF comes from: a file, a xacro, a robot of example-robot-data by its name, or what a result names."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import os
+from pathlib import Path
+
+from calib.errors import FileError, UrdfError, choices
+from calib.model.urdf import Urdf
+from calib.model.xacro_file import XacroCall, flattened, is_xacro
+
+
+def read_urdf(source: str | Path) -> Urdf:
+    """The URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data.
+
+    The ``data`` of a xacro's URDF are the flattened text, its ``path`` is that of the file, and its ``source`` the
+    file's name with the arguments.
+
+    Raises:
+        FileError: The file cannot be read.
+        UrdfError: No such robot, no URDF, or a xacro that cannot be flattened.
+    """
+    return (
+        _read_xacro(XacroCall.parse(source)) if is_xacro(source) else Urdf.read(find_urdf(source))
+    )
+
+
+def find_urdf(source: str | Path) -> Path:
+    """The URDF file that a path or a robot's name means.
+
+    A name is looked for in the file list of the installed ``example-robot-data`` package, as
+    ``<name>_robot.urdf`` and then ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``.
+
+    Raises:
+        UrdfError: Neither a file nor a known robot.
+    """
+    path = Path(source)
+    if path.suffix or len(path.parts) != 1 or os.path.isfile(path):  # noqa: PTH113  of any length
+        return path
+    try:
+        files = importlib.metadata.files("example-robot-data") or []
+    except importlib.metadata.PackageNotFoundError:
+        files = []
+    urdfs = {file.name: Path(str(file.locate())) for file in files if file.suffix == ".urdf"}
+    for name in (f"{source}_robot.urdf", f"{source}.urdf"):
+        if name in urdfs:
+            return urdfs[name]
+    known = sorted(name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs)
+    message = (
+        f"'{source}' is neither a file here nor a robot of example-robot-data. Give the path of a URDF or "
+        f"xacro, or one of {choices(dict.fromkeys(known), limit=60)}."
+    )
+    raise UrdfError(message)
+
+
+def recorded_urdf(name: str, sha256: str, folder: Path) -> Urdf | None:
+    """The URDF of that name whose bytes have that SHA-256; None if it is not at hand.
+
+    Looked for beside the result, in the current folder, and in example-robot-data. That of a xacro is flattened anew,
+    with the arguments that are in its name.
+
+    Args:
+        name: As the result has it: a file's name, of a xacro with its arguments.
+        sha256: Of the URDF's bytes, in hexadecimal; of a xacro those of the flattened text.
+        folder: Where the result lies.
+    """
+    for place in (f"{folder}/{name}", name, Path(name).stem.removesuffix("_robot")):
+        with contextlib.suppress(UrdfError, FileError):  # none there, or another of that name
+            urdf = read_urdf(place)
+            if urdf.sha256 == sha256:
+                return urdf
+    return None
+
+
+def _read_xacro(call: XacroCall) -> Urdf:
+    """The URDF that a xacro becomes."""
+    data = flattened(call)
+    try:
+        return Urdf.from_bytes(data, call.name, call.path)
+    except UrdfError as error:
+        message = (
+            f"{str(error).rstrip('.')}. This is about the flattened text, which `xacro FILE ARGUMENTS` prints; mend "
+            "what it comes from."
+        )
+        raise UrdfError(message) from error
