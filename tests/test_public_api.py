@@ -174,9 +174,9 @@ def test_arrays_come_with_their_shape(path):
     [
         ("calib.model.robot", None, "T_base_tip(q) = T_root_base^-1  P_1 J_1(q_1)"),
         (
-            "calib.model.dh",
+            "calib.model.dh_table",
             None,
-            "A_i(q_i) = Rz(theta_i + q_i) Tz(d_i) Tx(a_i) Rx(alpha_i) Ry(beta_i)",
+            "A_i = Rz(theta_i + q_i) Tz(d_i) Tx(a_i) Rx(alpha_i)",
         ),
         ("calib.model.error_model", None, "P' = P exp(xi_1 x_1) exp(xi_2 x_2) ..."),
         (
@@ -185,7 +185,7 @@ def test_arrays_come_with_their_shape(path):
             "T_frame_target(x, q) = F D_F  T_base_tip(x, q + dq)  T D_T",
         ),
         ("calib.model.robot", "Robot", "[m]"),
-        ("calib.model.dh", "DHRow", "lengths [m], angles [rad]"),
+        ("calib.model.dh_table", "DHRow", "lengths [m], angles [rad]"),
         ("calib.model.kinematics", "Kinematics", "[m]"),
         ("calib.model.observability", "analyse", "O1 = (s_1 ... s_r)^(1/r) / sqrt(N)"),
         ("calib.model.readback", "check_written", "[rad or m]"),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calib.compensate.conversion_source import ROBOT, UR_CONF, Source
 from calib.compensate.dh_files import ENDINGS, write_dh
-from calib.compensate.dh_tables import dh_tables
+from calib.compensate.dh_tables import DHTables
 from calib.compensate.origins_file import write_origins
 from calib.compensate.universal_robots import (
     UrHash,
@@ -27,7 +27,7 @@ from calib.compensate.ur_models import UrModel
 from calib.compensate.ur_mount import the_mount
 from calib.compensate.ur_yaml import read_yaml
 from calib.errors import CalibError, ModelError, choices
-from calib.model.dh_conventions import HAYATI, MODIFIED, STANDARD
+from calib.model.dh_table import HAYATI, MODIFIED, STANDARD
 from calib.model.readback import TOLERANCE, check_written, random_joint_values
 from calib.model.robot import Robot
 
@@ -184,7 +184,7 @@ def _write_origins(source: Source, wanted: Wanted) -> tuple[str, ...]:
 def _write_dh(source: Source, wanted: Wanted) -> tuple[str, ...]:
     """DH rows, beside the nominal ones where these are another robot's."""
     nominal = None if source.nominal is source.robot else source.nominal
-    tables = dh_tables(source.robot, nominal, _CONVENTIONS[wanted.format])
+    tables = DHTables.of(source.robot, nominal, _CONVENTIONS[wanted.format])
     write_dh(tables, wanted.path, overwrite=wanted.overwrite)
     return tables.remarks
 

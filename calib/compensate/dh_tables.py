@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.errors import ModelError
-from calib.model.dh_conventions import HAYATI, STANDARD, DHRows
-from calib.model.dh_rows import dh_rows, near_parallel, taken_as_parallel
+from calib.model.dh import dh_table, near_parallel, taken_as_parallel
+from calib.model.dh_table import HAYATI, STANDARD, DHTable
 from calib.model.readback import TOLERANCE, column_ranges, spread_between
-from calib.model.robot import Robot
+from calib.model.robot import Robot, read_only, rigid_inverse
 
-Array = NDArray[np.float64]
+BEFORE, AFTER, CHANGE = "before", "after", "change"
+"""What the tables are called; a robot without a nominal one has a single one, ``"robot"``."""
 
 #: Joint values that poses are compared at.
 _POSES = 64
@@ -21,17 +22,13 @@ _POSES = 64
 #: A row's d longer than this beside nearly parallel axes is worth a remark [m].
 _FAR = 2.0
 
+_NUMBERS = ("theta", "d", "a", "alpha", "beta")
 
-@dataclass(frozen=True, slots=True)
-class RowJoint:
-    """What the value added to a row is: factor * value of the driver + offset.
 
-    Attributes:
-        joint: The row's joint.
-        prismatic: Whether it slides.
-        driver: The joint whose value is read: itself, or the one that it mimics; None where it is held.
-        factor: See above.
-        offset: See above, [rad] or [m].
+class RowJoint(NamedTuple):
+    """What the value added to a row is: factor * value of the driver + offset [rad] or [m].
+
+    The driver is the joint itself, or the one that it mimics; None where it is held.
     """
 
     joint: str
@@ -54,110 +51,80 @@ class RowJoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DHTables:
-    """The DH rows of a robot, and of what it was before.
+    """The DH rows of a robot beside those of its nominal state; both hold the poses of their robots.
 
     Attributes:
-        name: The robot's name.
-        base: Link that the rows begin at.
-        tip: Link that they end at.
-        joints: What is added to each row.
-        before: The nominal robot's rows; None where no nominal robot was given.
+        robot: The robot.
+        nominal: The same chain before the calibration; None where none was given.
         after: The robot's rows, their free choices as in those before.
-        values: shape (N, n), values of the rows' joints [rad or m] at which the rows were compared with the robots.
-        poses_before: shape (N, 4, 4), the nominal robot's poses there [m].
-        poses_after: shape (N, 4, 4), the robot's poses there [m].
-        allowed: What rows may differ from the robot by [m and rad]: 1e-9, and more where axes that the URDF's
-            rounding leaves out of parallel are taken as parallel.
+        before: The nominal robot's rows.
         remarks: What whoever types the rows in should know, sentence by sentence.
     """
 
-    name: str
-    base: str
-    tip: str
-    joints: tuple[RowJoint, ...]
-    before: DHRows | None
-    after: DHRows
-    values: Array
-    poses_before: Array
-    poses_after: Array
-    allowed: float
+    robot: Robot
+    nominal: Robot | None
+    after: DHTable
+    before: DHTable | None
     remarks: tuple[str, ...]
 
-    @property
-    def convention(self) -> str:
-        """One of `calib.model.dh_conventions.CONVENTIONS`."""
-        return self.after.convention
-
-    def check(self, before: DHRows | None, after: DHRows, where: str) -> None:
-        """Compare rows, such as a file's, with the robots.
+    @classmethod
+    def of(cls, robot: Robot, nominal: Robot | None = None, convention: str = STANDARD) -> DHTables:
+        """The rows, compared with the poses of both robots.
 
         Args:
-            before: Rows of the nominal robot; None where there are none.
-            after: Rows of the robot.
-            where: What the message begins with.
+            robot: The robot, such as a calibrated one.
+            nominal: The same chain before the calibration.
+            convention: One of `calib.model.dh_table.CONVENTIONS`.
 
         Raises:
-            ModelError: They put the tip elsewhere.
+            ModelError: No such convention, the robots have other joints, or the rows do not hold the robot.
         """
-        off = deviation(after, self.values, self.poses_after)
-        if before is not None:
-            off = max(off, deviation(before, self.values, self.poses_before))
-        if not off <= self.allowed:
+        after = dh_table(robot, convention, like=nominal)
+        before = None if nominal is None else dh_table(nominal, convention)
+        tables = cls(robot, nominal, after, before, _remarks(robot, nominal, after))
+        off = tables.deviation(before, after)
+        allowed = TOLERANCE + _by_parallels(robot, nominal, convention)
+        if not off <= allowed:
             message = (
-                f"{where}: the rows in the convention '{self.convention}' put the tip up to {off:.1e} m or rad away "
-                f"from the robot '{self.name}'; {self.allowed:.1e} is allowed, so nothing is written. Choose the "
+                f"{robot.urdf.source}: the rows in the convention '{convention}' put the tip up to {off:.1e} m or rad "
+                f"away from the robot '{robot.name}'; {allowed:.1e} is allowed, so nothing is written. Choose the "
                 "convention 'hayati', which has no far common normals."
             )
             raise ModelError(message)
+        return tables
+
+    @property
+    def joints(self) -> tuple[RowJoint, ...]:
+        """What is added to each row."""
+        return _joints(self.robot)
+
+    def states(self) -> list[tuple[str, DHTable]]:
+        """The tables that a file has, by what they are called: one, or before, after and change."""
+        if self.before is None:
+            return [("robot", self.after)]
+        change = _change(self.before, self.after)
+        return [(BEFORE, self.before), (AFTER, self.after), (CHANGE, change)]
+
+    def deviation(self, before: DHTable | None, after: DHTable) -> float:
+        """The largest difference of position [m] or of an entry of the rotation between rows and robots."""
+        q = spread_between(column_ranges(self.robot), _POSES)
+        values = self.robot.chain_values(q)
+        off = float(np.abs(after.poses(values) - self.robot.poses(q)).max())
+        if before is not None and self.nominal is not None:
+            off = max(off, float(np.abs(before.poses(values) - self.nominal.poses(q)).max()))
+        return off
 
 
-def dh_tables(robot: Robot, nominal: Robot | None = None, convention: str = STANDARD) -> DHTables:
-    """The DH rows of a robot beside those of its nominal state, compared with the poses of both.
-
-    Args:
-        robot: The robot, such as a calibrated one.
-        nominal: The same chain before the calibration.
-        convention: One of `calib.model.dh_conventions.CONVENTIONS`.
-
-    Raises:
-        ModelError: No such convention, the robots have other joints, or the rows do not hold the robot.
-    """
-    after = dh_rows(robot, convention, like=nominal)
-    q = spread_between(column_ranges(robot), _POSES)
-    values = robot.chain_values(q)
-    poses = robot.poses(q)
-    states = [robot] if nominal is None else [robot, nominal]
-    tables = DHTables(
-        name=robot.name,
-        base=robot.base,
-        tip=robot.tip,
-        joints=_joints(robot),
-        before=None if nominal is None else dh_rows(nominal, convention),
-        after=after,
-        values=values,
-        poses_before=poses if nominal is None else nominal.poses(q),
-        poses_after=poses,
-        allowed=TOLERANCE + _by_parallels(states, convention),
-        remarks=_remarks(robot, after, states),
-    )
-    tables.check(tables.before, after, f"{robot.urdf.source}")
-    return tables
-
-
-def deviation(rows: DHRows, values: Array, poses: Array) -> float:
-    """The largest difference of position [m] or of an entry of the rotation between rows and poses."""
-    return float(np.abs(rows.poses(values) - poses).max())
-
-
-def _by_parallels(robots: list[Robot], convention: str) -> float:
+def _by_parallels(robot: Robot, nominal: Robot | None, convention: str) -> float:
     """What taking axes as parallel may cost [m]: the angle times the arm's length, there and back."""
     if convention == HAYATI:
         return 0.0
     return max(
         2.0
-        * taken_as_parallel(robot)
-        * float(1.0 + np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum())
-        for robot in robots
+        * taken_as_parallel(one)
+        * float(1.0 + np.linalg.norm(one.placements[:, :3, 3], axis=1).sum())
+        for one in (robot, nominal)
+        if one is not None
     )
 
 
@@ -175,7 +142,7 @@ def _joints(robot: Robot) -> tuple[RowJoint, ...]:
     return tuple(found)
 
 
-def _remarks(robot: Robot, after: DHRows, states: list[Robot]) -> tuple[str, ...]:
+def _remarks(robot: Robot, nominal: Robot | None, after: DHTable) -> tuple[str, ...]:
     """What whoever types the rows in should know."""
     remarks = []
     if after.convention != HAYATI:
@@ -191,15 +158,29 @@ def _remarks(robot: Robot, after: DHRows, states: list[Robot]) -> tuple[str, ...
                 f"theta of their rows may be large{far} cancel over the rows. Enter every digit, and all rows "
                 "together; the convention 'hayati' has no such rows."
             )
-        angle = max(map(taken_as_parallel, states))
+        angle = max(taken_as_parallel(one) for one in (robot, nominal) if one is not None)
         if angle > TOLERANCE:
+            cost = 1e6 * _by_parallels(robot, nominal, after.convention)
             remarks.append(
                 f"Axes that the URDF's rounding leaves {angle:.1e} rad out of parallel are taken as parallel, so that "
-                "the rows differ from the URDF by less than "
-                f"{1e6 * _by_parallels(states, after.convention):.2g} micrometres."
+                f"the rows differ from the URDF by less than {cost:.2g} micrometres."
             )
     others = [j for j in _joints(robot) if j.text != j.joint]
     if others:
         named = ", ".join(f"'{j.joint}' ({j.text})" for j in others)
         remarks.append(f"Joints without a value of their own: {named}.")
     return tuple(remarks)
+
+
+def _change(before: DHTable, after: DHTable) -> DHTable:
+    """After - before; of the constant poses before^-1 after."""
+    rows = tuple(
+        replace(b, **{k: getattr(b, k) - getattr(a, k) for k in _NUMBERS})
+        for a, b in zip(before.rows, after.rows, strict=True)
+    )
+    return DHTable(
+        rows,
+        read_only(rigid_inverse(before.T_base_0) @ after.T_base_0),
+        read_only(rigid_inverse(before.T_n_tip) @ after.T_n_tip),
+        after.convention,
+    )

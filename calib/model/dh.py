@@ -1,164 +1,117 @@
-"""DH rows out of any chain, the DH offsets' directions for the error model, and placements out of rows again.
+"""The DH rows of any chain in any of the conventions of `calib.model.dh_table`.
 
-Standard (distal) convention, with Hayati's beta where consecutive axes are nearly parallel, because the
-common normal of such axes may lie kilometres away (S. Hayati, 1983):
+Standard and modified rows are the same product of the same common normals, bracketed otherwise, and they are pure: the
+common normal of nearly parallel axes may lie kilometres away, and is given there. Axes that are parallel but for
+rounding are taken as parallel, with d_i = 0. Hayati's rows, which the error model stands on, have no far normals: a
+nearly parallel row has ``d_i = 0``, the last one apart, whose d reaches to the tip, and beta_i tilts the axis
+(S. Hayati, 1983).
 
-    T_base_n(q) = T_base_0  A_1(q_1) ... A_n(q_n)
-    A_i(q_i) = Rz(theta_i + q_i) Tz(d_i) Tx(a_i) Rx(alpha_i) Ry(beta_i)
-
-(a prismatic joint adds q_i to d_i instead). ``beta_i`` is 0 in every row whose axes are not nearly
-parallel, and in exactly parallel ones up to rounding; a nearly parallel row has ``d_i = 0``, the last one
-apart: its d reaches to the tip. The choices that the
-convention leaves open are made so that the rows look as a data sheet prints them: frame 0 is the base
-frame where it can be, x_i points as near as possible to x_(i-1) at q = 0, frame n is the tip where it can be.
-
-A row says where the next axis is, not where along and about it the URDF puts the joint's frame. In DH frame i - 1,
-whose z is the axis of joint i, that frame is G_i, and so the rows give the placements P:
-
-    G_i = Tz(s_i) Rz(phi_i) R_axis,   P_(i+1) = G_i^-1 A_i(0) G_(i+1)
-
-with any fixed rotation R_axis that turns the joint's axis into z, and the two numbers s_i and phi_i from the URDF.
+The choices that the convention leaves open are made so that the rows look as a data sheet prints them: frame 0 is the
+base frame where it can be, x_i points as near as possible to x_(i-1) at q = 0, frame n is the tip where it can be. Rows
+of two robots compare if these choices agree: `dh_table` makes them as those of the robot that it is held against, and
+leaves what lies behind the last axis, where the tip turns about it, to T_n_tip alone.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
+from calib.model.dh_table import (
+    CONVENTIONS,
+    HAYATI,
+    MODIFIED,
+    NEARLY_PARALLEL_RAD,
+    STANDARD,
+    DHRow,
+    DHTable,
+    dh_frames,
+    screw,
+)
 from calib.model.robot import Robot, read_only, rigid_inverse
 
-#: Axes closer to parallel than this get a Hayati row [rad]; a real arm's parallel axes differ by a few mrad.
-NEARLY_PARALLEL_RAD = np.radians(3.0)
+__all__ = [
+    "NEARLY_PARALLEL_RAD",
+    "DHRow",
+    "DHTable",
+    "dh_frames",
+    "dh_table",
+    "near_parallel",
+    "taken_as_parallel",
+    "zero_poses",
+]
+
+Array = NDArray[np.float64]
+
+#: Axes closer to parallel than the first of these [rad] are rounding of a URDF's text: the common normal would be of
+#: noise. Behind a common normal that lies far away even such an angle is metres: there the first that holds is taken.
+_PARALLEL = (5e-7, 1e-8, 1e-10, 1e-12)
+
+#: An offset between parallel axes below this is rounding [m].
+_COINCIDENT = 1e-13
+
+#: A tip whose z axis lies beside the last axis by less is on it [m]: what a calibration moves it by has no direction.
+_ON_AXIS = 1e-3
 
 _TOLERANCE = 1e-9
 
-#: An offset between nearly parallel axes below this is rounding [m]; what is cut off is missing from the poses.
-_COINCIDENT = 1e-13
-
-Vector = NDArray[np.float64]
+#: Joint values at which rows are compared with the robot to see whether they hold it, the same every time.
+_POSES, _SEED = 8, 20170401
 
 
-@dataclass(frozen=True, slots=True)
-class DHRow:
-    """One row: A = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta); lengths [m], angles [rad].
+def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) -> DHTable:
+    """The DH rows of a robot's chain; `DHTable.poses` then equals ``robot.poses`` up to rounding.
 
-    Attributes:
-        joint: Name of the joint that the row's q belongs to.
-        prismatic: Whether q adds to d instead of theta.
-        near_parallel: Whether the row's two axes are nearly parallel (then Hayati's beta, and, but for the last row,
-            d = 0).
-    """
+    Axes within 5e-7 rad of parallel are taken as parallel by the pure conventions, standard and modified: the poses
+    are then off by that angle times the arm's reach. Beside axes that are nearly, but not so nearly, parallel, where
+    they would be off by more, only axes within 1e-8, 1e-10 or 1e-12 rad are.
 
-    joint: str
-    a: float
-    alpha: float
-    d: float
-    theta: float
-    beta: float
-    prismatic: bool
-    near_parallel: bool
+    Args:
+        robot: The robot.
+        convention: One of `CONVENTIONS`.
+        like: A robot of the same chain, such as the nominal one: choices that the convention leaves open are made as
+            in ``dh_table(like, convention)``, so that the columns compare.
 
-    def matrix(self, q: float = 0.0) -> Vector:
-        """A_i(q), shape (4, 4), [m]."""
-        theta, d = (self.theta, self.d + q) if self.prismatic else (self.theta + q, self.d)
-        return _screw(2, theta, d) @ _screw(0, self.alpha, self.a) @ _screw(1, self.beta, 0.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DHTable:
-    """The DH rows of a chain, with the constant poses before the first and after the last.
-
-    Attributes:
-        rows: One for each moving joint, base to tip.
-        T_base_0: shape (4, 4), [m], pose of DH frame 0.
-        T_n_tip: shape (4, 4), [m], pose of the tip in DH frame n.
-    """
-
-    rows: tuple[DHRow, ...]
-    T_base_0: Vector
-    T_n_tip: Vector
-
-    def pose(self, q: ArrayLike) -> Vector:
-        """T_base_tip at one set of joint values, from the rows alone, shape (4, 4), [m].
-
-        Args:
-            q: shape (n,), [rad] or [m], one for each row, see `Robot.chain_values`.
-        """
-        T = self.T_base_0
-        for row, value in zip(self.rows, np.asarray(q, dtype=np.float64), strict=True):
-            T = T @ row.matrix(float(value))
-        return T @ self.T_n_tip
-
-
-def dh_table(robot: Robot) -> DHTable:
-    """The DH rows of a robot's chain; `DHTable.pose` then equals ``robot.poses`` up to rounding.
+    Raises:
+        ModelError: No such convention, or ``like`` has other joints.
 
     Example:
         >>> table = dh_table(Robot.load("ur3", base="base", tip="tool0"))
         >>> [round(1000 * row.a, 2) for row in table.rows]
         [0.0, -243.65, -213.25, 0.0, 0.0, 0.0]
     """
-    T_base_joint, T_base_tip = zero_poses(robot)
-    axes = [T[:3, :3] @ np.asarray(j.axis) for T, j in zip(T_base_joint, robot.joints, strict=True)]
-    points = [T[:3, 3] for T in T_base_joint]
-
-    frame = _first_frame(axes[0], points[0])
-    T_base_0 = frame
-    rows: list[DHRow] = []
-    for i, joint in enumerate(robot.joints):
-        if i + 1 < len(axes):
-            row, frame = _row(frame, axes[i + 1], points[i + 1], joint.name, joint.type)
-        else:
-            row, frame = _last_row(frame, T_base_tip, joint.name, joint.type)
-        rows.append(row)
-    T_n_tip = rigid_inverse(frame) @ T_base_tip
-    return DHTable(tuple(rows), read_only(T_base_0), read_only(T_n_tip))
-
-
-def dh_placements(table: DHTable, robot: Robot) -> Vector:
-    """The placements of a robot whose geometry is that of the rows: DH offsets back into a URDF.
-
-    The joints' frames stand along and about their axes as the robot's do, which no row says. The result, in
-    `Robot.with_placements`, is a robot whose poses are those of `DHTable.pose`.
-
-    Args:
-        table: Rows of this robot, `dh_table(robot)`, or the same with other numbers in them.
-        robot: The robot; its own table gives its own placements up to rounding.
-
-    Returns:
-        shape (n + 1, 4, 4), [m].
-
-    Raises:
-        ModelError: The rows are not those of the robot's joints.
-    """
-    joints = tuple((joint.name, joint.type == "prismatic") for joint in robot.joints)
-    rows = tuple((row.joint, row.prismatic) for row in table.rows)
-    if rows != joints:
-        message = (
-            f"The DH rows are of the joints {choices(name for name, _ in rows)}, those of the robot '{robot.name}' "
-            f"from '{robot.base}' to '{robot.tip}' are {choices(name for name, _ in joints)}, each turning or "
-            "sliding alike. Give rows that dh_table made of the same chain."
-        )
+    if convention not in CONVENTIONS:
+        message = f"There is no DH convention '{convention}'; it is one of {choices(CONVENTIONS)}."
         raise ModelError(message)
-    own = dh_table(robot)
-    placements = []
-    T = robot.T_root_base @ table.T_base_0
-    F = own.T_base_0
-    for own_row, row, joint, T_base_joint in zip(
-        own.rows, table.rows, robot.joints, zero_poses(robot)[0], strict=True
-    ):
-        G = _joint_in_row(rigid_inverse(F) @ T_base_joint, np.asarray(joint.axis))
-        placements.append(T @ G)
-        T, F = rigid_inverse(G) @ row.matrix(), F @ own_row.matrix()
-    placements.append(T @ table.T_n_tip)
-    return read_only(placements)
+    wanted = None
+    if like is not None:
+        _check_same_chain(robot, like)
+        wanted = _product(like, convention)
+    found = _product(robot, convention, wanted)
+    return _rebracketed(found) if convention == MODIFIED else found
 
 
-def zero_poses(robot: Robot) -> tuple[list[Vector], Vector]:
+def near_parallel(robot: Robot) -> dict[tuple[str, str], float]:
+    """The angle [rad] between axes of consecutive joints that are nearly, but not exactly, parallel, by their names."""
+    names = [joint.name for joint in robot.joints]
+    limit = _limit(robot)
+    return {
+        pair: float(np.arcsin(sine))
+        for pair, sine in zip(pairwise(names), _sines(robot), strict=True)
+        if limit <= sine < np.sin(NEARLY_PARALLEL_RAD)
+    }
+
+
+def taken_as_parallel(robot: Robot) -> float:
+    """The largest angle [rad] between consecutive axes that the pure conventions take as parallel; 0 without such."""
+    return _largest_below(_limit(robot), _sines(robot))
+
+
+def zero_poses(robot: Robot) -> tuple[list[Array], Array]:
     """The joints' frames and the tip's at q = 0: n poses T_base_joint and T_base_tip, (4, 4), [m]."""
     T = rigid_inverse(robot.T_root_base)
     frames = []
@@ -168,156 +121,253 @@ def zero_poses(robot: Robot) -> tuple[list[Vector], Vector]:
     return frames[:-1], frames[-1]
 
 
-def dh_frames(table: DHTable) -> list[Vector]:
-    """The frames F_i before the rotation about beta, at q = 0, in base; n of them, (4, 4), [m].
+# Which axes are parallel
 
-    The offsets of a_i and alpha_i act along and about x of F_i.
+
+def _limit(robot: Robot) -> float:
+    """The angle [rad] below which axes are taken as parallel: the largest of `_PARALLEL` whose rows hold the robot."""
+    sines = _sines(robot)
+    if _largest_below(_PARALLEL[0], sines) <= _PARALLEL[-1]:
+        return _PARALLEL[0]
+    q = np.random.default_rng(_SEED).uniform(-np.pi, np.pi, (_POSES, len(robot.joint_names)))
+    values, poses = robot.chain_values(q), robot.poses(q)
+    reach = 1.0 + float(np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum())
+    off = {}
+    for limit in _PARALLEL:
+        off[limit] = float(
+            np.abs(_product(robot, STANDARD, limit=limit).poses(values) - poses).max()
+        )
+        if off[limit] <= _TOLERANCE + 2.0 * reach * _largest_below(limit, sines):
+            return limit
+    return min(off, key=lambda limit: off[limit])
+
+
+def _largest_below(limit: float, sines: list[float]) -> float:
+    """The largest of the sines below a limit; 0 without such."""
+    return max((sine for sine in sines if sine < limit), default=0.0)
+
+
+def _sines(robot: Robot) -> list[float]:
+    """The sine of the angle between the axes of each joint and the next."""
+    frames, _ = zero_poses(robot)
+    axes = [T[:3, :3] @ joint.axis for T, joint in zip(frames, robot.joints, strict=True)]
+    return [float(np.linalg.norm(_cross(*pair))) for pair in pairwise(axes)]
+
+
+def _check_same_chain(robot: Robot, like: Robot) -> None:
+    """Refuse robots whose rows cannot stand beside each other."""
+    ours, theirs = (
+        [(joint.name, joint.type == "prismatic") for joint in one.joints] for one in (robot, like)
+    )
+    if ours != theirs:
+        message = (
+            f"The robots have other joints: {choices(name for name, _ in ours)} between '{robot.base}' and "
+            f"'{robot.tip}', and {choices(name for name, _ in theirs)} between '{like.base}' and '{like.tip}'. DH rows "
+            "compare if both are the same chain: give two states of one robot, with the same base and tip."
+        )
+        raise ModelError(message)
+
+
+# Row by row
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """What a row is to be like: another robot's row, and its x direction in base at q = 0."""
+
+    row: DHRow
+    x: Array
+
+
+#: theta, d, a, alpha, beta.
+_Numbers = tuple[float, float, float, float, float]
+
+
+def _product(
+    robot: Robot, convention: str, like: DHTable | None = None, limit: float | None = None
+) -> DHTable:
+    """The rows in the standard bracketing, each relative to the frame that the rows before it give.
+
+    So what one row cannot hold, as the last digits of a d of kilometres, the next makes good.
+
+    Args:
+        robot: The robot.
+        convention: One of `CONVENTIONS`.
+        like: Rows whose choices are kept.
+        limit: The angle [rad] below which the pure conventions take axes as parallel; None: what holds the robot.
     """
-    T = table.T_base_0
-    frames = []
-    for row in table.rows:
+    if limit is None:
+        # Of Hayati's rows, no angle below that of nearly parallel axes is a limit.
+        limit = 0.0 if convention == HAYATI else _limit(robot)
+    frames, T_base_tip = zero_poses(robot)
+    axes = [T[:3, :3] @ joint.axis for T, joint in zip(frames, robot.joints, strict=True)]
+    wanted: list[_Wanted | None] = [None] * len(axes)
+    if like is not None:
+        wanted = [_Wanted(row, F[:3, 0]) for row, F in zip(like.rows, dh_frames(like), strict=True)]
+    T_base_0 = _first_frame(axes[0], frames[0][:3, 3], np.eye(4) if like is None else like.T_base_0)
+    T, rows = T_base_0, []
+    for i, joint in enumerate(robot.joints):
+        if i + 1 < len(axes):
+            numbers = _row(T, frames[i + 1][:3, 3], axes[i + 1], wanted[i], convention, limit)
+        else:
+            T_n_tip = None if like is None else like.T_n_tip
+            numbers = _last_row(T, T_base_tip, wanted[i], T_n_tip, convention, limit)
+        row = _tidy(DHRow(joint.name, joint.type == "prismatic", *numbers), wanted[i])
+        rows.append(row)
         T = T @ row.matrix()
-        frames.append(T @ _screw(1, -row.beta, 0.0))
-    return frames
+    bracketed = HAYATI if convention == HAYATI else STANDARD
+    T_n_tip = read_only(rigid_inverse(T) @ T_base_tip)
+    return DHTable(tuple(rows), read_only(T_base_0), T_n_tip, bracketed)
 
 
-def _joint_in_row(T: Vector, axis: Vector) -> Vector:
-    """The pose Tz(s) Rz(phi) R_axis that is nearest to T: a joint's frame in the DH frame on its axis."""
-    R_axis = _frame(np.zeros(3), axis, _perpendicular(axis, np.array([1.0, 0.0, 0.0]))).T
-    turned = T[:3, :3] @ R_axis[:3, :3].T
-    phi = np.arctan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
-    result: Vector = _screw(2, float(phi), float(T[2, 3])) @ R_axis
-    return result
+def _rebracketed(table: DHTable) -> DHTable:
+    """Standard rows as modified ones: a and alpha move down by a row, those of the last into the tip."""
+    moved = []
+    a, alpha = 0.0, 0.0
+    for row in table.rows:
+        moved.append(replace(row, a=a, alpha=alpha))
+        a, alpha = row.a, row.alpha
+    T_n_tip = read_only(screw(0, alpha, a) @ table.T_n_tip)
+    return DHTable(tuple(moved), table.T_base_0, T_n_tip, MODIFIED)
 
 
-def _first_frame(axis: Vector, point: Vector) -> Vector:
-    """Frame 0: z along the first axis, origin nearest to the base's origin, x nearest to the base's x."""
-    origin = point - axis * (axis @ point)
-    return _frame(origin, axis, _perpendicular(axis, np.array([1.0, 0.0, 0.0])))
-
-
-def _row(frame: Vector, axis: Vector, point: Vector, joint: str, kind: str) -> tuple[DHRow, Vector]:
-    """The row from one frame to the axis of the next joint, and the frame there."""
-    z, x = frame[:3, 2], frame[:3, 0]
-    if _nearly_parallel(z, axis):
-        # The next origin is where the next axis meets the plane through this one's origin: d = 0.
-        origin = point + axis * ((frame[:3, 3] - point) @ z) / (axis @ z)
-        return _hayati_row(frame, axis, origin, x, joint, kind)
+def _row(
+    T: Array, point: Array, axis: Array, wanted: _Wanted | None, convention: str, limit: float
+) -> _Numbers:
+    """The row from a frame to the axis of the next joint, a line through a point."""
+    z, x = T[:3, 2], T[:3, 0]
     normal = _cross(z, axis)
-    normal /= np.linalg.norm(normal)
-    along, between = normal @ x, point - frame[:3, 3]
-    if along < -_TOLERANCE or (along < _TOLERANCE and between @ normal < 0):
+    sine = float(np.linalg.norm(normal))
+    between = point - T[:3, 3]
+    # What is nearly parallel is so in both robots, although the one may lie on this side of the limit.
+    leaning = sine < np.sin(NEARLY_PARALLEL_RAD) if wanted is None else wanted.row.near_parallel
+    if leaning if convention == HAYATI else sine < limit:
+        # The next origin is where the next axis meets the plane through this one's origin: d = 0.
+        offset = between - axis * (between @ z) / (axis @ z)
+        near = x if wanted is None else wanted.x
+        return _parallel_row(T, axis, offset, near, tilted=convention == HAYATI)
+    normal /= sine
+    if wanted is not None:
+        turned = normal @ wanted.x < 0
+    else:
+        along = normal @ x
+        turned = along < -_TOLERANCE or (along < _TOLERANCE and between @ normal < -_TOLERANCE)
+    if turned:
         normal = -normal
-    # Feet of the common normal: frame.origin + d z + a normal = point + s axis.
-    d, a, s = np.linalg.solve(np.stack([z, normal, -axis], axis=1), between)
-    following = _frame(point + s * axis, axis, normal)
+    # Feet of the common normal: origin + d z + a normal = point + s axis.
+    d, a, _ = np.linalg.solve(np.stack([z, normal, -axis], axis=1), between)
     alpha = np.arctan2(_cross(z, axis) @ normal, z @ axis)
     theta = np.arctan2(_cross(x, normal) @ z, x @ normal)
-    row = DHRow(
-        joint, _tidy(a), _tidy(alpha), _tidy(d), _tidy(theta), 0.0, kind == "prismatic", False
-    )
-    return row, following
+    return float(theta), float(d), float(a), float(alpha), 0.0
 
 
-def _last_row(frame: Vector, T_base_tip: Vector, joint: str, kind: str) -> tuple[DHRow, Vector]:
-    """The row from the last joint's axis to the tip's z axis; the frame is the tip's where it can be."""
-    z, axis = frame[:3, 2], T_base_tip[:3, 2]
-    if not _nearly_parallel(z, axis):
-        return _row(frame, axis, T_base_tip[:3, 3], joint, kind)
-    along = float((T_base_tip[:3, 3] - frame[:3, 3]) @ z)
-    lifted = _frame(frame[:3, 3] + along * z, z, frame[:3, 0])
-    row, following = _hayati_row(
-        lifted, axis, T_base_tip[:3, 3], T_base_tip[:3, 0], joint, kind, d=along
-    )
-    return row, following
+def _parallel_row(T: Array, axis: Array, offset: Array, near: Array, *, tilted: bool) -> _Numbers:
+    """The row to a (nearly) parallel axis: a along x in the plane across z, then alpha and, Hayati's, beta tilt z.
 
-
-def _hayati_row(
-    frame: Vector,
-    axis: Vector,
-    origin: Vector,
-    x_hint: Vector,
-    joint: str,
-    kind: str,
-    d: float = 0.0,
-) -> tuple[DHRow, Vector]:
-    """The row to a nearly parallel axis: a along x in the plane across z, then alpha and beta tilt z."""
-    z, x = frame[:3, 2], frame[:3, 0]
-    offset = origin - frame[:3, 3]
+    Args:
+        T: The frame that the row begins at.
+        axis: The next axis.
+        offset: From the frame's origin to it [m].
+        near: Where x is to point.
+        tilted: Whether there is a beta.
+    """
+    z, x = T[:3, 2], T[:3, 0]
     offset = offset - z * (z @ offset)
     a = float(np.linalg.norm(offset))
     if a > _COINCIDENT:
-        # Of a tiny offset only the direction across z is kept exactly, or the frame is no rotation.
-        normal = _perpendicular(z, offset / a)
+        normal = _across(z, offset / a)
         a = float(offset @ normal)
-        if normal @ x < -_TOLERANCE:
+        if normal @ near < -_TOLERANCE:
             a, normal = -a, -normal
     else:
-        a, normal = 0.0, _perpendicular(z, x_hint)
-    y = _cross(z, normal)
-    beta = float(np.arcsin(np.clip(axis @ normal, -1.0, 1.0)))
-    alpha = float(np.arctan2(-(axis @ y), axis @ z))
+        a, normal = 0.0, _across(z, near)
+    beta = float(np.arcsin(np.clip(axis @ normal, -1.0, 1.0))) if tilted else 0.0
+    alpha = np.arctan2(-(axis @ _cross(z, normal)), axis @ z)
     theta = np.arctan2(_cross(x, normal) @ z, x @ normal)
-    row = DHRow(
-        joint,
-        _tidy(a),
-        _tidy(alpha),
-        _tidy(d),
-        _tidy(theta),
-        _tidy(beta),
-        kind == "prismatic",
-        True,
+    return float(theta), 0.0, a, float(alpha), beta
+
+
+def _last_row(
+    T: Array,
+    T_base_tip: Array,
+    wanted: _Wanted | None,
+    T_n_tip: Array | None,
+    convention: str,
+    limit: float,
+) -> _Numbers:
+    """The row from the last axis to the tip, whose frame is the tip's where it can be."""
+    z, axis, between = T[:3, 2], T_base_tip[:3, 2], T_base_tip[:3, 3] - T[:3, 3]
+    sine = np.linalg.norm(_cross(z, axis))
+    if sine >= np.sin(NEARLY_PARALLEL_RAD):
+        return _row(T, T_base_tip[:3, 3], axis, wanted, convention, limit)
+    if wanted is not None and T_n_tip is not None:
+        # How the tip lies behind the axis is no matter of the joint: T_n_tip says how it moved.
+        row = wanted.row
+        fixed = replace(row, theta=0.0, d=0.0).matrix()
+        turn = rigid_inverse(T) @ T_base_tip @ rigid_inverse(fixed @ T_n_tip)
+        theta = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+        return float(theta), float(turn[2, 3]), row.a, row.alpha, row.beta
+    along = float(between @ z)
+    across = between - along * z
+    if convention != HAYATI and (
+        convention == MODIFIED or sine >= limit or np.linalg.norm(across) < _ON_AXIS
+    ):
+        across = np.zeros(3)
+        axis = z * np.sign(axis @ z)
+    theta, _, a, alpha, beta = _parallel_row(
+        T, axis, across, T_base_tip[:3, 0], tilted=convention == HAYATI
     )
-    tilted = np.eye(4)
-    tilted[:3, :3] = (
-        np.stack([normal, y, z], axis=1) @ (_screw(0, alpha, 0.0) @ _screw(1, beta, 0.0))[:3, :3]
-    )
-    tilted[:3, 3] = frame[:3, 3] + a * normal
-    return row, tilted
+    return theta, along, a, alpha, beta
 
 
-def _nearly_parallel(z: Vector, axis: Vector) -> bool:
-    """Whether two unit vectors lie within `NEARLY_PARALLEL_RAD` of one line."""
-    return bool(np.linalg.norm(_cross(z, axis)) < np.sin(NEARLY_PARALLEL_RAD))
+def _tidy(row: DHRow, wanted: _Wanted | None) -> DHRow:
+    """Without signs of zero, and angles in the turn of those that they are held against."""
+    theta, alpha = row.theta, row.alpha
+    if wanted is None:
+        theta, alpha = _half_turn(theta), _half_turn(alpha)
+    else:
+        theta, alpha = _nearest(theta, wanted.row.theta), _nearest(alpha, wanted.row.alpha)
+    numbers = (value + 0.0 for value in (theta, row.d, row.a, alpha, row.beta))
+    return DHRow(row.joint, row.prismatic, *numbers)
 
 
-def _perpendicular(z: Vector, hint: Vector) -> Vector:
-    """The unit vector across z that is nearest to the hint, or to base y where the hint lies along z."""
-    across = hint - z * (z @ hint)
-    if np.linalg.norm(across) < 1e-6:
-        across = np.array([0.0, 1.0, 0.0]) - z * z[1]
-    if np.linalg.norm(across) < 1e-6:
-        across = np.array([0.0, 0.0, 1.0]) - z * z[2]
-    result: Vector = across / np.linalg.norm(across)
+def _half_turn(angle: float) -> float:
+    """Half a turn is said as pi, not as -pi, of which rounding makes one or the other."""
+    return angle + 2 * np.pi if angle < -np.pi + _TOLERANCE else angle
+
+
+def _nearest(angle: float, to: float) -> float:
+    """The angle a whole number of turns on that is nearest to another."""
+    return angle + 2 * np.pi * round((to - angle) / (2 * np.pi))
+
+
+# Frames
+
+
+def _first_frame(axis: Array, point: Array, near: Array) -> Array:
+    """Frame 0: z along the first axis, origin and x nearest to those of another frame."""
+    T = np.eye(4)
+    x = _across(axis, near[:3, 0])
+    T[:3, :3] = np.stack([x, _cross(axis, x), axis], axis=1)
+    T[:3, 3] = point + axis * (axis @ (near[:3, 3] - point))
+    return T
+
+
+def _across(z: Array, near: Array) -> Array:
+    """The unit vector across z that is nearest to another, or to base y or z where that lies along z."""
+    for direction in (near, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])):
+        across = direction - z * (z @ direction)
+        length = np.linalg.norm(across)
+        if length >= 1e-6:
+            # Twice is enough: what the first pass leaves along z is rounding of a short vector.
+            across = across / length
+            across = across - z * (z @ across)
+            break
+    result: Array = across / np.linalg.norm(across)
     return result
 
 
-def _frame(origin: Vector, z: Vector, x: Vector) -> Vector:
-    """The frame with this origin, z and x; x is made exactly perpendicular."""
-    x = x - z * (z @ x)
-    x = x / np.linalg.norm(x)
-    T = np.eye(4)
-    T[:3, :3] = np.stack([x, _cross(z, x), z], axis=1)
-    T[:3, 3] = origin
-    return T
-
-
-def _screw(axis: int, angle: float, length: float) -> Vector:
-    """Rotation about and translation along one coordinate axis, shape (4, 4)."""
-    c, s = np.cos(angle), np.sin(angle)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    T = np.eye(4)
-    T[i, i], T[i, j], T[j, i], T[j, j] = c, -s, s, c
-    T[axis, 3] = length
-    return T
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
+def _cross(a: Array, b: Array) -> Array:
     """The product a x b of two vectors of three: `numpy.cross` is made for stacks and takes ten times as long."""
     (a0, a1, a2), (b0, b1, b2) = a, b
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
-
-
-def _tidy(value: float | np.floating[Any] | Vector) -> float:
-    """A float without the sign of zero."""
-    return float(value) + 0.0

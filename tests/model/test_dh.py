@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +8,18 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, ModelError
-from calib.model.dh import DHRow, DHTable, dh_frames, dh_placements, dh_table, zero_poses
+from calib.model.dh import (
+    DHTable,
+    dh_frames,
+    dh_table,
+    near_parallel,
+    taken_as_parallel,
+    zero_poses,
+)
+from calib.model.dh_table import CONVENTIONS
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 
@@ -45,29 +53,65 @@ def columns(table: DHTable) -> dict[str, list[float]]:
 def assert_rows_equal_kinematics(robot: Robot, tolerance: float = 1e-12) -> DHTable:
     table = dh_table(robot)
     q = np.random.default_rng(11).uniform(-3, 3, (4, len(robot.joint_names)))
-    for values, pose in zip(robot.chain_values(q), robot.poses(q), strict=True):
-        np.testing.assert_allclose(table.pose(values), pose, rtol=0, atol=tolerance)
-    rebuilt = dh_placements(table, robot)
-    np.testing.assert_allclose(rebuilt, robot.placements, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(
+        table.poses(robot.chain_values(q)), robot.poses(q), rtol=0, atol=tolerance
+    )
     return table
 
 
+KEYS = ("theta", "d", "a", "alpha", "beta")
+
+
+def column(rows: DHTable, key: str) -> list[float]:
+    return [getattr(row, key) for row in rows.rows]
+
+
+def pose_by_hand(rows: DHTable, values: np.ndarray) -> np.ndarray:
+    """The conventions' equations, written down anew."""
+
+    def turn(axis: str, angle: float) -> np.ndarray:
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler(axis, angle).as_matrix()
+        return T
+
+    def move(x: float, z: float) -> np.ndarray:
+        T = np.eye(4)
+        T[:3, 3] = x, 0.0, z
+        return T
+
+    T = rows.T_base_0
+    for row, q in zip(rows.rows, values, strict=True):
+        theta, d = (row.theta, row.d + q) if row.prismatic else (row.theta + q, row.d)
+        if rows.convention == "modified":
+            T = T @ turn("x", row.alpha) @ move(row.a, 0) @ turn("z", theta) @ move(0, d)
+        else:
+            T = T @ turn("z", theta) @ move(0, d) @ move(row.a, 0) @ turn("x", row.alpha)
+            T = T @ turn("y", row.beta)
+    return T @ rows.T_n_tip
+
+
+def displaced(robot: Robot, seed: int = 1, size: float = 1.0) -> Robot:
+    """A robot whose every placement is off by about a millimetre and two milliradians."""
+    rng = np.random.default_rng(seed)
+    placements = robot.placements.copy()
+    for i, carrier in enumerate(robot.carriers):
+        if carrier is not None:
+            D = np.eye(4)
+            D[:3, :3] = Rotation.from_rotvec(size * rng.normal(0, 2e-3, 3)).as_matrix()
+            D[:3, 3] = size * rng.normal(0, 1e-3, 3)
+            placements[i] = placements[i] @ D
+    return robot.with_placements(placements)
+
+
+def assert_same_poses(rows: DHTable, robot: Robot, tolerance: float = 1e-11) -> None:
+    q = np.random.default_rng(3).uniform(-3, 3, (5, len(robot.joint_names)))
+    values = robot.chain_values(q)
+    found = rows.poses(values)
+    np.testing.assert_allclose(found, robot.poses(q), rtol=0, atol=tolerance)
+    np.testing.assert_allclose(pose_by_hand(rows, values[0]), found[0], rtol=0, atol=tolerance)
+
+
 # Golden tables
-
-
-def test_the_paper_s_ur3(ur3):
-    table = columns(dh_table(ur3))
-    golden = {
-        "a": [0, -0.24365, -0.21325, 0, 0, 0],
-        "alpha": np.radians([90, 0, 0, 90, -90, 0]),
-        "d": [0.1519, 0, 0, 0.11235, 0.08535, 0.0819],
-        "theta": [0] * 6,
-        "beta": [0] * 6,
-    }
-    for key, values in golden.items():
-        np.testing.assert_allclose(table[key], values, rtol=0, atol=1e-9, err_msg=key)
-    np.testing.assert_allclose(dh_table(ur3).T_base_0, np.eye(4), atol=1e-9)
-    np.testing.assert_allclose(dh_table(ur3).T_n_tip, np.eye(4), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", LENGTHS_MM)
@@ -85,27 +129,14 @@ def test_universal_robots(name):
         np.testing.assert_allclose(table[key], values, rtol=0, atol=1e-9, err_msg=key)
 
 
-def test_panda(panda):
-    # The maker prints the modified (proximal) form: alpha_(i-1), a_(i-1). In the standard form they move up a row.
-    table = columns(dh_table(panda))
-    golden = {
-        "a": [0, 0, 0.0825, -0.0825, 0, 0.088, 0],
-        "alpha": np.radians([-90, 90, 90, -90, 90, 90, 0]),
-        "d": [0.333, 0, 0.316, 0, 0.384, 0, 0.107],
-        "theta": [0] * 7,
-    }
-    for key, values in golden.items():
-        np.testing.assert_allclose(table[key], values, rtol=0, atol=1e-9, err_msg=key)
-
-
 def test_kinova():
     # j2s6s200: 275.5 mm to the shoulder, 410 mm the upper arm, 9.8 mm the elbow's offset; d4 and d6 span two links.
     table = columns(dh_table(Robot.load("kinova", tip="j2s6s200_end_effector")))
     golden = {
         "a": [0, 0.41, 0, 0, 0, 0],
-        "alpha": np.radians([90, 180, 90, 90, 90, -90]),
+        "alpha": np.radians([90, 180, 90, 90, 90, 90]),
         "d": [-0.2755, 0, -0.0098, -0.31105, 0, -0.26375],
-        "theta": np.radians([90, 90, 90, 0, 0, -90]),
+        "theta": np.radians([90, 90, 90, 0, 0, 90]),
         "beta": [0] * 6,
     }
     for key, values in golden.items():
@@ -145,19 +176,6 @@ def test_the_signs_of_hayati_s_alpha_and_beta(serial_urdf, x, y):
     assert row.near_parallel
     np.testing.assert_allclose((row.alpha, row.beta, row.a), (x, y, 0.3), atol=1e-12)
     assert row.d == 0.0
-
-
-def test_a_row_s_matrix_is_the_product_of_its_five_screws():
-    row = DHRow("j", 0.3, 0.4, 0.5, 0.6, 0.02, prismatic=False, near_parallel=True)
-    prismatic = DHRow("j", 0.3, 0.4, 0.5, 0.6, 0.0, prismatic=True, near_parallel=False)
-
-    def product(a, alpha, d, theta, beta):
-        z = pin.exp6(np.array([0, 0, d, 0, 0, theta]))
-        x = pin.exp6(np.array([a, 0, 0, alpha, 0, 0]))
-        return (z * x * pin.exp6(np.array([0, 0, 0, 0, beta, 0]))).homogeneous
-
-    np.testing.assert_allclose(row.matrix(0.1), product(0.3, 0.4, 0.5, 0.7, 0.02), atol=1e-15)
-    np.testing.assert_allclose(prismatic.matrix(0.1), product(0.3, 0.4, 0.6, 0.6, 0), atol=1e-15)
 
 
 # Every chain
@@ -251,20 +269,6 @@ def test_axes_that_almost_coincide(serial_urdf, offset):
     assert_rows_equal_kinematics(Robot.from_urdf(serial_urdf(joints)), 1e-12)
 
 
-def test_the_standard_convention_would_have_gone_kilometres_away(serial_urdf):
-    tilt = 1e-6
-    urdf = serial_urdf(
-        [
-            ("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1)),
-            ("revolute", (0.3, 0, 0), (0, 0, 0), (tilt, 0, 1)),
-        ]
-    )
-    row = dh_table(Robot.from_urdf(urdf)).rows[0]
-    # The axes meet 300 km below; Hayati's row stays where the arm is.
-    assert 0.3 / tilt > 2e5
-    np.testing.assert_allclose((row.d, row.a, row.beta), (0, 0.3, tilt), atol=1e-12)
-
-
 # Two branches, mimic joints
 
 
@@ -309,78 +313,6 @@ def test_rows_between_any_two_links(path):
         assert_rows_equal_kinematics(robot)
 
 
-# Rows back into placements
-
-
-def perturbed(table: DHTable, seed: int = 4) -> DHTable:
-    rng = np.random.default_rng(seed)
-
-    def moved(row: DHRow) -> DHRow:
-        keys = ("a", "alpha", "d", "theta", "beta")
-        return replace(row, **{key: getattr(row, key) + rng.normal(0, 5e-3) for key in keys})
-
-    return replace(table, rows=tuple(moved(row) for row in table.rows))
-
-
-@pytest.mark.parametrize(
-    ("name", "base", "tip"),
-    [
-        ("ur3", "base", "tool0"),
-        ("ur3", "tool0", "base"),
-        ("panda", "panda_link0", "panda_link8"),
-        ("kinova", None, "j2s6s200_end_effector"),
-        ("tiago_no_hand", None, "wrist_ft_tool_link"),
-        ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link"),
-    ],
-)
-def test_dh_offsets_become_a_urdf(name, base, tip):
-    robot = Robot.load(name, base, tip)
-    table = perturbed(dh_table(robot))
-    new = robot.with_placements(dh_placements(table, robot))
-    again = robot.rebuilt(Urdf.from_bytes(new.urdf.data, "again.urdf"))
-    q = np.random.default_rng(1).uniform(-3, 3, (5, len(robot.joint_names)))
-    for values, pose, moved in zip(q, again.poses(q), robot.poses(q), strict=True):
-        np.testing.assert_allclose(table.pose(values), pose, rtol=0, atol=1e-12)
-        assert np.abs(pose - moved).max() > 1e-4
-
-
-def test_one_row_s_offset_changes_one_or_two_placements(ur3):
-    table = dh_table(ur3)
-    rows = list(table.rows)
-    rows[2] = replace(rows[2], a=rows[2].a + 1e-3)
-    moved = dh_placements(replace(table, rows=tuple(rows)), ur3) - ur3.placements
-    assert [i for i in range(7) if np.abs(moved[i]).max() > 1e-12] == [3]
-    np.testing.assert_allclose(np.linalg.norm(moved[3, :3, 3]), 1e-3, atol=1e-15)
-
-
-def test_rows_of_a_corrected_robot_are_its_own(ur3, panda):
-    """The corrected robot's rows, with its frames chosen anew, move the nominal robot to where it is."""
-    for robot in (ur3, panda):
-        moved = robot.with_placements(dh_placements(perturbed(dh_table(robot)), robot))
-        other = robot.with_placements(dh_placements(dh_table(moved), robot))
-        q = np.random.default_rng(1).uniform(-3, 3, (5, len(robot.joints)))
-        np.testing.assert_allclose(other.poses(q), moved.poses(q), rtol=0, atol=1e-12)
-
-
-def test_the_placements_are_read_only(ur3):
-    with pytest.raises(ValueError, match="read-only"):
-        dh_placements(dh_table(ur3), ur3)[0, 0, 0] = 0
-
-
-@pytest.mark.parametrize("fault", ["joints", "count", "sliding"])
-def test_rows_of_another_chain_are_refused(ur3, panda, fault):
-    table = dh_table(ur3)
-    rows = {
-        "joints": dh_table(panda).rows,
-        "count": table.rows[:-1],
-        "sliding": (replace(table.rows[0], prismatic=True), *table.rows[1:]),
-    }
-    with pytest.raises(
-        ModelError, match=r"rows are of the joints '.*robot 'ur3' from 'base' to 't"
-    ):
-        dh_placements(replace(table, rows=rows[fault]), ur3)
-
-
 # The frames
 
 
@@ -409,6 +341,332 @@ def test_the_table_is_read_only(ur3):
         table.T_base_0[0, 0] = 0
 
 
-def test_the_number_of_joint_values_must_fit(ur3):
-    with pytest.raises(ValueError, match="zip"):
-        dh_table(ur3).pose(np.zeros(5))
+# The makers' tables
+
+
+def test_the_paper_s_ur3_as_its_maker_prints_it(ur3):
+    rows = dh_table(ur3, "standard")
+    golden = {
+        "theta": [0] * 6,
+        "d": [0.1519, 0, 0, 0.11235, 0.08535, 0.0819],
+        "a": [0, -0.24365, -0.21325, 0, 0, 0],
+        "alpha": np.radians([90, 0, 0, 90, -90, 0]),
+        "beta": [0] * 6,
+    }
+    for key, values in golden.items():
+        np.testing.assert_allclose(column(rows, key), values, atol=1e-9, err_msg=key)
+    np.testing.assert_allclose(rows.T_base_0, np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(rows.T_n_tip, np.eye(4), atol=1e-9)
+
+
+def test_the_panda_as_its_maker_prints_it(panda):
+    # The maker has d7 = 0 and a flange 107 mm on: here that is the last row's own d, up to the tip.
+    rows = dh_table(panda, "modified")
+    golden = {
+        "a": [0, 0, 0, 0.0825, -0.0825, 0, 0.088],
+        "d": [0.333, 0, 0.316, 0, 0.384, 0, 0.107],
+        "alpha": np.radians([0, -90, 90, 90, -90, 90, 90]),
+        "theta": [0] * 7,
+    }
+    for key, values in golden.items():
+        np.testing.assert_allclose(column(rows, key), values, atol=1e-9, err_msg=key)
+    np.testing.assert_allclose(rows.T_base_0, np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(rows.T_n_tip, np.eye(4), atol=1e-9)
+
+
+def test_half_a_turn_is_said_as_180_deg(serial_urdf):
+    flipped = serial_urdf(
+        [
+            ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1)),
+            ("revolute", (-0.3, 0, 0), (np.pi, 0, 0), (0, 0, 1)),
+        ],
+        tip=((0, 0, 0.1), (0, 0, -np.pi)),
+    )
+    rows = dh_table(Robot.from_urdf(flipped), "standard")
+    angles = [*column(rows, "theta"), *column(rows, "alpha")]
+    assert any(abs(angle - np.pi) < 1e-9 for angle in angles)
+    assert min(angles) > -3.0
+
+
+# Before and after
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_the_columns_of_a_corrected_robot_compare(ur3, panda, convention):
+    for robot in (ur3, panda):
+        before, corrected = dh_table(robot, convention), displaced(robot)
+        after = dh_table(corrected, convention, like=robot)
+        assert_same_poses(after, corrected)
+        far = {name for pair in near_parallel(corrected) for name in pair}
+        for row, then in zip(before.rows, after.rows, strict=True):
+            # A row between axes of the pure conventions that are nearly parallel may be anywhere.
+            if convention == "hayati" or not ({row.joint} & far):
+                change = [getattr(then, key) - getattr(row, key) for key in KEYS]
+                assert np.abs(change).max() < 0.03, row.joint
+        for name in ("T_base_0", "T_n_tip"):
+            np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=0.03)
+
+
+@pytest.mark.parametrize("theta", [np.pi / 2, -np.pi / 2, np.pi, -np.pi])
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_quarter_and_half_turns_keep_their_signs(serial_urdf, theta, convention):
+    # x_1 lies across x_0 or against it: what a nominal robot decides by rounding, its corrected one must not undo.
+    robot = Robot.from_urdf(
+        serial_urdf(
+            [
+                ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1)),
+                ("revolute", (0, 0, 0), (np.pi / 2, 0, theta), (0, 0, 1)),
+                ("revolute", (0.2, 0, 0), (0, np.pi / 2, 0), (0, 0, 1)),
+            ]
+        )
+    )
+    before = dh_table(robot, convention)
+    for seed in range(4):
+        after = dh_table(displaced(robot, seed), convention, like=robot)
+        for key in ("theta", "alpha"):
+            change = np.subtract(column(after, key), column(before, key))
+            assert np.abs(change).max() < 0.05, key
+
+
+@pytest.mark.parametrize("nominal_deg", [2.95, 3.05])
+def test_hayati_s_rows_stay_of_one_kind_at_the_limit(serial_urdf, nominal_deg):
+    # A d that is 0 on one side of three degrees would be metres on the other.
+    def arm(degrees: float) -> Robot:
+        tilt = np.radians(degrees)
+        first = ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1))
+        second = ("revolute", (0.3, 0.2, 0.1), (tilt, 0, 0), (0, 0, 1))
+        return Robot.from_urdf(serial_urdf([first, second]))
+
+    nominal, corrected = arm(nominal_deg), arm(6.0 - nominal_deg)
+    before = dh_table(nominal, "hayati").rows[0]
+    after = dh_table(corrected, "hayati", like=nominal).rows[0]
+    assert (before.d == 0.0) == (after.d == 0.0) == (nominal_deg < 3.0)
+    assert abs(after.theta - before.theta) < 0.03
+    assert_same_poses(dh_table(corrected, "hayati", like=nominal), corrected)
+
+
+@pytest.mark.parametrize(
+    ("convention", "turn", "key", "row"),
+    [(convention, np.pi / 2, "theta", -1) for convention in CONVENTIONS]
+    + [("hayati", np.pi, "alpha", 0)],
+)
+def test_no_angle_jumps_by_a_turn(serial_urdf, convention, turn, key, row):
+    # Half a turn nominally: a little more would be said as -179.9 deg.
+    urdf = serial_urdf(
+        [
+            ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1)),
+            ("revolute", (0.3, 0, 0), (turn, 0, 0), (0, 0, 1)),
+        ],
+        tip=((0, 0, 0.1), (0, 0, np.pi)),
+    )
+    robot = Robot.from_urdf(urdf)
+    assert column(dh_table(robot, convention), key)[row] == pytest.approx(np.pi)
+    found = [
+        column(dh_table(displaced(robot, seed), convention, like=robot), key)[row]
+        for seed in range(6)
+    ]
+    assert min(found) < np.pi < max(found)
+    np.testing.assert_allclose(found, np.pi, atol=0.05)
+
+
+def test_a_parallel_axis_beside_the_last_x_keeps_its_side(serial_urdf):
+    # The offset to the next axis lies across x, so that either sign of x is as near.
+    robot = Robot.from_urdf(
+        serial_urdf(
+            [
+                ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1)),
+                ("revolute", (0, 0.3, 0), (0, 0, 0), (0, 0, 1)),
+                ("revolute", (0.2, 0, 0), (np.pi / 2, 0, 0), (0, 0, 1)),
+            ]
+        )
+    )
+    before = dh_table(robot, "hayati")
+    for seed in range(6):
+        after = dh_table(displaced(robot, seed), "hayati", like=robot)
+        for key in KEYS:
+            change = np.subtract(column(after, key), column(before, key))
+            assert np.abs(change).max() < 0.05, key
+
+
+def test_a_tip_a_little_beside_the_last_axis_has_no_direction_of_its_own(ur3):
+    placements = ur3.placements.copy()
+    placements[-1, :3, 3] += [1e-4, 2e-4, 3e-4]
+    corrected = ur3.with_placements(placements)
+    for convention in ("standard", "modified"):
+        rows = dh_table(corrected, convention)
+        assert abs(rows.rows[-1].theta) < 1e-6
+        assert_same_poses(rows, corrected)
+    placements[-1, :3, 3] *= 100.0
+    assert abs(dh_table(ur3.with_placements(placements), "standard").rows[-1].theta) > 0.1
+
+
+def test_a_first_axis_along_base_x_keeps_frame_0(serial_urdf):
+    robot = Robot.from_urdf(
+        serial_urdf(
+            [
+                ("revolute", (0.1, 0, 0.2), (0, 0, 0), (1, 0, 0)),
+                ("revolute", (0, 0.3, 0), (0, 0, 0), (0, 1, 0)),
+            ]
+        )
+    )
+    before = dh_table(robot, "standard")
+    for seed in range(4):
+        after = dh_table(displaced(robot, seed), "standard", like=robot)
+        np.testing.assert_allclose(after.T_base_0, before.T_base_0, atol=0.02)
+
+
+def test_what_lies_behind_the_last_axis_is_the_tip_s_matter(ur3):
+    # A tool flange that was moved by 0.1 mm would else turn theta_6 by up to half a turn.
+    placements = ur3.placements.copy()
+    placements[-1, :3, 3] += [1e-4, 2e-4, 3e-4]
+    corrected = ur3.with_placements(placements)
+    for convention in CONVENTIONS:
+        before, after = dh_table(ur3, convention), dh_table(corrected, convention, like=ur3)
+        assert abs(after.rows[-1].theta - before.rows[-1].theta) < 1e-12
+        # The frame that carries the tip on this robot is turned: which of the three is along the axis does not matter.
+        moved = np.append(after.T_n_tip[:3, 3], after.rows[-1].d - before.rows[-1].d)
+        assert np.linalg.norm(moved) == pytest.approx(np.linalg.norm([1e-4, 2e-4, 3e-4]), abs=1e-9)
+        assert_same_poses(after, corrected)
+
+
+def test_pure_rows_of_nearly_parallel_axes_lie_far_away_and_hold(ur3):
+    corrected = displaced(ur3, size=1e-2)
+    pairs = near_parallel(corrected)
+    assert set(pairs) == {
+        ("shoulder_lift_joint", "elbow_joint"),
+        ("elbow_joint", "wrist_1_joint"),
+    }
+    assert all(1e-6 < angle < 1e-3 for angle in pairs.values())
+    for convention in ("standard", "modified"):
+        rows = dh_table(corrected, convention, like=ur3)
+        assert np.abs(column(rows, "d")).max() > 0.3
+        assert column(rows, "beta") == [0.0] * 6
+        assert_same_poses(rows, corrected, 1e-10)
+    assert np.abs(column(dh_table(corrected, "hayati", like=ur3), "d")).max() < 0.2
+
+
+@pytest.mark.parametrize("tilt", [1e-6, 1e-5, 1e-3])
+def test_the_nearly_parallel_hold_1e_9_however_far(ur3, tilt):
+    placements = ur3.placements.copy()
+    placements[2, :3, :3] = placements[2, :3, :3] @ Rotation.from_rotvec([tilt, 0, 0]).as_matrix()
+    corrected = ur3.with_placements(placements)
+    for convention in ("standard", "modified"):
+        assert_same_poses(dh_table(corrected, convention, like=ur3), corrected, 1e-9)
+
+
+def test_axes_that_are_parallel_but_for_rounding_are_taken_as_parallel(ur3):
+    placements = ur3.placements.copy()
+    placements[2, :3, :3] = placements[2, :3, :3] @ Rotation.from_rotvec([3e-8, 0, 0]).as_matrix()
+    corrected = ur3.with_placements(placements)
+    assert near_parallel(corrected) == {}
+    assert taken_as_parallel(corrected) == pytest.approx(3e-8, rel=1e-3)
+    assert taken_as_parallel(ur3) < 1e-10
+    rows = dh_table(corrected, "standard", like=ur3)
+    assert np.abs(column(rows, "d")).max() < 0.2
+    assert_same_poses(rows, corrected, 2 * 3e-8)
+    assert_same_poses(dh_table(corrected, "hayati", like=ur3), corrected, 1e-12)
+
+
+@pytest.mark.parametrize("size", [1e-7, 1e-8, 1e-9])
+def test_parallel_but_for_rounding_behind_axes_that_are_nearly_so(serial_urdf, size):
+    # The common normal of the first two lies 300 km away: there 4e-7 rad are 0.1 m.
+    turn = ("revolute", (0.3, 0, 0), (0, 0, 0), (0, 0, 1))
+    tilts = [(0, 0, 0), (1e-6, 0, 0), (0, 4e-7, 0), (0, 6e-7, 0)]
+    robot = Robot.from_urdf(serial_urdf([(*turn[:2], rpy, turn[3]) for rpy in tilts]))
+    moved = displaced(robot, size=size / 1e-3)
+    for convention in ("standard", "modified"):
+        assert_same_poses(dh_table(moved, convention, like=robot), moved, 1e-9)
+    assert taken_as_parallel(moved) < 1e-9
+    assert len(near_parallel(moved)) == 3
+
+
+@pytest.mark.parametrize("tilt", [1e-2, 1e-3, 1e-5, 1e-6])
+@pytest.mark.parametrize("small", [4e-7, 1e-8])
+@pytest.mark.parametrize("first", [True, False])
+def test_two_nearly_parallel_pairs_hold_what_is_said(ur3, tilt, small, first):
+    placements = ur3.placements.copy()
+    for i, angle in zip((2, 3), (tilt, small) if first else (small, tilt), strict=True):
+        R = Rotation.from_rotvec([angle, 0.3 * angle, 0]).as_matrix()
+        placements[i, :3, :3] = placements[i, :3, :3] @ R
+        placements[i, :3, 3] += 1e-3
+    robot = ur3.with_placements(placements)
+    rows = dh_table(robot, "standard", like=ur3)
+    assert_same_poses(rows, robot, 5e-9 + 4.0 * taken_as_parallel(robot))
+
+
+# Any chain
+
+
+MIMIC = b"""<robot name="m"><link name="b"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="t"/>
+<joint name="lift" type="prismatic"><parent link="b"/><child link="l1"/><origin xyz="0.1 0 0.2" rpy="0.1 0 0"/>
+<axis xyz="0 0 2"/><limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+<joint name="arm" type="revolute"><parent link="l1"/><child link="l2"/><origin xyz="0.3 0.1 0" rpy="0 0.3 0.2"/>
+<axis xyz="0 1 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="wrist" type="revolute"><parent link="l2"/><child link="l3"/><origin xyz="0.4 0 0" rpy="0 0 0"/>
+<axis xyz="0 1 1"/><limit lower="-2" upper="2" effort="1" velocity="1"/>
+<mimic joint="arm" multiplier="-2" offset="0.1"/></joint>
+<joint name="j" type="fixed"><parent link="l3"/><child link="t"/><origin xyz="0.1 0.2 0.3" rpy="1 2 3"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+@pytest.mark.parametrize(("base", "tip"), [("b", "t"), ("l1", "t"), ("t", "b")])
+def test_sliding_and_mimicking_joints_and_chains_from_tip_to_base(convention, base, tip):
+    robot = Robot.from_urdf(Urdf.from_bytes(MIMIC, "m.urdf"), base, tip)
+    rows = dh_table(robot, convention)
+    assert [row.prismatic for row in rows.rows] == [j.type == "prismatic" for j in robot.joints]
+    assert_same_poses(rows, robot)
+    corrected = displaced(robot)
+    assert_same_poses(dh_table(corrected, convention, like=robot), corrected)
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_two_branches(convention):
+    talos = Robot.load("talos_reduced", base="rgbd_rgb_optical_frame", tip="gripper_left_base_link")
+    assert_same_poses(dh_table(talos, convention), talos)
+    corrected = displaced(talos)
+    assert_same_poses(dh_table(corrected, convention, like=talos), corrected)
+
+
+few_directions = st.sampled_from(
+    [(0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1), (0.6, 0, 0.8), (1, 2, 3)]
+)
+few_angles = st.sampled_from([0.0, 0.0, np.pi / 2, -np.pi / 2, np.pi, 0.7])
+few_lengths = st.sampled_from([0.0, 0.0, 0.1, -0.3, 0.45])
+few_joints = st.lists(
+    st.tuples(
+        st.sampled_from(["revolute", "revolute", "prismatic"]),
+        st.tuples(few_lengths, few_lengths, few_lengths),
+        st.tuples(few_angles, few_angles, few_angles),
+        few_directions,
+    ),
+    min_size=1,
+    max_size=7,
+)
+
+
+@given(
+    joints=few_joints, tip=st.tuples(few_lengths, few_lengths, few_angles), seed=st.integers(0, 99)
+)
+@settings(max_examples=40)
+def test_random_chains(serial_urdf, joints, tip, seed):
+    urdf = serial_urdf(joints, tip=((tip[0], 0.1, tip[1]), (0.0, tip[2], 0.0)))
+    robot = Robot.from_urdf(urdf)
+    corrected = displaced(robot, seed)
+    for convention in CONVENTIONS:
+        assert_same_poses(dh_table(robot, convention), robot, 1e-10)
+        assert_same_poses(dh_table(corrected, convention, like=robot), corrected, 1e-9)
+
+
+# What is refused
+
+
+def test_there_are_three_conventions(ur3):
+    with pytest.raises(ModelError, match="no DH convention 'denavit'; it is one of 'standard', 'm"):
+        dh_table(ur3, "denavit")
+
+
+def test_other_joints_do_not_compare(ur3, panda):
+    wanted = "other joints: 'panda_joint1'.*'shoulder_pan_joint'.*same base and tip"
+    with pytest.raises(ModelError, match=wanted):
+        dh_table(panda, "standard", like=ur3)

@@ -301,8 +301,7 @@ def test_turned_frames_are_the_same_geometry(calibrations):
     turned = _turned_like(before, after)
     assert any(a.theta != b.theta for a, b in zip(after.rows, turned.rows, strict=True))
     q = np.random.default_rng(1).uniform(-1.0, 1.0, (20, len(after.rows)))
-    for values in q:
-        np.testing.assert_allclose(turned.pose(values), after.pose(values), atol=1e-12)
+    np.testing.assert_allclose(turned.poses(q), after.poses(q), atol=1e-12)
 
 
 def test_origins_are_displaced_by_what_the_table_says(documents, paper_calibration):

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from calib.errors import ModelError
-from calib.model.dh_conventions import CONVENTIONS, EQUATIONS, DHRows, Row, row_matrix, screw
+from calib.model.dh_table import CONVENTIONS, EQUATIONS, DHRow, DHTable, screw
 
 QUARTER = np.pi / 2
 
 
-def table(convention: str, *rows: Row) -> DHRows:
-    return DHRows(convention, rows, np.eye(4), np.eye(4))
+def table(convention: str, *rows: DHRow) -> DHTable:
+    return DHTable(rows, np.eye(4), np.eye(4), convention)
 
 
 def test_a_row_of_each_convention_by_hand():
-    row = Row("j", prismatic=False, theta=QUARTER, d=0.3, a=0.5, alpha=QUARTER)
+    row = DHRow("j", prismatic=False, theta=QUARTER, d=0.3, a=0.5, alpha=QUARTER)
     # Standard: up by d, out along the turned x by a. Modified: out along x first, then z, which alpha laid down.
     standard = table("standard", row).poses([0.0])[0]
     np.testing.assert_allclose(standard[:3, 3], [0.0, 0.5, 0.3], atol=1e-15)
@@ -24,18 +24,18 @@ def test_a_row_of_each_convention_by_hand():
     modified = table("modified", row).poses([0.0])[0]
     np.testing.assert_allclose(modified[:3, 3], [0.5, -0.3, 0.0], atol=1e-15)
     np.testing.assert_allclose(modified[:3, 2], [0.0, -1.0, 0.0], atol=1e-15)
-    tilted = Row("j", prismatic=False, theta=0.0, d=0.0, a=0.5, alpha=0.0, beta=0.01)
+    tilted = DHRow("j", prismatic=False, theta=0.0, d=0.0, a=0.5, alpha=0.0, beta=0.01)
     hayati = table("hayati", tilted).poses([0.0])[0]
     np.testing.assert_allclose(hayati[:3, 2], [np.sin(0.01), 0.0, np.cos(0.01)], atol=1e-15)
 
 
 def test_the_joint_s_value_is_added_to_theta_or_to_d():
-    turning = Row("j", prismatic=False, theta=0.1, d=0.3, a=0.5, alpha=0.2)
-    sliding = Row("j", prismatic=True, theta=0.1, d=0.3, a=0.5, alpha=0.2)
+    turning = DHRow("j", prismatic=False, theta=0.1, d=0.3, a=0.5, alpha=0.2)
+    sliding = DHRow("j", prismatic=True, theta=0.1, d=0.3, a=0.5, alpha=0.2)
     for convention in CONVENTIONS:
-        turned = table(convention, Row("j", False, 0.1 + 0.7, 0.3, 0.5, 0.2)).poses([0.0])
+        turned = table(convention, DHRow("j", False, 0.1 + 0.7, 0.3, 0.5, 0.2)).poses([0.0])
         np.testing.assert_allclose(table(convention, turning).poses([0.7]), turned, atol=1e-15)
-        slid = table(convention, Row("j", True, 0.1, 0.3 + 0.7, 0.5, 0.2)).poses([0.0])
+        slid = table(convention, DHRow("j", True, 0.1, 0.3 + 0.7, 0.5, 0.2)).poses([0.0])
         np.testing.assert_allclose(table(convention, sliding).poses([0.7]), slid, atol=1e-15)
 
 
@@ -52,15 +52,15 @@ def test_every_convention_has_its_equation():
 def test_elementary_screws():
     np.testing.assert_allclose(screw(2, QUARTER, 0.2)[:3, 0], [0.0, 1.0, 0.0], atol=1e-15)
     np.testing.assert_allclose(screw(0, QUARTER, 0.2)[:3, 3], [0.2, 0.0, 0.0], atol=1e-15)
-    row = Row("j", False, 0.1, 0.2, 0.3, 0.4)
+    row = DHRow("j", False, 0.1, 0.2, 0.3, 0.4)
     wanted = screw(2, 0.1, 0.2) @ screw(0, 0.4, 0.3)
-    np.testing.assert_allclose(row_matrix(row), wanted, atol=1e-15)
+    np.testing.assert_allclose(row.matrix(), wanted, atol=1e-15)
 
 
 def test_each_row_needs_a_value():
-    row = Row("j", False, 0.1, 0.2, 0.3, 0.4)
+    row = DHRow("j", False, 0.1, 0.2, 0.3, 0.4)
     rows = table("standard", row, row)
-    assert repr(rows) == "DHRows('standard', 2 rows)"
+    assert repr(rows) == "DHTable('standard', 2 rows)"
     with pytest.raises(
         ModelError, match=r"shape \(1, 3\) were given; there are 2 DH rows, of 'j', 'j'"
     ):
