@@ -261,5 +261,5 @@ def test_rows_that_do_not_hold_the_robot(ur3, monkeypatch):
     other = dh_table(moved(ur3), "standard")
     assert tables.deviation(None, tables.after) < 1e-12 < 1e-4 < tables.deviation(None, other)
     monkeypatch.setattr("calib.compensate.dh_tables.dh_table", lambda *_, **__: other)
-    with pytest.raises(ModelError, match="standard.*nothing is written"):
+    with pytest.raises(ModelError, match=r"standard.*nothing is written"):
         DHTables.of(ur3)
