@@ -23,7 +23,18 @@ CALIB = ROOT / "calib"
 MODULES = sorted(CALIB.rglob("*.py"))
 
 #: Each may import from those before it, and from itself. The data are paths, and import nothing.
-ORDER = ("errors", "units", "data", "model", "measure", "identify", "compensate", "show", "cli")
+ORDER = (
+    "errors",
+    "units",
+    "kinds",
+    "data",
+    "model",
+    "measure",
+    "identify",
+    "compensate",
+    "show",
+    "cli",
+)
 
 
 def ident(path: Path) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from calib.identify.evaluation import Evaluation
-from calib.measure.kinds import SETS
+from calib.measure.columns import SETS
 from calib.measure.measurements import Measurements
 from calib.model.robot import read_only
 

@@ -22,12 +22,13 @@ from calib.identify.fitting import (
 from calib.identify.fold_fits import fold_fits, fold_means
 from calib.identify.linear import Linear
 from calib.identify.registration import register_poses
-from calib.identify.rows import FRAME_DIRECTIONS, POINT, POSE, Rows, evenly
+from calib.identify.rows import Rows, evenly
 from calib.identify.setup import Setup
 from calib.identify.stage import FEWEST_FREEDOM, Holds
 from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
 from calib.identify.streamed import Streamed, linearised
 from calib.identify.table_rows import joined_setups
+from calib.kinds import DIRECTIONS
 from calib.model.batch import MANY
 from calib.model.parameters import ErrorModel, frame_place, target_place
 
@@ -232,7 +233,7 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
 
 def _turned_elsewhere(rows: Rows, setups: NDArray[np.int_]) -> bool:
     """Whether each target whose orientation was measured was so in two set-ups: one alone cannot be predicted."""
-    turned = rows.kinds == POSE
+    turned = rows.where(lambda kind: kind.orientation)
     targets = rows.samples.target
     return all(
         len(np.unique(setups[turned & (targets == t)])) > 1 for t in np.unique(targets[turned])
@@ -241,9 +242,8 @@ def _turned_elsewhere(rows: Rows, setups: NDArray[np.int_]) -> bool:
 
 def _base_elsewhere(setup: Setup, rows: Rows, setups: NDArray[np.int_]) -> bool:
     """Whether no set-up, or more than one, is measured in a known frame: one alone tells where the base stands."""
-    free = len(FRAME_DIRECTIONS[POINT])
-    known = np.array([len(unknown) < free for unknown in setup.unknown])
-    points = (rows.kinds == POINT) | (rows.kinds == POSE)
+    known = np.array([len(unknown) < len(DIRECTIONS) for unknown in setup.unknown])
+    points = rows.where(lambda kind: kind.position)
     return len(np.unique(setups[points & known[rows.samples.frame]])) != 1
 
 

@@ -17,7 +17,7 @@ from calib.identify.linear import Linear
 from calib.identify.problem import Problem
 from calib.identify.repeats import repeats
 from calib.identify.robust import Limits
-from calib.identify.rows import POINT, POSE, Rows
+from calib.identify.rows import Rows
 from calib.identify.solvers import Solution
 from calib.identify.stage import FEWEST_FREEDOM, SETTLED, Holds, Stage
 from calib.identify.streamed import Streamed, linearised, whole_groups
@@ -339,7 +339,7 @@ def _shared_by_stops(
     rows = problem.rows
     if rows.samples.target.min() == rows.samples.target.max():
         return linear.data(stage.effective)
-    weights = stage.weights * np.isin(rows.kinds, (POINT, POSE))
+    weights = stage.weights * rows.where(lambda kind: kind.position)
     alive = weights > 0.0
     if len(np.unique(rows.samples.target[alive])) < 2:
         return linear.data(stage.effective)

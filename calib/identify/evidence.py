@@ -14,7 +14,7 @@ from calib.identify.linear import Linear
 from calib.identify.patterns import drift, joint_patterns
 from calib.identify.repeats import pose_means
 from calib.identify.result import Calibration
-from calib.identify.rows import FIXED, PLANE, Rows
+from calib.identify.rows import Rows
 from calib.identify.statistics import Errors, Mask
 from calib.identify.table_rows import joined_setups
 from calib.identify.thinning import thin
@@ -313,8 +313,7 @@ def _outliers_of_one_setup(fitted: Fitted) -> tuple[str, ...]:
 
 def _no_scale(fitted: Fitted) -> tuple[str, ...]:
     """A sentence where nothing that was measured is a length."""
-    kinds = fitted.estimate.problem.rows.kinds
-    if fitted.task.distances or not np.all(np.isin(kinds, (FIXED, PLANE))):
+    if fitted.task.distances or any(kind.size for kind in fitted.estimate.problem.rows.present):
         return ()
     return (
         "Nothing that was measured is a length, so the size of the arm is the nominal one's, and the priors decide: "

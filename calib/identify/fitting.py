@@ -17,7 +17,7 @@ from calib.identify.options import options_of
 from calib.identify.problem import KnownDistance, Problem
 from calib.identify.registration import register, register_poses, register_seen
 from calib.identify.robust import scores
-from calib.identify.rows import POINT, Rows, evenly, whole_blocks
+from calib.identify.rows import Rows, evenly, whole_blocks
 from calib.identify.setup import Setup, along_own_axes, targets_along_tip
 from calib.identify.solvers import (
     Solution,
@@ -234,7 +234,7 @@ def _solve_as_the_paper(problem: Problem, setup: Setup) -> Solution:
         ModelError: Anything but points of one target, which the paper does not have.
     """
     parameters = problem.kinematics.model.parameters
-    if np.any(problem.rows.kinds != POINT) or len(setup.targets) > 1:
+    if any(kind.name != "point" for kind in problem.rows.present) or len(setup.targets) > 1:
         message = "The solver 'paper' takes positions of one target, as the paper does. Choose --solver lm."
         raise ModelError(message)
     unit = np.array([1e3 if p.unit == "m" else 1.0 for p in parameters])

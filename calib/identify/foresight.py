@@ -11,20 +11,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib import kinds as registry
 from calib.errors import MeasurementError, ModelError, choices
 from calib.identify.estimate import FIRST_SIGMA_ANGLE
 from calib.identify.fitting import Task, model_of
-from calib.identify.inspection import GENERIC_TARGET, as_predicted
+from calib.identify.inspection import GENERIC_TARGET
 from calib.identify.registration import register
-from calib.identify.rows import KIND_NAMES, Rows
+from calib.identify.rows import Rows
 from calib.identify.setup import Setup, along_own_axes, setup_of, targets_along_tip
 from calib.identify.spread import without_rigid_motion
 from calib.identify.table_rows import rows_of
 from calib.measure.candidates import planning_ranges
 from calib.measure.cell import AUTO, Cell
+from calib.measure.columns import DEFAULT_TARGET
 from calib.measure.forecast import Forecast, Sensitivity, Workspace
 from calib.measure.forecast import forecast as forecast_of
-from calib.measure.kinds import DEFAULT_TARGET
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise
 from calib.model.families import FAMILIES
@@ -93,7 +94,7 @@ class Outlook:
             groups=(group,) * len(names),
             prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
         )
-        setup = setup_of(cell, table, np.full(len(names), KIND_NAMES.index(kind)))
+        setup = setup_of(cell, table, np.full(len(names), registry.names().index(kind)))
         notes = []
         if not np.all(setup.target_given):
             T_tip_target = setup.T_tip_target.copy()
@@ -155,10 +156,8 @@ class Outlook:
         angle = self.cell.sigma_angle or FIRST_SIGMA_ANGLE
         return Rows(
             samples=samples,
-            kinds=np.full(n, KIND_NAMES.index(self.kind)),
-            points=np.zeros((n, 3)),
-            rotations=np.tile(np.eye(3), (n, 1, 1)),
-            distances=np.zeros(n),
+            kinds=np.full(n, registry.names().index(self.kind)),
+            measured=np.zeros((n, registry.get(self.kind).size)),
             partner=np.full(n, -1),
             sigma=noise,
             sigma_angle=np.full(n, angle),
@@ -174,7 +173,7 @@ class Outlook:
             samples = self._samples(chunk)
             poses, twists = self.kinematics.twists(x, samples)
             rows = self._rows(samples, np.repeat(self._noise(chunk), len(self.setup.targets)))
-            rows = as_predicted(rows, poses)
+            rows = rows.as_measured_at(poses)
             slopes = rows.derivative(poses, twists) / rows.scales[:, :, None]
             slopes = slopes.reshape(len(chunk), len(self.setup.targets), -1, len(x))
             slopes = self._shared_out(slopes, self._noise(chunk))
@@ -188,7 +187,7 @@ class Outlook:
         they say of each other is exacter than s; a fit, to which rows are independent, makes no use of that.
         """
         k = slopes.shape[1]
-        if k == 1 or self.kind not in ("point", "pose") or self.cell.sigma is not None:
+        if k == 1 or not registry.get(self.kind).position or self.cell.sigma is not None:
             return slopes
         rho = (self._instrument.repeatability / noise) ** 2
         shared = slopes[:, :, :3].mean(axis=1, keepdims=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,9 @@ from calib.errors import ModelError
 from calib.identify.fitting import Task, model_of, seen_from
 from calib.identify.problem import Problem
 from calib.identify.registration import register
-from calib.identify.rows import DISTANCE, Rows
 from calib.identify.setup import along_own_axes, targets_along_tip
 from calib.identify.table_rows import known_distances, rows_of
 from calib.measure.cell import AUTO, Cell
-from calib.measure.kinds import KINDS
 from calib.measure.measurements import Measurements
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability, analyse
@@ -76,12 +74,14 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
             T_tip_target[:, :3, 3] = GENERIC_TARGET
             setup = setup.placed(setup.T_frame_base, T_tip_target)
             words += ", target 50, 70, 30 mm off the tip"
-        if np.any(rows.kinds == DISTANCE) and not np.all(setup.frame_given):
+        if np.any(rows.where(lambda kind: kind.name == "distance")) and not np.all(
+            setup.frame_given
+        ):
             T_frame_base = setup.T_frame_base.copy()
             T_frame_base[:, :3, 3] = np.negative(_GENERIC_ANCHOR)
             setup = setup.placed(T_frame_base, setup.T_tip_target)
             words += ", anchor 700, -500, 300 mm from the base"
-        rows = as_predicted(rows, seen_from(setup, robot.poses(rows.joints), rows))
+        rows = rows.as_measured_at(seen_from(setup, robot.poses(rows.joints), rows))
     else:
         rows, setup = rows_of(robot, measurements, cell)
         rows = rows.select(measurements.estimation)
@@ -118,7 +118,7 @@ def _everywhere(robot: Robot, cell: Cell) -> Measurements:
     Raises:
         ModelError: The cell's kind says which poses can be, and only a table can tell them.
     """
-    kind = cell.kind or KINDS[0]
+    kind = cell.kind or "point"
     if kind in _OF_A_TABLE:
         message = (
             f"Poses spread over the joint limits say nothing of kind '{kind}': {_OF_A_TABLE[kind]}. Give a table of "
@@ -135,15 +135,4 @@ def _everywhere(robot: Robot, cell: Cell) -> Measurements:
         rotations=np.tile(np.eye(3), (count, 1, 1)),
         distances=np.ones(count),
         prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
-    )
-
-
-def as_predicted(rows: Rows, T_frame_target: Array) -> Rows:
-    """The rows with the values that a perfect robot would give."""
-    p = T_frame_target[:, :3, 3]
-    return replace(
-        rows,
-        points=p,
-        rotations=T_frame_target[:, :3, :3],
-        distances=np.linalg.norm(p, axis=1),
     )

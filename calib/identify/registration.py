@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
-from calib.identify.rows import FIXED, FRAME_DIRECTIONS, NONE, PLANE, POINT, Rows
+from calib.identify.rows import NONE, Rows
 from calib.identify.setup import Setup, along_own_axes
 from calib.identify.solvers import levenberg_marquardt
 from calib.identify.starts import (
     frames_around,
     linear_start,
-    plane_frame,
     pose_start,
     turned_targets,
 )
+from calib.kinds import Kind
 from calib.model.error_model import frame_and_target_model
 from calib.model.kinematics import add_outer_twists
 from calib.model.observability import steps
@@ -85,8 +85,8 @@ def register_poses(
     if not setup.count:
         return setup
     linear = linear_start(setup, T_base_tip, rows)
-    if linear is not None and not np.any(rows.kinds != POINT):
-        return setup.placed(*linear)  # this is the least-squares solution itself
+    if linear is not None and np.all(rows.where(_is_linear)):
+        return setup.placed(*linear)
     model = frame_and_target_model(
         setup.frame_unknowns,
         setup.unknown_targets,
@@ -111,18 +111,26 @@ def register_poses(
         if best is None or solution.cost < best[0]:
             best = (solution.cost, start.placed(*_at(own, start, solution.x)))
     assert best is not None
-    return _settled(best[1])
+    return _settled(best[1], rows)
 
 
-def _settled(setup: Setup) -> Setup:
-    """The set-up with planes' frames turned as little as can be: no row tells how they are turned in their planes.
+def _is_linear(kind: Kind) -> bool:
+    """Whether rows of this kind are points, to which `linear_start` is the least-squares solution itself."""
+    return kind.position and kind.size == 3
+
+
+def _settled(setup: Setup, rows: Rows) -> Setup:
+    """The set-up with frames put somewhere definite in directions that no row tells: a plane's turn about its normal.
 
     Without this the start that happened to win would decide it, by rounding.
     """
     T_frame_base = setup.T_frame_base.copy()
     for f, directions in enumerate(setup.unknown):
-        if setup.own_axes[f] and directions == FRAME_DIRECTIONS[PLANE]:
-            T_frame_base[f] = plane_frame(T_frame_base[f, 2, :3], -float(T_frame_base[f, 2, 3]))
+        for kind in rows.present:
+            if kind.settle is None or not setup.own_axes[f] or directions != kind.directions:
+                continue
+            if np.any(rows.where(kind.__eq__) & (rows.samples.frame == f)):
+                T_frame_base[f] = kind.settle(T_frame_base[f])
     return setup.placed(T_frame_base, setup.T_tip_target)
 
 
@@ -131,7 +139,7 @@ def _check_enough(setup: Setup, rows: Rows) -> None:
     parts = ["the measurement frames" if len(setup.groups) > 1 else "the measurement frame"]
     parts = [*(parts if any(setup.unknown) else []), *(["the target"] * setup.estimate_target)]
     whole = [len(directions) == _ALL for directions in setup.unknown]
-    points = np.isin(rows.kinds, (POINT, FIXED))
+    points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
     least = _FEWEST_POINTS if any(whole) else 1
     if rows.count < setup.count or (np.all(points) and len(rows) < least):
         message = (

@@ -1,64 +1,25 @@
-"""Rows: the measurements of one fit as arrays, and what each kind says of the target's pose.
-
-With the pose (R, p) of the target in its set-up's frame, what is predicted, and what is left over, is
-
-    point      p                    m - p
-    pose       R, p                 m - p, log(M R^T)          the rotation vector in SO(3)
-    distance   |p|                  d - |p|                    the frame stands at the anchor
-    pair       |p_i - p_j|          d - |p_i - p_j|
-    fixed      p                    0 - p                      the frame stands in the socket
-    plane      p_z                  0 - p_z                    the frame lies in the plane
-
-Ball in a socket, anchored distance and plane are thus points, of which some coordinates are measured in a frame that is
-unknown in some directions: one error model for all. Scalars stand in a row of `width` columns, unused ones are zero.
-"""
+"""Rows: the measurements of one fit as arrays, and what each says of the target's pose, by its kind."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from calib import kinds as registry
 from calib.identify.statistics import Mask
+from calib.kinds import Kind
 from calib.model.kinematics import Samples
 
 Array = NDArray[np.float64]
 
-POINT, POSE, DISTANCE, PAIR, FIXED, PLANE, NONE = range(7)
+#: The number in place of a kind's of rows that say nothing themselves: the second ones of pairs.
+NONE = -1
 
-#: The kinds' names, in the order of their numbers.
-KIND_NAMES = ("point", "pose", "distance", "pair", "fixed", "plane", "")
-
-#: Which columns of a row each kind uses.
-_USED = np.array(
-    [
-        [1, 1, 1, 0, 0, 0],
-        [1, 1, 1, 1, 1, 1],
-        [1, 0, 0, 0, 0, 0],
-        [1, 0, 0, 0, 0, 0],
-        [1, 1, 1, 0, 0, 0],
-        [1, 0, 0, 0, 0, 0],
-        [0, 0, 0, 0, 0, 0],
-    ],
-    dtype=bool,
-)
-
-#: The directions of a set-up's frame that a kind can tell.
-FRAME_DIRECTIONS = {
-    POINT: ("x", "y", "z", "rx", "ry", "rz"),
-    POSE: ("x", "y", "z", "rx", "ry", "rz"),
-    DISTANCE: ("x", "y", "z"),
-    PAIR: (),
-    FIXED: ("x", "y", "z"),
-    PLANE: ("z", "rx", "ry"),
-    NONE: (),
-}
-
-#: A distance below this has no direction [m].
-_TINY = 1e-12
+#: Residuals have their lengths from column 0 on, and their angles from this one.
+_ANGLES = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,24 +28,20 @@ class Rows:
 
     Attributes:
         samples: Joint values, frame and target of each of N rows.
-        kinds: shape (N,), numbers of the kinds; `NONE` for the second row of a pair.
-        points: shape (N, 3), measured position [m], zero where there is none.
-        rotations: shape (N, 3, 3), measured R_frame_target; the identity where there is none.
-        distances: shape (N,), [m]; zero where there is none.
+        kinds: shape (N,), numbers of the kinds in the registry `calib.kinds`; `NONE` for the second row of a pair.
+        measured: shape (N, K), what was measured, as `calib.kinds.Kind` says; zero in columns that a row's kind lacks.
         partner: shape (N,), the other row of a pair; -1 elsewhere.
         sigma: shape (N,), standard deviation of one length as given or first assumed [m].
         sigma_angle: shape (N,), of one angle [rad].
         poses: shape (N,), rows of one number are repeats: one pose, one target, one frame.
         blocks: shape (N,), rows of one number are left out together: one pose, and both rows of a pair.
-        width: Columns of a residual: 6 with poses, 3 with points, else 1.
+        width: Columns of a residual: 6 with angles, 3 with positions, else 1.
         used: shape (N, width), which columns of each row hold a scalar.
     """
 
     samples: Samples
     kinds: NDArray[np.int_]
-    points: Array
-    rotations: Array
-    distances: Array
+    measured: Array
     partner: NDArray[np.int_]
     sigma: Array
     sigma_angle: Array
@@ -92,22 +49,23 @@ class Rows:
     blocks: NDArray[np.int_]
     width: int = field(init=False)
     used: Mask = field(init=False, repr=False)
-    _of_kind: tuple[tuple[int, NDArray[np.int_]], ...] = field(init=False, repr=False)
+    _parts: tuple[_Part, ...] = field(init=False, repr=False)
     _instruments: tuple[NDArray[np.int8], NDArray[np.bool_]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Work out once what every evaluation of a fit asks for."""
-        width = 6 if np.any(self.kinds == POSE) else 3 if np.any(_USED[self.kinds, 1]) else 1
-        used = np.ascontiguousarray(_USED[self.kinds][:, :width])
+        present = [int(k) for k in np.unique(self.kinds) if k != NONE]
+        parts = tuple(_Part.of(registry.at(k), self.kinds == k) for k in present)
+        width = max((int(part.columns[-1]) + 1 for part in parts), default=1)
+        used = np.zeros((len(self.kinds), width), dtype=bool)
+        for part in parts:
+            used[part.of_all(len(used)), part.columns] = True
         used.setflags(write=False)
-        of_kind = tuple(
-            (k, np.flatnonzero(self.kinds == k)) for k in np.unique(self.kinds).tolist()
-        )
         for name, value in (
             ("width", width),
             ("used", used),
-            ("_of_kind", of_kind),
-            ("_instruments", _instruments(used, of_kind)),
+            ("_parts", parts),
+            ("_instruments", _instruments(used, parts)),
         ):
             object.__setattr__(self, name, value)
 
@@ -123,26 +81,42 @@ class Rows:
     @property
     def count(self) -> int:
         """Number of scalars."""
-        return int(np.sum(_USED[self.kinds]))
+        return int(np.sum(self.used))
 
     @property
     def scales(self) -> Array:
         """Standard deviation of each column as given or first assumed, shape (N, width), [m] and [rad]."""
         result = np.repeat(self.sigma[:, None], self.width, axis=1)
-        result[:, 3:] = self.sigma_angle[:, None]
+        result[:, _ANGLES:] = self.sigma_angle[:, None]
         return result
 
     @property
     def instruments(self) -> tuple[NDArray[np.int8], NDArray[np.bool_]]:
         """Which noise each scalar has, and which of these noises are angles.
 
-        Rows of different kinds were measured with different instruments, and positions and orientations of poses have
-        each a noise of their own.
+        Rows of different kinds were measured with different instruments, and lengths and angles of one kind have each
+        a noise of their own.
 
         Returns:
             shape (N, width), numbered from 0, lengths first; -1 where no scalar stands; and shape (instruments,).
         """
         return self._instruments
+
+    def where(self, test: Callable[[Kind], bool]) -> Mask:
+        """The rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
+        wanted = [registry.names().index(part.kind.name) for part in self._parts if test(part.kind)]
+        return np.isin(self.kinds, wanted)
+
+    @property
+    def present(self) -> tuple[Kind, ...]:
+        """The kinds that there are, in the order of their numbers."""
+        return tuple(part.kind for part in self._parts)
+
+    @property
+    def points(self) -> Array:
+        """Measured positions, shape (N, 3), [m]; zero in rows that measure none."""
+        measured = np.pad(self.measured, ((0, 0), (0, max(3 - self.measured.shape[1], 0))))
+        return np.where(self.where(lambda kind: kind.position)[:, None], measured[:, :3], 0.0)
 
     def select(self, mask: Mask) -> Rows:
         """Some of the rows; of a pair both or none."""
@@ -156,9 +130,7 @@ class Rows:
             self,
             samples=self.samples.select(chosen),
             kinds=self.kinds[chosen],
-            points=self.points[chosen],
-            rotations=self._rotations_of(chosen),
-            distances=self.distances[chosen],
+            measured=self.measured[chosen],
             partner=np.where(partner >= 0, position[partner], -1),
             sigma=self.sigma[chosen],
             sigma_angle=self.sigma_angle[chosen],
@@ -166,33 +138,17 @@ class Rows:
             blocks=self.blocks[chosen],
         )
 
-    def _rotations_of(self, chosen: NDArray[np.int_]) -> Array:
-        """Some of the rotations; where no row has one of its own they stay one matrix for all."""
-        if self.rotations.strides[0] == 0:
-            return np.broadcast_to(np.eye(3), (len(chosen), 3, 3))
-        return self.rotations[chosen]
-
     def residual(self, T_frame_target: Array) -> Array:
         """Measured minus predicted, shape (N, width), [m] and [rad].
 
         Args:
             T_frame_target: shape (N, 4, 4), predicted [m].
         """
-        p = T_frame_target[:, :3, 3]
         result = np.zeros((len(self), self.width))
-        for kind, k in self._of_kind:
-            if kind in (POINT, POSE, FIXED):
-                result[k, :3] = self.points[k] - p[k]
-            if kind == POSE:
-                turned = self.rotations[k] @ T_frame_target[k, :3, :3].transpose(0, 2, 1)
-                result[k, 3:] = Rotation.from_matrix(turned).as_rotvec()
-            elif kind == DISTANCE:
-                result[k, 0] = self.distances[k] - np.linalg.norm(p[k], axis=1)
-            elif kind == PAIR:
-                between = np.linalg.norm(p[k] - p[self.partner[k]], axis=1)
-                result[k, 0] = self.distances[k] - between
-            elif kind == PLANE:
-                result[k, 0] = -p[k, 2]
+        for part in self._parts:
+            T = self._seen(part, T_frame_target)
+            own = part.kind.residual_of(self.measured[part.rows, : part.kind.size], T)
+            result[part.of_all(len(self)), part.columns] = own
         return result
 
     def derivative(self, T_frame_target: Array, twists: Array) -> Array:
@@ -200,27 +156,61 @@ class Rows:
 
         Args:
             T_frame_target: shape (N, 4, 4), [m].
-            twists: shape (N, 6, p), see `calib.model.kinematics.Kinematics.twists`.
+            twists: shape (N, 6, p), of the targets, linear then angular, along the frame's axes, see
+                `calib.model.kinematics.Kinematics.twists`; shape (N, 3, p) does where no kind measures an orientation.
         """
-        if self.width == 3 and not np.any(self.kinds != POINT):
-            return twists[:, :3]
-        p = T_frame_target[:, :3, 3]
-        result = np.zeros((len(self), self.width, twists.shape[2]))
-        for kind, k in self._of_kind:
-            if kind in (POINT, POSE, FIXED):
-                result[k, :3] = twists[k, :3]
-            if kind == POSE:
-                turned = self.rotations[k] @ T_frame_target[k, :3, :3].transpose(0, 2, 1)
-                result[k, 3:] = _log_derivative(Rotation.from_matrix(turned)) @ twists[k, 3:]
-            elif kind == DISTANCE:
-                result[k, 0] = np.einsum("ni,nip->np", _unit(p[k]), twists[k, :3])
-            elif kind == PAIR:
-                j = self.partner[k]
-                along = _unit(p[k] - p[j])
-                result[k, 0] = np.einsum("ni,nip->np", along, twists[k, :3] - twists[j, :3])
-            elif kind == PLANE:
-                result[k, 0] = twists[k, 2]
-        return result
+        result = None
+        for part in self._parts:
+            measured = self.measured[part.rows, : part.kind.size]
+            T, moved = self._seen(part, T_frame_target), self._seen(part, twists)
+            own = part.kind.derivative(measured, T, moved)
+            if isinstance(part.rows, slice) and own.shape[1] == self.width:
+                return own
+            if result is None:
+                result = np.zeros((len(self), self.width, twists.shape[2]))
+            result[part.of_all(len(self)), part.columns] = own
+        return np.zeros((len(self), self.width, twists.shape[2])) if result is None else result
+
+    def as_measured_at(self, T_frame_target: Array) -> Rows:
+        """The rows with what a perfect instrument reads at these poses, shape (N, 4, 4), [m]."""
+        measured = self.measured.copy()
+        for part in self._parts:
+            if part.kind.measure is not None:
+                seen = part.kind.measure(self._seen(part, T_frame_target))
+                measured[part.rows, : part.kind.size] = seen
+        return replace(self, measured=measured)
+
+    def _seen(self, part: _Part, values: Array) -> Array:
+        """The values of the rows of one kind; of a paired kind those of both its rows."""
+        if not part.kind.paired:
+            return values[part.rows]
+        return np.stack([values[part.rows], values[self.partner[part.rows]]], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """The rows of one kind.
+
+    Attributes:
+        kind: Of the rows.
+        rows: Which they are; a slice for all of them.
+        columns: Those of the residual that hold the kind's scalars.
+    """
+
+    kind: Kind
+    rows: NDArray[np.int_] | slice
+    columns: NDArray[np.int_]
+
+    @classmethod
+    def of(cls, kind: Kind, mask: Mask) -> _Part:
+        """The rows of a mask."""
+        columns = [*range(kind.lengths), *range(_ANGLES, _ANGLES + kind.angles)]
+        rows = slice(None) if np.all(mask) else np.flatnonzero(mask)
+        return cls(kind, rows, np.array(columns, dtype=np.int_))
+
+    def of_all(self, count: int) -> NDArray[np.int_]:
+        """The rows' numbers, shape (M, 1), to index with beside ``columns``."""
+        return np.arange(count)[self.rows][:, None]
 
 
 def evenly(rows: Rows, most: int) -> Mask:
@@ -266,40 +256,15 @@ def thinned(rows: Rows, most: int) -> Rows:
 
 
 def _instruments(
-    used: Mask, of_kind: tuple[tuple[int, NDArray[np.int_]], ...]
+    used: Mask, parts: tuple[_Part, ...]
 ) -> tuple[NDArray[np.int8], NDArray[np.bool_]]:
     """See `Rows.instruments`."""
-    lengths = [kind for kind, _ in of_kind if kind != NONE]
-    angles = [kind for kind in lengths if kind == POSE]
     index = np.full(used.shape, -1, dtype=np.int8)
-    for number, kind in enumerate(lengths):
-        own = next(rows for k, rows in of_kind if k == kind)
-        index[own, :3] = np.where(used[own, :3], number, -1)
-        if kind == POSE:
-            index[own, 3:] = len(lengths)
+    lengths = [part for part in parts if part.kind.lengths]
+    angles = [part for part in parts if part.kind.angles]
+    for number, part in enumerate([*lengths, *angles]):
+        turned = part.columns >= _ANGLES
+        own = part.columns[turned if number >= len(lengths) else ~turned]
+        index[part.of_all(len(used)), own] = number
     index.setflags(write=False)
     return index, np.arange(len(lengths) + len(angles)) >= len(lengths)
-
-
-def _unit(v: Array) -> Array:
-    """Unit vectors, shape (N, 3)."""
-    result: Array = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), _TINY)
-    return result
-
-
-def _log_derivative(rotation: Rotation) -> Array:
-    """D log(E exp(-w)) / d(-w) at w = 0, the inverse right Jacobian of SO(3), shape (N, 3, 3).
-
-    I + [r]x / 2 + (1 / t^2 - 1 / (2 t tan(t / 2))) [r]x^2 with r = log E and t = |r|; finite up to t = pi.
-    """
-    r = rotation.as_rotvec()
-    t = np.linalg.norm(r, axis=1)
-    small = t < 1e-4
-    safe = np.where(small, 1.0, t)
-    factor = 1.0 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe))
-    factor = np.where(small, 1.0 / 12.0, factor)
-    cross = np.zeros((len(r), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -r[:, 2], r[:, 1], -r[:, 0]
-    cross = cross - cross.transpose(0, 2, 1)
-    result: Array = np.eye(3) + 0.5 * cross + factor[:, None, None] * (cross @ cross)
-    return result

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib import kinds as registry
 from calib.errors import ModelError, choices
-from calib.identify.rows import DISTANCE, FIXED, FRAME_DIRECTIONS, NONE, PAIR, PLANE, POSE
+from calib.identify.rows import NONE
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import DIRECTIONS
@@ -116,15 +117,16 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) ->
     unknown, frames, frame_given, own_axes = [], [], [], []
     of_group = np.array([groups.index(g) for g in measurements.groups])
     for g, group in enumerate(groups):
-        present = set(np.unique(kinds[of_group == g]).tolist()) - {PAIR, NONE}
+        present = [registry.at(k) for k in np.unique(kinds[of_group == g]).tolist() if k != NONE]
+        seen = [kind for kind in present if kind.directions]
         given = cell.frames.get(group, cell.T_frame_base)
-        scene = present <= {DISTANCE, FIXED, PLANE} and group not in cell.frames
-        telling = [d for d in DIRECTIONS if any(d in FRAME_DIRECTIONS[k] for k in present)]
+        scene = all(kind.own_frame for kind in seen) and group not in cell.frames
+        telling = [d for d in DIRECTIONS if any(d in kind.directions for kind in seen)]
         wanted = telling if scene else cell.frame_directions if cell.estimate_frame else ()
         unknown.append(tuple(d for d in wanted if d in telling))
         frames.append(np.eye(4) if given is None else given)
         frame_given.append(given is not None or not unknown[-1])
-        own_axes.append(scene and PLANE in present)
+        own_axes.append(scene and any(kind.own_axes for kind in seen))
     T_tip_target = np.tile(np.eye(4), (len(targets), 1, 1))
     target_given = []
     for t, name in enumerate(targets):
@@ -143,7 +145,7 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) ->
         frame_given=np.array(frame_given),
         target_unknown=np.full(len(targets), cell.estimate_target),
         target_given=np.array(target_given),
-        rotation=bool(np.any(kinds == POSE)),
+        rotation=any(registry.at(k).angles for k in np.unique(kinds).tolist() if k != NONE),
         own_axes=np.array(own_axes),
     )
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calib.identify.nominal import residual_of
 from calib.identify.registration import register
-from calib.identify.rows import POINT, Rows
+from calib.identify.rows import Rows
 from calib.identify.setup import Setup
 from calib.measure.cell import Cell
 from calib.model.error_model import DIRECTIONS
@@ -64,7 +64,11 @@ def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> str:
         setup: Its frames and targets.
         rows: The estimation rows.
     """
-    if np.any(rows.kinds != POINT) or len(setup.targets) > 1 or len(setup.groups) > 1:
+    if (
+        any(kind.name != "point" for kind in rows.present)
+        or len(setup.targets) > 1
+        or len(setup.groups) > 1
+    ):
         return ""
     chosen = np.zeros(len(rows), dtype=bool)
     chosen[np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(int)] = True
@@ -103,7 +107,7 @@ def _other_target(robot: Robot, setup: Setup, rows: Rows) -> Iterator[tuple[floa
 def _other_units(robot: Robot, setup: Setup, rows: Rows) -> Iterator[tuple[float, float, str]]:
     """Score, error and words for numbers that stand under another unit than their own."""
     for factor, words in _LENGTHS:
-        error = _rms(robot, setup, replace(rows, points=factor * rows.points))
+        error = _rms(robot, setup, replace(rows, measured=factor * rows.measured))
         yield 1.2 * error, error, f"if the points are {words}: check the unit in the header"
     turning = np.array([joint.type != "prismatic" for joint in robot.inputs])
     for factor, words in (
@@ -158,9 +162,9 @@ def _other_columns(robot: Robot, setup: Setup, rows: Rows) -> Iterator[tuple[flo
         error = _rms(robot, setup, _turned(rows, joints))
         yield 1.2 * error, error, f"if the columns '{names[i]}' and '{names[j]}' are swapped"
     for i, j in itertools.combinations(range(3), 2):
-        points = rows.points.copy()
+        points = rows.measured.copy()
         points[:, [i, j]] = points[:, [j, i]]
-        error = _rms(robot, setup, replace(rows, points=points))
+        error = _rms(robot, setup, replace(rows, measured=points))
         yield 1.2 * error, error, f"if the columns {'xyz'[i]} and {'xyz'[j]} are swapped"
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.fitting import Fitted
-from calib.identify.rows import POINT, POSE
 from calib.model.kinematics import Samples
 from calib.model.readback import spread_poses
 
@@ -122,4 +121,4 @@ def tells_place(fitted: Fitted) -> bool:
     Args:
         fitted: The fit.
     """
-    return bool(np.any(np.isin(fitted.estimate.problem.rows.kinds, (POINT, POSE))))
+    return any(kind.position for kind in fitted.estimate.problem.rows.present)

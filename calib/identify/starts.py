@@ -1,7 +1,7 @@
 """Starts: where frames and targets may stand, in closed form, from the nominal robot's poses.
 
 What is linear in the unknowns is solved outright: a target under known frames, a frame around known targets, the
-centre of a socket, an anchor, the rotations of both sides of a pose. What is not is left to
+rotations of both sides of a pose; a socket, an anchor, a plane, as their kinds say. What is not is left to
 `calib.identify.registration`, which refines from the best of several starts.
 """
 
@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.rows import DISTANCE, FIXED, PLANE, POINT, POSE, Rows
+from calib.identify.rows import Rows
 from calib.identify.setup import Setup
+from calib.kinds import best_fit, nearest_rotation
 
 Array = NDArray[np.float64]
 
@@ -36,8 +37,7 @@ def linear_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Ar
         T_frame_base, shape (F, 4, 4), and T_tip_target, shape (T, 4, 4), [m].
     """
     known_turns = all(not {"rx", "ry", "rz"} & set(directions) for directions in setup.unknown)
-    placed = (rows.kinds == POINT) | (rows.kinds == POSE) | (rows.kinds == FIXED)
-    if not known_turns or not np.all(placed):
+    if not known_turns or not all(kind.coordinates for kind in rows.present):
         return None
     frame, target = rows.samples.frame, rows.samples.target
     R = setup.T_frame_base[frame][:, :3, :3]
@@ -68,24 +68,25 @@ def frames_around(setup: Setup, T_tip_target: Array, T_base_tip: Array, rows: Ro
     """The frames that suit targets at these places, each by its own kind, shape (F, 4, 4), [m]."""
     seen = T_base_tip @ T_tip_target[rows.samples.target]
     frames: Array = setup.T_frame_base.copy()
+    positions = rows.where(lambda kind: kind.position)
     for f, directions in enumerate(setup.unknown):
         own = np.flatnonzero(rows.samples.frame == f)
         if not directions or not len(own):
             continue
-        points, kinds = seen[own, :3, 3], rows.kinds[own]
-        placed = np.isin(kinds, (POINT, POSE))
+        points, measured = seen[own, :3, 3], rows.measured[own]
+        placed = positions[own]
         if len(directions) == _ALL and np.sum(placed) >= 3:
-            frames[f] = best_fit(points[placed], rows.points[own][placed])
-        elif np.any(kinds == FIXED):
-            frames[f, :3, 3] = -frames[f, :3, :3] @ points[kinds == FIXED].mean(axis=0)
-        elif np.any(kinds == PLANE):
-            frames[f] = _plane_frame(points[kinds == PLANE])
-        elif np.any(kinds == DISTANCE):
-            far = kinds == DISTANCE
-            anchor = _anchor(points[far], rows.distances[own][far])
-            frames[f, :3, 3] = -frames[f, :3, :3] @ anchor
+            frames[f] = best_fit(points[placed], measured[placed, :3])
+            continue
+        # What has most scalars a row tells most: a socket before a plane.
+        telling = [(k, rows.where(k.__eq__)[own]) for k in rows.present if k.locate is not None]
+        telling = [(k, seen) for k, seen in telling if np.any(seen)]
+        if telling:
+            kind, mine = max(telling, key=lambda one: len(one[0].units))
+            assert kind.locate is not None
+            frames[f] = kind.locate(points[mine], measured[mine, : kind.size], frames[f])
         elif np.any(placed):
-            shift = rows.points[own][placed] - _carried(frames[f], points[placed])
+            shift = measured[placed, :3] - _carried(frames[f], points[placed])
             allowed = np.array([axis in directions for axis in "xyz"])
             frames[f, :3, 3] += np.where(allowed, shift.mean(axis=0), 0.0)
     return frames
@@ -97,7 +98,7 @@ def pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Arra
     M_i = R_f R_i R_t for each row: M_i R_t^T - R_f R_i = 0 is linear in both rotations; the null vector is projected
     to SO(3) (M. Shah, 2013, for the same equation in hand-eye calibration).
     """
-    oriented = rows.kinds == POSE
+    oriented = rows.where(lambda kind: kind.orientation)
     whole = [f for f, d in enumerate(setup.unknown) if len(d) == _ALL]
     if not whole or not setup.estimate_target or not np.all(oriented):
         return None
@@ -111,7 +112,7 @@ def pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Arra
         # The target seen most often from this frame tells both; the others follow from the frame.
         t = int(np.bincount(target[own]).argmax())
         own = own[target[own] == t]
-        R_f, R_t = _both_rotations(T_base_tip[own, :3, :3], rows.rotations[own])
+        R_f, R_t = _both_rotations(T_base_tip[own, :3, :3], _orientations(rows, own))
         T_frame_base[f, :3, :3] = R_f
         if t not in done:
             T_tip_target[t, :3, :3] = R_t
@@ -127,21 +128,6 @@ def _with_unknown(setup: Setup, unknown: tuple[tuple[str, ...], ...]) -> Setup:
     return replace(setup, unknown=unknown, rotation=False)
 
 
-def best_fit(points: Array, seen: Array) -> Array:
-    """The pose that carries points to where they were seen best (W. Kabsch, 1976), shape (4, 4), [m].
-
-    Args:
-        points: shape (N, 3).
-        seen: shape (N, 3).
-    """
-    centre, middle = points.mean(axis=0), seen.mean(axis=0)
-    U, _, V = np.linalg.svd((seen - middle).T @ (points - centre))
-    T = np.eye(4)
-    T[:3, :3] = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))]) @ V
-    T[:3, 3] = middle - T[:3, :3] @ centre
-    return T
-
-
 def _both_rotations(R_i: Array, M_i: Array) -> tuple[Array, Array]:
     """R_f and R_t with M_i = R_f R_i R_t, shapes (3, 3)."""
     A = np.zeros((len(R_i), 9, 18))
@@ -155,7 +141,7 @@ def _both_rotations(R_i: Array, M_i: Array) -> tuple[Array, Array]:
     R_f, R_t = vector[:9].reshape(3, 3), vector[9:].reshape(3, 3).T
     if np.linalg.det(R_f) < 0.0:
         R_f, R_t = -R_f, -R_t
-    return _nearest_rotation(R_f), _nearest_rotation(R_t)
+    return nearest_rotation(R_f), nearest_rotation(R_t)
 
 
 def turned_targets(
@@ -172,58 +158,18 @@ def turned_targets(
     """
     result: Array = T_tip_target.copy()
     R_frame_tip = T_frame_base[rows.samples.frame][:, :3, :3] @ T_base_tip[:, :3, :3]
+    oriented = rows.where(lambda kind: kind.orientation)
     for t in range(len(setup.targets)):
-        own = (rows.samples.target == t) & (rows.kinds == POSE)
+        own = (rows.samples.target == t) & oriented
         if np.any(own) and setup.target_unknown[t]:
-            mean = np.einsum("nji,njk->ik", R_frame_tip[own], rows.rotations[own])
-            result[t, :3, :3] = _nearest_rotation(mean)
+            mean = np.einsum("nji,njk->ik", R_frame_tip[own], _orientations(rows, own))
+            result[t, :3, :3] = nearest_rotation(mean)
     return result
 
 
-def _nearest_rotation(M: Array) -> Array:
-    """The rotation nearest to a matrix."""
-    U, _, V = np.linalg.svd(M)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))]) @ V)
-
-
-def _plane_frame(points: Array) -> Array:
-    """The `plane_frame` of the plane that fits points in base best, shape (4, 4)."""
-    centre = points.mean(axis=0)
-    normal = np.linalg.svd(points - centre)[2][-1]
-    return plane_frame(normal, float(normal @ centre))
-
-
-def plane_frame(normal: Array, distance: float) -> Array:
-    """T_frame_base of a frame whose x-y plane is normal p = distance, turned as little as can be, shape (4, 4).
-
-    Which side its z points to is arbitrary: to that where the largest component of the normal is positive.
-
-    Args:
-        normal: shape (3,), of length 1, in base.
-        distance: [m].
-    """
-    sign = float(np.sign(normal[np.argmax(np.abs(normal))]))
-    normal, distance = sign * normal, sign * distance
-    axis = np.cross(normal, [0.0, 0.0, 1.0])
-    s, c = float(np.linalg.norm(axis)), float(normal[2])
-    T = np.eye(4)
-    if s > 1e-12:
-        K = np.zeros((3, 3))
-        x, y, z = axis / s
-        K[0, 1], K[0, 2], K[1, 2] = -z, y, -x
-        K = K - K.T
-        T[:3, :3] = np.eye(3) + s * K + (1.0 - c) * K @ K
-    T[2, 3] = -distance
-    return T
-
-
-def _anchor(points: Array, distances: Array) -> Array:
-    """The point at these distances from points: |p|^2 - d^2 = 2 p a - |a|^2 is linear in (a, |a|^2), shape (3,)."""
-    centre = points.mean(axis=0)
-    p = points - centre
-    A = np.column_stack([2.0 * p, -np.ones(len(p))])
-    rhs = np.sum(p**2, axis=1) - distances**2
-    return np.asarray(np.linalg.lstsq(A, rhs, rcond=1e-9)[0][:3] + centre)
+def _orientations(rows: Rows, own: NDArray[np.generic]) -> Array:
+    """The measured orientations of some rows, shape (n, 3, 3)."""
+    return rows.measured[own, 3:12].reshape(-1, 3, 3)
 
 
 def _carried(T: Array, points: Array) -> Array:

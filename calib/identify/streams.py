@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.rows import DISTANCE, FIXED, PAIR, PLANE, POINT, POSE, Rows
+from calib import kinds as registry
+from calib.identify.rows import Rows
 from calib.model.batch import fixed
 from calib.model.kinematics import Samples
 
@@ -50,7 +51,7 @@ class Stream:
     @property
     def width(self) -> int:
         """The scalars of a row."""
-        return {POINT: 3, FIXED: 3, POSE: 6}.get(self.kind, 1)
+        return len(registry.at(self.kind).units)
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -73,14 +74,15 @@ def stream_of(rows: Rows, kind: int, numbers: dict[int, int]) -> Stream:
     """The rows of one kind."""
     from calib.model import kernel_types as kernel
 
+    own = registry.at(kind)
     what = {
-        POINT: kernel.POSITION,
-        FIXED: kernel.POSITION,
-        POSE: kernel.POSE,
-        DISTANCE: kernel.DISTANCE,
-        PAIR: kernel.BETWEEN,
-        PLANE: kernel.HEIGHT,
-    }[kind]
+        "point": kernel.POSITION,
+        "fixed": kernel.POSITION,
+        "pose": kernel.POSE,
+        "distance": kernel.DISTANCE,
+        "pair": kernel.BETWEEN,
+        "plane": kernel.HEIGHT,
+    }[own.name]
     whole = bool(np.all(rows.kinds == kind))
     index = None if whole else np.flatnonzero(rows.kinds == kind)
     chosen = np.arange(len(rows)) if index is None else index
@@ -94,14 +96,14 @@ def stream_of(rows: Rows, kind: int, numbers: dict[int, int]) -> Stream:
         kind=kind,
         index=index,
         samples=rows.samples if index is None else rows.samples.select(index),
-        other=rows.samples.select(rows.partner[chosen]) if kind == PAIR else None,
+        other=rows.samples.select(rows.partner[chosen]) if own.paired else None,
         measured=kernel.Measured(
             what,
             fixed(of(rows.points)),
-            fixed(of(rows.rotations).reshape(count, 9) if kind == POSE else nothing),
-            fixed(of(rows.distances)),
+            fixed(of(rows.measured)[:, 3:12] if own.orientation else nothing),
+            fixed(of(rows.measured)[:, 0] if own.readings else np.zeros(count)),
         ),
         lengths=numbers[kind],
-        angles=len(numbers) if kind == POSE else -1,
+        angles=len(numbers) if own.angles else -1,
         typical=(float(np.median(of(rows.sigma))), float(np.median(of(rows.sigma_angle)))),
     )

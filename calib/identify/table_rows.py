@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from calib import kinds as registry
 from calib.errors import MeasurementError, ModelError, choices
 from calib.identify.estimate import FIRST_SIGMA, FIRST_SIGMA_ANGLE
 from calib.identify.problem import KnownDistance
-from calib.identify.rows import KIND_NAMES, NONE, PAIR, Rows
+from calib.identify.rows import NONE, Rows
 from calib.identify.setup import Setup, setup_of
 from calib.identify.statistics import same_poses
 from calib.measure.cell import AUTO, Cell
@@ -35,17 +36,12 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
     """
     m, count = measurements, len(measurements)
     q = m.joints_for(robot.joint_names)
-    kinds = _numbers(m.kinds, KIND_NAMES)
-    partner = _partners(m, kinds)
-    paired = kinds == PAIR
-    # Of a pair the earlier row carries the distance, and the later one nothing more.
-    kinds[paired & (partner < np.arange(count))] = NONE
-    partner = np.where(kinds == PAIR, partner, -1)
+    kinds = _numbers(m.kinds, registry.names())
+    partner = _partners(m)
+    # Of a pair the earlier row carries what was measured, and the later one nothing more.
+    kinds[(partner >= 0) & (partner < np.arange(count))] = NONE
+    partner = np.where(kinds == NONE, -1, partner)
     setup = setup_of(cell, m, kinds)
-    rotations = np.broadcast_to(np.eye(3), (count, 3, 3))  # one for all of them
-    if m.rotations is not None:
-        there = np.all(np.isfinite(m.rotations), axis=(1, 2))
-        rotations = np.where(there[:, None, None], m.rotations, rotations)
     blocks = same_poses(q)
     samples = Samples(
         q=q,
@@ -56,9 +52,7 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
     rows = Rows(
         samples=samples,
         kinds=kinds,
-        points=np.nan_to_num(m.points),
-        rotations=rotations,
-        distances=np.zeros(count) if m.distances is None else np.nan_to_num(m.distances),
+        measured=_measured(m, kinds),
         partner=partner,
         sigma=_sigma(m.sigma, cell.sigma, FIRST_SIGMA, count),
         sigma_angle=_sigma(m.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE, count),
@@ -133,22 +127,31 @@ def _joined(labels: NDArray[np.int_], pairs: Sequence[tuple[int, int]]) -> NDArr
     return np.unique(joined, return_inverse=True)[1].reshape(-1)
 
 
-def _partners(m: Measurements, kinds: NDArray[np.int_]) -> NDArray[np.int_]:
+def _measured(m: Measurements, kinds: NDArray[np.int_]) -> Array:
+    """What was measured, as `calib.identify.rows.Rows` has it, shape (N, K)."""
+    present = [(registry.at(k), np.flatnonzero(kinds == k)) for k in np.unique(kinds) if k != NONE]
+    result = np.zeros((len(m), max((kind.size for kind, _ in present), default=0)))
+    for kind, rows in present:
+        parts = [m.points[rows]] if kind.position else []
+        if kind.orientation and m.rotations is not None:
+            parts.append(m.rotations[rows].reshape(-1, 9))
+        parts += [m.reading(one.name)[rows, None] for one in kind.readings]
+        if parts:
+            result[rows, : kind.size] = np.hstack(parts)
+    return result
+
+
+def _partners(m: Measurements) -> NDArray[np.int_]:
     """The other row of each pair, shape (N,); -1 where there is none."""
     partner = np.full(len(m), -1)
-    seen: dict[str, int] = {}
-    for i in np.flatnonzero(kinds == PAIR):
-        word = m.pairs[i]
-        if word in seen:
-            other = seen.pop(word)
-            partner[i], partner[other] = other, i
-        else:
-            seen[word] = int(i)
-    if seen:
-        word, row = next(iter(seen.items()))
+    one, other = m.pair_rows.T
+    partner[one], partner[other] = other, one
+    alone = np.flatnonzero(m.paired & (partner < 0))
+    if len(alone):
+        i = int(alone[0])
         message = (
-            f"{m.source or 'Measurements'}, row {m.rows[row]}: the pair '{word}' has one row only. A distance between "
-            "two rows needs both of them, in the same set."
+            f"{m.source or 'Measurements'}, row {m.rows[i]}: the pair '{m.pairs[i]}' has one row only. A measurement "
+            "between two rows needs both of them, in the same set."
         )
         raise MeasurementError(message)
     return partner

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, choices
-from calib.measure.columns import QUATERNION, RESERVED, TORQUE
-from calib.measure.kinds import FEWEST, KINDS, LENGTHS, POSITIONS, SETS
+from calib.measure.columns import QUATERNION, RESERVED, SETS, TORQUE
+from calib.measure.kinds import FEWEST, KINDS, LENGTHS, POSITIONS
 from calib.measure.orientation import no_rotation
 
 # No instrument is better or worse than this [m or rad], and squares beyond it leave the range of numbers.

@@ -17,6 +17,10 @@ ORIENTATION = (*ROTATION_VECTOR, *QUATERNION)
 WORDS = ("row", "set", "kind", "target", "group", "pair", "point")
 RESERVED = (*WORDS, "sigma", "sigma_angle", "distance", *POINT)
 
+#: What the column ``set`` may say, and the name of a target that has none.
+SETS = ("estimate", "validate")
+DEFAULT_TARGET = "target"
+
 #: What stands behind a joint's name in the header of its torque.
 TORQUE = ".torque"
 

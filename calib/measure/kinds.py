@@ -31,9 +31,6 @@ USES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 #: With fewer rows in a group the unknown point, or plane, fits whatever the robot does.
 FEWEST: Mapping[str, int] = MappingProxyType({"fixed": 2, "plane": 4})
 
-SETS = ("estimate", "validate")
-DEFAULT_TARGET = "target"
-
 
 def check_kind(kind: str) -> None:
     """Refuse the name of a kind that there is not.

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib import kinds as registry
 from calib.errors import MeasurementError, choices
 from calib.measure.checks import (
     check_names,
@@ -19,7 +20,8 @@ from calib.measure.checks import (
     share_distances,
     two_rows,
 )
-from calib.measure.kinds import DEFAULT_TARGET, KINDS, LENGTHS, POSITIONS, SETS
+from calib.measure.columns import DEFAULT_TARGET, SETS
+from calib.measure.kinds import KINDS, LENGTHS, POSITIONS
 from calib.measure.layout import Layout
 from calib.measure.points_file import Points, match_points, read_points, unmeasured_points
 from calib.measure.table import Table
@@ -215,6 +217,16 @@ class Measurements:
     def of_kind(self, *kinds: str) -> NDArray[np.bool_]:
         """True for the rows of these kinds, shape (N,), read-only."""
         return _mask(self.kinds, *kinds)
+
+    def reading(self, name: str) -> NDArray[np.float64]:
+        """What stands in a column that some kind reads, such as ``"distance"``, shape (N,), in SI units."""
+        assert name == "distance"
+        return np.full(len(self), np.nan) if self.distances is None else self.distances
+
+    @property
+    def paired(self) -> NDArray[np.bool_]:
+        """True for the rows of which two give one measurement, shape (N,), read-only."""
+        return self.of_kind(*(name for name in registry.names() if registry.get(name).paired))
 
     @property
     def pair_rows(self) -> NDArray[np.intp]:

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 import calib
 from calib.errors import MeasurementError
-from calib.measure.columns import EXPECTED, POINT, QUATERNION, name_columns
+from calib.measure.columns import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, name_columns
 from calib.measure.forecast import Forecast
-from calib.measure.kinds import DEFAULT_TARGET
 from calib.measure.layout import Layout
 from calib.measure.planning import Plan
 from calib.measure.table import Table

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.kinds import POSITIONS, SETS
+from calib.measure.columns import SETS
+from calib.measure.kinds import POSITIONS
 from calib.measure.layout import Layout
 from calib.measure.row_reader import MUST, RowNumbers, RowReader
 from calib.measure.table import Block, Table

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 from calib.errors import MeasurementError, choices
-from calib.measure.columns import Column, place
-from calib.measure.kinds import DEFAULT_TARGET, POSITIONS, SETS
+from calib.measure.columns import DEFAULT_TARGET, SETS, Column, place
+from calib.measure.kinds import POSITIONS
 from calib.measure.layout import Layout
 from calib.measure.table import Row, Table
 from calib.units import split_header

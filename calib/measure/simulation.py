@@ -17,8 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, ModelError, choices
 from calib.measure.cell_parts import is_number, vector
+from calib.measure.columns import SETS
 from calib.measure.disturbances import Encoder, MovedTarget, Outliers, outlier_directions
-from calib.measure.kinds import LENGTHS, SETS, check_kind
+from calib.measure.kinds import LENGTHS, check_kind
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise
 from calib.measure.random_streams import stream

@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.measure.columns import POINT, QUATERNION, TORQUE
-from calib.measure.kinds import DEFAULT_TARGET, LENGTHS, POSITIONS
+from calib.measure.columns import DEFAULT_TARGET, POINT, QUATERNION, TORQUE
+from calib.measure.kinds import LENGTHS, POSITIONS
 from calib.measure.orientation import to_quaternions
 from calib.units import UNITS
 

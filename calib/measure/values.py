@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, choices
-from calib.measure.columns import check_cells
-from calib.measure.kinds import SETS
+from calib.measure.columns import SETS, check_cells
 from calib.measure.layout import Layout
 from calib.measure.orientation import to_matrices, wrong_length
 from calib.measure.regular_rows import Columns, RegularRows

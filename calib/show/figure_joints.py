@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.result import Calibration
-from calib.identify.rows import KIND_NAMES
 from calib.model.kinematics import Samples
 from calib.show.figure_base import MOST_SHAPES, few_ticks, legend_above, new_figure, short_names
 from calib.show.figure_rows import RowKind, flagged_rows, row_kinds
@@ -82,7 +81,7 @@ def along_joints(c: Calibration, chosen: Mask) -> Array:
     target = np.array([c.setup.targets.index(m.targets[k]) for k in rows], dtype=np.int_)
     samples = replace(Samples.at(q), frame=frame, target=target)
     points = _points(c, samples)
-    kinds = np.array([KIND_NAMES[KIND_NAMES.index(m.kinds[k])] for k in rows])
+    kinds = np.array(m.kinds)[rows]
     residual = np.where(c.used[rows], c.residual_calibrated[rows], 0.0)[:, :3]
     result = np.full(q.shape, np.nan)
     for j in range(q.shape[1]):

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.identify.calibration import Calibration, calibrate
-from calib.identify.rows import POINT, Rows
+from calib.identify.rows import Rows
 from calib.measure.cell import Cell, GroupDistance
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
@@ -21,6 +21,9 @@ from calib.model.kinematics import Kinematics, Samples
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, read_only
 from calib.model.torques import GRAVITY, Payload, gravity_load
+
+#: Numbers of kinds in the registry.
+POINT = 0
 
 
 @pytest.fixture(scope="session")
@@ -52,9 +55,7 @@ def point_rows(
     return Rows(
         samples=Samples.at(q),
         kinds=np.full(n, POINT),
-        points=points,
-        rotations=np.tile(np.eye(3), (n, 1, 1)),
-        distances=np.zeros(n),
+        measured=points,
         partner=np.full(n, -1),
         sigma=sigma,
         sigma_angle=np.full(n, 1e-3),

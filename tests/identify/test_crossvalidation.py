@@ -17,10 +17,13 @@ from calib.identify.crossvalidation import (
     only_there,
 )
 from calib.identify.fitting import Task, fit
-from calib.identify.rows import POSE, Rows
+from calib.identify.rows import Rows
 from calib.identify.table_rows import known_distances, rows_of
 from calib.measure.cell import Cell, GroupDistance
 from calib.measure.measurements import Measurements
+
+#: Numbers of kinds in the registry.
+POSE = 1
 
 
 def task_of(scene: Any, table: Measurements, cell: Cell, model: str = "dh") -> tuple[Task, Rows]:

@@ -10,7 +10,7 @@ import pytest
 from calib.identify import nominal, problem, thinning
 from calib.identify.calibration import calibrate
 from calib.identify.nominal import residual_of
-from calib.identify.rows import NONE, PLANE, Rows, evenly, thinned, whole_blocks
+from calib.identify.rows import NONE, Rows, evenly, thinned, whole_blocks
 from calib.identify.table_rows import rows_of
 from calib.identify.thinning import thin
 from calib.measure.cell import Cell
@@ -19,6 +19,9 @@ from calib.model import batch
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from tests.identify.test_passes import KINDS, rows_of_kinds
+
+#: Numbers of kinds in the registry.
+PLANE = 5
 
 COUNT = 1700
 

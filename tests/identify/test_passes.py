@@ -10,11 +10,14 @@ from calib.identify.linear import Linear
 from calib.identify.passes import Passes
 from calib.identify.problem import Problem
 from calib.identify.roots import compressed, smallest_eigenvalue, triangle_of, upper_root
-from calib.identify.rows import DISTANCE, FIXED, NONE, PAIR, PLANE, POINT, POSE, Rows
+from calib.identify.rows import NONE, Rows
 from calib.identify.streamed import Streamed, linearised, whole_groups
 from calib.model import batch
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
+
+#: Numbers of kinds in the registry.
+DISTANCE, FIXED, PAIR, PLANE, POINT, POSE = 2, 4, 3, 5, 0, 1
 
 COUNT = 260
 
@@ -47,14 +50,14 @@ def rows_of_kinds(robot, kinds, seed=0, count=COUNT) -> tuple[Kinematics, Rows]:
     )
     T = kinematics.poses(np.zeros(len(model)), samples)
     points = T[:, :3, 3] + rng.normal(0.0, 1e-3, (count, 3))
-    points[~np.isin(of, (POINT, POSE))] = 0.0
     turned = Rotation.from_rotvec(rng.normal(0.0, 0.01, (count, 3))).as_matrix()
+    measured = np.hstack([points, (T[:, :3, :3] @ turned).reshape(-1, 9)])
+    lengths = np.isin(of, (DISTANCE, PAIR))
+    measured[lengths, 0] = rng.uniform(0.3, 0.6, np.sum(lengths))
     return kinematics, Rows(
         samples,
         of,
-        points,
-        T[:, :3, :3] @ turned,
-        rng.uniform(0.3, 0.6, count),
+        measured,
         partner,
         rng.uniform(0.5e-4, 2e-4, count),
         rng.uniform(0.5e-3, 2e-3, count),

@@ -9,21 +9,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.identify.rows import (
-    DISTANCE,
-    FIXED,
-    NONE,
-    PAIR,
-    PLANE,
-    POINT,
-    POSE,
-    Rows,
-    _log_derivative,
-)
+from calib.identify.rows import NONE, Rows
 from calib.identify.table_rows import rows_of
+from calib.kinds import _log_derivative
+from calib.kinds import at as kind_at
 from calib.measure.cell import Cell
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples
+
+#: Numbers of kinds in the registry.
+DISTANCE, FIXED, PAIR, PLANE, POINT, POSE = 2, 4, 3, 5, 0, 1
 
 
 def some_rows(rng, kinds, partner=None) -> Rows:
@@ -31,15 +26,20 @@ def some_rows(rng, kinds, partner=None) -> Rows:
     return Rows(
         samples=Samples.at(rng.uniform(-3, 3, (n, 6))),
         kinds=np.array(kinds),
-        points=rng.uniform(-1, 1, (n, 3)),
-        rotations=Rotation.random(n, random_state=int(rng.integers(2**31))).as_matrix(),
-        distances=rng.uniform(1, 2, n),
+        measured=_measured(rng, kinds),
         partner=np.full(n, -1) if partner is None else np.array(partner),
         sigma=rng.uniform(1e-4, 2e-4, n),
         sigma_angle=rng.uniform(1e-3, 2e-3, n),
         poses=np.arange(n),
         blocks=np.arange(n),
     )
+
+
+def _measured(rng, kinds):
+    turned = Rotation.random(len(kinds), random_state=int(rng.integers(2**31))).as_matrix()
+    measured = np.hstack([rng.uniform(1, 2, (len(kinds), 3)), turned.reshape(-1, 9)])
+    sizes = np.array([0 if k == NONE else kind_at(k).size for k in kinds])
+    return np.where(np.arange(12) < sizes[:, None], measured, 0.0)
 
 
 def some_poses(rng, n):
@@ -62,14 +62,13 @@ def test_residuals_by_hand():
     np.testing.assert_allclose(r[1, :3], rows.points[1] - p[1])
     # The rotation that carries what was predicted to what was measured, along the frame's axes.
     carried = Rotation.from_rotvec(r[1, 3:]).as_matrix() @ T[1, :3, :3]
-    np.testing.assert_allclose(carried, rows.rotations[1], atol=1e-12)
-    np.testing.assert_allclose(r[2], [rows.distances[2] - np.linalg.norm(p[2]), 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(carried, rows.measured[1, 3:].reshape(3, 3), atol=1e-12)
+    np.testing.assert_allclose(r[2], [rows.measured[2, 0] - np.linalg.norm(p[2]), 0, 0, 0, 0, 0])
     between = np.linalg.norm(p[3] - p[6])
-    np.testing.assert_allclose(r[3], [rows.distances[3] - between, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(r[3], [rows.measured[3, 0] - between, 0, 0, 0, 0, 0])
     np.testing.assert_allclose(r[5], [-p[5, 2], 0, 0, 0, 0, 0])
     np.testing.assert_array_equal(r[6], 0.0)
     fixed = some_rows(rng, [FIXED])
-    fixed = Rows(**{**_fields(fixed), "points": np.zeros((1, 3))})
     np.testing.assert_allclose(fixed.residual(T[:1]), -p[:1])
 
 
@@ -214,7 +213,8 @@ def test_the_derivative_of_an_orientation_against_differences(angle):
     T = some_poses(rng, 1)
     rows = some_rows(rng, [POSE])
     off = Rotation.from_rotvec(angle * np.array([0.6, 0.0, -0.8])).as_matrix()
-    rows = Rows(**{**_fields(rows), "rotations": off[None] @ T[:, :3, :3]})
+    seen = np.hstack([np.zeros((1, 3)), (off @ T[0, :3, :3]).reshape(1, 9)])
+    rows = Rows(**{**_fields(rows), "measured": seen})
     derivative = rows.derivative(T, np.eye(6)[None])[0, 3:, 3:]
 
     def at(w):

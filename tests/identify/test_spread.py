@@ -7,8 +7,8 @@ import pytest
 
 from calib.identify.calibration import Calibration, calibrate
 from calib.identify.spread import own_moves, position_std, without_rigid_motion
-from calib.identify.starts import best_fit
 from calib.identify.uncertainty import bootstrap
+from calib.kinds import best_fit
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.kinematics import Samples

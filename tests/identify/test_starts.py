@@ -7,15 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.identify.nominal import residual_of
-from calib.identify.starts import (
-    _anchor,
-    _plane_frame,
-    best_fit,
-    frames_around,
-    linear_start,
-    pose_start,
-)
+from calib.identify.starts import frames_around, linear_start, pose_start
 from calib.identify.table_rows import rows_of
+from calib.kinds import best_fit, get
 from calib.measure.cell import Cell
 
 
@@ -88,8 +82,9 @@ def test_best_fit_of_points_in_a_plane_is_exact_too():
 def test_the_anchor_is_where_the_distances_meet():
     rng = np.random.default_rng(5)
     points, anchor = rng.uniform(-0.5, 0.5, (8, 3)), np.array([3.0, -2.0, 1.0])
-    found = _anchor(points, np.linalg.norm(points - anchor, axis=1))
-    np.testing.assert_allclose(found, anchor, atol=1e-10)
+    far = np.linalg.norm(points - anchor, axis=1, keepdims=True)
+    found = get("distance").locate(points, far, np.eye(4))
+    np.testing.assert_allclose(-found[:3, 3], anchor, atol=1e-10)
 
 
 @pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0), (0.5, -0.6, 0.2)])
@@ -98,7 +93,7 @@ def test_the_plane_frame_lies_in_the_plane_and_turns_as_little_as_it_can(normal)
     n = np.array(normal) / np.linalg.norm(normal)
     along = np.linalg.svd(n[None])[2][1:]
     points = rng.normal(size=(9, 2)) @ along + 0.7 * n
-    T = _plane_frame(points)
+    T = get("plane").locate(points, np.zeros((9, 0)), np.eye(4))
     np.testing.assert_allclose((points @ T[:3, :3].T + T[:3, 3])[:, 2], 0.0, atol=1e-12)
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)

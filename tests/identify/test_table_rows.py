@@ -10,11 +10,14 @@ import pytest
 from calib.errors import MeasurementError, ModelError
 from calib.identify.estimate import FIRST_SIGMA, FIRST_SIGMA_ANGLE
 from calib.identify.problem import KnownDistance
-from calib.identify.rows import DISTANCE, FIXED, NONE, PAIR, PLANE, POINT, POSE
+from calib.identify.rows import NONE
 from calib.identify.table_rows import _joined, joined_setups, known_distances, rows_of
 from calib.measure.cell import Cell, GroupDistance
 from calib.measure.measurements import Measurements
 from calib.model.torques import Payload, gravity_load
+
+#: Numbers of kinds in the registry.
+DISTANCE, FIXED, PAIR, PLANE, POINT, POSE = 2, 4, 3, 5, 0, 1
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +42,13 @@ def test_every_kind_has_its_number_and_nothing_is_nan(scene, join, ur3):
     np.testing.assert_array_equal(
         rows.kinds, [POINT, POINT, POSE, POSE, DISTANCE, DISTANCE, PAIR, NONE, FIXED, PLANE]
     )
-    for values in (rows.points, rows.rotations, rows.distances, rows.scales):
+    for values in (rows.points, rows.measured, rows.scales):
         assert np.all(np.isfinite(values))
     np.testing.assert_array_equal(rows.points[:4], table.points[:4])
     np.testing.assert_array_equal(rows.points[4:], 0.0)
-    np.testing.assert_array_equal(rows.rotations[2:4], table.rotations[2:4])
-    np.testing.assert_array_equal(rows.rotations[[0, 9]], [np.eye(3)] * 2)
-    np.testing.assert_array_equal(rows.distances[4:7], table.distances[4:7])
+    np.testing.assert_array_equal(rows.measured[2:4, 3:], table.rotations[2:4].reshape(2, 9))
+    np.testing.assert_array_equal(rows.measured[4:7, 0], table.distances[4:7])
+    np.testing.assert_array_equal(rows.measured[7:], 0.0)
     np.testing.assert_array_equal(rows.samples.frame, [0, 0, 1, 1, 2, 2, 0, 0, 3, 1])
     np.testing.assert_array_equal(rows.samples.target, [0, 0, 1, 1, 0, 0, 1, 1, 0, 0])
     assert setup.rotation
@@ -74,7 +77,7 @@ def test_the_first_row_of_a_pair_carries_the_distance(scene, ur3):
     rows, _ = rows_of(ur3, mixed, Cell())
     np.testing.assert_array_equal(rows.kinds, [PAIR, PAIR, PAIR, NONE, NONE, NONE])
     np.testing.assert_array_equal(rows.partner, [4, 5, 3, -1, -1, -1])
-    np.testing.assert_array_equal(rows.distances[:3], table.distances[[0, 2, 4]])
+    np.testing.assert_array_equal(rows.measured[:3, 0], table.distances[[0, 2, 4]])
     # Both rows of a pair are left out together.
     np.testing.assert_array_equal(rows.blocks, [0, 1, 2, 2, 0, 1])
 
