@@ -2,7 +2,7 @@
 # make test   runs the tests that take minutes
 # make verify   runs all tests, the slow studies too
 # make lint   ruff and mypy
-# make coverage   runs the tests and says which lines, branches and messages none of them reaches
+# make coverage   runs the tests and says which lines and branches none of them reaches
 # make docs   builds the site of docs/, into site/
 # Each makes its own .venv; all they need is Python 3.10 or newer and make.
 
@@ -32,8 +32,6 @@ coverage: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/coverage run -m pytest -n auto -m "slow or not slow"
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --skip-covered --show-missing
-	$(BIN)/python scripts/error_messages.py --totals
-	$(BIN)/python scripts/error_messages.py --check
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

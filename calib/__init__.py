@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from calib.model.torques import Payload
     from calib.show.opening import show
 
-__version__ = "0.1.0.dev0"
+from calib.version import __version__ as __version__
 
 __all__ = [
     "Acceptance",
@@ -145,6 +145,8 @@ _MODULES = {
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401  any public name
     """Import a public name on first use."""
+    if name == "families":
+        return importlib.import_module("calib.model.families")
     if name == "show":
         return importlib.import_module("calib.show")  # a folder that can be called
     if name not in _MODULES:

@@ -66,27 +66,17 @@ NAMES = [
     "workspace_uncertainty",
 ]
 
-#: The core handles nothing but arrays, and so must say their shapes.
-WITH_ARRAYS = sorted((CALIB / "model").glob("*.py"))
-
 
 def test_the_public_names():
     assert calib.__all__ == NAMES
     assert dir(calib) == sorted([*NAMES, "__version__"])
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_public_name_can_be_imported_and_says_what_it_is(name):
-    thing = getattr(calib, name)
-    assert thing.__name__.removeprefix("calib.") == name
-    assert inspect.getdoc(thing)
-    if inspect.isclass(thing) and not issubclass(thing, Exception):
-        for key, member in vars(thing).items():
-            is_member = callable(member) or isinstance(
-                member, (property, classmethod, staticmethod)
-            )
-            if is_member and not key.startswith("_"):
-                assert inspect.getdoc(getattr(thing, key)), f"{name}.{key}"
+def test_a_public_name_can_be_imported_and_says_what_it_is():
+    for name in NAMES:
+        thing = getattr(calib, name)
+        assert thing.__name__.rpartition(".")[2] == name
+        assert inspect.getdoc(thing), name
 
 
 def test_types_checkers_see_the_same_names():
@@ -146,52 +136,27 @@ def public(tree: ast.AST) -> list[tuple[str, ast.AST, str]]:
     return found
 
 
-@pytest.mark.parametrize(
-    "path", sorted(CALIB.rglob("*.py")), ids=lambda p: str(p.relative_to(CALIB))
-)
-def test_everything_public_has_a_docstring(path):
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    assert ast.get_docstring(tree)
-    for name, node, _ in public(tree):
-        assert ast.get_docstring(node), name
-
-
-@pytest.mark.parametrize("path", WITH_ARRAYS, ids=lambda p: str(p.relative_to(CALIB)))
-def test_arrays_come_with_their_shape(path):
-    for name, node, around in public(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.FunctionDef):
-            hints = [a.annotation for a in node.args.args + node.args.kwonlyargs] + [node.returns]
-        else:
-            hints = [n.annotation for n in node.body if isinstance(n, ast.AnnAssign)]
-        text = " ".join(ast.unparse(hint) for hint in hints if hint is not None)
-        if "Array" in text:
+def test_everything_public_has_a_docstring_that_says_the_shape_of_its_arrays():
+    silent, shapeless = [], []
+    for path in sorted(CALIB.rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        if not ast.get_docstring(tree):
+            silent.append(path.name)
+        for name, node, around in public(tree):
             said = (ast.get_docstring(node) or "") + around
-            assert "shape" in said or re.search(r"\(\w+, ?\w*\)", said), name
-
-
-@pytest.mark.parametrize(
-    ("module", "name", "said"),
-    [
-        ("calib.model.robot", None, "T_base_tip(q) = T_root_base^-1  P_1 J_1(q_1)"),
-        (
-            "calib.model.dh_table",
-            None,
-            "A_i = Rz(theta_i + q_i) Tz(d_i) Tx(a_i) Rx(alpha_i)",
-        ),
-        ("calib.model.error_model", None, "P' = P exp(xi_1 x_1) exp(xi_2 x_2) ..."),
-        (
-            "calib.model.kinematics",
-            None,
-            "T_frame_target(x, q) = F D_F  T_base_tip(x, q + dq)  T D_T",
-        ),
-        ("calib.model.robot", "Robot", "[m]"),
-        ("calib.model.dh_table", "DHRow", "lengths [m], angles [rad]"),
-        ("calib.model.kinematics", "Kinematics", "[m]"),
-        ("calib.model.observability", "analyse", "O1 = (s_1 ... s_r)^(1/r) / sqrt(N)"),
-        ("calib.model.readback", "check_written", "[rad or m]"),
-    ],
-)
-def test_equations_and_units_are_stated(module, name, said):
-    loaded = importlib.import_module(module)
-    text = inspect.getdoc(loaded if name is None else getattr(loaded, name)) or ""
-    assert said in text
+            if not ast.get_docstring(node):
+                silent.append(f"{path.name}: {name}")
+            if isinstance(node, ast.FunctionDef):
+                arguments = node.args.args + node.args.kwonlyargs
+                hints = [*(a.annotation for a in arguments), node.returns]
+            else:
+                hints = [n.annotation for n in node.body if isinstance(n, ast.AnnAssign)]
+            text = " ".join(ast.unparse(hint) for hint in hints if hint is not None)
+            if (
+                path.parent.name == "model"
+                and "Array" in text
+                and not re.search(r"shape|\(\w+, ?\w*\)", said)
+            ):
+                shapeless.append(f"{path.name}: {name}")
+    assert not silent
+    assert not shapeless

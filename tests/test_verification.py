@@ -18,6 +18,9 @@ from study_runs import points_run, touching_run  # noqa: E402
 from study_table import ratio  # noqa: E402
 from verification_study import STUDIES, markdown, run_one, run_study  # noqa: E402
 
+#: A small version of each study still takes its minutes.
+pytestmark = pytest.mark.slow
+
 
 @functools.cache
 def found(study: str, case: str, runs: int) -> list[dict]:

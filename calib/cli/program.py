@@ -45,9 +45,9 @@ app.command()(workspace)
 def _print_version(wanted: bool) -> None:
     """Print the version and stop."""
     if wanted:
-        import calib
+        from calib.version import __version__
 
-        typer.echo(f"calib {calib.__version__}")
+        typer.echo(f"calib {__version__}")
         raise typer.Exit
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-import calib
 from calib.errors import choices
 from calib.identify.comparability import CANNOT_TELL, DRIFT
 from calib.identify.compared import Compared
@@ -17,6 +16,7 @@ from calib.identify.drift import LEVEL, POWER
 from calib.identify.result_tables import versions
 from calib.identify.statements import lengths_of_kinds, title_of_errors
 from calib.identify.words import three, wrap
+from calib.version import __version__
 
 #: The layout of what `comparison_table` gives; a word, so that it is not taken for a result.
 COMPARISON_SCHEMA = "comparison 1"
@@ -47,7 +47,7 @@ def _heading(c: Facts) -> str:
     s = c.a.stored
     lines = [
         wrap(
-            f"calib {calib.__version__}: two calibrations of robot '{c.a.robot_name}', {s.base} to {s.tip}"
+            f"calib {__version__}: two calibrations of robot '{c.a.robot_name}', {s.base} to {s.tip}"
         )
     ]
     for letter, one in (("a", c.a), ("b", c.b)):

@@ -27,8 +27,8 @@ import numpy as np
 import scipy.linalg
 from threadpoolctl import threadpool_limits
 
-import calib
 from calib.errors import CalibError
+from calib.version import __version__
 
 C = TypeVar("C")
 I = TypeVar("I")  # noqa: E741  an item
@@ -143,7 +143,7 @@ def one_thread() -> Iterator[None]:
 def versions() -> tuple[tuple[str, str], ...]:
     """What must be the same wherever jobs run: name and version of calib, Python and `PACKAGES`."""
     python = ".".join(platform.python_version_tuple()[:2])
-    return (("calib", calib.__version__), ("python", python), *((n, _version(n)) for n in PACKAGES))
+    return (("calib", __version__), ("python", python), *((n, _version(n)) for n in PACKAGES))
 
 
 def check_versions(theirs: Iterable[tuple[str, str]], where: str) -> None:

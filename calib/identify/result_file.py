@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-import calib
 from calib.errors import CalibError, FileError
 from calib.identify.certainty import Certainty, certainty_of
 from calib.identify.evaluation import Known
@@ -26,6 +25,7 @@ from calib.model.files import write_atomically
 from calib.model.json_file import damage, json_bytes, read_json
 from calib.model.robot import read_only
 from calib.model.torques import Payload
+from calib.version import __version__
 
 __all__ = [
     "StoredResult",
@@ -80,7 +80,7 @@ def read_table(path: str | Path) -> dict[str, Any]:
         FileError: It cannot be read, is no JSON, no result of calib, or of a newer schema.
     """
     expected = (
-        f"a result of calib {calib.__version__} has {SCHEMA}. Give the file that 'calib fit --json' wrote, by the same "
+        f"a result of calib {__version__} has {SCHEMA}. Give the file that 'calib fit --json' wrote, by the same "
         "version."
     )
     return read_json(path, "calibration result", _LARGEST_BYTES, SCHEMA, expected)

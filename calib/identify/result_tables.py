@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-import calib
 from calib.identify.data_alone import prior_stds, pushes
 from calib.identify.evaluation import Evaluation
 from calib.identify.findings import Outlier, ParameterEstimate
@@ -22,6 +21,7 @@ from calib.identify.setup import Setup
 from calib.identify.statistics import Errors
 from calib.model.families import FAMILIES
 from calib.model.robot import Robot
+from calib.version import __version__
 
 Array = NDArray[np.float64]
 
@@ -202,7 +202,7 @@ def versions() -> dict[str, str]:
     """What computed the result."""
     packages = ("pin", "numpy", "scipy")
     return {
-        "calib": calib.__version__,
+        "calib": __version__,
         "python": platform.python_version(),
         **{name: importlib.metadata.version(name) for name in packages},
     }

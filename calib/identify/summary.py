@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-import calib
 from calib.identify.result import Calibration
 from calib.identify.statements import (
     candidate_rms,
@@ -30,6 +29,7 @@ from calib.identify.statements import (
 )
 from calib.identify.statistics import Errors
 from calib.identify.words import frame_text, target_text, three, wrap
+from calib.version import __version__
 
 #: A parameter with a longer name gets a line for its name alone.
 _LONGEST_NAME = 46
@@ -69,7 +69,7 @@ def _heading(c: Calibration) -> str:
     """Which robot, which data."""
     m = c.measurements
     return wrap(
-        f"calib {calib.__version__}: robot '{c.nominal.name}', {c.nominal.base} to {c.nominal.tip}, "
+        f"calib {__version__}: robot '{c.nominal.name}', {c.nominal.base} to {c.nominal.tip}, "
         f"{len(c.nominal.joints)} joints; {m.estimation.sum()} rows to estimate and {m.validation.sum()} to validate "
         f"from {m.source or 'memory'}"
     )

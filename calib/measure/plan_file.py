@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import calib
 from calib.errors import MeasurementError
 from calib.measure.columns import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, name_columns
 from calib.measure.forecast import Forecast
@@ -29,6 +28,7 @@ from calib.measure.travel import START
 from calib.measure.values import Values
 from calib.model.files import write_atomically
 from calib.model.robot import Robot, read_only
+from calib.version import __version__
 
 Array = NDArray[np.float64]
 
@@ -203,7 +203,7 @@ def plan_table(plan: Plan) -> dict[str, Any]:
     robot = plan.robot
     return {
         "schema": SCHEMA,
-        "calib": calib.__version__,
+        "calib": __version__,
         "robot": {
             "name": robot.name,
             "urdf": robot.urdf.source,

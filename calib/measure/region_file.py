@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import calib
 from calib.errors import CalibError, FileError, choices
 from calib.measure.region import Region, checked_box
 from calib.model.files import write_atomically
 from calib.model.json_file import json_bytes, read_json
 from calib.model.robot import Robot, read_only
+from calib.version import __version__
 
 SCHEMA = "region 1"
 
@@ -104,7 +104,7 @@ class RegionFile:
             box = [[v if math.isfinite(v) else None for v in corner] for corner in box]
         return {
             "schema": SCHEMA,
-            "calib": calib.__version__,
+            "calib": __version__,
             "robot": {
                 "name": self.robot,
                 "base": self.base,
@@ -132,7 +132,7 @@ class RegionFile:
             FileError: The file cannot be read, is no JSON, no region of calib, of another schema, or damaged.
         """
         expected = (
-            f"a region of calib {calib.__version__} has '{SCHEMA}'. Give the file that 'calib workspace -o' wrote, by "
+            f"a region of calib {__version__} has '{SCHEMA}'. Give the file that 'calib workspace -o' wrote, by "
             "the same version."
         )
         table = read_json(path, "region", _LARGEST_BYTES, SCHEMA, expected)
