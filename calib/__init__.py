@@ -145,8 +145,8 @@ _MODULES = {
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401  any public name
     """Import a public name on first use."""
-    if name == "families":
-        return importlib.import_module("calib.model.families")
+    if name in ("families", "kinds"):
+        return importlib.import_module(f"calib.{name}")
     if name == "show":
         return importlib.import_module("calib.show")  # a folder that can be called
     if name not in _MODULES:

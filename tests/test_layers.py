@@ -17,6 +17,7 @@ ORDER = (
     "version",
     "errors",
     "units",
+    "families",
     "kinds",
     "data",
     "model",

@@ -109,6 +109,6 @@ def _end(value: float) -> str:
 
 def _shown(unit: str) -> tuple[float, str]:
     """The factor to a unit for a person, as the parameters are shown in, and that unit."""
-    from calib.model.families import unit_of
+    from calib.families import unit_of
 
     return (float(np.degrees(1.0)), "deg") if unit == "rad" else unit_of(unit).shown

@@ -131,7 +131,7 @@ def _model(plan: Plan, asked: str) -> Iterator[str]:
 
 def _parameters(forecast: Forecast) -> str:
     """How well each parameter will be known, those that these poses tell by themselves."""
-    from calib.model.families import unit_of
+    from calib.families import unit_of
 
     known: dict[str, list[str]] = {}
     for name, unit, std, alone in zip(

@@ -189,7 +189,7 @@ def _sigma_angle(cell: Cell, said: str | None, *, any_noise: bool) -> float:
 def _sizes(cell: Cell, sizes: str | None, *, named: bool) -> Mapping[str, float] | None:
     """The sizes of errors that are drawn: as said, none beside single errors, the cell's, or a typical arm's."""
     from calib.cli.simulate_words import parse_sizes
-    from calib.model.families import FAMILIES
+    from calib.families import FAMILIES
 
     if sizes is not None:
         return parse_sizes(sizes)

@@ -72,7 +72,7 @@ def _what(cell: VirtualCell, made: Simulated) -> str:
 
 def _errors(truth: Truth, made: Simulated) -> Iterator[str]:
     """The true errors by family, and what they come to."""
-    from calib.model.families import FAMILIES
+    from calib.families import FAMILIES
 
     yield f"The robot's true errors, model {truth.model.name}:"
     pairs = [
@@ -94,7 +94,7 @@ def _errors(truth: Truth, made: Simulated) -> Iterator[str]:
 
 def _family_line(family: str, unit: str, pairs: Sequence[tuple[Parameter, float]]) -> str:
     """One family: how many errors, their rms, the largest."""
-    from calib.model.families import unit_of
+    from calib.families import unit_of
 
     scale, symbol = unit_of(unit).shown
     rms = math.sqrt(sum(v * v for _, v in pairs) / len(pairs))

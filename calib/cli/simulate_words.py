@@ -68,7 +68,7 @@ def parse_sizes(text: str) -> dict[str, float] | None:
     Raises:
         CalibError: No such family, one twice, or a value that is no size of it.
     """
-    from calib.model.families import FAMILIES
+    from calib.families import FAMILIES
 
     if text.strip() == _NONE:
         return None
@@ -100,7 +100,7 @@ def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tupl
     Raises:
         CalibError: A pair without an equals sign, a name twice or unknown, or a value with another unit.
     """
-    from calib.model.families import unit_of
+    from calib.families import unit_of
 
     units = {parameter.name: parameter.unit for parameter in known}
     found: dict[str, float] = {}

@@ -114,8 +114,8 @@ def check_model(text: str, source: str) -> None:
     Raises:
         CalibError: No such set or family, or a family twice.
     """
+    from calib.families import joint_families
     from calib.model.error_model import MODELS
-    from calib.model.families import joint_families
 
     if text == AUTO:
         return

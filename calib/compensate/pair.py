@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.compensate.arm import Arm
 from calib.errors import ModelError, choices
+from calib.families import FAMILIES
 from calib.identify.certainty import Certainty
 from calib.identify.result import Calibration
 from calib.identify.result_file import result_table, stored_result
 from calib.identify.stored import StoredLarger, StoredResult
 from calib.model.error_model import split_name
-from calib.model.families import FAMILIES
 from calib.model.json_file import plain
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot, read_only

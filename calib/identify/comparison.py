@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
+from calib.families import ZERO
 from calib.identify.common_priors import estimated
 from calib.identify.comparability import (
     CANNOT_TELL,
@@ -31,7 +32,6 @@ from calib.identify.differences import (
 from calib.identify.drift import DriftTest, Pair, drift_test
 from calib.identify.moves import Compensated, Move, Seen
 from calib.identify.result_file import write_table
-from calib.model.families import ZERO
 from calib.model.observability import steps
 from calib.model.readback import spread_between, spread_poses
 from calib.model.robot import Robot

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.families import unit_of
 from calib.identify.compared import Compared
 from calib.identify.drift import DriftTest
-from calib.model.families import unit_of
 from calib.model.robot import rigid_inverse
 
 Array = NDArray[np.float64]

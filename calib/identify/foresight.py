@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib import kinds as registry
 from calib.errors import MeasurementError, ModelError, choices
+from calib.families import FAMILIES
 from calib.identify.estimate import FIRST_SIGMA_ANGLE
 from calib.identify.fitting import Task, model_of
 from calib.identify.inspection import GENERIC_TARGET
@@ -28,7 +29,6 @@ from calib.measure.forecast import Forecast, Sensitivity, Workspace
 from calib.measure.forecast import forecast as forecast_of
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise
-from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.readback import spread_between
 from calib.model.robot import Robot, read_only

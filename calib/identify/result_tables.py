@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib.families import FAMILIES
 from calib.identify.data_alone import prior_stds, pushes
 from calib.identify.evaluation import Evaluation
 from calib.identify.findings import Outlier, ParameterEstimate
@@ -19,7 +20,6 @@ from calib.identify.result import Calibration
 from calib.identify.selection import Candidate
 from calib.identify.setup import Setup
 from calib.identify.statistics import Errors
-from calib.model.families import FAMILIES
 from calib.model.robot import Robot
 from calib.version import __version__
 

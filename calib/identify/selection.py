@@ -6,7 +6,7 @@ nothing, whatever its number of parameters. One step up the ladder must gain `_S
 worse on left-out rows.
 
 The geometry (frames only, zeros, DH, Hayati, full placement) is chosen first: it alone goes into a URDF. The families
-that no URDF can hold (`calib.model.families`) are then added to it one by one, as long as one of them passes.
+that no URDF can hold (`calib.families`) are then added to it one by one, as long as one of them passes.
 What they left over may have hidden a larger geometry: with one of them found, the sets above are asked again.
 """
 
@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, ModelError, choices
+from calib.families import FAMILIES, joint_families
 from calib.identify.crossvalidation import linear_cross_validation
 from calib.identify.fitting import Fitted, Task, fit, model_of
 from calib.identify.rows import Rows
 from calib.identify.statistics import CrossValidation
-from calib.model.families import FAMILIES, joint_families
 
 Array = NDArray[np.float64]
 

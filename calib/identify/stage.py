@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.families import FAMILIES
 from calib.identify.linear import Linear
 from calib.identify.problem import Problem
 from calib.identify.repeats import repeats
@@ -24,7 +25,6 @@ from calib.identify.variance import (
     sizes_by_reml,
 )
 from calib.measure.cell import Priors
-from calib.model.families import FAMILIES
 from calib.model.parameters import (
     FRAME,
     TARGET,

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.families import FAMILIES, unit_of
 from calib.identify.correlations import correlations
 from calib.identify.findings import Outlier, ParameterEstimate
 from calib.identify.result import Calibration
 from calib.identify.selection import Candidate
 from calib.identify.statistics import Errors
 from calib.identify.words import three
-from calib.model.families import FAMILIES, unit_of
 from calib.model.parameters import FRAME, TARGET
 
 #: Kinds of row that measure one length.

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calib import kinds as registry
 from calib.errors import MeasurementError, ModelError, choices
+from calib.families import FAMILIES
 from calib.identify.estimate import FIRST_SIGMA, FIRST_SIGMA_ANGLE
 from calib.identify.problem import KnownDistance
 from calib.identify.rows import NONE, Rows
@@ -19,7 +20,6 @@ from calib.identify.statistics import same_poses
 from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import split_name
-from calib.model.families import FAMILIES
 from calib.model.kinematics import Samples
 from calib.model.robot import Robot
 from calib.model.torques import gravity_load

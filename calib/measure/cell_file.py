@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, FileError, choices
+from calib.families import FAMILIES, Unit
 from calib.measure import surroundings_file
 from calib.measure.cell_parts import GroupDistance, Priors, is_number
 from calib.measure.cell_values import (
@@ -34,7 +35,6 @@ from calib.measure.quantities import (
     parse_joint_value,
     parse_quantity,
 )
-from calib.model.families import FAMILIES, Unit
 from calib.model.files import read_bytes
 from calib.model.torques import Payload
 

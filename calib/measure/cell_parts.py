@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import CalibError, choices
+from calib.families import family_of
 from calib.measure.checks import FARTHEST
-from calib.model.families import family_of
 from calib.model.robot import read_only
 
 #: What `Priors.sizes` may be.

@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, ModelError, choices, did_you_mean
+from calib.families import FAMILIES, family_of, unit_of
 from calib.measure.cell import Cell
 from calib.measure.cell_parts import is_number
 from calib.measure.columns import DEFAULT_TARGET
 from calib.measure.random_streams import stream
 from calib.model.error_model import error_model, split_name
-from calib.model.families import FAMILIES, family_of, unit_of
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
 from calib.model.robot import Robot, read_only, rigid_inverse

@@ -25,8 +25,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
+from calib.families import ANGLE, LENGTH, ZERO, joint_families
 from calib.model.dh import dh_frames, dh_table, zero_poses
-from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
 from calib.model.joint_errors import axis_twists, joint_parameters
 from calib.model.parameters import (
     FRAME,
@@ -65,7 +65,7 @@ def error_model(
         name: ``paper`` or ``dh`` (a, alpha, d, theta of each DH row), ``hayati`` (beta in place of d where axes are
             nearly parallel), ``placement`` (all six of each joint), ``zeros`` (the joint zeros only) or ``frames``
             (no error of the robot at all); behind it, each with a "+", any of the families of the
-            joints' state (`calib.model.families`): ``"dh+compliance"``.
+            joints' state (`calib.families`): ``"dh+compliance"``.
         frame: Whether the measurement frame is estimated too: True for all six parameters of the one frame, or for
             each set-up which of `DIRECTIONS` are (none for a frame that is known).
         target: Whether the targets are, or the names of those that are.

@@ -1,4 +1,4 @@
-"""The parameters of the joints' state, and how far they move the joints; `calib.model.families` has the rows."""
+"""The parameters of the joints' state, and how far they move the joints; `calib.families` has the rows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError
-from calib.model.families import JointState, family_of
+from calib.families import JointState, family_of
 from calib.model.parameters import Parameter
 from calib.model.robot import Robot, read_only
 
@@ -88,7 +88,7 @@ def factor_of(robot: Robot, term: Parameter, q: Array, load: Array | None) -> Ar
     if term.factor is None:
         message = f"'{term.name}' is an error of the geometry; no number of the joints' state multiplies it."
         raise ModelError(message)
-    return term.factor.value(JointState(robot, term.place, q, load))
+    return term.factor.value(_state(robot, term, q, load))
 
 
 def slope_of(robot: Robot, term: Parameter, q: Array, load: Array | None) -> Array:
@@ -102,7 +102,13 @@ def slope_of(robot: Robot, term: Parameter, q: Array, load: Array | None) -> Arr
         raise ModelError(message)
     if term.factor.slope is None:
         return np.zeros(len(q))
-    return term.factor.slope(JointState(robot, term.place, q, load))
+    return term.factor.slope(_state(robot, term, q, load))
+
+
+def _state(robot: Robot, term: Parameter, q: Array, load: Array | None) -> JointState:
+    """The joints' state as the factor of a term sees it."""
+    chain = tuple(joint.name for joint in robot.joints)
+    return JointState(term.place, robot.joint_names, q, chain, load)
 
 
 def axis_twists(robot: Robot) -> Array:

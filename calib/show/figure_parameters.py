@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.families import unit_of
 from calib.identify.findings import ParameterEstimate
 from calib.identify.result import Calibration
 from calib.identify.statements import errorless
-from calib.model.families import unit_of
 from calib.model.parameters import FRAME, TARGET
 from calib.show.figure_base import WIDTH, few_ticks, legend_above, new_figure, short_names
 from calib.show.palette import CALIBRATED, INK, NOMINAL, SOFT

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.data import PAPER_TARGET, paper_urdf
 from calib.errors import FileError, ModelError, UrdfError
+from calib.families import ANGLE, LENGTH, ZERO
 from calib.identify.calibration import Calibration, calibrate
 from calib.identify.comparison import Comparison, compare
 from calib.identify.data_alone import prior_stds, pushes
@@ -24,7 +25,6 @@ from calib.identify.result_file import result_table, write_table
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
-from calib.model.families import ANGLE, LENGTH, ZERO
 from calib.model.json_file import plain
 from calib.model.kinematics import Kinematics
 from calib.model.observability import STEPS

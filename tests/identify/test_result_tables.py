@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.families import FAMILIES
 from calib.identify.result_tables import SIZE_UNITS, errors_table, evaluation_table, result_table
 from calib.identify.statistics import Errors
 from calib.measure.cell_parts import _SIZES
-from calib.model.families import FAMILIES
 
 
 def test_every_family_of_errors_has_a_unit():

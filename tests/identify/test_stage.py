@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.families import ZERO
 from calib.identify.linear import SMALLEST_SIGMA, Linear
 from calib.identify.problem import Problem
 from calib.identify.stage import Holds, Stage
 from calib.measure.cell import Priors
 from calib.model.error_model import error_model
-from calib.model.families import ZERO
 from calib.model.kinematics import Samples
 from calib.model.parameters import FRAME, TARGET
 

@@ -8,11 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, ModelError
+from calib.families import FAMILIES
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Tracker
 from calib.measure.truth import TARGET_ERROR, draw_truth, tracker_pose
 from calib.model.error_model import MODELS, error_model
-from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, rigid_inverse

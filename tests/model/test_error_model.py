@@ -6,6 +6,7 @@ import pytest
 
 from calib.data import PAPER_TARGET
 from calib.errors import ModelError, UrdfError
+from calib.families import ANGLE, LENGTH, ZERO, joint_families
 from calib.model.dh import DHTable, dh_table, zero_poses
 from calib.model.error_model import (
     DIRECTIONS,
@@ -15,7 +16,6 @@ from calib.model.error_model import (
     placed_name,
     split_name,
 )
-from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
 from calib.model.robot import Robot

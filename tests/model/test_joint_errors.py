@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import ModelError
+from calib.families import joint_families
 from calib.model.error_model import error_model
-from calib.model.families import joint_families
 from calib.model.joint_errors import axis_twists, joint_displacements, joint_parameters
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.robot import Robot

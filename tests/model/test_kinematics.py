@@ -8,8 +8,8 @@ import pytest
 
 from calib.data import PAPER_TARGET
 from calib.errors import ModelError
+from calib.families import LENGTH
 from calib.model.error_model import DIRECTIONS, error_model
-from calib.model.families import LENGTH
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
 from calib.model.robot import Robot

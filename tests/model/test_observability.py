@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from calib.data import PAPER_TARGET
 from calib.errors import ModelError
+from calib.families import ANGLE, LENGTH, unit_of
 from calib.model.error_model import error_model
-from calib.model.families import ANGLE, LENGTH, unit_of
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse, rank_by_gap, steps
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter

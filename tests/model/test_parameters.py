@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from calib.data import paper_urdf
 from calib.errors import ModelError, UrdfError
+from calib.families import ANGLE, FAMILIES, LENGTH, ZERO, Factor
 from calib.model.error_model import error_model
-from calib.model.families import ANGLE, FAMILIES, LENGTH, ZERO, Factor
 from calib.model.parameters import (
     FRAME,
     TARGET,

@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
-from calib.model.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -72,21 +71,23 @@ class JointState:
     """The state of the joints in N samples, as the factor of one joint's error sees it.
 
     Attributes:
-        robot: The nominal robot.
         joint: Name of the joint that errs.
+        joint_names: The m measured joints.
         values: shape (N, m), of all measured joints, [rad] or [m].
+        chain: Names of the n joints of the chain.
         loads: shape (N, n), torque or force on each joint of the chain [Nm, N]; None where it is not known.
     """
 
-    robot: Robot
     joint: str
+    joint_names: tuple[str, ...]
     values: Array
+    chain: tuple[str, ...] = ()
     loads: Array | None = None
 
     @property
     def q(self) -> Array:
         """The joint's own values, shape (N,), [rad] or [m]; it must be a measured one."""
-        return self.values[:, self.robot.joint_names.index(self.joint)]
+        return self.values[:, self.joint_names.index(self.joint)]
 
     @property
     def load(self) -> Array:
@@ -98,7 +99,7 @@ class JointState:
         if self.loads is None:
             message = f"The compliance of '{self.joint}' needs the load on the joints. Give it with the joint values."
             raise ModelError(message)
-        return self.loads[:, [joint.name for joint in self.robot.joints].index(self.joint)]
+        return self.loads[:, self.chain.index(self.joint)]
 
 
 @dataclass(frozen=True, slots=True)
