@@ -120,7 +120,7 @@ def base_frame(
         from calib.identify.result_file import write_table
         from calib.measure.axes import survey
         from calib.measure.carrying import carried, cell_text, survey_table
-        from calib.model.files import together, write_atomically
+        from calib.model.files import write_atomically
 
         _check_call(carry, carry_points, output)
         inputs = [p for p in (data, points, carry, carry_points, robot) if p is not None]
@@ -132,15 +132,14 @@ def base_frame(
         moved = None
         if carry is not None:
             moved = carried(_read_carried(carry, carry_points, points_unit, arm), found.frame)
-        with together():
-            if moved is not None and output is not None:
-                moved.write(output, overwrite=force)
-                written.append(output)
-            if cell_out is not None:
-                text = cell_text(found, sweeps.source, None if arm is None else arm.base, tip)
-                written.append(write_atomically(cell_out, text.encode(), overwrite=force))
-            if json is not None:
-                written.append(write_table(survey_table(found), json, overwrite=force))
+        if moved is not None and output is not None:
+            moved.write(output, overwrite=force)
+            written.append(output)
+        if cell_out is not None:
+            text = cell_text(found, sweeps.source, None if arm is None else arm.base, tip)
+            written.append(write_atomically(cell_out, text.encode(), overwrite=force))
+        if json is not None:
+            written.append(write_table(survey_table(found), json, overwrite=force))
         if quiet:
             return
         for line in (*_text(found, sweeps, arm), *_carried_text(moved, found.frame)):

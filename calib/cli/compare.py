@@ -54,19 +54,17 @@ def compare(
     with reporting(debug=debug):
         from calib.cli.setup import check_outputs
         from calib.identify.comparison import compare as compare_results
-        from calib.model.files import together
 
         check_outputs([json, view], [a, b, *([robot] if robot else [])], force=force)
         found = compare_results(a, b, robot)
         written = []
-        with together():
-            if view is not None:
-                from calib.show.comparison_view import view_of_comparison
-                from calib.show.scene import write_view
+        if view is not None:
+            from calib.show.comparison_view import view_of_comparison
+            from calib.show.scene import write_view
 
-                written.append(write_view(view_of_comparison(found), view, overwrite=force))
-            if json is not None:
-                written.append(found.write_json(json, overwrite=force))
+            written.append(write_view(view_of_comparison(found), view, overwrite=force))
+        if json is not None:
+            written.append(found.write_json(json, overwrite=force))
         if quiet:
             return
         typer.echo(found.summary())

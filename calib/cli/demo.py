@@ -54,7 +54,7 @@ def demo(
         from calib.identify.calibration import calibrate
         from calib.measure.cell import Cell
         from calib.measure.measurements import Measurements
-        from calib.model.files import make_folder, together
+        from calib.model.files import make_folder
         from calib.model.robot import Robot, read_only
         from calib.show.pictures import write_page
         from calib.show.report import write_report
@@ -69,11 +69,10 @@ def demo(
         cell = Cell(target=read_only(PAPER_TARGET), model="paper")
         result = calibrate(robot, table, cell=cell)
         as_paper = calibrate(robot, table, cell=cell, solver="paper", validate=False)
-        with together():
-            result.write_urdf(paths[0], overwrite=force)
-            result.write_json(paths[1], overwrite=force)
-            write_report(result, paths[2], command=command_line(), overwrite=force)
-            write_page(result, paths[3], overwrite=force)
+        result.write_urdf(paths[0], overwrite=force)
+        result.write_json(paths[1], overwrite=force)
+        write_report(result, paths[2], command=command_line(), overwrite=force)
+        write_page(result, paths[3], overwrite=force)
         if quiet:
             return
         say("\n\n".join([result.summary(), _against_the_paper(result, as_paper), _NOTE]) + "\n")

@@ -165,7 +165,6 @@ def fit(
         )
         from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
         from calib.cli.terminal import say
-        from calib.model.files import together
 
         _check_bootstrap(bootstrap, {"--seed": seed, "--workers": workers, "--dask": dask})
         inputs: list[str | Path] = [robot, data, *(path for path in (cell, points) if path)]
@@ -209,13 +208,10 @@ def fit(
         )
         check_figures(result, figures, figure_format, force=force)
         # Files first: a reader of the text that goes away (head, less) must not cost the results.
-        with together():
-            written = [
-                *_write(result, output, json, view, tables, target_link=target_link, force=force),
-                *write_report_files(
-                    result, report, figures, figure_format, force=force, quiet=quiet
-                ),
-            ]
+        written = [
+            *_write(result, output, json, view, tables, target_link=target_link, force=force),
+            *write_report_files(result, report, figures, figure_format, force=force, quiet=quiet),
+        ]
         if report == STDOUT:
             say("\n\n".join([report_text(result), *texts]))
         elif not quiet:

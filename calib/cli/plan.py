@@ -193,7 +193,6 @@ def plan(
         from calib.cli.surroundings_words import add_surroundings
         from calib.cli.words import parse_columns
         from calib.measure.plan_file import read_taken
-        from calib.model.files import together
 
         inputs: list[str | Path] = [robot, *(path for path in (cell, region, taken) if path)]
         check_outputs([output, json, view], inputs, force=force)
@@ -247,8 +246,7 @@ def plan(
                 seed=seed,
                 progress=progress,
             )
-        with together():
-            _write(made, output, json, view, before, force=force)
+        _write(made, output, json, view, before, force=force)
         if quiet:
             return
         from calib.cli.plan_text import expected_text, plan_text, taken_text

@@ -361,17 +361,15 @@ def _simulate(
     from calib.cli.simulate_text import simulated_text
     from calib.measure.scenario import outside_limits
     from calib.measure.truth_file import write_true_urdf, write_truth
-    from calib.model.files import together
 
     cell = prepared.scenario.draw(prepared.seed)
     q, sets = prepared.all_poses(prepared.seed)
     made = cell.measure(q, prepared.seed, sets)
     text = simulated_text(cell, made, outside_limits(cell.robot, q))
-    with together():
-        made.measurements.write(output, overwrite=force)
-        written = [output, write_truth(cell, made, truth, overwrite=force)]
-        if truth_urdf is not None:
-            written.append(write_true_urdf(cell.truth, truth_urdf, overwrite=force))
+    made.measurements.write(output, overwrite=force)
+    written = [output, write_truth(cell, made, truth, overwrite=force)]
+    if truth_urdf is not None:
+        written.append(write_true_urdf(cell.truth, truth_urdf, overwrite=force))
     return written, text
 
 

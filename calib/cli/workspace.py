@@ -139,7 +139,6 @@ def workspace(
         from calib.cli.workspace_words import parse_margins, parse_voxel, parse_within
         from calib.measure.ranges import joint_ranges
         from calib.measure.workspace import Density, sample_workspace
-        from calib.model.files import together
         from calib.show.region_pictures import check_ending
 
         inputs = [path for path in (robot, cell, like, check) if path]
@@ -177,8 +176,7 @@ def workspace(
             margin=_margin_text(margin, bool(setup.ranges)),
             checked=_checked(arm, setup, point, tables, check or like),
         )
-        with together():
-            written = _write(found, output, picture, view, force=force)
+        written = _write(found, output, picture, view, force=force)
         if quiet:
             return
         typer.echo(text(found, every_row=check is not None))

@@ -43,8 +43,6 @@ _READ = (
     "(.yaml), a URDF, a xacro, or the name of a robot such as 'ur3'"
 )
 
-#: The largest YAML file that is looked into [bytes].
-_LIMIT_BYTES = 10_000_000
 
 #: Origins of one robot differ by less than this [m; entries of the rotation].
 _SAME = 1e-6
@@ -122,7 +120,7 @@ def source_kind(source: str) -> str:
     if ending in (".conf", ".json"):
         return UR_CONF if ending == ".conf" else RESULT
     if ending in (".yaml", ".yml"):
-        keys = yaml_keys(read_bytes(source, "YAML file", _LIMIT_BYTES), source, "YAML file")
+        keys = yaml_keys(read_bytes(source, "YAML file"), source, "YAML file")
         for key, kind in (("kinematics", UR_YAML), ("origins", ORIGINS)):
             if key in keys:
                 return kind

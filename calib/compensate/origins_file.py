@@ -33,8 +33,6 @@ __all__ = ["JointOrigin", "Origins", "origins_of", "parse_origins", "read_origin
 
 FloatArray = NDArray[np.float64]
 
-LIMIT_BYTES = 10_000_000
-"""Largest origins file that is read [bytes]."""
 
 _SECTION = "origins"
 _EXAMPLE = 'elbow_joint: {xyz: "0.0 0.0 0.15", rpy: "0.0 0.0 1e-05"}'
@@ -158,7 +156,7 @@ def read_origins(path: str | os.PathLike[str]) -> Origins:
     Raises:
         FileError: It cannot be read, or is no origins file; the text names file, joint and key.
     """
-    return parse_origins(read_bytes(path, "origins file", LIMIT_BYTES), str(path))
+    return parse_origins(read_bytes(path, "origins file"), str(path))
 
 
 def parse_origins(data: bytes, source: str) -> Origins:

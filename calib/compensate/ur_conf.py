@@ -31,7 +31,6 @@ _LARGEST = {
     NOMINAL: {"theta": 2.0 * np.pi, "a": 10.0, "d": 10.0, "alpha": 2.0 * np.pi},
 }
 
-_LIMIT_BYTES = 10_000_000
 
 #: The byte order mark that some editors put before the text, a character for each byte.
 _MARK = "\xef\xbb\xbf"
@@ -148,7 +147,7 @@ def _delta_keys() -> dict[str, str]:
 
 def _text(path: str | os.PathLike[str], what: str) -> str:
     """A file's text, a character for each byte, so that it goes back as it came."""
-    data = read_bytes(path, what, _LIMIT_BYTES)
+    data = read_bytes(path, what)
     if b"\0" in data:
         message = f"{path}: this is not a {what}: it has bytes that no text has. Copy it from the controller again."
         raise FileError(message)

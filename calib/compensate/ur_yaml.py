@@ -28,13 +28,11 @@ from calib.errors import FileError, choices, did_you_mean
 from calib.model.files import read_bytes, write_atomically
 from calib.model.number_text import NUMBER
 from calib.model.robot import read_only
-from calib.model.yaml_file import check_length
 
 Array = NDArray[np.float64]
 
 LENGTHS, ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
 
-_LIMIT_BYTES = 1_000_000
 
 #: Larger values are no metres and no radians.
 _LARGEST = {"m": 10.0, "rad": 4.0 * np.pi}
@@ -67,7 +65,7 @@ def read_yaml(path: str | os.PathLike[str]) -> UrYaml:
         FileError: The file cannot be read, is no YAML, lacks a link or a number, has a key twice, or numbers that are
             no metres and radians.
     """
-    return _parsed(path, read_bytes(path, "kinematics.yaml", _LIMIT_BYTES))
+    return _parsed(path, read_bytes(path, "kinematics.yaml"))
 
 
 def write_yaml(
@@ -126,7 +124,6 @@ def check_hash(hash: str) -> None:
 
 def _parsed(path: str | os.PathLike[str], data: bytes) -> UrYaml:
     """What the bytes of a file say."""
-    check_length(data, str(path), "kinematics.yaml")
     try:
         root = yaml.compose(data.decode("utf-8-sig"), Loader=yaml.SafeLoader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:

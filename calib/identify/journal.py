@@ -24,7 +24,6 @@ from calib.model.files import read_bytes
 
 Record = dict[str, Any]
 
-_LARGEST_BYTES = 2_000_000_000
 _DIGITS = 64
 
 #: What is written is brought to the disk no more often than this [s].
@@ -137,7 +136,7 @@ def _kept(path: Path, file: FileIO, run: str, *, overwrite: bool) -> list[Record
     Raises:
         FileError: It is another run's, or cannot be written.
     """
-    records, end = _whole(read_bytes(path, "The journal", _LARGEST_BYTES))
+    records, end = _whole(read_bytes(path, "The journal"))
     if records and records[0] != {"run": run}:
         if not overwrite:
             message = (

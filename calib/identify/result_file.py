@@ -40,7 +40,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_LARGEST_BYTES = 500_000_000
 
 #: By how much correlations may be wrong.
 _ROUNDING = 1e-6
@@ -83,7 +82,7 @@ def read_table(path: str | Path) -> dict[str, Any]:
         f"a result of calib {__version__} has {SCHEMA}. Give the file that 'calib fit --json' wrote, by the same "
         "version."
     )
-    return read_json(path, "calibration result", _LARGEST_BYTES, SCHEMA, expected)
+    return read_json(path, "calibration result", SCHEMA, expected)
 
 
 def stored_result(table: Mapping[str, Any], source: str | Path) -> StoredResult:

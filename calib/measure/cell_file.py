@@ -134,7 +134,7 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
         FileError: The file cannot be read or is not TOML.
         CalibError: It has an unknown key, or a value of the wrong kind.
     """
-    data = read_bytes(Path(path), "cell file", 1_000_000)
+    data = read_bytes(Path(path), "cell file")
     try:
         text = data.decode("utf-8-sig")
         _check_lines(text)

@@ -18,8 +18,6 @@ from calib.measure.wrong_units import FAR_M, NEAR_M, better_unit, farthest
 from calib.model.files import read_bytes
 from calib.units import Unit, find_unit, symbols
 
-MAX_BYTES = 500_000_000
-
 #: Between collection, group and point.
 PARTS = "::"
 
@@ -101,7 +99,7 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
     """
     source = Path(path).name or str(path)
     try:
-        data = read_bytes(path, "The list of points", MAX_BYTES)
+        data = read_bytes(path, "The list of points")
     except FileError as error:
         raise MeasurementError(str(error)) from error
     text = PointsText.parse(decode(data, source), source)

@@ -24,7 +24,6 @@ from calib.version import __version__
 
 SCHEMA = "region 1"
 
-_LARGEST_BYTES = 200_000_000
 
 #: The most voxels of a file's grid; a region that calib makes has fewer.
 _MOST_VOXELS = 20_000_000
@@ -135,7 +134,7 @@ class RegionFile:
             f"a region of calib {__version__} has '{SCHEMA}'. Give the file that 'calib workspace -o' wrote, by "
             "the same version."
         )
-        table = read_json(path, "region", _LARGEST_BYTES, SCHEMA, expected)
+        table = read_json(path, "region", SCHEMA, expected)
         try:
             return _parsed(table)
         except (CalibError, _DamagedError) as error:

@@ -17,7 +17,6 @@ from calib.model.files import read_bytes
 if TYPE_CHECKING:
     from _csv import Reader as _Reader
 
-MAX_BYTES = 500_000_000
 SEPARATORS = (",", ";", "\t")
 
 #: Characters of the text that are looked at together: a few thousand rows.
@@ -117,7 +116,7 @@ class Table:
         """
         source = Path(path).name or str(path)
         try:
-            data = read_bytes(path, "The table", MAX_BYTES)
+            data = read_bytes(path, "The table")
         except FileError as error:
             raise MeasurementError(str(error)) from error
         text, sha256 = _decode(data, source), hashlib.sha256(data).hexdigest()

@@ -29,8 +29,6 @@ Array = NDArray[np.float64]
 
 SCHEMA = "truth 1"
 
-_LARGEST_BYTES = 500_000_000
-
 
 def truth_table(cell: VirtualCell, simulated: Simulated) -> dict[str, Any]:
     """The file's content: nested dictionaries of numbers, texts and lists."""
@@ -103,7 +101,7 @@ def read_truth(path: str | Path, robot: Robot) -> Truth:
         CalibError: It is the truth of another robot.
     """
     expected = f"the truth of a simulated table has {SCHEMA!r}. Give the file that 'calib simulate --truth' wrote."
-    table = read_json(path, "truth", _LARGEST_BYTES, SCHEMA, expected)
+    table = read_json(path, "truth", SCHEMA, expected)
     damages = (KeyError, TypeError, ValueError, AttributeError, OverflowError, CalibError)
     try:
         other = _another_robot(table["robot"], robot)

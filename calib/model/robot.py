@@ -26,7 +26,6 @@ from calib.model.chain import Chain, last_joint_poses, read_only, rigid_inverse
 from calib.model.coupling import Coupling, all_values, checked_held
 from calib.model.sources import read_urdf
 from calib.model.tips import farthest_link
-from calib.model.tree_checks import check_size
 from calib.model.urdf import Urdf, UrdfJoint
 
 __all__ = ["Robot", "last_joint_poses", "read_only", "rigid_inverse"]
@@ -95,7 +94,6 @@ class Robot:
         held: Mapping[str, float] | None = None,
     ) -> Robot:
         """The chain from ``base`` to ``tip`` of a URDF that has been read; see `load`."""
-        check_size(urdf)
         kept = checked_held(urdf, held)
         base = urdf.root if base is None else base
         tip = farthest_link(urdf, base, measured, dict(kept)) if tip is None else tip

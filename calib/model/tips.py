@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+import itertools
+from collections.abc import Collection
 
 from calib.model.chain import MOVING
 from calib.model.urdf import Urdf, UrdfJoint
@@ -29,50 +30,37 @@ def farthest_link(
         UrdfError: The base is not a link.
     """
     urdf.chain(base, base)  # raises, with the names there are, for a link that does not exist
-    trials = [measured, None] if measured is not None else [None]
-    for known in trials:
-        for climb in (False, True):
-            most, link = _farthest(urdf, base, known, held, climb=climb)
-            if most:
-                return link
-    return link
+    every = {joint.name for joint in urdf.joints}
+    knowns = [every] if measured is None else [measured, every]
+    for known, climb in itertools.product(knowns, (False, True)):
+        count = _counted(urdf, base, known, held, climb=climb)
+        most = max(count.values())
+        if most:
+            break
+    farthest = [link for link in count if count[link] == most]
+    return next((name for name in _USUAL_TIPS if name in farthest), farthest[-1])
 
 
-def _farthest(
-    urdf: Urdf, base: str, measured: Collection[str] | None, held: Collection[str], *, climb: bool
-) -> tuple[int, str]:
-    """The number of moving joints before the farthest link, and its name; ``climb``: joints are passed upwards too."""
-    usable = _passable(measured, held)
+def _counted(
+    urdf: Urdf, base: str, known: Collection[str], held: Collection[str], *, climb: bool
+) -> dict[str, int]:
+    """The number of moving joints before each link that can be reached; ``climb``: joints are passed upwards too."""
     above = {joint.child: joint for joint in urdf.joints}
     start = base
     while start in above and above[start].type == "fixed":
         start = above[start].parent
     below: dict[str, list[tuple[UrdfJoint, str]]] = {}
     for joint in urdf.joints:
-        below.setdefault(joint.parent, []).append((joint, joint.child))
-        if climb:
-            below.setdefault(joint.child, []).append((joint, joint.parent))
+        moves = joint.type in MOVING and joint.mimic is None and joint.name in known
+        if joint.type == "fixed" or joint.name in held or moves:
+            below.setdefault(joint.parent, []).append((joint, joint.child))
+            if climb:
+                below.setdefault(joint.child, []).append((joint, joint.parent))
     count = {start: 0}
-    reached = [start]
-    for link in reached:
+    waiting = [start]
+    for link in waiting:
         for joint, other in below.get(link, []):
-            if usable(joint) and other not in count:
+            if other not in count:
                 count[other] = count[link] + (joint.type != "fixed" and joint.name not in held)
-                reached.append(other)
-    most = max(count.values())
-    farthest = [link for link in reached if count[link] == most]
-    return most, next((name for name in _USUAL_TIPS if name in farthest), farthest[-1])
-
-
-def _passable(
-    measured: Collection[str] | None, held: Collection[str]
-) -> Callable[[UrdfJoint], bool]:
-    """Whether a default chain may go through a joint: fixed, held, or moving by itself and measured."""
-
-    def passable(joint: UrdfJoint) -> bool:
-        if joint.type == "fixed" or joint.name in held:
-            return True
-        alone = joint.type in MOVING and joint.mimic is None
-        return alone and (measured is None or joint.name in measured)
-
-    return passable
+                waiting.append(other)
+    return count

@@ -19,12 +19,10 @@ from calib.model.files import check_no_xacro, read_bytes, write_atomically
 from calib.model.urdf_joints import UrdfJoint, path_from_root, read_tree
 from calib.model.urdf_xml import Document, Element, element_tree
 
-__all__ = ["LIMIT_BYTES", "SAME", "Urdf", "UrdfJoint"]
+__all__ = ["SAME", "Urdf", "UrdfJoint"]
 
 FloatArray = NDArray[np.float64]
 
-LIMIT_BYTES = 100_000_000
-"""Largest URDF that is read [bytes]."""
 SAME = 1e-14
 """Entries of two poses that differ by no more than this are the same [m; rotation matrices: 1]."""
 
@@ -57,11 +55,11 @@ class Urdf:
         """Read a URDF file.
 
         Raises:
-            FileError: The file cannot be read or is larger than 100 MB.
+            FileError: The file cannot be read.
             UrdfError: It is not a URDF that can be calibrated; the text says where and why.
         """
         path = Path(path)
-        data = read_bytes(path, "URDF", LIMIT_BYTES)
+        data = read_bytes(path, "URDF")
         return cls._from_document(Document.from_bytes(data, path.name), path)
 
     @classmethod

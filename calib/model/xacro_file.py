@@ -92,7 +92,7 @@ def flattened(call: XacroCall) -> bytes:
         FileError: There is no such file.
         UrdfError: The xacro package is not installed, it finds a fault, or it takes longer than `TIME_LIMIT`.
     """
-    read_bytes(call.path, "xacro file", 100_000_000)
+    read_bytes(call.path, "xacro file")
     package = importlib.util.find_spec("xacro")
     if package is None or package.origin is None:  # None: a folder of that name
         message = (

@@ -418,14 +418,6 @@ def test_any_other_file_is_read_or_refused(tmp_path_factory, data):
     assert count > 0 or "data.csv" in text
 
 
-def test_a_file_that_is_too_large(table, monkeypatch):
-    path = table(HEADER, *ROWS)
-    monkeypatch.setattr("calib.measure.table.MAX_BYTES", path.stat().st_size)
-    assert len(Measurements.read(path)) == 2
-    monkeypatch.setattr("calib.measure.table.MAX_BYTES", path.stat().st_size - 1)
-    refused(path, says=["data.csv", "larger than", "the most that is read"])
-
-
 def test_a_file_that_cannot_be_read(tmp_path):
     loop = tmp_path / "loop.csv"
     loop.symlink_to(loop)

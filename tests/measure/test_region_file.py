@@ -212,7 +212,7 @@ def test_each_key_is_checked(path, key, value, said):
 def test_a_number_that_is_none_is_no_json(path):
     table = json.loads(path.read_text()) | {"volume_m3": math.nan}
     path.write_text(json.dumps(table))
-    with pytest.raises(FileError, match="'volume_m3' is NaN, which calib does not write and JSON"):
+    with pytest.raises(FileError, match="it holds NaN; write the number, or null"):
         RegionFile.read(path)
 
 
