@@ -19,10 +19,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import calib
-from calib.compensate.conversion_source import Asked, read_source
 from calib.compensate.program import Program
 from calib.data import paper_measurements
 from calib.errors import CalibError
+from calib.formats.sources import Asked, read_source
 from calib.measure.points_file import read_points
 from calib.measure.region_file import RegionFile
 from calib.measure.solid import read_solids

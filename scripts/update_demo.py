@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calib.compensate.origins_file import write_origins
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
+from calib.formats.origins import write_origins
 from calib.identify.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements

@@ -24,6 +24,7 @@ ORDER = (
     "measure",
     "identify",
     "compensate",
+    "formats",
     "show",
     "cli",
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import textwrap
 from collections.abc import Iterable
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,8 +13,8 @@ import typer
 from calib.cli.options import Base, Debug, Force, Hold, Quiet, reporting
 
 if TYPE_CHECKING:
-    from calib.compensate.conversion import Wanted
-    from calib.compensate.conversion_source import Source
+    from calib.formats.convert import Wanted
+    from calib.formats.sources import Source
 
 _HELP = """Write a calibrated robot in the formats that controllers and ROS take.
 
@@ -37,18 +36,6 @@ a format cannot hold is said.
 _FAR_MM = 50.0
 
 
-class Target(str, Enum):
-    """The formats that can be written."""
-
-    urdf = "urdf"
-    ur_yaml = "ur-yaml"
-    ur_conf = "ur-conf"
-    origins = "origins"
-    dh = "dh"
-    modified_dh = "modified-dh"
-    hayati = "hayati"
-
-
 def convert(
     source: Annotated[
         str,
@@ -60,10 +47,12 @@ def convert(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")],
     to: Annotated[
-        Target | None,
+        str | None,
         typer.Option(
-            help="Format of FILE. Default: what its ending says, if it says one. dh: standard DH rows; modified-dh: "
-            "Craig's; hayati: standard, with beta between near-parallel axes; each as .csv, .json or .md."
+            metavar="FORMAT",
+            help="Format of FILE: urdf, ur-yaml, ur-conf, origins; dh: standard DH rows; modified-dh: Craig's; hayati: "
+            "standard, with beta between near-parallel axes; each as .csv, .json or .md. Default: what its ending "
+            "says, if it says one.",
         ),
     ] = None,
     robot: Annotated[
@@ -116,8 +105,8 @@ def convert(
     with reporting(debug=debug):
         from calib.cli.setup import check_outputs
         from calib.cli.words import parse_held
-        from calib.compensate.conversion import Wanted, check_options, chosen_format, write_target
-        from calib.compensate.conversion_source import Asked, read_source, source_kind
+        from calib.formats.convert import Wanted, check_options, chosen_format, write_target
+        from calib.formats.sources import Asked, read_source, source_kind
 
         check_outputs(
             [output],
@@ -125,7 +114,7 @@ def convert(
             force=force,
         )
         kind = source_kind(source)
-        chosen = chosen_format(output, None if to is None else to.value, kind)
+        chosen = chosen_format(output, to, kind)
         wanted = Wanted(output, chosen, hash_from, update, urcontrol, overwrite=force)
         check_options(wanted, kind)
         asked = Asked(robot, ur_model, urcontrol, base, tip, parse_held(hold or []))
@@ -137,7 +126,7 @@ def convert(
 
 def _text(source: str, found: Source, wanted: Wanted, remarks: Iterable[str]) -> str:
     """What was read, how far it is from the nominal robot, what was written and what to do with it."""
-    from calib.compensate.conversion import FORMATS
+    from calib.formats.convert import FORMATS
 
     what = FORMATS[wanted.format].what
     paragraphs = [

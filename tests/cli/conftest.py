@@ -24,7 +24,7 @@ from calib.cli import app, main
 from calib.data import paper_measurements, paper_urdf
 from calib.measure.virtual_sweeps import virtual_sweeps, write_sweeps
 from calib.model.robot import Robot
-from tests.compensate.ur_cases import CALIBRATIONS
+from tests.formats.ur_cases import CALIBRATIONS
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.model.robot import Robot
-from tests.compensate.forms import write_forms
+from tests.formats.forms import write_forms
 
 URDFS = Path(__file__).parents[2] / "urdf"
 

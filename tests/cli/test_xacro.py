@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.compensate.origins_file import origins_of, read_origins
 from calib.data import paper_measurements
+from calib.formats.origins import origins_of, read_origins
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
 from calib.model.sources import read_urdf

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from calib.compensate.origins_file import parse_origins
-from calib.compensate.ur_conf import read_deltas
-from calib.compensate.ur_yaml import read_yaml
 from calib.errors import FileError
+from calib.formats.origins import parse_origins
+from calib.formats.ur_conf import read_deltas
+from calib.formats.ur_yaml import read_yaml
 
 #: Digits, of which the last is none: patterns that go back take time with the square of the length.
 LONG = "0" * 200_000 + "x"

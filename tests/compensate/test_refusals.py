@@ -10,14 +10,14 @@ import pytest
 
 from calib.compensate.commands import commands
 from calib.compensate.commands_file import write_commands
-from calib.compensate.conversion import Wanted, check_options
 from calib.compensate.matching import POSE, Matching
-from calib.compensate.origins_file import write_origins
 from calib.compensate.program import Program
-from calib.compensate.ur_conf import read_deltas
-from calib.compensate.ur_models import ur_model
-from calib.compensate.ur_yaml import read_yaml, write_yaml
 from calib.errors import CalibError, FileError, MeasurementError, ModelError
+from calib.formats.convert import Wanted, check_options
+from calib.formats.origins import write_origins
+from calib.formats.ur_conf import read_deltas
+from calib.formats.ur_models import ur_model
+from calib.formats.ur_yaml import read_yaml, write_yaml
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 

@@ -1,29 +1,43 @@
-"""How a robot is an arm of Universal Robots: which one, and where its base and its flange are."""
+"""How a robot is an arm of Universal Robots: which one, and where its base and its flange are.
+
+A nominal arm is recognised by its axes to a micrometre. Those of a calibrated one do not say where its base and its
+flange are, and no axes show an error of the first joint's zero and height or of the last one's: the names of the links
+in Universal Robots' descriptions do.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.compensate.ur_frames import named_frames
-from calib.compensate.ur_models import MODELS, NAMES, UrModel
-from calib.errors import ModelError, choices
+from calib.errors import ModelError, UrdfError, choices
+from calib.formats.ur_dh import chain_poses
+from calib.formats.ur_models import JOINTS, MODELS, NAMES, TOLERANCE, UrModel
 from calib.model.dh import zero_poses
 from calib.model.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 
-#: A robot that is an arm of the table may lie this far from it [m and rad].
-TOLERANCE = 1e-6
-
 #: One that is calibrated already may lie this far from it [m; rotation matrices: 1].
 CALIBRATED = 0.05
 
-#: Joint values at which arms are compared, shape (50, 6), [rad].
-_SPREAD = read_only(np.random.default_rng(20170401).uniform(-np.pi, np.pi, (50, 6)))
+#: Links that are the controller's base, and whether they are turned by half a turn about z against it.
+_BASES = (("base_link_inertia", False), ("base", False), ("base_link", True))
+
+#: Links that are its flange. In the old descriptions the last link is not.
+_FLANGES = ("tool0", "wrist_3_link")
+
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+#: No calibration moves a flange further [m].
+FARTHEST = 0.2
+
+#: Joint values within one turn at which arms are compared, shape (200, 6), [rad], the same every time.
+SPREAD = read_only(np.random.default_rng(20170401).uniform(-np.pi, np.pi, (200, 6)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,9 +136,9 @@ def the_mount(robot: Robot, model: UrModel | None = None) -> tuple[UrModel, Moun
         if mounted is not None:
             return candidate, mounted
     if not recognised(robot):
-        for T_base_arm, T_flange_tip in named_frames(robot):
-            arm = rigid_inverse(T_base_arm) @ robot.poses(_SPREAD) @ rigid_inverse(T_flange_tip)
-            off = {one: np.abs(arm - one.nominal.poses(_SPREAD)).max() for one in wanted}
+        for T_base_arm, T_flange_tip in _named_frames(robot):
+            arm = rigid_inverse(T_base_arm) @ robot.poses(SPREAD) @ rigid_inverse(T_flange_tip)
+            off = {one: np.abs(arm - one.nominal.poses(SPREAD)).max() for one in wanted}
             nearest = min(wanted, key=lambda one: float(off[one]))
             if off[nearest] < CALIBRATED:
                 return nearest, _named_mount(robot, nearest, T_base_arm, T_flange_tip, arm)
@@ -148,9 +162,10 @@ def the_mount(robot: Robot, model: UrModel | None = None) -> tuple[UrModel, Moun
     raise ModelError(message)
 
 
-def with_chain(robot: Robot, mounted: Mount, chain: Array) -> Robot:
-    """The robot whose arm has these placements, its URDF changed to match."""
-    return robot.with_placements(mounted.placements_of(chain, robot))
+def distance_from(chain: Array, arm: UrModel) -> float:
+    """How far the flange of a chain, shape (7, 4, 4), lies from that of the nominal arm, at most [m]."""
+    moved = chain_poses(chain, SPREAD)[:, :3, 3] - arm.nominal.poses(SPREAD)[:, :3, 3]
+    return float(np.linalg.norm(moved, axis=1).max())
 
 
 def _beside_names(robot: Robot, T_base_arm: Array, T_flange_tip: Array) -> bool:
@@ -158,7 +173,7 @@ def _beside_names(robot: Robot, T_base_arm: Array, T_flange_tip: Array) -> bool:
 
     The axes alone do not show an error of the first joint's zero or height, nor of the last one's.
     """
-    for named_base, named_flange in named_frames(robot):
+    for named_base, named_flange in _named_frames(robot):
         for T, named in ((T_base_arm, named_base), (T_flange_tip, named_flange)):
             off = np.abs(rigid_inverse(named) @ T - np.eye(4))
             # Further off it is another frame of that name, such as the old description's wrist_3_link.
@@ -175,7 +190,7 @@ def _named_mount(
     frames = T_base_arm @ _poses(model.nominal.chain())
     for T, frame, joint in zip(zero_poses(robot)[0], frames, robot.joints, strict=False):
         on_axes.append(_on_axis(rigid_inverse(frame) @ T, joint.axis, near=CALIBRATED))
-    apart = arm[:, :3] - model.nominal.poses(_SPREAD)[:, :3]
+    apart = arm[:, :3] - model.nominal.poses(SPREAD)[:, :3]
     off = float(np.linalg.norm(apart[:, :, 3], axis=1).max())
     chord = float(np.linalg.norm(apart[:, :, :3], axis=(1, 2)).max()) / np.sqrt(8.0)
     turned = 2.0 * float(np.arcsin(min(chord, 1.0)))
@@ -216,3 +231,41 @@ def _on_axis(T: Array, axis: Array, near: float = 0.0) -> Array:
     result[:3, :3] = pin.rpy.rpyToMatrix(0.0, 0.0, float(phi)) @ R
     result[2, 3] = T[2, 3] if abs(T[2, 3]) >= near else 0.0
     return result
+
+
+def _named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
+    """The controller's base in the robot's base and the robot's tip in the flange, as the links' names have them.
+
+    Yields:
+        T_base_arm and T_flange_tip, shape (4, 4) each, [m]: every pair that the names allow, the likeliest first: the
+        robot's own base and tip, where these are among the names.
+    """
+    names = [joint.name for joint in robot.joints]
+    prefix = names[0].removesuffix(JOINTS[0])
+    if names != [prefix + joint for joint in JOINTS] or robot.joint_names != tuple(names):
+        return
+    zero = np.zeros(len(names))
+    here = robot.poses(zero)[0]
+    flanges = sorted(_FLANGES, key=lambda link: prefix + link != robot.tip)
+    bases = sorted(_BASES, key=lambda base: prefix + base[0] != robot.base)
+    for flange in flanges:
+        at_flange = _between(robot, robot.base, prefix + flange)
+        for base, turned in bases:
+            at_base = _between(robot, prefix + base, robot.tip)
+            if at_flange is None or at_base is None:
+                continue
+            T_base_link = here @ rigid_inverse(at_base.poses(zero)[0])
+            T_flange_tip = rigid_inverse(at_flange.poses(zero)[0]) @ here
+            yield T_base_link @ _HALF_TURN if turned else T_base_link, T_flange_tip
+
+
+def _between(robot: Robot, base: str, tip: str) -> Robot | None:
+    """The robot between two links, None unless there are both with the same joints between them."""
+    if base not in robot.urdf.links or tip not in robot.urdf.links:
+        return None
+    try:
+        other = robot.rebuilt(base=base, tip=tip)
+    except UrdfError:  # no joint between them
+        return None
+    same = [joint.name for joint in other.joints] == [joint.name for joint in robot.joints]
+    return other if same and not other.base_moves else None

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from calib.compensate.universal_robots import (
+from calib.errors import FileError, ModelError
+from calib.formats.universal_robots import (
     read_ur_conf,
     read_ur_hash,
     read_ur_yaml,
     write_ur_conf,
     write_ur_yaml,
 )
-from calib.compensate.ur_conf import write_deltas
-from calib.compensate.ur_dh import FullDH
-from calib.compensate.ur_models import UrModel, ur_model, ur_robot
-from calib.errors import FileError, ModelError
-from tests.compensate.ur_cases import WITH_DELTAS, rows
+from calib.formats.ur_conf import write_deltas
+from calib.formats.ur_dh import FullDH
+from calib.formats.ur_models import UrModel, ur_model, ur_robot
+from tests.formats.ur_cases import WITH_DELTAS, rows
 
 
 @pytest.fixture

@@ -8,13 +8,22 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.compensate.ur_dh import FullDH, kinematics_hash
-from calib.compensate.ur_frames import JOINTS
 from calib.errors import ModelError, choices
+from calib.formats.ur_dh import COLUMNS, FullDH, kinematics_hash
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 
 Array = NDArray[np.float64]
+
+JOINTS = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+"""The joints of Universal Robots' descriptions; a prefix may stand before them."""
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 """What ``kinematics.yaml`` calls the six links."""
@@ -39,6 +48,9 @@ _LENGTHS = {
     "UR30": (0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543),
 }
 
+TOLERANCE = 1e-6
+"""A robot that is an arm of the table may lie this far from it [m and rad]."""
+
 #: Half of pi as the controllers' own files write it [rad].
 _HALF_PI = 1.570796327
 
@@ -59,6 +71,13 @@ class UrModel:
     def known(self) -> bool:
         """Whether Universal Robots sells it under this name."""
         return self.name in _MODELS
+
+    def same(self, rows: FullDH) -> bool:
+        """Whether rows are those of this type of arm."""
+        return all(
+            np.abs(getattr(self.nominal, name) - getattr(rows, name)).max() < TOLERANCE
+            for name in COLUMNS
+        )
 
     @property
     def said(self) -> str:

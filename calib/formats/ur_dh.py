@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError
+from calib.model.dh_table import screw
 from calib.model.robot import read_only, rigid_inverse
 
 Array = NDArray[np.float64]
@@ -90,23 +91,27 @@ class FullDH:
         values = np.reshape(np.asarray(q, dtype=np.float64), (-1, 6))
         T = np.tile(np.eye(4), (len(values), 1, 1))
         for i in range(6):
-            T = T @ _z(self.theta[i] + values[:, i], self.d[i]) @ _x(self.alpha[i], self.a[i])
+            T = (
+                T
+                @ screw(2, self.theta[i] + values[:, i], self.d[i])
+                @ screw(0, self.alpha[i], self.a[i])
+            )
         return T
 
     def chain(self) -> Array:
         """The placements of the joints, shape (7, 4, 4), [m]; see the module's text."""
         theta, a, d, alpha = self.theta, self.a, self.d, self.alpha
-        links = [_z(theta[i], 0.0)[0] @ _x(alpha[i], a[i]) for i in range(6)]
+        links = [screw(2, theta[i], 0.0) @ screw(0, alpha[i], a[i]) for i in range(6)]
         # Where each joint's frame stands on its axis: at the end of its d, but for those of parallel axes.
-        at = [_z(0.0, d[i])[0] for i in range(6)]
+        at = [screw(2, 0.0, d[i]) for i in range(6)]
         placements = [
             at[0],
             links[0],
             at[1] @ links[1],
             at[2] @ links[2] @ at[3],
             links[3] @ at[4],
-            links[4] @ at[5] @ _z(theta[5], 0.0)[0],
-            _x(alpha[5], a[5]),
+            links[4] @ at[5] @ screw(2, theta[5], 0.0),
+            screw(0, alpha[5], a[5]),
         ]
         return read_only(placements)
 
@@ -152,7 +157,7 @@ def fitted_rows(chain: Array, nominal: FullDH, like: FullDH | None = None) -> Fi
         # The old number itself, not nominal + delta - nominal, which is rounded.
         deltas[i] = np.where(np.abs(row - wished) < _SAME, old, row - own)
         theta, a, d, alpha = own + deltas[i]
-        F = F @ _z(theta, d)[0] @ _x(alpha, a)
+        F = F @ screw(2, theta, d) @ screw(0, alpha, a)
     T_tool = rigid_inverse(F) @ frames[6]
     if np.abs(T_tool - np.eye(4)).max() < ROUNDING:
         T_tool = np.eye(4)
@@ -173,7 +178,7 @@ def chain_poses(chain: Array, q: ArrayLike) -> Array:
     values = np.reshape(np.asarray(q, dtype=np.float64), (-1, 6))
     T = np.tile(np.eye(4), (len(values), 1, 1))
     for i in range(6):
-        T = T @ chain[i] @ _z(values[:, i], 0.0)
+        T = T @ chain[i] @ screw(2, values[:, i], 0.0)
     return np.asarray(T @ chain[6])
 
 
@@ -181,7 +186,7 @@ def at_flange(chain: Array) -> Array:
     """The same chain with joint 6 slid along and turned about its axis to stand nearest to the flange."""
     result = np.array(chain)
     R = result[6]
-    G = _z(np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]), R[2, 3])[0]
+    G = screw(2, np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]), R[2, 3])
     result[5], result[6] = result[5] @ G, rigid_inverse(G) @ result[6]
     return read_only(result)
 
@@ -281,7 +286,7 @@ def _last_row(local: Array, wished: Array) -> Array:
     R, point = local[:3, :3], local[:3, 3]
     theta = np.arctan2(R[1, 0], R[0, 0])
     row = np.array([theta, point @ R[:, 0], point[2], np.arctan2(R[2, 1], R[2, 2])])
-    made = _z(theta, row[2])[0] @ _x(row[3], row[1])
+    made = screw(2, theta, row[2]) @ screw(0, row[3], row[1])
     if np.abs(made - local).max() > ROUNDING:
         # The turn about z that is nearest to the flange's.
         row = np.array([np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]), 0.0, point[2], 0.0])
@@ -291,20 +296,3 @@ def _last_row(local: Array, wished: Array) -> Array:
 def _near(angle: float, wished: float) -> float:
     """The angle with whole turns added so that it lies within half a turn of the one wished for [rad]."""
     return float(angle + 2.0 * np.pi * np.round((wished - angle) / (2.0 * np.pi)))
-
-
-def _z(angle: float | Array, length: float) -> Array:
-    """Rz(angle) Tz(length), shape (N, 4, 4)."""
-    angles = np.atleast_1d(np.asarray(angle, dtype=np.float64))
-    T = np.tile(np.eye(4), (len(angles), 1, 1))
-    c, s = np.cos(angles), np.sin(angles)
-    T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1], T[:, 2, 3] = c, -s, s, c, length
-    return T
-
-
-def _x(angle: float, length: float) -> Array:
-    """Tx(length) Rx(angle), shape (4, 4)."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array(
-        [[1.0, 0.0, 0.0, length], [0.0, c, -s, 0.0], [0.0, s, c, 0.0], [0.0, 0.0, 0.0, 1.0]]
-    )

@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.compensate.ur_models import MODELS, ur_model, ur_robot
-from calib.compensate.ur_mount import recognised
 from calib.errors import ModelError
+from calib.formats.ur_models import MODELS, ur_model, ur_robot
+from calib.formats.ur_mount import recognised
 from calib.model.readback import check_written
-from tests.compensate.ur_cases import CASES
+from tests.formats.ur_cases import CASES
 
 Q = np.random.default_rng(8).uniform(-np.pi, np.pi, (20, 6))
 

@@ -9,7 +9,8 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from calib.compensate.universal_robots import (
+from calib.errors import FileError, ModelError
+from calib.formats.universal_robots import (
     UrHash,
     read_ur_conf,
     read_ur_hash,
@@ -17,13 +18,12 @@ from calib.compensate.universal_robots import (
     write_ur_conf,
     write_ur_yaml,
 )
-from calib.compensate.ur_conf import read_deltas, write_deltas
-from calib.compensate.ur_dh import COLUMNS, FullDH
-from calib.compensate.ur_models import LINKS, ur_model, ur_robot
-from calib.errors import FileError, ModelError
+from calib.formats.ur_conf import read_deltas, write_deltas
+from calib.formats.ur_dh import COLUMNS, FullDH
+from calib.formats.ur_models import LINKS, ur_model, ur_robot
 from calib.model.readback import check_written
 from calib.model.robot import Robot
-from tests.compensate.ur_cases import WITH_DELTAS, rows
+from tests.formats.ur_cases import WITH_DELTAS, rows
 
 Q = np.random.default_rng(12).uniform(-2 * np.pi, 2 * np.pi, (100, 6))
 HASH = "calib_4711"

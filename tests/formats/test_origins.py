@@ -8,7 +8,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.compensate.origins_file import (
+from calib.errors import FileError, UrdfError
+from calib.formats.origins import (
     JointOrigin,
     Origins,
     origins_of,
@@ -16,7 +17,6 @@ from calib.compensate.origins_file import (
     read_origins,
     write_origins,
 )
-from calib.errors import FileError, UrdfError
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
@@ -121,19 +121,22 @@ REFUSED = {
     ),
     "other": ("kinematics:\n  shoulder: {x: 0}\n", "it has no section 'origins:'"),
     "text": ("origins: all\n", "it has no section 'origins:'"),
-    "no joints": ("origins: {}\n", "'origins' has no joints; give one line for each, such as"),
+    "no joints": ("origins: {}\n", "it has no section 'origins:'"),
     "number": (
         f'origins:\n  5: {{xyz: "0 0 0", {GOOD}}}\n',
-        "'5' under 'origins' is no joint's name",
+        "joint '5': this is no joint's name",
     ),
-    "no table": ('origins:\n  j: "0 0 0"\n', "joint 'j': xyz and rpy are wanted, as in elbow"),
+    "no table": (
+        'origins:\n  j: "0 0 0"\n',
+        "joint 'j': the keys 'xyz', 'rpy' are wanted, as in elbow",
+    ),
     "missing": (
         'origins:\n  j: {xyz: "0 0 0"}\n',
-        "joint 'j': 'rpy' is missing; the keys are 'xyz'",
+        "the keys 'xyz', 'rpy' are wanted, not 'xyz', as in",
     ),
     "key": (
         f'origins:\n  j: {{pos: "0 0 0", {GOOD}}}\n',
-        "joint 'j': 'pos' is not known here; the",
+        "are wanted, not 'pos', 'rpy'",
     ),
     "two": (
         f'origins:\n  j: {{xyz: "0 0", {GOOD}}}\n',

@@ -1,32 +1,36 @@
-"""Writing a robot in the formats that controllers and ROS take; `conversion_source` reads what comes in."""
+"""Writing a robot in the formats that controllers and ROS take; `calib.formats.sources` reads what comes in.
+
+A format is one row of `FORMATS`: its name, its files' endings, and the function that writes it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.compensate.conversion_source import ROBOT, UR_CONF, Source
-from calib.compensate.dh_files import ENDINGS, write_dh
-from calib.compensate.dh_tables import DHTables
-from calib.compensate.origins_file import write_origins
-from calib.compensate.universal_robots import (
+from calib.errors import CalibError, ModelError, choices
+from calib.formats.dh_files import ENDINGS, write_dh
+from calib.formats.dh_tables import DHTables
+from calib.formats.origins import write_origins
+from calib.formats.sources import ROBOT, UR_CONF, Source
+from calib.formats.universal_robots import (
     UrHash,
     UrWritten,
     read_ur_hash,
     write_ur_conf,
     write_ur_yaml,
 )
-from calib.compensate.ur_conf import other_keys, read_deltas
-from calib.compensate.ur_dh import chain_poses
-from calib.compensate.ur_models import UrModel
-from calib.compensate.ur_mount import the_mount
-from calib.compensate.ur_yaml import read_yaml
-from calib.errors import CalibError, ModelError, choices
+from calib.formats.ur_conf import other_keys, read_deltas
+from calib.formats.ur_dh import chain_poses
+from calib.formats.ur_models import UrModel
+from calib.formats.ur_mount import the_mount
+from calib.formats.ur_yaml import read_yaml
 from calib.model.dh_table import HAYATI, MODIFIED, STANDARD
 from calib.model.readback import TOLERANCE, check_written, random_joint_values
 from calib.model.robot import Robot
@@ -34,41 +38,6 @@ from calib.model.robot import Robot
 Array = NDArray[np.float64]
 
 _YAML = (".yaml", ".yml")
-
-
-@dataclass(frozen=True, slots=True)
-class Format:
-    """A format that can be written.
-
-    Attributes:
-        name: As in ``--to``.
-        what: What it is, in a few words.
-        endings: What its files end in.
-    """
-
-    name: str
-    what: str
-    endings: tuple[str, ...]
-
-
-FORMATS: Mapping[str, Format] = {
-    one.name: one
-    for one in (
-        Format("urdf", "the URDF", (".urdf", ".xml")),
-        Format("ur-yaml", "kinematics.yaml of Universal Robots' ROS driver", _YAML),
-        Format("ur-conf", "DH deltas of a Universal Robots controller", (".conf",)),
-        Format("origins", "the joints' origins, for a xacro to load", _YAML),
-        Format("dh", "DH rows, standard convention", ENDINGS),
-        Format("modified-dh", "DH rows, modified (Craig's) convention", ENDINGS),
-        Format("hayati", "DH rows with Hayati's beta", ENDINGS),
-    )
-}
-"""The formats by name."""
-
-#: What a remark says where DH rows hold a robot less well than usual.
-ROWS_HOLD = "The rows hold the robot to"
-
-_CONVENTIONS = {"dh": STANDARD, "modified-dh": MODIFIED, "hayati": HAYATI}
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +59,26 @@ class Wanted:
     update: Path | None = None
     urcontrol: Path | None = None
     overwrite: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A format that can be written.
+
+    Attributes:
+        name: As in ``--to``.
+        what: What it is, in a few words.
+        endings: What its files end in.
+        write: Writes the robot of a source, and returns what the format cannot hold and what to mind, sentence by
+            sentence.
+        any_ending: Whether a file of another ending, which belongs to no format, may be one too.
+    """
+
+    name: str
+    what: str
+    endings: tuple[str, ...]
+    write: Callable[[Source, Wanted], tuple[str, ...]]
+    any_ending: bool = True
 
 
 def chosen_format(path: Path, asked: str | None, source_kind: str | None = None) -> str:
@@ -123,13 +112,38 @@ def chosen_format(path: Path, asked: str | None, source_kind: str | None = None)
     if asked not in FORMATS:
         message = f"There is no format '{asked}'; --to is one of {choices(FORMATS)}."
         raise CalibError(message)
-    if asked not in fitting and (fitting or asked in _CONVENTIONS):
+    wanted = FORMATS[asked]
+    if asked not in fitting and (fitting or not wanted.any_ending):
         message = (
-            f"{path}: '{asked}' ({FORMATS[asked].what}) is written into files that end in "
-            f"{choices(FORMATS[asked].endings)}, not in '{ending}'."
+            f"{path}: '{asked}' ({wanted.what}) is written into files that end in {choices(wanted.endings)}, not in "
+            f"'{ending}'."
         )
         raise CalibError(message)
     return asked
+
+
+def check_options(wanted: Wanted, source_kind: str) -> None:
+    """Refuse options that would be passed over in silence.
+
+    Raises:
+        CalibError: One that this conversion has no use for.
+    """
+    reads_conf = source_kind == UR_CONF or (
+        wanted.hash_from is not None and wanted.hash_from.suffix.lower() == ".conf"
+    )
+    for option, given, used, why in (
+        ("--update", wanted.update, wanted.format == "ur-conf", "the format 'ur-conf' keeps"),
+        ("--hash-from", wanted.hash_from, wanted.format == "ur-yaml", "the format 'ur-yaml' keeps"),
+        (
+            "--urcontrol",
+            wanted.urcontrol,
+            reads_conf,
+            "a calibration.conf as SOURCE or --hash-from counts from",
+        ),
+    ):
+        if given is not None and not used:
+            message = f"{option} {given} is for what {why}, and here nothing does. Leave it out."
+            raise CalibError(message)
 
 
 def write_target(source: Source, wanted: Wanted) -> tuple[str, ...]:
@@ -148,31 +162,26 @@ def write_target(source: Source, wanted: Wanted) -> tuple[str, ...]:
         UrdfError: The URDF, read back, is not the robot.
         CalibError: Something that the format needs was not given.
     """
-    return _WRITERS[wanted.format](source, wanted)
+    return FORMATS[wanted.format].write(source, wanted)
 
 
 def _write_urdf(source: Source, wanted: Wanted) -> tuple[str, ...]:
     """The URDF, read back by Pinocchio and yourdfpy."""
     robot = source.robot
-    if source.kind == ROBOT and source.nominal is not None:
-        robot = _on(source.nominal, robot)
     q = random_joint_values(robot)
-    check_written(robot, source.robot.poses(q), q)
+    poses = robot.poses(q)
+    if source.kind == ROBOT and source.nominal is not None:
+        robot = source.nominal.with_placements(robot.placements)
+        if not np.abs(robot.poses(q) - poses).max() <= TOLERANCE:
+            message = (
+                f"{source.robot.urdf.source} and {source.nominal.urdf.source} differ in more than the origins of "
+                "their joints, so that one cannot be written on the other. Leave out --robot, or give the URDF that "
+                "the other was made from."
+            )
+            raise ModelError(message)
+    check_written(robot, poses, q)
     robot.urdf.write(wanted.path, overwrite=wanted.overwrite)
     return ()
-
-
-def _on(nominal: Robot, robot: Robot) -> Robot:
-    """The URDF of one robot with the placements of another that has the same joints."""
-    result = nominal.with_placements(robot.placements)
-    q = random_joint_values(robot)
-    if not np.abs(result.poses(q) - robot.poses(q)).max() <= TOLERANCE:
-        message = (
-            f"{robot.urdf.source} and {nominal.urdf.source} differ in more than the origins of their joints, so that "
-            "one cannot be written on the other. Leave out --robot, or give the URDF that the other was made from."
-        )
-        raise ModelError(message)
-    return result
 
 
 def _write_origins(source: Source, wanted: Wanted) -> tuple[str, ...]:
@@ -181,10 +190,10 @@ def _write_origins(source: Source, wanted: Wanted) -> tuple[str, ...]:
     return ()
 
 
-def _write_dh(source: Source, wanted: Wanted) -> tuple[str, ...]:
+def _write_dh(convention: str, source: Source, wanted: Wanted) -> tuple[str, ...]:
     """DH rows, beside the nominal ones where these are another robot's."""
     nominal = None if source.nominal is source.robot else source.nominal
-    tables = DHTables.of(source.robot, nominal, _CONVENTIONS[wanted.format])
+    tables = DHTables.of(source.robot, nominal, convention)
     write_dh(tables, wanted.path, overwrite=wanted.overwrite)
     return tables.remarks
 
@@ -250,42 +259,26 @@ def _tried(
     write: Callable[[Path], UrWritten],
     read: Callable[[Path, Array], Array],
 ) -> tuple[str, ...]:
-    """Write a file of Universal Robots after it was written elsewhere, read back and compared."""
-    nominal, arm = _arm(source, wanted)
-    q = random_joint_values(source.robot)
-    with TemporaryDirectory() as folder:
-        trial = write(Path(folder) / wanted.path.name)
-        check_read_back(read(trial.path, q), q, source.robot, nominal, arm, trial)
-    return write(wanted.path).remarks
-
-
-def check_read_back(
-    flange: Array, q: Array, robot: Robot, nominal: Robot, arm: UrModel, written: UrWritten
-) -> None:
-    """Compare what a file of Universal Robots says, with what it has no place for put back, with the robot.
-
-    Args:
-        flange: The controller's flange in its base by the file's own numbers, shape (N, 4, 4), [m].
-        q: Joint values there, shape (N, 6), [rad].
-        robot: The robot that was written.
-        nominal: The nominal robot of both.
-        arm: The arm that the source is of, whatever the writer took it for.
-        written: What was written.
+    """Write a file of Universal Robots after it was written elsewhere, read back and compared.
 
     Raises:
-        ModelError: They differ by more than 1e-9 m and rad, or by more than was said when it was written.
+        ModelError: With what it has no place for put back, it is not the robot.
     """
+    nominal, arm = _arm(source, wanted)
+    q = random_joint_values(source.robot)
     _, mounted = the_mount(nominal, arm)
-    made = mounted.T_base_arm @ written.T_base @ flange @ written.T_tool @ mounted.T_flange_tip
-    off = float(np.abs(made - robot.poses(q)).max())
-    # Rows between almost parallel axes may hold less; then a remark has said how much.
-    allowed = 1e-6 if any(ROWS_HOLD in remark for remark in written.remarks) else TOLERANCE
-    if not off <= allowed:
+    with TemporaryDirectory() as folder:
+        trial = write(Path(folder) / wanted.path.name)
+        flange = trial.T_base @ read(trial.path, q) @ trial.T_tool
+    made = mounted.T_base_arm @ flange @ mounted.T_flange_tip
+    off = float(np.abs(made - source.robot.poses(q)).max())
+    if not off <= trial.exact:
         message = (
-            f"{written.path.name}: read back, it puts the tip of '{robot.name}' {off:.1e} m or rad off; "
-            f"{allowed:g} is allowed, so it is not written. Please report this with what was converted."
+            f"{wanted.path.name}: read back, it puts the tip of '{source.robot.name}' {off:.1e} m or rad off; "
+            f"{trial.exact:g} is allowed, so it is not written. Please report this with what was converted."
         )
         raise ModelError(message)
+    return write(wanted.path).remarks
 
 
 def _arm(source: Source, wanted: Wanted) -> tuple[Robot, UrModel]:
@@ -304,39 +297,21 @@ def _arm(source: Source, wanted: Wanted) -> tuple[Robot, UrModel]:
     return source.nominal, source.model
 
 
-_WRITERS: Mapping[str, Callable[[Source, Wanted], tuple[str, ...]]] = {
-    "urdf": _write_urdf,
-    "ur-yaml": _write_ur_yaml,
-    "ur-conf": _write_ur_conf,
-    "origins": _write_origins,
-    **dict.fromkeys(_CONVENTIONS, _write_dh),
-}
+def _dh(name: str, what: str, convention: str) -> Format:
+    """A row for DH rows in a convention."""
+    return Format(name, f"DH rows{what}", ENDINGS, partial(_write_dh, convention), any_ending=False)
 
 
-def check_options(wanted: Wanted, source_kind: str) -> None:
-    """Refuse options that would be passed over in silence.
-
-    Raises:
-        CalibError: One that this conversion has no use for.
-    """
-    if wanted.update is not None and wanted.format != "ur-conf":
-        message = (
-            f"--update {wanted.update} is the calibration.conf whose other lines the format 'ur-conf' keeps; the "
-            f"format here is '{wanted.format}'. Leave it out, or add --to ur-conf."
-        )
-        raise CalibError(message)
-    if wanted.hash_from is not None and wanted.format != "ur-yaml":
-        message = (
-            f"--hash-from {wanted.hash_from} is the file whose hash the format 'ur-yaml' keeps; the format here is "
-            f"'{wanted.format}'. Leave it out, or add --to ur-yaml."
-        )
-        raise CalibError(message)
-    reads_conf = source_kind == UR_CONF or (
-        wanted.hash_from is not None and wanted.hash_from.suffix.lower() == ".conf"
+FORMATS: Mapping[str, Format] = {
+    one.name: one
+    for one in (
+        Format("urdf", "the URDF", (".urdf", ".xml"), _write_urdf),
+        Format("ur-yaml", "kinematics.yaml of Universal Robots' ROS driver", _YAML, _write_ur_yaml),
+        Format("ur-conf", "DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf),
+        Format("origins", "the joints' origins, for a xacro to load", _YAML, _write_origins),
+        _dh("dh", ", standard convention", STANDARD),
+        _dh("modified-dh", ", modified (Craig's) convention", MODIFIED),
+        _dh("hayati", " with Hayati's beta", HAYATI),
     )
-    if wanted.urcontrol is not None and not reads_conf:
-        message = (
-            f"--urcontrol {wanted.urcontrol} has the nominal rows that a calibration.conf counts from; neither SOURCE "
-            "nor --hash-from is one. Leave it out."
-        )
-        raise CalibError(message)
+}
+"""The formats by name."""

@@ -10,21 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.compensate.origins_file import Origins, origins_of, read_origins
-from calib.compensate.universal_robots import UrSource, read_ur_conf, read_ur_yaml
-from calib.compensate.ur_models import UrModel, ur_model, ur_robot
-from calib.compensate.ur_mount import recognised, the_mount
 from calib.data import paper_urdf
 from calib.errors import CalibError, FileError, ModelError, choices
+from calib.formats.origins import Origins, origins_of, read_origins
+from calib.formats.universal_robots import UrSource, read_ur_conf, read_ur_yaml
+from calib.formats.ur_models import UrModel, ur_model, ur_robot
+from calib.formats.ur_mount import recognised, the_mount
+from calib.formats.yaml_file import read_yaml
 from calib.identify.result_file import read_table, stored_result
 from calib.identify.stored import StoredResult
-from calib.model.files import read_bytes
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot
 from calib.model.sources import recorded_urdf
 from calib.model.urdf import Urdf
 from calib.model.xacro_file import is_xacro
-from calib.model.yaml_file import yaml_keys
 
 Array = NDArray[np.float64]
 
@@ -42,7 +41,6 @@ _READ = (
     "a calibration.conf or a kinematics.yaml of Universal Robots, a result (.json) of 'calib fit', an origins file "
     "(.yaml), a URDF, a xacro, or the name of a robot such as 'ur3'"
 )
-
 
 #: Origins of one robot differ by less than this [m; entries of the rotation].
 _SAME = 1e-6
@@ -120,7 +118,7 @@ def source_kind(source: str) -> str:
     if ending in (".conf", ".json"):
         return UR_CONF if ending == ".conf" else RESULT
     if ending in (".yaml", ".yml"):
-        keys = yaml_keys(read_bytes(source, "YAML file"), source, "YAML file")
+        keys = tuple(map(str, read_yaml(source, "YAML file")))
         for key, kind in (("kinematics", UR_YAML), ("origins", ORIGINS)):
             if key in keys:
                 return kind

@@ -9,34 +9,28 @@ A xacro that keeps its joints' origins in a file of their own needs no other cha
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.errors import FileError, UrdfError, choices, did_you_mean
+from calib.errors import FileError, UrdfError, choices
+from calib.formats.yaml_file import parse_yaml
 from calib.model.files import read_bytes, write_atomically
 from calib.model.number_text import NUMBER
 from calib.model.robot import Robot
-from calib.model.urdf import Urdf
-from calib.model.urdf_joints import FARTHEST
-from calib.model.yaml_file import parse_yaml
-
-__all__ = ["JointOrigin", "Origins", "origins_of", "parse_origins", "read_origins", "write_origins"]
+from calib.model.urdf_joints import FARTHEST, did_you_mean
 
 FloatArray = NDArray[np.float64]
+Triple = tuple[float, float, float]
 
-
-_SECTION = "origins"
+_SECTION, _KEYS = "origins", ("xyz", "rpy")
 _EXAMPLE = 'elbow_joint: {xyz: "0.0 0.0 0.15", rpy: "0.0 0.0 1e-05"}'
-_KEYS = ("xyz", "rpy")
 
 #: Names that YAML takes as text without quotes: all else is quoted, its yes, no, on, off and null too.
 _PLAIN = re.compile(
@@ -61,8 +55,8 @@ class JointOrigin:
         rpy: Rotation about the parent link's fixed x, y, z axes [rad], R = Rz(yaw) Ry(pitch) Rx(roll).
     """
 
-    xyz: tuple[float, float, float]
-    rpy: tuple[float, float, float]
+    xyz: Triple
+    rpy: Triple
 
     @property
     def T_parent_joint(self) -> FloatArray:
@@ -70,7 +64,6 @@ class JointOrigin:
         T = np.eye(4)
         T[:3, :3] = pin.rpy.rpyToMatrix(*self.rpy)
         T[:3, 3] = self.xyz
-        T.setflags(write=False)
         return T
 
 
@@ -101,14 +94,17 @@ class Origins:
                     "was made for."
                 )
                 raise UrdfError(message)
-        return robot.rebuilt(_with(robot.urdf, self.joints))
+        origins = {name: origin.T_parent_joint for name, origin in self.joints}
+        return robot.rebuilt(robot.urdf.with_origins(origins))
 
     def to_yaml(self, header: str = "") -> bytes:
         """The file's bytes: ``header``, then one line for each joint; numbers read back exactly."""
         lines = [f"{_SECTION}:"]
         for name, origin in self.joints:
             key = name if _PLAIN.fullmatch(name) else _quoted(name)
-            lines.append(f'  {key}: {{xyz: "{_text(origin.xyz)}", rpy: "{_text(origin.rpy)}"}}')
+            lines.append(
+                f'  {key}: {{xyz: "{" ".join(map(repr, origin.xyz))}", rpy: "{" ".join(map(repr, origin.rpy))}"}}'
+            )
         return (header + "\n".join(lines) + "\n").encode()
 
 
@@ -124,8 +120,7 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
     """Write `origins_of` a robot as YAML, whole or not at all; it was read back and compared before.
 
     Raises:
-        FileError: The file exists and ``overwrite`` is False, or it cannot be written; or a joint's name is too long
-            for YAML.
+        FileError: The file exists and ``overwrite`` is False, it cannot be written, or YAML cannot hold the names.
     """
     origins = origins_of(robot)
     header = _HEADER.format(
@@ -137,16 +132,9 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
         joint=_one_line(origins.joints[0][0]),
     )
     data = origins.to_yaml(header)
-    try:
-        found = parse_origins(data, str(path))
-    except FileError as error:
-        longest = max((name for name, _ in origins.joints), key=len)
-        message = (
-            f"{path}: the origins of '{robot.name}' are not written: YAML takes no name of more than 1024 characters, "
-            f"and the joint '{longest[:30]}...' has one of {len(longest)}. Give it a shorter name in the URDF."
-        )
-        raise FileError(message) from error
-    assert found.joints == origins.joints, "an origins file reads back as it was written"
+    if parse_origins(data, str(path)).joints != origins.joints:
+        message = f"{path}: the origins of '{robot.name}' do not read back; rename its joints in the URDF."
+        raise FileError(message)
     return write_atomically(path, data, overwrite=overwrite)
 
 
@@ -169,55 +157,36 @@ def parse_origins(data: bytes, source: str) -> Origins:
     Raises:
         FileError: It is no origins file; the text names file, joint and key.
     """
-    table = parse_yaml(data, source, "origins file")
-    if not isinstance(table, dict) or not isinstance(table.get(_SECTION), dict):
+    table = parse_yaml(data, source, "origins file").get(_SECTION)
+    if not isinstance(table, dict) or not table:
         message = (
             f"{source}: this is no origins file: it has no section '{_SECTION}:' with a line for each joint, such as "
             f"{_EXAMPLE}"
         )
         raise FileError(message)
-    joints: list[tuple[str, JointOrigin]] = []
-    for name, value in table[_SECTION].items():
-        if not isinstance(name, str):
-            message = (
-                f"{source}: '{name}' under '{_SECTION}' is no joint's name; write it in quotes"
-            )
-            raise FileError(message)
-        joints.append((name, _origin(name, value, source)))
-    if not joints:
-        message = (
-            f"{source}: '{_SECTION}' has no joints; give one line for each, such as {_EXAMPLE}"
-        )
-        raise FileError(message)
-    return Origins(tuple(joints), Path(source).name)
+    joints = tuple((name, _origin(name, value, source)) for name, value in table.items())
+    return Origins(joints, Path(source).name)
 
 
-def _origin(name: str, value: object, source: str) -> JointOrigin:
+def _origin(name: object, value: object, source: str) -> JointOrigin:
     """The origin of one joint."""
     where = f"{source}, {_SECTION}, joint '{name}'"
-    if not isinstance(value, dict):
-        message = f"{where}: xyz and rpy are wanted, as in {_EXAMPLE}"
+    if not isinstance(name, str):
+        message = f"{where}: this is no joint's name; write it in quotes"
         raise FileError(message)
-    for key in value:
-        if key not in _KEYS:
-            message = f"{where}: '{key}' is not known here; the keys are {choices(_KEYS)}"
-            raise FileError(message)
-    for key in _KEYS:
-        if key not in value:
-            message = (
-                f"{where}: '{key}' is missing; the keys are {choices(_KEYS)}, as in {_EXAMPLE}"
-            )
-            raise FileError(message)
+    if not isinstance(value, dict) or set(value) != set(_KEYS):
+        found = f", not {choices(map(str, value))}" if isinstance(value, dict) else ""
+        message = f"{where}: the keys {choices(_KEYS)} are wanted{found}, as in {_EXAMPLE}"
+        raise FileError(message)
     return JointOrigin(*(_numbers(value[key], key, where) for key in _KEYS))
 
 
-def _numbers(value: Any, key: str, where: str) -> tuple[float, float, float]:  # noqa: ANN401  YAML
+def _numbers(value: object, key: str, where: str) -> Triple:
     """Three finite numbers of a text, or of a list as other programs write them."""
-    words: Iterable[object] = value.split() if isinstance(value, str) else ()
-    if isinstance(value, list):
-        words = value
-    found = [_number(word) for word in words]
-    if len(found) != len("xyz") or not all(abs(number) <= FARTHEST for number in found):
+    words = value.split() if isinstance(value, str) else value if isinstance(value, list) else []
+    texts = ["" if isinstance(word, bool) else str(word) for word in words]
+    found = [float(text) for text in texts if NUMBER.fullmatch(text)]
+    if not len(texts) == len(found) == 3 or not all(abs(number) <= FARTHEST for number in found):
         unit = "m" if key == "xyz" else "rad"
         message = (
             f"{where}: {key} is {value!r}; three numbers [{unit}] no larger than {FARTHEST:g} are wanted, "
@@ -227,30 +196,10 @@ def _numbers(value: Any, key: str, where: str) -> tuple[float, float, float]:  #
     return _triple(found)
 
 
-def _number(word: object) -> float:
-    """A number, or text that is one; NaN for anything else."""
-    if isinstance(word, str):
-        return float(word) if NUMBER.fullmatch(word) else math.nan
-    return (
-        float(word) if isinstance(word, (int, float)) and not isinstance(word, bool) else math.nan
-    )
-
-
-def _with(urdf: Urdf, joints: Iterable[tuple[str, JointOrigin]]) -> Urdf:
-    """The URDF with these origins."""
-    origins: Mapping[str, FloatArray] = {name: origin.T_parent_joint for name, origin in joints}
-    return urdf.with_origins(origins)
-
-
-def _triple(values: Iterable[float]) -> tuple[float, float, float]:
+def _triple(values: Iterable[float]) -> Triple:
     """Three plain floats, without -0."""
     x, y, z = (float(value) + 0.0 for value in values)
     return (x, y, z)
-
-
-def _text(values: Iterable[float]) -> str:
-    """Numbers that read back exactly."""
-    return " ".join(map(repr, values))
 
 
 def _quoted(name: str) -> str:

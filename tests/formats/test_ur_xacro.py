@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.compensate.universal_robots import read_ur_conf, read_ur_yaml, write_ur_yaml
-from calib.compensate.ur_conf import write_deltas
-from calib.compensate.ur_models import LINKS
-from calib.compensate.ur_mount import recognised
 from calib.errors import UrdfError
+from calib.formats.universal_robots import read_ur_conf, read_ur_yaml, write_ur_yaml
+from calib.formats.ur_conf import write_deltas
+from calib.formats.ur_models import LINKS
+from calib.formats.ur_mount import recognised
 from calib.model.robot import Robot
-from tests.compensate.ur_cases import WITH_DELTAS, rows
+from tests.formats.ur_cases import WITH_DELTAS, rows
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 KEYS = ("x", "y", "z", "roll", "pitch", "yaw")

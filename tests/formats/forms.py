@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 import calib.data
-from calib.compensate.conversion import Wanted, write_target
-from calib.compensate.conversion_source import Asked, read_source
+from calib.formats.convert import Wanted, write_target
+from calib.formats.sources import Asked, read_source
 from calib.identify.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot
-from tests.compensate.ur_cases import CALIBRATIONS
+from tests.formats.ur_cases import CALIBRATIONS
 
 UR3 = next(case for case in CALIBRATIONS if case["robot"] == "UR3")
 

@@ -19,8 +19,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.compensate.dh_tables import AFTER, BEFORE, CHANGE, DHTables
 from calib.errors import FileError, choices
+from calib.formats.dh_tables import AFTER, BEFORE, CHANGE, DHTables
 from calib.model.dh_table import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.model.files import write_atomically
 from calib.model.json_file import json_bytes

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.compensate.ur_conf import (
+from calib.errors import FileError
+from calib.formats.ur_conf import (
     not_linearised,
     other_keys,
     read_deltas,
@@ -13,9 +14,8 @@ from calib.compensate.ur_conf import (
     update_deltas,
     write_deltas,
 )
-from calib.compensate.ur_dh import COLUMNS, FullDH
-from calib.errors import FileError
-from tests.compensate.ur_cases import WITH_DELTAS, rows
+from calib.formats.ur_dh import COLUMNS, FullDH
+from tests.formats.ur_cases import WITH_DELTAS, rows
 
 DELTAS = rows(WITH_DELTAS[0]["delta"])
 
@@ -180,7 +180,10 @@ DAMAGED = {
         r"has no delta_alpha \(did you mean 'delta_alfa'\?",
     ),
     "equals": (CONF.replace("delta_a =", "delta_a"), r"has no delta_a"),
-    "five": (CONF.replace("1.5e-06, 0]", "1.5e-06]"), r"line 4: delta_a has 5 values; .* six"),
+    "five": (
+        CONF.replace("1.5e-06, 0]", "1.5e-06]"),
+        r"line 4: delta_a is .* six numbers in brackets",
+    ),
     "text": (CONF.replace("0.0111", "zero"), r"line 4: delta_a of joint 2 is 'zero'; .* \[m\]"),
     "nan": (CONF.replace("-0.25", "nan"), r"line 3: delta_theta of joint 2 is 'nan'; .* \[rad\]"),
     "inf": (CONF.replace("0.0073", "inf"), r"delta_alpha of joint 3 is 'inf'"),
@@ -196,11 +199,7 @@ DAMAGED = {
     ),
     "open, the first": (
         CONF.replace("-7.0e-07] # rad", "-7.0e-07 # rad"),
-        r"line 3: delta_theta is '\[ 2.5e-08.*a list of six numbers in brackets is wanted",
-    ),
-    "old Mac": (
-        CONF.replace("\n", "\r"),
-        r"its lines end in carriage returns alone, .* \(LF or CRLF",
+        r"line 3: delta_theta is '\[ 2.5e-08.*a list of six numbers in brackets, one",
     ),
     "mm": (CONF.replace("0.0111", "11.1"), r"joint 2 is 11.1, more than 10 m: .* metres"),
     "deg": (CONF.replace("0.0073", "0.73"), r"alpha of joint 3 is 0.73, more than 0.5 rad"),

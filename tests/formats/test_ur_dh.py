@@ -4,7 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.compensate.ur_dh import (
+from calib.errors import ModelError
+from calib.formats.ur_dh import (
     COLUMNS,
     FullDH,
     at_flange,
@@ -12,9 +13,8 @@ from calib.compensate.ur_dh import (
     fitted_rows,
     kinematics_hash,
 )
-from calib.compensate.ur_models import MODELS, ur_model
-from calib.errors import ModelError
-from tests.compensate.ur_cases import CALIBRATIONS, CASES, WITH_DELTAS, rows
+from calib.formats.ur_models import MODELS, ur_model
+from tests.formats.ur_cases import CALIBRATIONS, CASES, WITH_DELTAS, rows
 
 Q = np.random.default_rng(6).uniform(-2 * np.pi, 2 * np.pi, (100, 6))
 

@@ -4,10 +4,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.compensate.ur_dh import FullDH, chain_poses
-from calib.compensate.ur_models import ur_model, ur_robot
-from calib.compensate.ur_mount import mount, recognised, the_mount
 from calib.errors import ModelError
+from calib.formats.ur_dh import FullDH, chain_poses
+from calib.formats.ur_models import ur_model, ur_robot
+from calib.formats.ur_mount import mount, recognised, the_mount
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from calib.compensate.ur_dh import COLUMNS, FullDH
+from calib.formats.ur_dh import COLUMNS, FullDH
 
 CASES = json.loads(Path(__file__).with_name("cases.json").read_text(encoding="utf-8"))
 CALIBRATIONS = CASES["calibrations"]

@@ -4,7 +4,7 @@
     kinematics.yaml   ->  placements  ->  Robot
 
 and back, whichever frames the robot's URDF uses, because its nominal kinematics are recognised. What a file has no
-place for is returned and said, never dropped in silence.
+place for is returned and said, never dropped in silence. Of which arm a file is, is in `calib.formats.ur_check`.
 """
 
 from __future__ import annotations
@@ -14,48 +14,45 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.compensate.ur_arm import (
-    FARTHEST,
-    advice,
-    arm_of,
-    checked_distance,
-    distance_from,
-    fits_others,
-    hash_remarks,
-    joint_values,
-    nearest_arm,
-    odd,
-    same,
-)
-from calib.compensate.ur_conf import (
+from calib.errors import FileError, ModelError
+from calib.formats.ur_check import Given, checked_distance, fits_others, hash_remarks, nearest, odd
+from calib.formats.ur_conf import (
     not_linearised,
     other_keys,
     read_deltas,
     update_deltas,
     write_deltas,
 )
-from calib.compensate.ur_dh import FullDH, at_flange, chain_poses, fitted_rows, kinematics_hash
-from calib.compensate.ur_findings import (
-    base_remark,
-    name_remark,
-    rows_remark,
-    status_remark,
-    tidy,
-    tool_remark,
+from calib.formats.ur_dh import (
+    ROUNDING,
+    FullDH,
+    at_flange,
+    chain_poses,
+    fitted_rows,
+    kinematics_hash,
 )
-from calib.compensate.ur_models import MODELS, UrModel, ur_model, ur_robot
-from calib.compensate.ur_mount import Mount, the_mount, with_chain
-from calib.compensate.ur_yaml import check_hash, read_yaml, write_yaml
-from calib.errors import FileError, ModelError
+from calib.formats.ur_models import MODELS, UrModel, ur_model, ur_robot
+from calib.formats.ur_mount import FARTHEST, SPREAD, Mount, distance_from, the_mount
+from calib.formats.ur_yaml import check_hash, read_yaml, write_yaml
 from calib.model.anchoring import anchored_placements, check_same_joints
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
+PathLike = str | os.PathLike[str]
 
 #: Written rows may differ from the robot by this [m and rad].
 _EXACT = 1e-9
+
+#: Decimals of mm and mrad in which 1e-9 m and rad can be seen.
+_DECIMALS = 6
+
+#: A d is longer than an arm where a common normal stands far away [m].
+_LONG = 10.0
+
+_OWN = "Give the file of this robot's own controller."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,10 +76,10 @@ class UrSource:
 
 @dataclass(frozen=True, slots=True)
 class UrHash:
-    """The name of a calibration, as the ROS driver makes it.
+    """The name of a calibration, as the ROS driver makes it, such as ``"calib_12788084448423163542"``.
 
     Attributes:
-        hash: Such as ``"calib_12788084448423163542"``.
+        hash: The name.
         remarks: What to mind about it, sentence by sentence; most often nothing.
     """
 
@@ -102,6 +99,7 @@ class UrWritten:
         T_base: shape (4, 4), [m]: a displacement of the base that the file cannot hold; the identity if there is none.
         T_tool: shape (4, 4), [m]: the same of the flange, behind the last joint.
         remarks: What to tell the user about these and about the file, sentence by sentence; none if it holds all.
+        exact: What the file may differ from the robot by [m and rad].
     """
 
     path: Path
@@ -109,12 +107,13 @@ class UrWritten:
     T_base: Array
     T_tool: Array
     remarks: tuple[str, ...]
+    exact: float = _EXACT
 
 
 def read_ur_conf(
-    path: str | os.PathLike[str],
+    path: PathLike,
     *,
-    urcontrol: str | os.PathLike[str] | None = None,
+    urcontrol: PathLike | None = None,
     model: UrModel | str | None = None,
     robot: Robot | None = None,
 ) -> UrSource:
@@ -130,31 +129,34 @@ def read_ur_conf(
         FileError: A file cannot be read, or its numbers are not those of a calibration of this arm.
         ModelError: The model is not known, or is not that of the robot, or is not given.
     """
-    arm = arm_of(path, urcontrol, model, robot)
+    given = Given(urcontrol, model, robot)
+    arm = given.arm(path)
     nominal = ur_robot(arm) if robot is None else robot
     _, mounted = the_mount(nominal, arm)
     deltas = read_deltas(path)
-    rows = arm.nominal + deltas
 
     def chain_of(one: UrModel) -> Array:
         return (one.nominal + deltas).chain()
 
-    moved = checked_distance(path, arm, chain_of, advice(urcontrol, robot))
-    raw = mounted.placements_of(rows.chain(), nominal)
+    moved = checked_distance(path, arm, chain_of, given.advice)
+    raw = mounted.placements_of(chain_of(arm), nominal)
     placements = anchored_placements(raw, nominal.placements, nominal.joints)
-    calibrated = nominal.with_placements(placements)
-    hash = kinematics_hash(rows)
-    remarks = name_remark(nominal, arm, mounted) + odd(path, moved, arm)
+    hash = kinematics_hash(arm.nominal + deltas)
+    remarks = _name_remark(nominal, arm, mounted) + odd(path, moved, arm)
     if urcontrol is None:
-        given = [("--robot", robot), ("--ur-model", model)]
-        names = " and ".join(option for option, value in given if value is not None)
-        remarks += fits_others(path, arm, chain_of, moved, names)
-    remarks += status_remark(path, not_linearised(path)) + hash_remarks(path, hash)
-    return UrSource(nominal, calibrated, hash, arm, remarks)
+        remarks += fits_others(path, arm, chain_of, moved, given.named)
+    status = not_linearised(path)
+    if status:
+        remarks += (
+            f"{path} has calibration_status = {status}, which is not 2, linearised: the controller may not use these "
+            "deltas. They were taken as they are; check that the robot is calibrated.",
+        )
+    remarks += hash_remarks(path, hash)
+    return UrSource(nominal, nominal.with_placements(placements), hash, arm, remarks)
 
 
 def read_ur_yaml(
-    path: str | os.PathLike[str],
+    path: PathLike,
     *,
     model: UrModel | str | None = None,
     robot: Robot | None = None,
@@ -171,35 +173,33 @@ def read_ur_yaml(
         FileError: The file cannot be read, or its numbers are not those of a calibration of this arm.
         ModelError: The model is not known, or is not that of the robot.
     """
-    given = None if model is None else ur_model(model)
+    given = Given(None, None if model is None else ur_model(model), robot)
     content = read_yaml(path)
     remarks: tuple[str, ...] = ()
-    if robot is not None:
-        arm, _ = the_mount(robot, given)
-    elif given is not None:
-        arm = given
-    else:
-        arm = nearest_arm(content.chain)
-        names = [one.name for one in MODELS if same(one.nominal, arm.nominal)]
+    if robot is None and model is None:
+        arm = nearest(content.chain)
+        names = [one.name for one in MODELS if one.same(arm.nominal)]
         remarks = (
             f"{path} does not say of which arm it is; its kinematics are those of the {' or '.join(names)}.",
         )
+    else:
+        arm = given.arm(path)
     nominal = ur_robot(arm) if robot is None else robot
-    moved = checked_distance(path, arm, lambda _: content.chain, advice(None, robot))
+    moved = checked_distance(path, arm, lambda _: content.chain, given.advice)
     _, mounted = the_mount(nominal, arm)
     if content.hash is None:
         remarks += (f"{path} has no hash; the ROS driver wants the robot's own.",)
     else:
         remarks += hash_remarks(path, content.hash)
-    calibrated = with_chain(nominal, mounted, content.chain)
-    remarks += name_remark(nominal, arm, mounted) + odd(path, moved, arm)
+    calibrated = nominal.with_placements(mounted.placements_of(content.chain, nominal))
+    remarks += _name_remark(nominal, arm, mounted) + odd(path, moved, arm)
     return UrSource(nominal, calibrated, content.hash, arm, remarks)
 
 
 def write_ur_yaml(
     robot: Robot,
     nominal: Robot,
-    path: str | os.PathLike[str],
+    path: PathLike,
     *,
     hash: str,
     model: UrModel | str | None = None,
@@ -225,24 +225,24 @@ def write_ur_yaml(
         FileError: The file cannot be written, or the hash is none.
     """
     check_hash(hash)
-    arm, mounted = the_mount(nominal, None if model is None else ur_model(model))
-    chain = at_flange(_chain_of(robot, nominal, arm, mounted))
-    T_tool = tidy(chain[6])
+    arm, mounted, chain = _chain_of(robot, nominal, model)
+    chain = at_flange(chain)
+    T_tool = np.eye(4) if np.abs(chain[6] - np.eye(4)).max() < ROUNDING else chain[6]
     kind = arm.name if arm.known else "arm"
     comments = (
         f"Kinematics of one Universal Robots {kind}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll).",
     )
     written = write_yaml(path, chain, hash, comments, overwrite=overwrite)
-    remarks = name_remark(nominal, arm, mounted) + tool_remark(written, T_tool)
-    return UrWritten(written, arm, read_only(np.eye(4)), T_tool, remarks)
+    remarks = _name_remark(nominal, arm, mounted) + _tool_remark(written, T_tool)
+    return UrWritten(written, arm, read_only(np.eye(4)), read_only(T_tool), remarks)
 
 
 def write_ur_conf(
     robot: Robot,
     nominal: Robot,
-    path: str | os.PathLike[str],
+    path: PathLike,
     *,
-    update: str | os.PathLike[str] | None = None,
+    update: PathLike | None = None,
     like: FullDH | None = None,
     model: UrModel | str | None = None,
     overwrite: bool = False,
@@ -267,20 +267,23 @@ def write_ur_conf(
         ModelError: The nominal robot is not a Universal Robots arm, or the robot is no correction of it.
         FileError: A file cannot be read or written.
     """
-    arm, mounted = the_mount(nominal, None if model is None else ur_model(model))
-    chain = _chain_of(robot, nominal, arm, mounted)
+    arm, mounted, chain = _chain_of(robot, nominal, model)
     if update is not None:
-        like = read_deltas(update)
-        _check_deltas(
-            update, arm, like, "Give the calibration.conf of this robot's own controller."
-        )
+        like = deltas = read_deltas(update)
+        advice = "Give the calibration.conf of this robot's own controller."
+        checked_distance(update, arm, lambda one: (one.nominal + deltas).chain(), advice)
     fitted = fitted_rows(chain, arm.nominal, like)
-    q = joint_values()
-    made = fitted.T_base @ fitted.rows.poses(q) @ fitted.T_tool
-    missed = float(np.abs(made - chain_poses(chain, q)).max())
-    remarks = list(name_remark(nominal, arm, mounted))
+    made = fitted.T_base @ fitted.rows.poses(SPREAD) @ fitted.T_tool
+    missed = float(np.abs(made - chain_poses(chain, SPREAD)).max())
+    remarks = list(_name_remark(nominal, arm, mounted))
     if missed > _EXACT:
-        remarks.append(rows_remark(fitted.rows, missed))
+        longest = float(np.abs(fitted.rows.d).max())
+        reason = (
+            f"d is {longest:.2g} m where two axes are almost parallel, and no more digits fit"
+            if longest > _LONG
+            else "two axes that are less than 0.01 microradians from parallel are taken as parallel"
+        )
+        remarks.append(f"The rows hold the robot to {missed:.1e} m: {reason}.")
     if update is None:
         written = write_deltas(path, fitted.deltas, overwrite=overwrite)
     else:
@@ -291,14 +294,16 @@ def write_ur_conf(
                 f"{', '.join(kept)} are as in {update}: calib does not know how the controller makes them. Keep a "
                 "copy of the controller's own file."
             )
-    remarks += [*base_remark(written, fitted.T_base), *tool_remark(written, fitted.T_tool)]
-    return UrWritten(written, arm, fitted.T_base, fitted.T_tool, tuple(remarks))
+    remarks += [*_base_remark(written, fitted.T_base), *_tool_remark(written, fitted.T_tool)]
+    # Rows between almost parallel axes may hold less, which is said.
+    exact = 1e-6 if missed > _EXACT else _EXACT
+    return UrWritten(written, arm, fitted.T_base, fitted.T_tool, tuple(remarks), exact)
 
 
 def read_ur_hash(
-    path: str | os.PathLike[str],
+    path: PathLike,
     *,
-    urcontrol: str | os.PathLike[str] | None = None,
+    urcontrol: PathLike | None = None,
     model: UrModel | str | None = None,
     robot: Robot | None = None,
 ) -> UrHash:
@@ -315,38 +320,30 @@ def read_ur_hash(
         FileError: The file cannot be read, has no hash, or is of another arm.
         ModelError: The model is not known or not given.
     """
-    own = "Give the file of this robot's own controller."
+    given = Given(urcontrol, model, robot)
     if Path(path).suffix.lower() == ".conf":
-        arm = arm_of(path, urcontrol, model, robot)
-        deltas = read_deltas(path)
-        moved = _check_deltas(path, arm, deltas, own)
+        arm, deltas = given.arm(path), read_deltas(path)
+        moved = checked_distance(path, arm, lambda one: (one.nominal + deltas).chain(), _OWN)
         hash = kinematics_hash(arm.nominal + deltas)
         return UrHash(hash, odd(path, moved, arm) + hash_remarks(path, hash))
     content = read_yaml(path)
     if content.hash is None:
         message = f"{path}: there is no 'hash' in it. Give the robot's own kinematics.yaml, or its calibration.conf."
         raise FileError(message)
-    told = urcontrol is not None or model is not None or robot is not None
-    arm = arm_of(path, urcontrol, model, robot) if told else nearest_arm(content.chain)
-    moved = checked_distance(path, arm, lambda _: content.chain, own)
+    arm = nearest(content.chain) if given.nothing else given.arm(path)
+    moved = checked_distance(path, arm, lambda _: content.chain, _OWN)
     return UrHash(content.hash, odd(path, moved, arm) + hash_remarks(path, content.hash))
 
 
-def _check_deltas(path: str | os.PathLike[str], arm: UrModel, deltas: FullDH, advice: str) -> float:
-    """How far the deltas of a file move the flange [m].
-
-    Raises:
-        FileError: They are another arm's.
-    """
-    return checked_distance(path, arm, lambda one: (one.nominal + deltas).chain(), advice)
-
-
-def _chain_of(robot: Robot, nominal: Robot, arm: UrModel, mounted: Mount) -> Array:
-    """The placements of a calibrated arm, shape (7, 4, 4), [m].
+def _chain_of(
+    robot: Robot, nominal: Robot, model: UrModel | str | None
+) -> tuple[UrModel, Mount, Array]:
+    """The arm, how it is mounted, and its placements when calibrated, shape (7, 4, 4), [m].
 
     Raises:
         ModelError: It is no correction of the nominal robot.
     """
+    arm, mounted = the_mount(nominal, None if model is None else ur_model(model))
     check_same_joints(robot, nominal)
     chain = mounted.chain_of(robot)
     moved = distance_from(chain, arm)
@@ -356,4 +353,55 @@ def _chain_of(robot: Robot, nominal: Robot, arm: UrModel, mounted: Mount) -> Arr
             "that it is no correction of it. Give the nominal URDF that the robot was corrected from."
         )
         raise ModelError(message)
-    return chain
+    return arm, mounted, chain
+
+
+# What is to be said of an arm
+
+
+def _name_remark(robot: Robot, arm: UrModel, mounted: Mount) -> tuple[str, ...]:
+    """A sentence about a robot that is not nominal, whose base and flange were found by name."""
+    if mounted.off == mounted.turned == 0.0:
+        return ()
+    return (
+        f"'{robot.name}' ({robot.urdf.source}) is not the nominal {arm.name}: its flange lies up to "
+        f"{1e3 * mounted.off:.2g} mm and {1e3 * mounted.turned:.2g} mrad off, because it was calibrated before or its "
+        "numbers are rounded. Its base and its flange are taken to be where the names of its links say.",
+    )
+
+
+def _base_remark(path: Path, T: Array) -> tuple[str, ...]:
+    """What to do with a displacement of the base."""
+    lies = _displacement(T)
+    if not lies:
+        return ()
+    return (
+        f"Not in {path}: the first axis lies {lies}, along and about the axes of the controller's base "
+        "(link 'base'), from where the base has it, and DH rows begin on it. To put this right move the frame that "
+        "poses are given in: T_base_frame becomes T_base^-1 T_base_frame, where T_base is this displacement.",
+    )
+
+
+def _tool_remark(path: Path, T: Array) -> tuple[str, ...]:
+    """What to do with a displacement of the flange."""
+    lies = _displacement(T)
+    if not lies:
+        return ()
+    return (
+        f"Not in {path}: the flange lies {lies}, along and about the axes of the controller's flange "
+        "(link 'tool0'), from where the last joint has it, and there is no place for that behind the joint. To put "
+        "this right add it to the tool: T_flange_tcp becomes T_tool T_flange_tcp, where T_tool is this displacement.",
+    )
+
+
+def _displacement(T: Array) -> str:
+    """A small displacement in words: x, y, z in mm and the rotation vector in mrad; empty below 1e-9 m and rad."""
+    # Rounded first, so that nothing is said to be -0.
+    rounded = [
+        [round(1e3 * float(value), _DECIMALS) + 0.0 for value in vector]
+        for vector in (T[:3, 3], pin.log3(T[:3, :3]))
+    ]
+    if not any(map(any, rounded)):
+        return ""
+    shift, turn = (", ".join(f"{value:.{_DECIMALS}f}" for value in vector) for vector in rounded)
+    return f"({shift}) mm and ({turn}) mrad"

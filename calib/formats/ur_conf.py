@@ -1,0 +1,241 @@
+"""The controllers' own files: ``calibration.conf`` with the deltas of an arm, ``urcontrol.conf`` with its nominal rows.
+
+Both are lists of ``key = [six numbers]`` in sections, ``[mounting]`` and ``[DH]``, lengths in metres and angles in
+radians. A section may come again further down, ``#`` and ``;`` begin a comment. Everything else in them is kept as it
+is, byte for byte, which no reader of INI files does.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import FileError, choices
+from calib.formats.ur_dh import COLUMNS, FullDH
+from calib.model.files import read_bytes, write_atomically
+from calib.model.number_text import NUMBER
+from calib.model.urdf_joints import did_you_mean
+
+Array = NDArray[np.float64]
+
+MOUNTING, NOMINAL = "mounting", "DH"
+
+_CONF, _CONTROL = "calibration.conf", "urcontrol.conf"
+
+_DELTAS = {f"delta_{name}": name for name in COLUMNS}
+
+#: Larger values are no deltas in metres and radians. d runs away between axes that are nearly parallel, theta with it.
+_LARGEST = {
+    MOUNTING: {"theta": 8.0 * np.pi, "a": 10.0, "d": 1e9, "alpha": 0.5},
+    NOMINAL: {"theta": 2.0 * np.pi, "a": 10.0, "d": 10.0, "alpha": 2.0 * np.pi},
+}
+
+#: A section, or a key with its value: a list, which may go on over lines, or the rest of its line. The first line may
+#: begin with the byte order mark that some editors put there, a character for each byte.
+_PART = re.compile(
+    r"^(?:\xef\xbb\xbf)?[ \t]*(?:\[(?P<section>[^\]=,\r\n]+)\]"
+    r"|(?P<key>\w+)[ \t]*=[ \t]*(?P<value>\[(?:[^\]\[=#;]|[#;][^\n]*)*\]|[^#;\r\n]*))",
+    re.MULTILINE,
+)
+
+
+class _Entry(NamedTuple):
+    """One ``key = value``: its section, its line from 1, and where the value stands in the text."""
+
+    section: str
+    key: str
+    value: str
+    line: int
+    start: int
+    end: int
+
+
+def read_deltas(path: str | os.PathLike[str]) -> FullDH:
+    """The deltas of a ``calibration.conf``: ``delta_theta``, ``delta_a``, ``delta_d`` and ``delta_alpha``.
+
+    Raises:
+        FileError: The file cannot be read, has no ``[mounting]``, or not six numbers for each of the four in metres
+            and radians.
+    """
+    return _deltas(path, _text(path, _CONF))
+
+
+def read_nominal(path: str | os.PathLike[str]) -> FullDH:
+    """The nominal rows of a ``urcontrol.conf``: ``a``, ``d`` and ``alpha`` of ``[DH]``, and ``theta`` if it is there.
+
+    Raises:
+        FileError: As for `read_deltas`.
+    """
+    keys = {name: name for name in COLUMNS}
+    found = _columns(path, _text(path, _CONTROL), NOMINAL, _CONTROL, keys, optional=("theta",))
+    return FullDH(**{"theta": np.zeros(6), **found})
+
+
+def write_deltas(path: str | os.PathLike[str], deltas: FullDH, *, overwrite: bool = False) -> Path:
+    """Write a ``calibration.conf`` with nothing but the deltas.
+
+    Raises:
+        FileError: The deltas are no arm's; or the file exists and ``overwrite`` is False, or it cannot be written.
+    """
+    lines = [f"{key} = {_list(getattr(deltas, name))}" for key, name in _DELTAS.items()]
+    text = "\n".join([f"[{MOUNTING}]", *lines, ""])
+    _deltas(path, text)  # what could not be read again is not written
+    return write_atomically(path, text.encode(), overwrite=overwrite)
+
+
+def update_deltas(
+    source: str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    deltas: FullDH,
+    *,
+    overwrite: bool = False,
+) -> Path:
+    """Write a ``calibration.conf`` with other deltas and every other byte as it is in ``source``.
+
+    Raises:
+        FileError: ``source`` cannot be read as by `read_deltas`; or the file exists and ``overwrite`` is False, or it
+            cannot be written.
+    """
+    text = _text(source, _CONF)
+    old = _deltas(source, text)
+    # Every place where a key stands, from the last on, so that the places before it stay where they are.
+    for entry in reversed(_entries(text)):
+        if entry.section == MOUNTING and entry.key in _DELTAS:
+            was, values = (getattr(one, _DELTAS[entry.key]) for one in (old, deltas))
+            if (was != values).any():  # else it stays as it is written, digit for digit
+                text = text[: entry.start] + _list(values) + text[entry.end :]
+    _deltas(path, text)
+    return write_atomically(path, text.encode("latin-1"), overwrite=overwrite)
+
+
+def other_keys(path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """The keys of ``[mounting]`` beside the deltas, such as ``joint_checksum``."""
+    keys = [entry.key for entry in _entries(_text(path, _CONF)) if entry.section == MOUNTING]
+    return tuple(dict.fromkeys(key for key in keys if key not in _DELTAS))
+
+
+def not_linearised(path: str | os.PathLike[str]) -> str:
+    """The ``calibration_status`` of a file, where it has one that is not 2, linearised; else empty."""
+    found = [
+        entry.value
+        for entry in _entries(_text(path, _CONF))
+        if (entry.section, entry.key) == (MOUNTING, "calibration_status")
+    ]
+    return found[-1][:40] if found and found[-1] != "2" else ""
+
+
+def _deltas(path: str | os.PathLike[str], text: str) -> FullDH:
+    """The deltas in the text of a file."""
+    return FullDH(**_columns(path, text, MOUNTING, _CONF, _DELTAS))
+
+
+def _text(path: str | os.PathLike[str], what: str) -> str:
+    """A file's text, a character for each byte, so that it goes back as it came."""
+    data = read_bytes(path, what)
+    if b"\0" in data:
+        message = f"{path}: this is not a {what}: it has bytes that no text has. Copy it from the controller again."
+        raise FileError(message)
+    return data.decode("latin-1")
+
+
+def _entries(text: str) -> list[_Entry]:
+    """Every ``key = value`` in the file's order; a list may go on over the lines that follow."""
+    entries: list[_Entry] = []
+    section = ""
+    for part in _PART.finditer(text):
+        if part["section"] is not None:
+            section = part["section"].strip()
+            continue
+        value = re.sub(r"[#;][^\n]*", "", part["value"]).strip()
+        line = text.count("\n", 0, part.start("key")) + 1
+        end = part.start("value") + len(part["value"].rstrip())
+        entries.append(_Entry(section, part["key"], value, line, part.start("value"), end))
+    return entries
+
+
+def _columns(
+    path: str | os.PathLike[str],
+    text: str,
+    section: str,
+    what: str,
+    keys: Mapping[str, str],
+    optional: tuple[str, ...] = (),
+) -> dict[str, Array]:
+    """The six numbers of each of these keys in a section, by their column.
+
+    Raises:
+        FileError: The section or a key is missing, a key has two values, or one is not six numbers.
+    """
+    sections = list(
+        dict.fromkeys(p["section"].strip() for p in _PART.finditer(text) if p["section"])
+    )
+    if section not in sections:
+        has = f"its sections are {choices(sections)}" if sections else "it has no section"
+        message = f"{path}: there is no [{section}] in it, {has}. Give the {what} of a Universal Robots controller."
+        raise FileError(message)
+    entries = [entry for entry in _entries(text) if entry.section == section]
+    found: dict[str, _Entry] = {}
+    for entry in entries:
+        before = found.setdefault(entry.key, entry)
+        if entry.key in keys and before.value.split() != entry.value.split():
+            message = (
+                f"{path}: {entry.key} stands in [{section}] with two values, in line {before.line} and in line "
+                f"{entry.line}; keep the one that is right."
+            )
+            raise FileError(message)
+    for key in keys:
+        if key not in found and key not in optional:
+            others = [entry.key for entry in entries if entry.key not in keys]
+            message = (
+                f"{path}: [{section}] has no {key}{did_you_mean(key, others)}; a {what} has "
+                f"{choices(k for k in keys if k not in optional)} there, six numbers each."
+            )
+            raise FileError(message)
+    return {
+        name: _six(path, found[key], _LARGEST[section][name], "m" if name in ("a", "d") else "rad")
+        for key, name in keys.items()
+        if key in found
+    }
+
+
+def _six(path: str | os.PathLike[str], entry: _Entry, largest: float, unit: str) -> Array:
+    """The six numbers of an entry.
+
+    Raises:
+        FileError: They are not six, one is no finite number, or too large for its unit.
+    """
+    where = f"{path}, line {entry.line}: {entry.key}"
+    words = [word.strip() for word in entry.value.strip("[]").split(",")]
+    if not (entry.value.startswith("[") and entry.value.endswith("]") and len(words) == 6):
+        message = (
+            f"{where} is '{' '.join(entry.value.split())[:60]}'; a list of six numbers in brackets, one for each "
+            "joint, with commas between them is wanted."
+        )
+        raise FileError(message)
+    values = np.zeros(6)
+    for i, word in enumerate(words):
+        value = float(word) if NUMBER.fullmatch(word) else np.inf
+        if not np.isfinite(value):
+            message = (
+                f"{where} of joint {i + 1} is '{word[:40]}'; a finite number [{unit}] is wanted."
+            )
+            raise FileError(message)
+        if abs(value) > largest:
+            message = (
+                f"{where} of joint {i + 1} is {value:g}, more than {largest:g} {unit}: that is no arm's. Lengths are "
+                "in metres and angles in radians."
+            )
+            raise FileError(message)
+        values[i] = value
+    return values
+
+
+def _list(values: Array) -> str:
+    """Six numbers that read back exactly."""
+    return "[ " + ", ".join(repr(float(value) + 0.0) for value in values) + "]"
