@@ -19,12 +19,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.errors import FileError, UrdfError, choices
+from calib.errors import FileError, UrdfError, choices, did_you_mean
 from calib.formats.yaml_file import parse_yaml
 from calib.model.files import read_bytes, write_atomically
 from calib.model.number_text import NUMBER
 from calib.model.robot import Robot
-from calib.model.urdf_joints import FARTHEST, did_you_mean
+from calib.model.urdf_joints import FARTHEST
 
 FloatArray = NDArray[np.float64]
 Triple = tuple[float, float, float]

@@ -16,11 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FileError, choices
+from calib.errors import FileError, choices, did_you_mean
 from calib.formats.ur_dh import COLUMNS, FullDH
 from calib.model.files import read_bytes, write_atomically
 from calib.model.number_text import NUMBER
-from calib.model.urdf_joints import did_you_mean
 
 Array = NDArray[np.float64]
 

@@ -23,13 +23,12 @@ import pinocchio as pin
 import yaml
 from numpy.typing import NDArray
 
-from calib.errors import FileError, choices
+from calib.errors import FileError, choices, did_you_mean
 from calib.formats.ur_models import LINKS
 from calib.formats.yaml_file import parse_yaml
 from calib.model.files import read_bytes, write_atomically
 from calib.model.number_text import NUMBER
 from calib.model.robot import read_only
-from calib.model.urdf_joints import did_you_mean
 
 Array = NDArray[np.float64]
 
