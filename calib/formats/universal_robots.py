@@ -233,7 +233,7 @@ def write_ur_yaml(
         f"Kinematics of one Universal Robots {kind}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll).",
     )
     written = write_yaml(path, chain, hash, comments, overwrite=overwrite)
-    remarks = _name_remark(nominal, arm, mounted) + _tool_remark(written, T_tool)
+    remarks = _name_remark(nominal, arm, mounted) + _end_remarks(written, np.eye(4), T_tool)
     return UrWritten(written, arm, read_only(np.eye(4)), read_only(T_tool), remarks)
 
 
@@ -294,7 +294,7 @@ def write_ur_conf(
                 f"{', '.join(kept)} are as in {update}: calib does not know how the controller makes them. Keep a "
                 "copy of the controller's own file."
             )
-    remarks += [*_base_remark(written, fitted.T_base), *_tool_remark(written, fitted.T_tool)]
+    remarks += _end_remarks(written, fitted.T_base, fitted.T_tool)
     # Rows between almost parallel axes may hold less, which is said.
     exact = 1e-6 if missed > _EXACT else _EXACT
     return UrWritten(written, arm, fitted.T_base, fitted.T_tool, tuple(remarks), exact)
@@ -370,28 +370,18 @@ def _name_remark(robot: Robot, arm: UrModel, mounted: Mount) -> tuple[str, ...]:
     )
 
 
-def _base_remark(path: Path, T: Array) -> tuple[str, ...]:
-    """What to do with a displacement of the base."""
-    lies = _displacement(T)
-    if not lies:
-        return ()
-    return (
-        f"Not in {path}: the first axis lies {lies}, along and about the axes of the controller's base "
-        "(link 'base'), from where the base has it, and DH rows begin on it. To put this right move the frame that "
-        "poses are given in: T_base_frame becomes T_base^-1 T_base_frame, where T_base is this displacement.",
+def _end_remarks(written: Path, T_base: Array, T_tool: Array) -> tuple[str, ...]:
+    """What to do with displacements of the base and of the flange."""
+    base, tool = _displacement(T_base), _displacement(T_tool)
+    remarks = (
+        f"Not in {written}: the first axis lies {base}, along and about the axes of the controller's base (link "
+        "'base'), from where the base has it, and DH rows begin on it. To put this right move the frame that poses "
+        "are given in: T_base_frame becomes T_base^-1 T_base_frame, where T_base is this displacement.",
+        f"Not in {written}: the flange lies {tool}, along and about the axes of the controller's flange (link "
+        "'tool0'), from where the last joint has it, and there is no place for that behind the joint. To put this "
+        "right add it to the tool: T_flange_tcp becomes T_tool T_flange_tcp, where T_tool is this displacement.",
     )
-
-
-def _tool_remark(path: Path, T: Array) -> tuple[str, ...]:
-    """What to do with a displacement of the flange."""
-    lies = _displacement(T)
-    if not lies:
-        return ()
-    return (
-        f"Not in {path}: the flange lies {lies}, along and about the axes of the controller's flange "
-        "(link 'tool0'), from where the last joint has it, and there is no place for that behind the joint. To put "
-        "this right add it to the tool: T_flange_tcp becomes T_tool T_flange_tcp, where T_tool is this displacement.",
-    )
+    return tuple(said for said, lies in zip(remarks, (base, tool), strict=True) if lies)
 
 
 def _displacement(T: Array) -> str:
