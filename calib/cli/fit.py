@@ -157,10 +157,8 @@ def fit(
     with reporting(debug=debug), executor_of(workers, dask, bootstrap, default=1) as executor:
         from calib.cli.progress import progress_bar, say_compiling
         from calib.cli.report_files import (
-            STDOUT,
             check_figures,
             check_report,
-            report_text,
             write_report_files,
         )
         from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
@@ -168,8 +166,8 @@ def fit(
 
         _check_bootstrap(bootstrap, {"--seed": seed, "--workers": workers, "--dask": dask})
         inputs: list[str | Path] = [robot, data, *(path for path in (cell, points) if path)]
-        report_file = check_report(report, figures, figure_format, [output, json, view])
-        check_outputs([output, json, view, report_file], inputs, force=force)
+        check_report(report, figures, figure_format, [output, json, view])
+        check_outputs([output, json, view, report], inputs, force=force)
         setup = read_cell(
             cell,
             base=base,
@@ -212,9 +210,7 @@ def fit(
             *_write(result, output, json, view, tables, target_link=target_link, force=force),
             *write_report_files(result, report, figures, figure_format, force=force, quiet=quiet),
         ]
-        if report == STDOUT:
-            say("\n\n".join([report_text(result), *texts]))
-        elif not quiet:
+        if not quiet:
             say_ignored(table, arm)
             say("\n\n".join([result.summary(), *texts]) + "\n")
             for path in written:

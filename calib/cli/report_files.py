@@ -15,9 +15,6 @@ from calib.errors import CalibError, FileError
 if TYPE_CHECKING:
     from calib.identify.result import Calibration
 
-#: The file name that stands for the terminal.
-STDOUT = Path("-")
-
 
 class FigureFormat(str, Enum):
     """The kinds of picture files."""
@@ -32,7 +29,7 @@ ReportFile = Annotated[
     typer.Option(
         "--report",
         metavar="FILE",
-        help="Write a report to print and sign: .html with figures, .md or .txt; '-' prints it instead of the summary.",
+        help="Write a report with figures to print and sign: a page, .html.",
     ),
 ]
 FigureFolder = Annotated[
@@ -54,17 +51,14 @@ def check_report(
     figures: Path | None,
     kind: FigureFormat | None,
     others: Iterable[Path | None] = (),
-) -> Path | None:
+) -> None:
     """Refuse before the work what cannot be written after it.
 
     Args:
-        report: The report's file, or `STDOUT`.
+        report: The report's file.
         figures: The figures' folder.
         kind: Their kind.
         others: What else the command reads and writes.
-
-    Returns:
-        The report's file for the checks of all outputs; None where it is printed.
 
     Raises:
         FileError: The report's name has an ending that no report has, or a file stands where the folder should,
@@ -81,12 +75,10 @@ def check_report(
         raise FileError(message)
     if figures is not None:
         _check_folder(figures, (report, *others))
-    if report is None or report == STDOUT:
-        return None
-    from calib.show.report import check_ending
+    if report is not None:
+        from calib.show.report import check_ending
 
-    check_ending(report)
-    return report
+        check_ending(report)
 
 
 def _check_folder(folder: Path, files: Iterable[Path | None]) -> None:
@@ -97,7 +89,7 @@ def _check_folder(folder: Path, files: Iterable[Path | None]) -> None:
     """
     real = Path(os.path.realpath(folder))
     for file in files:
-        if file is None or file == STDOUT:
+        if file is None:
             continue
         taken = Path(os.path.realpath(file))
         if taken == real or taken in real.parents:
@@ -118,12 +110,9 @@ def check_figures(
     """
     if folder is None or force:
         return
-    from calib.show.figures import drawings, figure_files
+    from calib.show.figures import check_free, drawings, figure_files
 
-    for path in figure_files(drawings(result), folder, _ending(kind)):
-        if path.exists():
-            message = f"{path} exists already; add --force or choose another folder."
-            raise FileError(message)
+    check_free(figure_files(drawings(result), folder, _ending(kind)))
 
 
 def write_report_files(
@@ -136,9 +125,8 @@ def write_report_files(
     quiet: bool,
 ) -> Iterator[str]:
     """Write the report and the figures asked for, one after the other, and say what was written."""
-    from calib.cli.terminal import command_line
-
-    if report is not None and report != STDOUT:
+    if report is not None:
+        from calib.cli.terminal import command_line
         from calib.show.report import write_report
 
         yield str(write_report(result, report, command=command_line(), overwrite=force))
@@ -151,15 +139,6 @@ def write_report_files(
                 result, figures, kind=_ending(kind), overwrite=force, progress=progress
             )
         yield f"{figures} ({len(made)} figures)"
-
-
-def report_text(result: Calibration) -> str:
-    """The report as text, without its last line feed."""
-    from calib.cli.terminal import command_line
-    from calib.show.report import report_of
-    from calib.show.report_text import as_text
-
-    return as_text(report_of(result, command=command_line(), figures=False)).rstrip("\n")
 
 
 def _ending(kind: FigureFormat | None) -> str:

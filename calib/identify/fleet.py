@@ -200,7 +200,7 @@ def _dated(options: FleetOptions) -> FleetOptions:
     """The options with the date of now, where reports are to bear one and none was given."""
     if options.date or not options.reports:
         return options
-    from calib.show.report_record import report_date
+    from calib.show.report import report_date
 
     return replace(options, date=report_date())
 

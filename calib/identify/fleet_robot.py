@@ -239,7 +239,7 @@ def _files(c: Calibration, options: FleetOptions, name: str) -> dict[str, bytes]
         from calib.show.report import report_bytes
 
         command = f"{options.command}  # {name}" if options.command else ""
-        files[REPORT] = report_bytes(c, ".html", command=command, date=options.date)
+        files[REPORT] = report_bytes(c, command=command, date=options.date)
     return files
 
 

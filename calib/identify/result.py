@@ -355,7 +355,7 @@ class Calibration:
         return write_result(self, path, overwrite=overwrite)
 
     def write_report(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the report: a page with figures that prints on A4 (.html), Markdown (.md) or text (.txt).
+        """Write the report: a page with figures that prints on A4 (.html).
 
         Raises:
             FileError: The name has another ending, the file exists, or it cannot be written.

@@ -1,4 +1,4 @@
-"""What the figures of a calibration share: their look, how they become files, names that fit.
+"""What all figures share: their look, how they become files, axes and legends, and how rows are marked.
 
 A figure belongs to no window and leaves no trace in matplotlib's global state. Names from files are plain text: none is
 read as a formula.
@@ -7,22 +7,36 @@ read as a formula.
 from __future__ import annotations
 
 import io
-import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.errors import FileError, choices
-from calib.show.palette import GRID, INK, SOFT
+from calib.identify.result import Calibration
+from calib.show.palette import (
+    CALIBRATED,
+    ESTIMATION,
+    GRID,
+    INK,
+    NOMINAL,
+    OUTLIER,
+    SOFT,
+    VALIDATION,
+)
+from calib.show.rows import flagged_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.ticker import Locator
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: Kinds of picture files.
 KINDS = ("png", "svg", "pdf")
@@ -33,34 +47,21 @@ WIDTH, _DPI = 7.0, 180
 #: More markers than this are pixels in SVG and PDF: each shape takes a line of its file.
 MOST_SHAPES = 250
 
-#: Fonts that draw what DejaVu Sans lacks, where they are installed; viewers of an SVG bring their own.
-_FONT = "DejaVu Sans"
+#: Rows are numbered in a figure if there are not more than this.
+MOST_NUMBERS = 12
+
+#: Fonts that draw what DejaVu Sans lacks, where they are installed.
 _FALLBACKS = (
     "Noto Sans",
     "Noto Sans CJK JP",
-    "Noto Sans CJK SC",
     "Noto Sans Hebrew",
-    "Noto Sans Arabic",
     "Noto Emoji",
     "Arial Unicode MS",
-    "Segoe UI",
     "Segoe UI Emoji",
     "Yu Gothic",
     "Microsoft YaHei",
-    "Malgun Gothic",
-    "Hiragino Sans",
     "PingFang SC",
-    "WenQuanYi Zen Hei",
 )
-_IN_SVG = b"'DejaVu Sans', Verdana, sans-serif"
-_WIDTH_IN_SVG = re.compile(rb'<svg\b[^>]*?\bwidth="([0-9.]+)pt"')
-_FONT_IN_SVG = re.compile(rb"(<text\b[^>]*?\bstyle=\"[^\"]*?)'DejaVu Sans'[^;\"]*")
-
-#: Longer names are shortened in the middle.
-_LONGEST = 26
-
-#: Letters of numbers above a ten.
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 #: What a figure is drawn with, whatever a user's matplotlibrc says.
 _STYLE: dict[str, Any] = {
@@ -77,7 +78,6 @@ _STYLE: dict[str, Any] = {
     "axes.titlelocation": "left",
     "axes.titlesize": 9.0,
     "axes.titleweight": "bold",
-    "figure.facecolor": "white",
     "font.size": 8.5,
     "grid.color": GRID,
     "grid.linewidth": 0.6,
@@ -85,7 +85,6 @@ _STYLE: dict[str, Any] = {
     "legend.fontsize": 8.0,
     "legend.frameon": False,
     "pdf.fonttype": 42,
-    "savefig.facecolor": "white",
     "svg.fonttype": "none",
     "svg.hashsalt": "calib",
     "text.color": INK,
@@ -98,105 +97,38 @@ _STYLE: dict[str, Any] = {
     "ytick.labelsize": 8.0,
 }
 
-#: Settings that are none of a figure's look.
-_NOT_LOOK = (
-    "backend",
-    "interactive",
-    "toolbar",
-    "webagg",
-    "tk.",
-    "keymap",
-    "timezone",
-    "docstring",
-    "macosx",
-)
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Matplotlib's defaults and the figures' look, for as long as the context lasts."""
+    import matplotlib as mpl
+    from matplotlib.font_manager import get_font_names
+
+    installed = set(get_font_names())
+    fonts = ["DejaVu Sans", *(name for name in _FALLBACKS if name in installed)]
+    with mpl.rc_context(), warnings.catch_warnings():
+        # A name in letters that no font has is drawn as boxes; the terminal is no place to say so.
+        warnings.filterwarnings("ignore", message=".*Glyph", category=UserWarning)
+        mpl.rcdefaults()
+        mpl.rcParams.update({**_STYLE, "font.family": fonts})
+        yield
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drawing:
-    """A figure that can be drawn.
-
-    Attributes:
-        name: Its key and the stem of its file, such as ``"errors-by-pose"``.
-        title: Plain text.
-        caption: What is shown, on which rows, in which units, and how to read it; plain text.
-        draw: Draws it, anew at each call; `rendered` makes a file of it.
-    """
-
-    name: str
-    title: str
-    caption: str
-    draw: Callable[[], Figure]
-
-
-def in_style(draw: Callable[..., Figure], *args: Any, **options: Any) -> Callable[[], Figure]:  # noqa: ANN401
-    """What draws a figure in the figures' look, later.
-
-    Args:
-        draw: Draws it.
-        args: Its arguments.
-        options: Its keyword arguments.
-    """
-
-    def drawn() -> Figure:
-        with styled():
-            return draw(*args, **options)
-
-    return drawn
-
-
-def rendered(drawing: Drawing, kind: str = "png") -> bytes:
-    """A figure as a file: the same figure is the same bytes.
-
-    Args:
-        drawing: The figure.
-        kind: One of `KINDS`.
+def saved(figure: Figure, kind: str, title: str = "", caption: str = "", dpi: int = _DPI) -> bytes:
+    """A figure as a file: the same figure is the same bytes. Called within `styled`.
 
     Raises:
-        FileError: Another kind.
+        FileError: ``kind`` is none of `KINDS`.
     """
-    check_kind(kind)
     metadata: dict[str, dict[str, Any]] = {
-        "png": {"Title": drawing.title, "Description": drawing.caption},
-        "svg": {"Title": drawing.title, "Description": drawing.caption, "Date": None},
-        "pdf": {"Title": drawing.title, "Subject": drawing.caption, "CreationDate": None},
+        "png": {"Title": title, "Description": caption},
+        "svg": {"Title": title, "Description": caption, "Date": None},
+        "pdf": {"Title": title, "Subject": caption, "CreationDate": None},
     }
+    check_kind(kind)
     data = io.BytesIO()
-    with styled():
-        drawing.draw().savefig(data, format=kind, dpi=_DPI, metadata=metadata[kind])
-    if kind == "png":
-        return _of_few_colours(data, metadata["png"])
-    if kind == "pdf":
-        return data.getvalue()
-    # What the first font lacks a viewer takes from the next one.
-    return _FONT_IN_SVG.sub(rb"\1" + _IN_SVG, data.getvalue())
-
-
-def width_of(data: bytes, kind: str) -> float:
-    """How wide a rendered figure is [in].
-
-    Args:
-        data: What `rendered` made.
-        kind: ``"png"`` or ``"svg"``.
-    """
-    if kind == "png":
-        return int.from_bytes(data[16:20], "big") / _DPI
-    found = _WIDTH_IN_SVG.search(data)
-    return float(found[1]) / 72.0 if found else WIDTH
-
-
-def _of_few_colours(data: io.BytesIO, words: dict[str, str]) -> bytes:
-    """A PNG with a table of 256 colours: a third of the bytes, and no eye sees the difference."""
-    from PIL import Image
-    from PIL.PngImagePlugin import PngInfo
-
-    info, smaller = PngInfo(), io.BytesIO()
-    for key, text in words.items():
-        info.add_itxt(key, text)
-    with Image.open(data) as image:
-        table = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
-        table.save(smaller, "PNG", optimize=True, pnginfo=info, dpi=(_DPI, _DPI))
-    return smaller.getvalue()
+    figure.savefig(data, format=kind, dpi=dpi, metadata=metadata[kind])
+    return data.getvalue()
 
 
 def check_kind(kind: str) -> None:
@@ -210,33 +142,8 @@ def check_kind(kind: str) -> None:
         raise FileError(message)
 
 
-@contextmanager
-def styled() -> Iterator[None]:
-    """Matplotlib's defaults and the figures' look, for as long as the context lasts."""
-    import matplotlib as mpl
-    from matplotlib.font_manager import get_font_names
-
-    installed = set(get_font_names())
-    fonts = [_FONT, *(name for name in _FALLBACKS if name in installed)]
-    look: dict[Any, Any] = {
-        name: value for name, value in mpl.rcParamsDefault.items() if not name.startswith(_NOT_LOOK)
-    }
-    with mpl.rc_context(), warnings.catch_warnings():
-        # A name in letters that no font has is drawn as boxes; the terminal is no place to say so.
-        warnings.filterwarnings("ignore", message=".*Glyph", category=UserWarning)
-        # Defaults that a version is about to drop are set all the same.
-        warnings.simplefilter("ignore", mpl.MatplotlibDeprecationWarning)
-        mpl.rcParams.update(look | _STYLE | {"font.family": fonts})
-        yield
-
-
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """An empty figure with room for a legend above.
-
-    Args:
-        height: [in].
-        width: [in].
-    """
+    """An empty figure with room for a legend above; sizes in inches."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
@@ -245,13 +152,7 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
 
 
 def legend_above(figure: Figure, handles: Sequence[Any], columns: int = 0) -> None:
-    """A legend above all panels, where it hides nothing.
-
-    Args:
-        figure: The figure.
-        handles: Its entries, each with a label.
-        columns: How many stand side by side; 0 for all, four at most.
-    """
+    """A legend above all panels, where it hides nothing; ``columns`` side by side, 0 for four at most."""
     if handles:
         figure.legend(
             handles=list(handles),
@@ -264,63 +165,203 @@ def legend_above(figure: Figure, handles: Sequence[Any], columns: int = 0) -> No
         )
 
 
-def log_axis(ax: Axes, which: str) -> None:
-    """A logarithmic scale whose numbers are plain text.
+def line(label: str, **look: Any) -> Any:  # noqa: ANN401  an artist of matplotlib
+    """A line or a marker for a legend."""
+    from matplotlib.lines import Line2D
 
-    Args:
-        ax: The panel.
-        which: ``"x"`` or ``"y"``.
-    """
+    return Line2D([], [], label=label, **look)
+
+
+def area(label: str, **look: Any) -> Any:  # noqa: ANN401  an artist of matplotlib
+    """An area for a legend."""
+    from matplotlib.patches import Patch
+
+    return Patch(label=label, **look)
+
+
+def log_axis(ax: Axes, which: str) -> None:
+    """A logarithmic scale ``"x"`` or ``"y"`` whose numbers are plain text: 10⁻⁴, 0.001 to 1000, 10⁴."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    raised = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+    def text(value: float, _: object) -> str:
+        exponent = round(float(np.log10(value))) if value > 0.0 else 0
+        plain = f"{value:g}" if value > 0.0 else ""
+        return plain if abs(exponent) <= 3 else f"10{str(exponent).translate(raised)}"
 
     axis = ax.xaxis if which == "x" else ax.yaxis
     (ax.set_xscale if which == "x" else ax.set_yscale)("log")
     axis.set_major_locator(LogLocator(numticks=8))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: power_text(value)))
+    axis.set_major_formatter(FuncFormatter(text))
     axis.set_minor_formatter(NullFormatter())
 
 
-def few_ticks(count: int) -> Locator:
-    """At most so many steps between round numbers."""
+def few_ticks(count: int, *, whole: bool = False) -> Locator:
+    """At most so many steps between round numbers, or between whole ones."""
     from matplotlib.ticker import MaxNLocator
 
+    if whole:
+        return MaxNLocator(count, integer=True, min_n_ticks=1, steps=[1, 2, 5, 10])
     return MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
 
 
-def power_text(value: float) -> str:
-    """A number on a logarithmic axis: plain from 0.001 to 1000, else a power of ten."""
-    if value <= 0.0:
-        return ""
-    exponent = round(float(np.log10(value)))
-    if -3 <= exponent <= 3:
-        return f"{value:g}"
-    return f"10{str(exponent).translate(_RAISED)}"
-
-
-def plain(text: str) -> str:
-    """Text on one line, without characters that a file of text cannot hold."""
-    kept = "".join(c if c.isprintable() else " " for c in text)
-    return " ".join(kept.encode("utf-8", "replace").decode("utf-8").split())
-
-
-def short_names(names: Sequence[str], longest: int = _LONGEST) -> list[str]:
+def short_names(names: Sequence[str], longest: int = 26) -> list[str]:
     """Names that fit: long ones lose their middle, and get a number where two became the same.
-
-    Args:
-        names: The names.
-        longest: Most letters of one.
 
     Example:
         >>> short_names(["elbow", "a_very_long_joint_name_1", "a_very_long_joint_name_2"], 12)
         ['elbow', 'a_very…ame_1', 'a_very…ame_2']
     """
-    texts = [_shortened(plain(name), longest) for name in names]
+    head = longest // 2
+    texts = [" ".join("".join(c if c.isprintable() else " " for c in n).split()) for n in names]
+    texts = [
+        t if len(t) <= longest else f"{t[:head]}…{t[len(t) - longest + head + 1 :]}" for t in texts
+    ]
     return [f"{text} ({k + 1})" if texts.count(text) > 1 else text for k, text in enumerate(texts)]
 
 
-def _shortened(text: str, longest: int) -> str:
-    """A text without its middle."""
-    if len(text) <= longest:
-        return text
-    head = longest // 2
-    return f"{text[:head]}…{text[len(text) - (longest - head - 1) :]}"
+@dataclass(frozen=True, slots=True)
+class Who:
+    """How a robot's errors are drawn: a colour never stands alone."""
+
+    word: str
+    colour: str
+    marker: str
+    line: str
+    hatch: str
+
+
+BEFORE = Who("before (nominal)", NOMINAL, "s", "--", "////")
+AFTER = Who("after (calibrated)", CALIBRATED, "o", "-", "")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowKind:
+    """Rows of one kind, and how they are marked everywhere.
+
+    Attributes:
+        word: ``"estimation"``, ``"validation"`` or ``"outlier"``.
+        mask: shape (N,), which rows.
+        colour: As CSS has it.
+        marker: Of matplotlib.
+        size: Of the marker [pt].
+        filled: Whether the marker is.
+    """
+
+    word: str
+    mask: Mask
+    colour: str
+    marker: str
+    size: float
+    filled: bool
+
+    @property
+    def label(self) -> str:
+        """For a legend, with the number of rows."""
+        return rows_text(self.mask, self.word, "" if self.word == "outlier" else " row")
+
+    def style(self, count: int | None = None) -> dict[str, Any]:
+        """Of a line of markers, smaller where ``count`` of them are drawn, or all the rows, and they are many."""
+        many = (int(np.count_nonzero(self.mask)) if count is None else count) > 400
+        small = many if self.filled else np.count_nonzero(self.mask) > 40
+        edge = "none" if many else "white"
+        return {
+            "linestyle": "none",
+            "marker": self.marker,
+            "markersize": self.size * (0.5 if small else 1.0),
+            "markerfacecolor": self.colour if self.filled else "none",
+            "markeredgecolor": edge if self.filled else self.colour,
+            "markeredgewidth": 0.4 if self.filled else 1.4,
+        }
+
+    def handle(self) -> Any:  # noqa: ANN401  an artist of matplotlib
+        """For a legend."""
+        return line(self.label, **self.style(1))
+
+
+def row_kinds(c: Calibration) -> tuple[RowKind, ...]:
+    """Estimation rows, validation rows, and those of either that are flagged; none is empty, none stands in two."""
+    m, flagged = c.measurements, flagged_rows(c)
+    kinds = (
+        RowKind("estimation", m.estimation & ~flagged, ESTIMATION, "o", 4.2, filled=True),
+        RowKind("validation", m.validation & ~flagged, VALIDATION, "D", 5.0, filled=True),
+        RowKind("outlier", flagged, OUTLIER, "x", 6.0, filled=False),
+    )
+    return tuple(kind for kind in kinds if np.any(kind.mask))
+
+
+def rows_text(mask: Mask, word: str, what: str = " row") -> str:
+    """A number of rows, such as ``"1 estimation row"``."""
+    count = int(np.count_nonzero(mask))
+    return f"{count:,} {word}{what}{'s' * (count != 1)}"
+
+
+def has_axes(c: Calibration, rows: Mask | slice = slice(None)) -> bool:
+    """Whether any row has errors along x, y and z."""
+    used = c.used[rows]
+    return used.shape[1] >= 3 and bool(np.any(np.all(used[:, :3], axis=1)))
+
+
+def number_points(
+    ax: Axes, rows: Sequence[int], places: Array, chosen: Mask, reach: float = 5.0
+) -> None:
+    """Row numbers beside some points, if they are few, on the side where most room is.
+
+    Args:
+        ax: The panel.
+        rows: The row numbers, N of them.
+        places: shape (N, 2), of all points, in the panel's units.
+        chosen: shape (N,), which of them carry their number.
+        reach: From the point to its number [pt].
+    """
+    there = np.isfinite(places).all(axis=1)
+    chosen = chosen & there
+    if not 0 < np.count_nonzero(chosen) <= MOST_NUMBERS:
+        return
+    size = np.maximum(np.ptp(places[there], axis=0), 1e-12)
+    at = np.flatnonzero(chosen)
+    for k, side in zip(at, free_sides(places / size, at), strict=True):
+        write_beside(ax, str(rows[k]), places[k], side, reach)
+
+
+def write_beside(
+    ax: Axes, text: str, at: Array, side: tuple[int, int] = (1, 1), reach: float = 5.0
+) -> None:
+    """A short text beside a point."""
+    from matplotlib.patheffects import withStroke
+
+    ax.annotate(
+        text,
+        (float(at[0]), float(at[1])),
+        (reach * side[0], 0.7 * reach * side[1]),
+        ha="left" if side[0] > 0 else "right",
+        va="bottom" if side[1] > 0 else "top",
+        textcoords="offset points",
+        size=7.5,
+        color=INK,
+        zorder=5,
+        path_effects=[withStroke(linewidth=2.0, foreground="white")],
+    ).set_in_layout(False)
+
+
+def free_sides(places: Array, rows: Sequence[int] | NDArray[np.intp]) -> list[tuple[int, int]]:
+    """On which side of some points their numbers stand: where the others leave most room, right above in doubt.
+
+    Args:
+        places: shape (N, 2), in parts of the panel.
+        rows: Which of them have numbers.
+    """
+    sides = ((1, 1), (-1, 1), (1, -1), (-1, -1))
+    taken = places[np.isfinite(places).all(axis=1)]
+    low, high = taken.min(axis=0) - 0.02, taken.max(axis=0) + 0.02
+    chosen = []
+    for k in rows:
+        spots = places[k] + np.array(sides) * (0.035, 0.025)
+        out = np.any((spots < low) | (spots > high), axis=1)
+        room = np.linalg.norm(taken[None] - spots[:, None], axis=2).min(axis=1) - 0.03 * out
+        # Rounded, so that the first one wins unless another has clearly more room.
+        best = int(np.argmax(np.round(np.minimum(room, 0.06) / 0.015)))
+        chosen.append(sides[best])
+        taken = np.vstack([taken, spots[best]])
+    return chosen

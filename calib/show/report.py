@@ -1,142 +1,288 @@
 """The report of a calibration: verdict first, then errors before and after, figures, parameters, and how it came about.
 
-It is said once, as a `Document`, and set as a page that can be printed and signed, as Markdown, or as text.
+One HTML page, `report.html.j2` filled in: figures inside, no script, nothing from the network; it prints on A4.
 """
 
 from __future__ import annotations
 
+import base64
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
-from calib.errors import FileError, choices
+import numpy as np
+
+from calib.errors import FileError
+from calib.identify.coverage import outside_sentence
 from calib.identify.result import Calibration
+from calib.identify.result_tables import versions
+from calib.identify.statements import (
+    correlation_text,
+    errorless,
+    expected_text,
+    noise_text,
+    rank_text,
+    repeats_text,
+    sizes_text,
+    solver_text,
+    unidentifiable_text,
+    weights_text,
+)
+from calib.identify.statistics import interval_factor
+from calib.identify.words import frame_sentences, target_sentences
 from calib.model.files import write_atomically
-from calib.show.document import Document, Picture, Section
-from calib.show.figures import drawings
-from calib.show.report_accuracy import accuracy_blocks, outlier_blocks, verdict_blocks
-from calib.show.report_html import as_html
-from calib.show.report_markdown import as_markdown
-from calib.show.report_record import (
-    heading_facts,
-    measurement_blocks,
-    method_blocks,
-    report_date,
-    sign_blocks,
-    trace_blocks,
-)
-from calib.show.report_robot import (
-    candidate_blocks,
-    geometry_blocks,
-    parameter_blocks,
-    unknown_blocks,
-)
-from calib.show.report_text import as_text
+from calib.show import report_tables as tables
+from calib.show.figures import Drawing, drawings, rendered_with_width
 
-#: The figures that stand in a section of their matter, by name; all others are figures of the errors.
-_BESIDE = {
-    "Parameters": ("parameter-changes", "correlations"),
-    "What the measurements do not tell": ("singular-values", "workspace-uncertainty"),
-    "Models tried": ("candidates",),
-    "How it was computed": ("convergence",),
+#: A drawing with more bytes than this as SVG goes in as PNG.
+_LARGE = 260_000
+
+#: A longer word in a table is broken anywhere: it would push its table off the page.
+_LONGEST_WORD = 24
+
+#: More names than this, and more targets, set-ups or combinations of parameters, are counted.
+_MOST_NAMES, _MOST = 12, 40
+
+#: The sign and the class of each verdict: a word and a sign, never a colour alone.
+_VERDICTS = {
+    "use": ("\N{CHECK MARK}", "good"),
+    "use with care": ("!", "care"),
+    "do not use": ("\N{MULTIPLICATION X}", "bad"),
+    "none": ("\N{EN DASH}", "none"),
 }
 
-#: What a report's file name may end in.
-ENDINGS = (".html", ".htm", ".md", ".txt")
+#: What a kind of row measures.
+_KINDS = {
+    "point": "position of the target",
+    "pose": "position and orientation of the target",
+    "distance": "distance from the target to an anchor",
+    "pair": "distance between the target's places at two poses",
+    "fixed": "the target sits at one unknown point",
+    "plane": "the target touches one unknown plane",
+}
 
-
-def report_of(
-    calibration: Calibration, *, command: str = "", figures: bool = True, date: str = ""
-) -> Document:
-    """What the report says, before it is set.
-
-    The date is that of the clock, or ``SOURCE_DATE_EPOCH`` if that is set, where none is given; nothing else differs
-    between two reports of the same calibration.
-
-    Args:
-        calibration: The calibration.
-        command: The command that made it, as it was typed; empty where there was none.
-        figures: Whether it has figures.
-        date: That it bears.
-    """
-    c, date = calibration, date or report_date()
-    pictures = tuple(Picture(one) for one in drawings(c)) if figures else ()
-    beside = {
-        title: [p for p in pictures if p.drawing.name in names] for title, names in _BESIDE.items()
-    }
-    others = [p for p in pictures if not any(p in some for some in beside.values())]
-    sections = (
-        Section("Verdict", verdict_blocks(c)),
-        Section("Accuracy before and after", accuracy_blocks(c)),
-        Section("Figures of the errors", tuple(others)),
-        Section("Parameters", parameter_blocks(c)),
-        Section("Geometry before and after", geometry_blocks(c)),
-        Section("Outliers", outlier_blocks(c)),
-        Section("What the measurements do not tell", unknown_blocks(c)),
-        Section("Models tried", candidate_blocks(c)),
-        Section("How it was measured", measurement_blocks(c)),
-        Section("How it was computed", method_blocks(c)),
-        Section("Files, versions, command", trace_blocks(c, command, date)),
-        Section("Signatures", sign_blocks(c, date)),
-    )
-    return Document(
-        f"Calibration report: robot {c.nominal.name}",
-        heading_facts(c, date),
-        tuple(Section(s.title, (*s.blocks, *beside.get(s.title, ()))) for s in sections),
-    )
-
-
-def report_bytes(
-    calibration: Calibration, ending: str, *, command: str = "", date: str = ""
-) -> bytes:
-    """The report as a file's content, UTF-8.
-
-    Args:
-        calibration: The calibration.
-        ending: One of `ENDINGS`.
-        command: See `report_of`.
-        date: See `report_of`.
-    """
-    pictured = ending in (".html", ".htm")
-    document = report_of(calibration, command=command, figures=pictured, date=date)
-    text = (
-        as_html(document)
-        if pictured
-        else as_markdown(document)
-        if ending == ".md"
-        else as_text(document)
-    )
-    return text.encode("utf-8", "replace")
+_PRIORS = {
+    "data": "The sizes of the robot's errors (priors) were found from the data.",
+    "given": "The sizes of the robot's errors (priors) were given.",
+    "off": "No priors on the robot's errors.",
+}
 
 
 def write_report(
     calibration: Calibration, path: str | Path, *, command: str = "", overwrite: bool = False
 ) -> Path:
-    """Write the report: a page (.html), Markdown (.md) or text (.txt), by the name's ending.
-
-    The page is whole: figures inside, no script, nothing from the network; it prints on A4.
+    """Write the report as a page.
 
     Args:
         calibration: The calibration.
-        path: Where to.
-        command: See `report_of`.
+        path: Where to; the name ends in .html.
+        command: The command that made the calibration, as it was typed; empty where there was none.
         overwrite: Whether an existing file may be replaced.
 
     Raises:
         FileError: The name has another ending, the file exists, or it cannot be written.
     """
-    ending = check_ending(path)
-    return write_atomically(
-        path, report_bytes(calibration, ending, command=command), overwrite=overwrite
-    )
+    check_ending(path)
+    return write_atomically(path, report_bytes(calibration, command=command), overwrite=overwrite)
 
 
-def check_ending(path: str | Path) -> str:
-    """The ending of a report's name, in small letters.
+def check_ending(path: str | Path) -> None:
+    """Refuse a name that no page has.
 
     Raises:
-        FileError: It is none of `ENDINGS`.
+        FileError: It does not end in .html or .htm.
     """
-    ending = Path(path).suffix.lower()
-    if ending not in ENDINGS:
-        message = f"'{path}': a report is a page, Markdown or text; let the name end in one of {choices(ENDINGS)}."
+    if Path(path).suffix.lower() not in (".html", ".htm"):
+        message = (
+            f"'{path}': a report is a page; let the name end in .html. The summary is its text."
+        )
         raise FileError(message)
-    return ending
+
+
+def report_bytes(calibration: Calibration, *, command: str = "", date: str = "") -> bytes:
+    """The page, UTF-8. Nothing but its date, see `report_date`, differs between two of the same calibration."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    environment.tests["long"] = lambda text: any(len(w) > _LONGEST_WORD for w in text.split())
+    source = (Path(__file__).parent / "report.html.j2").read_text(encoding="utf-8")
+    template = environment.from_string(source)
+    text = template.render(**_content(calibration, command, date or report_date()))
+    return text.encode("utf-8", "replace")
+
+
+def report_date() -> str:
+    """Now, or what ``SOURCE_DATE_EPOCH`` says, in UTC."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
+    now = datetime.now(timezone.utc)
+    when = datetime.fromtimestamp(int(epoch), timezone.utc) if epoch.isdecimal() else now
+    return f"{when:%Y-%m-%d %H:%M} UTC"
+
+
+def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
+    """What the template is filled with: texts, pairs of texts, and tables."""
+    from markupsafe import Markup
+
+    title = f"Calibration report: robot {c.nominal.name}"
+    use = "none" if c.verdict is None else c.verdict.use
+    # Of a text in CSS all but letters, digits and blanks are numbers, so that nothing ends it.
+    footer = re.sub(r"[^A-Za-z0-9 ]", lambda found: f"\\{ord(found[0]):x} ", title[:80])
+    every = _combinations(c)
+    return {
+        "c": c,
+        "title": title,
+        "footer": Markup(f'"{footer}"'),
+        "date": date,
+        "heading": _heading(c, date),
+        "verdict": (use, *_VERDICTS[use]),
+        "tables": tables,
+        "figures": [(one, *_picture(one)) for one in drawings(c)],
+        "larger": "" if c.larger is None else c.larger.name,
+        "pairs": "pair" in c.measurements.kinds,
+        "validates": bool(np.any(c.measurements.validation)),
+        "estimated": _estimated(c),
+        "factor": f"{interval_factor(c.fitted.estimate.freedom):.2f}",
+        "errorless": bool(errorless(c)),
+        "places": [*target_sentences(c, _MOST), *frame_sentences(c, _MOST)],
+        "weights": weights_text(c),
+        "rank": rank_text(c),
+        "unidentifiable": unidentifiable_text(c).removesuffix(":"),
+        "combinations": every,
+        "known_together": [text for text in (correlation_text(c), sizes_text(c)) if text],
+        "measured": list(_measured(c)),
+        "outside": _outside(c),
+        "method": list(_method(c)),
+        "trace": _trace(c, command, date),
+    }
+
+
+def _picture(drawing: Drawing) -> tuple[str, str]:
+    """The figure as a data address, lines as SVG and as PNG where that would be large; and its width [%]."""
+    media = "svg+xml"
+    data, share = rendered_with_width(drawing, "svg")
+    if len(data) > _LARGE:
+        media = "png"
+        data, share = rendered_with_width(drawing, "png")
+    text = base64.b64encode(data).decode("ascii")
+    return f"data:image/{media};base64,{text}", f"{100.0 * share:.1f}"
+
+
+def _heading(c: Calibration, date: str) -> list[tuple[str, str]]:
+    """Which robot, which rows, when."""
+    m, count = c.measurements, len(c.nominal.joints)
+    joints = f"{count} joint{'s' * (count > 1)}"
+    rows = f"{m.estimation.sum():,} rows to estimate, {m.validation.sum():,} to validate"
+    return [
+        ("Robot", f"{c.nominal.name}, {c.nominal.base} to {c.nominal.tip}, {joints}"),
+        ("Measurements", f"{m.source or 'from memory'}: {rows}"),
+        ("Date of the report", date),
+    ]
+
+
+def _estimated(c: Calibration) -> str:
+    """From which rows the parameters were estimated."""
+    m = c.measurements
+    without = int(np.sum(c.weights[m.estimation] <= 0.0))
+    more = f", {without:,} of which have no weight" if without else ""
+    return f"{m.estimation.sum():,} estimation rows{more}"
+
+
+def _combinations(c: Calibration) -> list[str]:
+    """What the measured poses cannot tell apart."""
+    every = [str(one) for one in c.observability.unidentifiable]
+    rest = len(every) - _MOST
+    return every[:_MOST] + ([f"and {rest} more"] if rest > 0 else [])
+
+
+def _measured(c: Calibration) -> Iterator[tuple[str, str]]:
+    """What was measured, and how well."""
+    m = c.measurements
+    rows = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate (column 'set')"
+    more = f"; {len(m.unmeasured):,} more without a measurement, left out" if m.unmeasured else ""
+    yield "Rows", f"{len(m):,}: {rows}{more}"
+    kinds = [f"{_KINDS.get(kind, kind)} ({n:,} rows)" for kind, n in Counter(m.kinds).items()]
+    yield "Each row measures", "; ".join(kinds)
+    for what, names in (("Targets", m.targets), ("Set-ups", m.groups)):
+        if len(set(names)) > 1:
+            yield what, _named(tuple(dict.fromkeys(names)))
+    yield "Measurement frame", _frame(c)
+    yield "Noise of the rows", noise_text(c).removeprefix("Noise: ")
+    if m.sigma is not None or c.cell.sigma is not None:
+        given = c.cell.sigma if m.sigma is None else float(np.nanmedian(m.sigma))
+        yield "Noise stated", f"{1e3 * (given or 0.0):.3f} mm a coordinate (median of the rows)"
+    if repeats_text(c):
+        yield "Repeats", repeats_text(c)
+    if c.nominal.held:
+        held = [f"{name} at {_value(c, name, v)}" for name, v in c.nominal.held.items()]
+        yield "Joints held", ", ".join(held)
+    if m.ignored:
+        yield "Columns not used", _named(m.ignored)
+    expected = expected_text(c).removeprefix("Expected error, ").removesuffix(".")
+    what = "one standard deviation of the target's position, from the covariance of the parameters"
+    yield "Expected error", f"{expected}; {what}."
+
+
+def _frame(c: Calibration) -> str:
+    """In which frame positions are given."""
+    found = sum(bool(directions) for directions in c.setup.unknown)
+    if found:
+        return f"estimated from the rows, for {found} of {len(c.setup.groups)} set-ups"
+    given = c.cell.T_frame_base is not None or bool(c.cell.frames)
+    return f"known: {'as the set-up places it' if given else c.nominal.base}"
+
+
+def _value(c: Calibration, name: str, value: float) -> str:
+    """A joint's value with its unit."""
+    slides = any(j.name == name and j.type == "prismatic" for j in c.nominal.urdf.joints)
+    return f"{1e3 * value:.3f} mm" if slides else f"{np.degrees(value):.3f} deg"
+
+
+def _named(names: Sequence[str]) -> str:
+    """Names, the first dozen."""
+    shown = ", ".join(f"'{name}'" for name in names[:_MOST_NAMES])
+    rest = len(names) - _MOST_NAMES
+    return shown + (f" and {rest} more" if rest > 0 else "")
+
+
+def _outside(c: Calibration) -> str:
+    """Rows for validation beyond the joint values that were fitted, where the verdict does not name them."""
+    m = c.measurements
+    said = outside_sentence(c.outside, np.array(m.rows)[m.validation])
+    reasons = () if c.verdict is None else c.verdict.reasons
+    if not said or any(said in reason for reason in reasons):
+        return ""
+    return f"Validation rows beyond the joint values that were fitted: {said}."
+
+
+def _method(c: Calibration) -> Iterator[str]:
+    """How it was computed."""
+    v, robust = c.cross_validation, c.fitted.task.robust
+    yield f"{solver_text(c)}. {c.solution.message}"
+    yield f"Outliers {'have no' if robust else 'keep their'} weight in the fit."
+    if v is None:
+        yield "No rows were left out in turn (no cross-validation), so there is no verdict."
+    else:
+        yield f"Errors of left-out rows: {v.method}, {v.folds} fits."
+    yield _PRIORS[c.cell.priors.sizes]
+
+
+def _trace(c: Calibration, command: str, date: str) -> list[tuple[str, str]]:
+    """Files with their hashes, versions, the command and the date: what it takes to do it again."""
+    m, urdf = c.measurements, c.nominal.urdf
+    return [
+        ("Nominal robot", urdf.source or "from memory"),
+        ("  SHA-256", urdf.sha256),
+        ("Measurements", m.source or "from memory"),
+        ("  SHA-256", m.sha256.replace(" + ", ", ") or "-"),
+        ("Corrected robot", "as written without a target link"),
+        ("  SHA-256", c.robot.urdf.sha256),
+        ("Software", ", ".join(f"{name} {number}" for name, number in versions().items())),
+        ("Command", command or "not from the command line"),
+        ("Date of the report", date),
+    ]

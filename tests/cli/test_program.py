@@ -154,7 +154,7 @@ def test_every_example_of_the_document_works(examples):
         "frozen.json",
         "intervals.json",
         "errors.json",
-        "report.md",
+        "report.html",
         "figures",
         "plan.csv",
         "plan.json",

@@ -1,4 +1,4 @@
-"""``calib fit --report`` and ``--figures``: what is written, printed and refused."""
+"""``calib fit --report`` and ``--figures``: what is written, and what is refused."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FIT = ("fit", "robot.urdf", "data.csv", "--base", "base", "--tip", "tool0", "--m
 
 def test_report_and_figures_are_written_and_named(examples):
     call = (
-        "calib fit robot.urdf data.csv --base base --no-validate --report report.md --figures figures "
+        "calib fit robot.urdf data.csv --base base --no-validate --report report.html --figures figures "
         "--figure-format svg"
     )
     done = examples.done[call]
@@ -20,39 +20,20 @@ def test_report_and_figures_are_written_and_named(examples):
     assert len(figures) >= 10
     assert all(name.endswith(".svg") for name in figures)
     assert "points.svg" in figures
-    assert "Written: report.md" in done.lines
+    assert "Written: report.html" in done.lines
     assert f"Written: figures ({len(figures)} figures)" in done.lines
-    report = (examples.folder / "report.md").read_text(encoding="utf-8")
-    assert report.startswith("# Calibration report: robot ur3\n")
-    assert "--figure-format svg |" in report
-
-
-def test_a_dash_prints_the_report_in_place_of_the_summary(examples):
-    call = "calib fit robot.urdf data.csv --base base --no-validate --report -"
-    lines = examples.done[call].lines
-    assert lines[:2] == ["Calibration report: robot ur3", "============================="]
-    assert f"Command             {call}" in lines
-    assert lines[-1] == "  Signature:                            " + 50 * "_"
-    assert not (examples.folder / "-").exists()
-
-
-def test_a_dash_is_printed_by_quiet_too_and_files_are_written_beside(call, shop: Path):
-    done = call(shop, *FIT, "--no-validate", "--quiet", "--report", "-", "-o", "c.urdf")
-    assert (done.code, done.err) == (0, "")
-    assert done.lines[0] == "Calibration report: robot ur3"
-    assert (shop / "c.urdf").is_file()
+    report = (examples.folder / "report.html").read_text(encoding="utf-8")
+    assert "<title>Calibration report: robot ur3</title>" in report
+    assert '<span class="word">--figure-format</span> <span class="word">svg</span>' in report
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (
-            ("--report", "r.pdf"),
-            "'r.pdf': a report is a page, Markdown or text; let the name end in",
-        ),
-        (("--report", "none/r.md"), "none/r.md: the folder 'none' does not exist; make it first."),
-        (("--report", "cell.toml"), "'cell.toml': a report is a page, Markdown or text;"),
-        (("--report", "r.md", "--json", "r.md"), "r.md is also another output of this command;"),
+        (("--report", "r.md"), "'r.md': a report is a page; let the name end in .html."),
+        (("--report", "-"), "'-': a report is a page; let the name end in .html."),
+        (("--report", "none/r.html"), "none/r.html: the folder 'none' does not exist; make it first."),
+        (("--report", "r.html", "--json", "r.html"), "r.html is also another output of this command;"),
         (("--figure-format", "svg"), "--figure-format svg is for figures; name their folder with"),
         (
             ("--figures", "cell.toml"),

@@ -69,6 +69,7 @@ def check_svg(svg):
     assert not re.search(rb'href="(?!#|data:image/png)', svg)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["hostile_names", "many_rows"])
 def test_every_figure_is_made_and_holds_text_only_as_text(calibrations, case):
     c = calibrations.many_rows(6000) if case == "many_rows" else calibrations.made(case)
@@ -98,7 +99,7 @@ def test_all_are_written_and_none_is_written_over(calibrations, tmp_path):
     assert told == [(k + 1, len(names)) for k in range(len(names))]
     paths[0].unlink()
     paths[1].write_text("mine")
-    with pytest.raises(FileError, match=rf"{names[1]}\.svg' exists already"):
+    with pytest.raises(FileError, match=rf"{names[1]}\.svg exists already"):
         write_figures(c, folder, kind="svg")
     assert paths[1].read_text() == "mine"
     assert not paths[0].exists()  # refused before anything was drawn
@@ -113,64 +114,34 @@ def test_captions_are_written_beside_the_figures(calibrations, tmp_path):
     write_figures(c, tmp_path, kind="pdf")
     text = (tmp_path / CAPTIONS).read_text(encoding="utf-8")
     assert re.findall("^## (.*)$", text, re.MULTILINE) == [f"{one.name}.pdf" for one in made]
-    shown = text.replace("\\", "")
     for one in made:
-        assert f"\n\n**{one.title}.** {one.caption}\n" in shown
-    assert "\\[mm\\]" in text  # no link
+        assert f"\n\n**{one.title}.** {one.caption}\n" in text
     for one in made:
         (tmp_path / f"{one.name}.pdf").unlink()
     (tmp_path / CAPTIONS).write_text("mine")
-    with pytest.raises(FileError, match=r"captions\.md' exists already"):
+    with pytest.raises(FileError, match=r"captions\.md exists already"):
         write_figures(c, tmp_path, kind="pdf")
     assert [path.name for path in tmp_path.iterdir()] == [CAPTIONS]
 
 
-def captions(c):
-    return {one.name: one.caption for one in drawings(c)}
+def test_captions_say_how_many_rows(calibrations):
+    said = {one.name: one.caption for one in drawings(calibrations.made("paper"))}
+    assert "30 estimation rows and 5 validation rows" in said["errors-by-pose"]
+    assert "the 5 validation rows, which the fit has not seen" in said["error-curves"]
+    assert "Rank 21" in said["singular-values"]
+    said = {one.name: one.caption for one in drawings(calibrations.made("auto"))}
+    assert "of the 29 estimation rows that had a weight" in said["candidates"]
+    assert not any("{" in caption for caption in said.values())
 
 
-def test_captions_speak_of_outliers_where_there_are_some(calibrations):
-    for case in ("poses", "three_rows", "distances", "larger"):
-        c = calibrations.made(case)
-        assert not c.outliers
-        assert not [name for name, text in captions(c).items() if "utlier" in text], case
-    said = [name for name, text in captions(calibrations.made("paper")).items() if "utlier" in text]
-    assert said == ["points", "errors-by-pose", "errors-by-axis", "residual-by-joint"]
-
-
-def test_captions_say_what_is_drawn(calibrations):
-    paper = captions(calibrations.made("paper"))
-    assert "5 validation rows (shaded)" in paper["errors-by-pose"]
-    assert "mean of the estimation rows without outliers" in paper["residual-by-joint"]
-    assert (
-        "12 validation rows (shaded)"
-        in captions(calibrations.made("poses"))["orientation-errors-by-pose"]
-    )
-    mixed = captions(calibrations.made("mixed"))
-    assert not [name for name, text in mixed.items() if "shaded" in text or "numbers" in text]
-    three = captions(calibrations.made("three_rows"))
-    assert "mean" not in three["residual-by-joint"]
-    candidates = captions(calibrations.made("auto"))["candidates"]
-    assert "of the 29 estimation rows that had a weight" in candidates
-    assert "each predicted by a linearised fit without it" in candidates
-
-
-def test_points_that_nobody_measured_are_called_predicted(calibrations):
-    for case, title in (("paper", "Measured points"), ("distances", "Predicted points")):
-        assert drawings(calibrations.made(case))[0].title == title
-    assert "which measure no position" in captions(calibrations.made("distances"))["points"]
-
-
-def test_parameters_without_errors_are_counted_and_not_drawn(calibrations):
+def test_parameters_without_errors_are_not_drawn(calibrations):
     c = calibrations.made("three_rows")
     none = errorless(c)
     assert none == {f"theta{k}" for k in range(1, 7)}
-    assert "6 parameters of kinds of which no errors were found" in captions(c)["parameter-changes"]
     drawn = next(one for one in drawings(c) if one.name == "parameter-changes").draw()
     names = {text.get_text() for ax in drawn.axes for text in ax.get_yticklabels()}
     assert {"d1", "alpha1"} <= names
     assert not names & none
-    assert "no errors" not in captions(calibrations.made("paper"))["parameter-changes"]
 
 
 def test_what_cannot_be_written_is_refused(calibrations, tmp_path):

@@ -1,4 +1,4 @@
-"""Curves of errors over rows show the residuals, of the rows that they name."""
+"""Errors before and after in figures are the residuals, of the rows that they name."""
 
 from __future__ import annotations
 
@@ -7,9 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.show.figure_base import styled
-from calib.show.figure_curves import by_pose_figure, curve_rows, curves_figure, shaded
-from calib.show.figure_rows import lengths_of
+from calib.show import figure_errors
+from calib.show.figure_base import new_figure, styled
+from calib.show.figure_errors import (
+    by_axis,
+    by_row,
+    curve_rows,
+    curves,
+    histograms,
+    left_over,
+    orientation_by_axis,
+    orientation_by_row,
+)
+from calib.show.rows import lengths_of
 
 
 @pytest.fixture(autouse=True)
@@ -26,7 +36,7 @@ def lines(ax):
 
 def test_the_papers_figure_8_shows_the_validation_rows(calibrations):
     c = calibrations.made("paper")
-    figure = curves_figure(c)
+    figure = curves(c)
     v = c.measurements.validation
     for k, ax in enumerate(figure.axes[:3]):
         before, after = lines(ax).values()
@@ -54,7 +64,7 @@ def test_without_validation_rows_left_out_ones_are_shown_then_estimation_rows(ca
 
 def test_lengths_have_one_panel_and_their_signs(calibrations):
     c = calibrations.made("distances")
-    figure = curves_figure(c)
+    figure = curves(c)
     assert len(figure.axes) == 1
     before, after = lines(figure.axes[0]).values()
     v = c.measurements.validation
@@ -69,7 +79,7 @@ def test_a_length_among_points_has_a_size_and_no_axis(calibrations):
     c = calibrations.made("paper")
     used = c.used.copy()
     used[31, 1:] = False
-    x, _, _, size = curves_figure(replace(c, used=used)).axes
+    x, _, _, size = curves(replace(c, used=used)).axes
     assert [len(values) for values in lines(x).values()] == [4, 4]
     first = next(iter(lines(size).values()))
     assert first[1] == pytest.approx(1e3 * abs(c.residual_nominal[31, 0]))
@@ -77,17 +87,14 @@ def test_a_length_among_points_has_a_size_and_no_axis(calibrations):
 
 def test_stretches_of_validation_rows_are_shaded_if_they_are_few(calibrations):
     c = calibrations.made("paper")
-    assert shaded(c.measurements.validation) == [(30, 35)]
-    assert shaded(np.zeros(9, dtype=bool)) == []
-    assert shaded(np.arange(200) % 2 == 0) == []
-    assert [patch.get_x() for patch in by_pose_figure(c).axes[1].patches] == [29.5]
+    assert [patch.get_x() for patch in by_row(c).axes[1].patches] == [29.5]
 
 
 def test_by_pose_an_outlier_stands_at_the_edge_and_is_numbered(calibrations):
     c = calibrations.made("with_outliers")
-    top, below = by_pose_figure(c).axes
+    top, below = by_row(c).axes
     reach = below.get_ylim()[1]
-    sizes = 1e3 * lengths_of(c, c.residual_calibrated)
+    sizes = 1e3 * lengths_of(c.residual_calibrated, c.used)
     assert sizes.max() > 10.0 * reach
     numbers = {text.get_text() for text in below.texts}
     assert numbers == {str(one.row) for one in (*c.outliers, *c.suspects)}
@@ -98,7 +105,7 @@ def test_by_pose_an_outlier_stands_at_the_edge_and_is_numbered(calibrations):
 
 def test_by_pose_shows_what_left_out_rows_show(calibrations):
     c = calibrations.made("paper")
-    _, below = by_pose_figure(c).axes
+    _, below = by_row(c).axes
     dashes = next(line for line in below.lines if line.get_marker() == "_")
     shown = np.asarray(dashes.get_ydata(), float)
     expected = 1e3 * np.linalg.norm(c.cross_validation.residual, axis=1)
@@ -108,9 +115,9 @@ def test_by_pose_shows_what_left_out_rows_show(calibrations):
     assert np.all(np.isnan(shown[30:]))
 
 
-def test_orientations_are_in_degrees(calibrations):
+def test_orientations_by_row_are_in_degrees(calibrations):
     c = calibrations.made("mixed")
-    top, below = by_pose_figure(c, angle=True).axes
+    top, below = orientation_by_row(c).axes
     assert top.get_ylabel() == below.get_ylabel() == "size of the error [deg]"
     before = next(iter(lines(top).values()))
     expected = np.degrees(c.errors["nominal"]["estimation"].max_angle)
@@ -119,7 +126,7 @@ def test_orientations_are_in_degrees(calibrations):
 
 def test_a_line_leads_over_rows_that_hold_nothing(calibrations):
     c = calibrations.made("mixed")
-    top, _ = by_pose_figure(c, angle=True).axes
+    top, _ = orientation_by_row(c).axes
     rows = np.flatnonzero(c.measurements.of_kind("pose"))
     for line in top.lines:
         np.testing.assert_array_equal(line.get_xdata(), rows)
@@ -127,15 +134,15 @@ def test_a_line_leads_over_rows_that_hold_nothing(calibrations):
 
 def test_many_rows_are_bands(calibrations):
     c = calibrations.many_rows(6000)
-    figure = by_pose_figure(c)
+    figure = by_row(c)
     top, below = figure.axes
     assert len(top.collections) == 2
     assert all(len(line.get_ydata()) <= 120 for line in (*top.lines, *below.lines))
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "5 to 95 % of 50 rows each" in labels
+    assert "5 to 95 % of 120 rows each" in labels
     band = top.collections[0].get_paths()[0].vertices
-    first = 1e3 * lengths_of(c, c.residual_nominal)[:50]
-    ends = band[np.isclose(band[:, 0], 24.5), 1]
+    first = 1e3 * lengths_of(c.residual_nominal, c.used)[:120]
+    ends = band[np.isclose(band[:, 0], 59.5), 1]
     np.testing.assert_allclose([ends.min(), ends.max()], np.quantile(first, [0.05, 0.95]))
 
 
@@ -144,5 +151,73 @@ def test_a_set_of_rows_without_numbers_is_left_out(calibrations):
     turned = c.measurements.of_kind("pose")
     sets = tuple("estimate" if pose else "validate" for pose in turned)
     held = replace(c, measurements=replace(c.measurements, sets=sets))
-    labels = [t.get_text() for t in by_pose_figure(held, angle=True).legends[0].get_texts()]
+    labels = [t.get_text() for t in orientation_by_row(held).legends[0].get_texts()]
     assert not [label for label in labels if "validation" in label]
+
+
+def test_boxes_are_of_the_rows(calibrations):
+    c = calibrations.made("paper")
+    figure = by_axis(c)
+    upper, other, lower, _ = figure.axes
+    assert upper.get_title(loc="left") == "30 estimation rows"
+    assert other.get_title(loc="left") == "5 validation rows"
+    assert lower.get_title(loc="left") == "After, without outliers"
+    boxes = [patch.get_path().vertices for patch in upper.patches]
+    assert len(boxes) == 6
+    for k in range(3):
+        low, high = np.quantile(1e3 * c.residual_nominal[:30, k], [0.25, 0.75])
+        np.testing.assert_allclose([boxes[k][:, 1].min(), boxes[k][:, 1].max()], [low, high])
+    dots = np.concatenate([line.get_ydata() for line in lower.lines if line.get_marker() == "o"])
+    assert len(dots) == 3 * 28
+    assert np.abs(dots).max() < lower.get_ylim()[1]
+
+
+def test_few_rows_are_dots_and_no_boxes(calibrations):
+    figure = by_axis(calibrations.made("three_rows"))
+    assert [len(ax.patches) for ax in figure.axes] == [0, 0]
+
+
+def test_orientations_are_in_degrees(calibrations):
+    c = calibrations.made("mixed")
+    figure = orientation_by_axis(c)
+    count = int(np.sum(c.measurements.of_kind("pose")))
+    assert figure.axes[0].get_title(loc="left") == f"{count} estimation rows"
+    assert figure.axes[0].get_ylabel() == "error about the axis [deg]"
+
+
+def test_every_row_is_in_the_histogram(calibrations):
+    for name in ("paper", "distances", "with_outliers", "one_row"):
+        c = calibrations.made(name)
+        left, right = histograms(c).axes
+        for patch in left.patches:
+            y = patch.get_xy()[:, 1]  # up and down along the tops, then back along the foot
+            assert y[1 : len(y) // 2 : 2].sum() == len(c.measurements)
+        assert right.get_title(loc="left") == f"{len(left_over(c))} numbers of estimation rows"
+
+
+def test_what_is_left_over_is_measured_in_its_noise(calibrations):
+    values = left_over(calibrations.many_rows(6000))
+    assert len(values) == 3 * 5400
+    inside = values[np.abs(values) < 5.0]
+    assert abs(np.std(inside) - 1.0) < 0.05
+    figure = histograms(calibrations.many_rows(6000))
+    labels = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
+    assert labels == ["normal", f"{len(values) - len(inside)} beyond ±5"]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "expected"),
+    [
+        (range(31, 36), ["31", "32", "33", "34", "35"]),
+        ((7,), ["7"]),
+        ((3, 8, 900), ["3", "8", "900"]),
+        (range(1, 36), ["5", "10", "15", "20", "25", "30", "35"]),
+    ],
+)
+def test_rows_are_labelled_with_their_numbers(numbers, expected):
+    ax = new_figure(2.0).subplots()
+    figure_errors._row_axis(ax, list(numbers), 9)
+    places = ax.xaxis.get_majorticklocs()
+    assert [ax.xaxis.get_major_formatter()(place, 0) for place in places] == expected
+    low, high = ax.get_xlim()
+    assert low < 0 <= len(numbers) - 1 < high

@@ -1,4 +1,4 @@
-"""What is left over along each joint's motion."""
+"""Points in space, the uncertainty over the workspace, and what is left over along each joint's motion."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.identify.uncertainty import workspace_uncertainty
+from calib.model.readback import SPREAD
 from calib.show.figure_base import styled
-from calib.show.figure_joints import (
+from calib.show.figure_space import (
     MOST_ROWS,
+    POSES,
     along_joints,
     drawn_rows,
-    has_mean,
-    has_parts,
-    joints_figure,
-    mean_rows,
+    joints,
+    points,
+    uncertainty,
 )
 
 
@@ -23,6 +25,81 @@ from calib.show.figure_joints import (
 def _look():
     with styled():
         yield
+
+
+def dots(ax):
+    """Places of all markers but the base's."""
+    return {
+        line.get_marker(): np.stack(line.get_data(), axis=1)
+        for line in ax.lines
+        if line.get_marker() != "+"
+    }
+
+
+def test_the_papers_figure_7_shows_every_point_from_three_sides(calibrations):
+    c = calibrations.made("paper")
+    figure = points(c)
+    assert figure.axes[0].name == "3d"
+    scales = [
+        np.ptp(limits) / (size * inches)
+        for ax in figure.axes[1:]
+        for limits, size, inches in zip(
+            (ax.get_xlim(), ax.get_ylim()),
+            ax.get_position().size,
+            figure.get_size_inches(),
+            strict=True,
+        )
+    ]
+    np.testing.assert_allclose(scales, scales[0])  # millimetres of the cell for an inch of paper
+    for ax, pair in zip(figure.axes[1:], [(0, 1), (0, 2), (1, 2)], strict=True):
+        found = dots(ax)
+        assert sorted(found) == ["D", "o", "x"]
+        np.testing.assert_allclose(found["D"], 1e3 * c.measurements.points[30:][:, pair])
+        assert sum(map(len, found.values())) == 35
+        low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
+        every = np.concatenate(list(found.values()))
+        assert np.all((every > low) & (every < high))
+        assert ax.get_aspect() == 1.0
+        assert (ax.get_xlabel(), ax.get_ylabel()) == tuple(f"{'xyz'[k]} [mm]" for k in pair)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["28 estimation rows", "5 validation rows", "2 outliers", "base"]
+
+
+def test_a_base_that_is_not_shown_is_not_in_the_legend(calibrations):
+    figure = points(calibrations.made("one_row"))
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["1 estimation row"]
+
+
+def test_a_flat_cloud_has_some_height(calibrations):
+    figure = points(calibrations.made("two_joints"))
+    assert np.ptp(figure.axes[2].get_ylim()) > 0.2 * np.ptp(figure.axes[2].get_xlim())
+
+
+def test_points_of_many_rows_are_thinned(calibrations):
+    c = calibrations.many_rows(6000)
+    found = dots(points(c).axes[1])
+    assert len(found["x"]) == len(c.outliers) + len(c.suspects) > 0
+    assert all(len(places) <= MOST_ROWS for places in found.values())
+
+
+@pytest.mark.parametrize("case", ["paper", "larger"])
+def test_cells_show_the_uncertainty_of_their_poses(calibrations, case):
+    c = calibrations.made(case)
+    figure = uncertainty(c)
+    std = 1e3 * workspace_uncertainty(c, POSES, larger=False).std
+    for ax in figure.axes[:3]:
+        cells = np.asarray(ax.collections[0].get_array())
+        assert std.min() <= cells.min() < cells.max() <= std.max()
+    share = next(ax for ax in figure.axes if ax.get_ylabel() == "poses below [%]")
+    labels = [text.get_text() for text in share.get_legend().get_texts()]
+    # The report's numbers, in its digits.
+    assert labels[0] == f"{1e3 * c.expected_measured:.3f} mm: rms, measured poses"
+    assert labels[1] == f"{1e3 * c.expected_everywhere:.3f} mm: rms, joint limits"
+    assert np.sqrt(np.mean(std[:SPREAD] ** 2)) == pytest.approx(1e3 * c.expected_everywhere)
+    x, y = share.lines[0].get_data()
+    assert np.all(np.diff(x) >= 0.0)
+    assert y[-1] == 100.0
+    assert x[np.searchsorted(y, 50.0)] == pytest.approx(np.median(std), rel=0.02)
 
 
 def every(c):
@@ -78,22 +155,16 @@ def test_a_joint_that_does_not_move_the_target_has_no_part(calibrations):
     c = calibrations.made("paper")
     on_axis = np.array(c.setup.T_tip_target)
     on_axis[:, :2, 3] = 0.0
-    kinematics = replace(c.fitted.kinematics, T_tip_target=on_axis)
-    moved = replace(c, fitted=replace(c.fitted, kinematics=kinematics))
-    x = np.array(c.fitted.estimate.x)
-    x[[c.model.index(f"target_{axis}") for axis in "xy"]] = 0.0
-    x[[k for k, name in enumerate(c.model.names) if name in ("a6", "alpha6")]] = 0.0
-    estimate = replace(c.fitted.estimate, x=x)
-    moved = replace(moved, fitted=replace(moved.fitted, estimate=estimate))
+    moved = replace(c, robot=c.nominal, setup=replace(c.setup, T_tip_target=on_axis))
     parts = along_joints(moved, every(c))
     assert np.all(np.isnan(parts[:, 5]))
     assert np.all(np.isfinite(parts[:, 0]))
-    words = [text.get_text() for text in joints_figure(moved).axes[5].texts]
+    words = [text.get_text() for text in joints(moved).axes[5].texts]
     assert words == ["does not move the target"]
 
 
 def test_panels_are_of_the_joints_in_their_units(calibrations):
-    figure = joints_figure(calibrations.made("prismatic"))
+    figure = joints(calibrations.made("prismatic"))
     labels = [ax.get_xlabel() for ax in figure.axes]
     assert labels == ["joint value [mm]"] * 3 + ["joint value [deg]"]
     assert [ax.get_title(loc="left") for ax in figure.axes] == [
@@ -106,7 +177,7 @@ def test_panels_are_of_the_joints_in_their_units(calibrations):
 
 def test_outliers_do_not_set_the_scale_and_stand_at_its_edge(calibrations):
     c = calibrations.made("with_outliers")
-    ax = joints_figure(c).axes[0]
+    ax = joints(c).axes[0]
     assert ax.get_ylim()[1] < 0.3
     crosses = next(line for line in ax.lines if line.get_marker() == "x")
     assert len(crosses.get_ydata()) == len(c.outliers) + len(c.suspects)
@@ -115,34 +186,32 @@ def test_outliers_do_not_set_the_scale_and_stand_at_its_edge(calibrations):
 
 def test_the_mean_is_that_of_the_estimation_rows_without_outliers(calibrations):
     c = calibrations.made("paper")
-    rows = np.arange(1, 36)
-    np.testing.assert_array_equal(mean_rows(c), (rows <= 30) & ~np.isin(rows, [11, 14]))
-    figure = joints_figure(c)
+    figure = joints(c)
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels[-1] == "mean of the estimation rows ± 2 standard errors"
-    # Wherever a row for validation lies, the band is the same.
+    # Wherever a row for validation or an outlier lies, the band is the same.
     moved = c.residual_calibrated.copy()
-    moved[30:] += 0.1
+    moved[[10, 13, *range(30, 35)]] += 0.1
     bands = [
-        joints_figure(one).axes[0].collections[-1].get_paths()[0].vertices
+        joints(one).axes[0].collections[-1].get_paths()[0].vertices
         for one in (c, with_residual(c, moved))
     ]
     np.testing.assert_array_equal(*bands)
-    assert has_mean(c)
-    assert not has_mean(calibrations.made("two_joints"))  # 20 rows to estimate, 25 in all
+    few = joints(calibrations.made("two_joints"))  # 20 rows to estimate, 25 in all
+    assert not few.axes[0].collections
 
 
 def test_many_rows_are_thinned_but_not_the_outliers(calibrations):
     c = calibrations.many_rows(6000)
     chosen = drawn_rows(c)
-    assert np.count_nonzero(chosen) <= MOST_ROWS + len(c.outliers)
+    assert np.count_nonzero(chosen) <= MOST_ROWS + len(c.outliers) + len(c.suspects)
     rows = set(np.array(c.measurements.rows)[chosen])
     assert {one.row for one in c.outliers} <= rows
 
 
 def test_lengths_between_two_rows_belong_to_neither(calibrations):
     c = calibrations.made("distances")
-    assert has_parts(c)
+    assert np.any(drawn_rows(c))
     m = c.measurements
     count = len(m) - len(m) % 2
     pairs = replace(
@@ -152,4 +221,4 @@ def test_lengths_between_two_rows_belong_to_neither(calibrations):
         distances=np.repeat(m.distances[:count:2], 2),
     )
     mask = np.arange(len(m)) < count
-    assert not has_parts(replace(c, measurements=pairs, used=c.used[mask]))
+    assert not np.any(drawn_rows(replace(c, measurements=pairs, used=c.used[mask])))
