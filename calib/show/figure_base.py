@@ -64,7 +64,7 @@ _FALLBACKS = (
 )
 
 #: What a figure is drawn with, whatever a user's matplotlibrc says.
-_STYLE: dict[str, Any] = {
+_STYLE: dict[Any, Any] = {
     "axes.axisbelow": True,
     "axes.edgecolor": "#9aa7b4",
     "axes.formatter.useoffset": False,
@@ -110,7 +110,7 @@ def styled() -> Iterator[None]:
         # A name in letters that no font has is drawn as boxes; the terminal is no place to say so.
         warnings.filterwarnings("ignore", message=".*Glyph", category=UserWarning)
         mpl.rcdefaults()
-        mpl.rcParams.update({**_STYLE, "font.family": fonts})
+        mpl.rcParams.update(_STYLE | {"font.family": fonts})
         yield
 
 
@@ -320,7 +320,7 @@ def number_points(
     if not 0 < np.count_nonzero(chosen) <= MOST_NUMBERS:
         return
     size = np.maximum(np.ptp(places[there], axis=0), 1e-12)
-    at = np.flatnonzero(chosen)
+    at = [int(k) for k in np.flatnonzero(chosen)]
     for k, side in zip(at, free_sides(places / size, at), strict=True):
         write_beside(ax, str(rows[k]), places[k], side, reach)
 
@@ -345,7 +345,7 @@ def write_beside(
     ).set_in_layout(False)
 
 
-def free_sides(places: Array, rows: Sequence[int] | NDArray[np.intp]) -> list[tuple[int, int]]:
+def free_sides(places: Array, rows: Sequence[int]) -> list[tuple[int, int]]:
     """On which side of some points their numbers stand: where the others leave most room, right above in doubt.
 
     Args:

@@ -250,9 +250,8 @@ def _curve(ax: Axes, values: Array, who: Who, *, largest: bool = False) -> None:
     few = len(values) <= _MOST_MARKERS
     # A line leads over rows that hold nothing, such as the second ones of pairs: gaps would leave nothing of it.
     at = np.flatnonzero(np.isfinite(values))
-    size = 4.2 if len(values) <= 40 else 3.0
-    marker = {"marker": who.marker if few else "", "ms": size, "mec": "white", "mew": 0.4}
-    ax.plot(at, values[at], lw=1.3 if few else 0.8, **look, **marker)
+    look |= {"marker": who.marker if few else "", "ms": 4.2 if len(values) <= 40 else 3.0}
+    ax.plot(at, values[at], lw=1.3 if few else 0.8, mec="white", mew=0.4, **look)
 
 
 def _runs(count: int) -> list[NDArray[np.intp]]:

@@ -12,7 +12,6 @@ from calib.families import unit_of
 from calib.identify.findings import ParameterEstimate
 from calib.identify.result import Calibration
 from calib.identify.statements import errorless
-
 from calib.model.parameters import FRAME, TARGET
 from calib.show.figure_base import (
     WIDTH,

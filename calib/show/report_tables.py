@@ -19,6 +19,7 @@ from calib.identify.statements import (
     left_out_text,
     shown_parameters,
 )
+from calib.identify.statistics import Errors
 from calib.model.dh import DHRow, DHTable, dh_table
 from calib.model.robot import read_only, rigid_inverse
 from calib.show.rows import angles_of, lengths_of
@@ -222,7 +223,8 @@ def dh(c: Calibration) -> Table:
         ("The tip after the last row", before.T_n_tip, after.T_n_tip),
     ):
         D = rigid_inverse(T) @ S
-        moved, turned = np.linalg.norm(D[:3, 3]), np.linalg.norm(pin.log3(D[:3, :3]))
+        moved = float(np.linalg.norm(D[:3, 3]))
+        turned = float(np.linalg.norm(pin.log3(D[:3, :3])))
         if moved > _NOTHING or turned > _NOTHING:
             note += f" {what} moved by {mm(moved)} mm and {deg(turned)} deg, which no row shows."
     head = ("joint", "robot", "a [mm]", "alpha [deg]", "d [mm]", "theta [deg]", "beta [deg]")
@@ -314,7 +316,7 @@ def ranges(c: Calibration) -> Table:
     )
 
 
-def _labelled(c: Calibration) -> Iterator[tuple[str, object]]:
+def _labelled(c: Calibration) -> Iterator[tuple[str, Errors]]:
     """The sets of rows, each with a label that needs no look at the row above."""
     before = ""
     for label, errors in error_rows(c):

@@ -32,8 +32,14 @@ def test_report_and_figures_are_written_and_named(examples):
     [
         (("--report", "r.md"), "'r.md': a report is a page; let the name end in .html."),
         (("--report", "-"), "'-': a report is a page; let the name end in .html."),
-        (("--report", "none/r.html"), "none/r.html: the folder 'none' does not exist; make it first."),
-        (("--report", "r.html", "--json", "r.html"), "r.html is also another output of this command;"),
+        (
+            ("--report", "none/r.html"),
+            "none/r.html: the folder 'none' does not exist; make it first.",
+        ),
+        (
+            ("--report", "r.html", "--json", "r.html"),
+            "r.html is also another output of this command;",
+        ),
         (("--figure-format", "svg"), "--figure-format svg is for figures; name their folder with"),
         (
             ("--figures", "cell.toml"),
