@@ -319,9 +319,7 @@ def check_free(paths: Sequence[Path]) -> None:
     """
     for path in paths:
         if path.exists():
-            message = (
-                f"{path} exists already; add --force or choose another folder."
-            )
+            message = f"{path} exists already; add --force or choose another folder."
             raise FileError(message)
 
 
