@@ -54,6 +54,9 @@ _SPELLINGS = {
     **{f"N{sign}m": "Nm" for sign in (" ", ".", "*", "\N{MIDDLE DOT}", "\N{DOT OPERATOR}")},
 }
 
+NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+"""A number in the files of robots: ASCII digits, at most one point and one exponent; neither nan nor inf."""
+
 _HEADER = re.compile(r"(?P<name>.*?)\s*\[(?P<symbol>[^\[\]]*)\]", re.DOTALL)
 
 

@@ -22,12 +22,14 @@ from numpy.typing import NDArray
 from calib.errors import FileError, UrdfError, choices, did_you_mean
 from calib.formats.yaml_file import parse_yaml
 from calib.model.files import read_bytes, write_atomically
-from calib.model.number_text import NUMBER
 from calib.model.robot import Robot
-from calib.model.urdf_joints import FARTHEST
+from calib.units import NUMBER
 
 FloatArray = NDArray[np.float64]
 Triple = tuple[float, float, float]
+
+#: A number beyond this [m or rad] is a mistake.
+_FARTHEST = 1e6
 
 _SECTION, _KEYS = "origins", ("xyz", "rpy")
 _EXAMPLE = 'elbow_joint: {xyz: "0.0 0.0 0.15", rpy: "0.0 0.0 1e-05"}'
@@ -186,10 +188,10 @@ def _numbers(value: object, key: str, where: str) -> Triple:
     words = value.split() if isinstance(value, str) else value if isinstance(value, list) else []
     texts = ["" if isinstance(word, bool) else str(word) for word in words]
     found = [float(text) for text in texts if NUMBER.fullmatch(text)]
-    if not len(texts) == len(found) == 3 or not all(abs(number) <= FARTHEST for number in found):
+    if not len(texts) == len(found) == 3 or not all(abs(number) <= _FARTHEST for number in found):
         unit = "m" if key == "xyz" else "rad"
         message = (
-            f"{where}: {key} is {value!r}; three numbers [{unit}] no larger than {FARTHEST:g} are wanted, "
+            f"{where}: {key} is {value!r}; three numbers [{unit}] no larger than {_FARTHEST:g} are wanted, "
             f'such as "0.0 0.0 0.15"'
         )
         raise FileError(message)

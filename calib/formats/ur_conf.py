@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from calib.errors import FileError, choices, did_you_mean
 from calib.formats.ur_dh import COLUMNS, FullDH
 from calib.model.files import read_bytes, write_atomically
-from calib.model.number_text import NUMBER
+from calib.units import NUMBER
 
 Array = NDArray[np.float64]
 

@@ -27,8 +27,8 @@ from calib.errors import FileError, choices, did_you_mean
 from calib.formats.ur_models import LINKS
 from calib.formats.yaml_file import parse_yaml
 from calib.model.files import read_bytes, write_atomically
-from calib.model.number_text import NUMBER
 from calib.model.robot import read_only
+from calib.units import NUMBER
 
 Array = NDArray[np.float64]
 

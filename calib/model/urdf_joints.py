@@ -4,28 +4,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import overload
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import UrdfError, choices, did_you_mean
-from calib.model.number_text import NUMBER
 from calib.model.urdf_xml import XACRO_FIX, Document, Element
+from calib.units import NUMBER
 
 FloatArray = NDArray[np.float64]
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
-_AXIS_TYPES = ("revolute", "continuous", "prismatic", "planar")
-_LIMIT_TYPES = ("revolute", "prismatic")
 _ZERO_AXIS = 1e-9
-
-#: Beyond this [m or rad] doubles are further apart than the 1e-9 that written files agree to.
-FARTHEST = 1e6
 
 _SPACE = " \t\r\n"  # XML's white space; str.split() would take more
 
@@ -79,18 +73,26 @@ def read_tree(document: Document) -> tuple[tuple[UrdfJoint, ...], tuple[str, ...
         UrdfError: The document is not a URDF with joints, a value is missing or wrong, or joints
             and links do not form one tree.
     """
-    _check_root(document)
-    elements = document.root.all("joint")
-    links = _unique_names(document, document.root.all("link"))
+    root = document.root
+    if root.tag != "robot":
+        known = {"sdf": "SDF (Gazebo)", "mujoco": "MJCF (MuJoCo)", "COLLADA": "a COLLADA mesh"}
+        looks = f", it looks like {known[root.tag]}" if root.tag in known else ""
+        text = f"the outermost element is <{root.tag}>{looks}; a URDF has <robot>"
+        raise document.at(root, text)
+    elements = root.all("joint")
+    if not elements:
+        text = "<robot> has no <joint>; a URDF with the joints themselves is wanted"
+        raise document.at(root, text)
+    links = _unique_names(document, root.all("link"))
     _unique_names(document, elements)
-    joints = tuple(_joint(document, element) for element in elements)
+    joints = tuple(_Reader(document, element).joint() for element in elements)
     for joint, element in zip(joints, elements, strict=True):
         for link in (joint.parent, joint.child):
             if link not in links:
                 text = f"joint '{joint.name}' names the link '{link}', which does not exist"
                 raise document.at(element, text + did_you_mean(link, links))
-    _check_tree(document, elements, joints, links)
-    return joints, tuple(links)
+    _check_tree(document, joints, links)
+    return joints, links
 
 
 def path_from_root(link: str, up: Mapping[str, UrdfJoint]) -> tuple[str, ...]:
@@ -102,162 +104,124 @@ def path_from_root(link: str, up: Mapping[str, UrdfJoint]) -> tuple[str, ...]:
     return tuple(reversed(names))
 
 
-def _check_root(document: Document) -> None:
-    """Refuse XML that is no URDF, or one without joints."""
-    root = document.root
-    if root.tag != "robot":
-        known = {"sdf": "SDF (Gazebo)", "mujoco": "MJCF (MuJoCo)", "COLLADA": "a COLLADA mesh"}
-        looks = f", it looks like {known[root.tag]}" if root.tag in known else ""
-        text = f"the outermost element is <{root.tag}>{looks}; a URDF has <robot>"
-        raise document.at(root, text)
-    if not root.all("joint"):
-        text = "<robot> has no <joint>; a URDF with the joints themselves is wanted"
-        raise document.at(root, text)
-
-
-def _joint(document: Document, element: Element) -> UrdfJoint:
-    """Interpret a <joint> of the robot."""
-    name = _name(document, element)
-    kind = element.attributes.get("type", "")
-    if kind not in JOINT_TYPES:
-        text = f"joint '{name}' has the type '{kind}'; the types are {choices(JOINT_TYPES)}"
-        raise document.at(element, text)
-    origin = _only(document, element, "origin")
-    axis = _only(document, element, "axis") if kind in _AXIS_TYPES else None
-    limit = _only(document, element, "limit") if kind in _LIMIT_TYPES else None
-    mimic = _only(document, element, "mimic")
-    return UrdfJoint(
-        name=name,
-        type=kind,
-        parent=_wanted(document, element, "parent", "link"),
-        child=_wanted(document, element, "child", "link"),
-        xyz=_vector(document, origin, "xyz", name),
-        rpy=_vector(document, origin, "rpy", name),
-        axis=_axis(document, axis, name),
-        mimic=_wanted(document, element, "mimic", "joint") if mimic else None,
-        lower=_number(document, limit, "lower", name),
-        upper=_number(document, limit, "upper", name),
-        mimic_multiplier=_number(document, mimic, "multiplier", name, 1.0),
-        mimic_offset=_number(document, mimic, "offset", name, 0.0),
-    )
-
-
-def _name(document: Document, element: Element) -> str:
-    """The name of a <link> or <joint>."""
-    name = element.attributes.get("name", "")
-    if not name:
-        text = f'a <{element.tag}> has no name; give it name="..."'
-        raise document.at(element, text)
-    return name
-
-
-def _unique_names(document: Document, elements: Iterable[Element]) -> dict[str, int]:
-    """The names, each with its line; refused if one stands twice."""
+def _unique_names(document: Document, elements: tuple[Element, ...]) -> tuple[str, ...]:
+    """The names of links or joints; refused where one is missing or stands twice."""
     lines: dict[str, int] = {}
     for element in elements:
-        name = _name(document, element)
+        name = element.attributes.get("name", "")
+        if not name:
+            text = f'a <{element.tag}> has no name; give it name="..."'
+            raise document.at(element, text)
         if name in lines:
             text = (
                 f"a second {element.tag} '{name}', the first is in line {lines[name]}; rename one"
             )
             raise document.at(element, text)
         lines[name] = element.line
-    return lines
+    return tuple(lines)
 
 
-def _only(document: Document, element: Element, tag: str) -> Element | None:
-    """The child of that name, None without; refused if there are several."""
-    found = element.all(tag)
-    if len(found) > 1:
-        text = f"joint '{element.attributes['name']}' has {len(found)} <{tag}>; keep one"
-        raise document.at(element, text)
-    return found[0] if found else None
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    """A ``<joint>`` of the robot, whose faults are said with their place."""
+
+    document: Document
+    element: Element
+
+    def joint(self) -> UrdfJoint:
+        """What the element states."""
+        kind = self.element.attributes.get("type", "")
+        if kind not in JOINT_TYPES:
+            text = f" has the type '{kind}'; the types are {choices(JOINT_TYPES)}"
+            raise self._fault(text)
+        limited = kind in ("revolute", "prismatic")
+        return UrdfJoint(
+            name=self.element.attributes["name"],
+            type=kind,
+            parent=self._word("parent", "link"),
+            child=self._word("child", "link"),
+            xyz=self._vector("origin", "xyz"),
+            rpy=self._vector("origin", "rpy"),
+            axis=self._axis(kind),
+            mimic=self._word("mimic", "joint") if self._part("mimic") else None,
+            lower=self._number("limit", "lower") if limited else None,
+            upper=self._number("limit", "upper") if limited else None,
+            mimic_multiplier=1.0
+            if (factor := self._number("mimic", "multiplier")) is None
+            else factor,
+            mimic_offset=self._number("mimic", "offset") or 0.0,
+        )
+
+    def _fault(self, text: str, part: Element | None = None) -> UrdfError:
+        """An error about the joint, with the line of one of its parts."""
+        name = self.element.attributes["name"]
+        return self.document.at(part or self.element, f"joint '{name}'{text}")
+
+    def _part(self, tag: str) -> Element | None:
+        """The child of that name, None without; refused if there are several."""
+        found = self.element.all(tag)
+        if len(found) > 1:
+            text = f" has {len(found)} <{tag}>; keep one"
+            raise self._fault(text)
+        return found[0] if found else None
+
+    def _word(self, tag: str, key: str) -> str:
+        """The value of ``<tag key="...">``, which must be there."""
+        part = self._part(tag)
+        value = part.attributes.get(key, "") if part else ""
+        if not value:
+            text = f' lacks <{tag} {key}="...">'
+            raise self._fault(text)
+        return value
+
+    def _numbers(self, tag: str, key: str, count: int) -> FloatArray | None:
+        """The finite numbers of an attribute, read-only; None if it is absent."""
+        part = self._part(tag)
+        if part is None or key not in part.attributes:
+            return None
+        text = part.attributes[key]
+        words = re.split(f"[{_SPACE}]+", text.strip(_SPACE))
+        if len(words) == count and all(NUMBER.fullmatch(word) for word in words):
+            values = np.array([float(word) for word in words])
+            if np.isfinite(values).all():
+                values.setflags(write=False)
+                return values
+        wanted = f"{count} finite numbers" if count > 1 else "a finite number"
+        xacro = f"; this is xacro, {XACRO_FIX}" if "${" in text or "$(" in text else ""
+        message = f": {key} of <{tag}> is '{text}', {wanted} wanted{xacro}"
+        raise self._fault(message, part)
+
+    def _number(self, tag: str, key: str) -> float | None:
+        """The number of an attribute, None if it is absent."""
+        found = self._numbers(tag, key, 1)
+        return None if found is None else float(found[0])
+
+    def _vector(self, tag: str, key: str) -> FloatArray:
+        """The three numbers of an attribute, zeros if it is absent."""
+        found = self._numbers(tag, key, 3)
+        if found is None:
+            found = np.zeros(3)
+            found.setflags(write=False)
+        return found
+
+    def _axis(self, kind: str) -> FloatArray:
+        """The axis as a unit vector; x where none is stated or the type has none."""
+        stated = None if kind in ("fixed", "floating") else self._numbers("axis", "xyz", 3)
+        axis = np.array([1.0, 0.0, 0.0]) if stated is None else stated
+        length = math.hypot(*axis)
+        if length < _ZERO_AXIS:
+            text = ': the axis is zero; give its direction, xyz="0 0 1" for example'
+            raise self._fault(text)
+        axis = axis / length
+        axis.setflags(write=False)
+        return axis
 
 
-def _wanted(document: Document, element: Element, tag: str, key: str) -> str:
-    """The value of ``<tag key="...">`` of a joint, which must be there."""
-    part = _only(document, element, tag)
-    value = part.attributes.get(key, "") if part else ""
-    if not value:
-        text = f"joint '{element.attributes['name']}' lacks <{tag} {key}=\"...\">"
-        raise document.at(element, text)
-    return value
-
-
-def _numbers(document: Document, part: Element, key: str, count: int, joint: str) -> FloatArray:
-    """The finite numbers of an attribute that is there."""
-    text = part.attributes[key]
-    words = re.split(f"[{_SPACE}]+", text.strip(_SPACE))
-    if len(words) == count and all(NUMBER.fullmatch(word) for word in words):
-        values = np.array([float(word) for word in words])
-        if np.isfinite(values).all():
-            if part.tag == "origin" and np.abs(values).max() > FARTHEST:
-                message = (
-                    f"joint '{joint}': {key} of <origin> is '{text}'; no robot has an origin beyond {FARTHEST:g} "
-                    f"{'m' if key == 'xyz' else 'rad'}"
-                )
-                raise document.at(part, message)
-            values.setflags(write=False)
-            return values
-    wanted = f"{count} finite numbers" if count > 1 else "a finite number"
-    message = f"joint '{joint}': {key} of <{part.tag}> is '{text}', {wanted} wanted"
-    if "${" in text or "$(" in text:
-        message += f"; this is xacro, {XACRO_FIX}"
-    raise document.at(part, message)
-
-
-def _vector(
-    document: Document,
-    part: Element | None,
-    key: str,
-    joint: str,
-    default: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> FloatArray:
-    """The three numbers of an attribute, or the default if it is absent."""
-    if part is not None and key in part.attributes:
-        return _numbers(document, part, key, 3, joint)
-    values = np.array(default)
-    values.setflags(write=False)
-    return values
-
-
-def _axis(document: Document, part: Element | None, joint: str) -> FloatArray:
-    """The axis as a unit vector."""
-    axis = _vector(document, part, "xyz", joint, (1.0, 0.0, 0.0))
-    length = math.hypot(*axis)
-    if part is not None and length < _ZERO_AXIS:
-        text = f"joint '{joint}': the axis is zero; give its direction, xyz=\"0 0 1\" for example"
-        raise document.at(part, text)
-    axis = axis / length
-    axis.setflags(write=False)
-    return axis
-
-
-@overload
-def _number(document: Document, part: Element | None, key: str, joint: str) -> float | None: ...
-@overload
-def _number(
-    document: Document, part: Element | None, key: str, joint: str, default: float
-) -> float: ...
-def _number(
-    document: Document, part: Element | None, key: str, joint: str, default: float | None = None
-) -> float | None:
-    """The number of an attribute, or the default if it is absent."""
-    if part is None or key not in part.attributes:
-        return default
-    return float(_numbers(document, part, key, 1, joint)[0])
-
-
-def _check_tree(
-    document: Document,
-    elements: Iterable[Element],
-    joints: tuple[UrdfJoint, ...],
-    links: Iterable[str],
-) -> None:
+def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[str, ...]) -> None:
     """Refuse a link with two parents, several roots, and loops."""
     above: dict[str, UrdfJoint] = {}
     below: dict[str, list[str]] = {}
-    for joint, element in zip(joints, elements, strict=True):
+    for joint, element in zip(joints, document.root.all("joint"), strict=True):
         if joint.child in above:
             text = (
                 f"link '{joint.child}' is the child of both '{above[joint.child].name}' and "
@@ -273,13 +237,12 @@ def _check_tree(
             "joints so that one is left"
         )
         raise UrdfError(message)
-    reached = set(roots)
-    waiting = list(roots)
-    while waiting:
-        children = below.get(waiting.pop(), [])
-        reached.update(children)
-        waiting += children
-    loop = [joint.name for joint in joints if joint.child not in reached]
+    reached = list(roots)
+    for link in reached:
+        reached += below.get(link, [])
+    loop = [above[link].name for link in above.keys() - set(reached)]
     if loop:
-        message = f"{document.source}: the joints {choices(loop)} form a loop; a URDF is a tree"
+        message = (
+            f"{document.source}: the joints {choices(sorted(loop))} form a loop; a URDF is a tree"
+        )
         raise UrdfError(message)

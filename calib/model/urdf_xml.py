@@ -74,8 +74,7 @@ class Document:
             source: Name of the file, for messages.
 
         Raises:
-            UrdfError: Not XML, an encoding whose bytes are not those of ASCII, a document type
-                declaration, or a xacro file.
+            UrdfError: Not XML, an encoding whose bytes are not those of ASCII, or a xacro file.
         """
         if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:4]:
             message = f"{source} is in UTF-16 or UTF-32; save it as UTF-8"
@@ -172,21 +171,12 @@ class _Scan:
         self._open: list[tuple[str, dict[str, str], int, int, int, list[Element]]] = []
         self.parser = expat.ParserCreate()
         self.parser.XmlDeclHandler = self._declaration
-        self.parser.StartDoctypeDeclHandler = self._doctype
         self.parser.StartElementHandler = self._start
         self.parser.EndElementHandler = self._end
 
     def _declaration(self, _version: str, encoding: str | None, _standalone: int) -> None:
         """Note the encoding."""
         self.encoding = encoding or "utf-8"
-
-    def _doctype(self, *_: object) -> None:
-        """Refuse document types: they can declare entities that grow without bound."""
-        message = (
-            f"{self.source}, line {self.parser.CurrentLineNumber}: a <!DOCTYPE> declaration has no "
-            "place in a URDF, and entities are not expanded; delete it"
-        )
-        raise UrdfError(message)
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         """Note where an element of the upper levels starts."""
@@ -231,15 +221,8 @@ def _not_xml(data: bytes, source: str, error: expat.ExpatError) -> str:
     text = data.removeprefix(b"\xef\xbb\xbf").lstrip()
     if not text:
         return f"{source} is empty; a URDF is wanted"
-    reason = expat.ErrorString(error.code)
-    place = f"{source} is not XML: {reason}, line {error.lineno}, column {error.offset + 1}"
+    place = f"line {error.lineno}, column {error.offset + 1}"
+    what = f"{source} is not XML: {expat.ErrorString(error.code)}, {place}"
     if not text.startswith(b"<"):
-        line = text.splitlines()[0]
-        table = any(line.count(separator) > 1 for separator in (b",", b";", b"\t"))
-        hint = "it looks like a table (CSV)" if table else "it starts with no '<'"
-        return f"{place}; {hint}, a URDF is wanted"
-    try:
-        data.decode("utf-8")
-    except UnicodeDecodeError:
-        return f"{place}; a character is not valid in the file's encoding, save it as UTF-8"
-    return f"{place}; mend the file there"
+        return f"{what}; it starts with no '<', a URDF is wanted"
+    return f"{what}; mend the file there, and save it as UTF-8"
