@@ -212,32 +212,34 @@ def differences(path: str, a: Any, b: Any, rel: float, ignore_text: bool) -> Ite
             if key not in a or key not in b:
                 yield f"{path}/{key}: only in the {'second' if key in b else 'first'}"
             else:
-                yield from entries(f"{path}/{key}", a, b, rel, ignore_text)
+                yield from entry(path, key, (a, b), rel, ignore_text)
     elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
         scale = max((abs(v) for v in [*a, *b] if isinstance(v, float)), default=0.0)
         for i, (x, y) in enumerate(zip(a, b, strict=True)):
-            yield from differ(f"{path}/{i}", x, y, rel, scale)
+            deeper = isinstance(x, dict) and isinstance(y, dict)
+            yield from (
+                differences(f"{path}/{i}", x, y, rel, ignore_text)
+                if deeper
+                else differ(f"{path}/{i}", x, y, rel, scale)
+            )
     else:
         yield from differ(path, a, b, rel, 0.0)
 
 
-def entries(path: str, a: Any, b: Any, rel: float, ignore_text: bool) -> Iterator[str]:
+def entry(
+    path: str, key: str, pair: tuple[Any, Any], rel: float, ignore_text: bool
+) -> Iterator[str]:
     """The differences of one entry of two tables; values of parameters beside their standard deviations."""
-    key = path.rsplit("/", 1)[-1]
-    std = a.get("std") if "delta" in a else None
-    if (
-        isinstance(std, list)
-        and key in (*BESIDE_STD, "push")
-        and len(std) == len(a[key]) == len(b[key])
-    ):
-        for i, (x, y, s) in enumerate(zip(a[key], b[key], std, strict=True)):
+    path, a, b, std = f"{path}/{key}", pair[0][key], pair[1][key], pair[0].get("std")
+    if isinstance(std, list) and key in (*BESIDE_STD, "push") and len(std) == len(a) == len(b):
+        for i, (x, y, s) in enumerate(zip(a, b, std, strict=True)):
             yield from differ(
                 f"{path}/{i}", x, y, rel, 0.0 if not s else 1 / s if key == "push" else s
             )
     elif key == "wave":  # a sum in which much cancels
-        yield from differ(path, a[key], b[key], rel, max(abs(a["rms"]), abs(b["rms"])))
+        yield from differ(path, a, b, rel, max(abs(p["rms"]) for p in pair))
     else:
-        yield from differences(path, a[key], b[key], rel, ignore_text)
+        yield from differences(path, a, b, rel, ignore_text)
 
 
 def differ(path: str, a: Any, b: Any, rel: float, scale: float) -> Iterator[str]:
@@ -247,6 +249,8 @@ def differ(path: str, a: Any, b: Any, rel: float, scale: float) -> Iterator[str]
         last = 1.001 * 10.0 ** -len(a.partition(".")[2].partition("e")[0]) if "." in a else 0.0
         a, b = float(a), float(b)
     numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (a, b))
+    if numbers and abs(abs(a) - np.pi) < 1e-6 > abs(a + b):  # half a turn, one way or the other
+        b = -b
     if a == b or (
         numbers and abs(a - b) <= max(rel * max(abs(a), abs(b), scale), FLOOR[rel], last)
     ):

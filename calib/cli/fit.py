@@ -183,7 +183,7 @@ def fit(
             setup,
             estimate_target=setup.estimate_target and not fix_target,
             frozen=(*setup.frozen, *(freeze or ())),
-            priors=setup.priors if priors is None else replace(setup.priors, sizes=priors.value),
+            priors=setup.priors if priors is None else setup.priors.with_sizes(priors.value),
             repeats=setup.repeats if repeats is None else repeats.value,
         )
         arm, table = load_with_data(robot, setup, data, columns, points, points_unit)

@@ -172,7 +172,7 @@ class _Entry:
             frozen=(*setup.frozen, *said.freeze),
             priors=setup.priors
             if said.priors is None
-            else replace(setup.priors, sizes=said.priors.value),
+            else setup.priors.with_sizes(said.priors.value),
             repeats=setup.repeats if said.repeats is None else said.repeats.value,
         )
 

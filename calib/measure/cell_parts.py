@@ -88,6 +88,10 @@ class Priors:
         others = {name: value for name, value in given.items() if value != family_of(name).prior}
         object.__setattr__(self, "given", tuple(sorted(others.items())))
 
+    def with_sizes(self, sizes: str) -> Priors:
+        """The same standard deviations, used otherwise: ``"data"``, ``"given"`` or ``"off"``."""
+        return Priors(sizes, **dict(self.given))
+
     def of(self, family: str) -> float:
         """The standard deviation of a family's errors, in its unit: as given, or that of its row of the registry."""
         return dict(self.given).get(family, family_of(family).prior)
