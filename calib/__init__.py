@@ -15,12 +15,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from calib.calibration import Calibration, Comparison, calibrate, compare
     from calib.compensate.commands import Commands, commands
     from calib.compensate.program import Program
     from calib.errors import CalibError
     from calib.identify.acceptance import Acceptance, acceptance
-    from calib.identify.calibration import Calibration, calibrate
-    from calib.identify.comparison import Comparison, compare
     from calib.identify.dask_executor import dask_executor
     from calib.identify.evaluation import Evaluation, evaluate
     from calib.identify.fleet import Fleet, fleet
@@ -98,10 +97,10 @@ _MODULES = {
     "Acceptance": "calib.identify.acceptance",
     "Box": "calib.measure.surroundings",
     "CalibError": "calib.errors",
-    "Calibration": "calib.identify.calibration",
+    "Calibration": "calib.calibration",
     "Cell": "calib.measure.cell",
     "Commands": "calib.compensate.commands",
-    "Comparison": "calib.identify.comparison",
+    "Comparison": "calib.calibration",
     "Density": "calib.measure.workspace",
     "Evaluation": "calib.identify.evaluation",
     "Fleet": "calib.identify.fleet",
@@ -125,9 +124,9 @@ _MODULES = {
     "Trials": "calib.identify.study",
     "acceptance": "calib.identify.acceptance",
     "bootstrap": "calib.identify.uncertainty",
-    "calibrate": "calib.identify.calibration",
+    "calibrate": "calib.calibration",
     "commands": "calib.compensate.commands",
-    "compare": "calib.identify.comparison",
+    "compare": "calib.calibration",
     "dask_executor": "calib.identify.dask_executor",
     "evaluate": "calib.identify.evaluation",
     "fleet": "calib.identify.fleet",

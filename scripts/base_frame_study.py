@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from calib.calibration import calibrate
 from calib.data import paper_urdf
 from calib.errors import CalibError
-from calib.identify.calibration import calibrate
 from calib.measure.algebraic_circles import algebraic_circle
 from calib.measure.axes import survey
 from calib.measure.axis_geometry import nominal_axes

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
 from calib.identify.fitting import Task, fit
 from calib.identify.passes import Passes
 from calib.identify.plan import plan

@@ -16,13 +16,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.calibration import Calibration, calibrate
 from calib.compensate.arm import Arm
 from calib.compensate.commands import Commands, commands
 from calib.compensate.inverse import solve
 from calib.compensate.matching import Matching
 from calib.compensate.program import Program
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.identify.calibration import Calibration, calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.ranges import column_limits

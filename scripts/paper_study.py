@@ -16,8 +16,8 @@ from rich.console import Console
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
+from calib.calibration import Calibration, calibrate
 from calib.data import PAPER_TARGET, PAPER_TARGET_AS_PRINTED, paper_measurements, paper_urdf
-from calib.identify.calibration import Calibration, calibrate
 from calib.identify.statistics import Errors
 from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements

@@ -22,8 +22,8 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 import calib
+from calib.calibration import calibrate
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.identify.calibration import calibrate
 from calib.identify.result import Calibration
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements

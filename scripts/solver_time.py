@@ -16,8 +16,8 @@ import time
 from collections.abc import Callable
 from functools import partial
 
+from calib.calibration import calibrate
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.identify.calibration import calibrate
 from calib.identify.fitting import Task, fit
 from calib.identify.study import Trials, one_trial
 from calib.identify.table_rows import rows_of

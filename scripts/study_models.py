@@ -18,7 +18,7 @@ from study_runs import (
 )
 from study_table import NOISE, Found, Line, counted, picked, ratio, ratio_words, rms
 
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
 from calib.identify.inspection import inspect
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
@@ -179,7 +179,7 @@ def compliance(case: str, rng: np.random.Generator) -> Found:
     run = with_known_payload(points_run(truth, rng, count, 0.5 * NOISE, tracker=True, model=model))
     result = calibrate(truth.nominal, run.measurements, cell=run.cell, model=model, validate=False)
     assert result.larger is not None
-    inside, std, of = {}, {}, result.larger.fitted.kinematics.model
+    inside, std, of = {}, {}, result.larger.model
     for p, parameter in zip(result.larger.parameters, of.parameters, strict=True):
         if parameter.family == "compliance":
             inside[p.name] = p.low <= 1e-5 <= p.high

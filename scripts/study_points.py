@@ -11,7 +11,7 @@ from study_robots import ROBOTS, Truth
 from study_runs import points_run
 from study_table import NOISE, Found, Line, counted, picked, ratio, ratio_words, rms
 
-from calib.identify.calibration import Calibration, calibrate
+from calib.calibration import Calibration, calibrate
 from calib.identify.statistics import interval_factor
 from calib.model.parameters import FRAME
 

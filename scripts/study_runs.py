@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from study_robots import Truth, frame, joints_of
 
-from calib.identify.calibration import Calibration
+from calib.calibration import Calibration
 from calib.measure.cell import Cell, GroupDistance
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.calibration import Calibration
+from calib.calibration import Calibration
 
 Array = NDArray[np.float64]
 Found = dict[str, Any]

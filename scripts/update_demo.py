@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from calib.calibration import calibrate
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.formats.origins import write_origins
-from calib.identify.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only

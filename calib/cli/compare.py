@@ -17,9 +17,8 @@ Examples:
   calib compare january.json june.json --robot robot.urdf --json compared.json --view both.html
 
 A and B are results that 'calib fit --json' wrote, of measurements taken at different times. The answer comes first:
-by how much the target moved, up to what frame and target absorb, and whether that is more than chance; or how large
-a drift would have to be to be noticed. A tracker that stands elsewhere and a target mounted anew are no drift. The
-URDF that the results were made with is looked for beside them.
+by how much the target moved, up to what frame and target absorb, and whether that is more than chance. A tracker that
+stands elsewhere and a target mounted anew are no drift.
 """
 
 
@@ -35,8 +34,8 @@ def compare(
         typer.Option(
             "--robot",
             metavar="ROBOT",
-            help="URDF of the robot, nominal or corrected. Default: the one that the results name, if it lies beside "
-            "them or here.",
+            help="URDF of the robot, nominal or corrected, for the meshes of --view. Default: the one that the first "
+            "result holds.",
         ),
     ] = None,
     json: Annotated[
@@ -54,6 +53,8 @@ def compare(
     with reporting(debug=debug):
         from calib.cli.setup import check_outputs
         from calib.identify.comparison import compare as compare_results
+        from calib.identify.comparison_text import comparison_table, comparison_text
+        from calib.identify.result_file import write_table
 
         check_outputs([json, view], [a, b, *([robot] if robot else [])], force=force)
         found = compare_results(a, b, robot)
@@ -64,10 +65,10 @@ def compare(
 
             written.append(write_view(view_of_comparison(found), view, overwrite=force))
         if json is not None:
-            written.append(found.write_json(json, overwrite=force))
+            written.append(write_table(comparison_table(found), json, overwrite=force))
         if quiet:
             return
-        typer.echo(found.summary())
+        typer.echo(comparison_text(found))
         if written:
             typer.echo("\n" + "\n".join(f"Written: {path}" for path in written))
 

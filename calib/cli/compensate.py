@@ -246,7 +246,8 @@ def compensate(
                 overwrite=force,
             )
         if quiet:
-            if found.certainty is not None and found.certainty.use == "do not use":
+            verdict = None if found.result is None else found.result.verdict
+            if verdict is not None and verdict.use == "do not use":
                 typer.echo(f"calib: the verdict of {truth.name} is 'do not use'.", err=True)
             return
         larger = truth.result is not None and truth.result.larger is not None and not geometry

@@ -127,10 +127,10 @@ def notes(
         notes.append(
             "ROBOT has the corrected joint origins already; what the controller has was taken from the result."
         )
-    if of_target and truth.table is not None:
+    if of_target and truth.result is not None:
         notes.append(_believed(found, poses=poses))
     if in_base and (poses or found.program.T_wanted is not None):
-        notes.append(_another_base(found.nominal, fitted=truth.table is not None))
+        notes.append(_another_base(found.nominal, fitted=truth.result is not None))
     if poses and not in_base:
         notes.append(
             "The poses to send are in the frame that was measured in: set the controller's work object to "
@@ -235,8 +235,13 @@ def _elsewhere(found: Commands) -> str:
 
 def _orientation_unsure(found: Commands, *, of_target: bool) -> str:
     """What is known of the orientation where positions alone were measured."""
-    sure, rows = found.certainty, found.reached
-    if sure is None or sure.turned or found.match == "position" or not np.isfinite(found.std).any():
+    rows = found.reached
+    if (
+        found.result is None
+        or found.result.setup.rotation
+        or found.match == "position"
+        or not np.isfinite(found.std).any()
+    ):
         return ""
     unsure, moved = DEG * found.std[rows, 1].mean(), DEG * found.pose_corrections[rows, 1].mean()
     best = (

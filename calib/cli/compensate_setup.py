@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from calib.cli.compensate_words import BASE, MEASURED, TARGET
 from calib.errors import CalibError, choices
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from calib.identify.stored import StoredResult
+    from calib.identify.result import Calibration
     from calib.model.robot import Robot
     from calib.model.torques import Payload
 
@@ -28,26 +28,26 @@ class Truth:
     Attributes:
         nominal: The robot as its controller has it.
         true: A result, or a corrected robot.
-        table: The result's file; None where there is none.
         name: What the text calls it.
         was_corrected: Whether ROBOT has the result's joint origins already.
     """
 
     nominal: Robot
-    true: StoredResult | Robot
-    table: dict[str, Any] | None
+    true: Calibration | Robot
     name: str
     was_corrected: bool = False
 
     @property
     def frame_estimated(self) -> bool:
         """Whether the frame of the result's points was estimated with the robot."""
-        return self.table is not None and bool(self.table["frames"].get("frame_estimated"))
+        return self.result is not None and self.result.frame_estimated
 
     @property
-    def result(self) -> StoredResult | None:
+    def result(self) -> Calibration | None:
         """The result, where there is one."""
-        return None if self.table is None else self.true  # type: ignore[return-value]  # a table is of a result
+        from calib.model.robot import Robot
+
+        return None if isinstance(self.true, Robot) else self.true
 
 
 def of_result(
@@ -60,28 +60,27 @@ def of_result(
     """
     from calib.cli.known import check_chain
     from calib.cli.words import parse_held
-    from calib.identify.result_file import read_table, stored_result
+    from calib.identify.result_file import read_result
     from calib.measure.cell import Cell
     from calib.model.robot import Robot
 
-    table = read_table(path)
-    stored = stored_result(table, path)
-    check_chain(Cell(base=base, tip=tip), stored, str(path))
-    held = {**stored.held, **parse_held(hold or [])}
-    nominal = Robot.load(robot, stored.base, stored.tip, held=held)
-    was_corrected = _differ(nominal, stored.corrected(nominal)) is None
+    result = read_result(path)
+    check_chain(Cell(base=base, tip=tip), result, str(path))
+    held = {**result.nominal.held, **parse_held(hold or [])}
+    nominal = Robot.load(robot, result.nominal.base, result.nominal.tip, held=held)
+    was_corrected = _differ(nominal, result.corrected(nominal)) is None
     if not was_corrected:
-        _check_nominal(nominal, stored, path)
-    return Truth(nominal, stored, table, path.name, was_corrected)
+        _check_nominal(nominal, result, path)
+    return Truth(nominal, result, path.name, was_corrected)
 
 
-def _check_nominal(robot: Robot, stored: StoredResult, path: Path) -> None:
+def _check_nominal(robot: Robot, result: Calibration, path: Path) -> None:
     """Refuse a robot that is not the one that the result began with: what its controller has is not known then.
 
     Raises:
         CalibError: It has other joint origins.
     """
-    joint = _differ(robot, stored.nominal(robot))
+    joint = _differ(robot, result.uncorrected(robot))
     if joint is None:
         return
     message = (
@@ -136,7 +135,7 @@ def of_robots(
             "nothing to correct. ROBOT is the robot as its controller has it, --corrected as it truly is."
         )
         raise CalibError(message)
-    return Truth(nominal, true, None, Path(corrected).name)
+    return Truth(nominal, true, Path(corrected).name)
 
 
 def column_names(program: Path, renamed: dict[str, str]) -> set[str]:
@@ -191,8 +190,8 @@ def frame_of(text: str, truth: Truth) -> str | None:
             "result with --calibration."
         )
         raise CalibError(message)
-    if text != MEASURED and text not in truth.result.known.frames:
-        names = [name for name in truth.result.known.frames if name]
+    if text != MEASURED and text not in truth.result.setup.groups:
+        names = [name for name in truth.result.setup.groups if name]
         message = (
             f"--poses-in was given as '{text}'; choose '{BASE}', '{MEASURED}' (the frame of the result's points)"
             + (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from calib.cli.compensate_words import BASE, MEASURED, TARGET
 if TYPE_CHECKING:
     from calib.cli.compensate_setup import Truth
     from calib.compensate.commands import Commands
+    from calib.identify.result import Calibration
 
 Array = NDArray[np.float64]
 
@@ -33,7 +34,6 @@ _ROWS = 5
 _TIE = 1e-9
 
 _UNKNOWN = "The result was not validated (calib fit --no-validate): how far it can be relied on is not known."
-_OLDER = "The file does not say how far it can be relied on; an older calib wrote it. Fit again, and it does."
 _WORSE = "Commands made with this result may be worse than none. Calibrate anew before they go to the robot."
 
 
@@ -63,7 +63,6 @@ def text(
     of_target = tool is not None and tool.startswith(TARGET)
     parts = [
         _expected(
-            found,
             truth,
             larger=larger,
             of_target=of_target,
@@ -86,28 +85,27 @@ def text(
     return "\n\n".join(part for part in parts if part)
 
 
-def _expected(found: Commands, truth: Truth, *, larger: bool, of_target: bool, spread: bool) -> str:
+def _expected(truth: Truth, *, larger: bool, of_target: bool, spread: bool) -> str:
     """The verdict of the result and its error on rows that it had not seen: what to expect on the robot.
 
     Args:
-        found: The commands.
-        truth: What they were made with.
+        truth: What the commands were made with.
         larger: Whether the larger model of the result was used.
         of_target: Whether the tool is the calibrated target.
         spread: Whether standard deviations are printed below.
     """
-    if truth.table is None:
+    if truth.result is None:
         return fill(
             f"The true robot is {truth.name}. How far it can be relied on is not in a URDF: with --calibration "
             "result.json this says what to expect."
         )
-    sure, used = found.certainty, f"  of {truth.name}, {_model(truth.table, larger=larger)}."
-    if sure is None or not sure.use:
-        return "\n".join(["Verdict: none", used, fill(_OLDER if sure is None else _UNKNOWN, "  ")])
+    sure, used = truth.result.verdict, f"  of {truth.name}, {_model(truth.result, larger=larger)}."
+    if sure is None:
+        return "\n".join(["Verdict: none", used, fill(_UNKNOWN, "  ")])
     if larger:
         used = fill(
             f"of {truth.name}, its joint origins: the verdict{_why(sure.use)} of these. The commands are made with "
-            f"its larger model '{truth.table['larger']['set']}', which has no verdict of its own; the errors are its.",
+            f"{_model(truth.result, larger=True)}, which has no verdict of its own; the errors are its.",
             "  ",
         )
     lines = [f"Verdict: {sure.use}", used]
@@ -115,7 +113,7 @@ def _expected(found: Commands, truth: Truth, *, larger: bool, of_target: bool, s
         lines += [fill(reason, "  ") for reason in sure.reasons]
     if sure.use == "do not use":
         lines.append(fill(_WORSE, "  "))
-    rows = _unseen(truth.table, larger=larger)
+    rows = _unseen(truth.result, larger=larger)
     if rows:
         lines += [
             "",
@@ -149,30 +147,25 @@ def _expect(*, of_target: bool, spread: bool) -> str:
     )
 
 
-def _model(table: dict[str, Any], *, larger: bool) -> str:
+def _model(result: Calibration, *, larger: bool) -> str:
     """Which of the result's models was used."""
     if larger:
-        return f"its larger model '{table['larger']['set']}'"
-    if table.get("larger") is not None:
+        return f"its larger model '{result.part(larger=True).model.name}'"
+    if result.larger is not None:
         return "its joint origins, without the larger model that it has"
     return "its joint origins"
 
 
-def _unseen(table: dict[str, Any], *, larger: bool) -> list[tuple[str, tuple[float, float, float]]]:
+def _unseen(result: Calibration, *, larger: bool) -> list[tuple[str, tuple[float, float, float]]]:
     """Largest, mean and rms error on validation rows and on left-out rows, [m], where there are any."""
-    errors = table["errors"]
-    model = "larger" if larger else "calibrated"
-    crossed = (table["larger"] if larger else table).get("cross_validation") or {}
+    errors, crossed = result.errors, result.part(larger=larger).cross_validation
     found = [
-        ("validation rows, with the nominal robot", errors.get("nominal", {}).get("validation")),
-        ("validation rows", errors.get(model, {}).get("validation")),
-        ("left-out rows", crossed.get("without_outliers")),
+        ("validation rows, with the nominal robot", errors["nominal"]["validation"]),
+        ("validation rows", errors["larger" if larger else "calibrated"]["validation"]),
     ]
-    return [
-        (label, (one["max_m"], one["mean_m"], one["rms_m"]))
-        for label, one in found
-        if one and one["n"] and one["mean_m"] is not None
-    ]
+    if crossed is not None:
+        found.append(("left-out rows", crossed.errors_without_outliers))
+    return [(label, (one.max, one.mean, one.rms)) for label, one in found if one.n]
 
 
 def _asked(found: Commands, tool: str | None, poses_in: str) -> str:

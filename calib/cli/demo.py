@@ -10,7 +10,7 @@ import typer
 from calib.cli.options import Debug, Force, Quiet, reporting
 
 if TYPE_CHECKING:
-    from calib.identify.calibration import Calibration
+    from calib.calibration import Calibration
 
 _HELP = """Calibrate the paper's UR3 from its 35 laser-tracker points.
 
@@ -48,10 +48,10 @@ def demo(
 ) -> None:
     """See `_HELP`."""
     with reporting(debug=debug):
+        from calib.calibration import calibrate
         from calib.cli.setup import check_outputs
         from calib.cli.terminal import command_line, say
         from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
-        from calib.identify.calibration import calibrate
         from calib.measure.cell import Cell
         from calib.measure.measurements import Measurements
         from calib.model.files import make_folder

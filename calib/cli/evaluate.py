@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -31,7 +31,7 @@ from calib.cli.options import (
 
 if TYPE_CHECKING:
     from calib.identify.evaluation import Evaluation
-    from calib.identify.stored import StoredResult
+    from calib.identify.result import Calibration
     from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
@@ -118,12 +118,8 @@ def evaluate(
         from calib.cli.terminal import say
         from calib.identify.acceptance_tables import acceptance_table, accuracy_table
         from calib.identify.accuracy import accuracy
-        from calib.identify.result_file import (
-            evaluation_table,
-            read_table,
-            stored_result,
-            write_table,
-        )
+        from calib.identify.evaluation_file import evaluation_table
+        from calib.identify.result_file import read_result, write_table
 
         inputs: list[str | Path] = [
             robot,
@@ -135,18 +131,17 @@ def evaluate(
         setup = read_cell(
             cell, base=base, tip=tip, target=target, frame=frame, kind=kind, hold=hold
         )
-        result = None if calibration is None else read_table(calibration)
-        stored = None if result is None else stored_result(result, str(calibration))
+        stored = None if calibration is None else read_result(calibration)
         if stored is not None:
             check_chain(setup, stored, str(calibration))
             setup = replace(
                 setup,
-                base=setup.base or stored.base,
-                tip=setup.tip or stored.tip,
-                held={**stored.held, **setup.held},
+                base=setup.base or stored.nominal.base,
+                tip=setup.tip or stored.nominal.tip,
+                held={**stored.nominal.held, **setup.held},
             )
         arm, table = load_with_data(robot, setup, data, columns, points, points_unit)
-        check_measured(arm if stored is None else stored.nominal(arm), table)
+        check_measured(arm if stored is None else stored.uncorrected(arm), table)
         source = "as given" if stored is None or target is not None else "as the result has it"
         if stored is None and setup.target is None and not setup.targets:
             setup, source = (
@@ -154,9 +149,12 @@ def evaluate(
                 "as the URDF's link 'calib_target' has it",
             )
 
-        found = _evaluations(arm, table, setup, stored, frame=frame is None, target=target is None)
-        fitted = Fitted.of(result, str(calibration))
-        seen = fitted.among(arm, table, setup, stored)
+        which = tuple(
+            what for what, given in (("frame", frame), ("target", target)) if given is None
+        )
+        found = _evaluations(arm, table, setup, stored, which)
+        fitted = Fitted(stored)
+        seen = fitted.among(arm, table, setup)
         name = None if calibration is None else calibration.name
         judged = judged_robot(judge, found, name)
         figures = {who: accuracy(one, seen=seen) for who, one in found.items()}
@@ -205,10 +203,8 @@ def _evaluations(
     robot: Robot,
     table: Measurements,
     cell: Cell,
-    stored: StoredResult | None,
-    *,
-    frame: bool,
-    target: bool,
+    result: Calibration | None,
+    which: tuple[str, ...],
 ) -> dict[str, Evaluation]:
     """Of the robot as it is; and of a result's nominal robot, its joint origins, and its larger model if it has one.
 
@@ -216,34 +212,28 @@ def _evaluations(
         robot: The robot.
         table: The rows.
         cell: The set-up.
-        stored: The result.
-        frame: Whether the result's frames are used.
-        target: Whether its targets are.
+        result: The result.
+        which: Whether its frames and its targets are used, see `calib.identify.evaluation.evaluate`.
     """
-    from dataclasses import replace
+    from calib.identify.evaluation import evaluate, evaluate_larger
 
-    from calib.identify.evaluation import evaluate
-
-    if stored is None:
+    if result is None:
         return {"urdf": evaluate(robot, table, cell)}
-    nothing: dict[str, Any] = {
-        **({} if frame else {"frames": {}}),
-        **({} if target else {"targets": {}}),
+    larger = evaluate_larger(result, robot, table, cell, which)
+    states = {
+        "nominal": (result.uncorrected(robot), result.nominal_setup),
+        "urdf": (robot, result.setup),
+        "calibration": (result.corrected(robot), result.setup),
     }
-    known = replace(stored.known, **nothing)
-    of_nominal = replace(stored.nominal_known or stored.known, **nothing)
-    of_larger = None if stored.larger is None else replace(stored.larger.known, **nothing)
-    larger = stored.evaluate_larger(robot, table, cell, of_larger)
-    return {
-        "nominal": evaluate(stored.nominal(robot), table, cell, known=of_nominal),
-        "urdf": evaluate(robot, table, cell, known=known),
-        "calibration": evaluate(stored.corrected(robot), table, cell, known=known),
-        **({} if larger is None else {"larger": larger}),
+    found = {
+        who: evaluate(one, table, cell, known=known, which=which)
+        for who, (one, known) in states.items()
     }
+    return {**found, **({} if larger is None else {"larger": larger})}
 
 
 def _advice(
-    found: Mapping[str, Evaluation], cell: Cell, stored: StoredResult | None, *, anew: bool
+    found: Mapping[str, Evaluation], cell: Cell, stored: Calibration | None, *, anew: bool
 ) -> str:
     """A sentence that names a set-up which explains the rows far better, or nothing.
 
@@ -253,13 +243,12 @@ def _advice(
         stored: The result.
         anew: Whether frame or target of the result were put aside already.
     """
-    from calib.identify.evaluation import hint
-    from calib.identify.moved import moved
+    from calib.identify.evaluation import hint, moved
 
     if stored is None:
         return hint(found["urdf"], cell)
     one = found["calibration"]
-    return "" if anew else moved(one.robot, one.measurements, cell, stored.known)
+    return "" if anew else moved(one.robot, one.measurements, cell, stored.setup)
 
 
 evaluate.__doc__ = _HELP

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from calib.errors import CalibError, FileError, MeasurementError
+from calib.errors import CalibError, MeasurementError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from calib.identify.acceptance_rows import FittedRows
     from calib.identify.accuracy import Accuracy
     from calib.identify.evaluation import Evaluation
-    from calib.identify.stored import StoredResult
+    from calib.identify.result import Calibration
     from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
@@ -30,52 +28,12 @@ class Fitted:
     """What a result was fitted to.
 
     Attributes:
-        rows: The rows that are known again.
-        sha256: Of the table; empty where it was no file.
-        ranges: The smallest and the largest value of each joint [rad] or [m].
+        result: The result; None where there is none.
     """
 
-    rows: FittedRows
-    sha256: str
-    ranges: Mapping[str, tuple[float, float]]
+    result: Calibration | None
 
-    @classmethod
-    def of(cls, result: Mapping[str, Any] | None, name: str) -> Fitted:
-        """From the tables of a result; nothing is known without one.
-
-        Args:
-            result: The tables.
-            name: Name of its file.
-
-        Raises:
-            FileError: Something is missing or of another kind.
-        """
-        from calib.identify.acceptance_rows import FittedRows
-
-        if result is None:
-            return cls(FittedRows({}), "", {})
-        try:
-            return cls(
-                FittedRows.of(result["rows"]),
-                str(result["inputs"]["measurements"]["sha256"]),
-                {
-                    str(one["joint"]): (float(one["low"]), float(one["high"]))
-                    for one in result["robot"].get("ranges", ())
-                    if one["low"] is not None and one["high"] is not None
-                },
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            from calib.model.json_file import damage
-
-            message = (
-                f"{name}: what the result was fitted to is missing or damaged ({damage(error)}). Write it again with "
-                "'calib fit --json'."
-            )
-            raise FileError(message) from error
-
-    def among(
-        self, robot: Robot, measurements: Measurements, cell: Cell, stored: StoredResult | None
-    ) -> NDArray[np.bool_]:
+    def among(self, robot: Robot, measurements: Measurements, cell: Cell) -> NDArray[np.bool_]:
         """Which rows it was fitted to, shape (N,): by its own frames and targets, whatever is judged.
 
         In the very file these are the estimation rows where none is known again.
@@ -84,24 +42,22 @@ class Fitted:
             robot: The robot.
             measurements: The rows.
             cell: The set-up.
-            stored: The result.
         """
         import numpy as np
 
+        from calib.identify.acceptance_rows import FittedRows
         from calib.identify.evaluation import evaluate
 
-        found = np.zeros(len(measurements), dtype=bool)
-        if stored is not None and stored.nominal_known is not None:
-            both = (
-                (stored.nominal(robot), stored.nominal_known),
-                (stored.corrected(robot), stored.known),
+        found, c = np.zeros(len(measurements), dtype=bool), self.result
+        if c is None:
+            return found
+        both = ((c.uncorrected(robot), c.nominal_setup), (c.corrected(robot), c.setup))
+        # A set-up that the result does not know has none of its rows.
+        with contextlib.suppress(CalibError):
+            found = FittedRows.of(c).among(
+                *(evaluate(one, measurements, cell, known=known) for one, known in both)
             )
-            # A set-up that the result does not know has none of its rows.
-            with contextlib.suppress(CalibError):
-                found = self.rows.among(
-                    *(evaluate(one, measurements, cell, known=known) for one, known in both)
-                )
-        same = bool(self.sha256) and self.sha256 == measurements.sha256
+        same = bool(c.source.sha256) and c.source.sha256 == measurements.sha256
         return measurements.estimation if same and not np.any(found) else found
 
     def outside(self, evaluation: Evaluation, judged: Accuracy) -> str:
@@ -115,15 +71,18 @@ class Fitted:
 
         from calib.identify.coverage import outside, outside_sentence
 
+        if self.result is None:
+            return ""
         robot, m = evaluation.robot, evaluation.measurements
+        ranges = dict(zip(self.result.nominal.joint_names, self.result.ranges, strict=True))
         # A joint that turns without end has no range to be outside of.
         known = [
             k
             for k, joint in enumerate(robot.inputs)
-            if joint.type != "continuous" and joint.name in self.ranges
+            if joint.type != "continuous" and np.isfinite(ranges.get(joint.name, np.nan)).all()
         ]
         names = [robot.joint_names[k] for k in known]
-        ends = np.array([self.ranges[name] for name in names]).reshape(-1, 2).T
+        ends = np.array([ranges[name] for name in names]).reshape(-1, 2).T
         types = [robot.inputs[k].type for k in known]
         chosen = np.isin(m.rows, [row for pose in judged.poses for row in pose.rows[:1]])
         q = m.joints_for(robot.joint_names)[chosen][:, known]

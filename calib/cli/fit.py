@@ -39,7 +39,7 @@ from calib.errors import CalibError
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from calib.identify.calibration import Calibration
+    from calib.calibration import Calibration
 
 _HELP = """Calibrate a robot from measurements.
 
@@ -188,7 +188,7 @@ def fit(
         )
         arm, table = load_with_data(robot, setup, data, columns, points, points_unit)
 
-        from calib.identify.calibration import calibrate
+        from calib.calibration import calibrate
 
         say_compiling(len(table), quiet=quiet)
         with progress_bar("cross-validation", quiet=quiet) as progress:
@@ -279,9 +279,9 @@ def _write(
     if output is not None:
         yield result.write_urdf(output, overwrite=force, target_link=target_link)
     if json is not None:
-        from calib.identify.result_file import result_table, write_table
+        from calib.identify.result_file import write_result
 
-        yield write_table({**result_table(result), **tables}, json, overwrite=force)
+        yield write_result(result, json, overwrite=force, extra=tables)
     if view is not None:
         from calib.show.pictures import write_page
 

@@ -7,23 +7,24 @@ from typing import TYPE_CHECKING
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
-    from calib.identify.stored import StoredResult
+    from calib.identify.result import Calibration
     from calib.measure.cell import Cell
     from calib.model.robot import Robot
 
 
-def check_chain(cell: Cell, stored: StoredResult, name: str) -> None:
+def check_chain(cell: Cell, result: Calibration, name: str) -> None:
     """Refuse another base or tip than the result's: its frame and its target would mean something else.
 
     Args:
         cell: What was asked for.
-        stored: The result.
+        result: The result.
         name: Name of its file.
 
     Raises:
         CalibError: They differ.
     """
-    for option, given, wanted in (("base", cell.base, stored.base), ("tip", cell.tip, stored.tip)):
+    own = result.nominal
+    for option, given, wanted in (("base", cell.base, own.base), ("tip", cell.tip, own.tip)):
         if given is not None and given != wanted:
             message = (
                 f"{name} is the result for --{option} {wanted}, and '{given}' was given; leave out --{option}, or "
@@ -39,7 +40,7 @@ def with_target_link(robot: Robot, cell: Cell) -> Cell:
         robot: The robot.
         cell: The set-up.
     """
-    from calib.identify.result import TARGET_LINK
+    from calib.identify.result_urdf import TARGET_LINK
 
     if robot.tip == TARGET_LINK:
         return cell.with_target((0.0, 0.0, 0.0), estimate=cell.estimate_target)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from calib.cli.known import check_chain, with_target_link
 from calib.cli.setup import load, load_with_data, say_ignored
 
 if TYPE_CHECKING:
-    from calib.identify.evaluation import Evaluation, Known
-    from calib.identify.stored import StoredResult
+    from calib.identify.evaluation import Evaluation
+    from calib.identify.result import Calibration
+    from calib.identify.setup import Setup
     from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
@@ -61,19 +61,17 @@ def view_asked_for(sources: Sources, cell: Cell, *, quiet: bool) -> View:
     """
     from calib.show.pictures import view_of_robots
 
-    table: Mapping[str, Any] = {}
     stored = None
     if sources.calibration is not None:
-        from calib.identify.result_file import read_table, stored_result
+        from calib.identify.result_file import read_result
 
-        table = read_table(sources.calibration)
-        stored = stored_result(table, sources.calibration)
+        stored = read_result(sources.calibration)
         check_chain(cell, stored, str(sources.calibration))
         cell = replace(
             cell,
-            base=cell.base or stored.base,
-            tip=cell.tip or stored.tip,
-            held={**stored.held, **cell.held},
+            base=cell.base or stored.nominal.base,
+            tip=cell.tip or stored.nominal.tip,
+            held={**stored.nominal.held, **cell.held},
         )
     if sources.data is None:
         rows, arm = None, load(sources.robot, cell)
@@ -84,35 +82,37 @@ def view_asked_for(sources: Sources, cell: Cell, *, quiet: bool) -> View:
         if not quiet:
             say_ignored(rows, arm)
     first, second = _robots(arm, sources, stored)
-    known = None if stored is None else _known(sources, stored.known)
-    nominal_known = known
-    if stored is not None and sources.other is None and stored.nominal_known is not None:
-        nominal_known = _known(sources, stored.nominal_known)
+    known = nominal_known = None if stored is None else stored.setup
+    if stored is not None and sources.other is None:
+        nominal_known = stored.nominal_setup
+    which = tuple(
+        what
+        for what, given in (("frame", sources.frame_given), ("target", sources.target_given))
+        if not given
+    )
     shown = view_of_robots(
         first,
         second,
         names=_names(first, sources),
         evaluations=None
         if rows is None
-        else _evaluations(first, second, rows, cell, nominal_known, known),
-        flagged=_flagged(table, rows),
+        else _evaluations(first, second, rows, cell, (nominal_known, known), which),
+        flagged=_flagged(stored, rows),
         title=first.name if second is None else "",
-        verdict=_verdict(table)[0],
-        note=_verdict(table)[1],
+        verdict=_verdict(stored)[0],
+        note=_verdict(stored)[1],
     )
-    return shown if rows is not None else _with_targets(shown, cell, nominal_known, known)
+    return shown if rows is not None else _with_targets(shown, cell, (nominal_known, known), which)
 
 
-def _robots(
-    arm: Robot, sources: Sources, stored: StoredResult | None
-) -> tuple[Robot, Robot | None]:
+def _robots(arm: Robot, sources: Sources, stored: Calibration | None) -> tuple[Robot, Robot | None]:
     """The two URDFs, or the one with a result's origins before and after, or the one."""
     if sources.other is not None:
         from calib.model.robot import Robot
 
         return arm, Robot.load(sources.other, arm.base, arm.tip, held=arm.held)
     if stored is not None:
-        return stored.nominal(arm), stored.corrected(arm)
+        return stored.uncorrected(arm), stored.corrected(arm)
     return arm, None
 
 
@@ -134,31 +134,22 @@ def _file_name(source: str) -> str:
     return XacroCall.parse(source).name if is_xacro(source) else Path(source).name
 
 
-def _known(sources: Sources, known: Known) -> Known:
-    """A result's frames and targets, but for what the line says."""
-    nothing: dict[str, Any] = {
-        **({"frames": {}} if sources.frame_given else {}),
-        **({"targets": {}} if sources.target_given else {}),
-    }
-    return replace(known, **nothing)
-
-
 def _evaluations(
     first: Robot,
     second: Robot | None,
     rows: Measurements,
     cell: Cell,
-    nominal_known: Known | None,
-    known: Known | None,
+    known: tuple[Setup | None, Setup | None],
+    which: tuple[str, ...],
 ) -> tuple[Evaluation, Evaluation | None]:
     """The errors of each robot: each with the frames and targets that its errors are given with elsewhere."""
     from calib.identify.evaluation import evaluate
 
-    def errors(robot: Robot, its: Known | None) -> Evaluation:
+    def errors(robot: Robot, its: Setup | None) -> Evaluation:
         own = _with_own_target(robot, cell) if its is None else cell
-        return evaluate(robot, rows, own, known=its)
+        return evaluate(robot, rows, own, known=its, which=which)
 
-    return errors(first, nominal_known), None if second is None else errors(second, known)
+    return errors(first, known[0]), None if second is None else errors(second, known[1])
 
 
 def _with_own_target(robot: Robot, cell: Cell) -> Cell:
@@ -167,15 +158,17 @@ def _with_own_target(robot: Robot, cell: Cell) -> Cell:
     return cell if given else with_target_link(robot, cell)
 
 
-def _with_targets(view: View, cell: Cell, nominal_known: Known | None, known: Known | None) -> View:
+def _with_targets(
+    view: View, cell: Cell, known: tuple[Setup | None, Setup | None], which: tuple[str, ...]
+) -> View:
     """The view of robots that were not measured, with the target in the tip where it is known."""
     from calib.show.view import translated
 
     places = {}
     for who, robot in view.robots.items():
-        its = nominal_known if who == "nominal" else known
-        if its is not None and its.targets:
-            places[who] = next(iter(its.targets.values()))
+        its = known[0] if who == "nominal" else known[1]
+        if its is not None and "target" in which:
+            places[who] = its.T_tip_target[0]
         else:
             own = _with_own_target(robot, cell)
             points = [*own.targets.values(), *([own.target] if own.target is not None else [])]
@@ -187,16 +180,15 @@ def _with_targets(view: View, cell: Cell, nominal_known: Known | None, known: Kn
     )
 
 
-def _flagged(table: Mapping[str, Any], rows: Measurements | None) -> frozenset[int]:
+def _flagged(result: Calibration | None, rows: Measurements | None) -> frozenset[int]:
     """Rows that the result flagged, if it was made from this table."""
-    if rows is None or not table or table["inputs"]["measurements"]["sha256"] != rows.sha256:
+    if rows is None or result is None or result.source.sha256 != rows.sha256:
         return frozenset()
-    return frozenset(int(one["row"]) for one in (*table["outliers"], *table["suspects"]))
+    return frozenset(one.row for one in (*result.outliers, *result.suspects))
 
 
-def _verdict(table: Mapping[str, Any]) -> tuple[str, str]:
+def _verdict(result: Calibration | None) -> tuple[str, str]:
     """The result's verdict, and what it stands on first."""
-    verdict = table.get("verdict")
-    if not verdict:
+    if result is None or result.verdict is None:
         return "", ""
-    return str(verdict["use"]), " ".join(verdict["reasons"][:1])
+    return result.verdict.use, " ".join(result.verdict.reasons[:1])

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.identify.stored import StoredLarger
+from calib.identify.prediction import Larger
 from calib.model.joint_errors import joint_displacements, slope_of
 from calib.model.parameters import TIP, Parameter
 from calib.model.robot import Robot, read_only, rigid_inverse
@@ -58,7 +58,7 @@ class Arm:
     @classmethod
     def of_larger(
         cls,
-        larger: StoredLarger,
+        larger: Larger,
         nominal: Robot,
         T_tip_tool: Array,
         payload: Payload | None = None,
@@ -74,7 +74,7 @@ class Arm:
         Raises:
             ModelError: The robot's model has not the parameters that the result has values for.
         """
-        model, x = larger.model(nominal)
+        model, x = larger.model, larger.x
         displacements, _ = model.displacements(x)
         order = [model.places.index(name) for name in (*(j.name for j in nominal.joints), TIP)]
         chosen = list(model.joint_terms)

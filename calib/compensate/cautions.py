@@ -151,8 +151,8 @@ def by_pose(left: Array, elsewhere: Mask) -> Words:
 def outside(pair: Pair, q: Array) -> Words:
     """Where joint values, shape (N, m), lie outside of the range that was measured."""
     said: Words = [()] * len(q)
-    if pair.certainty is not None:
-        for row in pair.certainty.outside(pair.believed.robot, q):
+    if pair.result is not None:
+        for row in pair.result.outside_of_measured(q):
             joints = ", ".join(map(str, row.beyond))
             said[row.index] = (f"outside the joint range that was measured: {joints}",)
     return said

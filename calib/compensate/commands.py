@@ -29,9 +29,7 @@ from calib.compensate.program import Program
 from calib.compensate.sending import poses_to_send
 from calib.compensate.starts import Starts, following, near, start_values
 from calib.errors import ModelError, choices
-from calib.identify.certainty import Certainty
 from calib.identify.result import Calibration
-from calib.identify.stored import StoredResult
 from calib.measure.ranges import column_limits
 from calib.model.robot import Robot, read_only, rigid_inverse
 from calib.model.torques import Payload
@@ -71,7 +69,7 @@ class Commands:
             ``q_nominal`` [m], [rad].
         std: shape (N, 2), how sure it is where the true robot arrives, as far as the covariance of the geometry knows:
             position [m], angle [rad]. NaN where nothing is known, as of two robots without a result.
-        certainty: How far to trust the result; None where nothing is known of that.
+        result: The calibration; None where two robots were given.
         reasons: Why a row has no command; empty where it has one.
         warnings: For each row what to know of its command; mostly nothing.
     """
@@ -90,7 +88,7 @@ class Commands:
     left: Array
     left_by_pose: Array
     std: Array
-    certainty: Certainty | None
+    result: Calibration | None
     reasons: tuple[str, ...]
     warnings: tuple[tuple[str, ...], ...]
 
@@ -142,7 +140,7 @@ class Commands:
 
 
 def commands(
-    calibration: Calibration | StoredResult | Robot,
+    calibration: Calibration | Robot,
     program: Program,
     *,
     nominal: Robot | None = None,
@@ -219,7 +217,7 @@ def commands(
         left=read_only(found.left),
         left_by_pose=_where(found.reached, left_by_pose),
         std=_where(found.reached, pair.std(solved.q)),
-        certainty=pair.certainty,
+        result=pair.result,
         reasons=found.reasons,
         warnings=found.warnings,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,12 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from calib.compensate.arm import Arm
 from calib.errors import ModelError, choices
 from calib.families import FAMILIES
-from calib.identify.certainty import Certainty
+from calib.identify.prediction import Larger
 from calib.identify.result import Calibration
-from calib.identify.result_file import result_table, stored_result
-from calib.identify.stored import StoredLarger, StoredResult
 from calib.model.error_model import split_name
-from calib.model.json_file import plain
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload
@@ -43,8 +40,7 @@ class Pair:
         T_frame_base: shape (4, 4), the base in the frame that poses are given and sent in [m].
         target: Name of the target that the tool is; None where it is none.
         set_up: Name of the set-up whose frame it is; None where it is none.
-        certainty: How far to trust the result; None where nothing is known of that.
-        began: The robot that the result began with; None where there is no result.
+        result: What is known of the true robot and how far to trust it; None where two robots were given.
     """
 
     believed: Arm
@@ -52,13 +48,12 @@ class Pair:
     T_frame_base: Array
     target: str | None = None
     set_up: str | None = None
-    certainty: Certainty | None = None
-    began: Robot | None = None
+    result: Calibration | None = None
 
     @classmethod
     def of(
         cls,
-        calibration: Calibration | StoredResult | Robot,
+        calibration: Calibration | Robot,
         nominal: Robot | None = None,
         *,
         tool: ArrayLike | str | None = None,
@@ -74,7 +69,6 @@ class Pair:
         """
         if isinstance(calibration, Calibration):
             nominal = calibration.nominal if nominal is None else nominal
-            calibration = stored_result(plain(result_table(calibration)), "the calibration")
         if nominal is None:
             message = (
                 "Commands need the robot as its controller has it, beside the calibrated one. "
@@ -120,7 +114,7 @@ class Pair:
     def _of_result(
         cls,
         nominal: Robot,
-        stored: StoredResult,
+        stored: Calibration,
         tool: ArrayLike | str | None,
         frame: ArrayLike | str | None,
         payload: Payload | None,
@@ -128,25 +122,26 @@ class Pair:
         larger: bool,
     ) -> Pair:
         """Of a result; the robot is the controller's. The corrected one stands for the one that it began with."""
-        began = stored.nominal(nominal)
+        began = stored.uncorrected(nominal)
         believed = began if _same_origins(nominal, stored.corrected(nominal)) else nominal
         model = stored.larger if larger else None
-        known = stored.known if model is None else model.known
+        known = stored.setup if model is None else model.setup
         T_true = T_believed = np.eye(4)
         target = None
         if isinstance(tool, str):
             target = _name(known.targets, tool, "target")
-            T_true = T_believed = known.targets[target]
-            if target in stored.targets_given and stored.nominal_known is not None:
+            t = known.targets.index(target)
+            T_true = T_believed = known.T_tip_target[t]
+            if known.target_given[t]:
                 # Where it was said to be, and so where the controller has it. One that was found has no such place.
-                T_believed = stored.nominal_known.targets.get(target, T_true)
+                T_believed = stored.nominal_setup.T_tip_target[t]
         elif tool is not None:
             T_true = T_believed = _pose(tool, "tool")
         T_frame_base = np.eye(4)
         set_up = None
         if isinstance(frame, str):
-            set_up = _name(known.frames, frame, "set-up")
-            T_frame_base = known.frames[set_up]
+            set_up = _name(known.groups, frame, "set-up")
+            T_frame_base = known.T_frame_base[known.groups.index(set_up)]
         elif frame is not None:
             T_frame_base = _pose(frame, "frame")
         if payload is not None and not _gives_way(model):
@@ -166,8 +161,7 @@ class Pair:
             read_only(T_frame_base),
             target=target,
             set_up=set_up,
-            certainty=stored.certainty,
-            began=began,
+            result=stored,
         )._checked()
 
     def _checked(self) -> Pair:
@@ -201,14 +195,12 @@ class Pair:
         Args:
             q: shape (N, m), joint values [rad] or [m].
         """
-        if self.certainty is None or self.began is None:
+        if self.result is None:
             return np.full((len(q), 2), np.nan)
-        return self.certainty.pose_std(
-            self.began, q, self.true.T_tip_tool, target=self.target, set_up=self.set_up
-        )
+        return self.result.tool_std(q, self.true.T_tip_tool, target=self.target, group=self.set_up)
 
 
-def _gives_way(model: StoredLarger | None) -> bool:
+def _gives_way(model: Larger | None) -> bool:
     """Whether a larger model has compliances."""
     return model is not None and any(FAMILIES[f].loaded for f in split_name(model.name)[1])
 
@@ -219,19 +211,19 @@ def _same_origins(a: Robot, b: Robot) -> bool:
     return all(np.abs(T - others[name]).max() <= _SAME for name, T in a.origins().items())
 
 
-def _name(poses: Mapping[str, Array], name: str, what: str) -> str:
+def _name(names: Sequence[str], name: str, what: str) -> str:
     """The name that is meant: the only one there is for the empty name.
 
     Raises:
         ModelError: There is none, or a name is wanted.
     """
-    if name in poses:
+    if name in names:
         return name
-    if not name and len(poses) == 1:
-        return next(iter(poses))
-    message = f"The calibration has no {what} '{name}'; it has {choices(poses)}."
+    if not name and len(names) == 1:
+        return names[0]
+    message = f"The calibration has no {what} '{name}'; it has {choices(names)}."
     if not name:
-        message = f"The calibration has {len(poses)} {what}s: {choices(poses)}. Name one of them."
+        message = f"The calibration has {len(names)} {what}s: {choices(names)}. Name one of them."
     raise ModelError(message)
 
 

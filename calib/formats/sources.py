@@ -5,24 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.data import paper_urdf
 from calib.errors import CalibError, FileError, ModelError, choices
 from calib.formats.origins import Origins, origins_of, read_origins
 from calib.formats.universal_robots import UrSource, read_ur_conf, read_ur_yaml
 from calib.formats.ur_models import UrModel, ur_model, ur_robot
 from calib.formats.ur_mount import recognised, the_mount
 from calib.formats.yaml_file import read_yaml
-from calib.identify.result_file import read_table, stored_result
-from calib.identify.stored import StoredResult
+from calib.identify.result import Calibration
+from calib.identify.result_file import read_result
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot
-from calib.model.sources import recorded_urdf
-from calib.model.urdf import Urdf
 from calib.model.xacro_file import is_xacro
 
 Array = NDArray[np.float64]
@@ -192,39 +188,29 @@ def _universal_robots(source: str, kind: str, asked: Asked) -> Source:
 
 
 def _result(source: str, asked: Asked) -> Source:
-    """A result of ``calib fit``, on the robot asked for or on the URDF that it names."""
-    table = read_table(source)
-    stored = stored_result(table, source)
-    for option, given, own in (("base", asked.base, stored.base), ("tip", asked.tip, stored.tip)):
+    """A result of ``calib fit``, on the robot asked for or on the URDF that it holds."""
+    result = read_result(source)
+    nominal, robot = result.nominal, result.robot
+    for option, given, own in (("base", asked.base, nominal.base), ("tip", asked.tip, nominal.tip)):
         if given is not None and given != own:
             message = f"{source} is the result for --{option} {own}, and '{given}' was given; leave out --{option}."
             raise CalibError(message)
-    if asked.held and dict(asked.held) != dict(stored.held):
-        own = ", ".join(f"'{name}' at {value:g}" for name, value in stored.held.items()) or "none"
+    if asked.held and dict(asked.held) != nominal.held:
+        own = ", ".join(f"'{name}' at {value:g}" for name, value in nominal.held.items()) or "none"
         message = f"{source} says itself which joints are held ({own}); leave out --hold."
         raise CalibError(message)
-    if asked.robot is None:
-        urdf = _recorded(table, Path(source).parent)
-        if urdf is None:
-            message = (
-                f"{source}: the URDF that it was made with is not beside it nor here, or has changed since. Give it "
-                "as --robot."
-            )
-            raise FileError(message)
-        nominal = Robot.from_urdf(urdf, stored.base, stored.tip, held=stored.held)
-        robot = stored.corrected(nominal)
-    else:
-        arm = Robot.load(asked.robot, stored.base, stored.tip, held=stored.held)
-        nominal, robot = _both_states(stored, arm, source)
+    if asked.robot is not None:
+        arm = Robot.load(asked.robot, nominal.base, nominal.tip, held=nominal.held)
+        nominal, robot = _both_states(result, arm, source)
     remarks = []
-    if stored.larger is not None:
+    if result.larger is not None:
         remarks.append(
-            f"The result has a larger model, '{stored.larger.name}', whose joints err with their state: no format "
+            f"The result has a larger model, '{result.larger.name}', whose joints err with their state: no format "
             "written here can hold that. What is converted is its geometry alone; 'calib compensate' uses all of it."
         )
     return Source(
         RESULT,
-        f"result of 'calib fit' for '{robot.name}', '{stored.base}' to '{stored.tip}'",
+        f"result of 'calib fit' for '{robot.name}', '{robot.base}' to '{robot.tip}'",
         robot,
         nominal,
         model=_arm(nominal, asked),
@@ -232,28 +218,16 @@ def _result(source: str, asked: Asked) -> Source:
     )
 
 
-def _recorded(table: Mapping[str, Any], folder: Path) -> Urdf | None:
-    """The URDF that a result names, where it is at hand unchanged."""
-    try:
-        inputs = table["inputs"]["urdf"]
-        # That of the paper's UR3, as of a demo, comes with calib.
-        places = (folder, paper_urdf().parent)
-        found = (recorded_urdf(str(inputs["name"]), inputs["sha256"], place) for place in places)
-        return next((urdf for urdf in found if urdf is not None), None)
-    except (KeyError, TypeError):  # it names none
-        return None
-
-
-def _both_states(stored: StoredResult, robot: Robot, source: str) -> tuple[Robot, Robot]:
+def _both_states(result: Calibration, robot: Robot, source: str) -> tuple[Robot, Robot]:
     """A result's nominal and corrected robot, from a URDF of either, whose bytes stay as they are.
 
     Raises:
         ModelError: It is neither.
     """
-    origins = robot.origins()
-    if set(origins) != set(stored.origins):
+    origins, corrected = robot.origins(), result.robot.origins()
+    if set(origins) != set(corrected):
         message = (
-            f"{source} has origins of the joints {choices(stored.origins)}; the chain of the robot given, "
+            f"{source} has origins of the joints {choices(corrected)}; the chain of the robot given, "
             f"'{robot.base}' to '{robot.tip}' of {robot.urdf.source}, has {choices(origins)}. Give the URDF that the "
             "result was made with as --robot."
         )
@@ -262,11 +236,11 @@ def _both_states(stored: StoredResult, robot: Robot, source: str) -> tuple[Robot
     def has(wanted: Mapping[str, Array]) -> bool:
         return all(np.abs(origins[name] - T).max() < _SAME for name, T in wanted.items())
 
-    if has(stored.nominal_origins):
-        return robot, stored.corrected(robot)
-    if has(stored.origins):
-        return stored.nominal(robot), robot
-    off = {name: float(np.abs(origins[name] - T).max()) for name, T in stored.origins.items()}
+    if has(result.nominal.origins()):
+        return robot, result.corrected(robot)
+    if has(corrected):
+        return result.uncorrected(robot), robot
+    off = {name: float(np.abs(origins[name] - T).max()) for name, T in corrected.items()}
     worst = max(off, key=lambda name: off[name])
     message = (
         f"{source} is of another robot than {robot.urdf.source}: the origin of '{worst}' differs from that of the "

@@ -7,16 +7,15 @@ in any order, and under any number.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from calib.identify.evaluation import Evaluation
-from calib.measure.columns import SETS
+from calib.identify.result import Calibration
 from calib.measure.measurements import Measurements
 from calib.model.robot import read_only
 
@@ -42,21 +41,14 @@ class FittedRows:
     residuals: Mapping[int, Array]
 
     @classmethod
-    def of(cls, rows: Sequence[Mapping[str, Any]]) -> FittedRows:
-        """From the rows of a result's tables.
-
-        Args:
-            rows: The table ``rows``, see docs/result-json.md.
-
-        Raises:
-            KeyError, TypeError, ValueError: Something is missing or of another kind.
-        """
+    def of(cls, c: Calibration) -> FittedRows:
+        """From a result."""
         found: dict[int, list[Array]] = {}
-        for one in rows:
-            pair = [one[f"residual_{who}_m"] for who in ("nominal", "calibrated")]
-            values = np.array(pair, dtype=np.float64).reshape(2, -1)
-            if one["set"] == SETS[0] and values.size and np.all(np.isfinite(values)):
-                found.setdefault(values.shape[1], []).append(values)
+        for i in np.flatnonzero(c.rows.estimation):
+            used = c.used[i, :3]
+            both = (c.residual_nominal[i, :3][used], c.residual_calibrated[i, :3][used])
+            if np.any(used):
+                found.setdefault(int(used.sum()), []).append(np.array(both))
         return cls({k: read_only(np.array(values)) for k, values in found.items()})
 
     def among(self, nominal: Evaluation, calibrated: Evaluation) -> Mask:

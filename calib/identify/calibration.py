@@ -1,4 +1,4 @@
-"""calibrate: a robot and measurements in, a `Calibration` out.
+"""calibrate: a robot and measurements in, a result out.
 
 The order of the work: which model the data support, registration of targets and measurement frames, estimation, rank
 and uncertainty, errors on rows that the fit did not see, the verdict.
@@ -24,8 +24,9 @@ from calib.identify.findings import Outlier, parameter_estimates
 from calib.identify.fitting import Fitted, Task, fit, unseen_scores
 from calib.identify.inspection import known_slopes
 from calib.identify.nominal import nominal_on
+from calib.identify.prediction import Larger, expected_error, tells_place
 from calib.identify.repeats import Repeats, repeats
-from calib.identify.result import Calibration, Larger
+from calib.identify.result import Calibration, Fit, RowNames, Source
 from calib.identify.robust import Limits
 from calib.identify.robustness import compare
 from calib.identify.rows import Rows
@@ -37,7 +38,9 @@ from calib.identify.verdict import NO, Verdict, verdict
 from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import split_name
+from calib.model.kinematics import Samples
 from calib.model.observability import Observability, analyse
+from calib.model.readback import spread_poses
 from calib.model.robot import Robot, read_only
 from calib.model.threads import one_blas_thread
 
@@ -90,9 +93,9 @@ def calibrate(
     cell = cell if model is None else replace(cell, model=model)
     fits = fit_table(robot, measurements, cell, solver=solver, robust=robust)
     result = _assemble(measurements, fits.fitted, fits.every, fits.seconds)
-    result = replace(result, candidates=fits.candidates)
+    result = replace(result, candidates=tuple(map(_without_rows, fits.candidates)))
     if fits.larger is not None:
-        result = replace(result, larger=_larger(fits.larger, fits.every))
+        result = _with_larger(result, fits.larger, fits.every)
     if not validate:
         return replace(result, verdict=Verdict(NO, (fits.hint,))) if fits.hint else result
     return _validated(result, fits.rows, fits.hint, progress)
@@ -160,7 +163,8 @@ def _validated(
 ) -> Calibration:
     """The result with cross-validation, of the larger model too, and the verdict."""
     task, outliers = result.fitted.task, result.fitted.estimate.outliers
-    larger = result.larger
+    larger, fit = result.larger, result.fit
+    assert fit is not None
 
     def of_part(part: int) -> Progress | None:
         if progress is None:
@@ -170,10 +174,8 @@ def _validated(
 
     of_calibrated = cross_validation(task, rows, outliers, of_part(0), fitted=result.fitted)
     candidates = result.candidates
-    if larger is not None:
-        found = cross_validation(
-            larger.fitted.task, rows, outliers, of_part(1), fitted=larger.fitted
-        )
+    if larger is not None and fit.larger is not None:
+        found = cross_validation(fit.larger.task, rows, outliers, of_part(1), fitted=fit.larger)
         larger = replace(larger, cross_validation=found)
         scales = result.fitted.estimate.problem.scales
         if candidates and not _predicts_better(found, of_calibrated, scales, outliers):
@@ -181,9 +183,10 @@ def _validated(
             candidates = tuple(
                 replace(c, chosen="") if c.name == larger.name else c for c in candidates
             )
-            larger = None
+            larger, fit = None, replace(fit, larger=None)
     result = replace(
         result,
+        fit=fit,
         cross_validation=of_calibrated,
         nominal_cross_validation=nominal_cross_validation(task, rows, outliers),
         larger=larger,
@@ -200,14 +203,22 @@ def _predicts_better(
     return squares[0] < squares[1]
 
 
-def _larger(fitted: Fitted, every: Rows) -> Larger:
-    """The larger model's part of the result."""
-    return Larger(
-        fitted=fitted,
+def _with_larger(result: Calibration, fitted: Fitted, every: Rows) -> Calibration:
+    """The result with a larger model."""
+    assert result.fit is not None
+    larger = Larger(
+        kinematics=fitted.kinematics,
+        x=fitted.estimate.x,
+        covariance=fitted.estimate.covariance,
+        sizes=fitted.estimate.sizes,
         parameters=parameter_estimates(fitted, _observability(fitted)),
+        setup=fitted.placed(),
         residual=read_only(fitted.residual(every)),
         cross_validation=None,
+        payload=fitted.task.cell.payload,
+        gravity=fitted.task.cell.gravity,
     )
+    return replace(result, larger=larger, fit=replace(result.fit, larger=fitted))
 
 
 def _observability(fitted: Fitted) -> Observability:
@@ -258,16 +269,23 @@ def _assemble(
         )
 
     used, scales = problem.rows.used, problem.scales
+    m = measurements
+    solved = fitted.kinematics, estimated.x, estimated.covariance
+    in_base = not tells_place(frozenset(m.kinds))
     return Calibration(
         nominal=robot,
         robot=model.apply(robot, estimated.x),
-        measurements=measurements,
-        cell=task.cell,
+        source=Source(m.source, m.sha256),
+        rows=RowNames(m.rows, m.sets, m.kinds, m.groups, m.targets),
+        frame_estimated=task.cell.estimate_frame,
+        frozen=task.cell.frozen,
+        ties=task.cell.ties,
+        sizes_from=task.cell.priors.sizes,
         nominal_setup=placed,
         setup=fitted.placed(),
-        model=model,
+        kinematics=fitted.kinematics,
         solver=task.solver,
-        solution=estimated.solution,
+        solution=replace(estimated.solution, x=estimated.x),
         seconds=seconds,
         x=estimated.x,
         covariance=estimated.covariance,
@@ -281,6 +299,7 @@ def _assemble(
         used=every.used,
         scores=read_only(scores),
         weights=read_only(weights),
+        ranges=_ranges(every.joints[weights > 0.0]),
         flag_limit=limit,
         outliers=named(mask, limit),
         suspects=named(~mask, suspect),
@@ -289,14 +308,31 @@ def _assemble(
         else None,
         repeats=_repeats(fitted),
         outside=_outside(robot, every, mask),
+        expected_measured=expected_error(*solved, problem.rows.samples, in_base=in_base),
+        expected_everywhere=expected_error(
+            *solved, Samples.at(spread_poses(robot)), in_base=in_base
+        ),
         cross_validation=None,
         nominal_cross_validation=None,
         observability=observability,
         candidates=(),
         larger=None,
-        fitted=fitted,
         verdict=None,
+        fit=Fit(measurements, task.cell, fitted),
     )
+
+
+def _without_rows(one: Candidate) -> Candidate:
+    """A candidate with its errors, and without those of each row."""
+    nothing = read_only(np.zeros((0, 0)))
+    found = replace(one.cross_validation, poses=np.zeros(0, dtype=int), residual=nothing)
+    return replace(one, cross_validation=found)
+
+
+def _ranges(joints: Array) -> Array:
+    """The smallest and the largest value of each joint, shape (m, 2); infinite where there are no rows."""
+    low, high = joints.min(axis=0, initial=np.inf), joints.max(axis=0, initial=-np.inf)
+    return read_only(np.stack([low, high], axis=1))
 
 
 def _median(values: Array) -> float:

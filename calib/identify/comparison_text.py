@@ -8,18 +8,28 @@ from typing import Any
 import numpy as np
 
 from calib.errors import choices
-from calib.identify.comparability import CANNOT_TELL, DRIFT
-from calib.identify.compared import Compared
-from calib.identify.comparison_facts import Facts
-from calib.identify.differences import ParameterDifference, PlaceDifference
-from calib.identify.drift import LEVEL, POWER
+from calib.identify.comparison import (
+    BAD_VERDICT,
+    CANNOT_TELL,
+    DRIFT,
+    NOTHING_KNOWN,
+    OTHER_ERRORS,
+    SAME_DATA,
+    Comparison,
+    ParameterDifference,
+    PlaceDifference,
+)
+from calib.identify.displacement import unknown_frame
+from calib.identify.drift import LEVEL, own_names
+from calib.identify.result import Calibration
 from calib.identify.result_tables import versions
 from calib.identify.statements import lengths_of_kinds, title_of_errors
+from calib.identify.statistics import Errors
 from calib.identify.words import three, wrap
 from calib.version import __version__
 
 #: The layout of what `comparison_table` gives; a word, so that it is not taken for a result.
-COMPARISON_SCHEMA = "comparison 1"
+COMPARISON_SCHEMA = "comparison 2"
 
 #: A parameter with a longer name gets a line for its name alone.
 _LONGEST_NAME = 28
@@ -30,38 +40,30 @@ _MOST_PLACES = 6
 #: Beyond this many standard deviations the number says nothing more.
 _HIGHEST = 37.0
 
-#: Single parameters that would explain a drift: the best few.
-_MOST_EXPLANATIONS = 3
-
 _ERRORS = "{:<5}{:<31}{:>8}{:>10}{:>10}{:>10}"
 
 
-def comparison_text(c: Facts) -> str:
+def comparison_text(c: Comparison) -> str:
     """The whole text."""
     parts = [_heading(c), _answer(c), _notes(c), _errors(c), _parameters(c), _places(c)]
     return "\n\n".join(part for part in parts if part)
 
 
-def _heading(c: Facts) -> str:
+def _heading(c: Comparison) -> str:
     """Which results of which robot."""
-    s = c.a.stored
+    r = c.a.nominal
     lines = [
-        wrap(
-            f"calib {__version__}: two calibrations of robot '{c.a.robot_name}', {s.base} to {s.tip}"
-        )
+        wrap(f"calib {__version__}: two calibrations of robot '{r.name}', {r.base} to {r.tip}")
     ]
-    for letter, one in (("a", c.a), ("b", c.b)):
-        use = f", verdict: {one.use}" if one.use else ""
-        lines.append(
-            wrap(
-                f"{letter}: {one.name}, {one.data_rows} rows of {one.data[0]}, model '{one.model}'{use}",
-                "  ",
-            )
-        )
+    for letter, name, one in zip("ab", c.names, (c.a, c.b), strict=True):
+        use = "" if one.verdict is None else f", verdict: {one.verdict.use}"
+        data = one.source.name or "memory"
+        text = f"{letter}: {name}, {len(one.rows)} rows of {data}, model '{one.model.name}'{use}"
+        lines.append(wrap(text, "  "))
     return "\n".join(lines)
 
 
-def _answer(c: Facts) -> str:
+def _answer(c: Comparison) -> str:
     """Did the robot drift? In one sentence, and what it stands on."""
     lines = [wrap(sentence(c))]
     test = c.test
@@ -87,44 +89,57 @@ def _answer(c: Facts) -> str:
                 "  ",
             )
         )
-    explanation = _explanation(c)
-    if explanation:
-        lines.append(wrap(explanation, "  "))
     absorbed = _absorbed(c)
     if absorbed:
         lines.append(wrap(absorbed, "  "))
     return "\n".join(lines)
 
 
-def sentence(c: Facts) -> str:
+def sentence(c: Comparison) -> str:
     """The answer in a sentence."""
     if c.outcome == CANNOT_TELL:
-        return f"Whether the robot drifted cannot be told. {c.why}"
+        return f"Whether the robot drifted cannot be told. {_why(c)}"
     if c.outcome == DRIFT:
         much = f"{_HIGHEST:.0f} or more" if c.test.sigma > _HIGHEST else f"{c.test.sigma:.1f}"
-        if not c.moves:
-            return f"The robot drifted ({much} sigma): b differs from a by more than chance."
         move = c.moves[0]
         return (
             f"The robot drifted ({much} sigma): between a and b its target moved by "
             f"{three(1e3 * move.moved)} ± {three(1e3 * move.std)} mm rms over {move.where}."
         )
-    text = "No drift that these data could show."
-    if np.isfinite(c.shows_from):
-        text += (
-            f" A joint's zero that drifts would be noticed {_share(POWER)} once it moves the target by "
-            f"{three(1e3 * c.shows_from)} mm rms over {c.moves[0].where}, whichever joint it is"
-            f"{' of those that frame and target do not hide' if c.untold else ''}."
-        )
-    return text
+    return "No drift that these data could show."
 
 
-def _absorbed(c: Facts) -> str:
+def _why(c: Comparison) -> str:
+    """Why it cannot be told."""
+    bad = [
+        name
+        for name, one in zip(c.names, (c.a, c.b), strict=True)
+        if one.verdict is not None and one.verdict.use == "do not use"
+    ]
+    return {
+        SAME_DATA: "Both results are made of the same measurements, so that the robot was the same: what differs is "
+        "how they were fitted.",
+        BAD_VERDICT: f"The verdict on {' and on '.join(bad)} is 'do not use': mend that first.",
+        NOTHING_KNOWN: "The data of the two know no combination of the robot's parameters in common better than the "
+        "priors do. Measure more poses.",
+        OTHER_ERRORS: f"The results differ by more than chance, but they estimate different errors: {_only(c)}. What "
+        "one leaves out shows as a difference. Fit both with the same --model.",
+    }[c.why]
+
+
+def _only(c: Comparison) -> str:
+    """Which parameters only one result has, in words."""
+    return " and ".join(
+        f"only {name} ('{one.model.name}') has {choices(own, limit=4)}"
+        for name, one, own in zip(c.names, (c.a, c.b), (c.only_a, c.only_b), strict=True)
+        if own
+    )
+
+
+def _absorbed(c: Comparison) -> str:
     """What frame and target make up for, in words."""
-    if not c.moves:
-        return ""
-    found = ["where the base stands"] * bool(c.a.frame or c.b.frame)
-    found += ["where the target sits"] * bool(c.a.target_estimated or c.b.target_estimated)
+    found = ["where the base stands"] * bool(unknown_frame(c.a) or unknown_frame(c.b))
+    found += ["where the target sits"] * (c.a.setup.estimate_target or c.b.setup.estimate_target)
     if not found:
         return ""
     text = f"The data had to tell {' and '.join(found)} too, so that moves are told up to these"
@@ -133,37 +148,67 @@ def _absorbed(c: Facts) -> str:
     return f"{text}."
 
 
-def _explanation(c: Facts) -> str:
-    """Which single parameters would explain a drift."""
-    if c.outcome != DRIFT:
-        return ""
-    known = [p for p in c.parameters if np.isfinite(p.left_p)]
-    best = sorted(known, key=lambda p: -p.left_p)[:_MOST_EXPLANATIONS]
-    told = [p for p in best if p.left_p >= LEVEL]
-    if not told:
-        return "No change of one parameter alone explains it."
-    listed = []
-    for p in told:
-        scale, unit = (1e3, "mm") if p.unit == "m" else (1e3, "mrad")
-        change = f"{three(scale * p.explains, '+')} ± {three(scale * p.explains_std)} {unit}"
-        listed.append(f"{p.name} by {change} (p = {p.left_p:.2g} for what is left)")
-    return f"A change of one parameter alone would explain it: {'; or '.join(listed)}."
+def notes(c: Comparison) -> tuple[str, ...]:
+    """What to mind, sentences."""
+    both = tuple(zip(c.names, (c.a, c.b), strict=True))
+    found = []
+    if c.a.nominal.name != c.b.nominal.name:
+        found.append(f"The URDFs name their robots '{c.a.nominal.name}' and '{c.b.nominal.name}'.")
+    if (c.only_a or c.only_b) and not c.why:
+        found.append(f"The results estimate different errors: {_only(c)}.")
+    if not c.same_start:
+        found.append(
+            "The results count from different nominal robots: parameters are not subtracted, and what the data do not "
+            "know stays where each nominal robot has it."
+        )
+    if not unknown_frame(c.a) and not unknown_frame(c.b):
+        found.append(
+            "Both take the measurement frame as known: an error in where the tracker was said to stand looks like a "
+            "drift of the first joints."
+        )
+    with_larger = [f"{name} ('{one.larger.name}')" for name, one in both if one.larger is not None]
+    if with_larger:
+        found.append(
+            f"Compared is the geometry that the URDF holds; the larger model of {' and of '.join(with_larger)} is not. "
+            "Loads, speeds and poses should be alike in both measurements."
+        )
+    bounded = dict.fromkeys(
+        p.name for _, one in both for p in one.parameters if p.at_bound and p.name in own_names(one)
+    )
+    if bounded:
+        found.append(
+            f"{choices(bounded)} {'stands' if len(bounded) == 1 else 'stand'} at a bound, and is taken as known there."
+        )
+    careful = [
+        name for name, one in both if one.verdict is not None and one.verdict.use == "use with care"
+    ]
+    if careful:
+        found.append(f"The verdict on {' and on '.join(careful)} is 'use with care'; see there.")
+    return tuple(found)
 
 
-def _notes(c: Facts) -> str:
-    """What to mind."""
-    return "\n".join(wrap(f"Note: {note}") for note in c.notes)
+def _notes(c: Comparison) -> str:
+    """The same, set."""
+    return "\n".join(wrap(f"Note: {note}") for note in notes(c))
 
 
-def _errors(c: Facts) -> str:
+def _sets(one: Calibration) -> list[tuple[str, Errors]]:
+    """Errors of the calibrated robot: estimation rows, validation rows, left-out rows."""
+    sets = [(f"{name} rows", errors) for name, errors in one.errors["calibrated"].items()]
+    if one.cross_validation is not None:
+        sets.append(("left-out rows", one.cross_validation.errors))
+    return [(rows, errors) for rows, errors in sets if errors.n]
+
+
+def _errors(c: Comparison) -> str:
     """Errors of both calibrated robots, each on its own rows."""
     measured = lengths_of_kinds(c.a.kinds | c.b.kinds)
     head = f"{title_of_errors(measured)} [mm]"
     lines = [_ERRORS.format("", head, "rows", "max", "mean", "rms")]
     for letter, one in (("a", c.a), ("b", c.b)):
-        for e in one.errors:
+        for rows, e in _sets(one):
             values = [f"{1e3 * v:.3f}" for v in (e.max, e.mean, e.rms)]
-            lines.append(_ERRORS.format(letter, e.rows, e.n, *values))
+            lines.append(_ERRORS.format(letter, rows, e.n, *values))
     noise = [
         f"{three(1e3 * one.sigma)} mm in {letter}"
         for letter, one in (("a", c.a), ("b", c.b))
@@ -174,9 +219,9 @@ def _errors(c: Facts) -> str:
     return "\n".join(lines) if len(lines) > 1 else ""
 
 
-def _parameters(c: Facts) -> str:
+def _parameters(c: Comparison) -> str:
     """The robot's parameters of both."""
-    first, second = set(c.a.own_names), set(c.b.own_names)
+    first, second = set(own_names(c.a)), set(own_names(c.b))
     shared = [p for p in c.parameters if p.name in first and p.name in second]
     lines = [
         wrap(f"Only {letter} has the parameters {choices(names, limit=60)}.")
@@ -192,7 +237,7 @@ def _parameters(c: Facts) -> str:
 def _table(parameters: list[ParameterDifference]) -> list[str]:
     """The parameters that both have."""
     width = min(max(len(p.name) for p in parameters), _LONGEST_NAME) + 2
-    head = f"{'Parameter':<{width}}{'a':>11}{'b':>11}{'b - a':>10}{'std':>9}{'sigma':>8}{'shows from':>12}"
+    head = f"{'Parameter':<{width}}{'a':>11}{'b':>11}{'b - a':>10}{'std':>9}{'sigma':>8}"
     lines = [head]
     for p in parameters:
         scale, unit = (1e3, "mm") if p.unit == "m" else (float(np.degrees(1.0)), "deg")
@@ -205,7 +250,7 @@ def _table(parameters: list[ParameterDifference]) -> list[str]:
             _cell(scale * p.b, 11),
             _cell(scale * p.difference, 10, "+"),
         ]
-        cells += [_cell(scale * p.std, 9), _sigmas(p), _from(scale * p.would_show)]
+        cells += [_cell(scale * p.std, 9), _sigmas(p)]
         mark = "" if p.alone else " *"
         lines.append(f"{name:<{width}}{''.join(cells)} {unit}{mark}")
     if not all(p.alone for p in parameters):
@@ -215,12 +260,7 @@ def _table(parameters: list[ParameterDifference]) -> list[str]:
                 "its difference means much by itself"
             )
         )
-    lines.append(
-        wrap(
-            f"std: of the difference, sqrt(C_a + C_b). shows from: what a drift of this parameter alone must exceed to "
-            f"be noticed {_share(POWER)}; never where frame, target or too few data hide it."
-        )
-    )
+    lines.append("std: of the difference, sqrt(C_a + C_b).")
     return lines
 
 
@@ -234,22 +274,17 @@ def _sigmas(p: ParameterDifference) -> str:
     return f"{f'{round(p.sigmas, 1) + 0.0:+.1f}' if np.isfinite(p.sigmas) else '-':>8}"
 
 
-def _from(value: float) -> str:
-    """The smallest change that shows."""
-    return f"{f'{value:.4f}' if np.isfinite(value) else 'never':>12}"
-
-
-def _places(c: Facts) -> str:
+def _places(c: Comparison) -> str:
     """How frames and targets moved: no drift of the robot's."""
-    what = "Measurement frame" if {"point", "pose"} & c.a.kinds else "Set-up"
-    lines = _moved(c.frames, what, f"in {c.a.stored.base}")
-    lines += _moved(c.targets, "Target", f"in {c.a.stored.tip}")
+    what = "Measurement frame" if c.a.tells_place else "Set-up"
+    lines = _moved(c.frames, what, f"in {c.a.nominal.base}")
+    lines += _moved(c.targets, "Target", f"in {c.a.nominal.tip}")
     lost = [
-        f"{what} {choices(names)} of {one.name}"
-        for one in (c.a, c.b)
+        f"{what} {choices(names)} of {name}"
+        for name, one in zip(c.names, (c.a, c.b), strict=True)
         for what, names in (
-            ("set-ups", _without_pair(one, c.frames, frames=True)),
-            ("targets", _without_pair(one, c.targets, frames=False)),
+            ("set-ups", _without_pair(one.setup.groups, c.frames)),
+            ("targets", _without_pair(one.setup.targets, c.targets)),
         )
         if names
     ]
@@ -258,13 +293,10 @@ def _places(c: Facts) -> str:
     return "\n".join(lines)
 
 
-def _without_pair(
-    one: Compared, pairs: Iterable[PlaceDifference], *, frames: bool
-) -> tuple[str, ...]:
+def _without_pair(names: tuple[str, ...], pairs: Iterable[PlaceDifference]) -> tuple[str, ...]:
     """Names of a result's frames or targets that were not compared."""
-    known = one.stored.known.frames if frames else one.stored.known.targets
     paired = {p.name for p in pairs}
-    return () if len(known) == 1 else tuple(name for name in known if name not in paired)
+    return () if len(names) == 1 else tuple(name for name in names if name not in paired)
 
 
 def _moved(places: tuple[PlaceDifference, ...], what: str, where: str) -> list[str]:
@@ -296,17 +328,12 @@ def _odds(p: float) -> str:
     return f"p = {p:.2g}" if p > 1e-12 else "p < 1e-12"
 
 
-def _share(power: float) -> str:
-    """The power in words."""
-    return f"{10 * power:.0f} times in 10"
-
-
-def comparison_table(c: Facts) -> dict[str, Any]:
+def comparison_table(c: Comparison) -> dict[str, Any]:
     """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
     t = c.test
     return {
         "schema": COMPARISON_SCHEMA,
-        "robot": {"name": c.a.robot_name, "base": c.a.stored.base, "tip": c.a.stored.tip},
+        "robot": {"name": c.a.nominal.name, "base": c.a.nominal.base, "tip": c.a.nominal.tip},
         "outcome": c.outcome,
         "sentence": sentence(c),
         "test": {
@@ -329,8 +356,6 @@ def comparison_table(c: Facts) -> dict[str, Any]:
             }
             for m in c.moves
         ],
-        "shows_from_rms_m": c.shows_from,
-        "power": POWER,
         "parameters": [
             {
                 "name": p.name,
@@ -341,10 +366,6 @@ def comparison_table(c: Facts) -> dict[str, Any]:
                 "std": p.std,
                 "sigmas": p.sigmas,
                 "alone": p.alone,
-                "explains": p.explains,
-                "explains_std": p.explains_std,
-                "left_p": p.left_p,
-                "shows_from": p.would_show,
             }
             for p in c.parameters
         ],
@@ -353,8 +374,8 @@ def comparison_table(c: Facts) -> dict[str, Any]:
         "only_b": list(c.only_b),
         "frames": [_place(one, "group") for one in c.frames],
         "targets": [_place(one, "target") for one in c.targets],
-        "results": [_result(one) for one in (c.a, c.b)],
-        "notes": list(c.notes),
+        "results": [_result(name, one) for name, one in zip(c.names, (c.a, c.b), strict=True)],
+        "notes": list(notes(c)),
         "versions": versions(),
     }
 
@@ -364,23 +385,24 @@ def _place(one: PlaceDifference, key: str) -> dict[str, Any]:
     return {key: one.name, "found": one.found, "shift_m": one.shift, "turn_rad": one.turn}
 
 
-def _result(one: Compared) -> dict[str, Any]:
+def _result(name: str, one: Calibration) -> dict[str, Any]:
     """What was compared."""
+    urdf = one.nominal.urdf
     return {
-        "name": one.name,
-        "set": one.model,
-        "verdict": one.use or None,
+        "name": name,
+        "set": one.model.name,
+        "verdict": None if one.verdict is None else one.verdict.use,
         "sigma_m": one.sigma,
         "errors": [
-            {"rows": e.rows, "n": e.n, "max_m": e.max, "mean_m": e.mean, "rms_m": e.rms}
-            for e in one.errors
+            {"rows": rows, "n": e.n, "max_m": e.max, "mean_m": e.mean, "rms_m": e.rms}
+            for rows, e in _sets(one)
         ],
         "inputs": {
-            "urdf": {"name": one.urdf[0], "sha256": one.urdf[1]},
+            "urdf": {"name": urdf.source, "sha256": urdf.sha256},
             "measurements": {
-                "name": one.data[0],
-                "sha256": one.data[1],
-                "rows": one.data_rows,
+                "name": one.source.name or "memory",
+                "sha256": one.source.sha256,
+                "rows": len(one.rows),
             },
         },
     }

@@ -41,8 +41,7 @@ def correlations(calibration: Calibration, above: float = 0.9) -> tuple[Correlat
     if not 0.0 <= above < 1.0:
         message = f"Correlations above {above:g} were asked for; the limit lies between 0 and 1, such as 0.9."
         raise CalibError(message)
-    held = calibration.fitted.estimate.at_bound
-    chosen = [k for k, p in enumerate(calibration.parameters) if p.identifiable and k not in held]
+    chosen = [k for k, p in enumerate(calibration.parameters) if p.identifiable and not p.at_bound]
     names = [calibration.parameters[k].name for k in chosen]
     C = calibration.covariance[np.ix_(chosen, chosen)]
     std = np.sqrt(np.diag(C))

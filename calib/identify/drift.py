@@ -1,10 +1,10 @@
-"""Whether two estimates differ by more than their noise, and which difference would have shown.
+"""Whether two estimates of one robot differ by more than their noise.
 
-Both estimates are of one robot. What they are off by is their noise and what their priors pull them by, and sizes of
-priors are found from the data, so that two fits of one robot may pull differently: one may find that there are no
-errors of some kind, and leave these at zero. Both are brought to common priors first. A result is x with the covariance
-C = (H + P)^-1, where H is what the data know and P the priors' precision, and the data push against the priors by s,
-which is P x where x is the least of all squares. Under other priors Q that would be, to first order,
+What both are off by is their noise and what their priors pull them by, and sizes of priors are found from the data, so
+that two fits of one robot may pull differently: one may find that there are no errors of some kind, and leave these at
+zero. Both are brought to common priors first. A result is x with the covariance C = (H + P)^-1, where H is what the
+data know and P the priors' precision, and the data push against the priors by s, which is P x where x is the least of
+all squares. Under other priors Q that would be, to first order,
 
     C_q = (C^-1 + Q - P)^-1,        x_q = x + C_q (s - Q x).
 
@@ -16,8 +16,7 @@ robot's estimates, the robot drawn from that prior, has the covariance
 which is less than C_a + C_b, most of all where the data know little and both say what the prior says. Combinations are
 tested that the data know better than the prior, C_a + C_b < Q^-1. On the k of them d^T V^-1 d / k has the F
 distribution with k and nu degrees of freedom, because the noise was estimated; nu is that of B. L. Welch, The
-generalization of Student's problem, Biometrika 34, 1947, by traces. A change u of the robot changes x_b by
-(1 - C_b Q) u.
+generalization of Student's problem, Biometrika 34, 1947, by traces.
 """
 
 from __future__ import annotations
@@ -26,24 +25,44 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import stats
 from scipy.linalg import eigh
 
-from calib.model.robot import read_only
+from calib.identify.result import Calibration
+from calib.model.observability import steps
+from calib.model.parameters import FRAME, TARGET
 
 Array = NDArray[np.float64]
 
 #: A difference is called a drift below this probability: one comparison in a hundred of an unchanged robot says so.
 LEVEL = 0.01
 
-#: The probability with which a drift of the size told would be noticed.
-POWER = 0.9
-
 #: Smallest probability told; below it distributions have no digits.
 _LEAST = 1e-300
 
 #: A combination takes part where the share of its variance that the data leave over, C / (C + S), is below this.
 _KNOWN = 0.5
+
+#: Priors are taken to be no wider than this many steps of 1 mm and 1 mrad when it comes to what the data know.
+_WIDEST = 10.0
+
+#: How large a drift the common priors leave room for, in the same steps.
+_ROOM = 0.2
+
+
+def own_parameters(c: Calibration) -> NDArray[np.int_]:
+    """Which parameters are the robot's own: those of frames and targets left out."""
+    return np.flatnonzero(~c.model.family(FRAME, TARGET))
+
+
+def own_names(c: Calibration) -> tuple[str, ...]:
+    """The names of these."""
+    return tuple(c.model.names[k] for k in own_parameters(c))
+
+
+def own_steps(c: Calibration) -> Array:
+    """What arms are typically wrong by in each of these."""
+    return steps([c.model.units[k] for k in own_parameters(c)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,14 +88,68 @@ class Estimated:
     shift: Array
 
     @property
-    def response(self) -> Array:
-        """What a unit of change of each parameter makes of the estimate's coordinates, shape (r, p)."""
-        return np.asarray(self.effect - self.effect @ self.pull)
-
-    @property
     def spread(self) -> Array:
         """The covariance of the coordinates, shape (r, r)."""
         return np.asarray(self.effect @ self.covariance @ self.effect.T)
+
+    @classmethod
+    def of(cls, one: Calibration, other: Calibration, effect: Array) -> Estimated:
+        """A result's own parameters under priors that both share, and that leave room for a drift.
+
+        Args:
+            one: The result.
+            other: The one that it is compared with.
+            effect: shape (r, p), of its own parameters.
+        """
+        own, step = own_parameters(one), own_steps(one)
+        precision = _precision(one)
+        of_other = dict(zip(other.model.names, _precision(other), strict=True))
+        shared = [min(precision[k], of_other.get(one.model.names[k], np.inf)) for k in own]
+        # Never wider than anything an arm may err by either: with priors off there is none.
+        widest, least = 1.0 / (_WIDEST * step) ** 2, 1.0 / (_ROOM * step) ** 2
+        common = precision.copy()
+        common[own] = np.clip(shared, widest, least)
+        common[_at_bound(one)] = 0.0
+        C = _under(one, precision, common)
+        noise, of_own = C - (C * common) @ C, C[np.ix_(own, own)]
+        push = np.array([one.parameters[k].push for k in own])
+        return cls(
+            effect=effect,
+            covariance=of_own,
+            noise=noise[np.ix_(own, own)],
+            pull=of_own * common[own],
+            prior=1.0 / np.clip(shared, widest, least),
+            freedom=one.freedom,
+            shift=of_own @ (push - common[own] * one.x[own]),
+        )
+
+
+def _precision(c: Calibration) -> Array:
+    """One over the variance of each parameter's prior, shape (p,); 0 without one."""
+    prior = np.array([one.prior_std for one in c.parameters])
+    return np.where(np.isnan(prior), 0.0, 1.0 / prior**2)
+
+
+def _at_bound(c: Calibration) -> NDArray[np.bool_]:
+    """Which parameters a bound stopped, shape (p,)."""
+    return np.array([one.at_bound for one in c.parameters], dtype=bool)
+
+
+def _under(one: Calibration, precision: Array, common: Array) -> Array:
+    """The covariance under other priors, (C^-1 + Q - P)^-1, shape (p, p). Parameters at a bound stay there."""
+    free = np.flatnonzero(~_at_bound(one))
+    block = np.ix_(free, free)
+    scale = np.sqrt(np.diag(one.covariance)[free])
+    scale = np.where(scale > 0.0, scale, 1.0)
+    correlation = one.covariance[block] / np.outer(scale, scale)
+    M = np.linalg.pinv(correlation, rcond=1e-14, hermitian=True)
+    M += np.diag((common - precision)[free] * scale**2)
+    # Scaled anew, so that what had been held tightly does not drown the rest.
+    size = 1.0 / np.sqrt(np.maximum(np.diag(M), 1e-12))
+    inverse = np.linalg.pinv(M * np.outer(size, size), rcond=1e-13, hermitian=True)
+    C = np.zeros_like(one.covariance)
+    C[block] = inverse * np.outer(size * scale, size * scale)
+    return C
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,23 +194,6 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True)
-class Explanation:
-    """What one change explains of a difference.
-
-    Attributes:
-        change: Its size, in its unit.
-        std: Standard deviation of that; infinite where the data do not know it.
-        left: The chi-square that is left.
-        p: Probability of that much or more, where nothing else has changed.
-    """
-
-    change: float
-    std: float
-    left: float
-    p: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class DriftTest:
     """The test of one difference.
 
@@ -147,9 +203,6 @@ class DriftTest:
         freedom: Degrees of freedom nu of the noise.
         p: Probability of such a difference, or a larger one, where nothing has changed.
         sigma: The same as standard deviations of a normal distribution, one-sided; 0 where p > 0.5.
-        whitened: shape (k,), the difference in combinations of unit variance.
-        sensing: shape (k, p), what a unit of change of each of b's parameters makes of these.
-        told_from: The length of a change in these that is noticed with the probability `POWER`.
     """
 
     combinations: int
@@ -157,49 +210,11 @@ class DriftTest:
     freedom: float
     p: float
     sigma: float
-    whitened: Array
-    sensing: Array
-    told_from: float
 
     @property
     def drifted(self) -> bool:
         """Whether the difference is more than chance."""
         return self.p < LEVEL
-
-    def explained(self, k: int) -> Explanation:
-        """How well a change of one parameter explains the difference, by generalised least squares.
-
-        Args:
-            k: Number of the parameter, of b's.
-        """
-        seen = self.sensing[:, k]
-        length = float(np.linalg.norm(seen))
-        if length == 0.0:
-            return Explanation(0.0, float("inf"), self.chi_square, self.p)
-        change = float(seen @ self.whitened) / length**2
-        left = max(self.chi_square - (change * length) ** 2, 0.0)
-        others = self.combinations - 1
-        p = float(stats.f.sf(left / others, others, self.freedom)) if others else 1.0
-        return Explanation(change, 1.0 / length, left, p)
-
-    def shows_from(self, k: int) -> float:
-        """Change of one parameter, of b's, that is noticed with the probability `POWER`; infinite if none is."""
-        seen = float(np.linalg.norm(self.sensing[:, k]))
-        return self.told_from / seen if seen > 0.0 else float("inf")
-
-
-def noncentrality(k: int, freedom: float) -> float:
-    """The noncentrality with which F(k, freedom) exceeds its quantile of `LEVEL` with the probability `POWER`."""
-    limit = float(stats.f.isf(LEVEL, k, freedom))
-
-    def missing(value: float) -> float:
-        """How much power is missing."""
-        return float(stats.ncf.sf(limit, k, freedom, value)) - POWER
-
-    highest = 10.0 + 10.0 * k
-    while missing(highest) < 0.0:
-        highest *= 2.0
-    return float(optimize.brentq(missing, 0.0, highest, xtol=1e-3))
 
 
 def drift_test(difference: Array, pair: Pair, floor: float) -> DriftTest:
@@ -210,42 +225,29 @@ def drift_test(difference: Array, pair: Pair, floor: float) -> DriftTest:
         pair: Both estimates.
         floor: Standard deviation of each coordinate that stands for rounding.
     """
+    nothing = DriftTest(0, 0.0, np.inf, 1.0, 0.0)
+    if not len(difference):
+        return nothing
     rounding = floor**2 * np.eye(len(difference))
     both = (pair.a, pair.b)
     posterior = pair.a.spread + pair.b.spread + rounding
     prior = np.asarray(sum((one.effect * one.prior) @ one.effect.T for one in both)) / 2.0
-    share, vectors = eigh(posterior, posterior + prior) if len(difference) else _nothing()
+    share, vectors = eigh(posterior, posterior + prior)
     kept = vectors[:, share < _KNOWN]
     k = kept.shape[1]
     if k == 0:
-        sensing = read_only(np.zeros((0, pair.b.effect.shape[1])))
-        return DriftTest(0, 0.0, np.inf, 1.0, 0.0, read_only([]), sensing, np.inf)
+        return nothing
     whitening = _whitening(kept, pair.covariance + rounding)
-    whitened = whitening @ difference
-    chi_square = float(whitened @ whitened)
+    chi_square = float(np.sum((whitening @ difference) ** 2))
     shares = [float(np.trace(whitening @ one.spread @ whitening.T)) for one in both]
     freedom = sum(shares) ** 2 / sum(
         s**2 / max(one.freedom, 1.0) for s, one in zip(shares, both, strict=True)
     )
     p = max(float(stats.f.sf(chi_square / k, k, freedom)), _LEAST)
-    return DriftTest(
-        combinations=k,
-        chi_square=chi_square,
-        freedom=freedom,
-        p=p,
-        sigma=max(float(stats.norm.isf(p)), 0.0),
-        whitened=read_only(whitened),
-        sensing=read_only(whitening @ pair.b.response),
-        told_from=float(np.sqrt(noncentrality(k, freedom))),
-    )
+    return DriftTest(k, chi_square, freedom, p, sigma=max(float(stats.norm.isf(p)), 0.0))
 
 
 def _whitening(kept: Array, covariance: Array) -> Array:
     """What takes coordinates to some combinations of them, of unit variance, shape (k, r)."""
     values, axes = eigh(kept.T @ covariance @ kept)
     return np.asarray(((kept @ axes) / np.sqrt(np.maximum(values, 1e-12 * values[-1]))).T)
-
-
-def _nothing() -> tuple[Array, Array]:
-    """No combination of no coordinates."""
-    return np.zeros(0), np.zeros((0, 0))

@@ -2,83 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import ModelError, choices
+from calib.errors import CalibError, ModelError, choices
 from calib.identify.fitting import nominal_setup, seen_from
+from calib.identify.prediction import tip_poses
+from calib.identify.registration import register_poses
+from calib.identify.result import Calibration
 from calib.identify.rows import Rows
 from calib.identify.setup import Setup
 from calib.identify.setup_check import better_setup
 from calib.identify.statistics import Errors
 from calib.identify.table_rows import rows_of
-from calib.measure.cell import Cell
+from calib.measure.cell import DIRECTIONS, Cell
 from calib.measure.measurements import Measurements
+from calib.model.kinematics import Samples
 from calib.model.robot import Robot, read_only
 from calib.model.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
+#: What of an earlier result can be taken for known.
+PLACES = ("frame", "target")
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Known:
-    """Frames and targets of an earlier result, which win over what a cell says of them.
+#: What is found anew must make the rms this many times smaller, and leave this many numbers for each unknown.
+_BETTER, _NUMBERS = 3.0, 3
 
-    The only one of a result stands for the only one of a table, whatever their names are. None of a kind: the cell's.
-
-    Attributes:
-        frames: T_frame_base of each set-up by name, shape (4, 4), [m].
-        targets: T_tip_target of each target by name, shape (4, 4), [m].
-        rotation: Whether the targets' orientations are known, and not their positions alone.
-    """
-
-    frames: Mapping[str, Array]
-    targets: Mapping[str, Array]
-    rotation: bool = False
-
-    def placed(self, setup: Setup) -> Setup:
-        """A table's set-up with what is known here.
-
-        Raises:
-            ModelError: The table has a set-up that is not known here, and the cell does not say where it stands.
-        """
-        frames, targets = setup.T_frame_base.copy(), setup.T_tip_target.copy()
-        framed, aimed = np.zeros(len(frames), dtype=bool), np.zeros(len(targets), dtype=bool)
-        for f, group in enumerate(setup.groups):
-            found = _named(group, self.frames, alone=len(frames) == 1)
-            if found is not None:
-                frames[f], framed[f] = found, True
-        for t, name in enumerate(setup.targets):
-            found = _named(name, self.targets, alone=len(targets) == 1)
-            if found is not None:
-                targets[t], aimed[t] = found, True
-        lost = [
-            group
-            for group, known, directions in zip(setup.groups, framed, setup.unknown, strict=True)
-            if self.frames and not known and not directions
-        ]
-        if lost:
-            message = (
-                f"The result has the set-ups {choices(self.frames)}; the table's {choices(lost)} are none of them. Let "
-                "the measurement frames be found (--frame estimate), or give them in a cell file."
-            )
-            raise ModelError(message)
-        # A position is not enough where orientations are to be met: then it is where the target is looked for.
-        known = aimed if self.rotation or not setup.rotation else np.zeros_like(aimed)
-        placed = setup.as_known(framed, known).placed(frames, targets)
-        return replace(
-            placed,
-            frame_given=setup.frame_given | framed,
-            target_given=np.where(aimed, known, setup.target_given),
-        )
-
-
-def _named(name: str, known: Mapping[str, Array], *, alone: bool) -> Array | None:
-    """A pose by name; the only one for the only one."""
-    return next(iter(known.values())) if alone and len(known) == 1 else known.get(name)
+#: Errors below this need no explanation [m].
+_SMALL = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +82,8 @@ def evaluate(
     measurements: Measurements,
     cell: Cell | None = None,
     *,
-    known: Known | None = None,
+    known: Setup | None = None,
+    which: tuple[str, ...] = PLACES,
 ) -> Evaluation:
     """Compare a robot with measurements.
 
@@ -140,7 +95,9 @@ def evaluate(
         robot: The robot, nominal or corrected.
         measurements: The rows.
         cell: Target and frame, where they are known.
-        known: Frames and targets of an earlier result, which win over the cell's.
+        known: Frames and targets of an earlier result, which win over the cell's: `Calibration.setup`, or its
+            ``nominal_setup`` for the nominal robot.
+        which: Whether its ``"frame"``, its ``"target"`` or both are meant.
 
     Raises:
         MeasurementError: Too few rows to register what was not given, or a joint's column is missing.
@@ -148,12 +105,97 @@ def evaluate(
     """
     cell = Cell() if cell is None else cell
     every, setup = rows_of(robot, measurements, cell)
-    setup = setup if known is None else known.placed(setup)
+    setup = setup if known is None else at_known(setup, known, which)
     chosen = measurements.estimation
     T_base_tip = robot.poses(every.joints)
     chosen = chosen if np.any(chosen) else np.ones(len(every), dtype=bool)
     placed = nominal_setup(T_base_tip[chosen], setup, every.select(chosen))
     return evaluation_at(robot, measurements, every, setup, placed, T_base_tip)
+
+
+def evaluate_larger(
+    c: Calibration,
+    robot: Robot,
+    measurements: Measurements,
+    cell: Cell,
+    which: tuple[str, ...] = PLACES,
+) -> Evaluation | None:
+    """Compare the larger model of a result with measurements; None where it has none.
+
+    Args:
+        c: The result.
+        robot: The robot, nominal or corrected.
+        measurements: The rows.
+        cell: The set-up; its payload wins over the result's.
+        which: Which of the larger model's frames and targets are used, see `evaluate`.
+
+    Raises:
+        UrdfError: The robot lacks one of the joints.
+        ModelError: The table has set-ups or targets that nothing is known of, or the robot is another one.
+        MeasurementError: Too few rows to register what is not known.
+    """
+    if c.larger is None:
+        return None
+    nominal = c.uncorrected(robot)
+    cell = replace(cell, payload=cell.payload or c.larger.payload, gravity=c.larger.gravity)
+    every, setup = rows_of(nominal, measurements, cell)
+    setup = at_known(setup, c.larger.setup, which)
+    larger = replace(c.larger, kinematics=replace(c.larger.kinematics, robot=nominal))
+    T_base_tip = tip_poses(larger, Samples.at(every.joints, every.samples.load))
+    chosen = measurements.estimation
+    chosen = chosen if np.any(chosen) else np.ones(len(measurements), dtype=bool)
+    asked = setup.as_known(setup.frame_given, setup.target_given)
+    placed = register_poses(T_base_tip[chosen], asked, every.select(chosen))
+    return evaluation_at(nominal, measurements, every, setup, placed, T_base_tip)
+
+
+def at_known(setup: Setup, known: Setup, which: tuple[str, ...] = PLACES) -> Setup:
+    """A table's set-up with the frames and targets of an earlier result.
+
+    The only one of a result stands for the only one of a table, whatever their names are.
+
+    Args:
+        setup: Of the table.
+        known: Of the result.
+        which: Which of `PLACES` are taken from it.
+
+    Raises:
+        ModelError: The table has a set-up that is not known there, and the cell does not say where it stands.
+    """
+    frames, targets = setup.T_frame_base.copy(), setup.T_tip_target.copy()
+    framed = _found(setup.groups, known.groups, known.T_frame_base, frames, "frame" in which)
+    aimed = _found(setup.targets, known.targets, known.T_tip_target, targets, "target" in which)
+    lost = [
+        group
+        for group, there, directions in zip(setup.groups, framed, setup.unknown, strict=True)
+        if "frame" in which and not there and not directions
+    ]
+    if lost:
+        message = (
+            f"The result has the set-ups {choices(known.groups)}; the table's {choices(lost)} are none of them. Let "
+            "the measurement frames be found (--frame estimate), or give them in a cell file."
+        )
+        raise ModelError(message)
+    # A position is not enough where orientations are to be met: then it is where the target is looked for.
+    fixed = aimed if known.oriented or not setup.rotation else np.zeros_like(aimed)
+    placed = setup.as_known(framed, fixed).placed(frames, targets)
+    return replace(
+        placed,
+        frame_given=setup.frame_given | framed,
+        target_given=np.where(aimed, fixed, setup.target_given),
+    )
+
+
+def _found(
+    names: tuple[str, ...], known: tuple[str, ...], poses: Array, into: Array, wanted: bool
+) -> NDArray[np.bool_]:
+    """Put known poses in place, by name or the only one for the only one; which were found, shape (len(names),)."""
+    found = np.zeros(len(names), dtype=bool)
+    for k, name in enumerate(names if wanted else ()):
+        alone = len(names) == len(known) == 1
+        if alone or name in known:
+            into[k], found[k] = poses[0 if alone else known.index(name)], True
+    return found
 
 
 def evaluation_at(
@@ -203,3 +245,44 @@ def hint(evaluation: Evaluation, cell: Cell) -> str:
     every, setup = rows_of(evaluation.robot, m, cell)
     rows = every.select(m.estimation) if np.any(m.estimation) else every
     return better_setup(evaluation.robot, cell, setup, rows)
+
+
+def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) -> str:
+    """A sentence that says which of frame and target explains the errors by far when found anew, or nothing.
+
+    Args:
+        robot: The calibrated robot.
+        measurements: Fresh rows.
+        cell: The set-up.
+        known: Frames and targets of the result.
+    """
+    before = evaluate(robot, measurements, cell, known=known)
+    rms = before.errors["all"].rms
+    if before.registered or not rms > _SMALL:
+        return ""
+    anew = {
+        "frame": replace(cell, estimate_frame=True, frame_directions=DIRECTIONS),
+        "target": replace(cell, estimate_target=True),
+    }
+    found = {}
+    for what, open_cell in anew.items():
+        kept = tuple(one for one in PLACES if one != what)
+        try:
+            after = evaluate(robot, measurements, open_cell, known=known, which=kept)
+        except CalibError:
+            continue  # too few rows to find it
+        unknowns = after.setup.count
+        if unknowns and int(after.used.sum()) >= _NUMBERS * unknowns:
+            found[what] = after.errors["all"].rms
+    best = min(found, key=lambda what: found[what], default="")
+    if not best or _BETTER * found[best] > rms:
+        return ""
+    advice = {
+        "frame": "measurement frame is found anew: did the tracker, or the robot's foot, move since the calibration? "
+        "Then add --frame estimate.",
+        "target": "target is found anew: was it mounted anew since the calibration? Then give its place with --target.",
+    }[best]
+    return (
+        f"The rms is {1e3 * rms:.3g} mm with frame and target of the result, and only {1e3 * found[best]:.3g} mm if "
+        f"the {advice}"
+    )

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.identify.fitting import Fitted
 from calib.identify.statistics import interval_factor
 from calib.model.observability import Observability
 from calib.model.parameters import TARGET
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +29,11 @@ class ParameterEstimate:
         low: Lower end of the 95 % interval of the value.
         high: Upper end.
         identifiable: Whether the measurements determine it; otherwise they know it in combinations only.
-        at_bound: Whether it was stopped by a bound; std and interval are then the bound's, next to nothing.
+        at_bound: Whether it was stopped by a bound; std and interval are then not to be told, NaN.
+        prior_std: Standard deviation of the prior on its change that the fit ended with; NaN where there was none.
+        push: How hard the data push it against its prior [1/unit]: minus the derivative of half their squares. At the
+            least of all squares that is the prior's pull, (x - mean) / std^2. Where a prior is next to nothing wide, x
+            is too, and only this still tells what the data say.
     """
 
     name: str
@@ -39,6 +46,8 @@ class ParameterEstimate:
     high: float
     identifiable: bool
     at_bound: bool = False
+    prior_std: float = np.nan
+    push: float = np.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +79,7 @@ def parameter_estimates(
     reach = interval_factor(estimate.freedom)
     places = fitted.kinematics.model.places
     first_target = len(places) - len(given.targets)
+    precision, push = estimate.problem.precision, _pushes(fitted)
     result = []
     for k, parameter in enumerate(fitted.kinematics.model.parameters):
         nominal: float | None = parameter.nominal
@@ -83,6 +93,8 @@ def parameter_estimates(
             known = bool(given.target_given[t])
             nominal = float(given.T_tip_target[t, axis, 3]) if known else None
             delta = x[k] if nominal is None else value - nominal
+        bounded = k in estimate.at_bound
+        half = np.nan if bounded else float(reach * deviations[k])
         result.append(
             ParameterEstimate(
                 name=parameter.name,
@@ -90,17 +102,37 @@ def parameter_estimates(
                 nominal=nominal,
                 value=float(value),
                 delta=float(delta),
-                std=float(deviations[k]),
-                low=float(value - reach * deviations[k]),
-                high=float(value + reach * deviations[k]),
+                std=np.nan if bounded else float(deviations[k]),
+                low=float(value - half),
+                high=float(value + half),
                 identifiable=bool(observability.identifiable[k]),
-                at_bound=k in estimate.at_bound,
+                at_bound=bounded,
+                prior_std=float(1.0 / np.sqrt(precision[k])) if precision[k] > 0.0 else np.nan,
+                push=float(push[k]),
             )
         )
     return tuple(result)
 
 
-def _shift(fitted: Fitted, t: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def _shift(fitted: Fitted, t: int) -> Array:
     """How far a target moved in the tip, shape (3,), [m]."""
     found = fitted.placed().T_tip_target[t, :3, 3]
     return np.asarray(found - fitted.kinematics.T_tip_target[t, :3, 3])
+
+
+def _pushes(fitted: Fitted) -> Array:
+    """How hard the data push each parameter against its prior, shape (p,); see `ParameterEstimate`."""
+    estimate = fitted.estimate
+    problem, x = estimate.problem, estimate.x
+    if fitted.task.solver == "paper":  # not at the least of squares, and without priors
+        return np.asarray(problem.precision * (x - problem.centre))
+    between, slope = problem.constraints(x)
+    if problem.passes is None:
+        residual, jacobian = problem.residual_and_jacobian(x)
+        used = problem.rows.used
+        weights = np.where(used, problem.weights[:, None] / problem.scales**2, 0.0)
+        push = np.einsum("nd,ndp->p", weights * np.where(used, residual, 0.0), jacobian)
+    else:
+        precise = 1.0 / np.square(problem.passes.noise_of(problem.scales))
+        push = np.tensordot(precise, problem.passes.normal(x, problem.weights), 1)[:-1, -1]
+    return np.asarray(push + between @ slope)

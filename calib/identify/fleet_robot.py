@@ -18,7 +18,9 @@ from calib.identify.executors import versions
 from calib.identify.fingerprint import fingerprint
 from calib.identify.fleet_rows import FleetRow
 from calib.identify.result import Calibration
-from calib.identify.result_tables import result_table
+from calib.identify.result_file import result_table
+from calib.identify.result_urdf import checked_urdf
+from calib.identify.summary import summary
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.table import Table
@@ -232,9 +234,9 @@ _KEPT = 8
 
 def _files(c: Calibration, options: FleetOptions, name: str) -> dict[str, bytes]:
     """The bytes of a robot's files by name."""
-    files = {URDF: c.checked_urdf(target_link=options.target_link).data}
+    files = {URDF: checked_urdf(c, target_link=options.target_link).data}
     files[RESULT] = json_bytes(result_table(c))
-    files[SUMMARY] = f"{c.summary()}\n".encode("utf-8", "backslashreplace")
+    files[SUMMARY] = f"{summary(c)}\n".encode("utf-8", "backslashreplace")
     if options.reports:
         from calib.show.report import report_bytes
 

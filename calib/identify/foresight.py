@@ -18,9 +18,9 @@ from calib.identify.estimate import FIRST_SIGMA_ANGLE
 from calib.identify.fitting import Task, model_of
 from calib.identify.inspection import GENERIC_TARGET
 from calib.identify.registration import register
+from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.rows import Rows
 from calib.identify.setup import Setup, along_own_axes, setup_of, targets_along_tip
-from calib.identify.spread import without_rigid_motion
 from calib.identify.table_rows import rows_of
 from calib.measure.candidates import planning_ranges
 from calib.measure.cell import AUTO, Cell

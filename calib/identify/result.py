@@ -1,77 +1,168 @@
-"""Calibration: the result of `calibrate` as immutable values, and what can be asked of it."""
+"""Calibration: what was found of a robot, as immutable values: the same in memory and read from its file.
+
+`calib.calibrate` makes it, `calib.identify.result_file` writes and reads it; whatever is made of a result (summary,
+evaluation, comparison, commands, controller files, views) takes this one value. What no file holds, the measurements
+and the solved problem, is its part ``fit``, which is None in a result that was read.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from calib.errors import ModelError, UrdfError, choices
-from calib.identify.coverage import OutsideRow, outside
+from calib.errors import ModelError
+from calib.identify.coverage import OutsideRow
 from calib.identify.findings import Outlier, ParameterEstimate
 from calib.identify.fitting import Fitted
+from calib.identify.prediction import Larger, Predictor
 from calib.identify.repeats import Repeats
 from calib.identify.robustness import Robustness
 from calib.identify.selection import Candidate
 from calib.identify.setup import Setup
 from calib.identify.solvers import Solution
-from calib.identify.spread import expected_error
 from calib.identify.statistics import CrossValidation, Errors
 from calib.identify.verdict import Verdict
 from calib.measure.cell import Cell
+from calib.measure.columns import SETS
 from calib.measure.measurements import Measurements
-from calib.model.kinematics import Samples
+from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability
-from calib.model.parameters import FRAME, ErrorModel
-from calib.model.readback import check_written, random_joint_values
-from calib.model.robot import Robot, rigid_inverse
-from calib.model.torques import gravity_load
-from calib.model.urdf import Urdf
+from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
-
-#: Name of the link that carries the target in a corrected URDF, when asked for.
-TARGET_LINK = "calib_target"
+Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Larger:
-    """A model with errors of the joints' state, which no URDF can hold: for `Calibration.predict` and the result file.
+@dataclass(frozen=True, slots=True)
+class RowNames:
+    """What each row of the measurements is.
 
     Attributes:
-        fitted: The fit.
-        parameters: One entry for each parameter.
-        residual: shape (N, D), measured minus predicted, all rows [m], [rad].
-        cross_validation: Errors on left-out rows; None where it was not asked for.
+        numbers: Of the rows, as a person sees them in the table.
+        sets: ``"estimate"`` or ``"validate"``.
+        kinds: What a row measures, such as ``"point"``.
+        groups: Its set-up.
+        targets: Its target.
     """
 
-    fitted: Fitted
-    parameters: tuple[ParameterEstimate, ...]
-    residual: Array
-    cross_validation: CrossValidation | None
+    numbers: tuple[int, ...]
+    sets: tuple[str, ...]
+    kinds: tuple[str, ...]
+    groups: tuple[str, ...]
+    targets: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """The number of rows."""
+        return len(self.numbers)
 
     @property
-    def name(self) -> str:
-        """Its set and families, such as ``"dh+compliance"``."""
-        return self.fitted.kinematics.model.name
+    def estimation(self) -> Mask:
+        """Which rows were fitted, shape (N,)."""
+        return np.array([one == SETS[0] for one in self.sets], dtype=bool)
+
+    @property
+    def validation(self) -> Mask:
+        """Which rows were only predicted, shape (N,)."""
+        return ~self.estimation
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The table of the measurements.
+
+    Attributes:
+        name: Of the file; empty where it was none.
+        sha256: Of its bytes; empty where it was none.
+    """
+
+    name: str
+    sha256: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
-    """The result of `calibrate`.
+class Fit:
+    """The solved problem, for those who want to go on from it: what a result in memory has beside its values.
+
+    Attributes:
+        measurements: All rows.
+        cell: As given.
+        geometry: The fit of the geometry, which the URDF holds.
+        larger: That of the larger model, if there is one.
+    """
+
+    measurements: Measurements
+    cell: Cell
+    geometry: Fitted
+    larger: Fitted | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The p parameters of the geometry."""
+        return self.geometry.kinematics.model.names
+
+    @property
+    def x(self) -> Array:
+        """The solution, shape (p,): offsets from where frames and targets were registered [m], [rad], ..."""
+        return self.geometry.estimate.x
+
+    @property
+    def covariance(self) -> Array:
+        """Of ``x``, shape (p, p)."""
+        return self.geometry.estimate.covariance
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus predicted of the fitted rows, shape (N, D): lengths [m], then angles [rad]."""
+        return read_only(self.geometry.estimate.problem.residual(self.x))
+
+    @property
+    def jacobian(self) -> Array:
+        """Derivative of the prediction of the fitted rows, shape (N, D, p), in the units of ``x``."""
+        return read_only(self.geometry.estimate.problem.residual_and_jacobian(self.x)[1])
+
+    @property
+    def used(self) -> Mask:
+        """Which scalars of ``residual`` were measured, shape (N, D)."""
+        return self.geometry.estimate.problem.rows.used
+
+    @property
+    def weights(self) -> Array:
+        """What each scalar's square counts for, shape (N, D): robust weight over its variance; 0 where not measured."""
+        problem = self.geometry.estimate.problem
+        return read_only(np.where(self.used, problem.weights[:, None] / problem.scales**2, 0.0))
+
+    @property
+    def prior_precision(self) -> Array:
+        """One over the variance of each parameter's prior, shape (p,); 0 where there is none."""
+        return self.geometry.estimate.problem.precision
+
+    @property
+    def system(self) -> tuple[Array, Array]:
+        """The whitened residual, priors and known distances included, and its own derivative, (M,) and (M, p)."""
+        return self.geometry.estimate.problem.system(self.x)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration(Predictor):
+    """The result of `calib.calibrate`.
 
     Attributes:
         nominal: The robot as it came in.
         robot: The calibrated robot, its URDF corrected.
-        measurements: All rows.
-        cell: As given.
+        source: The measurements' file.
+        rows: What each row is, all rows.
+        frame_estimated: Whether the cell left the measurement frames to be estimated.
+        frozen: Parameters that were kept at their nominal values.
+        ties: Parameters that follow others: for each the other's name and the factor.
+        sizes_from: Where the sizes of the priors are from: ``"data"``, ``"given"``, or ``"off"`` without priors.
         nominal_setup: Frames and targets that the nominal robot's errors are computed with: as given, and registered
             where they were not.
         setup: Frames and targets as estimated or given.
-        model: The error model of the geometry, which the URDF holds.
+        kinematics: The nominal robot under the error model of the geometry, with frames and targets where the
+            estimation started: where ``x`` counts from.
         solver: Name of the solver.
         solution: Where it stopped, with its history.
         seconds: Time that choosing a model, registration and estimation took; NaN where it is not to be told.
@@ -89,6 +180,7 @@ class Calibration:
         used: shape (N, D), which scalars were measured.
         scores: shape (N,), of all rows; see `calib.identify.robust`.
         weights: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows.
+        ranges: shape (m, 2), the smallest and the largest value of each joint in the rows that were fitted [rad], [m].
         flag_limit: The score above which a row is flagged.
         outliers: The estimation rows flagged; they have no weight where the fit was robust.
         suspects: The validation rows beyond such a limit, for their number; they never have a weight.
@@ -96,23 +188,30 @@ class Calibration:
             the solver ``"paper"``. See also `calib.identify.uncertainty.with_and_without`.
         repeats: Scatter of rows that repeat a pose; None where none does.
         outside: The rows for validation whose joint values lie outside of the range that was fitted.
+        expected_measured: Standard deviation of the predicted point at the measured poses, rms [m]. From the
+            covariance, so it knows nothing of errors that the model lacks.
+        expected_everywhere: The same over joint values spread over the limits [m].
         cross_validation: Errors on left-out estimation rows; None where it was not asked for.
         nominal_cross_validation: The same of the nominal robot, with target (and frame, if it is estimated) fitted to
             the other rows.
         observability: Rank, and what the measured poses cannot tell apart.
         candidates: The ladder of models that ``auto`` chose from; empty for a model that was named.
         larger: The larger model, if one was chosen or asked for.
-        fitted: The fit of the geometry.
         verdict: Whether to use the result; None without cross-validation, unless the set-up is plainly wrong.
+        fit: Measurements and solved problem; None where the result was read from a file.
     """
 
     nominal: Robot
     robot: Robot
-    measurements: Measurements
-    cell: Cell
+    source: Source
+    rows: RowNames
+    frame_estimated: bool
+    frozen: tuple[str, ...]
+    ties: Mapping[str, tuple[str, float]]
+    sizes_from: str
     nominal_setup: Setup
     setup: Setup
-    model: ErrorModel
+    kinematics: Kinematics
     solver: str
     solution: Solution
     seconds: float
@@ -125,40 +224,72 @@ class Calibration:
     parameters: tuple[ParameterEstimate, ...]
     residual_nominal: Array
     residual_calibrated: Array
-    used: NDArray[np.bool_]
+    used: Mask
     scores: Array
     weights: Array
+    ranges: Array
     flag_limit: float
     outliers: tuple[Outlier, ...]
     suspects: tuple[Outlier, ...]
     robustness: Robustness | None
     repeats: Repeats | None
     outside: tuple[OutsideRow, ...]
+    expected_measured: float
+    expected_everywhere: float
     cross_validation: CrossValidation | None
     nominal_cross_validation: CrossValidation | None
     observability: Observability
     candidates: tuple[Candidate, ...]
     larger: Larger | None
-    fitted: Fitted
     verdict: Verdict | None
-
-    @property
-    def expected_measured(self) -> float:
-        """Standard deviation of the predicted point at the measured poses, rms [m].
-
-        From the covariance, so it knows nothing of errors that the model lacks.
-        """
-        return expected_error(self.fitted, everywhere=False)
-
-    @property
-    def expected_everywhere(self) -> float:
-        """The same over joint values spread over the limits [m]."""
-        return expected_error(self.fitted, everywhere=True)
+    fit: Fit | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        """In one line; `summary` has the rest."""
+        """In one line."""
         verdict = "no verdict" if self.verdict is None else self.verdict.use
-        return f"Calibration({self.nominal!r}, {len(self.measurements)} rows, {verdict})"
+        return f"Calibration({self.nominal!r}, {len(self.rows)} rows, {verdict})"
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """What the rows measure."""
+        return frozenset(self.rows.kinds)
+
+    @property
+    def measurements(self) -> Measurements:
+        """All rows.
+
+        Raises:
+            ModelError: The result was read from a file.
+        """
+        return self._in_memory().measurements
+
+    @property
+    def cell(self) -> Cell:
+        """The cell as given.
+
+        Raises:
+            ModelError: The result was read from a file.
+        """
+        return self._in_memory().cell
+
+    @property
+    def fitted(self) -> Fitted:
+        """The fit of the geometry.
+
+        Raises:
+            ModelError: The result was read from a file.
+        """
+        return self._in_memory().geometry
+
+    def _in_memory(self) -> Fit:
+        """The fit, which a file does not hold."""
+        if self.fit is None:
+            message = (
+                "This result was read from a file, which holds neither the measurements nor the solved problem. "
+                "Calibrate again (calib.calibrate) for what needs them."
+            )
+            raise ModelError(message)
+        return self.fit
 
     @property
     def T_frame_base(self) -> Array:
@@ -173,15 +304,12 @@ class Calibration:
     @property
     def errors(self) -> dict[str, dict[str, Errors]]:
         """``errors["nominal" | "calibrated" | "larger"]["estimation" | "validation"]``; "larger" if there is one."""
-        m = self.measurements
         residuals = {"nominal": self.residual_nominal, "calibrated": self.residual_calibrated}
         if self.larger is not None:
             residuals["larger"] = self.larger.residual
+        sets = (("estimation", self.rows.estimation), ("validation", self.rows.validation))
         return {
-            who: {
-                name: Errors.of(residual[mask], self.used[mask])
-                for name, mask in (("estimation", m.estimation), ("validation", m.validation))
-            }
+            who: {name: Errors.of(residual[mask], self.used[mask]) for name, mask in sets}
             for who, residual in residuals.items()
         }
 
@@ -191,203 +319,32 @@ class Calibration:
         Raises:
             ModelError: No such parameter.
         """
-        if self.larger is not None and name not in self.model.names:
-            larger = self.larger.fitted.kinematics.model
-            if name in larger.names:
-                return self.larger.parameters[larger.index(name)]
+        larger = self.larger
+        if larger is not None and name in larger.model.names and name not in self.model.names:
+            return larger.parameters[larger.model.index(name)]
         return self.parameters[self.model.index(name)]
 
-    def samples(
-        self, q: ArrayLike, *, target: str | None = None, group: str | None = None
-    ) -> Samples:
-        """Joint values as a prediction takes them, with the load that gravity and payload put on the joints.
-
-        Args:
-            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
-            target: Name of the target; the first where None.
-            group: Name of the set-up whose frame is meant; the first where None.
+    def corrected(self, robot: Robot) -> Robot:
+        """A robot, nominal or corrected, with this result's origins; the same robot where it has them already.
 
         Raises:
-            ModelError: No such target or set-up.
+            UrdfError: The robot lacks one of the joints.
         """
-        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        load = None
-        if self.larger is not None:
-            load = gravity_load(self.nominal, values, self.cell.payload, self.cell.gravity)
-        return replace(
-            Samples.at(values, load),
-            frame=np.full(len(values), _number(group, self.setup.groups, "set-up")),
-            target=np.full(len(values), _number(target, self.setup.targets, "target")),
-        )
+        return with_origins_of(robot, self.robot)
 
-    def predict(
-        self,
-        q: ArrayLike,
-        *,
-        target: str | None = None,
-        group: str | None = None,
-        larger: bool = True,
-    ) -> Array:
-        """Where the calibrated robot puts the target, in the measurement frame, or in the base where there is none.
-
-        Args:
-            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
-            target: Name of the target; the first where None.
-            group: Name of the set-up whose frame is meant; where None the first, and the base where only sockets,
-                planes, anchors or pairs were measured.
-            larger: Whether to use the larger model, where there is one; else the geometry that the URDF holds.
-
-        Returns:
-            shape (N, 3), [m].
-        """
-        return self.predict_poses(q, target=target, group=group, larger=larger)[:, :3, 3]
-
-    def predict_poses(
-        self,
-        q: ArrayLike,
-        *,
-        target: str | None = None,
-        group: str | None = None,
-        larger: bool = True,
-    ) -> Array:
-        """The target's pose in the measurement frame, shape (N, 4, 4), [m]; the arguments are those of `predict`."""
-        fitted = self._fit(larger=larger)
-        samples = self.samples(q, target=target, group=group)
-        poses = fitted.kinematics.poses(fitted.estimate.x, samples)
-        if self._in_base(group):
-            poses = rigid_inverse(fitted.placed().T_frame_base[0]) @ poses
-        return poses
-
-    def position_std(
-        self,
-        q: ArrayLike,
-        *,
-        target: str | None = None,
-        group: str | None = None,
-        larger: bool = True,
-    ) -> Array:
-        """How sure a predicted position is: sqrt(trace(J C J^T)), from the parameters' covariance C.
-
-        It knows nothing of errors that the model lacks. The arguments are those of `predict`.
-
-        Returns:
-            shape (N,), [m].
-        """
-        fitted = self._fit(larger=larger)
-        samples = self.samples(q, target=target, group=group)
-        _, jacobian = fitted.kinematics.points_jacobian(fitted.estimate.x, samples)
-        if self._in_base(group):  # where sockets stand in it is no part of what is predicted
-            jacobian = np.where(fitted.kinematics.model.family(FRAME), 0.0, jacobian)
-        covariance = fitted.estimate.covariance
-        return np.asarray(np.sqrt(np.einsum("nij,jk,nik->n", jacobian, covariance, jacobian)))
-
-    def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
-        """Which joint values lie outside of the range that the fit has seen, where errors may be larger than expected.
-
-        Args:
-            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
-        """
-        seen = self.measurements.joints_for(self.nominal.joint_names)[self.weights > 0.0]
-        types = [joint.type for joint in self.nominal.inputs]
-        asked = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        return outside(seen, asked, self.nominal.joint_names, types)
-
-    def _in_base(self, group: str | None) -> bool:
-        """Whether predictions are in the base: no instrument has a frame, sockets, planes and anchors stand there."""
-        return group is None and not np.any(self.measurements.of_kind("point", "pose"))
-
-    def _fit(self, *, larger: bool) -> Fitted:
-        """The fit to predict with."""
-        return self.larger.fitted if larger and self.larger is not None else self.fitted
-
-    def summary(self) -> str:
-        """The result as text, without colours."""
-        from calib.identify.summary import summary
-
-        return summary(self)
-
-    def write_urdf(
-        self, path: str | Path, *, overwrite: bool = False, target_link: bool = False
-    ) -> Path:
-        """Write the corrected URDF, the geometry alone, after reading it back with Pinocchio and yourdfpy.
-
-        Args:
-            path: Where to.
-            overwrite: Whether an existing file may be replaced.
-            target_link: Whether to add a link ``calib_target`` at the target, fixed to the tip.
+    def uncorrected(self, robot: Robot) -> Robot:
+        """A robot, nominal or corrected, with the origins that this result began with.
 
         Raises:
-            UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad.
-            ModelError: Several targets, which one link cannot stand for.
-            FileError: The file exists, or cannot be written.
+            UrdfError: The robot lacks one of the joints.
         """
-        return self.checked_urdf(target_link=target_link).write(path, overwrite=overwrite)
-
-    def checked_urdf(self, *, target_link: bool = False) -> Urdf:
-        """What `write_urdf` writes, read back with Pinocchio and yourdfpy as it does.
-
-        Raises:
-            UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad.
-            ModelError: Several targets, which one link cannot stand for.
-        """
-        robot = self.robot
-        if target_link:
-            if len(self.setup.targets) > 1:
-                message = (
-                    f"There are {len(self.setup.targets)} targets, {choices(self.setup.targets)}; a target link can "
-                    "be written for one. Do without it."
-                )
-                raise ModelError(message)
-            robot = replace(robot, urdf=_with_target_link(robot, self.setup.T_tip_target[0]))
-        q = random_joint_values(robot)
-        # Straight from the parameters, by the path that the fit took, not through the corrected robot.
-        check_written(robot, self.fitted.tip_poses(Samples.at(q)), q)
-        return robot.urdf
-
-    def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the result as JSON; the keys are documented in docs/result-json.md.
-
-        Raises:
-            FileError: The file exists, or cannot be written.
-        """
-        from calib.identify.result_file import write_result
-
-        return write_result(self, path, overwrite=overwrite)
-
-    def write_report(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the report: a page with figures that prints on A4 (.html).
-
-        Raises:
-            FileError: The name has another ending, the file exists, or it cannot be written.
-        """
-        from calib.show.report import write_report
-
-        return write_report(self, path, overwrite=overwrite)
+        return with_origins_of(robot, self.nominal)
 
 
-def _number(name: str | None, names: tuple[str, ...], what: str) -> int:
-    """The place of a name among names; 0 where none is given.
+def with_origins_of(robot: Robot, other: Robot) -> Robot:
+    """A robot with the joint origins of another one of the same chain.
 
     Raises:
-        ModelError: There is no such name.
+        UrdfError: The robot lacks one of the joints.
     """
-    if name is None:
-        return 0
-    if name not in names:
-        message = f"There is no {what} '{name}'; there is {choices(names)}."
-        raise ModelError(message)
-    return names.index(name)
-
-
-def _with_target_link(robot: Robot, T_tip_target: Array) -> Urdf:
-    """The robot's URDF with a link at the target; one that an earlier calibration added is moved there."""
-    if TARGET_LINK not in robot.urdf.links:
-        return robot.urdf.with_link(TARGET_LINK, robot.tip, T_tip_target)
-    joint = next(joint for joint in robot.urdf.joints if joint.child == TARGET_LINK)
-    if joint.parent != robot.tip or joint.type != "fixed":
-        message = (
-            f"The URDF has a link '{TARGET_LINK}' already, and it is not fixed to the tip '{robot.tip}' but hangs on "
-            f"'{joint.parent}' by a joint of type '{joint.type}'. Rename it, or do without the target link."
-        )
-        raise UrdfError(message)
-    return robot.urdf.with_origins({joint.name: T_tip_target})
+    return robot.rebuilt(robot.urdf.with_origins(other.origins()), other.base, other.tip)

@@ -1,60 +1,65 @@
-"""The result as JSON: SI units, the unit in each key's suffix, versioned by ``schema``. See docs/result-json.md.
+"""The result as JSON, there and back: SI units, the unit in each key's suffix; the keys are in docs/result-json.md.
 
-The file holds what is needed to use the result again: joint origins, targets, measurement frames, held joints and the
-larger model. Numbers that do not exist (the error of no rows) are null.
+A result read back is equal to the one written, field by field, but for ``fit``: measurements and solved problem are no
+part of the file. The nominal URDF is, so that a result needs no other file. Numbers that do not exist (the error of no
+rows) are null. A value's fields and keys stand once, in a table that both ways read.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, FileError
-from calib.identify.certainty import Certainty, certainty_of
-from calib.identify.evaluation import Known
-from calib.identify.result import Calibration
-from calib.identify.result_tables import SCHEMA, evaluation_table, result_table
-from calib.identify.stored import StoredLarger, StoredResult
+from calib.identify import result_tables as tables
+from calib.identify.coverage import Beyond, OutsideRow
+from calib.identify.findings import Outlier, ParameterEstimate
+from calib.identify.prediction import Larger
+from calib.identify.result import Calibration, RowNames, Source
+from calib.identify.solvers import Iteration, Solution
+from calib.identify.statistics import CrossValidation
+from calib.identify.verdict import Verdict
+from calib.measure.columns import SETS
 from calib.model.files import write_atomically
 from calib.model.json_file import damage, json_bytes, read_json
-from calib.model.robot import read_only
+from calib.model.robot import Robot
 from calib.model.torques import Payload
+from calib.model.urdf import Urdf
 from calib.version import __version__
 
-__all__ = [
-    "StoredResult",
-    "evaluation_table",
-    "read_result",
-    "read_table",
-    "result_table",
-    "stored_result",
-    "write_result",
-    "write_table",
-]
-
 Array = NDArray[np.float64]
+Json = Mapping[str, Any]
 
+#: The layout of a result.
+SCHEMA = 2
 
 #: By how much correlations may be wrong.
 _ROUNDING = 1e-6
 
 
-def write_result(calibration: Calibration, path: str | Path, *, overwrite: bool = False) -> Path:
+def write_result(
+    c: Calibration, path: str | Path, *, overwrite: bool = False, extra: Json | None = None
+) -> Path:
     """Write a calibration as JSON.
+
+    Args:
+        c: The calibration.
+        path: Where to.
+        overwrite: Whether an existing file may be replaced.
+        extra: Further keys, see `calib.cli.intervals`.
 
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    return write_table(result_table(calibration), path, overwrite=overwrite)
+    return write_table({**result_table(c), **(extra or {})}, path, overwrite=overwrite)
 
 
-def write_table(table: Mapping[str, Any], path: str | Path, *, overwrite: bool = False) -> Path:
+def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write nested tables of plain values and arrays as JSON, missing numbers as null.
 
     Raises:
@@ -63,188 +68,368 @@ def write_table(table: Mapping[str, Any], path: str | Path, *, overwrite: bool =
     return write_atomically(Path(path), json_bytes(table), overwrite=overwrite)
 
 
-def read_result(path: str | Path) -> StoredResult:
-    """Read what a result file says of robot and set-up.
+def read_result(path: str | Path) -> Calibration:
+    """Read a calibration.
 
     Raises:
-        FileError: It cannot be read, is no JSON, no result of calib, or of a newer schema.
-    """
-    return stored_result(read_table(path), path)
-
-
-def read_table(path: str | Path) -> dict[str, Any]:
-    """The nested tables of a result file.
-
-    Raises:
-        FileError: It cannot be read, is no JSON, no result of calib, or of a newer schema.
+        FileError: It cannot be read, is no JSON, no result of calib, of another schema, or damaged.
     """
     expected = (
-        f"a result of calib {__version__} has {SCHEMA}. Give the file that 'calib fit --json' wrote, by the same "
-        "version."
+        f"a result of calib {__version__} has {SCHEMA}. Make it again from the same files: calib fit ROBOT DATA --json "
+        f"{Path(path).name}"
     )
-    return read_json(path, "calibration result", SCHEMA, expected)
-
-
-def stored_result(table: Mapping[str, Any], source: str | Path) -> StoredResult:
-    """What a result's tables say of robot and set-up.
-
-    Args:
-        table: See `read_table`, or `plain` of `result_table`.
-        source: What messages call it.
-
-    Raises:
-        FileError: Something is missing or of another kind.
-    """
+    table = read_json(path, "calibration result", SCHEMA, expected)
     try:
-        return _stored(table)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, CalibError) as error:
-        message = (
-            f"{source}: the result is incomplete or damaged ({damage(error)}). Write it again with "
-            "'calib fit --json'."
-        )
+        return _checked(_calibration(table, Path(path).parent))
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
+        message = f"{path}: the result is damaged ({damage(error)}). Write it again with 'calib fit --json'."
+        raise FileError(message) from error
+    except CalibError as error:
+        message = f"{path}: the result is damaged ({error}) Write it again with 'calib fit --json'."
         raise FileError(message) from error
 
 
-def _stored(table: Mapping[str, Any]) -> StoredResult:
-    """The part of a result's tables that is needed to use it again.
+def result_table(c: Calibration) -> dict[str, Any]:
+    """The result as nested tables of plain values, before missing numbers become null."""
+    return {
+        "schema": SCHEMA,
+        "robot": {
+            "name": c.nominal.name,
+            "base": c.nominal.base,
+            "tip": c.nominal.tip,
+            "joints": list(c.nominal.joint_names),
+            "held": tables.held_table(c.nominal),
+            "ranges": [
+                {
+                    "joint": joint.name,
+                    "low": low,
+                    "high": high,
+                    "unit": "m" if joint.type == "prismatic" else "rad",
+                }
+                for joint, (low, high) in zip(c.nominal.inputs, c.ranges, strict=True)
+            ],
+            "origins": tables.origins_table(c.robot),
+            "nominal_origins": tables.origins_table(c.nominal),
+        },
+        "frames": {
+            "frame_base_xyz_m": c.T_frame_base[:3, 3],
+            "frame_base_rpy_rad": pin.rpy.matrixToRpy(c.T_frame_base[:3, :3]),
+            "frame_estimated": c.frame_estimated,
+            "target_m": c.target,
+            "target_given_m": c.nominal_setup.T_tip_target[0, :3, 3]
+            if c.setup.target_given[0]
+            else None,
+            "target_estimated": c.setup.estimate_target,
+            "targets_given": [
+                name
+                for name, given in zip(c.setup.targets, c.setup.target_given, strict=True)
+                if given
+            ],
+            **tables.places_table(c.setup),
+            "nominal": tables.places_table(c.nominal_setup),
+        },
+        "errors": {
+            who: {name: tables.errors_table(errors) for name, errors in sets.items()}
+            for who, sets in c.errors.items()
+        },
+        "cross_validation": None
+        if c.cross_validation is None
+        else {
+            **tables.left_out_table(c.cross_validation),
+            "nominal": None
+            if c.nominal_cross_validation is None
+            else tables.left_out_table(c.nominal_cross_validation),
+        },
+        "noise": {
+            "sigma_m": c.sigma,
+            "freedom": c.freedom,
+            "sigma_angle_rad": c.sigma_angle,
+            "repeats": None
+            if c.repeats is None
+            else {
+                "scatter": c.repeats.within,
+                "freedom": c.repeats.freedoms,
+                "correlation": c.repeats.rho,
+            },
+            "sizes": tables.sizes_table(c.sizes),
+            "sizes_from": c.sizes_from,
+            "flag_limit": c.flag_limit,
+        },
+        "parameters": [tables.to_table(p, tables.PARAMETER) for p in c.parameters],
+        "x": c.x,
+        "covariance": c.covariance,
+        "outliers": [tables.to_table(o, tables.OUTLIER) for o in c.outliers],
+        "suspects": [tables.to_table(o, tables.OUTLIER) for o in c.suspects],
+        "outside": [
+            {
+                "index": row.index,
+                "joints": [tables.to_table(one, tables.BEYOND) for one in row.beyond],
+            }
+            for row in c.outside
+        ],
+        "robustness": None if c.robustness is None else tables.robustness_table(c.robustness),
+        "expected": {
+            "measured_rms_m": c.expected_measured,
+            "everywhere_rms_m": c.expected_everywhere,
+        },
+        "observability": {
+            "rank": c.observability.rank,
+            "columns": c.observability.columns,
+            "condition": c.observability.condition,
+            "indices": c.observability.indices,
+            "singular_values": c.observability.singular_values,
+            "unidentifiable": [
+                {**tables.to_table(one, tables.COMBINATION), "text": str(one)}
+                for one in c.observability.unidentifiable
+            ],
+        },
+        "model": {
+            **tables.model_table(c.model),
+            "frozen": list(c.frozen),
+            "ties": [
+                {"name": name, "other": other, "factor": factor}
+                for name, (other, factor) in c.ties.items()
+            ],
+            "candidates": [tables.candidate_table(one) for one in c.candidates],
+        },
+        "larger": _larger_table(c),
+        "solver": {
+            "name": c.solver,
+            "iterations": c.solution.iterations,
+            "evaluations": c.solution.evaluations,
+            "seconds": c.seconds,
+            "status": c.solution.status,
+            "message": c.solution.message,
+            "cost": c.solution.cost,
+            "history": [tables.to_table(one, tables.STEP) for one in c.solution.history],
+        },
+        "verdict": None
+        if c.verdict is None
+        else {"use": c.verdict.use, "reasons": list(c.verdict.reasons)},
+        "rows": _rows_table(c),
+        "inputs": {
+            "urdf": {
+                "name": c.nominal.urdf.source,
+                "sha256": c.nominal.urdf.sha256,
+                "text": c.nominal.urdf.data.decode("utf-8", "surrogateescape"),
+            },
+            "measurements": {
+                "name": c.source.name,
+                "sha256": c.source.sha256,
+                "rows": len(c.rows),
+            },
+        },
+        "versions": tables.versions(),
+    }
+
+
+def _calibration(table: Json, folder: Path) -> Calibration:
+    """A result from its tables; meshes lie beside the URDF, where that is in a folder.
 
     Raises:
-        KeyError, TypeError, ValueError: Something is missing or of another kind.
+        KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, CalibError: Something is missing or
+            of another kind.
     """
-    robot, frames, larger = table["robot"], table["frames"], table["larger"]
-    if "covariance" in table:
-        _check_covariance(table["covariance"])
-    return StoredResult(
-        base=_text(robot["base"]),
-        tip=_text(robot["tip"]),
-        held={_text(one["joint"]): _number(one["value"]) for one in robot["held"]},
-        known=_known(frames),
-        nominal_known=_known(frames["nominal"]) if "nominal" in frames else None,
-        origins=_origins(robot["origins"]),
-        nominal_origins=_origins(robot["nominal_origins"]),
-        larger=None if larger is None else _larger(larger, table["model"]["ties"]),
-        certainty=_certainty(table),
-        targets_given=_given(frames),
+    robot, frames, noise, inputs = (table[k] for k in ("robot", "frames", "noise", "inputs"))
+    solver, verdict, model = table["solver"], table["verdict"], table["model"]
+    name = inputs["urdf"]["name"]
+    urdf = Urdf.from_bytes(
+        inputs["urdf"]["text"].encode("utf-8", "surrogateescape"), name, folder / name
+    )
+    held = {one["joint"]: float(one["value"]) for one in robot["held"]}
+    nominal = Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held)
+    rows, larger = table["rows"], table["larger"]
+    names = RowNames(
+        numbers=tuple(int(one["row"]) for one in rows),
+        sets=tables.words([one["set"] for one in rows]),
+        kinds=tables.words([one["kind"] for one in rows]),
+        groups=tables.words([one["group"] for one in rows]),
+        targets=tables.words([one["target"] for one in rows]),
+    )
+    used = tables.used_of(rows)
+    estimated, rotation = names.estimation, "pose" in names.kinds
+    x, setup = tables.numbers(table["x"]), tables.places_of(frames, rotation=rotation)
+    validated = table["cross_validation"]
+    kinematics = tables.kinematics_of(nominal, tables.model_of(model, _names(table)), setup, x)
+
+    def left_out(found: Json | None, who: str) -> CrossValidation | None:
+        """A cross-validation, with its residuals from the rows."""
+        if found is None:
+            return None
+        own = [one for one, chosen in zip(rows, estimated, strict=True) if chosen]
+        poses = np.array([one["pose"] for one in own], dtype=int)
+        residual = tables.residuals_of(own, f"left_out_{who}", used[estimated])
+        return tables.left_out_of(found, poses, residual)
+
+    return Calibration(
+        nominal=nominal,
+        robot=kinematics.model.apply(nominal, x),
+        source=Source(inputs["measurements"]["name"], inputs["measurements"]["sha256"]),
+        rows=names,
+        frame_estimated=bool(frames["frame_estimated"]),
+        frozen=tables.words(model["frozen"]),
+        ties={t["name"]: (t["other"], float(t["factor"])) for t in model["ties"]},
+        sizes_from=noise["sizes_from"],
+        nominal_setup=tables.places_of(frames["nominal"], rotation=rotation),
+        setup=setup,
+        kinematics=kinematics,
+        solver=solver["name"],
+        solution=Solution(
+            x=x,
+            cost=float(solver["cost"]),
+            status=solver["status"],
+            message=solver["message"],
+            evaluations=int(solver["evaluations"]),
+            history=tuple(
+                tables.from_table(Iteration, one, tables.STEP) for one in solver["history"]
+            ),
+        ),
+        seconds=tables.number(solver["seconds"]),
+        x=x,
+        covariance=tables.square(table["covariance"], len(x)),
+        freedom=float(noise["freedom"]),
+        sigma=tables.number(noise["sigma_m"]),
+        sigma_angle=tables.number(noise["sigma_angle_rad"]),
+        sizes=tables.sizes_of(noise["sizes"]),
+        parameters=tuple(
+            tables.from_table(ParameterEstimate, p, tables.PARAMETER) for p in table["parameters"]
+        ),
+        residual_nominal=tables.residuals_of(rows, "nominal", used),
+        residual_calibrated=tables.residuals_of(rows, "calibrated", used),
+        used=used,
+        scores=tables.numbers([one["score"] for one in rows]),
+        weights=tables.numbers([one["weight"] for one in rows]),
+        ranges=tables.ranges_of(robot["ranges"]),
+        flag_limit=float(noise["flag_limit"]),
+        outliers=tuple(
+            tables.from_table(Outlier, one, tables.OUTLIER) for one in table["outliers"]
+        ),
+        suspects=tuple(
+            tables.from_table(Outlier, one, tables.OUTLIER) for one in table["suspects"]
+        ),
+        robustness=None
+        if table["robustness"] is None
+        else tables.robustness_of(table["robustness"], _names(table)),
+        repeats=tables.repeats_of(noise["repeats"]),
+        outside=tuple(
+            OutsideRow(
+                int(one["index"]),
+                tuple(tables.from_table(Beyond, far, tables.BEYOND) for far in one["joints"]),
+            )
+            for one in table["outside"]
+        ),
+        expected_measured=tables.number(table["expected"]["measured_rms_m"]),
+        expected_everywhere=tables.number(table["expected"]["everywhere_rms_m"]),
+        cross_validation=left_out(validated, "calibrated"),
+        nominal_cross_validation=left_out(validated and validated["nominal"], "nominal"),
+        observability=tables.observability_of(table),
+        candidates=tuple(tables.candidate_of(one) for one in model["candidates"]),
+        larger=None
+        if larger is None
+        else _larger_of(
+            larger, nominal, rows, used, left_out(larger["cross_validation"], "larger")
+        ),
+        verdict=None
+        if verdict is None
+        else Verdict(verdict["use"], tables.words(verdict["reasons"])),
     )
 
 
-def _check_covariance(value: Any) -> None:  # noqa: ANN401
-    """Refuse what is no covariance of anything; numbers may be missing.
-
-    Raises:
-        ValueError: A variance below zero, numbers that differ across the diagonal, or correlations that contradict
-            each other.
-    """
-    covariance = np.array(value, dtype=np.float64)
-    if covariance.size == 0:
-        return
-    if covariance.ndim != 2 or covariance.shape[0] != covariance.shape[1]:
-        message = f"'covariance' has the shape {covariance.shape}, and has as many rows as columns"
-        raise ValueError(message)
-    variance = np.diag(covariance)
-    for k in np.flatnonzero(variance < 0.0):
-        message = f"'covariance[{k}][{k}]' is {variance[k]:g}, and no variance is below zero"
-        raise ValueError(message)
-    std = np.sqrt(np.where(variance > 0.0, variance, 1.0))
-    with np.errstate(over="ignore", invalid="ignore"):
-        correlation = covariance / std[:, None] / std
-    if np.isinf(covariance).any() or np.isinf(correlation).any():
-        message = "'covariance' has a number that is too large"
-        raise ValueError(message)
-    for i, j in np.argwhere(np.abs(correlation - correlation.T) > _ROUNDING):
-        message = (
-            f"'covariance[{i}][{j}]' is {covariance[i, j]:g} and 'covariance[{j}][{i}]' {covariance[j, i]:g}, and the "
-            "two are the same number"
-        )
-        raise ValueError(message)
-    if np.isfinite(correlation).all() and np.linalg.eigvalsh(correlation)[0] < -_ROUNDING:
-        message = "'covariance' has an eigenvalue below zero, which no covariance has"
-        raise ValueError(message)
+def _names(table: Json) -> tuple[str, ...]:
+    """The parameters of the geometry."""
+    return tuple(str(one["name"]) for one in table["parameters"])
 
 
-def _given(frames: Mapping[str, Any]) -> frozenset[str]:
-    """The targets whose place was stated; a file that does not name them tells it of the first."""
-    if "targets_given" in frames:
-        return frozenset(map(_text, frames["targets_given"]))
-    stated = frames.get("target_given_m") is not None
-    return frozenset(_text(one["target"]) for one in frames["targets"][: int(stated)])
+def _rows_table(c: Calibration) -> list[dict[str, Any]]:
+    """What each row is, and what is left over in it: nominal, calibrated, larger, and left out of the fit."""
+    larger = c.larger
+    every: list[tuple[str, Array]] = [
+        ("nominal", c.residual_nominal),
+        ("calibrated", c.residual_calibrated),
+    ]
+    left: list[tuple[str, CrossValidation | None]] = [
+        ("nominal", c.nominal_cross_validation),
+        ("calibrated", c.cross_validation),
+    ]
+    if larger is not None:
+        every.append(("larger", larger.residual))
+        left.append(("larger", larger.cross_validation))
+    seen = np.cumsum(c.rows.estimation) - 1
+    names = c.rows
+    result = []
+    for i, row in enumerate(names.numbers):
+        table = {
+            "row": row,
+            "set": names.sets[i],
+            "kind": names.kinds[i],
+            "group": names.groups[i],
+            "target": names.targets[i],
+        }
+        for who, residual in every:
+            table |= tables.residual_table(who, residual[i], c.used[i])
+        if c.cross_validation is not None and names.sets[i] == SETS[0]:
+            table["pose"] = c.cross_validation.poses[seen[i]]
+            for who, v in left:
+                if v is not None:
+                    own = v.residual[seen[i]]
+                    table |= tables.residual_table(f"left_out_{who}", own, c.used[i])
+        result.append({**table, "score": c.scores[i], "weight": c.weights[i]})
+    return result
 
 
-def _certainty(table: Mapping[str, Any]) -> Certainty | None:
-    """How far to trust a result; None where it was written before results said so, or with numbers missing."""
-    try:
-        return certainty_of(table)
-    except (KeyError, TypeError, ValueError):
-        return None
+def _larger_table(c: Calibration) -> dict[str, Any] | None:
+    """The larger model, which no URDF can hold."""
+    return None if c.larger is None else tables.larger_table(c.larger, c.errors["larger"])
 
 
-def _larger(larger: Mapping[str, Any], ties: Any) -> StoredLarger:  # noqa: ANN401  JSON values are of any kind
-    """The larger model."""
-    payload, names = larger["payload"], [_text(name) for name in larger["names"]]
-    return StoredLarger(
-        name=_text(larger["set"]),
-        x=dict(zip(names, map(_number, larger["x"]), strict=True)),
-        ties={_text(t["name"]): (_text(t["other"]), _number(t["factor"])) for t in ties},
-        known=_known(larger),
+def _larger_of(
+    table: Json,
+    nominal: Robot,
+    rows: list[Json],
+    used: NDArray[np.bool_],
+    validated: CrossValidation | None,
+) -> Larger:
+    """The same back."""
+    x = tables.numbers(table["x"])
+    setup, payload = tables.places_of(table, rotation=used.shape[1] > 3), table["payload"]
+    return Larger(
+        kinematics=tables.kinematics_of(nominal, tables.model_of(table, table["names"]), setup, x),
+        x=x,
+        covariance=tables.square(table["covariance"], len(x)),
+        sizes=tables.sizes_of(table["sizes"]),
+        parameters=tuple(
+            tables.from_table(ParameterEstimate, p, tables.PARAMETER) for p in table["parameters"]
+        ),
+        setup=setup,
+        residual=tables.residuals_of(rows, "larger", used),
+        cross_validation=validated,
         payload=None
         if payload is None
-        else Payload(_number(payload["mass_kg"]), _numbers(payload["com_m"])),
-        gravity=_numbers(larger["gravity_m_s2"]),
+        else Payload(float(payload["mass_kg"]), tables.numbers(payload["com_m"])),
+        gravity=tables.numbers(table["gravity_m_s2"]),
     )
 
 
-def _known(table: Mapping[str, Any]) -> Known:
-    """The frames and targets of a geometry or of a larger model; at least one of each."""
-    frames = {
-        _text(one["group"]): _pose(one["frame_base_xyz_m"], one["frame_base_rpy_rad"])
-        for one in table["set_ups"]
-    }
-    unturned = [0.0, 0.0, 0.0]
-    targets = {
-        _text(one["target"]): _pose(
-            one["xyz_m"], unturned if one["rpy_rad"] is None else one["rpy_rad"]
-        )
-        for one in table["targets"]
-    }
-    if not frames or not targets:
-        message = "no set-ups or no targets"
-        raise ValueError(message)
-    return Known(frames, targets, all(one["rpy_rad"] is not None for one in table["targets"]))
+def _checked(c: Calibration) -> Calibration:
+    """The same, unless what belongs together does not.
 
-
-def _origins(table: Any) -> dict[str, Array]:  # noqa: ANN401
-    """Joint origins by name."""
-    return {_text(one["joint"]): _pose(one["xyz_m"], one["rpy_rad"]) for one in table}
-
-
-def _pose(xyz: Any, rpy: Any) -> Array:  # noqa: ANN401
-    """A pose from its JSON form."""
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_euler("xyz", _numbers(rpy)).as_matrix()
-    T[:3, 3] = _numbers(xyz)
-    return read_only(T)
-
-
-def _numbers(value: Any) -> Array:  # noqa: ANN401
-    """Three finite numbers of a JSON file."""
-    numbers = np.asarray(value, dtype=np.float64)
-    if numbers.shape != (3,) or not np.all(np.isfinite(numbers)):
-        message = f"three finite numbers expected, {value!r} found"
-        raise ValueError(message)
-    return read_only(numbers)
-
-
-def _number(value: Any) -> float:  # noqa: ANN401
-    """One finite number of a JSON file."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        message = f"a finite number expected, {value!r} found"
-        raise ValueError(message)
-    return float(value)
-
-
-def _text(value: Any) -> str:  # noqa: ANN401
-    """One text of a JSON file."""
-    if not isinstance(value, str):
-        message = f"a text expected, {value!r} found"
-        raise ValueError(message)  # noqa: TRY004  it is the file's fault, as a number would be
-    return value
+    Raises:
+        ValueError: Numbers are missing or contradict each other.
+    """
+    C, p = c.covariance, len(c.x)
+    std = np.sqrt(np.where(np.diag(C) > 0.0, np.diag(C), 1.0))
+    R = C / std[:, None] / std
+    push = np.array([one.push for one in c.parameters])
+    names = tuple(one.name for one in c.parameters)
+    for wrong, what in (
+        (names != c.model.names, "'parameters' and 'model.terms' name other parameters"),
+        (not np.isfinite([*c.x, *push]).all(), "a number of 'x' or 'parameters' is missing"),
+        (not np.isfinite(R).all() or np.any(np.diag(C) < 0.0), "'covariance' is none"),
+        (np.abs(R - R.T).max(initial=0.0) > _ROUNDING, "'covariance' is not symmetric"),
+        (p and np.linalg.eigvalsh(R)[0] < -_ROUNDING, "'covariance' has an eigenvalue below zero"),
+        (len(c.ranges) != len(c.nominal.joint_names), "'robot.ranges' are not those of the joints"),
+        (not set(c.rows.sets) <= set(SETS), f"'rows[].set' is none of {', '.join(SETS)}"),
+    ):
+        if wrong:
+            raise ValueError(what)
+    return c

@@ -1,201 +1,458 @@
-"""A calibration, or an evaluation, as nested tables: SI units, with the unit in each key; see docs/result-json.md."""
+"""The parts of a result as tables of its JSON file, each there and back; see `calib.identify.result_file`."""
 
 from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Mapping
-from itertools import compress
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from calib.families import FAMILIES
-from calib.identify.data_alone import prior_stds, pushes
-from calib.identify.evaluation import Evaluation
-from calib.identify.findings import Outlier, ParameterEstimate
-from calib.identify.result import Calibration
+from calib.families import FAMILIES, family_of
+from calib.identify.prediction import Larger
+from calib.identify.repeats import Repeats
+from calib.identify.robustness import Robustness
 from calib.identify.selection import Candidate
 from calib.identify.setup import Setup
-from calib.identify.statistics import Errors
-from calib.model.robot import Robot
+from calib.identify.statistics import CrossValidation, Errors
+from calib.model.kinematics import Kinematics
+from calib.model.observability import Combination, Observability
+from calib.model.parameters import ErrorModel, Parameter
+from calib.model.robot import Robot, read_only
 from calib.version import __version__
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Json = Mapping[str, Any]
+T = TypeVar("T")
 
-#: The layout of a result, and of what `calib evaluate --json` writes; a word, so that one is not taken for the other.
-SCHEMA = 1
-EVALUATION_SCHEMA = "evaluation 1"
+
+def number(value: Any) -> float:  # noqa: ANN401  JSON values are of any kind
+    """A number; NaN where it is missing."""
+    return float("nan") if value is None else float(value)
 
 
-def result_table(calibration: Calibration) -> dict[str, Any]:
-    """The result as nested tables of plain values, before missing numbers become null."""
-    c, m = calibration, calibration.measurements
+def numbers(values: Any) -> Array:  # noqa: ANN401
+    """An array of numbers, NaN where one is missing."""
+    return read_only(np.array(values, dtype=np.float64))
+
+
+def flags(values: Any) -> Mask:  # noqa: ANN401
+    """An array of true and false."""
+    return np.array(values, dtype=bool)
+
+
+def words(values: Sequence[Any]) -> tuple[str, ...]:
+    """A list of texts."""
+    return tuple(map(str, values))
+
+
+#: Attribute, key and what reads it, of the values whose fields stand in a table of their own.
+Field = tuple[str, str, Callable[[Any], Any]]
+_ERRORS: tuple[Field, ...] = (
+    ("n", "n", int),
+    ("max", "max_m", number),
+    ("mean", "mean_m", number),
+    ("rms", "rms_m", number),
+    ("mean_axis", "mean_xyz_m", numbers),
+    ("rms_axis", "rms_xyz_m", numbers),
+    ("span_axis", "span_xyz_m", numbers),
+)
+_ANGLES: tuple[Field, ...] = (
+    ("n_angle", "n_rad", int),
+    ("max_angle", "max_rad", number),
+    ("mean_angle", "mean_rad", number),
+    ("rms_angle", "rms_rad", number),
+)
+PARAMETER: tuple[Field, ...] = (
+    ("name", "name", str),
+    ("unit", "unit", str),
+    ("nominal", "nominal", lambda value: None if value is None else float(value)),
+    ("value", "value", number),
+    ("delta", "delta", number),
+    ("std", "std", number),
+    ("low", "low", number),
+    ("high", "high", number),
+    ("identifiable", "identifiable", bool),
+    ("at_bound", "at_bound", bool),
+    ("prior_std", "prior_std", number),
+    ("push", "push", number),
+)
+OUTLIER: tuple[Field, ...] = (
+    ("row", "row", int),
+    ("residual", "residual_m", number),
+    ("score", "score", number),
+)
+STEP: tuple[Field, ...] = (
+    ("cost", "cost", float),
+    ("mu", "mu", number),
+    ("gain", "gain", number),
+    ("step", "step", float),
+    ("accepted", "accepted", bool),
+)
+BEYOND: tuple[Field, ...] = (
+    ("joint", "joint", str),
+    ("prismatic", "prismatic", bool),
+    ("by", "by", float),
+)
+COMBINATION: tuple[Field, ...] = (
+    ("names", "names", words),
+    ("steps", "steps", lambda values: tuple(map(float, values))),
+    ("units", "units", words),
+)
+
+
+_TERM: tuple[Field, ...] = (
+    ("name", "name", str),
+    ("unit", "unit", str),
+    ("place", "place", str),
+    ("direction", "direction", numbers),
+    ("family", "family", str),
+    ("nominal", "nominal", float),
+)
+
+
+def to_table(value: object, fields: tuple[Field, ...]) -> dict[str, Any]:
+    """A value as a table."""
+    return {key: getattr(value, attribute) for attribute, key, _ in fields}
+
+
+def from_table(kind: Callable[..., T], table: Json, fields: tuple[Field, ...]) -> T:
+    """A value from its table."""
+    return kind(**{attribute: read(table[key]) for attribute, key, read in fields})
+
+
+def errors_table(errors: Errors) -> dict[str, Any]:
+    """Errors of one set of rows."""
+    return to_table(errors, _ERRORS) | (to_table(errors, _ANGLES) if errors.n_angle else {})
+
+
+def errors_of(table: Json) -> Errors:
+    """The same back."""
+    return from_table(Errors, table, (*_ERRORS, *(_ANGLES if "n_rad" in table else ())))
+
+
+def left_out_table(v: CrossValidation) -> dict[str, Any]:
+    """Errors on left-out rows; those of the flagged ones included at the top, left out below."""
     return {
-        "schema": SCHEMA,
-        "robot": {
-            "name": c.nominal.name,
-            "base": c.nominal.base,
-            "tip": c.nominal.tip,
-            "joints": list(c.nominal.joint_names),
-            "held": _held(c.nominal),
-            "ranges": _ranges(c),
-            "origins": _origins(c.robot),
-            "nominal_origins": _origins(c.nominal),
-        },
-        "frames": {
-            "frame_base_xyz_m": c.T_frame_base[:3, 3],
-            "frame_base_rpy_rad": pin.rpy.matrixToRpy(c.T_frame_base[:3, :3]),
-            "frame_estimated": c.cell.estimate_frame,
-            "target_m": c.target,
-            "target_given_m": c.fitted.task.setup.T_tip_target[0, :3, 3]
-            if c.fitted.task.setup.target_given[0]
-            else None,
-            "target_estimated": c.cell.estimate_target,
-            "targets_given": list(
-                compress(c.setup.targets, c.fitted.task.setup.target_given.tolist())
-            ),
-            **_places(c, c.setup),
-            "nominal": _places(c, c.nominal_setup),
-        },
-        "errors": {
-            who: {name: errors_table(errors) for name, errors in sets.items()}
-            for who, sets in c.errors.items()
-        },
-        "cross_validation": _cross_validation(c),
-        "noise": {
-            "sigma_m": c.sigma,
-            "freedom": c.freedom,
-            "sigma_angle_rad": c.sigma_angle,
-            "repeats": None
-            if c.repeats is None
-            else {
-                "scatter": c.repeats.within,
-                "freedom": c.repeats.freedoms,
-                "correlation": c.repeats.rho,
-            },
-            "sizes": _sizes(c.sizes),
-        },
-        "parameters": [
-            {**_parameter(p), "prior_std": std, "push": push}
-            for p, std, push in zip(c.parameters, prior_stds(c), pushes(c), strict=True)
-        ],
-        "covariance": c.covariance,
-        "outliers": [_outlier(o) for o in c.outliers],
-        "suspects": [_outlier(o) for o in c.suspects],
-        "robustness": _robustness(c),
-        "expected": {
-            "measured_rms_m": c.expected_measured,
-            "everywhere_rms_m": c.expected_everywhere,
-        },
-        "observability": {
-            "rank": c.observability.rank,
-            "columns": c.observability.columns,
-            "condition": c.observability.condition,
-            "indices": c.observability.indices,
-            "singular_values": c.observability.singular_values,
-            "unidentifiable": [
-                {
-                    "names": list(u.names),
-                    "steps": list(u.steps),
-                    "units": list(u.units),
-                    "text": str(u),
-                }
-                for u in c.observability.unidentifiable
-            ],
-        },
-        "model": {
-            "set": c.model.name,
-            "frozen": list(c.cell.frozen),
-            "ties": [
-                {"name": name, "other": other, "factor": factor}
-                for name, (other, factor) in c.cell.ties.items()
-            ],
-            "candidates": [_candidate(one) for one in c.candidates],
-        },
-        "larger": _larger(c),
-        "solver": {
-            "name": c.solver,
-            "iterations": c.solution.iterations,
-            "evaluations": c.solution.evaluations,
-            "seconds": c.seconds,
-            "status": c.solution.status,
-            "message": c.solution.message,
-            "history": [
-                {"cost": h.cost, "mu": h.mu, "gain": h.gain, "step": h.step, "accepted": h.accepted}
-                for h in c.solution.history
-            ],
-        },
-        "verdict": None
-        if c.verdict is None
-        else {"use": c.verdict.use, "reasons": list(c.verdict.reasons)},
-        "rows": [
-            {
-                "row": row,
-                "set": m.sets[i],
-                "kind": m.kinds[i],
-                **_residual("nominal", c.residual_nominal[i], c.used[i]),
-                **_residual("calibrated", c.residual_calibrated[i], c.used[i]),
-                "score": c.scores[i],
-                "weight": c.weights[i],
-            }
-            for i, row in enumerate(m.rows)
-        ],
-        "inputs": {
-            "urdf": {"name": c.nominal.urdf.source, "sha256": c.nominal.urdf.sha256},
-            "measurements": {"name": m.source, "sha256": m.sha256, "rows": len(m)},
-        },
-        "versions": versions(),
+        "method": v.method,
+        "folds": v.folds,
+        **errors_table(v.errors),
+        "without_outliers": errors_table(v.errors_without_outliers),
     }
 
 
-def evaluation_table(
-    as_it_is: Evaluation,
-    corrected: Evaluation | None = None,
-    larger: Evaluation | None = None,
-    nominal: Evaluation | None = None,
-) -> dict[str, Any]:
-    """What `calib evaluate` found, as nested tables.
+def left_out_of(table: Json, poses: NDArray[np.int_], residual: Array) -> CrossValidation:
+    """The same back, with what stands in the rows."""
+    return CrossValidation(
+        method=table["method"],
+        folds=int(table["folds"]),
+        poses=poses,
+        residual=residual,
+        errors=errors_of(table),
+        errors_without_outliers=errors_of(table["without_outliers"]),
+    )
+
+
+def sizes_table(sizes: Mapping[str, float]) -> dict[str, float]:
+    """The size of each family's errors, the unit in the key."""
+    return {f"{name}_{FAMILIES[name].unit.key}": size for name, size in sizes.items()}
+
+
+def sizes_of(table: Json) -> dict[str, float]:
+    """The same back."""
+    keys = {f"{name}_{row.unit.key}": name for name, row in FAMILIES.items()}
+    return {keys[key]: float(size) for key, size in table.items()}
+
+
+def origins_table(robot: Robot) -> list[dict[str, Any]]:
+    """The origin of each joint that carries a placement of the chain."""
+    return [{"joint": carrier, **pose_table(T)} for carrier, T in robot.origins().items()]
+
+
+def held_table(robot: Robot) -> list[dict[str, Any]]:
+    """The joints that were not measured, with the values that they were held at."""
+    slides = {joint.name for joint in robot.urdf.joints if joint.type == "prismatic"}
+    return [
+        {"joint": name, "value": value, "unit": "m" if name in slides else "rad"}
+        for name, value in robot.held.items()
+    ]
+
+
+def ranges_of(table: Sequence[Json]) -> Array:
+    """The measured range of each joint, shape (m, 2); infinite ends where no row was fitted."""
+    ends = [[number(one["low"]), number(one["high"])] for one in table]
+    ranges = np.array(ends, dtype=np.float64).reshape(-1, 2)
+    return read_only(np.where(np.isnan(ranges), [np.inf, -np.inf], ranges))
+
+
+def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
+    """A pose as position and roll, pitch, yaw."""
+    return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": pin.rpy.matrixToRpy(T[:3, :3])}
+
+
+def pose_of(table: Json, prefix: str = "") -> Array:
+    """The same back; a missing orientation is none."""
+    T, rpy = np.eye(4), table[f"{prefix}rpy_rad"]
+    if rpy is not None:
+        T[:3, :3] = Rotation.from_euler("xyz", np.array(rpy, dtype=np.float64)).as_matrix()
+    T[:3, 3] = np.array(table[f"{prefix}xyz_m"], dtype=np.float64)
+    if not np.isfinite(T).all():
+        message = "a number of a pose is missing"
+        raise ValueError(message)
+    return read_only(T)
+
+
+def places_table(setup: Setup) -> dict[str, Any]:
+    """All frames and targets; a target's orientation only where it is known."""
+    return {
+        "set_ups": [
+            {
+                "group": group,
+                **pose_table(setup.T_frame_base[f], "frame_base_"),
+                "estimated": list(setup.unknown[f]),
+                "given": bool(setup.frame_given[f]),
+                "own_axes": bool(setup.own_axes[f]),
+            }
+            for f, group in enumerate(setup.groups)
+        ],
+        "targets": [
+            {
+                "target": name,
+                **pose_table(T),
+                **({} if setup.oriented else {"rpy_rad": None}),
+                "estimated": bool(unknown),
+                "given": bool(given),
+            }
+            for name, T, unknown, given in zip(
+                setup.targets,
+                setup.T_tip_target,
+                setup.target_unknown,
+                setup.target_given,
+                strict=True,
+            )
+        ],
+    }
+
+
+def places_of(table: Json, *, rotation: bool) -> Setup:
+    """The same back; at least one frame and one target.
 
     Args:
-        as_it_is: Of the robot as its URDF is.
-        corrected: Of the robot with a result's joint origins.
-        larger: Of the robot with a result's larger model.
-        nominal: Of the robot that a result began with.
+        table: Of a geometry, its nominal robot, or a larger model.
+        rotation: Whether orientations were measured.
     """
-    e, m = as_it_is, as_it_is.measurements
-    every = {"nominal": nominal, "urdf": e, "calibration": corrected, "larger": larger}
-    results = {who: result for who, result in every.items() if result is not None}
-    rpy = pin.rpy.matrixToRpy
+    frames, targets = table["set_ups"], table["targets"]
+    if not frames or not targets:
+        message = "no set-ups or no targets"
+        raise ValueError(message)
+    return Setup(
+        groups=words([one["group"] for one in frames]),
+        targets=words([one["target"] for one in targets]),
+        T_frame_base=read_only([pose_of(one, "frame_base_") for one in frames]),
+        T_tip_target=read_only([pose_of(one) for one in targets]),
+        unknown=tuple(words(one["estimated"]) for one in frames),
+        frame_given=flags([one["given"] for one in frames]),
+        target_unknown=flags([one["estimated"] for one in targets]),
+        target_given=flags([one["given"] for one in targets]),
+        rotation=rotation,
+        own_axes=flags([one["own_axes"] for one in frames]),
+        oriented=all(one["rpy_rad"] is not None for one in targets),
+    )
+
+
+def model_table(model: ErrorModel) -> dict[str, Any]:
+    """An error model: where each of its terms acts, and which parameters they follow."""
     return {
-        "schema": EVALUATION_SCHEMA,
-        "robot": {"name": e.robot.name, "base": e.robot.base, "tip": e.robot.tip},
-        "frames": {
-            "frame_base_xyz_m": e.T_frame_base[:3, 3],
-            "frame_base_rpy_rad": pin.rpy.matrixToRpy(e.T_frame_base[:3, :3]),
-            "target_m": e.target,
-            "registered": list(e.registered),
-            "set_ups": [
-                {"group": group, "frame_base_xyz_m": T[:3, 3], "frame_base_rpy_rad": rpy(T[:3, :3])}
-                for group, T in zip(e.setup.groups, e.setup.T_frame_base, strict=True)
-            ],
-            "targets": [
-                {"target": name, "xyz_m": T[:3, 3], "rpy_rad": rpy(T[:3, :3])}
-                for name, T in zip(e.setup.targets, e.setup.T_tip_target, strict=True)
-            ],
-        },
-        "errors": {
-            who: {name: errors_table(errors) for name, errors in result.errors.items()}
-            for who, result in results.items()
-        },
-        "inputs": {
-            "urdf": {"name": e.robot.urdf.source, "sha256": e.robot.urdf.sha256},
-            "measurements": {"name": m.source, "sha256": m.sha256, "rows": len(m)},
-        },
-        "versions": versions(),
+        "set": model.name,
+        "places": list(model.places),
+        "terms": [
+            to_table(one, _TERM) | {"factor": None if one.factor is None else one.factor.name}
+            for one in model.terms
+        ],
+        "mixing": None if model.terms is model.parameters else model.mixing,
     }
+
+
+def model_of(table: Json, names: Sequence[str]) -> ErrorModel:
+    """The same back.
+
+    Args:
+        table: Its table.
+        names: The parameters; further terms follow them.
+    """
+    terms = tuple(_term_of(one) for one in table["terms"])
+    if table["mixing"] is None:
+        return ErrorModel(table["set"], words(table["places"]), terms)
+    by_name = {one.name: one for one in terms}
+    parameters = tuple(by_name[name] for name in names)
+    mixing = np.array(table["mixing"], dtype=np.float64).reshape(len(terms), len(parameters))
+    return ErrorModel(table["set"], words(table["places"]), parameters, terms, read_only(mixing))
+
+
+def _term_of(table: Json) -> Parameter:
+    """A parameter from its table; the factor is that of its family."""
+    factor = table["factor"]
+    if factor is not None:
+        factor = next(one for one in family_of(table["family"]).factors if one.name == factor)
+    return from_table(lambda **values: Parameter(**values, factor=factor), table, _TERM)
+
+
+def kinematics_of(nominal: Robot, model: ErrorModel, setup: Setup, x: Array) -> Kinematics:
+    """The nominal robot under a model, with frames and targets where x counts from."""
+    back = np.linalg.inv(model.displacements(x)[0])
+    count = len(setup.groups)
+    return Kinematics(
+        nominal,
+        model,
+        setup.T_frame_base @ back[:count],
+        setup.T_tip_target @ back[-len(setup.targets) :],
+    )
+
+
+def larger_table(larger: Larger, errors: Mapping[str, Errors]) -> dict[str, Any]:
+    """The larger model, which no URDF can hold."""
+    v = larger.cross_validation
+    return {
+        **model_table(larger.model),
+        "x": larger.x,
+        "names": list(larger.model.names),
+        "covariance": larger.covariance,
+        "sizes": sizes_table(larger.sizes),
+        "parameters": [to_table(p, PARAMETER) for p in larger.parameters],
+        **places_table(larger.setup),
+        "errors": {name: errors_table(one) for name, one in errors.items()},
+        "cross_validation": None if v is None else left_out_table(v),
+        "payload": None
+        if larger.payload is None
+        else {"mass_kg": larger.payload.mass, "com_m": larger.payload.com},
+        "gravity_m_s2": larger.gravity,
+    }
+
+
+def square(table: Any, count: int) -> Array:  # noqa: ANN401
+    """A covariance, shape (count, count)."""
+    return read_only(np.array(table, dtype=np.float64).reshape(count, count))
+
+
+def observability_of(table: Json) -> Observability:
+    """What the poses determine."""
+    found, parameters = table["observability"], table["parameters"]
+    condition = found["condition"]
+    return Observability(
+        columns=int(found["columns"]),
+        rank=int(found["rank"]),
+        condition=np.inf if condition is None else float(condition),
+        singular_values=numbers(found["singular_values"]),
+        indices={name: number(value) for name, value in found["indices"].items()},
+        unidentifiable=tuple(
+            from_table(Combination, one, COMBINATION) for one in found["unidentifiable"]
+        ),
+        identifiable=flags([one["identifiable"] for one in parameters]),
+    )
+
+
+def candidate_table(one: Candidate) -> dict[str, Any]:
+    """One step of the ladder."""
+    return {
+        "set": one.name,
+        "parameters": one.parameters,
+        "log_likelihood": one.log_likelihood,
+        "sizes": sizes_table(one.sizes),
+        "cross_validation": left_out_table(one.cross_validation),
+        "chosen": one.chosen,
+        "needed": one.needed,
+    }
+
+
+def candidate_of(table: Json) -> Candidate:
+    """The same back."""
+    v = table["cross_validation"]
+    nothing = read_only(np.zeros((0, 0)))
+    return Candidate(
+        name=table["set"],
+        parameters=int(table["parameters"]),
+        log_likelihood=number(table["log_likelihood"]),
+        cross_validation=left_out_of(v, np.zeros(0, dtype=int), nothing),
+        sizes=sizes_of(table["sizes"]),
+        chosen=table["chosen"],
+        needed=float(table["needed"]),
+    )
+
+
+def robustness_table(found: Robustness) -> dict[str, Any]:
+    """The fit with the weights of doubtful rows lowered and the one without, compared."""
+    return {
+        "weights_lowered": found.lowered,
+        "moved_rms_m": found.moved_rms,
+        "moved_max_m": found.moved_max,
+        "lowered": errors_table(found.errors_lowered),
+        "full": errors_table(found.errors_full),
+        "flagged": found.flagged,
+        "moved_m": found.moved,
+        "change": found.change,
+        "std": found.std,
+    }
+
+
+def robustness_of(table: Json, names: tuple[str, ...]) -> Robustness:
+    """The same back."""
+    return Robustness(
+        lowered=bool(table["weights_lowered"]),
+        flagged=flags(table["flagged"]),
+        moved=numbers(table["moved_m"]),
+        names=names,
+        change=numbers(table["change"]),
+        std=numbers(table["std"]),
+        errors_lowered=errors_of(table["lowered"]),
+        errors_full=errors_of(table["full"]),
+    )
+
+
+def repeats_of(table: Json | None) -> Repeats | None:
+    """Scatter of repeats."""
+    if table is None:
+        return None
+    freedoms = numbers(table["freedom"])
+    return Repeats(
+        numbers(table["scatter"]), freedoms, float(freedoms.sum()), float(table["correlation"])
+    )
+
+
+def residual_table(who: str, residual: Array, used: Mask) -> dict[str, Any]:
+    """What is left over in one row: lengths, and angles where an orientation was measured."""
+    table: dict[str, Any] = {f"residual_{who}_m": residual[:3][used[:3]]}
+    if np.any(used[3:]):
+        table[f"residual_{who}_rad"] = residual[3:][used[3:]]
+    return table
+
+
+def used_of(rows: Sequence[Json]) -> Mask:
+    """Which scalars were measured, shape (N, D): a row's lengths stand in the first columns."""
+    lengths = [len(one["residual_nominal_m"]) for one in rows]
+    angles = [len(one.get("residual_nominal_rad", ())) for one in rows]
+    widths = [
+        3 + turned if turned else count for count, turned in zip(lengths, angles, strict=True)
+    ]
+    used = np.zeros((len(rows), max(widths, default=1)), dtype=bool)
+    for i, (count, turned) in enumerate(zip(lengths, angles, strict=True)):
+        used[i, :count] = True
+        used[i, 3 : 3 + turned] = True
+    return used
+
+
+def residuals_of(rows: Sequence[Json], who: str, used: Mask) -> Array:
+    """What is left over, shape (N, D), zero where nothing was measured."""
+    result = np.zeros(used.shape)
+    for i, one in enumerate(rows):
+        result[i, :3][used[i, :3]] = one[f"residual_{who}_m"]
+        if np.any(used[i, 3:]):
+            result[i, 3:][used[i, 3:]] = one[f"residual_{who}_rad"]
+    return read_only(result)
 
 
 def versions() -> dict[str, str]:
@@ -205,186 +462,4 @@ def versions() -> dict[str, str]:
         "calib": __version__,
         "python": platform.python_version(),
         **{name: importlib.metadata.version(name) for name in packages},
-    }
-
-
-def _origins(robot: Robot) -> list[dict[str, Any]]:
-    """The origin of each joint that carries a placement of the chain."""
-    return [
-        {"joint": carrier, "xyz_m": T[:3, 3], "rpy_rad": pin.rpy.matrixToRpy(T[:3, :3])}
-        for carrier, T in robot.origins().items()
-    ]
-
-
-def _ranges(c: Calibration) -> list[dict[str, Any]]:
-    """The smallest and the largest value of each measured joint in the rows that were fitted."""
-    fitted = c.measurements.joints_for(c.nominal.joint_names)[c.weights > 0.0]
-    return [
-        {
-            "joint": joint.name,
-            "low": fitted[:, column].min(initial=np.inf),
-            "high": fitted[:, column].max(initial=-np.inf),
-            "unit": "m" if joint.type == "prismatic" else "rad",
-        }
-        for column, joint in enumerate(c.nominal.inputs)
-    ]
-
-
-def _sizes(sizes: Mapping[str, float]) -> dict[str, float]:
-    """The size of each family's errors, the unit in the key."""
-    return {f"{name}_{FAMILIES[name].unit.key}": size for name, size in sizes.items()}
-
-
-def _held(robot: Robot) -> list[dict[str, Any]]:
-    """The joints that were not measured, with the values that they were held at."""
-    slides = {joint.name for joint in robot.urdf.joints if joint.type == "prismatic"}
-    return [
-        {"joint": name, "value": value, "unit": "m" if name in slides else "rad"}
-        for name, value in robot.held.items()
-    ]
-
-
-def errors_table(errors: Errors) -> dict[str, Any]:
-    """Errors of one set of rows."""
-    table = {
-        "n": errors.n,
-        "max_m": errors.max,
-        "mean_m": errors.mean,
-        "rms_m": errors.rms,
-        "mean_xyz_m": errors.mean_axis,
-        "rms_xyz_m": errors.rms_axis,
-        "span_xyz_m": errors.span_axis,
-    }
-    if errors.n_angle:
-        table |= {
-            "n_rad": errors.n_angle,
-            "max_rad": errors.max_angle,
-            "mean_rad": errors.mean_angle,
-            "rms_rad": errors.rms_angle,
-        }
-    return table
-
-
-def _parameter(p: ParameterEstimate) -> dict[str, Any]:
-    """One parameter; at a bound it has no uncertainty, and that of the hold on it is none."""
-    uncertain = not p.at_bound
-    return {
-        "name": p.name,
-        "unit": p.unit,
-        "nominal": p.nominal,
-        "value": p.value,
-        "delta": p.delta,
-        "std": p.std if uncertain else None,
-        "low": p.low if uncertain else None,
-        "high": p.high if uncertain else None,
-        "identifiable": p.identifiable,
-        "at_bound": p.at_bound,
-    }
-
-
-def _candidate(one: Candidate) -> dict[str, Any]:
-    """One step of the ladder."""
-    v = one.cross_validation
-    return {
-        "set": one.name,
-        "parameters": one.parameters,
-        "log_likelihood": one.log_likelihood,
-        "sizes": _sizes(one.sizes),
-        "cross_validation": {
-            "method": v.method,
-            "without_outliers": errors_table(v.errors_without_outliers),
-        },
-        "chosen": one.chosen,
-        "needed": one.needed,
-    }
-
-
-def _larger(c: Calibration) -> dict[str, Any] | None:
-    """The larger model, which no URDF can hold: all that `StoredResult` needs to predict with it."""
-    if c.larger is None:
-        return None
-    larger, found = c.larger, c.larger.fitted.placed()
-    v = larger.cross_validation
-    return {
-        "set": larger.name,
-        "x": larger.fitted.estimate.x,
-        "names": list(larger.fitted.kinematics.model.names),
-        "sizes": _sizes(larger.fitted.estimate.sizes),
-        "parameters": [_parameter(p) for p in larger.parameters],
-        **_places(c, found),
-        "errors": {name: errors_table(errors) for name, errors in c.errors["larger"].items()},
-        "cross_validation": None
-        if v is None
-        else {"method": v.method, "without_outliers": errors_table(v.errors_without_outliers)},
-        "payload": None
-        if c.cell.payload is None
-        else {"mass_kg": c.cell.payload.mass, "com_m": c.cell.payload.com},
-        "gravity_m_s2": c.cell.gravity,
-    }
-
-
-def _places(c: Calibration, setup: Setup) -> dict[str, Any]:
-    """All frames and targets; a target's orientation only where it is known."""
-    turned = setup.rotation or c.cell.target_rotation is not None
-    rpy = pin.rpy.matrixToRpy
-    return {
-        "set_ups": [
-            {
-                "group": group,
-                "frame_base_xyz_m": T[:3, 3],
-                "frame_base_rpy_rad": rpy(T[:3, :3]),
-                "estimated": list(directions),
-            }
-            for group, T, directions in zip(
-                setup.groups, setup.T_frame_base, setup.unknown, strict=True
-            )
-        ],
-        "targets": [
-            {"target": name, "xyz_m": T[:3, 3], "rpy_rad": rpy(T[:3, :3]) if turned else None}
-            for name, T in zip(setup.targets, setup.T_tip_target, strict=True)
-        ],
-    }
-
-
-def _residual(who: str, residual: Array, used: NDArray[np.bool_]) -> dict[str, Any]:
-    """What is left over in one row: lengths, and angles where an orientation was measured."""
-    table: dict[str, Any] = {f"residual_{who}_m": residual[:3][used[:3]]}
-    if np.any(used[3:]):
-        table[f"residual_{who}_rad"] = residual[3:]
-    return table
-
-
-def _cross_validation(c: Calibration) -> dict[str, Any] | None:
-    """Errors on left-out rows; those of the flagged ones included at the top, left out below."""
-    if c.cross_validation is None or c.nominal_cross_validation is None:
-        return None
-    v, nominal = c.cross_validation, c.nominal_cross_validation
-    return {
-        "method": v.method,
-        "folds": v.folds,
-        **errors_table(v.errors),
-        "without_outliers": errors_table(v.errors_without_outliers),
-        "nominal": {
-            **errors_table(nominal.errors),
-            "without_outliers": errors_table(nominal.errors_without_outliers),
-        },
-    }
-
-
-def _outlier(outlier: Outlier) -> dict[str, Any]:
-    """One flagged row."""
-    return {"row": outlier.row, "residual_m": outlier.residual, "score": outlier.score}
-
-
-def _robustness(c: Calibration) -> dict[str, Any] | None:
-    """The fit with the weights of doubtful rows lowered and the one without compared, where a row is flagged."""
-    found = c.robustness
-    if found is None:
-        return None
-    return {
-        "weights_lowered": found.lowered,
-        "moved_rms_m": found.moved_rms,
-        "moved_max_m": found.moved_max,
-        "lowered": errors_table(found.errors_lowered),
-        "full": errors_table(found.errors_full),
     }

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.errors import MeasurementError, ModelError
 from calib.identify.crossvalidation import linear_cross_validation
 from calib.identify.fitting import Fitted, fit
-from calib.identify.spread import as_one_body, own_moves
+from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.statistics import Errors, Mask
 from calib.model.robot import read_only
 
@@ -94,17 +94,22 @@ def compare(fitted: Fitted) -> Robustness:
         raise ModelError(message)
     estimate, rows = fitted.estimate, fitted.estimate.problem.rows
     other = fit(replace(fitted.task, robust=not fitted.task.robust), rows, started=fitted.setup)
-    samples = as_one_body(fitted, rows.samples)
+    samples = rows.samples
+    as_one_body = not any(kind.position for kind in rows.present)
+    if as_one_body:
+        samples = replace(samples, frame=np.zeros_like(samples.frame))
     here = fitted.kinematics.points(estimate.x, samples)
     there = other.kinematics.points(other.estimate.x, samples)
-    moves = own_moves(fitted, here, (there - here)[:, :, None])[:, :, 0]
+    moves = (there - here)[:, :, None]
+    if as_one_body:
+        moves = without_rigid_motion(here, moves)
     flagged = estimate.outliers
     found = [_left_out(one, flagged) for one in (fitted, other)]
     lowered, full = found if fitted.task.robust else found[::-1]
     return Robustness(
         lowered=fitted.task.robust,
         flagged=flagged,
-        moved=read_only(np.linalg.norm(moves, axis=1)),
+        moved=read_only(np.linalg.norm(moves[:, :, 0], axis=1)),
         names=fitted.kinematics.model.names,
         # Registration is plain least squares and the same for both: they count from one start.
         change=read_only(other.estimate.x - estimate.x),

@@ -36,6 +36,7 @@ class Setup:
         rotation: Whether targets are frames, because orientations were measured, or points.
         own_axes: shape (F,), whether a frame's directions are its own axes; else they are the base's. A plane is known
             along and about its own axes only.
+        oriented: Whether the targets' orientations are known, measured or given.
     """
 
     groups: tuple[str, ...]
@@ -48,6 +49,7 @@ class Setup:
     target_given: NDArray[np.bool_]
     rotation: bool
     own_axes: NDArray[np.bool_]
+    oriented: bool = False
 
     @property
     def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:
@@ -136,6 +138,7 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) ->
             T_tip_target[t, :3, 3] = place
         if cell.target_rotation is not None:
             T_tip_target[t, :3, :3] = cell.target_rotation
+    rotation = any(registry.at(k).angles for k in np.unique(kinds).tolist() if k != NONE)
     return Setup(
         groups=groups,
         targets=targets,
@@ -145,8 +148,9 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) ->
         frame_given=np.array(frame_given),
         target_unknown=np.full(len(targets), cell.estimate_target),
         target_given=np.array(target_given),
-        rotation=any(registry.at(k).angles for k in np.unique(kinds).tolist() if k != NONE),
+        rotation=rotation,
         own_axes=np.array(own_axes),
+        oriented=cell.target_rotation is not None or rotation,
     )
 
 

@@ -125,7 +125,7 @@ def left_out_text(c: Calibration) -> str:
 
 def weights_text(c: Calibration) -> str:
     """Whether the outliers count in the fit."""
-    weights = dict(zip(c.measurements.rows, c.weights, strict=True))
+    weights = dict(zip(c.rows.numbers, c.weights, strict=True))
     unused = not any(weights.get(o.row) for o in c.outliers)
     return "they have no weight in the fit" if unused else "they keep their weight in this fit"
 
@@ -189,7 +189,7 @@ def sizes_text(c: Calibration) -> str:
     sizes = [_size(family, size) for family, size in c.sizes.items()]
     if not sizes:
         return ""
-    how = "found from the data" if c.cell.priors.sizes == "data" else "as given"
+    how = "found from the data" if c.sizes_from == "data" else "as given"
     return f"Size of the robot's errors: {', '.join(sizes)} ({how})."
 
 
@@ -198,11 +198,17 @@ def errorless(c: Calibration) -> frozenset[str]:
 
     Their prior's standard deviation went to nothing, which is no knowledge of them.
     """
-    if c.cell.priors.sizes != "data":
+    if c.sizes_from != "data":
         return frozenset()
-    own = set(c.cell.parameter_priors)
-    none = {f for f, size in c.sizes.items() if FAMILIES[f].unit.shown[0] * size <= _NOTHING}
-    return frozenset(p.name for p in c.model.parameters if p.family in none and p.name not in own)
+    nothing = {f: _NOTHING / FAMILIES[f].unit.shown[0] for f in c.sizes}
+    return frozenset(
+        p.name
+        for p, found in zip(c.model.parameters, c.parameters, strict=True)
+        if p.family in nothing
+        and c.sizes[p.family] <= nothing[p.family]
+        # One with a prior of its own does not share the family's.
+        and found.prior_std <= nothing[p.family]
+    )
 
 
 def rank_text(c: Calibration) -> str:

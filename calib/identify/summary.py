@@ -67,11 +67,11 @@ def summary(c: Calibration) -> str:
 
 def _heading(c: Calibration) -> str:
     """Which robot, which data."""
-    m = c.measurements
+    m = c.rows
     return wrap(
         f"calib {__version__}: robot '{c.nominal.name}', {c.nominal.base} to {c.nominal.tip}, "
         f"{len(c.nominal.joints)} joints; {m.estimation.sum()} rows to estimate and {m.validation.sum()} to validate "
-        f"from {m.source or 'memory'}"
+        f"from {c.source.name or 'memory'}"
     )
 
 
@@ -120,7 +120,7 @@ def error_row(label: str, errors: Errors) -> str:
 
 def _validation_rows(c: Calibration) -> str:
     """Errors of single validation rows by axis, before and after, as in the paper's Table 4; only if they are few."""
-    m = c.measurements
+    m = c.rows
     chosen = np.flatnonzero(m.validation & np.all(c.used[:, :3], axis=1) & (c.used.shape[1] >= 3))
     if not 0 < len(chosen) <= _MOST_ROWS:
         return ""
@@ -136,7 +136,7 @@ def _validation_rows(c: Calibration) -> str:
             for residual in (c.residual_nominal[i], c.residual_calibrated[i])
             for value in (*residual[:3], np.linalg.norm(residual[:3]))
         ]
-        lines.append(columns.format(f"  row {m.rows[i]} [mm]", *values))
+        lines.append(columns.format(f"  row {m.numbers[i]} [mm]", *values))
     return "\n".join(lines)
 
 

@@ -17,7 +17,7 @@ from scipy.special import fdtri
 from calib.identify.calibration import calibrate, fit_table
 from calib.identify.fitting import Fitted
 from calib.identify.foresight import Outlook
-from calib.identify.spread import without_rigid_motion
+from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.verdict import NO
 from calib.measure.candidates import draw, planning_ranges
 from calib.measure.cell import Cell
@@ -143,7 +143,8 @@ def _calibrated(trials: Trials, simulated: Simulated) -> _Calibrated:
     if trials.validate:
         result = calibrate(robot, table, cell=trials.cell, solver=trials.solver)
         assert result.verdict is not None
-        fitted = result.fitted if result.larger is None else result.larger.fitted
+        assert result.fit is not None
+        fitted = result.fit.larger or result.fit.geometry
         named = frozenset(outlier.row for outlier in result.outliers)
         return _Calibrated(fitted, result.verdict.use, named)
     fits = fit_table(robot, table, trials.cell, solver=trials.solver)

@@ -46,9 +46,9 @@ from calib.identify.resampling import Profile, bootstrap_indices, profile
 from calib.identify.result import Calibration
 from calib.identify.robustness import Robustness, compare
 from calib.identify.solvers import levenberg_marquardt
-from calib.identify.spread import as_one_body, own_moves, position_std, tells_place
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
+from calib.model.parameters import FRAME
 from calib.model.readback import spread_poses
 from calib.model.robot import read_only
 from calib.model.threads import one_blas_thread
@@ -123,23 +123,17 @@ class Bootstrap:
     def position_std(self, where: Where) -> Array:
         """Standard deviation of the predicted position over the samples, shape (N,), [m].
 
-        The root of the summed variances of x, y and z, as `Calibration.position_std` has it from the covariance.
+        The root of the summed variances of x, y and z, as `Calibration.position_std` has it from the covariance; of
+        positions in the base where nothing that was measured tells where that stands.
 
         Args:
             where: As for `positions`.
         """
-        samples = where if isinstance(where, Samples) else Samples.at(where)
-        points, moves = self._scatter(samples)
-        if not tells_place(self.fitted):
-            seen = self._scatter(_some(self.fitted.estimate.problem.rows.samples))
-            moves = own_moves(self.fitted, points, moves, seen)
-        return np.asarray(np.sqrt(np.sum(np.var(moves, axis=2, ddof=1), axis=1)))
-
-    def _scatter(self, samples: Samples) -> tuple[Array, Array]:
-        """Mean positions, as one body, and the samples' differences from them, shapes (N, 3) and (N, 3, count)."""
-        points = self.positions(as_one_body(self.fitted, samples))
-        mean = points.mean(axis=0)
-        return mean, (points - mean).transpose(1, 2, 0)
+        kinematics, x = self.fitted.kinematics, self.x
+        if not any(kind.position for kind in self.fitted.estimate.problem.rows.present):
+            x = np.where(kinematics.model.family(FRAME), self.fitted.estimate.x, x)
+        points = np.array([kinematics.points(one, where) for one in x])
+        return np.asarray(np.sqrt(np.sum(np.var(points, axis=0, ddof=1), axis=1)))
 
 
 @one_blas_thread()
@@ -221,10 +215,9 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
         CalibError: The level is not between 0 and 1.
     """
     found = calibration.parameter(name)
-    larger = calibration.larger
     fitted = calibration.fitted
-    if larger is not None and name not in calibration.model.names:
-        fitted = larger.fitted
+    if calibration.fit is not None and calibration.fit.larger is not None:
+        fitted = fitted if name in calibration.model.names else calibration.fit.larger
     fitted = _least_squares(fitted)
     estimate = fitted.estimate
     k = fitted.kinematics.model.index(name)
@@ -294,11 +287,8 @@ def workspace_uncertainty(
     if count < _FEWEST_POSES:
         message = f"Over {count} joint values there is no 95 % quantile; take {_FEWEST_POSES} or more, such as 1000."
         raise CalibError(message)
-    chosen = calibration.fitted
-    if larger and calibration.larger is not None:
-        chosen = calibration.larger.fitted
     q = spread_poses(calibration.nominal, count)
-    return WorkspaceUncertainty(q, read_only(position_std(chosen, calibration.samples(q))))
+    return WorkspaceUncertainty(q, read_only(calibration.position_std(q, larger=larger)))
 
 
 def with_and_without(calibration: Calibration) -> Robustness:

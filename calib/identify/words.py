@@ -42,7 +42,7 @@ def target_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
 
 def _one_target(c: Calibration, t: int, name: str) -> str:
     """One target."""
-    T, given = c.setup.T_tip_target[t], c.fitted.task.setup
+    T = c.setup.T_tip_target[t]
     place = ", ".join(three(1e3 * float(v)) for v in T[:3, 3])
     what = f"Target '{name}'" if name else "Target"
     rpy = ""
@@ -55,9 +55,9 @@ def _one_target(c: Calibration, t: int, name: str) -> str:
     if c.setup.rotation:
         turns = [placed_name("target", f"r{axis}", name) for axis in "xyz"]
         sure += f" and ({_half_widths(c, turns, float(np.degrees(1.0)))}) deg about its axes"
-    if not given.target_given[t]:
+    if not c.setup.target_given[t]:
         return f"{what}: found at ({place}) mm{rpy} in {c.nominal.tip}, 95 % ± {sure}."
-    moved = float(np.linalg.norm(T[:3, 3] - given.T_tip_target[t, :3, 3]))
+    moved = float(np.linalg.norm(T[:3, 3] - c.nominal_setup.T_tip_target[t, :3, 3]))
     text = (
         f"{what}: ({place}) mm{rpy} in {c.nominal.tip}, 95 % ± {sure}; it moved {1e3 * moved:.1f} mm from the "
         "position given."
@@ -90,11 +90,7 @@ def _one_frame(c: Calibration, f: int, group: str) -> str:
     """One measurement frame; of a socket the point in the base, of a plane its normal and distance."""
     T, directions = c.setup.T_frame_base[f], c.setup.unknown[f]
     what = f" '{group}'" if group else ""
-    kinds = {
-        k
-        for k, g in zip(c.measurements.kinds, c.measurements.groups, strict=True)
-        if g == c.setup.groups[f]
-    }
+    kinds = {k for k, g in zip(c.rows.kinds, c.rows.groups, strict=True) if g == c.setup.groups[f]}
     base = c.nominal.base
     if kinds <= {"fixed", "distance"}:
         name = "Socket" if kinds == {"fixed"} else "Anchor"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.metadata
 import os
 from pathlib import Path
 
-from calib.errors import FileError, UrdfError, choices
+from calib.errors import UrdfError, choices
 from calib.model.urdf import Urdf
 from calib.model.xacro_file import XacroCall, flattened, is_xacro
 
@@ -53,25 +52,6 @@ def find_urdf(source: str | Path) -> Path:
         f"xacro, or one of {choices(dict.fromkeys(known), limit=60)}."
     )
     raise UrdfError(message)
-
-
-def recorded_urdf(name: str, sha256: str, folder: Path) -> Urdf | None:
-    """The URDF of that name whose bytes have that SHA-256; None if it is not at hand.
-
-    Looked for beside the result, in the current folder, and in example-robot-data. That of a xacro is flattened anew,
-    with the arguments that are in its name.
-
-    Args:
-        name: As the result has it: a file's name, of a xacro with its arguments.
-        sha256: Of the URDF's bytes, in hexadecimal; of a xacro those of the flattened text.
-        folder: Where the result lies.
-    """
-    for place in (f"{folder}/{name}", name, Path(name).stem.removesuffix("_robot")):
-        with contextlib.suppress(UrdfError, FileError):  # none there, or another of that name
-            urdf = read_urdf(place)
-            if urdf.sha256 == sha256:
-                return urdf
-    return None
 
 
 def _read_xacro(call: XacroCall) -> Urdf:

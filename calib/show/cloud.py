@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.result import Calibration
-from calib.identify.spread import position_std
 from calib.model.readback import column_ranges, spread_between
 from calib.show.view import Cloud
 
@@ -30,7 +29,7 @@ def cloud_of(calibration: Calibration) -> Cloud:
     limits = column_ranges(robot)
     inner = np.stack([seen.min(axis=0), seen.max(axis=0)], axis=1) if len(seen) else limits
     q = np.concatenate([spread_between(limits, EVERYWHERE), spread_between(inner, MEASURED)])
-    std = position_std(calibration.fitted, calibration.samples(q))
+    std = calibration.position_std(q, larger=False)
     T = robot.poses(q)
     points = T[:, :3, :3] @ calibration.target + T[:, :3, 3]
     return Cloud(points, std, np.all((q >= inner[:, 0]) & (q <= inner[:, 1]), axis=1))

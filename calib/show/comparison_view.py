@@ -14,18 +14,15 @@ def view_of_comparison(comparison: Comparison) -> View:
     """Both robots with the first one's target, each in the base as its own fit has it: nothing is taken off.
 
     The poses are not measured ones: they are spread over the joint limits, and their labels say so.
-
-    Raises:
-        ModelError: The URDF is not at hand.
     """
     c = comparison
     first, second = c.robots
-    target = translated(c.a.stored.target)
+    target = translated(c.a.target)
     view = view_of_robots(
         first,
         second,
-        names=((f"a: {c.a.name}", "the first result"), (f"b: {c.b.name}", "the second result")),
-        title=f"{c.a.robot_name or 'Robot'}: two calibrations",
+        names=((f"a: {c.names[0]}", "the first result"), (f"b: {c.names[1]}", "the second result")),
+        title=f"{c.a.nominal.name or 'Robot'}: two calibrations",
         note=sentence(c),
     )
     return replace(view, nominal_target=target, calibrated_target=target)

@@ -13,7 +13,7 @@ from calib.identify.calibration import calibrate
 from calib.identify.estimate import FIRST_SIGMA_ANGLE
 from calib.identify.foresight import Outlook, forecast
 from calib.identify.inspection import inspect
-from calib.identify.spread import without_rigid_motion
+from calib.identify.rigid_motion import without_rigid_motion
 from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise

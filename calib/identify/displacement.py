@@ -18,14 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.errors import ModelError, choices
-from calib.identify.common_priors import estimated, own_units
-from calib.identify.compared import Compared
-from calib.identify.drift import Pair
-from calib.model.error_model import error_model
+from calib.identify.drift import Estimated, Pair, own_names, own_parameters, own_steps
+from calib.identify.result import Calibration
+from calib.model.error_model import DIRECTIONS
 from calib.model.kinematics import Kinematics
-from calib.model.observability import steps
-from calib.model.robot import Robot
+from calib.model.parameters import FRAME, TARGET
 
 Array = NDArray[np.float64]
 
@@ -44,8 +41,6 @@ _UNTOLD = 0.03
 
 #: What a difference in one coordinate of one pose must exceed to be more than rounding [m].
 _ROUNDING = 1e-7
-
-_DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,56 +77,47 @@ class Seen:
         difference: shape (N, D), b less a.
         effects: Of each result what a unit of its own parameters does, shape (N, D, p).
         slopes: The same at the results, not at the nominal robot: what follows a change of priors.
-        families: Of each result the family of each of these.
         gauge: shape (N, D, g), what frames and targets would make up for.
     """
 
     difference: Array
     effects: tuple[Array, Array]
     slopes: tuple[Array, Array]
-    families: tuple[tuple[str, ...], tuple[str, ...]]
     gauge: Array
 
     @classmethod
-    def at(cls, a: Compared, b: Compared, robot: Robot, q: Array) -> Seen:
+    def at(cls, a: Calibration, b: Calibration, q: Array) -> Seen:
         """Predict.
 
         Args:
             a: One result.
             b: The other.
-            robot: The robot of both, nominal or corrected.
             q: shape (N, m), joint values [rad] or [m].
-
-        Raises:
-            UrdfError: The robot lacks a joint.
-            ModelError: It has not the parameters that a result has values for.
         """
-        turns = a.turns and b.turns
-        T_tip_target = next(iter(a.stored.known.targets.values()))
-        starts, poses, effects, slopes, families = [], [], [], [], []
+        turns = a.setup.rotation and b.setup.rotation
+        starts, poses, effects, slopes = [], [], [], []
         for one in (a, b):
-            kinematics, x = _kinematics(one, robot, T_tip_target)
+            kinematics, x = _own_kinematics(one, a.setup.T_tip_target[0])
             # At the nominal robot, from which both count: elsewhere they would differ by what is of second order, and
             # that would look like combinations of their own.
             start, twists = kinematics.twists(np.zeros_like(x), q)
-            starts.append(start)
             found, at_result = kinematics.twists(x, q)
+            starts.append(start)
             poses.append(found)
             slopes.append(_lengths(at_result, turns=turns))
             effects.append(_lengths(twists, turns=turns))
-            families.append(tuple(p.family for p in kinematics.model.parameters))
         shift = poses[1][:, :3, 3] - poses[0][:, :3, 3]
         if turns:
             turned = poses[1][:, :3, :3] @ poses[0][:, :3, :3].transpose(0, 2, 1)
             shift = np.hstack([shift, _LEVER * Rotation.from_matrix(turned).as_rotvec()])
-        frame = tuple(d for d in _DIRECTIONS if d in {*a.frame, *b.frame})
-        target = a.target_estimated or b.target_estimated
+        unknown = {*unknown_frame(a), *unknown_frame(b)}
+        frame = tuple(d for d in DIRECTIONS if d in unknown)
+        target = a.setup.estimate_target or b.setup.estimate_target
         gauge = _gauge(starts[0], frame, target=target, turns=turns)
         return cls(
             difference=shift,
             effects=(effects[0], effects[1]),
             slopes=(slopes[0], slopes[1]),
-            families=(families[0], families[1]),
             gauge=_lengths(gauge, turns=turns),
         )
 
@@ -141,70 +127,42 @@ class Compensated:
     """What is left of moves after the best motion of frame and target is taken off.
 
     Attributes:
-        seen: At the joint values that say what that motion is.
+        results: Both.
+        seen: Both at the joint values that say what that motion is.
         solve: shape (g, N D), takes moves there to the motion.
         basis: shape (N D, r), orthonormal, of all that both results' parameters can do.
     """
 
+    results: tuple[Calibration, Calibration]
     seen: Seen
     solve: Array
     basis: Array
-    a: Compared
-    b: Compared
 
     @classmethod
-    def of(cls, seen: Seen, a: Compared, b: Compared, *, same_start: bool) -> Compensated:
+    def of(cls, a: Calibration, b: Calibration, q: Array, *, same_start: bool) -> Compensated:
         """From both results at joint values that their data cover.
 
         Args:
-            seen: Both there.
             a: One result.
             b: The other.
+            q: shape (N, m), joint values [rad] or [m].
             same_start: Whether both count from the same nominal robot.
         """
+        seen = Seen.at(a, b, q)
         rows = seen.difference.size
         G: Array = seen.gauge.reshape(rows, -1)
         solve: Array = np.zeros((G.shape[1], rows))
         if G.shape[1]:
             solve = np.asarray(np.linalg.pinv(G, rcond=1e-9))
+        flat = [effect.reshape(rows, -1) for effect in seen.effects]
         every = [
-            _less(effect.reshape(rows, -1), G, solve) * steps(own_units(one))
-            for effect, one in zip(seen.effects, (a, b), strict=True)
+            (one - G @ (solve @ one)) * own_steps(result)
+            for one, result in zip(flat, (a, b), strict=True)
         ]
-        stacked = np.hstack(every)
-        U, values, _ = np.linalg.svd(stacked, full_matrices=False)
+        U, values, _ = np.linalg.svd(np.hstack(every), full_matrices=False)
         strongest = max(float(values[0]) if len(values) else 0.0, 1e-300)
         least = strongest * (_NOTHING if same_start else _NOTHING_APART)
-        return cls(seen, solve, U[:, values > least], a, b)
-
-    def left(self, moves: Array, there: Array, seen: Seen) -> Array:
-        """Moves at some joint values less the motion that makes up for those at the fitted ones.
-
-        Args:
-            moves: shape (N D,) or (N D, k), at the joint values of ``there``'s rows.
-            there: The same moves at the joint values of ``self.seen``.
-            seen: Both results at the joint values of ``moves``.
-        """
-        G = seen.gauge.reshape(seen.difference.size, -1)
-        return np.asarray(moves - G @ (self.solve @ there))
-
-    def effects(self, which: int) -> Array:
-        """What a unit of a result's own parameters does, after compensation, in the basis, shape (r, p)."""
-        _, left = self._own_effects(which)
-        return np.asarray(self.basis.T @ left)
-
-    def _own_effects(self, which: int) -> tuple[Array, Array]:
-        """Effects before and after compensation, shapes (N D, p); nothing is left of those that are not told."""
-        flat: Array = self.seen.effects[which].reshape(self.seen.difference.size, -1)
-        left = self.left(flat, flat, self.seen)
-        told = np.linalg.norm(left, axis=0) >= _UNTOLD * np.linalg.norm(flat, axis=0)
-        return flat, np.where(told, left, 0.0)
-
-    def reach(self, which: int) -> Array:
-        """How far a unit of each of a result's own parameters moves the target, rms, shape (p,), [m per unit]."""
-        shape = self.seen.effects[which].shape
-        points = self._own_effects(which)[1].reshape(shape)[:, :3]
-        return np.asarray(np.sqrt(np.sum(points**2, axis=(0, 1)) / shape[0]))
+        return cls((a, b), seen, solve, U[:, values > least])
 
     @property
     def floor(self) -> float:
@@ -217,74 +175,60 @@ class Compensated:
         Args:
             alike: See `Pair`.
         """
-        return Pair(
-            estimated(self.a, self.b, self.effects(0)),
-            estimated(self.b, self.a, self.effects(1)),
-            alike,
-        )
+        a, b = self.results
+        first, second = (self.basis.T @ self._own_effects(k)[1] for k in (0, 1))
+        return Pair(Estimated.of(a, b, first), Estimated.of(b, a, second), alike)
 
     def difference(self, pair: Pair) -> Array:
         """The difference in the basis, under common priors, shape (r,)."""
-        flat = self.moved(self.seen, pair).ravel()
-        return np.asarray(self.basis.T @ self.left(flat, flat, self.seen))
-
-    @staticmethod
-    def moved(seen: Seen, pair: Pair) -> Array:
-        """How far the target lies elsewhere at some joint values, under common priors, before compensation, (N, D)."""
-        a, b = seen.slopes
-        return np.asarray(seen.difference + b @ pair.b.shift - a @ pair.a.shift)
+        flat = _moved(self.seen, pair)
+        return np.asarray(self.basis.T @ self._left(flat, flat, self.seen))
 
     def untold(self) -> tuple[str, ...]:
         """The parameters that frame and target make up for, of both results."""
         names: dict[str, None] = {}
-        for k, one in enumerate((self.a, self.b)):
-            left = np.any(self._own_effects(k)[1], axis=0)
-            names |= {
-                name: None
-                for name, any_left in zip(one.own_names, left, strict=True)
-                if not any_left
-            }
+        for k, one in enumerate(self.results):
+            told = np.any(self._own_effects(k)[1], axis=0)
+            names |= {n: None for n, seen in zip(own_names(one), told, strict=True) if not seen}
         return tuple(names)
 
     def alone(self, which: int) -> tuple[str, ...]:
         """The parameters of one result that move the target in ways that the other's cannot."""
-        one, own, other = (self.a, self.b)[which], self.effects(which), self.effects(1 - which)
-        own_steps, other_steps = (steps(own_units(r)) for r in (one, (self.b, self.a)[which]))
-        U, values, _ = np.linalg.svd(other * other_steps, full_matrices=False)
-        U = U[:, values > 1e-4 * max(float(values.max(initial=0.0)), 1e-300)]
-        scaled = own * own_steps
-        beyond = np.linalg.norm(scaled - U @ (U.T @ scaled), axis=0)
-        size = np.linalg.norm(scaled, axis=0)
-        least = _OWN * np.maximum(size, _UNTOLD * size.max(initial=0.0))
-        return tuple(
-            name for name, b, s in zip(one.own_names, beyond, least, strict=True) if b > s > 0.0
+        own, other = (
+            (self.basis.T @ self._own_effects(k)[1]) * own_steps(self.results[k])
+            for k in (which, 1 - which)
         )
+        U, values, _ = np.linalg.svd(other, full_matrices=False)
+        U = U[:, values > 1e-4 * max(float(values.max(initial=0.0)), 1e-300)]
+        beyond = np.linalg.norm(own - U @ (U.T @ own), axis=0)
+        size = np.linalg.norm(own, axis=0)
+        least = _OWN * np.maximum(size, _UNTOLD * size.max(initial=0.0))
+        names = own_names(self.results[which])
+        return tuple(n for n, b, s in zip(names, beyond, least, strict=True) if b > s > 0.0)
 
-    def move(self, where: str, seen: Seen, pair: Pair) -> Move:
+    def move(self, where: str, q: Array | None, pair: Pair) -> Move:
         """How far the target lies elsewhere.
 
         Args:
             where: The joint values in words.
-            seen: Both results at these joint values.
+            q: shape (N, m), these [rad] or [m]; None: those that both data cover.
             pair: Both under common priors.
         """
-        there, here, covariance = self.seen, seen, pair.joint
-        moves = [self.moved(s, pair).ravel() for s in (here, there)]
-        difference = self.left(moves[0], moves[1], here)
+        there = self.seen
+        here = there if q is None else Seen.at(*self.results, q)
+        shape, covariance = here.difference.shape, pair.joint
+        difference = self._left(_moved(here, pair), _moved(there, pair), here).reshape(shape)
         J = [
-            np.hstack([-s.effects[0].reshape(s.difference.size, -1),
-                       s.effects[1].reshape(s.difference.size, -1)])
+            np.hstack([k * e.reshape(s.difference.size, -1) for k, e in zip((-1, 1), s.effects, strict=True)])
             for s in (here, there)
         ]  # fmt: skip
-        shape = here.difference.shape
-        left = self.left(J[0], J[1], here).reshape(*shape, -1)[:, :3]
-        points = difference.reshape(shape)[:, :3]
+        left = self._left(J[0], J[1], here).reshape(*shape, -1)[:, :3]
+        points, turns = difference[:, :3], difference[:, 3:] / _LEVER
         square, count = np.sum(points**2, axis=1), len(points)
-        slope = np.einsum("nd,ndp->p", points, left)
         rms = float(np.sqrt(np.mean(square)))
         noise = float(np.einsum("ndp,pq,ndq->", left, covariance, left)) / count
+        slope = np.einsum("nd,ndp->p", points, left)
         own = float(slope @ covariance @ slope)
-        turns = difference.reshape(shape)[:, 3:] / _LEVER
         return Move(
             where=where,
             rms=rms,
@@ -296,25 +240,46 @@ class Compensated:
             else float("nan"),
         )
 
+    def _left(self, moves: Array, there: Array, seen: Seen) -> Array:
+        """Moves at some joint values less the motion that makes up for those at the fitted ones.
 
-def _kinematics(one: Compared, robot: Robot, T_tip_target: Array) -> tuple[Kinematics, Array]:
+        Args:
+            moves: shape (N D,) or (N D, k), at the joint values of ``seen``.
+            there: The same moves at the joint values of ``self.seen``.
+            seen: Both results at the joint values of ``moves``.
+        """
+        G = seen.gauge.reshape(seen.difference.size, -1)
+        return np.asarray(moves - G @ (self.solve @ there))
+
+    def _own_effects(self, which: int) -> tuple[Array, Array]:
+        """Effects before and after compensation, shapes (N D, p); nothing is left of those that are not told."""
+        flat: Array = self.seen.effects[which].reshape(self.seen.difference.size, -1)
+        left = self._left(flat, flat, self.seen)
+        told = np.linalg.norm(left, axis=0) >= _UNTOLD * np.linalg.norm(flat, axis=0)
+        return flat, np.where(told, left, 0.0)
+
+
+def unknown_frame(c: Calibration) -> tuple[str, ...]:
+    """In which directions a result's measurements did not know where the base stands."""
+    if not c.tells_place:
+        return DIRECTIONS  # sockets, planes, anchors and pairs never do
+    every = {d for directions in c.setup.unknown for d in directions if c.frame_estimated}
+    return tuple(d for d in DIRECTIONS if d in every)
+
+
+def _moved(seen: Seen, pair: Pair) -> Array:
+    """How far the target lies elsewhere, under common priors, before compensation, shape (N D,)."""
+    a, b = seen.slopes
+    return np.asarray(seen.difference + b @ pair.b.shift - a @ pair.a.shift).ravel()
+
+
+def _own_kinematics(c: Calibration, T_tip_target: Array) -> tuple[Kinematics, Array]:
     """A result's nominal robot under its own parameters, in the base, and their values."""
-    nominal = one.stored.nominal(robot)
-    model = error_model(nominal, one.model, target=False)
-    names = set(model.names)
-    ties = {n: t for n, t in one.ties.items() if n in names and t[0] in names}
-    model = model.tied(ties)
-    kept = set(one.own_names)
-    model = model.without([name for name in model.names if name not in kept])
-    order = [one.names.index(name) for name in model.names]
-    if len(order) != len(kept) or order != one.own.tolist():
-        strange = [name for name in one.own_names if name not in names]
-        message = (
-            f"{one.name} has values for {choices(strange or one.own_names)}, which the model '{one.model}' of this "
-            "robot has not, or not in this order. Give the URDF that the result was made with."
-        )
-        raise ModelError(message)
-    return Kinematics(nominal, model, np.eye(4), T_tip_target), one.delta[one.own]
+    placed = c.model.family(FRAME, TARGET)
+    model = c.model.without(n for n, other in zip(c.model.names, placed, strict=True) if other)
+    frames = np.tile(np.eye(4), (len(c.setup.groups), 1, 1))
+    targets = np.tile(T_tip_target, (len(c.setup.targets), 1, 1))
+    return Kinematics(c.nominal, model, frames, targets), c.x[own_parameters(c)]
 
 
 def _lengths(twists: Array, *, turns: bool) -> Array:
@@ -328,9 +293,8 @@ def _gauge(T: Array, frame: tuple[str, ...], *, target: bool, turns: bool) -> Ar
     """Twists of the target by a unit of what was estimated of frame and target, shape (N, 6, g)."""
     n, points, R = len(T), T[:, :3, 3], T[:, :3, :3]
     columns = []
-    for k, direction in enumerate(_DIRECTIONS):
-        if direction not in frame:
-            continue
+    for direction in frame:
+        k = DIRECTIONS.index(direction)
         twist, e = np.zeros((n, 6)), np.eye(3)[k % 3]
         if k < 3:
             twist[:, :3] = e
@@ -342,8 +306,3 @@ def _gauge(T: Array, frame: tuple[str, ...], *, target: bool, turns: bool) -> Ar
         twist[:, part] = R[:, :, k % 3]
         columns.append(twist)
     return np.stack(columns, axis=2) if columns else np.zeros((n, 6, 0))
-
-
-def _less(moves: Array, G: Array, solve: Array) -> Array:
-    """Moves without what the gauge makes up for."""
-    return np.asarray(moves - G @ (solve @ moves))
