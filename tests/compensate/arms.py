@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+from calib.identify.stored import StoredResult
 
 from calib.identify.result_file import result_table, stored_result
-from calib.identify.stored import StoredResult
 from calib.model.error_model import error_model
 from calib.model.json_file import plain
 from calib.model.robot import Robot

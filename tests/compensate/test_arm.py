@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calib.identify.stored import StoredLarger
 
 from calib.compensate.arm import Arm
 from calib.compensate.matching import Matching
 from calib.identify.evaluation import Known
-from calib.identify.stored import StoredLarger
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.readback import random_joint_values

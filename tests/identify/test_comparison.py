@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calib.identify.data_alone import prior_stds, pushes
 from scipy.spatial.transform import Rotation
 
 from calib.data import PAPER_TARGET, paper_urdf
@@ -19,7 +20,6 @@ from calib.errors import FileError, ModelError, UrdfError
 from calib.families import ANGLE, LENGTH, ZERO
 from calib.identify.calibration import Calibration, calibrate
 from calib.identify.comparison import Comparison, compare
-from calib.identify.data_alone import prior_stds, pushes
 from calib.identify.drift import LEVEL
 from calib.identify.result_file import result_table, write_table
 from calib.measure.cell import Cell
