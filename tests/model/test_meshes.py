@@ -138,17 +138,6 @@ def test_each_part_of_a_mesh_has_its_own_faces(tmp_path):
     assert sorted(corners[:, :, 2].tolist()) == [[0, 0, 0], [10, 10, 10], [10, 10, 10]]
 
 
-def test_the_base_of_the_ur3_is_whole():
-    urdf = Urdf.read(data.paper_urdf())
-    (name, scale) = next(shape.mesh for shape in link_shapes(urdf, "visual"))
-    mesh, problem = load_mesh(find_mesh(name, mesh_folders(urdf)), scale)
-    assert problem == ""
-    corners = mesh_vertices(mesh)[mesh_faces(mesh)]
-    sides = corners[:, 1:] - corners[:, :1]
-    area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum()
-    assert 0.06 < area < 0.07  # 0.089 m2 where faces reach from one part to the other
-
-
 @pytest.mark.parametrize("robot", ["panda", "ur5", "solo12"])
 def test_meshes_are_those_that_coal_reads(robot):
     """Of STL and COLLADA and OBJ, by assimp, in another language; the faces by their area."""

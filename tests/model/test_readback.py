@@ -8,7 +8,6 @@ import pytest
 
 from calib.errors import UrdfError
 from calib.model.readback import (
-    TOLERANCE,
     check_written,
     column_ranges,
     random_joint_values,
@@ -69,21 +68,6 @@ def test_columns_that_move_several_joints_and_a_base_that_moves_pass(name, base,
         check_written(new, robot.poses(q), q)
 
 
-def test_a_mimic_of_a_mimic_passes():
-    text = '<robot name="r">' + "".join(f'<link name="{link}"/>' for link in "abcd")
-    limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
-    for i, (parent, child) in enumerate(("ab", "bc", "cd")):
-        mimic = f'<mimic joint="j{i - 1}" multiplier="-0.5" offset="0.1"/>' if i else ""
-        text += (
-            f'<joint name="j{i}" type="prismatic"><parent link="{parent}"/><child link="{child}"/>'
-            f'<axis xyz="0 {i + 1} 1"/>{limit}{mimic}</joint>'
-        )
-    robot = corrected(Robot.from_urdf(Urdf.from_bytes(f"{text}</robot>".encode(), "r"), tip="d"))
-    q = random_joint_values(robot)
-    assert q.shape == (20, 1)
-    check_written(robot, robot.poses(q), q)
-
-
 @pytest.mark.parametrize("axis", [(0, 0.5, 2), (0, 0, -3), (0.1, 0, 0)])
 @pytest.mark.parametrize("kind", ["prismatic", "revolute", "continuous"])
 def test_axes_of_any_length_pass(serial_urdf, kind, axis):
@@ -103,13 +87,6 @@ def test_an_origin_that_was_tampered_with_is_refused(ur3, joint, twist):
         UrdfError, match=r"read back by Pinocchio, puts the tip .* rad away.*1e-09 is allowed"
     ):
         check_written(tampered, ur3.poses(q), q)
-
-
-def test_an_error_within_the_tolerance_passes(ur3):
-    q = random_joint_values(ur3)
-    expected = ur3.poses(q)
-    expected[:, 0, 3] += 0.9 * TOLERANCE
-    check_written(ur3, expected, q)
 
 
 def test_poses_that_are_no_numbers_are_refused(ur3):
@@ -167,11 +144,6 @@ def test_random_joint_values_stay_inside_limits_beyond_a_turn(lower, upper):
     assert (q <= upper).all()
 
 
-def test_random_joint_values_are_the_same_every_time(ur3):
-    np.testing.assert_array_equal(random_joint_values(ur3), random_joint_values(ur3))
-    assert not np.array_equal(random_joint_values(ur3), random_joint_values(ur3, seed=1))
-
-
 def test_values_are_spread_evenly_between_bounds():
     ranges = np.array([[-1.0, 3.0], [0.2, 0.3], [5.0, 5.5]])
     values = spread_between(ranges, 255)
@@ -189,10 +161,6 @@ def test_values_are_spread_evenly_between_bounds():
     np.add.at(counts, (whole[:, 0] // 32, whole[:, 1] // 32), 1)
     assert counts[0, 0] == 3
     assert np.count_nonzero(counts == 4) == 63
-
-
-def test_poses_are_spread_between_the_columns_ranges(ur3):
-    np.testing.assert_array_equal(spread_poses(ur3, 50), spread_between(column_ranges(ur3), 50))
 
 
 # Columns that move several joints

@@ -87,33 +87,6 @@ def test_read_corrected_and_read_again(data: bytes):
     assert moved.urdf.data.count(b"9 9 9") == data.count(b"9 9 9")
 
 
-REFUSED: dict[str, tuple[bytes, str]] = {
-    "UTF-16": (PLAIN.encode("utf-16"), "in UTF-16 or UTF-32; save it as UTF-8"),
-    "UTF-16 declared": (LATIN.replace("iso-8859-1", "utf-16").encode(), "declaration is incorrect"),
-    "latin-1 without a word": (PLAIN.replace('"one"', '"ä"').encode("latin-1"), "save it as UTF-8"),
-    "an encoding of several bytes": (LATIN.replace("iso-8859-1", "gb18030").encode(), "encoding"),
-    "NUL": (PLAIN.replace("one", "o\0e").encode(), "not XML"),
-    "a control character": (PLAIN.replace("one", "o&#1;e").encode(), "not XML"),
-    "half a character": (PLAIN.replace("one", "&#xD800;").encode(), "not XML"),
-    "two roots": ((PLAIN + PLAIN.partition("\n")[2]).encode(), "junk after document element"),
-    "an attribute twice": (PLAIN.replace("rpy=", 'xyz="1 1 1" rpy=').encode(), "duplicate attribute"),
-    "an origin twice": (PLAIN.replace("<origin", "<origin/><origin").encode(), "has 2 <origin>; keep"),
-    "a joint twice": (PLAIN.replace('"two"', '"one"').encode(), "a second joint 'one'"),
-    "a link twice": (PLAIN.replace('link name="c"', 'link name="b"').encode(), "a second link 'b'"),
-    "an entity of its own": (PLAIN.replace("one", "&x;").encode(), "undefined entity"),
-    "digits of another script": (PLAIN.replace("0.1", "٠.١").encode(), "3 finite numbers wanted"),
-    "a comma": (PLAIN.replace("0.1", "0,1").encode(), "3 finite numbers wanted"),
-    "no space between": (PLAIN.replace("0 0 0.1", "0 0 0.1\u00a0").encode(), "3 finite numbers wanted"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("data", "words"), REFUSED.values(), ids=REFUSED)
-def test_refused_with_a_word(data: bytes, words: str):
-    with pytest.raises(UrdfError, match=words) as error:
-        Urdf.from_bytes(data, "r.urdf")
-    str(error.value).encode()  # a terminal can print it
-
-
 def test_a_prefix_that_is_not_declared():
     """As ROS reads it."""
     urdf = Urdf.from_bytes(PLAIN.replace("<link", "<sensor:camera/><link", 1).encode(), "r.urdf")
