@@ -21,8 +21,6 @@ from calib.cli.options import (
     PointsFile,
     PointsUnit,
     RobotFile,
-    Target,
-    Tip,
     reporting,
 )
 
@@ -48,8 +46,21 @@ def inspect(
         Path | None, typer.Argument(metavar="[DATA]", help="CSV table, to judge its poses.")
     ] = None,
     base: Base = None,
-    tip: Tip = None,
-    target: Target = None,
+    tip: Annotated[
+        str | None,
+        typer.Option(
+            help="Link that the target is mounted on. Default: the end of the longest chain, with DATA of joints that "
+            "are in it."
+        ),
+    ] = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"X Y Z UNIT"',
+            help='Target in the tip, such as "70 -70 22.5 mm". Default: found from DATA; without it 50, 70, 30 mm off '
+            "the tip.",
+        ),
+    ] = None,
     frame: Frame = None,
     model: ModelName = None,
     payload: PayloadMass = None,

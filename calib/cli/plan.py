@@ -21,8 +21,6 @@ from calib.cli.options import (
     PayloadMass,
     Quiet,
     RobotFile,
-    Target,
-    Tip,
     reporting,
 )
 
@@ -64,8 +62,21 @@ def plan(
     ] = "V",
     model: ModelName = None,
     base: Base = None,
-    tip: Tip = None,
-    target: Target = None,
+    tip: Annotated[
+        str | None,
+        typer.Option(
+            help="Link that the target is mounted on. Default: the end of the longest chain, with --taken of joints "
+            "that are in its table."
+        ),
+    ] = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"X Y Z UNIT"',
+            help='Target in the tip, to about a centimetre, such as "70 -70 22.5 mm". Default: 50, 70, 30 mm off the '
+            "tip, which is only a guess.",
+        ),
+    ] = None,
     frame: Frame = None,
     kind: MeasuredKind = None,
     noise: Annotated[
@@ -103,16 +114,33 @@ def plan(
         typer.Option(
             "--box",
             metavar='"NAME: X Y Z SX SY SZ UNIT"',
-            help='A box that the robot must not touch, centre in the base and edges: "table: 0 0 -25 1200 800 50 mm". '
-            "Can be repeated.",
+            help="A box that robot and target must not touch, centre in the base and edges: "
+            '"table: 0 0 -25 1200 800 50 mm". Can be repeated.',
         ),
     ] = None,
     clearance: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Least distance to the robot itself and to boxes.")
+        str,
+        typer.Option(
+            metavar="LENGTH",
+            help="Least distance of links and targets to each other and to what stands around.",
+        ),
     ] = "0 mm",
     collisions: Annotated[
         bool, typer.Option(help="Check poses, and moves between them, for collisions.")
     ] = True,
+    floor: Annotated[
+        bool,
+        typer.Option(
+            help="Keep above the robot's mounting plane: z = 0 of the base link, however the robot is hung."
+        ),
+    ] = True,
+    holder: Annotated[
+        str,
+        typer.Option(
+            metavar="LENGTH",
+            help="Radius of the target and what holds it: a rod from the tip to the target, in the collision check.",
+        ),
+    ] = "20 mm",
     package_dir: Annotated[
         list[Path] | None,
         typer.Option(
@@ -198,6 +226,7 @@ def plan(
         check_outputs([output, json, view], inputs, force=force)
         rungs = words.parse_ladder(ladder)
         gap, clear = parse_angle(margin, "--margin", "5 deg"), words.parse_clearance(clearance)
+        radius = words.parse_holder(holder)
         setup = read_cell(
             cell,
             base=base,
@@ -240,6 +269,8 @@ def plan(
                 taken=None if before is None else before.joints,
                 collisions=collisions,
                 clearance=clear,
+                floor=floor,
+                holder_radius=radius,
                 package_dirs=package_dir or (),
                 ladder=rungs,
                 start=first,

@@ -116,6 +116,21 @@ def parse_clearance(text: str) -> float:
     return clearance
 
 
+def parse_holder(text: str) -> float:
+    """``--holder``, a radius above 0 [m].
+
+    Raises:
+        CalibError: No length, or not above 0.
+    """
+    from calib.cli.simulate_words import parse_size
+
+    radius = parse_size(text, "--holder")
+    if not radius > 0.0:
+        message = f'--holder was given as "{text}"; it must be a radius above 0, such as "20 mm".'
+        raise CalibError(message)
+    return radius
+
+
 def with_noise(cell: Cell, text: str | None) -> Cell:
     """The cell with ``--noise``: a tracker's by its distance, or one length for every pose.
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib.identify.foresight import Outlook
 from calib.measure.candidates import Condition, Pool, draw, planning_ranges, rounded, turn_limits
 from calib.measure.cell import Cell
-from calib.measure.collision import CollisionModel
+from calib.measure.collision import HOLDER_RADIUS, CollisionModel
 from calib.measure.design import check_criterion
 from calib.measure.detours import detour
 from calib.measure.planning import Plan, check_enough, check_numbers, choose_poses
@@ -60,6 +60,8 @@ def plan(
     taken: ArrayLike | None = None,
     collisions: bool = True,
     clearance: float = 0.0,
+    floor: bool = True,
+    holder_radius: float = HOLDER_RADIUS,
     package_dirs: Sequence[str | Path] = (),
     ladder: Sequence[int] | None = None,
     start: ArrayLike | None = None,
@@ -80,9 +82,11 @@ def plan(
         region: Where the first target is to lie, in the base; None: anywhere.
         margin: Distance to the joint limits of the URDF [rad].
         taken: shape (T, m), poses that are measured already: the plan adds to them.
-        collisions: Whether poses, and moves between them, are checked for collisions with the robot itself and with
-            the cell's boxes.
+        collisions: Whether poses, and moves between them, are checked for collisions of the robot and its targets
+            with the robot itself, the cell's boxes and the mounting plane.
         clearance: Least distance there [m].
+        floor: Whether nothing may come below the robot's mounting plane, see `CollisionModel`.
+        holder_radius: A target and what holds it are a rod of this radius from the tip to the target [m].
         package_dirs: Folders in which packages of meshes lie.
         ladder: Numbers of poses to forecast too; None: some around ``count``; empty: none.
         start: shape (m,), where the robot stands before it begins; None: it begins at any pose.
@@ -103,7 +107,18 @@ def plan(
         # What candidates cannot mend is said before they are drawn, which takes a while.
         check_enough(outlook.sensitivity, spread_between(ranges, _FIRST_LOOK), count, measured)
     body = (
-        CollisionModel.of(robot, cell.boxes, clearance, package_dirs=package_dirs)
+        CollisionModel.of(
+            robot,
+            cell.boxes,
+            clearance,
+            package_dirs,
+            targets={
+                name: T[:3, 3]
+                for name, T in zip(outlook.setup.targets, outlook.setup.T_tip_target, strict=True)
+            },
+            holder_radius=holder_radius,
+            floor=floor,
+        )
         if collisions
         else None
     )
@@ -279,7 +294,24 @@ def _notes(cell: Cell, body: CollisionModel | None) -> tuple[str, ...]:
     blind = "The reflector's direction was not looked at: nothing says where the tracker stands (--tracker)."
     return (
         *([blind] if cell.reflector is not None and cell.tracker is None else []),
-        *(("Collisions were not checked.",) if body is None else body.notes),
+        *(("Collisions were not checked.",) if body is None else (*_checked(body), *body.notes)),
+    )
+
+
+def _checked(body: CollisionModel) -> tuple[str, str]:
+    """What was assumed where nobody said it, and what is not known."""
+    many = "each target and its holder" if len(body.targets) > 1 else "the target and its holder"
+    around = [f"the box '{box.name}'" for box in body.boxes]
+    if body.plane is not None:
+        around.append(body.plane)
+    against = f", and with {' and '.join(around)}" if around else ""
+    return (
+        f"Checked for collisions: the robot's links and {many}, taken as a rod of {1e3 * body.holder_radius:g} mm "
+        f"radius from the tip to the target (--holder), with each other{against}.",
+        "Not known, and not checked: what stands around and was not named (--box), "
+        + ("" if body.plane is not None else "the floor, ")
+        + "cables and hoses, holders of another shape, the instrument and its stand, people. Drive the first round "
+        "slowly.",
     )
 
 

@@ -1,17 +1,19 @@
-"""Collisions of a robot with itself and with boxes: Pinocchio places the links, coal compares their meshes.
+"""Collisions of a robot and what it holds, with itself and with what stands around: Pinocchio places, coal compares.
 
-The whole robot is checked, not the chain alone: every link stands where `Robot.urdf_values` puts it. What cannot tell
-poses apart is left out: links that a joint joins, links that never move against each other, and links that touch
-wherever the joints stand. Of meshes the surfaces are compared: one that lies wholly inside another is not found.
+The whole robot is checked, not the chain alone: every link stands where `Robot.urdf_values` puts it. A target and what
+holds it are a capsule, a rod with round ends, from the tip to the target. Below the mounting plane nothing may come,
+and boxes are not touched. What cannot tell poses apart is left out: links that a joint joins, links that never move
+against each other, and what touches wherever the joints stand. Of meshes the surfaces are compared: one that lies
+wholly inside another mesh is not found.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
@@ -20,11 +22,19 @@ from pinocchio import hppfcl
 
 from calib.errors import CalibError, choices
 from calib.measure.cell_parts import is_number
-from calib.measure.collision_pairs import Ignored, Scene, choose_pairs, room_for
+from calib.measure.collision_pairs import (
+    Ignored,
+    Kind,
+    Part,
+    Scene,
+    choose_pairs,
+    mounting_plane,
+    room_for,
+)
 from calib.measure.solid import read_solids
 from calib.measure.surroundings import Box, checked_boxes
 from calib.model.chain import full_configurations, link_frame
-from calib.model.robot import Robot
+from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,6 +42,9 @@ Progress = Callable[[int, int], None]
 
 #: Largest step of a prismatic joint along a path [m]; that of turning joints is given.
 SLIDE_STEP = 5e-3
+
+#: Radius of a target and of what holds it, if nothing is said: a 1.5 inch reflector has 19 mm [m].
+HOLDER_RADIUS = 0.020
 
 #: Poses between two calls of ``progress``.
 _CHUNK = 500
@@ -44,8 +57,11 @@ class CollisionModel:
     Attributes:
         robot: The robot.
         boxes: In the robot's base; they move with it where joints of the chain move the base.
+        targets: By name their places in the tip, shape (3,), [m].
+        holder_radius: Of the capsules from the tip to the targets [m].
+        plane: The name of the mounting plane, with its height; None where it is not checked.
         clearance: Least distance between what is checked [m].
-        pairs: The names of the links, or box and link, that are checked, those that touch most often first.
+        pairs: The names of what is checked (links, targets, boxes, the plane), those that touch most often first.
         ignored: Those that are not, and why.
         close: Those that are always closer than the clearance; they are refused only where they touch.
         unchecked: Links that carry a mass but have no geometry that can be used, or not all of it.
@@ -54,6 +70,9 @@ class CollisionModel:
 
     robot: Robot
     boxes: tuple[Box, ...]
+    targets: Mapping[str, Array]
+    holder_radius: float
+    plane: str | None
     clearance: float
     pairs: tuple[tuple[str, str], ...]
     ignored: tuple[Ignored, ...]
@@ -61,7 +80,6 @@ class CollisionModel:
     unchecked: tuple[str, ...]
     from_visuals: tuple[str, ...]
     _scene: Scene
-    _package_dirs: tuple[str, ...]
 
     @classmethod
     def of(
@@ -70,14 +88,22 @@ class CollisionModel:
         boxes: Iterable[Box] = (),
         clearance: float = 0.0,
         package_dirs: Iterable[str | Path] = (),
+        *,
+        targets: Mapping[str, ArrayLike] | None = None,
+        holder_radius: float = HOLDER_RADIUS,
+        floor: bool = False,
     ) -> CollisionModel:
         """Read the geometry of a robot and find out which pairs have to be checked.
 
         Args:
             robot: The robot; its URDF names the meshes.
             boxes: In the robot's base.
-            clearance: Least distance between links, and between links and boxes [m].
+            clearance: Least distance between all that is checked [m].
             package_dirs: Folders in which ``package://`` meshes are looked for before all others.
+            targets: Places in the tip by name, shape (3,), [m]; each and what holds it joins the check.
+            holder_radius: Of the capsules from the tip to the targets [m].
+            floor: Whether nothing may come below the mounting plane: z = 0 of the base, or the lowest link that stands
+                with the base where that is lower.
 
         Raises:
             UrdfError: A mesh cannot be found or read, or no link has geometry.
@@ -87,6 +113,9 @@ class CollisionModel:
         if not is_number(clearance) or not clearance >= 0.0:
             message = f"The clearance is {clearance!r} m; it must be a number, 0 or more."
             raise CalibError(message)
+        if not is_number(holder_radius) or not holder_radius > 0.0:
+            message = f"The holder's radius is {holder_radius!r} m; it must be a number above 0."
+            raise CalibError(message)
         same = [box.name for box in boxes if box.name in robot.urdf.links]
         if same:
             message = (
@@ -94,11 +123,22 @@ class CollisionModel:
             )
             raise CalibError(message)
         solids = read_solids(robot.urdf, folders)
-        scene = Scene.of(robot, solids.solids, boxes)
-        chosen = choose_pairs(robot, scene, boxes, float(clearance))
+        places = {name: read_only(place) for name, place in (targets or {}).items()}
+        parts = [Part(s.link, Kind.LINK, s.link, s.T_link_shape, s.geometry) for s in solids.solids]
+        parts += [_holder(robot, name, at, holder_radius) for name, at in places.items()]
+        parts += [
+            Part(box.name, Kind.BOX, robot.base, box.T_base_box, hppfcl.Box(*box.size))
+            for box in boxes
+        ]
+        if floor:
+            parts += mounting_plane(robot, [part for part in parts if part.kind is Kind.LINK])
+        chosen = choose_pairs(robot, Scene.of(robot.urdf, parts), float(clearance))
         return cls(
             robot=robot,
             boxes=boxes,
+            targets=MappingProxyType(places),
+            holder_radius=float(holder_radius),
+            plane=parts[-1].owner if floor else None,
             clearance=float(clearance),
             pairs=chosen.pairs,
             ignored=chosen.ignored,
@@ -106,12 +146,7 @@ class CollisionModel:
             unchecked=solids.unchecked,
             from_visuals=solids.from_visuals,
             _scene=chosen.scene,
-            _package_dirs=folders,
         )
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """To another process and back: the meshes are read again there."""
-        return CollisionModel.of, (self.robot, self.boxes, self.clearance, self._package_dirs)
 
     def __repr__(self) -> str:
         """In one line."""
@@ -166,16 +201,8 @@ class CollisionModel:
         pin.updateGeometryPlacements(scene.model, data, scene.shapes, found, configuration)
         for k, pair in enumerate(scene.shapes.collisionPairs):
             if pin.computeCollision(scene.shapes, found, k):
-                return scene.owners[pair.first], scene.owners[pair.second]
+                return scene.owners((pair.first, pair.second))
         return None
-
-    def clearance_of(self, q: ArrayLike) -> float:
-        """The smallest distance between what is checked at joint values, shape (m,), [m]; 0 where they touch."""
-        scene, (configuration,) = self._scene, self._configurations(q)
-        data, found = scene.model.createData(), scene.shapes.createData()
-        pin.computeDistances(scene.model, data, scene.shapes, found, configuration)
-        distances = [result.min_distance for result in found.distanceResults]
-        return max(0.0, min(distances, default=math.inf))
 
     def path_free(
         self, q_from: ArrayLike, q_to: ArrayLike, step: float = math.radians(2.0)
@@ -224,7 +251,8 @@ class CollisionModel:
     ) -> Mask:
         """Whether a link or a box stands in the way of a rod with round ends, shape (N,).
 
-        Every link with geometry counts, those that never move among them.
+        Every link with geometry and every box counts, those that never move among them; targets and the mounting
+        plane, which are assumed and not known, do not.
 
         Args:
             q: shape (N, m) or (m,), [rad] or [m].
@@ -247,7 +275,7 @@ class CollisionModel:
             pin.updateGeometryPlacements(scene.model, data, shapes, found, configuration)
             rod.halfLength = halves[i]
             T_base_rod = pin.SE3(T_base_rods[i, :3, :3], T_base_rods[i, :3, 3])
-            found.oMg[len(scene.owners)] = data.oMi[base.parentJoint] * base.placement * T_base_rod
+            found.oMg[len(scene.parts)] = data.oMi[base.parentJoint] * base.placement * T_base_rod
             result[i] = pin.computeCollisions(shapes, found, True)
             if progress is not None and ((i + 1) % _CHUNK == 0 or i + 1 == count):
                 progress(i + 1, count)
@@ -256,6 +284,13 @@ class CollisionModel:
     def _configurations(self, q: ArrayLike) -> Array:
         """Pinocchio's configurations of the whole robot, shape (N, nq)."""
         return full_configurations(self._scene.model, self.robot.urdf_values(q))
+
+
+def _holder(robot: Robot, name: str, place: Array, radius: float) -> Part:
+    """A target and what holds it: a rod with round ends from the tip's origin to the target."""
+    T_tip_rod, half = _rods(np.zeros((1, 3)), place[None])
+    rod = hppfcl.Capsule(radius, 2.0 * float(half[0]))
+    return Part(f"{name} and its holder", Kind.TARGET, robot.tip, T_tip_rod[0], rod)
 
 
 def _rods(start: Array, end: Array) -> tuple[Array, Array]:

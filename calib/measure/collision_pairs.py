@@ -1,10 +1,11 @@
-"""Which links of a robot, and which boxes around it, have to be compared to find its collisions."""
+"""Which links of a robot, targets on its tip and boxes around it have to be compared to find its collisions."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,6 @@ from numpy.typing import NDArray
 from pinocchio import hppfcl
 
 from calib.errors import CalibError, choices
-from calib.measure.solid import Solid
-from calib.measure.surroundings import Box
 from calib.model.chain import full_configurations, full_model, link_frame
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot, rigid_inverse
@@ -28,6 +27,9 @@ SAMPLES = 256
 
 #: A pair that touches in this share of them touches by its construction.
 ALWAYS = 0.95
+
+#: A mesh whose thickness is less than this part of its length is flat.
+_FLAT = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,36 +45,73 @@ class Ignored:
         return f"'{self.first}' and '{self.second}': {self.reason}"
 
 
+class Kind(Enum):
+    """What a shape is part of; the convex hull of a link's mesh stands for it where a plane is concerned."""
+
+    LINK = "link"
+    HULL = "hull"
+    TARGET = "target"
+    BOX = "box"
+    PLANE = "plane"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """One shape.
+
+    Attributes:
+        owner: The name of its link, target or box.
+        kind: What it is part of.
+        link: The link that it is fixed to.
+        T_link_shape: shape (4, 4), its pose there [m].
+        geometry: The shape, of coal.
+    """
+
+    owner: str
+    kind: Kind
+    link: str
+    T_link_shape: Array
+    geometry: Any
+
+    @property
+    def around(self) -> bool:
+        """Whether it stands around the robot and is no part of it."""
+        return self.kind in (Kind.BOX, Kind.PLANE)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """The robot's links and the boxes as Pinocchio has them.
+    """The robot, its targets and what stands around as Pinocchio has them.
 
     Attributes:
         model: All joints of the URDF.
         shapes: The geometry on them, and the pairs of shapes that are checked.
-        owners: For each shape the name of its link or box.
+        parts: What each shape is: the links', the targets', the boxes', hulls and plane.
         margins: For each pair the least distance [m].
     """
 
     model: pin.Model
     shapes: pin.GeometryModel
-    owners: tuple[str, ...]
+    parts: tuple[Part, ...]
     margins: tuple[float, ...]
 
     @classmethod
-    def of(cls, robot: Robot, solids: Iterable[Solid], boxes: Sequence[Box]) -> Scene:
+    def of(cls, urdf: Urdf, parts: Sequence[Part]) -> Scene:
         """All shapes, without pairs."""
-        model, shapes = full_model(robot.urdf), pin.GeometryModel()
-        placed = [(s.link, s.link, s.T_link_shape, s.geometry) for s in solids]
-        placed += [(box.name, robot.base, box.T_base_box, hppfcl.Box(*box.size)) for box in boxes]
-        for k, (_, link, T, geometry) in enumerate(placed):
-            frame = link_frame(model, link)
+        model, shapes = full_model(urdf), pin.GeometryModel()
+        for k, part in enumerate(parts):
+            frame = link_frame(model, part.link)
             parent = model.frames[frame]
+            T = part.T_link_shape
             placement = parent.placement * pin.SE3(T[:3, :3], T[:3, 3])
             shapes.addGeometryObject(
-                pin.GeometryObject(str(k), parent.parentJoint, frame, placement, geometry)
+                pin.GeometryObject(str(k), parent.parentJoint, frame, placement, part.geometry)
             )
-        return cls(model, shapes, tuple(owner for owner, *_ in placed), ())
+        return cls(model, shapes, tuple(parts), ())
+
+    def owners(self, pair: tuple[int, int]) -> tuple[str, str]:
+        """The names of what two shapes are part of."""
+        return self.parts[pair[0]].owner, self.parts[pair[1]].owner
 
     def checking(self, pairs: Sequence[tuple[int, int]], margins: Sequence[float]) -> Scene:
         """The scene with these pairs of shapes, in this order, to check."""
@@ -80,16 +119,17 @@ class Scene:
         shapes.removeAllCollisionPairs()
         for first, second in pairs:
             shapes.addCollisionPair(pin.CollisionPair(first, second))
-        return Scene(self.model, shapes, self.owners, tuple(margins))
+        return Scene(self.model, shapes, self.parts, tuple(margins))
 
     def with_shape(self, geometry: Any) -> pin.GeometryModel:  # noqa: ANN401  coal has no types
-        """The shapes and one more behind them, checked against all of them and nothing else."""
+        """The shapes and one more behind them, checked against links and boxes and nothing else."""
         shapes = self.shapes.copy()
         shapes.removeAllCollisionPairs()
-        count = len(self.owners)
+        count = len(self.parts)
         shapes.addGeometryObject(pin.GeometryObject("beam", 0, 0, pin.SE3.Identity(), geometry))
-        for k in range(count):
-            shapes.addCollisionPair(pin.CollisionPair(k, count))
+        for k, part in enumerate(self.parts):
+            if part.kind in (Kind.LINK, Kind.BOX):
+                shapes.addCollisionPair(pin.CollisionPair(k, count))
         return shapes
 
     def scratch(self) -> tuple[pin.Data, pin.GeometryData]:
@@ -121,42 +161,39 @@ class Chosen:
     close: tuple[tuple[str, str], ...]
 
 
-def choose_pairs(robot: Robot, scene: Scene, boxes: Sequence[Box], clearance: float) -> Chosen:
+def choose_pairs(robot: Robot, scene: Scene, clearance: float) -> Chosen:
     """The pairs that can tell poses apart, those that touch most often first.
 
     Args:
         robot: The robot.
-        scene: Its links and the boxes, without pairs.
-        boxes: The same boxes.
+        scene: All shapes, without pairs.
         clearance: [m].
 
     Raises:
-        CalibError: A box holds the whole base, or touches moving links wherever the robot goes.
+        CalibError: A box or the mounting plane holds the whole base, or is touched wherever the robot goes.
     """
     values = robot.urdf_values(spread_poses(robot, SAMPLES))
     configurations = full_configurations(scene.model, values)
     moving = {name for name, value in values.items() if np.ptp(value) > 0.0}
     rigid = _clusters(robot.urdf, [j for j in robot.urdf.joints if j.name not in moving])
-    standing = {link for link in robot.urdf.links if rigid[link] == rigid[robot.base]}
-    for box in boxes:
-        _check_base(robot, scene, box, standing, configurations[0])
+    _check_base(robot, scene, rigid, configurations[0])
 
-    candidates, ignored = _candidates(robot.urdf, scene, boxes, rigid, standing)
-    ignored += _resting(scene, boxes, standing, configurations[:1])
+    candidates, ignored = _candidates(robot.urdf, scene, rigid)
+    ignored += _resting(scene, rigid, configurations[:1])
     flat = [shapes for pair in candidates.values() for shapes in pair]
     owner = np.repeat(np.arange(len(candidates)), [len(pair) for pair in candidates.values()])
     touched = _touched(scene, flat, configurations, 0.0)
     near = touched if clearance == 0.0 else _touched(scene, flat, configurations, clearance)
+    _check_touched(robot, scene, rigid, flat, touched, near)
 
-    box_names = {box.name for box in boxes}
     kept: list[tuple[int, int]] = []
     margins: list[float] = []
-    hits: list[Mask] = []
+    hits: list[int] = []
     close = []
     for k, pair in enumerate(candidates):
         own = np.flatnonzero(owner == k)
         always = touched[:, own].any(axis=1).mean() >= ALWAYS
-        if always and not box_names & set(pair):
+        if always and scene.parts[flat[own[0]][1]].kind is not Kind.BOX:
             count = np.count_nonzero(touched[:, own].any(axis=1))
             ignored.append(
                 Ignored(*pair, f"touching at {count} of {SAMPLES} poses over the joints' ranges")
@@ -167,16 +204,12 @@ def choose_pairs(robot: Robot, scene: Scene, boxes: Sequence[Box], clearance: fl
             close.append(pair)
         kept += [flat[i] for i in own]
         margins += [0.0 if too_close else clearance] * len(own)
-        hits += list((touched if too_close else near)[:, own].T)
+        hits += (touched if too_close else near)[:, own].sum(axis=0).tolist()
 
-    counted = [int(hit.sum()) for hit in hits]
-    order = sorted(range(len(kept)), key=lambda i: -counted[i])
-    for box in boxes:
-        _check_box(robot, scene, box, kept, hits)
-    names = [(scene.owners[kept[i][0]], scene.owners[kept[i][1]]) for i in order]
+    order = sorted(range(len(kept)), key=lambda i: -hits[i])
     return Chosen(
         scene=scene.checking([kept[i] for i in order], [margins[i] for i in order]),
-        pairs=tuple(dict.fromkeys(names)),
+        pairs=tuple(dict.fromkeys(scene.owners(kept[i]) for i in order)),
         ignored=tuple(ignored),
         close=tuple(close),
     )
@@ -195,11 +228,7 @@ def _clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
 
 
 def _candidates(
-    urdf: Urdf,
-    scene: Scene,
-    boxes: Sequence[Box],
-    rigid: Mapping[str, str],
-    standing: Collection[str],
+    urdf: Urdf, scene: Scene, rigid: Mapping[str, str]
 ) -> tuple[dict[tuple[str, str], list[tuple[int, int]]], list[Ignored]]:
     """The pairs of names that may touch, each with its pairs of shapes, and the links that a joint joins."""
     welded = _clusters(urdf, [joint for joint in urdf.joints if joint.type == "fixed"])
@@ -208,22 +237,26 @@ def _candidates(
         for joint in urdf.joints
         if joint.type != "fixed"
     }
-    box_names = {box.name for box in boxes}
     candidates: dict[tuple[str, str], list[tuple[int, int]]] = {}
     ignored: dict[tuple[str, str], Ignored] = {}
-    for i, j in itertools.combinations(range(len(scene.owners)), 2):
-        pair = first, second = scene.owners[i], scene.owners[j]
-        if second in box_names:  # boxes stand behind the links
-            apart = first not in box_names and first not in standing
-        elif rigid[first] == rigid[second]:
-            apart = False
+    for i, j in itertools.combinations(range(len(scene.parts)), 2):
+        first, second = scene.parts[i], scene.parts[j]
+        pair = scene.owners((i, j))
+        if rigid[first.link] == rigid[second.link] or not _comparable(first, second):
+            continue
+        links = first.kind is Kind.LINK and second.kind is Kind.LINK
+        if links and frozenset((welded[first.link], welded[second.link])) in joined:
+            ignored[pair] = Ignored(*pair, "a joint joins them")
         else:
-            apart = frozenset((welded[first], welded[second])) not in joined
-            if not apart:
-                ignored[pair] = Ignored(*pair, "a joint joins them")
-        if apart:
             candidates.setdefault(pair, []).append((i, j))
     return candidates, list(ignored.values())
+
+
+def _comparable(first: Part, second: Part) -> bool:
+    """Whether two shapes have to do with each other; one that stands around comes behind the other."""
+    if second.kind is Kind.PLANE:
+        return first.kind is not Kind.BOX and not isinstance(first.geometry, hppfcl.BVHModelBase)
+    return Kind.HULL not in (first.kind, second.kind) and not first.around
 
 
 def _touched(
@@ -239,28 +272,21 @@ def _touched(
     return result
 
 
-def _resting(
-    scene: Scene, boxes: Sequence[Box], standing: Collection[str], configurations: Array
-) -> list[Ignored]:
+def _resting(scene: Scene, rigid: Mapping[str, str], configurations: Array) -> list[Ignored]:
     """The boxes and links that touch, and of which none moves: a table and the base that stands on it."""
-    box_names = {box.name for box in boxes}
     pairs = [
         (i, j)
-        for i, j in itertools.combinations(range(len(scene.owners)), 2)
-        if scene.owners[j] in box_names and scene.owners[i] in standing
+        for i, j in itertools.combinations(range(len(scene.parts)), 2)
+        if scene.parts[j].kind is Kind.BOX
+        and _comparable(scene.parts[i], scene.parts[j])
+        and rigid[scene.parts[i].link] == rigid[scene.parts[j].link]
     ]
     (touched,) = _touched(scene, pairs, configurations, 0.0)
-    names = [
-        (scene.owners[i], scene.owners[j])
-        for (i, j), hit in zip(pairs, touched, strict=True)
-        if hit
-    ]
+    names = [scene.owners(pair) for pair, hit in zip(pairs, touched, strict=True) if hit]
     return [Ignored(*pair, "touching, and neither moves") for pair in dict.fromkeys(names)]
 
 
-def _check_base(
-    robot: Robot, scene: Scene, box: Box, standing: Collection[str], configuration: Array
-) -> None:
+def _check_base(robot: Robot, scene: Scene, rigid: Mapping[str, str], configuration: Array) -> None:
     """Refuse a box that holds all of the robot that does not move.
 
     Raises:
@@ -268,49 +294,123 @@ def _check_base(
     """
     data, found = scene.model.createData(), scene.shapes.createData()
     pin.updateGeometryPlacements(scene.model, data, scene.shapes, found, configuration)
-    own = scene.owners.index(box.name)
-    T_box_root = rigid_inverse(found.oMg[own].homogeneous)
-    inside = []
-    for k, owner in enumerate(scene.owners):
-        if owner in standing:
-            bounds = scene.shapes.geometryObjects[k].geometry
-            bounds.computeLocalAABB()
-            low, high = np.ravel(bounds.aabb_local.min_), np.ravel(bounds.aabb_local.max_)
-            corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
-            T = T_box_root @ found.oMg[k].homogeneous
-            inside.append(bool((np.abs(corners @ T[:3, :3].T + T[:3, 3]) <= 0.5 * box.size).all()))
-    if inside and all(inside):
-        links = choices(dict.fromkeys(owner for owner in scene.owners if owner in standing))
-        message = f"The box '{box.name}' swallows the robot: all of its base ({links}) is inside. {_where(robot, box)}"
-        raise CalibError(message)
+    standing = [
+        k
+        for k, part in enumerate(scene.parts)
+        if part.kind is Kind.LINK and rigid[part.link] == rigid[robot.base]
+    ]
+    for own, part in enumerate(scene.parts):
+        if part.kind is not Kind.BOX or not standing:
+            continue
+        T_box_root = rigid_inverse(found.oMg[own].homogeneous)
+        half = part.geometry.halfSide
+        corners = [
+            T_box_root @ found.oMg[k].homogeneous @ _corners(scene.parts[k].geometry)
+            for k in standing
+        ]
+        if all((np.abs(c[:3]) <= half[:, None]).all() for c in corners):
+            links = choices(dict.fromkeys(scene.parts[k].owner for k in standing))
+            message = (
+                f"The box '{part.owner}' swallows the robot: all of its base ({links}) is inside. "
+                f"{_where(robot, part)}"
+            )
+            raise CalibError(message)
 
 
-def _check_box(
+def _check_touched(
     robot: Robot,
     scene: Scene,
-    box: Box,
+    rigid: Mapping[str, str],
     pairs: Sequence[tuple[int, int]],
-    hits: Sequence[Mask],
+    touched: Mask,
+    near: Mask,
 ) -> None:
-    """Refuse a box that moving links touch wherever the robot goes.
+    """Refuse a box that the robot touches wherever it goes, and a plane that its tip never leaves.
 
     Raises:
-        CalibError: They do.
+        CalibError: It does.
     """
-    own = [k for k, (_, j) in enumerate(pairs) if scene.owners[j] == box.name]
-    if own and np.any([hits[k] for k in own], axis=0).all():
-        most = max(own, key=lambda k: int(hits[k].sum()))
-        message = (
-            f"The box '{box.name}' swallows the robot: it touches moving links at all of {SAMPLES} poses over the "
-            f"joints' ranges, '{scene.owners[pairs[most][0]]}' most often. {_where(robot, box)}"
-        )
-        raise CalibError(message)
+    for j, part in enumerate(scene.parts):
+        own = [k for k, pair in enumerate(pairs) if pair[1] == j]
+        if part.kind is Kind.BOX and own and near[:, own].any(axis=1).all():
+            most = max(own, key=lambda k: int(near[:, k].sum()))
+            message = (
+                f"The box '{part.owner}' swallows the robot: it touches moving links at all of {SAMPLES} poses over "
+                f"the joints' ranges, '{scene.parts[pairs[most][0]].owner}' most often. {_where(robot, part)}"
+            )
+            raise CalibError(message)
+        held = [k for k in own if rigid[scene.parts[pairs[k][0]].link] == rigid[robot.tip]]
+        if part.kind is Kind.PLANE and held and touched[:, held].any(axis=1).mean() >= ALWAYS:
+            message = (
+                f"What the tip '{robot.tip}' carries is below {part.owner} wherever the robot goes: the robot is not "
+                "mounted there. Leave the plane out (--no-floor), and name what stands around as boxes."
+            )
+            raise CalibError(message)
 
 
-def _where(robot: Robot, box: Box) -> str:
+def _corners(geometry: Any) -> Array:  # noqa: ANN401  coal has no types
+    """The corners of the box about a shape, homogeneous, shape (4, 8), [m]."""
+    geometry.computeLocalAABB()
+    ends = zip(np.ravel(geometry.aabb_local.min_), np.ravel(geometry.aabb_local.max_), strict=True)
+    return np.array([(*corner, 1.0) for corner in itertools.product(*ends)]).T
+
+
+def mounting_plane(robot: Robot, links: Sequence[Part]) -> list[Part]:
+    """What the robot stands on: all below z = 0 of its base, or below the lowest link that stands with the base.
+
+    Where joints of the chain move the base, it is the plane of the URDF's root. Before the plane come the hulls of the
+    links' meshes: a half-space touches a mesh where it touches its convex hull, and a hull has few corners.
+
+    Args:
+        robot: The robot.
+        links: The shapes of its links.
+    """
+    base = robot.urdf.root if robot.base_moves else robot.base
+    values = robot.urdf_values(spread_poses(robot, 2))
+    moving = [name for name, value in values.items() if np.ptp(value) > 0.0]
+    rigid = _clusters(robot.urdf, [j for j in robot.urdf.joints if j.name not in moving])
+    hulls = [_hull(part) for part in links if isinstance(part.geometry, hppfcl.BVHModelBase)]
+    solid = [part for part in links if not isinstance(part.geometry, hppfcl.BVHModelBase)]
+    standing = [part for part in [*hulls, *solid] if rigid[part.link] == rigid[base]]
+    scene = Scene.of(robot.urdf, standing)
+    data, found = scene.model.createData(), scene.shapes.createData()
+    configuration = full_configurations(scene.model, values)[0]
+    pin.updateGeometryPlacements(scene.model, data, scene.shapes, found, configuration)
+    frame = scene.model.frames[link_frame(scene.model, base)]
+    T_base_root = (data.oMi[frame.parentJoint] * frame.placement).inverse()
+    plane = hppfcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+    height = 0.0
+    for part, T_root_shape in zip(standing, found.oMg, strict=True):
+        T = T_base_root * T_root_shape
+        asked, answer = hppfcl.DistanceRequest(), hppfcl.DistanceResult()
+        placed = hppfcl.Transform3s(T.rotation, T.translation)
+        low = hppfcl.distance(part.geometry, placed, plane, hppfcl.Transform3s(), asked, answer)
+        height = min(height, float(low))
+    T_base_plane = np.eye(4)
+    T_base_plane[2, 3] = height
+    name = f"the mounting plane (z = {1e3 * height + 0.0:.4g} mm of '{base}')"
+    return [*hulls, Part(name, Kind.PLANE, base, T_base_plane, plane)]
+
+
+def _hull(part: Part) -> Part:
+    """The convex hull of a mesh; of one that is flat the box about it, for it has no hull."""
+    mesh = part.geometry
+    points = mesh.vertices()
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if len(points) > 3 and spread[2] > _FLAT * spread[0]:
+        mesh.buildConvexHull(True, "Qt")
+        return replace(part, kind=Kind.HULL, geometry=mesh.convex)
+    low, high = points.min(axis=0), points.max(axis=0)
+    T = np.eye(4)
+    T[:3, 3] = 0.5 * (low + high)
+    box = hppfcl.Box(*np.maximum(high - low, 1e-6))
+    return Part(part.owner, Kind.HULL, part.link, part.T_link_shape @ T, box)
+
+
+def _where(robot: Robot, part: Part) -> str:
     """Where a box stands and how large it is, and what to do."""
-    size, centre = (" x ".join(f"{1e3 * v:g}" for v in box.size), 1e3 * box.T_base_box[:3, 3])
-    x, y, z = (f"{v:g}" for v in centre)
+    size = " x ".join(f"{2e3 * v:g}" for v in part.geometry.halfSide)
+    x, y, z = (f"{1e3 * v:g}" for v in part.T_link_shape[:3, 3])
     return (
         f"It measures {size} mm about the point ({x}, {y}, {z}) mm of the base '{robot.base}'; move it, make it "
         "smaller, or leave it out."
