@@ -19,14 +19,12 @@ if TYPE_CHECKING:
     from calib.compensate.commands import Commands, commands
     from calib.compensate.program import Program
     from calib.errors import CalibError
+    from calib.fleet.fleet import Fleet, fleet
+    from calib.fleet.robots import FleetOptions, FleetRobot
     from calib.identify.acceptance import Acceptance, acceptance
-    from calib.identify.dask_executor import dask_executor
     from calib.identify.evaluation import Evaluation, evaluate
-    from calib.identify.fleet import Fleet, fleet
-    from calib.identify.fleet_robot import FleetOptions, FleetRobot
     from calib.identify.foresight import forecast
     from calib.identify.plan import Plan, plan
-    from calib.identify.processes import process_executor
     from calib.identify.study import Study, Trials, study
     from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
     from calib.measure.axes import Survey, survey
@@ -78,12 +76,10 @@ __all__ = [
     "calibrate",
     "commands",
     "compare",
-    "dask_executor",
     "evaluate",
     "fleet",
     "forecast",
     "plan",
-    "process_executor",
     "profile_interval",
     "read_sweeps",
     "sample_workspace",
@@ -103,9 +99,9 @@ _MODULES = {
     "Comparison": "calib.calibration",
     "Density": "calib.measure.workspace",
     "Evaluation": "calib.identify.evaluation",
-    "Fleet": "calib.identify.fleet",
-    "FleetOptions": "calib.identify.fleet_robot",
-    "FleetRobot": "calib.identify.fleet_robot",
+    "Fleet": "calib.fleet.fleet",
+    "FleetOptions": "calib.fleet.robots",
+    "FleetRobot": "calib.fleet.robots",
     "GroupDistance": "calib.measure.cell",
     "Measurements": "calib.measure.measurements",
     "Payload": "calib.model.torques",
@@ -127,12 +123,10 @@ _MODULES = {
     "calibrate": "calib.calibration",
     "commands": "calib.compensate.commands",
     "compare": "calib.calibration",
-    "dask_executor": "calib.identify.dask_executor",
     "evaluate": "calib.identify.evaluation",
-    "fleet": "calib.identify.fleet",
+    "fleet": "calib.fleet.fleet",
     "forecast": "calib.identify.foresight",
     "plan": "calib.identify.plan",
-    "process_executor": "calib.identify.processes",
     "profile_interval": "calib.identify.uncertainty",
     "read_sweeps": "calib.measure.sweeps",
     "sample_workspace": "calib.measure.workspace",

@@ -26,6 +26,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from calib.identify.processes import process_executor
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
@@ -33,7 +34,6 @@ from calib.calibration import calibrate
 from calib.identify.fitting import Task, fit
 from calib.identify.passes import Passes
 from calib.identify.plan import plan
-from calib.identify.processes import process_executor
 from calib.identify.rows import Rows
 from calib.identify.study import Trials, study
 from calib.identify.table_rows import rows_of

@@ -26,6 +26,7 @@ ORDER = (
     "compensate",
     "formats",
     "show",
+    "fleet",
     "cli",
 )
 

@@ -106,8 +106,8 @@ def fleet(
         from calib.cli.fleet_manifest import Said, check_out, read_manifest
         from calib.cli.fleet_text import print_fleet
         from calib.cli.progress import progress_bar
-        from calib.identify.fleet import FleetOptions
-        from calib.identify.fleet import fleet as calibrate_fleet
+        from calib.fleet.fleet import fleet as calibrate_fleet
+        from calib.fleet.robots import FleetOptions
 
         said = Said(
             cell=cell,
@@ -136,10 +136,9 @@ def fleet(
             target_link=target_link,
             command=_command(),
         )
-        preloaded = ("calib.identify.fleet", *(("calib.show.report",) if reports else ()))
         try:
             with (
-                executor_of(workers, dask, len(robots), preloaded=preloaded) as executor,
+                executor_of(workers, dask, len(robots)) as executor,
                 progress_bar("robots", quiet=quiet) as progress,
             ):
                 found = calibrate_fleet(

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING
 from calib.cli.options import Kind, PriorSizes, Repeats
 from calib.cli.setup import read_cell
 from calib.cli.words import parse_columns
-from calib.errors import CalibError, FileError, MeasurementError, choices, did_you_mean
+from calib.errors import CalibError, FileError, choices, did_you_mean
 
 if TYPE_CHECKING:
-    from calib.identify.fleet_robot import FleetInputs, FleetRobot
+    from calib.fleet.robots import FleetInputs, FleetRobot
     from calib.measure.cell import Cell
-    from calib.measure.table import Table
     from calib.model.urdf import Urdf
 
 NEEDED = ("name", "robot", "data")
@@ -109,7 +108,7 @@ class _Entry:
         Raises:
             CalibError: Something cannot be read, or does not fit.
         """
-        from calib.identify.fleet_robot import FleetRobot
+        from calib.fleet.robots import FleetRobot
 
         try:
             robot = FleetRobot.of_files(
@@ -222,11 +221,12 @@ def read_manifest(path: Path, said: Said) -> tuple[FleetRobot, ...]:
         CalibError: It cannot be read, a column is missing, unknown or there twice, a row has no name, robot or data, or
             names are those of no folder or of two robots; or what the command line says can be said of no robot.
     """
-    from calib.identify.fleet_folder import check_names
-    from calib.identify.fleet_robot import FleetRobot
+    from calib.fleet.fleet import check_names
+    from calib.fleet.robots import FleetRobot
+    from calib.measure.table import Table
 
     setup = said.check()
-    table = _table(path)
+    table = Table.read(path)
     header = [label.strip().lower() for label in table.header]
     _check_header(header, path)
     entries = []
@@ -261,31 +261,13 @@ def read_manifest(path: Path, said: Said) -> tuple[FleetRobot, ...]:
     return tuple(FleetRobot(entry.cells["name"], entry.load) for entry in entries)
 
 
-def _table(path: Path) -> Table:
-    """The manifest as text.
-
-    Raises:
-        MeasurementError: It cannot be read, or has no header.
-    """
-    from calib.measure.table import Table as TableClass
-
-    try:
-        return TableClass.read(path)
-    except MeasurementError as error:
-        reason, sign, _ = str(error).partition(" A table begins with a header")
-        if not sign:
-            raise
-        message = f"{reason} A manifest begins with the header '{','.join(NEEDED)}', a line for each robot below it."
-        raise MeasurementError(message) from error
-
-
 def _check_known(where: str, what: str, name: str | None, entries: Iterable[_Entry]) -> None:
     """Refuse a link or joint that none of the robots has that are to have it.
 
     Raises:
         CalibError: None has it. Where one does, the others fail alone: a fleet may have robots of several kinds.
     """
-    from calib.identify.fleet_robot import urdf_reader
+    from calib.fleet.robots import urdf_reader
 
     if name is None:
         return
@@ -314,7 +296,7 @@ def check_out(path: Path, out: Path) -> None:
     Raises:
         FileError: It would.
     """
-    from calib.identify.fleet_tables import CSV
+    from calib.fleet.tables import CSV
 
     if path.resolve() == (out / CSV).resolve():
         message = f"{path} is the manifest, and the table of results would have its name; choose another --out."

@@ -48,15 +48,16 @@ def print_study(
     Raises:
         CalibError: Options that do not go together, an unknown model, or no trial that came to an end.
     """
+    from calib.cli.progress import progress_bar
     from calib.cli.words import AUTO, check_model
+    from calib.identify.study import study
 
     check_model(fit_model or AUTO, "--fit-model")
     trials = trials_of(prepared, fit_model or AUTO, planned=planned)
-    kept = None if json is None else json.with_name(f"{json.name}.unfinished")
-    found = run(trials, count, prepared.seed, executor, kept, force=force, quiet=quiet)
-    if json is not None and kept is not None:
+    with progress_bar("trials", quiet=quiet) as progress:
+        found = study(trials, count, prepared.seed, executor, progress)
+    if json is not None:
         write_study(study_table(found, trials, prepared.seed), json, overwrite=force)
-        kept.unlink()
     if not quiet:
         typer.echo(study_text(found, trials))
         if json is not None:
@@ -92,33 +93,6 @@ def trials_of(prepared: Prepared, fit_model: str, *, planned: bool) -> Trials:
         validation=prepared.validation,
         planned=planned,
     )
-
-
-def run(
-    trials: Trials,
-    count: int,
-    seed: int,
-    executor: Executor | None,
-    kept: Path | None,
-    *,
-    force: bool,
-    quiet: bool,
-) -> Study:
-    """Do the trials, those aside that an earlier run of the same command has done."""
-    from calib.cli.progress import progress_bar
-    from calib.identify.study import study
-
-    try:
-        with progress_bar("trials", quiet=quiet) as progress:
-            found = study(trials, count, seed, executor, progress, kept, overwrite=force)
-    except KeyboardInterrupt as error:
-        if kept is None:
-            raise
-        message = f"Finished trials are kept in {kept}: the same command goes on with them."
-        raise KeyboardInterrupt(message) from error
-    if found.kept and kept is not None and not quiet:
-        typer.echo(f"calib: {found.kept} of {count} trials were taken from {kept}.", err=True)
-    return found
 
 
 def study_text(found: Study, trials: Trials) -> str:

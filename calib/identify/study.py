@@ -8,20 +8,16 @@ there is known, because the truth is. Trials are independent and can run in any 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, ModelError
-from calib.identify.executors import Lost, batch_size, one_thread, run, versions
-from calib.identify.fingerprint import fingerprint
 from calib.identify.foresight import Outlook
-from calib.identify.journal import journal
+from calib.identify.jobs import batch_size, run
 from calib.identify.trial import (
     VERIFIED,
     Trial,
@@ -54,13 +50,11 @@ class Study:
         failures: Seed and reason of those that ended with an error.
         forecast: What was to be expected: of the first trial's poses, or where poses are random of those in the middle
             of several trials'; None where the robots' errors or what is fitted have no forecast.
-        kept: How many of all were taken from an earlier run.
     """
 
     trials: tuple[Trial, ...]
     failures: tuple[tuple[int, str], ...]
     forecast: Forecast | None
-    kept: int = 0
 
     def values(self, name: str) -> Array:
         """One figure of all trials, shape (trials,)."""
@@ -99,9 +93,6 @@ def study(
     seed: int = 0,
     executor: Executor | None = None,
     progress: Progress | None = None,
-    kept: str | Path | None = None,
-    *,
-    overwrite: bool = False,
 ) -> Study:
     """Do the trials.
 
@@ -109,16 +100,13 @@ def study(
         trials: What is done each time.
         count: How many; 2 or more, for a spread.
         seed: Trial i has the seed ``seed + i``: the same seed makes the same study, in any executor.
-        executor: Where to run them; None: here, one after the other. Such as
-            `calib.identify.processes.process_executor` or `calib.identify.dask_executor.dask_executor`.
+        executor: Where to run them; None: here, one after the other. Any of `concurrent.futures`, or Dask's
+            ``Client.get_executor()``.
         progress: Called after each trial.
-        kept: A file that finished trials are kept in while the study runs, so that the same call goes on after a kill,
-            with any ``count``; delete it when the study is over. None: nothing is kept.
-        overwrite: Whether ``kept`` may replace the file of another study.
 
     Raises:
-        CalibError: Fewer than two trials, a seed below 0, or all of them failed: with the first one's reason.
-        FileError: ``kept`` is another study's, in use, or cannot be written.
+        CalibError: Fewer than two trials, a seed below 0, all of them failed (with the first one's reason), or a worker
+            was killed.
     """
     if count < 2 or seed < 0:
         message = (
@@ -126,37 +114,20 @@ def study(
             "two digits, and a seed of 0 or more."
         )
         raise CalibError(message)
-    seeds = range(seed, seed + count)
     done: dict[int, Trial | str] = {}
-    told = study_fingerprint(trials, seed)
-    with journal(kept, told, overwrite=overwrite) as (records, append):
-        done.update(_read(record) for record in records)
-        done = {one: done[one] for one in seeds if one in done}
-        taken = len(done)
-        if progress is not None and done:
+    seeds = range(seed, seed + count)
+    for number, result in run(_guarded, trials, seeds, executor, batch=batch_size(count)):
+        done[seeds[number]] = result
+        if progress is not None:
             progress(len(done), count)
-        for one, result in _results(trials, [s for s in seeds if s not in done], executor):
-            done[one] = result
-            append(_record(one, result))
-            if progress is not None:
-                progress(len(done), count)
     found = tuple(t for s in seeds if isinstance(t := done[s], Trial))
     failures = tuple((s, t) for s in seeds if isinstance(t := done[s], str))
     if not found:
-        if kept is not None:  # to go on with that makes no sense
-            Path(kept).unlink(missing_ok=True)
         message = (
             f"None of the {count} trials came to an end. The first one's reason: {failures[0][1]}"
         )
         raise CalibError(message)
-    with one_thread():
-        expected = _forecast(trials, seed, count)
-    return Study(found, failures, expected, taken)
-
-
-def study_fingerprint(trials: Trials, seed: int) -> str:
-    """What two studies must have in common for the trials of one to be those of the other."""
-    return fingerprint(trials, seed, versions())
+    return Study(found, failures, _forecast(trials, seed, count))
 
 
 def _forecast(trials: Trials, seed: int, count: int) -> Forecast | None:
@@ -205,28 +176,9 @@ def _tracker_place(scenario: Scenario) -> Array:
     return DEFAULT_TRACKER
 
 
-def _results(
-    trials: Trials, seeds: list[int], executor: Executor | None
-) -> Iterator[tuple[int, Trial | str]]:
-    """Each seed's trial, or why it failed, as they come to an end."""
-    size = batch_size(len(seeds), executor)
-    for number, result in run(_guarded, trials, seeds, executor, batch=size):
-        yield seeds[number], result.reason if isinstance(result, Lost) else result
-
-
 def _guarded(trials: Trials, seed: int) -> Trial | str:
     """A trial, or the reason why there is none."""
     try:
         return one_trial(trials, seed)
     except CalibError as error:
         return str(error)
-
-
-def _record(seed: int, result: Trial | str) -> dict[str, Any]:
-    """A trial, or the reason why there is none, for the journal."""
-    return {"seed": seed, "failed": result} if isinstance(result, str) else asdict(result)
-
-
-def _read(record: dict[str, Any]) -> tuple[int, Trial | str]:
-    """The seed of a record, and what it came to."""
-    return record["seed"], record["failed"] if "failed" in record else Trial(**record)

@@ -39,9 +39,9 @@ from numpy.typing import NDArray
 
 from calib.errors import CalibError, ModelError, choices
 from calib.identify.bootstrap_sample import fit_sample
-from calib.identify.executors import Lost, batch_size, run
 from calib.identify.findings import ParameterEstimate
 from calib.identify.fitting import Fitted
+from calib.identify.jobs import batch_size, run
 from calib.identify.resampling import Profile, bootstrap_indices, profile
 from calib.identify.result import Calibration
 from calib.identify.robustness import Robustness, compare
@@ -175,11 +175,8 @@ def bootstrap(
     rng = np.random.default_rng([seed, 1])
     noise = rng.normal(size=(count, len(start) + len(problem.distances)))
     x, stopped = np.empty((count, len(start))), 0
-    items, size = zip(drawn, noise, strict=True), batch_size(count, executor)
+    items, size = zip(drawn, noise, strict=True), batch_size(count)
     for done, (k, found) in enumerate(run(fit_sample, fitted, items, executor, batch=size), 1):
-        if isinstance(found, Lost):
-            message = f"Sample {k + 1} of the bootstrap has no result. {found.reason}"
-            raise CalibError(message)
         x[k], stopped = found[0], stopped + (not found[1])
         if progress is not None:
             progress(done, count)

@@ -5,9 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -63,6 +60,7 @@ def test_a_study_says_what_calibrations_reach(simulate, shop: Path):
     assert said == {*kept, *kept["poses"], *kept["trials"][0], "reason"}
 
 
+@pytest.mark.slow
 def test_the_same_seed_in_any_number_of_processes(simulate):
     words = ("--study", "3", "--count", "15", "--fit-model", "dh", "--seed", "5")
     one, two = simulate(*words, "--workers", "1"), simulate(*words, "--workers", "2")
@@ -71,6 +69,7 @@ def test_the_same_seed_in_any_number_of_processes(simulate):
     assert "Fitted: dh 100 %" in one.out
 
 
+@pytest.mark.slow
 def test_planned_poses_and_those_of_a_file(simulate):
     done = simulate(
         "--study", "2", "--count", "15", "--planned", "--fit-model", "zeros", "--workers", "1"
@@ -135,107 +134,3 @@ def test_what_does_not_go_together_is_refused(simulate, shop: Path, words, said)
 
 def test_a_study_of_one_is_a_wrong_call(simulate):
     assert simulate("--study", "1").code == 2
-
-
-@pytest.mark.skipif(not Path("/proc").is_dir(), reason="asks /proc which processes there are")
-def test_a_study_that_is_killed_leaves_no_workers_behind(shop: Path):
-    words = ("simulate", "robot.urdf", *ARM, "--study", "100", "--workers", "3")
-    program = "import sys; from calib.cli import main; sys.exit(main())"
-    run = subprocess.Popen(
-        [sys.executable, "-c", program, *words], cwd=shop, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )  # fmt: skip
-    try:
-        # The workers, the server that they are forked from, and the tracker of what they share.
-        workers = until(lambda: len(found := descendants(run.pid)) >= 5 and found)
-    finally:
-        run.kill()
-        run.wait()
-    until(lambda: not any(map(is_alive, workers)))
-
-
-def children(parent: int) -> list[int]:
-    """The processes that a process has started."""
-    listed = Path(f"/proc/{parent}/task").glob("*/children")
-    return [int(word) for path in listed for word in path.read_text().split()]
-
-
-def descendants(parent: int) -> list[int]:
-    """The processes that a process has started, those that these have started, and so on."""
-    found = children(parent)
-    return [*found, *(inner for child in found for inner in descendants(child))]
-
-
-def is_alive(process: int) -> bool:
-    """Whether a process runs; what has ended and is not yet buried does not."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-def until(asked, seconds: float = 30.0):
-    """Wait until what is asked is true, and give it back."""
-    end = time.monotonic() + seconds
-    while not (answer := asked()):
-        assert time.monotonic() < end, "it did not come about"
-        time.sleep(0.05)
-    return answer
-
-
-def test_a_study_that_is_killed_goes_on(shop: Path, simulate):
-    words = ("--study", "8", "--count", "12", "--fit-model", "zeros", "--seed", "2")
-    whole = simulate(*words, "--workers", "1", "--json", "whole.json")
-    assert (whole.code, sorted(shop.glob("whole*"))) == (0, [shop / "whole.json"])
-    kept = shop / "study.json.unfinished"
-    # The same program, but for a power cut in the fifth trial.
-    cut = (
-        "import os, sys, calib.identify.study as s; one = s.one_trial\n"
-        "s.one_trial = lambda t, seed: one(t, seed) if seed < 6 else os.kill(os.getpid(), 9)\n"
-        "from calib.cli import main; sys.exit(main())"
-    )
-    call = ["simulate", "robot.urdf", *ARM, *words, "--workers", "1", "--json", "study.json"]
-    run = subprocess.run([sys.executable, "-c", cut, *call], cwd=shop, check=False)
-    assert run.returncode == -9
-    assert len(kept.read_bytes().splitlines()) == 1 + 4  # its head, and seeds 2 to 5
-    other = simulate(*words[:-1], "3", "--workers", "1", "--json", "study.json")
-    assert (other.code, other.err.count("\n")) == (1, 1)
-    assert "study.json.unfinished holds 4 finished parts of another command" in other.err
-    done = simulate(*words, "--workers", "2", "--json", "study.json")
-    assert (done.code, done.err) == (
-        0,
-        "calib: 4 of 8 trials were taken from study.json.unfinished.\n",
-    )
-    assert not kept.exists()
-    assert (shop / "study.json").read_bytes() == (shop / "whole.json").read_bytes()
-    assert simulate(*words, "--dask", "tcp://127.0.0.1").err.startswith(
-        "calib: 'tcp://127.0.0.1' is no ad"
-    )
-
-
-@pytest.mark.parametrize("json", [("--json", "study.json"), ()])
-def test_ctrl_c_says_what_is_kept(shop: Path, json):
-    """Interrupted in the third trial."""
-    stop = (
-        "import os, signal, sys, calib.identify.study as s; one = s.one_trial\n"
-        "s.one_trial = lambda t, seed: one(t, seed) if seed < 4 else os.kill(os.getpid(), signal.SIGINT)\n"
-        "from calib.cli import main; sys.exit(main())"
-    )
-    words = (
-        "--study",
-        "8",
-        "--count",
-        "12",
-        "--fit-model",
-        "zeros",
-        "--seed",
-        "2",
-        "--workers",
-        "1",
-    )
-    call = ["simulate", "robot.urdf", *ARM, *words, *json]
-    run = subprocess.run(
-        [sys.executable, "-c", stop, *call], cwd=shop, capture_output=True, encoding="utf-8", timeout=60
-    )  # fmt: skip
-    said = "calib: interrupted; no file was left half written."
-    more = " Finished trials are kept in study.json.unfinished: the same command goes on with them."
-    assert (run.returncode, run.stderr) == (130, said + more * bool(json) + "\n")

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calib.identify.executors import WorkerDied
+from calib.identify.processes import ProcessExecutor
 
 from calib.errors import CalibError, FileError, ModelError, SolverError
 from calib.identify.calibration import calibrate
 from calib.identify.comparison import compare
-from calib.identify.executors import WorkerDied
 from calib.identify.foresight import forecast
-from calib.identify.processes import ProcessExecutor
 from calib.identify.result_file import read_result
 from calib.identify.solvers import levenberg_marquardt, paper_levenberg_marquardt
 from calib.identify.uncertainty import bootstrap

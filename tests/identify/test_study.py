@@ -2,17 +2,16 @@
 
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
 
-from calib.errors import CalibError, FileError
+from calib.errors import CalibError
 from calib.identify.calibration import calibrate
 from calib.identify.study import (
     VERIFIED,
     Trials,
-    _read,
-    _record,
     one_trial,
     study,
     verification_poses,
@@ -22,7 +21,6 @@ from calib.measure.disturbances import Outliers
 from calib.measure.noise import TrackerNoise
 from calib.measure.scenario import Scenario
 from calib.model.robot import Robot
-from tests.identify.test_executors import Lossy
 
 TARGET = np.array([-0.06997, 0.07020, 0.02252])
 
@@ -73,6 +71,7 @@ def test_a_trial_is_what_a_person_would_do(ur3):
     assert (trial.model, trial.verdict, trial.seed) == ("hayati", "", 11)
 
 
+@pytest.mark.slow
 def test_planned_poses_beat_random_ones(ur3):
     random = study(trials(ur3, count=20), 8)
     planned = study(trials(ur3, count=20, planned=True), 8)
@@ -89,10 +88,11 @@ def test_without_noise_the_truth_is_found(ur3):
     assert found.forecast is None
 
 
+@pytest.mark.slow
 def test_the_same_seed_makes_the_same_study_in_any_executor(ur3):
     what = trials(ur3, count=15)
     here = study(what, 4, seed=3)
-    with ProcessPoolExecutor(2) as executor:
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
         there = study(what, 4, seed=3, executor=executor)
     assert [t.seed for t in here.trials] == [3, 4, 5, 6]
     assert here.trials == there.trials
@@ -129,6 +129,7 @@ def test_distances_are_verified_by_their_shape(ur3):
     assert found.rms < 0.05 * found.nominal_rms
 
 
+@pytest.mark.slow
 def test_of_distances_the_fits_say_and_the_forecast_says_what_is_reached(ur3):
     T_anchor_base = np.eye(4)
     T_anchor_base[:3, 3] = (1.5, 0.3, 0.2)
@@ -155,6 +156,7 @@ def test_the_forecast_of_a_study_knows_its_noise_of_orientations(ur3):
     assert one.rms == two.rms
 
 
+@pytest.mark.slow
 def test_several_targets_of_a_stop_share_the_robots_repeatability(ur3):
     targets = {
         "a": TARGET,
@@ -173,6 +175,7 @@ def test_several_targets_of_a_stop_share_the_robots_repeatability(ur3):
     assert 0.92 < found.values("covered").mean() < 0.985
 
 
+@pytest.mark.slow
 def test_where_poses_are_random_the_forecast_is_of_those_in_the_middle(ur3):
     what = trials(ur3, count=12)
     found = study(what, 3).forecast
@@ -207,49 +210,3 @@ def test_where_every_trial_fails_the_first_reason_is_told(ur3):
     what = replace(trials(ur3), cell=cell)
     with pytest.raises(CalibError, match=r"None of the 2 trials came to an end.*'d17'"):
         study(what, 2)
-
-
-def test_a_study_goes_on_where_it_was_killed(ur3, tmp_path):
-    what, kept = trials(ur3, count=15), tmp_path / "kept"
-    whole = study(what, 5, seed=3)
-
-    def killed(done, _):
-        if done == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        study(what, 5, seed=3, progress=killed, kept=kept)
-    kept.write_bytes(kept.read_bytes()[:-10])  # in the middle of the third
-    told = []
-    found = study(what, 5, seed=3, kept=kept, progress=lambda done, _: told.append(done))
-    assert told == [2, 3, 4, 5]
-    assert found.trials == whole.trials
-    # More of them are those of fewer, and others; fewer are the first of them.
-    told.clear()
-    assert (
-        study(what, 6, 3, kept=kept, progress=lambda done, _: told.append(done)).trials[:5]
-        == whole.trials
-    )
-    assert told == [5, 6]
-    assert study(what, 2, seed=3, kept=kept).trials == whole.trials[:2]
-
-    for other, seed in ((what, 4), (replace(what, count=16), 3), (replace(what, validate=True), 3)):
-        with pytest.raises(FileError, match="holds 6 finished parts of another command"):
-            study(other, 2, seed=seed, kept=kept)
-    again = study(what, 2, seed=4, kept=kept, overwrite=True)
-    assert again.trials[0] == whole.trials[1]
-
-
-def test_failed_trials_are_kept_too_and_where_all_fail_nothing_is(ur3, tmp_path):
-    kept = tmp_path / "kept"
-    assert _read(_record(3, "why")) == (3, "why")
-    cell = Cell(target=TARGET, model="hayati", frozen=("d17",))
-    with pytest.raises(CalibError, match="None of the 2 trials"):
-        study(replace(trials(ur3), cell=cell), 2, kept=kept)
-    assert not kept.exists()
-
-
-def test_a_trial_whose_process_ends_is_a_failure(ur3):
-    said = r"None of the 2 trials .* The first one's reason: why"
-    with Lossy(1) as lossy, pytest.raises(CalibError, match=said):
-        study(trials(ur3), 2, executor=lossy)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from calib.errors import FileError
-from calib.identify.fleet_odd import Odd
-from calib.identify.fleet_rows import FleetRow
+from calib.fleet.outliers import Odd
+from calib.fleet.record import FleetRow
 from calib.model.files import write_atomically
 from calib.model.json_file import json_bytes, plain
 
@@ -65,27 +63,6 @@ def fleet_table(
         }
     )
     return found
-
-
-def check_tables(folder: Path) -> None:
-    """Refuse to write over tables that are none of a fleet's.
-
-    Raises:
-        FileError: A file that something else has written has one of the names.
-    """
-    there = [folder / name for name in (CSV, JSON) if (folder / name).exists()]
-    if not there:
-        return
-    try:
-        table = json.loads((folder / JSON).read_bytes())
-    except (OSError, ValueError, RecursionError):
-        table = None
-    if not isinstance(table, dict) or table.get("schema") != SCHEMA:
-        message = (
-            f"{there[0]} exists already, and there is no {JSON} with the schema '{SCHEMA}' beside it: it is no fleet's "
-            "table. Move it away, or choose another folder."
-        )
-        raise FileError(message)
 
 
 def write_tables(

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import calib.data
-from calib.identify.fleet_robot import FleetRobot
+from calib.fleet.robots import FleetRobot
 from calib.measure.cell import Cell
 from calib.measure.scenario import Scenario
 from calib.model.robot import Robot
@@ -37,9 +37,9 @@ def arms(folder: Path, robot: Robot, numbers: Iterable[int]) -> list[FleetRobot]
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Every file of a folder and its bytes, the lock aside."""
+    """Every file of a folder and its bytes."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != ".calib-fleet.lock"
+        if path.is_file()
     }

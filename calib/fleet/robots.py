@@ -1,34 +1,29 @@
-"""calibrate_one: one robot of a fleet, from what was read of it to the bytes of its files; a job for any executor.
+"""One robot of a fleet: read from its files, calibrated in any executor, and handed back as the bytes of its files.
 
-The process that reads the inputs writes the files too: workers on other machines need no shared disk. Files say neither
-how long the work took nor where it was done, so that the same inputs give the same bytes everywhere.
+The process that reads the inputs writes the files too: workers on other machines need no shared disk.
 """
 
 from __future__ import annotations
 
-import math
+import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
-from types import MappingProxyType
 
 from calib.errors import CalibError
-from calib.identify.calibration import calibrate
-from calib.identify.executors import versions
-from calib.identify.fingerprint import fingerprint
-from calib.identify.fleet_rows import FleetRow
-from calib.identify.result import Calibration
-from calib.identify.result_file import result_table
-from calib.identify.result_urdf import checked_urdf
-from calib.identify.summary import summary
+from calib.fleet.fingerprint import fingerprint
+from calib.fleet.record import FleetRow
+from calib.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.table import Table
-from calib.model.json_file import json_bytes
 from calib.model.robot import Robot
 from calib.model.sources import read_urdf
 from calib.model.urdf import Urdf
+from calib.show.report import write_report
 from calib.units import split_header
+from calib.version import __version__
 
 URDF, RESULT, SUMMARY, REPORT = "corrected.urdf", "result.json", "summary.txt", "report.html"
 
@@ -133,7 +128,6 @@ class FleetOptions:
         reports: Whether each gets a report, which takes longer than the fit.
         target_link: Whether the corrected URDFs get a link at the target.
         command: For the reports: the command that made them.
-        date: For the reports: the date that they bear.
     """
 
     solver: str = "lm"
@@ -141,8 +135,7 @@ class FleetOptions:
     validate: bool = True
     reports: bool = True
     target_link: bool = False
-    command: str = field(default="", compare=False)
-    date: str = field(default="", compare=False)
+    command: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,32 +148,20 @@ class Made:
     """
 
     row: FleetRow
-    files: Mapping[str, bytes]
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """To another process and back: a read-only mapping travels as a dict."""
-        return _made, (self.row, dict(self.files))
+    files: dict[str, bytes]
 
 
 def inputs_fingerprint(name: str, inputs: FleetInputs, options: FleetOptions) -> str:
-    """What a robot's files hang on: its inputs, the options, and the versions of what computes.
-
-    Whether there is a report makes no difference to the other files, and counts by its file: see `file_names`.
-    """
-    robot, options = inputs.robot, replace(options, reports=True)
+    """The SHA-256 of all that a robot's files depend on: its inputs, the options, the version of calib."""
+    robot, options = inputs.robot, replace(options, command="")
     measured = {f: getattr(inputs.measurements, f) for f in Measurements.__dataclass_fields__}
     return fingerprint(
-        name, robot, robot.urdf.source, measured, inputs.cell, options, versions(), _LAYOUT
+        name, robot, robot.urdf.source, measured, inputs.cell, options, __version__, _LAYOUT
     )
 
 
-def file_names(options: FleetOptions) -> tuple[str, ...]:
-    """The files that a robot gets."""
-    return (URDF, RESULT, SUMMARY, *((REPORT,) if options.reports else ()))
-
-
 #: Counted up when the files of a robot change.
-_LAYOUT = 1
+_LAYOUT = 2
 
 
 def calibrate_one(options: FleetOptions, job: tuple[str, FleetInputs]) -> Made | str:
@@ -200,9 +181,17 @@ def calibrate_one(options: FleetOptions, job: tuple[str, FleetInputs]) -> Made |
             robust=options.robust,
             validate=options.validate,
         )
-        # How long it took is the only thing that differs from one time to the next.
-        result = replace(result, seconds=math.nan)
-        return Made(FleetRow.of(name, result), MappingProxyType(_files(result, options, name)))
+        with tempfile.TemporaryDirectory() as folder:
+            there = Path(folder)
+            result.write_urdf(there / URDF, target_link=options.target_link)
+            result.write_json(there / RESULT)
+            text = f"{result.summary()}\n"
+            (there / SUMMARY).write_text(text, encoding="utf-8", errors="backslashreplace")
+            if options.reports:
+                command = f"{options.command}  # {name}" if options.command else ""
+                write_report(result, there / REPORT, command=command)
+            files = {path.name: path.read_bytes() for path in there.iterdir()}
+        return Made(FleetRow.of(name, result), files)
     except CalibError as error:
         return str(error)
     except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
@@ -210,41 +199,10 @@ def calibrate_one(options: FleetOptions, job: tuple[str, FleetInputs]) -> Made |
 
 
 def fault(error: Exception) -> str:
-    """What is said of an error that is none of the inputs'."""
-    return f"a fault of calib itself: {type(error).__name__}: {error}. Please report it with this robot's files."
+    """What is said of an error that is not due to the inputs."""
+    return f"internal error: {type(error).__name__}: {error}. Please report it with this robot's files."
 
 
 def urdf_reader() -> Callable[[str], Urdf]:
     """`read_urdf` that keeps the last few, for robots that share one."""
-    kept: dict[str, Urdf] = {}
-
-    def read(source: str) -> Urdf:
-        if source not in kept:
-            while len(kept) >= _KEPT:
-                del kept[next(iter(kept))]
-            kept[source] = read_urdf(source)
-        return kept[source]
-
-    return read
-
-
-#: URDFs that are kept.
-_KEPT = 8
-
-
-def _files(c: Calibration, options: FleetOptions, name: str) -> dict[str, bytes]:
-    """The bytes of a robot's files by name."""
-    files = {URDF: checked_urdf(c, target_link=options.target_link).data}
-    files[RESULT] = json_bytes(result_table(c))
-    files[SUMMARY] = f"{summary(c)}\n".encode("utf-8", "backslashreplace")
-    if options.reports:
-        from calib.show.report import report_bytes
-
-        command = f"{options.command}  # {name}" if options.command else ""
-        files[REPORT] = report_bytes(c, command=command, date=options.date)
-    return files
-
-
-def _made(row: FleetRow, files: dict[str, bytes]) -> Made:
-    """See `Made.__reduce__`."""
-    return Made(row, MappingProxyType(files))
+    return lru_cache(maxsize=8)(read_urdf)

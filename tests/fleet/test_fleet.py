@@ -1,0 +1,205 @@
+"""A fleet: folders that are whole, runs that go on, robots that fail alone, any executor."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+
+from calib.errors import CalibError
+from calib.fleet.fleet import fleet
+from calib.fleet.record import DONE, FAILED, STALE, FleetRow
+from calib.fleet.robots import FleetOptions, FleetRobot, urdf_reader
+from calib.fleet.tables import csv_bytes
+from tests.fleet.arms import CELL, arms, files
+
+QUICK = FleetOptions(validate=False, reports=False)
+MADE = {"corrected.urdf", "made.json", "result.json", "summary.txt"}
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory, ur3):
+    """A folder with four arms, and what a serial run makes of them."""
+    folder = tmp_path_factory.mktemp("fleet")
+    fleet(arms(folder, ur3, range(4)), folder / "serial", QUICK)
+    return folder
+
+
+def robots_of(shop: Path, count: int = 4) -> list[FleetRobot]:
+    """Its arms."""
+    of = FleetRobot.of_files
+    return [of(f"arm-{k}", shop / "robot.urdf", shop / f"arm-{k}.csv", CELL) for k in range(count)]
+
+
+def numbers(folder: Path) -> dict[str, object]:
+    """The errors of every result in a fleet's folder."""
+    return {
+        path.parent.name: json.loads(path.read_text())["errors"]
+        for path in folder.rglob("result.json")
+    }
+
+
+def test_each_robot_has_a_folder_and_the_fleet_its_tables(shop):
+    there = files(shop / "serial")
+    own = {f"arm-{k}/{name}" for k in range(4) for name in MADE}
+    assert set(there) == {"fleet.csv", "fleet.json", *own}
+    result = json.loads(there["arm-2/result.json"])
+    table = json.loads(there["fleet.json"])
+    assert [one["name"] for one in table["robots"]] == [f"arm-{k}" for k in range(4)]
+    one = table["robots"][2]
+    assert one["status"] == DONE
+    assert one["nominal_rms_m"] == result["errors"]["nominal"]["estimation"]["rms_m"]
+    assert one["calibrated_rms_m"] == result["errors"]["calibrated"]["estimation"]["rms_m"]
+    assert one["sigma_m"] == result["noise"]["sigma_m"]
+    assert one["unseen_rms_m"] is None
+    deltas = {p["name"]: p["delta"] for p in result["parameters"]}
+    geometry = [p for p in one["parameters"] if "target" not in p["name"]]
+    assert geometry
+    assert all(p["change"] == deltas[p["name"]] for p in geometry)
+
+
+@pytest.mark.slow
+def test_processes_make_the_same(shop, tmp_path):
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
+        found = fleet(robots_of(shop), tmp_path / "out", QUICK, executor=executor)
+    assert not found.failed
+    assert numbers(tmp_path / "out") == numbers(shop / "serial")
+
+
+@pytest.mark.slow
+def test_dask_makes_the_same(shop, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+        found = fleet(robots_of(shop), tmp_path / "out", QUICK, executor=executor)
+    assert not found.failed
+    assert numbers(tmp_path / "out") == numbers(shop / "serial")
+
+
+def test_only_what_has_changed_is_done_again(tmp_path, ur3):
+    out, robots = tmp_path / "out", arms(tmp_path, ur3, range(3))
+    assert fleet(robots, out, QUICK).kept == 0
+    stamps = {path: path.stat().st_mtime_ns for path in out.rglob("result.json")}
+    told = []
+    assert fleet(robots, out, QUICK, progress=lambda *count: told.append(count)).kept == 3
+    assert told == [(1, 3), (2, 3), (3, 3)]
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("result.json")} == stamps
+    assert fleet(robots, out, QUICK, force=True).kept == 0
+    assert fleet(robots, out, replace(QUICK, command="calib fleet")).kept == 3
+    data = tmp_path / "arm-1.csv"
+    data.write_bytes(data.read_bytes().replace(b"estimate", b"validate", 1))
+    assert fleet(robots, out, QUICK).kept == 2
+    (out / "arm-2" / "summary.txt").unlink()
+    assert fleet(robots, out, QUICK).kept == 2
+    assert fleet(robots, out, replace(QUICK, robust=False)).kept == 0
+
+
+def test_an_interrupted_run_goes_on(tmp_path, ur3):
+    def stop(done, _):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    out, robots = tmp_path / "out", arms(tmp_path, ur3, range(3))
+    with pytest.raises(KeyboardInterrupt):
+        fleet(robots, out, QUICK, progress=stop)
+    # As a kill in the midst of a robot's files would leave it.
+    made = json.loads((out / "arm-1" / "made.json").read_text())
+    (out / "arm-1" / "made.json").write_text(json.dumps({**made, "fingerprint": ""}))
+    found = fleet(robots, out, QUICK)
+    assert (found.kept, len(found.failed)) == (1, 0)
+
+
+def test_robots_that_fail_are_named_and_the_others_finished(tmp_path, ur3):
+    out, robots = tmp_path / "out", arms(tmp_path, ur3, range(3))
+    fleet(robots[:2], out, QUICK)
+    before = files(out / "arm-0")
+    (tmp_path / "arm-0.csv").write_text("what,is,this\n")
+    (out / "arm-2").mkdir()
+    (out / "arm-2" / "result.json").write_text("somebody's")
+    robots += [
+        FleetRobot.of_files("gone", tmp_path / "robot.urdf", tmp_path / "gone.csv", CELL),
+        FleetRobot("faulty", lambda _: 1 / 0),
+    ]
+    found = fleet(robots, out, QUICK)
+    assert {row.name: row.status for row in found.rows} == {
+        "arm-0": STALE,
+        "arm-1": DONE,
+        "arm-2": FAILED,
+        "gone": FAILED,
+        "faulty": FAILED,
+    }
+    messages = {row.name: row.message for row in found.failed}
+    assert "gone.csv" in messages["gone"]
+    assert "ZeroDivisionError" in messages["faulty"]
+    assert found.kept == 1
+    assert files(out / "arm-0") == before
+    assert (out / "arm-2" / "result.json").read_text() == "somebody's"
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", ".", "..", "../x", "a/b", "a\\b", "/etc", ".hidden", " x", "x ", "x.", "a:b", "a\nb", "a\0", "CON", "nul.txt",
+     "com1", "fleet.csv", "Fleet.JSON", "x" * 101, "ü" * 101, "-x", "~"],
+)  # fmt: skip
+def test_names_that_are_no_folders_are_refused(name, shop, tmp_path):
+    robots = [replace(robots_of(shop, 1)[0], name=name)]
+    with pytest.raises(CalibError, match=r"Robot 1: the name .* cannot be that of a folder"):
+        fleet(robots, tmp_path / "out", QUICK)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("one", "two"), [("a", "a"), ("SN 1", "sn 1"), ("é", "É"), ("ß", "SS")])
+def test_names_of_two_robots_are_refused(one, two, shop, tmp_path):
+    robots = [
+        replace(robot, name=name)
+        for robot, name in zip(robots_of(shop, 2), (one, two), strict=True)
+    ]
+    with pytest.raises(CalibError, match="Robot 2"):
+        fleet(robots, tmp_path / "out", QUICK)
+
+
+def test_a_report_has_the_command(shop, tmp_path):
+    options = replace(QUICK, reports=True, command="calib fleet m.csv")
+    fleet(robots_of(shop, 1), tmp_path / "out", options)
+    page = (tmp_path / "out" / "arm-0" / "report.html").read_text()
+    assert re.search(r"calib fleet m\.csv\s+#\s+arm-0", re.sub(r"<[^>]+>", "", page))
+
+
+def test_urdfs_that_robots_share_are_read_once(shop):
+    read = urdf_reader()
+    assert read(str(shop / "robot.urdf")) is read(str(shop / "robot.urdf"))
+
+
+def test_a_table_says_nothing_where_there_is_nothing():
+    row = FleetRow("a", "failed", "line one\nline two")
+    line = csv_bytes([row], []).decode().splitlines()[1]
+    assert line == "a,failed" + "," * 14 + "line one line two"
+
+
+@pytest.mark.slow
+def test_the_example_of_the_document_runs(shop, tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    script = tmp_path / "example.py"
+    script.write_text(example, encoding="utf-8")
+    (tmp_path / "robot.urdf").write_bytes((shop / "robot.urdf").read_bytes())
+    for k in range(1, 4):
+        (tmp_path / f"{k}.csv").write_bytes((shop / f"arm-{k % 2}.csv").read_bytes())
+    done = subprocess.run(
+        [sys.executable, script], cwd=tmp_path, capture_output=True, encoding="utf-8", timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [line.split()[0] for line in done.stdout.splitlines()] == [
+        *("SN-1", "SN-2", "SN-3"),
+        *("SN-1", "SN-3"),
+    ]
