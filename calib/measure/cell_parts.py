@@ -69,10 +69,8 @@ class Priors:
     sizes: str
     given: tuple[tuple[str, float], ...]
 
-    def __init__(
-        self, sizes: str = "data", given: Iterable[tuple[str, float]] = (), **by_name: float
-    ) -> None:
-        """Sizes by name: ``Priors("given", length=1e-3, compliance=2e-6)``, or as the attributes have them.
+    def __init__(self, sizes: str = "data", **given: float) -> None:
+        """Sizes by name: ``Priors("given", length=1e-3, compliance=2e-6)``.
 
         Raises:
             CalibError: An unknown word or family, or a size that is no standard deviation.
@@ -80,15 +78,14 @@ class Priors:
         if sizes not in PRIOR_SIZES:
             message = f"Priors of the kind '{sizes}' were asked for; choose one of {choices(PRIOR_SIZES)}."
             raise CalibError(message)
-        std = {**dict(given), **by_name}
-        for name, value in std.items():
+        for name, value in given.items():
             unit = family_of(name).unit.symbol
             if not is_positive(value):
                 message = f"The prior's {name} is {value} {unit}; it must be positive. Use sizes 'off' for none."
                 raise CalibError(message)
             check_prior(value, f"The prior's {name}")
         object.__setattr__(self, "sizes", sizes)
-        others = {name: value for name, value in std.items() if value != family_of(name).prior}
+        others = {name: value for name, value in given.items() if value != family_of(name).prior}
         object.__setattr__(self, "given", tuple(sorted(others.items())))
 
     def with_sizes(self, sizes: str) -> Priors:

@@ -800,8 +800,3 @@ def test_the_documents_defaults_are_the_defaults():
 def test_a_file_that_its_parser_cannot_take(tmp_path: Path, text: str, says: str):
     with pytest.raises(FileError, match=f"cell.toml: this is not a TOML file: .*({says})"):
         read(tmp_path, text)
-
-
-def test_priors_keep_their_sizes_where_the_word_is_replaced():
-    priors = replace(Priors("data", length=1e-3), sizes="given")
-    assert (priors.sizes, priors.of("length")) == ("given", 1e-3)
