@@ -26,6 +26,7 @@ ORDER = (
     "compensate",
     "formats",
     "show",
+    "calibration",
     "fleet",
     "cli",
 )

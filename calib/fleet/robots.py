@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+from calib.calibration import calibrate
 from calib.errors import CalibError
 from calib.fleet.fingerprint import fingerprint
 from calib.fleet.record import FleetRow
-from calib.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.table import Table
