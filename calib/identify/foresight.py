@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.errors import MeasurementError, ModelError, choices
 from calib.families import FAMILIES
 from calib.identify.estimate import FIRST_SIGMA_ANGLE

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.errors import ModelError, choices
 from calib.identify.coverage import OutsideRow, outside
 from calib.identify.findings import ParameterEstimate

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.identify.statistics import Mask
 from calib.kinds import Kind
 from calib.model.kinematics import Samples

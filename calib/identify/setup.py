@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.errors import ModelError, choices
 from calib.identify.rows import NONE
 from calib.measure.cell import Cell

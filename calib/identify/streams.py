@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.identify.rows import Rows
 from calib.model.batch import fixed
 from calib.model.kinematics import Samples

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.errors import MeasurementError, ModelError, choices
 from calib.families import FAMILIES
 from calib.identify.estimate import FIRST_SIGMA, FIRST_SIGMA_ANGLE

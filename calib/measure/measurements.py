@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.errors import MeasurementError, choices
 from calib.measure.checks import (
     check_names,
