@@ -1,4 +1,4 @@
-"""Where a URDF comes from: a file, a xacro, a robot of example-robot-data by its name, or what a result names."""
+"""Where a URDF comes from: a file, a xacro, or a robot of example-robot-data by its name."""
 
 from __future__ import annotations
 
@@ -21,9 +21,15 @@ def read_urdf(source: str | Path) -> Urdf:
         FileError: The file cannot be read.
         UrdfError: No such robot, no URDF, or a xacro that cannot be flattened.
     """
-    return (
-        _read_xacro(XacroCall.parse(source)) if is_xacro(source) else Urdf.read(find_urdf(source))
-    )
+    if not is_xacro(source):
+        return Urdf.read(find_urdf(source))
+    call = XacroCall.parse(source)
+    data = flattened(call)
+    try:
+        return Urdf.from_bytes(data, call.name, call.path)
+    except UrdfError as error:
+        message = f"{str(error).rstrip('.')}. This is about the flattened text: xacro FILE ARGUMENTS > robot.urdf"
+        raise UrdfError(message) from error
 
 
 def find_urdf(source: str | Path) -> Path:
@@ -52,16 +58,3 @@ def find_urdf(source: str | Path) -> Path:
         f"xacro, or one of {choices(dict.fromkeys(known), limit=60)}."
     )
     raise UrdfError(message)
-
-
-def _read_xacro(call: XacroCall) -> Urdf:
-    """The URDF that a xacro becomes."""
-    data = flattened(call)
-    try:
-        return Urdf.from_bytes(data, call.name, call.path)
-    except UrdfError as error:
-        message = (
-            f"{str(error).rstrip('.')}. This is about the flattened text, which `xacro FILE ARGUMENTS` prints; mend "
-            "what it comes from."
-        )
-        raise UrdfError(message) from error

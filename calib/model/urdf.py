@@ -240,18 +240,12 @@ class Urdf:
 def _pose(matrix: FloatArray, what: str) -> FloatArray:
     """A (4, 4) pose out of what was given; UrdfError if it is none."""
     T = np.asarray(matrix, dtype=np.float64)
-    if T.shape != (4, 4) or not np.isfinite(T).all():
-        message = f"{what}: an array of shape {T.shape} was given, finite numbers (4, 4) are wanted"
-        raise UrdfError(message)
-    R = T[:3, :3]
-    defect = np.abs(R.T @ R - np.eye(3)).max()
-    if defect > _NOT_A_ROTATION or np.linalg.det(R) < 0 or (T[3] != (0, 0, 0, 1)).any():
-        message = (
-            f"{what}: the matrix is no pose (rotation off by {defect:.1e}, last row {T[3]}); its "
-            "upper left block must be a rotation and its last row 0 0 0 1"
-        )
-        raise UrdfError(message)
-    return T
+    if T.shape == (4, 4) and np.isfinite(T).all() and (T[3] == (0, 0, 0, 1)).all():
+        R = T[:3, :3]
+        if np.abs(R.T @ R - np.eye(3)).max() <= _NOT_A_ROTATION and np.linalg.det(R) > 0:
+            return T
+    message = f"{what}: {T.tolist()} is no pose; a (4, 4) matrix of a rotation and a translation is wanted"
+    raise UrdfError(message)
 
 
 def _numbers(values: FloatArray) -> str:

@@ -60,17 +60,15 @@ def test_the_examples_of_the_document(call, folder: Path):
     assert new in (folder / "view.html").read_text(encoding="utf-8")
 
 
-def test_compare_finds_the_xacro_of_a_result_again(call, folder: Path):
+def test_a_result_holds_the_robot_that_its_xacro_became(call, folder: Path):
     fit = ["fit", NOMINAL, "data.csv", "--base", "base", "--tip", "tool0", "--quiet"]
     fit += ["--model", "paper", "--no-validate"]
     for name in ("a.json", "b.json"):
         assert call(folder, *fit, "--json", name).code == 0
+    (folder / "ur3_nominal_origins.yaml").unlink()
     said = call(folder, "compare", "a.json", "b.json")
     assert said.code == 0
     assert "Over the joint limits" in said.out
-    text = (folder / "ur3_nominal_origins.yaml").read_text(encoding="utf-8")
-    (folder / "ur3_nominal_origins.yaml").write_text(text.replace("0.1519", "0.152"))
-    assert "Over the joint limits" not in call(folder, "compare", "a.json", "b.json").out
 
 
 @pytest.mark.parametrize(

@@ -397,19 +397,19 @@ def test_other_encodings_are_kept(encoding: str):
 
 
 BAD_POSES = {
-    "shape": (np.eye(3), "shape (3, 3) was given"),
-    "nan": (np.full((4, 4), np.nan), "finite numbers (4, 4) are wanted"),
-    "scaled": (np.diag([2.0, 2, 2, 1]), "is no pose (rotation off by 3.0e+00"),
-    "mirrored": (np.diag([1.0, 1, -1, 1]), "is no pose"),
-    "last row": (np.diag([1.0, 1, 1, 2]), "its last row 0 0 0 1"),
+    "shape": np.eye(3),
+    "nan": np.full((4, 4), np.nan),
+    "scaled": np.diag([2.0, 2, 2, 1]),
+    "mirrored": np.diag([1.0, 1, -1, 1]),
+    "last row": np.diag([1.0, 1, 1, 2]),
 }
 
 
-@pytest.mark.parametrize(("matrix", "wanted"), BAD_POSES.values(), ids=BAD_POSES)
-def test_a_matrix_that_is_no_pose(matrix: np.ndarray, wanted: str):
-    with pytest.raises(UrdfError, match="origin of joint 'j': .*" + re.escape(wanted)):
+@pytest.mark.parametrize("matrix", BAD_POSES.values(), ids=BAD_POSES)
+def test_a_matrix_that_is_no_pose(matrix: np.ndarray):
+    with pytest.raises(UrdfError, match=r"origin of joint 'j': .* is no pose"):
         parse(PLAIN).with_origins({"j": matrix})
-    with pytest.raises(UrdfError, match="pose of link 't': .*" + re.escape(wanted)):
+    with pytest.raises(UrdfError, match=r"pose of link 't': .* is no pose"):
         parse(PLAIN).with_link("t", "b", matrix)
 
 
