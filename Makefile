@@ -59,6 +59,4 @@ $(STAMP): pyproject.toml
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable . --group test --group lint --group docs
-	@# Large tables need not wait for the compiler then.
-	@$(BIN)/python -c "from calib.model.batch import warm_up; warm_up()"
 	@touch $(STAMP)

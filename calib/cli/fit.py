@@ -155,7 +155,7 @@ def fit(
 ) -> None:
     """See `_HELP`."""
     with reporting(debug=debug), executor_of(workers, dask, bootstrap, default=1) as executor:
-        from calib.cli.progress import progress_bar, say_compiling
+        from calib.cli.progress import progress_bar
         from calib.cli.report_files import (
             check_figures,
             check_report,
@@ -190,7 +190,6 @@ def fit(
 
         from calib.calibration import calibrate
 
-        say_compiling(len(table), quiet=quiet)
         with progress_bar("cross-validation", quiet=quiet) as progress:
             result = calibrate(
                 arm,

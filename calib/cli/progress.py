@@ -34,22 +34,6 @@ def progress_bar(label: str, *, quiet: bool) -> Iterator[Callable[[int, int], No
         yield advance
 
 
-def say_compiling(rows: int, *, quiet: bool) -> None:
-    """Say on stderr why the first large table takes longer, where it does.
-
-    Args:
-        rows: Rows of the table.
-        quiet: Whether the user wants to know.
-    """
-    from calib.model.batch import must_compile
-
-    if not quiet and must_compile(rows):
-        print(
-            "The first large table: its kernel is compiled, once, in some ten seconds.",
-            file=sys.stderr,
-        )
-
-
 @contextmanager
 def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
     """The same for work in several stages, each with its own label and count.

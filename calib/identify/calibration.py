@@ -228,14 +228,7 @@ def _observability(fitted: Fitted) -> Observability:
     known, alive = known_slopes(problem, estimated.x), problem.weights > 0.0
     counts = problem.rows.used & alive[:, None]
     # Angles as lengths, by the ratio of the two standard deviations.
-    if problem.passes is None:
-        _, jacobian = problem.residual_and_jacobian(estimated.x)
-        scales = problem.rows.scales
-        jacobian = (jacobian * (scales[:, :1] / scales)[:, :, None])[counts]
-    else:
-        as_lengths = np.where(alive, problem.rows.sigma, 0.0)
-        ones = (1.0,) * problem.passes.instruments
-        jacobian = problem.passes.triangle(estimated.x, as_lengths, ones)[:, :-1]
+    jacobian = (problem.linear(estimated.x).A * problem.rows.scales[:, :1, None])[counts]
     seen = np.concatenate([jacobian, known])
     return analyse(seen, model.names, model.units, int(np.sum(counts)) + len(known))
 

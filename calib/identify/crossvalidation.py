@@ -26,10 +26,8 @@ from calib.identify.rows import Rows, evenly
 from calib.identify.setup import Setup
 from calib.identify.stage import FEWEST_FREEDOM, Holds
 from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
-from calib.identify.streamed import Streamed, linearised
 from calib.identify.table_rows import joined_setups
 from calib.kinds import DIRECTIONS
-from calib.model.batch import MANY
 from calib.model.parameters import ErrorModel, frame_place, target_place
 
 Array = NDArray[np.float64]
@@ -138,7 +136,7 @@ class _Linearised:
     """
 
     fitted: Fitted
-    linear: Linear | Streamed
+    linear: Linear
     found: dict[int, Array]
 
     @classmethod
@@ -153,9 +151,9 @@ class _Linearised:
             return None
         options = task_options(task, model, fitted.setup)
         holds = Holds.of(model, options.priors, options.single, (), options.nominal)
-        linear = linearised(problem, estimate.x)
+        linear = problem.linear(estimate.x)
         tried = tuple(masks[k] for k in chosen)
-        found = fold_fits(problem, linear, estimate.x, holds, tried, options)
+        found = fold_fits(problem, estimate.noise, linear, holds, tried, options)
         good = (found.freedom > FEWEST_FREEDOM) & np.all(np.isfinite(found.x), axis=1)
         if options.bounds is not None:
             low, high = options.bounds.T
@@ -174,11 +172,7 @@ class _Linearised:
         problem = fitted.estimate.problem
         rows, residual = problem.rows, problem.residual(x)
         looked_at = ~mask & (fitted.estimate.weights > 0.0)
-        if isinstance(self.linear, Linear):
-            expected = self.linear.residual(x)[looked_at]
-        else:  # in some of many rows
-            looked_at &= evenly(rows, ENOUGH)
-            expected = Linear.of_part(problem, fitted.estimate.x, looked_at).residual(x)
+        expected = self.linear.residual(x)[looked_at]
         given, found = rows.scales[looked_at], problem.scales[looked_at]
         apart = (expected - residual[looked_at] / given) * (given / found)
         if not np.sqrt(np.mean(apart[rows.used[looked_at]] ** 2)) < _LINEAR:
@@ -214,18 +208,14 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
         target_given=~task.setup.target_unknown,
     )
 
-    few = len(rows) < MANY
-    every = task.robot.poses(rows.joints) if few else np.zeros((0, 4, 4))
+    T_base_tip = task.robot.poses(rows.joints)
     some = evenly(rows, ENOUGH) if len(rows) > ENOUGH else np.ones(len(rows), dtype=bool)
-
-    def poses(chosen: Mask) -> Array:
-        return every[chosen] if few else task.robot.poses(rows.joints[chosen])
 
     def predict_left_out(mask: Mask) -> Array:
         looked_at = ~mask & some
         kept = rows.select(looked_at)
-        found = nominal_setup(poses(looked_at), setup, kept)
-        left = _registered(poses(mask), found, rows.select(mask), kept, outliers[mask])
+        found = nominal_setup(T_base_tip[looked_at], setup, kept)
+        left = _registered(T_base_tip[mask], found, rows.select(mask), kept, outliers[mask])
         return _as_wide(left, rows)
 
     return cross_validate(_blocks(rows), left_out, outliers, rows.used, predict_left_out)
@@ -279,7 +269,7 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     """
     task, problem, estimate = fitted.task, fitted.estimate.problem, fitted.estimate
     rows, model = problem.rows, fitted.kinematics.model
-    linear = linearised(problem, estimate.x)
+    linear = problem.linear(estimate.x)
     left_out = folds_of(task, rows)
     known = linear.known(problem.precision, problem.centre)
     found = fold_means(linear, left_out.masks, problem.weights, estimate.noise, known)
@@ -290,12 +280,7 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     def predict_left_out(mask: Mask) -> Array:
         x = next(means)
         loose = only_there(model, fitted.setup, rows, mask)
-        if not np.any(loose):
-            if isinstance(linear, Streamed):
-                return np.asarray(problem.residual(x)[mask])  # the robot itself: it takes one pass
-            return np.asarray((linear.y[mask] - linear.A[mask] @ x) * scales[mask])
-        part = linear.select(mask) if isinstance(linear, Linear) else None
-        part = Linear.of_part(problem, estimate.x, mask) if part is None else part
+        part = linear.select(mask)
         if np.any(loose):
             # With the rows' weights: one that has none must not move the frame of the others.
             used = part.used

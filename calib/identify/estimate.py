@@ -20,7 +20,6 @@ from calib.identify.robust import Limits
 from calib.identify.rows import Rows
 from calib.identify.solvers import Solution
 from calib.identify.stage import FEWEST_FREEDOM, SETTLED, Holds, Stage
-from calib.identify.streamed import Streamed, linearised, whole_groups
 from calib.identify.variance import Linearised, precision_of
 from calib.measure.cell import Priors
 from calib.model.observability import steps
@@ -179,7 +178,8 @@ def _estimate(
         problem.kinematics.model, options.priors, options.single, fixed, options.nominal
     )
     path = _Path(problem, solve, holds.centre.copy())
-    stage = staged(Stage.first(problem, holds, options.weights), path.linear, problem.rows, options)
+    first = Stage.first(holds, len(problem.rows), len(problem.smallest), options.weights)
+    stage = staged(first, path.linear, problem.rows.poses, options)
     path.solve(stage, _FINE)
     assert path.solution is not None
     return _finish(problem, stage, path.solution)
@@ -195,7 +195,7 @@ class _Path:
         self.problem, self.solver, self.x = problem, solver, x
         self.size = steps(problem.kinematics.model.units)
         self.solution: Solution | None = None
-        self.last: Linear | Streamed | None = None
+        self.last: Linear | None = None
 
     def solve(self, stage: Stage, tolerance: float) -> None:
         """Go on to the solution with a stage's weights and sizes."""
@@ -203,7 +203,7 @@ class _Path:
         self.solution = found if self.solution is None else found.after(self.solution)
         self.x = self.solution.x
 
-    def linear(self, stage: Stage) -> Linear | Streamed:
+    def linear(self, stage: Stage) -> Linear:
         """The problem linearised at the solution with a stage's weights and sizes, or where it hardly differs."""
         if self.last is not None:
             x, moves = self._solution_of(self.last, stage)
@@ -212,50 +212,49 @@ class _Path:
             if moves <= _CLOSE:
                 # A step as short as this needs no damping, if the next one confirms it.
                 start, self.x = self.x, x
-                moved = linearised(self.problem, x)
+                moved = self.problem.linear(x)
                 if self._solution_of(moved, stage)[1] <= _NEAR:
                     self.last = moved
                     return moved
                 self.x = start
         self.solve(stage, _ROUGH)
-        self.last = linearised(self.problem, self.x)
+        self.last = self.problem.linear(self.x)
         return self.last
 
-    def _solution_of(self, linear: Linear | Streamed, stage: Stage) -> tuple[Array, float]:
+    def _solution_of(self, linear: Linear, stage: Stage) -> tuple[Array, float]:
         """A stage's solution of the linearised problem, and how far it lies from x in steps of 1 mm and 1 mrad."""
-        known = linear.known(stage.precision, stage.holds.centre)
-        x, _ = linear.data(stage.effective).posterior(stage.noise, known)
+        x, _ = linear.data(stage.effective).posterior(stage.noise, stage.known(linear))
         return x, float(np.linalg.norm((x - self.x) / self.size))
 
 
 def staged(
-    stage: Stage, linear_at: Callable[[Stage], Linear | Streamed], rows: Rows, options: Options
+    stage: Stage, linear_at: Callable[[Stage], Linear], poses: NDArray[np.int_], options: Options
 ) -> Stage:
     """Weights, noise and sizes from the first stage on, until they settle.
 
     Args:
         stage: `Stage.first`.
         linear_at: The problem linearised at the solution with a stage's weights and sizes.
-        rows: The rows.
+        poses: shape (N,), the pose of each row.
         options: See there.
     """
     linear = linear_at(stage)
     repeats = options.repeats if options.weights is None else "independent"  # shared out before
-    stage = stage.sharing(linear, rows.poses, repeats)
-    *_, freedom = linear.fit(stage.effective, stage.noise, stage.precision, stage.holds.centre)
+    stage = stage.sharing(linear, poses, repeats)
+    *_, freedom = linear.fit(stage.effective, stage.noise, stage.known(linear))
     robust = options.robust and options.weights is None and freedom > FEWEST_FREEDOM
     if robust:
         for _ in range(ROUNDS):
             before = stage
             stage = stage.by_median(linear)
-            stage = stage.sharing(linear, rows.poses, repeats)
+            stage = stage.sharing(linear, poses, repeats)
             linear = linear_at(stage)
             if np.max(np.abs(stage.effective - before.effective)) < SETTLED:
                 break
     for _ in range(ROUNDS):
         before = stage
         stage = stage.by_likelihood(linear, robust=robust)
-        stage = stage.sharing(linear, rows.poses, repeats)
+        stage = stage.sharing(linear, poses, repeats)
         linear = linear_at(stage)
         if stage.is_like(before):
             break
@@ -273,14 +272,14 @@ def plain_estimate(problem: Problem, solution: Solution) -> Estimate:
         problem: With weights of 1 and no prior.
         solution: Where that solver stopped, x in [m, rad].
     """
-    linear = Linear.at(problem, solution.x)
-    residual = replace(linear, y=linear.residual(solution.x))
-    data = residual.data(problem.weights)
+    linear = problem.linear(solution.x)
+    data = linear.data(problem.weights)
     rank = np.linalg.matrix_rank(data.H[0], hermitian=True)
     # Both figures for normal noise: see the docstring.
     left = max(float(data.count[0]) - (2.0 - _FOURTH_POWERS) * rank, 1.0)
-    noise = float(np.sqrt(data.yy[0] / left))
-    first = Stage.first(problem, Holds.of(problem.kinematics.model, Priors("off"), {}))
+    noise = float(np.sqrt(np.sum(np.square(linear.residual(solution.x))) / left))
+    holds = Holds.of(problem.kinematics.model, Priors("off"), {})
+    first = Stage.first(holds, len(problem.rows), len(problem.smallest))
     stage = replace(first, noise=(max(noise, linear.smallest[0]),))
     return _finish(problem, stage, solution, spread=_FOURTH_POWERS)
 
@@ -290,14 +289,14 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
 
     ``spread`` is the covariance that the solver's estimator has, over that of least squares.
     """
-    linear = linearised(problem, solution.x)
-    effective, holds = stage.effective, stage.holds
-    _, of_least_squares, freedom = linear.fit(effective, stage.noise, stage.precision, holds.centre)
+    linear = problem.linear(solution.x)
+    effective, holds, known = stage.effective, stage.holds, stage.known(linear)
+    _, of_least_squares, freedom = linear.fit(effective, stage.noise, known)
     wider = tuple(float(np.sqrt(spread)) * n for n in stage.noise)
-    residual = linear.looked_at(solution.x)
+    residual = linear.residual(solution.x)
     # The estimate itself stays: weights that targets share would be less sharp where they lie to each other.
-    told = _shared_by_stops(problem, linear, stage, solution.x, freedom)
-    _, covariance = told.posterior(wider, linear.known(stage.precision, holds.centre))
+    told = _shared_by_stops(problem.rows, linear, stage, freedom)
+    _, covariance = told.posterior(wider, known)
     own = np.where(holds.flat, 0.0, stage.precision)
     model = problem.kinematics.model
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
@@ -320,23 +319,18 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
         noise=stage.noise,
         sizes={} if holds.off else dict(zip(holds.names, stage.sizes, strict=True)),
         weights=read_only(stage.weights),
-        log_likelihood=linear.data(effective).log_likelihood(
-            stage.noise, linear.known(stage.precision, holds.centre), own
-        ),
+        log_likelihood=linear.data(effective).log_likelihood(stage.noise, known, own),
         at_bound=tuple(k for k, _ in holds.fixed),
     )
 
 
-def _shared_by_stops(
-    problem: Problem, linear: Linear | Streamed, stage: Stage, x: Array, freedom: float
-) -> Linearised:
+def _shared_by_stops(rows: Rows, linear: Linear, stage: Stage, freedom: float) -> Linearised:
     """The normal equations with the derivative as several targets of one stop let it be known.
 
     They share where the robot stopped beside where it should: with the correlation rho the mean of n rows has the
     variance s^2 (1 + (n - 1) rho) / n, and so much less is known of what moves all of them alike. What they say of
     each other counts as ever, though it is known better.
     """
-    rows = problem.rows
     if rows.samples.target.min() == rows.samples.target.max():
         return linear.data(stage.effective)
     weights = stage.weights * rows.where(lambda kind: kind.position)
@@ -350,7 +344,7 @@ def _shared_by_stops(
         return linear.data(stage.effective)
     paid = float(np.sum(stage.effective @ linear.used)) - freedom
     found = repeats(
-        linear.residual(x)[:, :3] / linear.noise_of(stage.noise)[:, :3],
+        linear.residual(linear.x)[:, :3] / linear.noise_of(stage.noise)[:, :3],
         linear.used[:, :3],
         stops,
         weights,
@@ -362,13 +356,7 @@ def _shared_by_stops(
     already = sums / np.maximum(np.bincount(stops, weights), np.finfo(np.float64).tiny)
     wider = np.maximum((1.0 + np.maximum(counts - 1.0, 0.0) * found.rho) * already, 1.0)
     less = np.where(alive, 1.0 - 1.0 / np.sqrt(wider[stops]), 0.0)
-    parts = []
-    for chosen, part in whole_groups(problem, linear, x, stops):
-        names, own = np.unique(stops[chosen], return_inverse=True)
-        mean = np.zeros((len(names), 3, part.A.shape[2]))
-        share = w[chosen] / sums[stops[chosen]]
-        np.add.at(mean, own.reshape(-1), share[:, None, None] * part.A[:, :3])
-        A = part.A.copy()
-        A[:, :3] -= less[chosen][:, None, None] * mean[own.reshape(-1)]
-        parts.append(replace(part, A=A).data(stage.effective[chosen]))
-    return Linearised.sum(parts)
+    share, columns = w / sums[stops], linear.columns.copy()
+    for column in columns[:-1, :3].reshape(-1, len(rows)):
+        column -= less * np.bincount(stops, share * column)[stops]
+    return replace(linear, columns=columns).data(stage.effective)

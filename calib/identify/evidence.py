@@ -9,15 +9,14 @@ from numpy.typing import NDArray
 
 from calib.identify.coverage import coverage, outside_sentence
 from calib.identify.crossvalidation import only_there
-from calib.identify.fitting import Fitted, fit
-from calib.identify.linear import Linear
+from calib.identify.fitting import ENOUGH, Fitted, fit
 from calib.identify.patterns import drift, joint_patterns
+from calib.identify.problem import Problem
 from calib.identify.repeats import pose_means
 from calib.identify.result import Calibration
-from calib.identify.rows import Rows
+from calib.identify.rows import Rows, evenly
 from calib.identify.statistics import Errors, Mask
 from calib.identify.table_rows import joined_setups
-from calib.identify.thinning import thin
 from calib.identify.unpredicted import prediction_square, unpredicted_setup
 from calib.identify.verdict import Evidence
 from calib.model.error_model import error_model
@@ -103,6 +102,38 @@ def evidence_of(result: Calibration, rows: Rows, hint: str) -> Evidence:
         largest=largest_change(result.model, result.x),
         noise=result.sigma,
         hint=hint,
+    )
+
+
+def thin(fitted: Fitted, most: int = ENOUGH) -> Fitted:
+    """The fit with about so many of its rows, spread evenly over each frame and target; itself if it has no more.
+
+    What is left over is searched for patterns with all derivatives at hand; twenty thousand rows show any that matters.
+
+    Args:
+        fitted: The fit.
+        most: How many rows.
+    """
+    problem, estimate = fitted.estimate.problem, fitted.estimate
+    if len(problem.rows) <= most:
+        return fitted
+    some = np.flatnonzero(evenly(problem.rows, most))
+    rows = problem.rows.select(np.isin(np.arange(len(problem.rows)), some))
+    few = replace(
+        Problem.first(problem.kinematics, rows, problem.distances),
+        weights=problem.weights[some],
+        scales=problem.scales[some][:, : rows.width],
+        precision=problem.precision,
+        centre=problem.centre,
+    )
+    return replace(
+        fitted,
+        estimate=replace(
+            estimate,
+            problem=few,
+            scores=estimate.scores[some],
+            weights=estimate.weights[some],
+        ),
     )
 
 
@@ -257,7 +288,7 @@ def disagreeing_setups(fitted: Fitted) -> tuple[str, ...]:
     count = int(labels.max()) + 1
     if count < 2 or estimate.freedom < _TELLING:
         return ()
-    linear = Linear.at(problem, estimate.x)
+    linear = problem.linear(estimate.x)
     known = linear.known(problem.precision, problem.centre)
     noise = linear.noise_of(estimate.noise)
     counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
@@ -271,7 +302,7 @@ def disagreeing_setups(fitted: Fitted) -> tuple[str, ...]:
         x = np.where(loose, estimate.x, x)
         paid = float(np.sum(np.einsum("cij,ji->c", data.H, covariance) / np.square(estimate.noise)))
         freedom = float(np.sum(data.count)) - paid
-        rest = np.where(linear.used, (linear.y - linear.A @ x) / noise, 0.0)
+        rest = np.where(linear.used, linear.residual(x) / noise, 0.0)
         # Repeats count for one measurement where they share what the model lacks.
         chosen = own & counts
         at, alike = problem.weights[chosen], rows.poses[chosen]

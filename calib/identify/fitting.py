@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from calib.errors import MeasurementError, ModelError, choices
 from calib.identify.estimate import Estimate, Options, Solve, estimate, plain_estimate
 from calib.identify.options import options_of
-from calib.identify.problem import KnownDistance, Problem
+from calib.identify.problem import KnownDistance, Problem, parts_of
 from calib.identify.registration import register, register_poses, register_seen
 from calib.identify.robust import scores
-from calib.identify.rows import Rows, evenly, whole_blocks
+from calib.identify.rows import Rows, evenly
 from calib.identify.setup import Setup, along_own_axes, targets_along_tip
 from calib.identify.solvers import (
     Solution,
@@ -26,7 +26,7 @@ from calib.identify.solvers import (
     scipy_least_squares,
 )
 from calib.measure.cell import Cell
-from calib.model.batch import CHUNK, chunks
+from calib.model import kernel
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
@@ -350,16 +350,16 @@ def seen_from(setup: Setup, T_base_tip: Array, rows: Rows) -> Array:
     """T_frame_target of each row, shape (N, 4, 4), [m]."""
     frame, target = rows.samples.frame, rows.samples.target
     result = np.empty((len(rows), 4, 4))
-    for first, last in chunks(len(rows)):  # so that no more than the result itself takes room
-        T_frame_tip = setup.T_frame_base[frame[first:last]] @ T_base_tip[first:last]
-        np.matmul(T_frame_tip, setup.T_tip_target[target[first:last]], out=result[first:last])
+    for own in kernel.blocks(len(rows)):  # so that no more than the result itself takes room
+        T_frame_tip = setup.T_frame_base[frame[own]] @ T_base_tip[own]
+        np.matmul(T_frame_tip, setup.T_tip_target[target[own]], out=result[own])
     return result
 
 
 def unseen_scores(fitted: Fitted, rows: Rows) -> Array:
     """The scores of rows that the fit did not use, shape (N,); see `calib.identify.robust`."""
     result = np.zeros(len(rows))
-    for own in whole_blocks(rows, CHUNK):  # so that derivatives of a part are enough
+    for own in parts_of(rows):
         part = rows.select(own)
         poses, twists = fitted.kinematics.twists(fitted.estimate.x, part.samples)
         scale = scale_of(fitted, part)

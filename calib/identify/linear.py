@@ -1,8 +1,4 @@
-"""The problem of an estimation linearised at one x: what its stages are found on.
-
-Stages ask for normal equations, residuals and scores by the methods here, not for the derivative itself, so that a
-problem of many rows need not hold it.
-"""
+"""The problem of an estimation linearised at one x: what its stages are found on."""
 
 from __future__ import annotations
 
@@ -11,89 +7,55 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.problem import Problem
-from calib.identify.robust import deleted_norms, median, scores
+from calib.identify.robust import as_of_a_point, deleted_norms
 from calib.identify.statistics import Mask
-from calib.identify.variance import Known, Linearised, Scalars, scalars_of
+from calib.identify.variance import Known, Linearised
+from calib.model.kernel import blocks
 
 Array = NDArray[np.float64]
-
-#: Below this the noise is no instrument's but rounding [m, rad].
-SMALLEST_SIGMA = 1e-8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linear:
-    """The problem linearised at one x: y = A x + noise, in units of each scalar's sigma.
+    """The problem linearised at x: the residual at x + s is r - A s, in units of each scalar's sigma as given.
 
     Attributes:
-        A: shape (N, D, p).
-        y: shape (N, D).
+        x: shape (p,).
+        columns: shape (p + 1, D, N), A and behind it r; samples last, as `calib.model.kernel` has them.
         used: shape (N, D), which scalars there are.
-        instruments: shape (N, D), which noise each has.
+        instruments: shape (N, D), which noise each has; -1 for none.
         smallest: Smallest noise believed of each instrument, in units of its sigma.
         C: shape (K, p), of the known distances, whitened.
-        z: shape (K,), likewise.
+        z: shape (K,), what C x should be.
     """
 
-    A: Array
-    y: Array
-    used: NDArray[np.bool_]
+    x: Array
+    columns: Array
+    used: Mask
     instruments: NDArray[np.int8]
     smallest: tuple[float, ...]
     C: Array
     z: Array
-    _scalars: Scalars = field(init=False, repr=False)
+    _parts: tuple[tuple[slice, Array | None], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Put the scalars of each instrument below each other, once for all weights."""
-        found = scalars_of(self.A, self.y, self.instruments, len(self.smallest))
-        object.__setattr__(self, "_scalars", found)
+        """Find the columns of each instrument's scalars, and where not all rows have them, which do, shape (d, N)."""
+        parts = []
+        for c in range(len(self.smallest)):
+            own = np.equal(self.instruments.T, c)
+            there = np.flatnonzero(own.any(axis=1))
+            at = slice(int(there[0]), int(there[-1]) + 1) if len(there) else slice(0, 0)
+            parts.append((at, None if own[at].all() else own[at].astype(np.float64)))
+        object.__setattr__(self, "_parts", tuple(parts))
 
-    @classmethod
-    def at(cls, problem: Problem, x: Array) -> Linear:
-        """At the parameters x; the problem's own scales are those that were given."""
-        residual, jacobian = problem.residual_and_jacobian(x)
-        scales = problem.rows.scales
-        A = jacobian / scales[:, :, None]
-        r, C = problem.constraints(x)
-        instruments, _ = problem.rows.instruments
-        count = int(instruments.max()) + 1
-        smallest = [SMALLEST_SIGMA / median(scales[instruments == c]) for c in range(count)]
-        return cls(
-            A,
-            residual / scales + A @ x,
-            problem.rows.used,
-            instruments,
-            tuple(smallest),
-            C,
-            r + C @ x,
-        )
+    def __len__(self) -> int:
+        """Number of rows."""
+        return self.columns.shape[2]
 
-    @classmethod
-    def of_part(cls, problem: Problem, x: Array, mask: Mask) -> Linear:
-        """At the parameters x, of some of the rows of a problem, with all of its instruments."""
-        rows = problem.rows.select(mask)
-        poses, twists = problem.kinematics.twists(x, rows.samples)
-        # As wide as all rows are: those chosen may lack a kind.
-        shape = (len(rows), problem.rows.width)
-        residual, jacobian = np.zeros(shape), np.zeros((*shape, len(x)))
-        residual[:, : rows.width] = rows.residual(poses)
-        jacobian[:, : rows.width] = rows.derivative(poses, twists)
-        scales = problem.rows.scales[mask]
-        A = jacobian / scales[:, :, None]
-        r, C = problem.constraints(x)
-        instruments, _ = problem.rows.instruments
-        count = int(instruments.max()) + 1
-        return cls(
-            A,
-            residual / scales + A @ x,
-            problem.rows.used[mask],
-            instruments[mask],
-            (0.0,) * count,
-            C,
-            r + C @ x,
-        )
+    @property
+    def A(self) -> Array:
+        """The derivative of the prediction, shape (N, D, p)."""
+        return self.columns[:-1].transpose(2, 1, 0)
 
     def known(self, precision: Array, centre: Array) -> Known:
         """Priors of given precision and mean, and the known distances."""
@@ -104,38 +66,43 @@ class Linear:
         return np.append(np.array(noise), 1.0)[self.instruments]
 
     def residual(self, x: Array) -> Array:
-        """What x leaves over, y - A x, shape (N, D)."""
-        N, D, p = self.A.shape
-        return np.asarray(self.y - (self.A.reshape(N * D, p) @ x).reshape(N, D))
-
-    def looked_at(self, x: Array) -> Array:
-        """What `scores` and `norms` take for x, as `fit` gives it: here the residual itself."""
-        return self.residual(x)
-
-    def scalars(self, looked_at: Array) -> Array:
-        """The residual of what `fit` or `looked_at` gave, shape (N, D)."""
-        return looked_at
+        """What x leaves over, shape (N, D)."""
+        count, D, N = self.columns.shape
+        flat = self.columns.reshape(count, D * N)
+        return np.asarray((flat[-1] - (x - self.x) @ flat[:-1]).reshape(D, N).T)
 
     def select(self, mask: Mask) -> Linear:
         """The problem of some of the rows; known distances stay."""
         return replace(
             self,
-            A=self.A[mask],
-            y=self.y[mask],
+            columns=self.columns[:, :, mask],
             used=self.used[mask],
             instruments=self.instruments[mask],
         )
 
     def data(self, weights: Array) -> Linearised:
-        """The normal equations with these weights."""
-        return Linearised.of_scalars(self._scalars, weights)
+        """The normal equations with these weights, shape (N,)."""
+        p = len(self.x)
+        both = np.zeros((len(self._parts), p + 1, p + 1))
+        count = np.zeros(len(self._parts))
+        root = np.sqrt(weights)
+        for c, (at, there) in enumerate(self._parts):
+            for own in blocks(len(self)):
+                factor = root[own] if there is None else there[:, own] * root[own]
+                part = (self.columns[:, at, own] * factor).reshape(p + 1, -1)
+                both[c] += part @ part.T
+            alive = weights if there is None else there * weights
+            count[c] = (at.stop - at.start) * alive.sum() if there is None else alive.sum()
+        # [A r] are at hand; what is asked for is [A y] with y = r + A x.
+        H, g, rr = both[:, :p, :p], both[:, :p, p], both[:, p, p]
+        Hx = H @ self.x
+        return Linearised(H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count)
 
     def fit(
         self,
         weights: Array,
         noise: tuple[float, ...],
-        precision: Array,
-        centre: Array,
+        known: Known,
         data: Linearised | None = None,
     ) -> tuple[Array, Array, float]:
         """The linear fit with these weights, noise and priors; ``data`` are the normal equations, if at hand.
@@ -145,7 +112,7 @@ class Linear:
             degrees of freedom: scalars, by weight, minus the parameters that they have to pay for.
         """
         data = self.data(weights) if data is None else data
-        x, covariance = data.posterior(noise, self.known(precision, centre))
+        x, covariance = data.posterior(noise, known)
         paid = np.sum(data.H * covariance, axis=(1, 2)) / np.square(noise)
         return self.residual(x), covariance, float(np.sum(data.count - paid))
 
@@ -153,13 +120,10 @@ class Linear:
         self, residual: Array, covariance: Array, weights: Array, noise: tuple[float, ...]
     ) -> Array:
         """How far each row lies from what the others predict, shape (N,)."""
-        scale = self.noise_of(noise)
-        return scores(residual / scale, self.A / scale[:, :, None], covariance, weights, self.used)
+        found = deleted_norms(residual, self.A, covariance, weights, 1.0 / self.noise_of(noise))
+        return as_of_a_point(found, np.sum(self.used, axis=1))
 
-    def norms(
-        self, residual: Array, covariance: Array, weights: Array, noise: float, instrument: int
-    ) -> Array:
+    def norms(self, residual: Array, covariance: Array, weights: Array, instrument: int) -> Array:
         """`deleted_norms` of one instrument's scalars in units of the sigma given, shape (N,)."""
-        own = self.instruments == instrument
-        A, r = (self.A, residual) if own.all() else (self.A * own[:, :, None], residual * own)
-        return deleted_norms(r, A, covariance / noise**2, weights)
+        own = (self.instruments == instrument).astype(np.float64)
+        return deleted_norms(residual, self.A, covariance, weights, own)

@@ -6,13 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.fitting import ENOUGH, nominal_setup, seen_from
-from calib.identify.passes import Passes
 from calib.identify.rows import Rows, thinned
 from calib.identify.setup import Setup
 from calib.identify.statistics import Mask
-from calib.model.batch import MANY
-from calib.model.error_model import error_model
-from calib.model.kinematics import Kinematics
 from calib.model.robot import Robot
 
 Array = NDArray[np.float64]
@@ -37,14 +33,4 @@ def nominal_on(robot: Robot, setup: Setup, every: Rows, mask: Mask) -> tuple[Set
 
 def residual_of(robot: Robot, setup: Setup, rows: Rows) -> Array:
     """Measured minus what a robot predicts in a set-up, shape (N, D), [m] and [rad]."""
-    if len(rows) < MANY:
-        return rows.residual(seen_from(setup, robot.poses(rows.joints), rows))
-    nothing = error_model(
-        robot,
-        "frames",
-        frame=dict.fromkeys(setup.frame_unknowns, ()),
-        target=(),
-        targets=setup.target_names,
-    )
-    still = Kinematics(robot, nothing, setup.T_frame_base, setup.T_tip_target)
-    return Passes.of(still, rows).residual(np.zeros(0))
+    return rows.residual(seen_from(setup, robot.poses(rows.joints), rows))

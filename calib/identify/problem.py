@@ -10,17 +10,28 @@ hold the target in.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.passes import Passes
-from calib.identify.rows import Rows
-from calib.model.batch import MANY
+from calib.identify.linear import Linear
+from calib.identify.robust import median
+from calib.identify.rows import Rows, whole_blocks
+from calib.identify.statistics import Mask
 from calib.model.kinematics import Kinematics
 
 Array = NDArray[np.float64]
+
+#: Below this the noise is no instrument's but rounding [m, rad].
+SMALLEST_SIGMA = 1e-8
+
+#: Rows whose twists are held at a time.
+_PART = 16_384
+
+#: Columns of a residual that are lengths; angles are behind them.
+_LENGTHS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +63,7 @@ class Problem:
         precision: shape (p,), 1 / tau_k^2; 0 for a parameter without prior.
         centre: shape (p,), the priors' means.
         distances: Known distances between frames.
-        passes: What goes through the rows where they are many; None where they are few.
+        smallest: Smallest noise believed of each instrument, in units of its sigma as given.
     """
 
     kinematics: Kinematics
@@ -61,9 +72,9 @@ class Problem:
     weights: Array
     precision: Array
     centre: Array
-    distances: tuple[KnownDistance, ...] = ()
-    passes: Passes | None = None
-    _last: _LastPrediction = field(default_factory=lambda: _LastPrediction(), repr=False)
+    distances: tuple[KnownDistance, ...]
+    smallest: tuple[float, ...]
+    _last: list[Linear] = field(default_factory=list, repr=False)
 
     @classmethod
     def first(
@@ -71,8 +82,12 @@ class Problem:
     ) -> Problem:
         """All rows in full, the noise as given, no priors."""
         ones, nothing = np.ones(len(rows)), np.zeros(len(kinematics.model))
-        passes = Passes.of(kinematics, rows) if len(rows) >= MANY else None
-        return cls(kinematics, rows, rows.scales, ones, nothing, nothing, distances, passes)
+        scales, (instruments, _) = rows.scales, rows.instruments
+        smallest = tuple(
+            SMALLEST_SIGMA / median(scales[instruments == c])
+            for c in range(int(instruments.max()) + 1)
+        )
+        return cls(kinematics, rows, scales, ones, nothing, nothing, distances, smallest)
 
     @property
     def size(self) -> int:
@@ -85,13 +100,44 @@ class Problem:
 
     def residual(self, x: Array) -> Array:
         """Measured minus predicted, shape (N, D), [m] and [rad]."""
-        if self.passes is not None:
-            return self.passes.residual(x)
         return self.rows.residual(self.kinematics.poses(x, self.rows.samples))
+
+    def jacobian(self, x: Array) -> Array:
+        """The derivative of the *prediction*, minus that of the residual, shape (N, D, p)."""
+        return self.residual_and_jacobian(x)[1]
 
     def residual_and_jacobian(self, x: Array) -> tuple[Array, Array]:
         """Measured minus predicted, shape (N, D), and the derivative of the *prediction*, shape (N, D, p)."""
-        return self._last.at(x, self.kinematics, self.rows)
+        linear, scales = self.linear(x), self.rows.scales
+        return linear.residual(x) * scales, linear.A * scales[:, :, None]
+
+    def linear(self, x: Array) -> Linear:
+        """The problem linearised at x, in units of each scalar's sigma as given.
+
+        The last one is kept, because solvers and the stages between them often ask twice at the same x. Weights, noise
+        and priors do not enter it, so that a problem and its reweighted copies share one.
+        """
+        if self._last and np.array_equal(x, self._last[0].x):
+            return self._last[0]
+        self._last.clear()
+        rows, scales = self.rows, self.rows.scales.T
+        columns = np.empty((self.size + 1, rows.width, len(rows)))
+        rotation = rows.width > _LENGTHS
+        for own in parts_of(rows):
+            part = rows.select(own)
+            poses, twists = self.kinematics.twists(x, part.samples, rotation=rotation)
+            scale = scales[: part.width, own]
+            if part.width < rows.width:  # these rows lack a kind that others have
+                columns[:, part.width :, own] = 0.0
+            derivative = part.derivative(poses, twists).transpose(2, 1, 0)
+            columns[:-1, : part.width, own] = derivative / scale
+            columns[-1][: part.width, own] = part.residual(poses).T / scale
+        r, C = self.constraints(x)
+        found = Linear(
+            x.copy(), columns, rows.used, rows.instruments[0], self.smallest, C, r + C @ x
+        )
+        self._last.append(found)
+        return found
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
         """Known minus predicted distances, over their sigma, shape (K,), and the derivative of the prediction, (K, p).
@@ -118,29 +164,27 @@ class Problem:
     def system(self, x: Array) -> tuple[Array, Array]:
         """The whitened residual and its own derivative, with a row for each prior and each known distance.
 
-        Many rows are told by p + 1 numbers that have the same squares and products, see `Passes.system`.
-
         Returns:
-            shape (M + priors + distances,) and shape (M + priors + distances, p); see the module's equation.
+            shape (M + priors + distances,) and shape (M + priors + distances, p); see the module's equation. Of the M
+            scalars those of column 0 come first, of all rows, then those of column 1.
         """
         held = np.flatnonzero(self.precision)
         root = np.sqrt(self.precision[held])
         between, slope = self.constraints(x)
-        if self.passes is None:
-            residual, jacobian = self.residual_and_jacobian(x)
-            used = self.rows.used
-            whiten = np.sqrt(self.weights)[:, None] / self.scales
-            measured = (residual * whiten)[used]
-            derivative = (jacobian * -whiten[:, :, None])[used]
-        else:
-            measured, derivative = self.passes.system(x, self.weights, self.scales, self.precision)
-        first, last = len(measured), len(measured) + len(held)
-        r = np.concatenate([measured, -root * (x - self.centre)[held], between])
-        J = np.zeros((len(r), self.size))
-        J[:first] = derivative
-        J[first + np.arange(len(held)), held] = -root
-        J[last:] = -slope
-        return r, J
+        columns, used = self.linear(x).columns, self.rows.used.T
+        whiten = (np.sqrt(self.weights)[:, None] * (self.rows.scales / self.scales)).T
+        if not used.all():
+            columns, whiten = columns[:, used], whiten[used]
+        measured = whiten.size
+        last = measured + len(held)
+        # By columns in memory, as solvers want it.
+        both = np.zeros((self.size + 1, last + len(between)))
+        np.multiply(columns, whiten, out=both[:, :measured].reshape(columns.shape))
+        np.negative(both[:-1, :measured], out=both[:-1, :measured])
+        both[held, measured + np.arange(len(held))] = -root
+        both[-1, measured:last] = -root * (x - self.centre)[held]
+        both[:-1, last:], both[-1, last:] = -slope.T, between
+        return both[-1], both[:-1].T
 
     def paper_system(self, nominal: Array, unit: Array, X: Array) -> tuple[Array, Array]:
         """The paper's error e_i = |dP_i|^2 [mm^2] and its derivative, at its absolute parameters X.
@@ -160,22 +204,8 @@ class Problem:
         return e, -2.0 * np.einsum("ij,ijk->ik", residual_mm, jacobian_mm)
 
 
-class _LastPrediction:
-    """The last prediction, because solvers and the stages between them often ask twice at the same x.
-
-    Weights, noise and priors do not enter it, so that a problem and its reweighted copies share one.
-    """
-
-    __slots__ = ("value", "x")
-
-    def __init__(self) -> None:
-        """Nothing is known yet."""
-        self.x: Array | None = None
-        self.value: tuple[Array, Array] | None = None
-
-    def at(self, x: Array, kinematics: Kinematics, rows: Rows) -> tuple[Array, Array]:
-        """The residual and the derivative of the prediction at x."""
-        if self.value is None or self.x is None or not np.array_equal(x, self.x):
-            poses, twists = kinematics.twists(x, rows.samples)
-            self.x, self.value = x.copy(), (rows.residual(poses), rows.derivative(poses, twists))
-        return self.value
+def parts_of(rows: Rows) -> Iterator[slice | Mask]:
+    """The rows in parts whose twists are held at a time; both rows of a pair are in one."""
+    if len(rows) <= _PART or not np.any(rows.partner >= 0):
+        return (slice(k, min(k + _PART, len(rows))) for k in range(0, len(rows), _PART))
+    return whole_blocks(rows, _PART)

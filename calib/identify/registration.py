@@ -23,8 +23,8 @@ from calib.identify.starts import (
     turned_targets,
 )
 from calib.kinds import Kind
+from calib.model import kernel
 from calib.model.error_model import frame_and_target_model
-from calib.model.kinematics import add_outer_twists
 from calib.model.observability import steps
 from calib.model.parameters import ErrorModel
 from calib.model.robot import Robot
@@ -40,6 +40,9 @@ _REFINED = 5
 #: Rows of each view of a target used to find a start; more do not make it better.
 _ROWS = 200
 _FEWEST_ROWS = 20
+
+#: Columns of a residual that are lengths; angles are behind them.
+_LENGTHS = 3
 
 #: Directions of a frame that is wholly unknown, and the points that show all of them.
 _ALL = 6
@@ -235,11 +238,18 @@ def _system(
     frames = len(setup.groups)
     T_frame_base = (setup.T_frame_base @ displacement[:frames])[rows.samples.frame]
     T_tip_target = (setup.T_tip_target @ displacement[frames + 1 :])[rows.samples.target]
-    T_frame_tip = T_frame_base @ T_base_tip
-    T_frame_target = T_frame_tip @ T_tip_target
-    twists = np.zeros((len(rows), 6, len(model)))
-    poses = (T_frame_base, T_frame_tip, T_frame_target)
-    add_outer_twists(twists, model.places, directions, rows.samples, poses)
+    T_frame_target = T_frame_base @ T_base_tip @ T_tip_target
+    local = directions.reshape(len(displacement), 6, -1)
+    outer = np.array([T[:, :3].transpose(2, 1, 0) for T in (T_frame_base, T_frame_target)])
+    moves = kernel.regressor(outer, outer[1, 3])
+    columns = np.zeros((len(model), 6, len(rows)))
+    for k, (at, which) in enumerate(
+        ((local[:frames], rows.samples.frame), (local[frames + 1 :], rows.samples.target))
+    ):
+        kernel.add_columns(columns[:, :3], moves[k], at, which)
+        if rows.width > _LENGTHS:
+            kernel.add_columns(columns[:, 3:], outer[k, :3], at[:, 3:], which)
+    twists = columns.transpose(2, 1, 0)
     used, scales = rows.used, rows.scales
     residual = (rows.residual(T_frame_target) / scales)[used]
     J = (rows.derivative(T_frame_target, twists) / -scales[:, :, None])[used]

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, fdtri
 
+from calib.model.kernel import blocks
+
 Array = NDArray[np.float64]
 
 #: A good row keeps its full weight with this probability.
@@ -27,9 +29,6 @@ _FALSE_ALARM = 0.01
 
 #: A row that leaves less than this of a direction to the others carries it nearly alone.
 _CARRIED = 1e-4
-
-#: Identities by their size, of the 1, 3 or 6 scalars that a row may have.
-_IDENTITIES = tuple(np.eye(d) for d in range(7))
 
 #: The scalars of a point, for which scores are told.
 _POINT = 3
@@ -66,7 +65,13 @@ class Limits:
         return np.where(scores <= self.full, 1.0, np.clip(fall, 0.0, 1.0))
 
 
-def deleted_norms(residual: Array, jacobian: Array, covariance: Array, weights: Array) -> Array:
+def deleted_norms(
+    residual: Array,
+    jacobian: Array,
+    covariance: Array,
+    weights: Array,
+    factors: Array | None = None,
+) -> Array:
     """How far each row lies from what the others predict, in standard deviations, shape (N,); see the module's text.
 
     Args:
@@ -74,44 +79,61 @@ def deleted_norms(residual: Array, jacobian: Array, covariance: Array, weights: 
         jacobian: shape (N, D, p), likewise.
         covariance: shape (p, p), of the parameters.
         weights: shape (N,).
+        factors: shape (N, D), what residual and jacobian are multiplied by; None for 1.
     """
-    # The first product as one of two matrices, not of N small ones.
-    spread_rows = (jacobian.reshape(-1, len(covariance)) @ covariance).reshape(jacobian.shape)
-    return norms_of(residual, spread_rows @ jacobian.transpose(0, 2, 1), weights)
+    norms = np.empty(len(residual))
+    for own in blocks(len(residual)):
+        A, r = jacobian[own].transpose(2, 1, 0), residual[own].T
+        p, D, B = A.shape
+        spread = (covariance @ A.reshape(p, D * B)).reshape(p, D, B)
+        leverage = np.einsum("pib,pjb->ijb", spread, A)
+        if factors is not None:
+            f = factors[own].T
+            r, leverage = r * f, leverage * f * f[:, None]
+        norms[own] = _norms_of(r, leverage, weights[own])
+    return norms
 
 
-def norms_of(residual: Array, leverage: Array, weights: Array) -> Array:
-    """`deleted_norms` with the leverages K themselves, shape (N, D, D).
+def _norms_of(r: Array, K: Array, w: Array) -> Array:
+    """The norms of residuals, shape (D, B), with the leverages K, shape (D, D, B), and weights, shape (B,).
 
-    (I + (1 - w) K) (I - w K) = I + (1 - 2 w) K - w (1 - w) K^2 is solved as it stands; where a row carries nearly all
-    that is known of a direction, by the eigenvalues of K, none of which may then pass 1 / w.
+    (I + (1 - w) K) (I - w K) is symmetric and solved as it stands; where a row carries nearly all that is known of a
+    direction, by the eigenvalues of K, none of which may then pass 1 / w.
     """
-    w = weights[:, None, None]
-    identity = _IDENTITIES[residual.shape[1]]
-    kept = identity - w * leverage
-    spread = (identity + (1.0 - w) * leverage) @ kept
-    # The product of 1 - w k over the eigenvalues k of K is at most its smallest factor.
-    risky = np.linalg.det(kept) < _CARRIED
-    if leverage.max(initial=0.0) > 1.0 / _CARRIED:
-        risky |= leverage.max(axis=(1, 2)) > 1.0 / _CARRIED
-    some = bool(risky.any())
-    if some:
-        spread[risky] = identity
-    solved = np.linalg.solve(spread, residual[:, :, None])[:, :, 0]
-    result: Array = np.sqrt(np.maximum((residual * solved).sum(axis=1), 0.0))
-    if some:
-        result[risky] = _norms_by_eigenvalues(residual[risky], leverage[risky], weights[risky])
-    return result
+    identity = np.eye(len(r))[:, :, None]
+    kept = identity - w * K
+    spread = kept + (1.0 - w) * np.einsum("ijb,jkb->ikb", K, kept)
+    with np.errstate(all="ignore"):
+        # The product of 1 - w k over the eigenvalues k of K is at most its smallest factor.
+        left, _ = _eliminated(kept, np.zeros_like(r))
+        _, square = _eliminated(spread, r.copy())
+    risky = ~(left >= _CARRIED) | (K.max(axis=(0, 1), initial=0.0) > 1.0 / _CARRIED)
+    if risky.any():
+        square[risky] = _squares_by_eigenvalues(r[:, risky].T, K[:, :, risky].T, w[risky])
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
-def _norms_by_eigenvalues(residual: Array, leverage: Array, weights: Array) -> Array:
-    """`norms_of` with 1 - w k kept above 0."""
+def _eliminated(M: Array, r: Array) -> tuple[Array, Array]:
+    """The determinants of symmetric matrices, shape (D, D, B), and r^T M^-1 r; both arguments are overwritten."""
+    determinant, square = np.ones(r.shape[1]), np.zeros(r.shape[1])
+    for j in range(len(r)):
+        pivot = M[j, j]
+        determinant *= pivot
+        square += r[j] ** 2 / pivot
+        if j + 1 < len(r):
+            ratio = M[j + 1 :, j] / pivot
+            M[j + 1 :, j + 1 :] -= ratio[:, None] * M[j, j + 1 :]
+            r[j + 1 :] -= ratio * r[j]
+    return determinant, square
+
+
+def _squares_by_eigenvalues(residual: Array, leverage: Array, weights: Array) -> Array:
+    """The squares of the norms with 1 - w k kept above 0, of shapes (N, D), (N, D, D) and (N,)."""
     values, vectors = np.linalg.eigh(leverage)
     along = np.einsum("nij,ni->nj", vectors, residual)
     w = weights[:, None]
     spread = (1.0 + (1.0 - w) * values) * np.maximum(1.0 - w * values, 1e-9)
-    result: Array = np.sqrt(np.sum(along**2 / spread, axis=1))
-    return result
+    return np.asarray(np.sum(along**2 / spread, axis=1))
 
 
 def scores(

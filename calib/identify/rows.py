@@ -118,14 +118,15 @@ class Rows:
         measured = np.pad(self.measured, ((0, 0), (0, max(3 - self.measured.shape[1], 0))))
         return np.where(self.where(lambda kind: kind.position)[:, None], measured[:, :3], 0.0)
 
-    def select(self, mask: Mask) -> Rows:
-        """Some of the rows; of a pair both or none."""
-        if np.all(mask):
+    def select(self, which: Mask | slice) -> Rows:
+        """Some of the rows, in their order; of a pair both or none."""
+        chosen = np.arange(len(self))[which]
+        if len(chosen) == len(self):
             return self
-        chosen = np.flatnonzero(mask)
-        position = np.full(len(self), -1)
-        position[chosen] = np.arange(len(chosen))
         partner = self.partner[chosen]
+        position = np.full(len(self) if np.any(partner >= 0) else 1, -1)
+        if len(position) == len(self):
+            position[chosen] = np.arange(len(chosen))
         return replace(
             self,
             samples=self.samples.select(chosen),

@@ -17,8 +17,8 @@ from calib.identify.robust import (
     cauchy_weights,
     median_noise,
 )
-from calib.identify.streamed import Streamed
 from calib.identify.variance import (
+    Known,
     Masks,
     Sizes,
     precision_of,
@@ -156,11 +156,12 @@ class Stage:
     sizes: tuple[float, ...]
 
     @classmethod
-    def first(cls, problem: Problem, holds: Holds, weights: Array | None = None) -> Stage:
+    def first(
+        cls, holds: Holds, rows: int, instruments: int, weights: Array | None = None
+    ) -> Stage:
         """The noise as given, the priors as wide as they were given; all rows in full, or with these weights."""
-        ones = np.ones(len(problem.rows))
-        instruments, _ = problem.rows.instruments
-        noise = (1.0,) * (int(instruments.max()) + 1)
+        ones = np.ones(rows)
+        noise = (1.0,) * instruments
         return cls(holds, ones if weights is None else weights, ones, noise, holds.start)
 
     @property
@@ -174,30 +175,34 @@ class Stage:
         own = precision_of(self.holds.families, self.sizes, len(self.holds.precision))
         return own + self.holds.precision
 
+    def known(self, linear: Linear) -> Known:
+        """All that is known besides the measurements, at these sizes."""
+        return linear.known(self.precision, self.holds.centre)
+
     def problem(self, problem: Problem) -> Problem:
         """The problem in this form."""
         instruments, _ = problem.rows.instruments
         scales = np.append(np.array(self.noise), 1.0)[instruments] * problem.rows.scales
         return problem.reweighted(self.effective, scales, self.precision, self.holds.centre)
 
-    def by_median(self, linear: Linear | Streamed) -> Stage:
+    def by_median(self, linear: Linear) -> Stage:
         """Robust weights against a scale that outliers cannot move, on the linearised problem."""
         weights, noise = self.weights, self.noise
         for _ in range(3):
             effective = weights * self.share
-            data, centre = linear.data(effective), self.holds.centre
-            residual, covariance, _ = linear.fit(effective, noise, self.precision, centre, data)
+            data, known = linear.data(effective), self.known(linear)
+            residual, covariance, _ = linear.fit(effective, noise, known, data)
             found = []
             for c, smallest in enumerate(linear.smallest):
-                single = linear.norms(residual, covariance, effective, noise[c], c)
+                single = linear.norms(residual, covariance / noise[c] ** 2, effective, c)
                 found.append(max(median_noise(single, linear.instruments == c), smallest))
             noise = tuple(found)
             # Scores in units of the new noise need the covariance that goes with it.
-            residual, covariance, _ = linear.fit(effective, noise, self.precision, centre, data)
+            residual, covariance, _ = linear.fit(effective, noise, known, data)
             weights = cauchy_weights(linear.scores(residual, covariance, effective, noise))
         return replace(self, weights=weights, noise=noise)
 
-    def by_likelihood(self, linear: Linear | Streamed, *, robust: bool) -> Stage:
+    def by_likelihood(self, linear: Linear, *, robust: bool) -> Stage:
         """Noise and prior sizes by restricted likelihood, and the weights that go with them."""
         stage = self
         for _ in range(2 if robust else 1):
@@ -218,12 +223,10 @@ class Stage:
             stage = replace(stage, noise=found.noise, sizes=sizes)
         return stage
 
-    def _row_weights(self, linear: Linear | Streamed) -> Array:
+    def _row_weights(self, linear: Linear) -> Array:
         """The weights that the scores of the linear fit ask for."""
         effective = self.effective
-        residual, covariance, freedom = linear.fit(
-            effective, self.noise, self.precision, self.holds.centre
-        )
+        residual, covariance, freedom = linear.fit(effective, self.noise, self.known(linear))
         if freedom <= FEWEST_FREEDOM:
             return np.ones(len(effective))
         row_scores = linear.scores(residual, covariance, effective, self.noise)
@@ -231,7 +234,7 @@ class Stage:
         # Half of the rows cannot be outliers of the other half: then it is the noise that is taken too small.
         return found if np.sum(found) > 0.5 * len(found) else np.ones(len(found))
 
-    def sharing(self, linear: Linear | Streamed, poses: NDArray[np.int_], mode: str) -> Stage:
+    def sharing(self, linear: Linear, poses: NDArray[np.int_], mode: str) -> Stage:
         """What each of n repeats counts for, 1 / (1 + (n - 1) rho), with their correlation rho from what is left over.
 
         Args:
@@ -245,13 +248,11 @@ class Stage:
             return self
         rho = 1.0
         if mode == "weighted":
-            residual, _, freedom = linear.fit(
-                self.effective, self.noise, self.precision, self.holds.centre
-            )
+            residual, _, freedom = linear.fit(self.effective, self.noise, self.known(linear))
             scale = linear.noise_of(self.noise)
             paid = float(np.sum(self.effective @ linear.used)) - freedom
             found = repeats(
-                linear.scalars(residual) / scale,
+                residual / scale,
                 linear.used,
                 poses,
                 self.weights,

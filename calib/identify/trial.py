@@ -25,7 +25,6 @@ from calib.measure.kinds import LENGTHS
 from calib.measure.planning import choose_poses
 from calib.measure.scenario import Scenario
 from calib.measure.simulation import Simulated, VirtualCell
-from calib.model.batch import twists_of
 from calib.model.kinematics import Samples
 from calib.model.robot import read_only, rigid_inverse
 from calib.model.torques import gravity_load
@@ -205,10 +204,10 @@ def _predicted(trials: Trials, fitted: Fitted, q: Array) -> tuple[Array, Array]:
     load = None
     if any(term.factor and term.factor.loaded for term in fitted.kinematics.model.terms):
         load = gravity_load(robot, q, cell.payload, cell.gravity)
-    poses, twists = twists_of(fitted.kinematics, fitted.estimate.x, Samples.at(q, load))
+    poses, twists = fitted.kinematics.twists(fitted.estimate.x, Samples.at(q, load), rotation=False)
     if trials.scenario.kind in LENGTHS:
         poses = rigid_inverse(fitted.placed().T_frame_base[0]) @ poses
-    return poses[:, :3, 3], twists[:, :3]
+    return poses[:, :3, 3], twists
 
 
 def _covered(freedom: float, stated: Array, error: Array) -> float:

@@ -17,7 +17,6 @@ and its expected (Fisher) information has a closed form in C too: a handful of p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,9 +29,6 @@ Masks = tuple[NDArray[np.bool_], ...]
 
 #: sigma of each instrument.
 Noise = tuple[float, ...] | Array
-
-#: For each instrument the row of each of its M scalars, and [A, y] there, shapes (M,) and (M, p + 1).
-Scalars = tuple[tuple[NDArray[np.int_], Array], ...]
 
 #: Bounds of the sizes: far outside of what an arm can have.
 _SMALLEST, _LARGEST = 1e-7, 0.1
@@ -116,44 +112,6 @@ class Linearised:
     yy: Array
     count: Array
 
-    @classmethod
-    def of(
-        cls, A: Array, y: Array, weights: Array, instruments: NDArray[np.signedinteger]
-    ) -> Linearised:
-        """From rows.
-
-        Args:
-            A: shape (N, D, p), derivative of the prediction, in units of the sigma given.
-            y: shape (N, D), residual at x = 0 of the linearised model, likewise.
-            weights: shape (N,), between 0 and 1.
-            instruments: shape (N, D), which noise each scalar has; -1 for none.
-        """
-        return cls.of_scalars(scalars_of(A, y, instruments), weights)
-
-    @classmethod
-    def of_scalars(cls, scalars: Scalars, weights: Array) -> Linearised:
-        """From the scalars of each instrument, see `scalars_of`, and weights of the rows, shape (N,)."""
-        root = np.sqrt(weights)
-        p = scalars[0][1].shape[1] - 1
-        # One product has A^T W A, A^T W y and y^T W y.
-        both = np.empty((len(scalars), p + 1, p + 1))
-        count = np.empty(len(scalars))
-        for c, (row, columns) in enumerate(scalars):
-            whitened = columns * root[row, None]
-            np.matmul(whitened.T, whitened, out=both[c])
-            count[c] = weights[row].sum()
-        return cls(both[:, :p, :p], both[:, :p, p], both[:, p, p], count)
-
-    @classmethod
-    def sum(cls, parts: Sequence[Linearised]) -> Linearised:
-        """Of all rows together, from parts of them with the same instruments."""
-        return cls(
-            np.sum([part.H for part in parts], axis=0),
-            np.sum([part.g for part in parts], axis=0),
-            np.sum([part.yy for part in parts], axis=0),
-            np.sum([part.count for part in parts], axis=0),
-        )
-
     def posterior(self, noise: Noise, known: Known) -> tuple[Array, Array]:
         """Mean and covariance of x.
 
@@ -201,25 +159,6 @@ class Linearised:
         square = float(np.sum(self.residual_square(x) / np.square(noise))) + known.square(x)
         priors = float(np.sum(np.log(own[own > 0.0])))
         return -0.5 * (2.0 * float(self.count @ np.log(noise)) - priors + log_det + square)
-
-
-def scalars_of(
-    A: Array, y: Array, instruments: NDArray[np.signedinteger], count: int | None = None
-) -> Scalars:
-    """The scalars of each instrument below each other.
-
-    Args:
-        A: shape (N, D, p), see `Linearised.of`.
-        y: shape (N, D).
-        instruments: shape (N, D), which noise each scalar has; -1 for none.
-        count: How many instruments there are; None for those of these rows.
-    """
-    both = np.concatenate([A, y[:, :, None]], axis=2)
-    found = []
-    for c in range(int(instruments.max()) + 1 if count is None else count):
-        row, column = np.nonzero(instruments == c)
-        found.append((row, both[row, column]))
-    return tuple(found)
 
 
 def sizes_by_reml(

@@ -3,32 +3,25 @@
     T_frame_target(x, q) = F D_F  T_base_tip(x, q + dq)  T D_T
 
 with the measurement frame F, the target T in the tip, the displacements D of `calib.model.error_model` and the
-joints' own errors dq of `calib.model.joint_errors`. Forward kinematics and the placement regressor come from
-Pinocchio; the rest is one product with the parameters' directions. No finite differences anywhere. From
-`calib.model.batch.MANY` samples on `calib.model.kernel` computes the same, compiled.
+joints' own errors dq of `calib.model.joint_errors`. The arithmetic is that of `calib.model.kernel`, for any number of
+samples. No finite differences anywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, choices
-from calib.model.batch import MANY, Displaced, points_of, poses_of, twists_of
-from calib.model.joint_errors import axis_twists, joint_displacements
-from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
-from calib.model.robot import Robot, last_joint_poses, read_only
+from calib.model import kernel
+from calib.model.joint_errors import joint_displacements
+from calib.model.parameters import FRAME, TARGET, ErrorModel
+from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
-
-#: The other two axes of each, in the order of a right-handed frame.
-_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +79,6 @@ class Kinematics:
     model: ErrorModel
     T_frame_base: Array
     T_tip_target: Array
-    _axes: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """One frame and one target become stacks of one; refuse another number of them than the model has."""
@@ -100,7 +92,6 @@ class Kinematics:
                     f"places: {choices(places)}."
                 )
                 raise ModelError(message)
-        object.__setattr__(self, "_axes", axis_twists(self.robot))
 
     def poses(self, x: Array, where: Where) -> Array:
         """T_frame_target.
@@ -112,172 +103,60 @@ class Kinematics:
         Returns:
             shape (N, 4, 4), [m].
         """
-        samples = where if isinstance(where, Samples) else Samples.at(where)
-        if len(samples) >= MANY:
-            return poses_of(self, x, samples)
-        state = Displaced.of(self, x)
-        values, _ = self._chain_values(x, samples)
-        chain = self.robot.chain_model(state.placements)
-        T_root_last = last_joint_poses(chain, self.robot.configurations(values))
-        T_last_target = state.T_last_tip @ state.T_tip_target
-        result: Array = (
-            state.T_frame_root[samples.frame] @ T_root_last @ T_last_target[samples.target]
-        )
-        return result
+        geometry, _ = self._displaced(x)
+        return kernel.poses(geometry, self._stood(x, where))
 
     def points(self, x: Array, where: Where) -> Array:
         """The target's position in the measurement frame, shape (N, 3), [m]."""
-        samples = where if isinstance(where, Samples) else Samples.at(where)
-        if len(samples) >= MANY:
-            return points_of(self, x, samples)
-        return self.poses(x, samples)[:, :3, 3]
+        return self.poses(x, where)[:, :3, 3]
 
-    def twists(self, x: Array, where: Where) -> tuple[Array, Array]:
+    def twists(self, x: Array, where: Where, *, rotation: bool = True) -> tuple[Array, Array]:
         """T_frame_target, and the velocity of the target in a unit of each parameter.
 
         The twist k of row i has the target's linear velocity first, then the angular one, both along the axes of
         the measurement frame.
 
-        Returns:
-            shape (N, 4, 4), [m], and shape (N, 6, p), [m or rad per unit of the parameter].
-        """
-        samples = where if isinstance(where, Samples) else Samples.at(where)
-        if len(samples) >= MANY:
-            return twists_of(self, x, samples)
-        state = Displaced.of(self, x)
-        values, moved = self._chain_values(x, samples)
-        T_root_last, regressor = _regressor(
-            self.robot.chain_model(state.placements),
-            self.robot.configurations(values),
-            state.T_last_tip @ state.T_tip_target,
-            samples.target,
-        )
-        T_frame_tip = state.T_frame_root[samples.frame] @ T_root_last @ state.T_last_tip
-        T_frame_target = T_frame_tip @ state.T_tip_target[samples.target]
+        Args:
+            x: shape (p,), [m] and [rad].
+            where: N samples, or joint values of shape (N, m), [rad] or [m].
+            rotation: Whether the angular velocities are asked for.
 
-        R_frame_root = state.T_frame_root[samples.frame][:, :3, :3]
-        directions, count = state.directions, regressor.shape[2]
-        first = 6 * self.model.places.index(self.robot.joints[0].name)
-        of_joints = regressor.reshape(-1, count) @ directions[first : first + count]
-        of_joints = of_joints.reshape(len(samples), 6, len(self.model))
-        if moved is not None:
-            # The same regressor, along each joint's own axis, times how far a unit of the parameter moves that joint.
-            own = np.einsum("nkij,ij->nki", regressor.reshape(len(samples), 6, -1, 6), self._axes)
-            of_joints += own @ moved
-        twists = np.empty_like(of_joints)
-        twists[:, :3] = R_frame_root @ of_joints[:, :3]
-        twists[:, 3:] = R_frame_root @ of_joints[:, 3:]
-        T_frame_base = state.T_frame_base[samples.frame]
-        add_outer_twists(
-            twists,
-            self.model.places,
-            directions,
-            samples,
-            (T_frame_base, T_frame_tip, T_frame_target),
-        )
-        return T_frame_target, twists
+        Returns:
+            shape (N, 4, 4), [m], and shape (N, 6, p), or (N, 3, p) without angular ones, [m or rad per unit of the
+            parameter].
+        """
+        geometry, directions = self._displaced(x)
+        return kernel.twists(geometry, directions, self._stood(x, where), rotation=rotation)
 
     def points_jacobian(self, x: Array, where: Where) -> tuple[Array, Array]:
         """The target's position and its derivative, shapes (N, 3), [m], and (N, 3, p), [m per unit]."""
-        poses, twists = self.twists(x, where)
-        return poses[:, :3, 3], twists[:, :3]
+        poses, twists = self.twists(x, where, rotation=False)
+        return poses[:, :3, 3], twists
 
-    def _chain_values(self, x: Array, samples: Samples) -> tuple[Array, Array | None]:
-        """The chain's joint values with the joints' own errors, (N, n), and what a unit of x adds, (N, n, p)."""
+    def _displaced(self, x: Array) -> tuple[kernel.Geometry, kernel.Directions]:
+        """Every placement displaced, and what a unit of each parameter does there."""
+        displacement, directions = self.model.displacements(x)
+        local = directions.reshape(len(displacement), 6, -1)
+        frames, count = len(self.T_frame_base), len(self.robot.placements)
+        inner = slice(frames, frames + count)
+        geometry = self.robot.geometry(
+            self.robot.placements @ displacement[inner],
+            self.T_frame_base @ displacement[:frames],
+            self.T_tip_target @ displacement[frames + count :],
+        )
+        return geometry, kernel.Directions(local[:frames], local[inner], local[frames + count :])
+
+    def _stood(self, x: Array, where: Where) -> kernel.Stood:
+        """The chain's joint values with the joints' own errors at x, and how a unit of each parameter moves them."""
+        samples = where if isinstance(where, Samples) else Samples.at(where)
         values = self.robot.chain_values(samples.q)
         chosen = list(self.model.joint_terms)
-        if not chosen:
-            return values, None
-        terms = [self.model.terms[t] for t in chosen]
-        moved = joint_displacements(self.robot, terms, samples.q, samples.load)
-        moved = moved @ self.model.mixing[chosen]
-        return values + moved @ x, moved
-
-
-def add_outer_twists(
-    twists: Array,
-    places: Sequence[str],
-    directions: Array,
-    samples: Samples,
-    poses: tuple[Array, Array, Array],
-) -> None:
-    """Add what the measurement frames, the tip and the targets do, which are not in Pinocchio's regressor.
-
-    Args:
-        twists: shape (N, 6, p), added to in place.
-        places: See `ErrorModel.places`.
-        directions: shape (6 len(places), p), see `ErrorModel.displacements`.
-        samples: N of them.
-        poses: Of base, tip and target of each sample in its frame, each of shape (N, 4, 4), [m].
-    """
-    point = poses[2][:, :3, 3]
-    tip, outer = _outer_places(tuple(places))
-    for k in outer:
-        local = directions[6 * k : 6 * k + 6]
-        used = np.flatnonzero(local.any(axis=0))
-        if not len(used):
-            continue
-        # Columns between them, which do not act here, add nothing.
-        first, last = int(used[0]), int(used[-1]) + 1
-        local = local[:, first:last]
-        if k == tip:
-            seen, pose = None, poses[1]
-        elif k < tip:
-            seen, pose = samples.frame == k, poses[0]
-        else:
-            seen, pose = samples.target == k - tip - 1, poses[2]
-        if seen is None or seen.all():
-            twists[:, :, first:last] += _moved_with(pose, point, local)
-        else:
-            twists[seen, :, first:last] += _moved_with(pose[seen], point[seen], local)
-
-
-@lru_cache(maxsize=64)
-def _outer_places(places: tuple[str, ...]) -> tuple[int, tuple[int, ...]]:
-    """The number of the tip, and those of all places that are no joint's."""
-    tip = places.index(TIP)
-    outer = (k for k, one in enumerate(places) if k == tip or one.startswith((FRAME, TARGET)))
-    return tip, tuple(outer)
-
-
-def _moved_with(T: Array, point: Array, local: Array) -> Array:
-    """The twists of points that local twists of a body carry along, shape (N, 6, k).
-
-    Args:
-        T: Poses of the body, shape (N, 4, 4), [m].
-        point: shape (N, 3), [m].
-        local: shape (6, k), in the body's own axes.
-    """
-    R = T[:, :3, :3]
-    twists = np.zeros((len(T), 6, local.shape[1]))
-    twists[:, :3] = R @ local[:3]
-    if local[3:].any():
-        angular = R @ local[3:]
-        twists[:, :3] += _cross(angular, (point - T[:, :3, 3])[:, :, None])
-        twists[:, 3:] = angular
-    return twists
-
-
-def _regressor(
-    chain: pin.Model, configurations: Array, T_last_target: Array, target: NDArray[np.int_]
-) -> tuple[Array, Array]:
-    """The last joint's pose, (N, 4, 4), and the target's placement regressor, (N, 6, 6 n), along the root's axes."""
-    data = chain.createData()
-    last = chain.njoints - 1
-    pose = data.oMi[last]  # as forwardKinematics writes it
-    T_root_last = np.empty((len(configurations), 4, 4))
-    regressor = np.empty((len(configurations), 6, 6 * last))
-    placements = [pin.SE3(T) for T in T_last_target]
-    for i, (configuration, t) in enumerate(zip(configurations, target.tolist(), strict=True)):
-        # The regressor reads what forwardKinematics left in data; without that call it is silently wrong.
-        pin.forwardKinematics(chain, data, configuration)
-        T_root_last[i] = pose.homogeneous
-        regressor[i] = pin.computeJointKinematicRegressor(
-            chain, data, last, pin.LOCAL_WORLD_ALIGNED, placements[t]
-        )
-    return T_root_last, regressor
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """The product a x b along axis 1, shapes (N, 3, k) and (N, 3, 1): `numpy.cross` takes ten times as long."""
-    return np.asarray(a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT])
+        mixing = self.model.mixing[chosen]
+        columns = np.flatnonzero(mixing.any(axis=0))
+        moved = np.zeros((*values.shape, len(columns)))
+        if len(columns):
+            terms = [self.model.terms[t] for t in chosen]
+            moved = joint_displacements(self.robot, terms, samples.q, samples.load)
+            moved = moved @ mixing[:, columns]
+            values = values + moved @ x[columns]
+        return kernel.Stood(values, samples.frame, samples.target, moved, columns)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import UrdfError
+from calib.model import kernel
 from calib.model.chain import Chain, last_joint_poses, read_only, rigid_inverse
 from calib.model.coupling import Coupling, all_values, checked_held
 from calib.model.sources import read_urdf
@@ -197,16 +199,34 @@ class Robot:
         Raises:
             ModelError: ``q`` has not one column for each of ``joint_names``, or a value is not finite.
         """
-        from calib.model.batch import MANY, robot_poses
-
         values = self.chain_values(q)
-        if len(values) >= MANY:
-            return robot_poses(self, values)
-        T_root_last = last_joint_poses(self._chain.model, self.configurations(values))
-        result: NDArray[np.float64] = (
-            rigid_inverse(self.T_root_base) @ T_root_last @ self.placements[-1]
+        first = np.zeros(len(values), dtype=np.int_)
+        stood = kernel.Stood(values, first, first, np.zeros((*values.shape, 0)), first[:0])
+        return kernel.poses(self.geometry(self.placements), stood)
+
+    def geometry(
+        self,
+        placements: NDArray[np.float64],
+        T_frame_base: NDArray[np.float64] | None = None,
+        T_tip_target: NDArray[np.float64] | None = None,
+    ) -> kernel.Geometry:
+        """The chain with these placements as arrays, see `calib.model.kernel`.
+
+        Args:
+            placements: shape (n + 1, 4, 4), [m].
+            T_frame_base: shape (F, 4, 4), [m], the measurement frames; None for one that is the base.
+            T_tip_target: shape (T, 4, 4), [m], the targets; None for one that is the tip.
+        """
+        slides, turns, T_base_root = _axes_of(self)
+        one = np.eye(4)[None]
+        return kernel.Geometry(
+            slides,
+            turns,
+            placements,
+            one if T_frame_base is None else T_frame_base,
+            T_base_root,
+            one if T_tip_target is None else T_tip_target,
         )
-        return result
 
     def chain_values(self, q: ArrayLike) -> NDArray[np.float64]:
         """The values of ``joints``, q_chain = A q + b, shape (N, n), [rad] or [m].
@@ -289,3 +309,11 @@ class Robot:
             "<origin> behind that joint that could hold a correction. Add a fixed joint and a link to the "
             "URDF and name that link as --tip."
         )
+
+
+@lru_cache(maxsize=16)
+def _axes_of(robot: Robot) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
+    """Which joints slide, shape (n,), rotations that take z to their axes, (n, 3, 3), and T_base_root, (4, 4)."""
+    slides = np.array([joint.type == "prismatic" for joint in robot.joints])
+    turns = kernel.turns_to(np.array([joint.axis for joint in robot.joints]))
+    return slides, turns, rigid_inverse(robot.T_root_base)

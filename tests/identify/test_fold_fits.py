@@ -1,4 +1,4 @@
-"""Fits without each fold on the linearised problem: against one fold at a time, and against fits from the beginning."""
+"""Fits without each fold on the linearised problem: against fits from the beginning."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 
 from calib.identify.crossvalidation import cross_validation, folds_of
+from calib.identify.estimate import estimate as estimated
 from calib.identify.fitting import Fitted, Task, fit, task_options
-from calib.identify.fold_fits import _one_by_one, fold_fits, fold_means
-from calib.identify.linear import Linear
+from calib.identify.fitting import _solver as solver_of
+from calib.identify.fold_fits import fold_fits, fold_means
+from calib.identify.problem import Problem
 from calib.identify.rows import Rows
 from calib.identify.stage import Holds
 from calib.identify.table_rows import known_distances, rows_of
-from calib.measure.cell import Cell, Priors
+from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
+from calib.model.observability import steps
 
 
 def fitted_to(scene: Any, table: Measurements, cell: Cell, model: str = "dh") -> Fitted:
@@ -44,64 +47,27 @@ def with_outliers(make_scene: Any, **given: Any) -> tuple[Any, Measurements]:
     return scene, replace(table, points=points)
 
 
-def prepared(fitted: Fitted, masks: tuple[Any, ...]) -> tuple[Any, ...]:
-    """What `fold_fits` takes."""
-    problem, x = fitted.estimate.problem, fitted.estimate.x
-    model = fitted.kinematics.model
-    options = task_options(fitted.task, model, fitted.setup)
-    holds = Holds.of(model, options.priors, options.single, (), options.nominal)
-    return problem, Linear.at(problem, x), x, holds, masks, options
-
-
-def assert_the_same(fitted: Fitted) -> None:
-    """All folds at once are the stages of a single fit, one fold after the other."""
-    masks = folds_of(fitted.task, rows_of_fit(fitted)).masks[:8]
-    problem, linear, x, holds, masks, options = prepared(fitted, masks)
-    at_once = fold_fits(problem, linear, x, holds, masks, options)
-    in_turn = _one_by_one(problem, x, holds, masks, options)
-    std = np.sqrt(np.diag(fitted.estimate.covariance))
-    np.testing.assert_allclose(at_once.x / std, in_turn.x / std, atol=1e-4)
-    np.testing.assert_allclose(at_once.freedom, in_turn.freedom, rtol=1e-6)
-
-
-def test_all_folds_at_once_are_one_fold_after_the_other(case):
-    """For every kind of row, of several instruments, targets and set-ups."""
-    assert_the_same(of_case(case))
-
-
-@pytest.mark.parametrize(
-    "cell",
-    [
-        Cell(),
-        Cell(priors=Priors(sizes="off")),
-        Cell(priors=Priors(sizes="given")),
-        Cell(frozen=("d1",), parameter_priors={"a2": 1e-4}),
-    ],
-    ids=["sizes from the data", "no priors", "sizes as given", "single priors"],
-)
-def test_priors_and_outliers_go_into_each_fold(make_scene, cell):
+def test_folds_by_the_linearised_problem_go_through_the_stages_of_a_fit(make_scene):
+    """At the solution without a fold, the linearised problem has the fold's own estimate."""
     scene, table = with_outliers(make_scene)
-    fitted = fitted_to(scene, table, cell)
-    assert_the_same(fitted)
-    assert_the_same(fit(replace(fitted.task, robust=False), rows_of_fit(fitted)))
-
-
-@pytest.mark.parametrize("mode", ["weighted", "average", "independent"])
-def test_repeats_share_in_each_fold(make_scene, mode):
-    scene = make_scene(92, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
-    m = scene.points(20)
-    noise = 2e-5 * np.random.default_rng(1).normal(size=(60, 3))
-    table = Measurements(
-        m.joint_names, np.tile(m.joints, (3, 1)), np.tile(m.points, (3, 1)) + noise
-    )
-    assert_the_same(fitted_to(scene, table, Cell(repeats=mode)))
+    fitted = fitted_to(scene, table, Cell())
+    masks = folds_of(fitted.task, rows_of_fit(fitted)).masks[:6]
+    problem, estimate = fitted.estimate.problem, fitted.estimate
+    options = task_options(fitted.task, fitted.kinematics.model, fitted.setup)
+    holds = Holds.of(fitted.kinematics.model, options.priors, options.single, (), options.nominal)
+    found = fold_fits(problem, estimate.noise, problem.linear(estimate.x), holds, masks, options)
+    std = np.sqrt(np.diag(estimate.covariance))
+    for mask, x in zip(masks, found.x, strict=True):
+        first = Problem.first(problem.kinematics, problem.rows.select(~mask))
+        solve = solver_of("lm", steps(fitted.kinematics.model.units))
+        np.testing.assert_allclose(estimated(first, solve, options).x / std, x / std, atol=0.05)
 
 
 def test_means_at_sizes_that_stay(make_scene):
     scene, table = with_outliers(make_scene)
     fitted = fitted_to(scene, table, Cell())
     problem, estimate = fitted.estimate.problem, fitted.estimate
-    linear = Linear.at(problem, estimate.x)
+    linear = problem.linear(estimate.x)
     known = linear.known(problem.precision, problem.centre)
     masks = folds_of(fitted.task, problem.rows).masks
     found = fold_means(linear, masks, problem.weights, estimate.noise, known)

@@ -1,4 +1,4 @@
-"""A table of many rows goes another way through the program; what comes out must be the same."""
+"""Many rows are taken part by part and block by block; what comes out must be the same."""
 
 from __future__ import annotations
 
@@ -6,24 +6,76 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from calib.identify import nominal, problem, thinning
+from calib.identify import problem
 from calib.identify.calibration import calibrate
-from calib.identify.nominal import residual_of
+from calib.identify.evidence import thin
 from calib.identify.rows import NONE, Rows, evenly, thinned, whole_blocks
-from calib.identify.table_rows import rows_of
-from calib.identify.thinning import thin
-from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.model import batch
+from calib.model import kernel
 from calib.model.error_model import error_model
-from calib.model.kinematics import Kinematics
-from tests.identify.test_passes import KINDS, rows_of_kinds
+from calib.model.kinematics import Kinematics, Samples
 
 #: Numbers of kinds in the registry.
-PLANE = 5
+DISTANCE, FIXED, PAIR, PLANE, POINT, POSE = 2, 4, 3, 5, 0, 1
 
 COUNT = 1700
+
+
+def rows_of_kinds(robot, kinds, seed=0, count=260) -> tuple[Kinematics, Rows]:
+    """Rows of some kinds in two frames with two targets, each a little off."""
+    rng = np.random.default_rng(seed)
+    model = error_model(
+        robot,
+        "dh+gain+compliance",
+        frame={"a": ("x", "y", "z", "rx", "ry", "rz"), "b": ("z", "rx")},
+        target=("left", "right"),
+        targets=("left", "right"),
+        rotation=POSE in kinds,
+    )
+    frames, targets = np.tile(np.eye(4), (2, 1, 1)), np.tile(np.eye(4), (2, 1, 1))
+    frames[1, :3, 3], targets[1, :3, 3] = (0.1, 0.2, 0.3), (0.05, 0.02, 0.1)
+    kinematics = Kinematics(robot, model, frames, targets)
+    of = rng.choice([k for k in kinds if k != PAIR] or [NONE], count)
+    partner = np.full(count, -1)
+    if PAIR in kinds:
+        last = count // 6 * 2 if len(kinds) > 1 else count
+        of[:last], of[1:last:2] = PAIR, NONE
+        partner[:last:2] = np.arange(1, last, 2)
+    samples = Samples(
+        rng.uniform(-3.0, 3.0, (count, 6)),
+        rng.integers(0, 2, count),
+        rng.integers(0, 2, count),
+        rng.normal(0.0, 20.0, (count, 6)),
+    )
+    T = kinematics.poses(np.zeros(len(model)), samples)
+    points = T[:, :3, 3] + rng.normal(0.0, 1e-3, (count, 3))
+    turned = Rotation.from_rotvec(rng.normal(0.0, 0.01, (count, 3))).as_matrix()
+    measured = np.hstack([points, (T[:, :3, :3] @ turned).reshape(-1, 9)])
+    lengths = np.isin(of, (DISTANCE, PAIR))
+    measured[lengths, 0] = rng.uniform(0.3, 0.6, np.sum(lengths))
+    return kinematics, Rows(
+        samples,
+        of,
+        measured,
+        partner,
+        rng.uniform(0.5e-4, 2e-4, count),
+        rng.uniform(0.5e-3, 2e-3, count),
+        np.arange(count),
+        np.where(partner >= 0, partner, np.arange(count)),
+    )
+
+
+KINDS = {
+    "point": (POINT,),
+    "pose": (POSE,),
+    "distance": (DISTANCE,),
+    "pair": (PAIR,),
+    "fixed": (FIXED,),
+    "plane": (PLANE,),
+    "all": (POINT, POSE, DISTANCE, PAIR, FIXED, PLANE),
+}
 
 
 @pytest.fixture(scope="module")
@@ -42,55 +94,40 @@ def table(ur3) -> Measurements:
     return Measurements(joint_names=ur3.joint_names, joints=q, points=points, sets=tuple(sets))
 
 
-@pytest.fixture(scope="module")
-def both(ur3, table):
-    """The result of many rows, and that of the same rows with every derivative at hand."""
-    many = calibrate(ur3, table, model="dh")
-    with pytest.MonkeyPatch.context() as patch:
-        for module in (batch, problem, nominal):
-            patch.setattr(module, "MANY", 10 * COUNT)
-        patch.setattr("calib.model.kinematics.MANY", 10 * COUNT)
-        patch.setattr("calib.identify.crossvalidation.MANY", 10 * COUNT)
-        few = calibrate(ur3, table, model="dh")
-    assert many.fitted.estimate.problem.passes is not None
-    assert few.fitted.estimate.problem.passes is None
-    return many, few
-
-
-def test_parameters_and_their_uncertainty(both):
-    many, few = both
-    std = np.sqrt(np.diag(few.covariance))
-    np.testing.assert_allclose(many.x, few.x, atol=1e-4 * std.min())
-    np.testing.assert_allclose(many.covariance, few.covariance, atol=1e-6 * std.max() ** 2)
-    assert many.freedom == pytest.approx(few.freedom, rel=1e-6)
-    assert many.sigma == pytest.approx(few.sigma, rel=1e-6)
-    assert many.observability.rank == few.observability.rank
-    assert many.observability.condition == pytest.approx(few.observability.condition, rel=1e-6)
-    assert many.observability.indices == pytest.approx(few.observability.indices, rel=1e-6)
-
-
-def test_rows_and_their_scores(both):
-    many, few = both
-    np.testing.assert_allclose(many.residual_calibrated, few.residual_calibrated, atol=1e-9)
-    np.testing.assert_allclose(many.residual_nominal, few.residual_nominal, atol=1e-12)
-    np.testing.assert_allclose(many.scores, few.scores, rtol=1e-3, atol=1e-3)
-    assert [o.row for o in many.outliers] == [o.row for o in few.outliers]
-    assert len(many.outliers) >= COUNT // 100
-    assert [o.row for o in many.suspects] == [o.row for o in few.suspects]
-
-
-def test_errors_of_left_out_rows_and_the_verdict(both):
-    many, few = both
-    ours, theirs = many.cross_validation, few.cross_validation
-    assert ours.errors_without_outliers.rms == pytest.approx(
-        theirs.errors_without_outliers.rms, rel=1e-3
+@pytest.mark.slow
+def test_parts_and_blocks_do_not_matter(ur3, table, monkeypatch):
+    whole = calibrate(ur3, table, model="dh")
+    monkeypatch.setattr(kernel, "BLOCK", 100)
+    monkeypatch.setattr(problem, "_PART", 300)
+    parts = calibrate(ur3, table, model="dh")
+    std = np.sqrt(np.diag(whole.covariance))
+    np.testing.assert_allclose(parts.x, whole.x, atol=1e-6 * std.min())
+    np.testing.assert_allclose(parts.scores, whole.scores, rtol=1e-6)
+    assert parts.cross_validation.errors.rms == pytest.approx(
+        whole.cross_validation.errors.rms, rel=1e-9
     )
-    assert many.nominal_cross_validation.errors.rms == pytest.approx(
-        few.nominal_cross_validation.errors.rms, rel=1e-9
+    assert parts.verdict == whole.verdict
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_linearised_problem_in_parts(ur3, kind, monkeypatch):
+    kinematics, rows = rows_of_kinds(ur3, KINDS[kind])
+    x = np.random.default_rng(3).normal(0.0, 1e-4, len(kinematics.model))
+    whole = problem.Problem.first(kinematics, rows).linear(x)
+    weights = np.random.default_rng(4).uniform(size=len(rows))
+    data, noise = whole.data(weights), tuple(1.0 + np.arange(len(whole.smallest)))
+    covariance = np.linalg.inv(data.H.sum(axis=0) + np.eye(len(x)))
+    scores = whole.scores(whole.residual(x), covariance, weights, noise)
+    monkeypatch.setattr(kernel, "BLOCK", 31)
+    monkeypatch.setattr(problem, "_PART", 50)
+    parts = problem.Problem.first(kinematics, rows).linear(x)
+    np.testing.assert_allclose(parts.columns, whole.columns, rtol=1e-9, atol=1e-6)
+    again = parts.data(weights)
+    np.testing.assert_allclose(again.H, data.H, rtol=1e-9, atol=1e-9 * np.abs(data.H).max())
+    np.testing.assert_allclose(again.count, data.count)
+    np.testing.assert_allclose(
+        parts.scores(parts.residual(x), covariance, weights, noise), scores, rtol=1e-6
     )
-    assert many.robustness.moved_rms == pytest.approx(few.robustness.moved_rms, rel=1e-3)
-    assert many.verdict == few.verdict
-    assert many.repeats.freedom == pytest.approx(few.repeats.freedom, rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["point", "all"])
@@ -118,39 +155,17 @@ def test_parts_hold_whole_blocks(ur3):
         assert not np.isin(rows.blocks[mask], rows.blocks[~mask]).any()
 
 
-def test_a_thin_fit_is_the_fit_on_some_of_its_rows(both):
-    fitted = both[0].fitted
+def test_a_thin_fit_is_the_fit_on_some_of_its_rows(ur3, table):
+    fitted = calibrate(ur3, table, model="zeros", validate=False).fitted
     few = thin(fitted, 600)
     rows = few.estimate.problem.rows
     assert 500 <= len(rows) <= 700
-    assert few.estimate.problem.passes is None
     np.testing.assert_array_equal(few.estimate.x, fitted.estimate.x)
     own = np.isin(fitted.estimate.problem.rows.samples.q[:, 0], rows.samples.q[:, 0])
     own &= np.isin(fitted.estimate.problem.rows.points[:, 0], rows.points[:, 0])
     np.testing.assert_array_equal(fitted.estimate.scores[own], few.estimate.scores)
     np.testing.assert_array_equal(fitted.estimate.problem.scales[own], few.estimate.problem.scales)
     assert thin(fitted) is fitted
-    assert thinning.MOST > COUNT
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_nominal_robot_in_passes(ur3, kind, monkeypatch):
-    _, rows = rows_of_kinds(ur3, KINDS[kind], count=60)
-    _, setup = rows_of(ur3, _points_of(ur3, rows), Cell())
-    expected = residual_of(ur3, setup, _in_one_frame(rows))
-    monkeypatch.setattr(nominal, "MANY", 1)
-    np.testing.assert_allclose(residual_of(ur3, setup, _in_one_frame(rows)), expected, atol=1e-12)
-
-
-def _points_of(robot, rows) -> Measurements:
-    return Measurements(
-        joint_names=robot.joint_names, joints=rows.joints, points=np.zeros((len(rows), 3))
-    )
-
-
-def _in_one_frame(rows: Rows) -> Rows:
-    nothing = np.zeros(len(rows), dtype=int)
-    return replace(rows, samples=replace(rows.samples, frame=nothing, target=nothing))
 
 
 def test_thin_rows_have_every_kind_and_no_cycle(ur3):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from calib.families import ZERO
-from calib.identify.linear import SMALLEST_SIGMA, Linear
-from calib.identify.problem import Problem
+from calib.identify.problem import SMALLEST_SIGMA, Problem
 from calib.identify.stage import Holds, Stage
 from calib.measure.cell import Priors
 from calib.model.error_model import error_model
@@ -59,8 +58,8 @@ def test_the_linear_problem_is_the_problem_at_that_place(virtual):
     x = virtual.offsets(rng, 1e-3, 5e-3)
     rows = virtual.rows(rng, x, 12, 1e-4)
     problem = Problem.first(virtual.kinematics, rows)
-    linear = Linear.at(problem, x)
-    np.testing.assert_allclose((linear.y - linear.A @ x) * 1e-4, problem.residual(x), atol=1e-15)
+    linear = problem.linear(x)
+    np.testing.assert_allclose(linear.residual(x) * 1e-4, problem.residual(x), atol=1e-15)
     assert linear.smallest == pytest.approx((SMALLEST_SIGMA / 1e-4,))
     assert linear.noise_of((3.0,)).shape == (12, 3)
 
@@ -68,11 +67,11 @@ def test_the_linear_problem_is_the_problem_at_that_place(virtual):
 def test_freedom_is_what_scalars_are_left_after_the_parameters(virtual):
     rng = np.random.default_rng(1)
     rows = virtual.rows(rng, np.zeros(27), 40, 1e-4)
-    linear = Linear.at(Problem.first(virtual.kinematics, rows), np.zeros(27))
+    linear = Problem.first(virtual.kinematics, rows).linear(np.zeros(27))
     nothing, free = np.zeros(27), np.full(27, 1e-6)
-    *_, held = linear.fit(np.ones(40), (1.0,), np.full(27, 1e20), nothing)
-    *_, loose = linear.fit(np.ones(40), (1.0,), free, nothing)
-    *_, half = linear.fit(np.full(40, 0.5), (1.0,), free, nothing)
+    *_, held = linear.fit(np.ones(40), (1.0,), linear.known(np.full(27, 1e20), nothing))
+    *_, loose = linear.fit(np.ones(40), (1.0,), linear.known(free, nothing))
+    *_, half = linear.fit(np.full(40, 0.5), (1.0,), linear.known(free, nothing))
     assert held == pytest.approx(120, abs=1e-3)
     assert loose == pytest.approx(120 - 21, abs=1e-3)  # six of the 27 are told by others only
     assert half == pytest.approx(60 - 21, abs=1e-3)
@@ -106,8 +105,8 @@ def test_repeats_count_for_what_they_do_not_share(virtual, mode, shared, own, rh
     for seed in range(8):
         rows = repeated(virtual, np.random.default_rng(seed), shared, own)
         problem = Problem.first(virtual.kinematics, rows)
-        stage = Stage.first(problem, Holds.of(virtual.kinematics.model, Priors(), {}))
-        linear = Linear.at(problem, np.zeros(27))
+        stage = Stage.first(Holds.of(virtual.kinematics.model, Priors(), {}), len(rows), 1)
+        linear = problem.linear(np.zeros(27))
         stage = stage.sharing(linear, rows.poses, mode)
         np.testing.assert_array_equal(stage.share, stage.share[0])
         shares.append(stage.share[0])
@@ -120,8 +119,8 @@ def test_a_flagged_repeat_leaves_its_part_to_the_others(virtual):
     weights = np.ones(len(rows))
     weights[0] = 0.0
     holds = Holds.of(virtual.kinematics.model, Priors(), {})
-    stage = Stage.first(problem, holds, weights)
-    share = stage.sharing(Linear.at(problem, np.zeros(27)), rows.poses, "average").share
+    stage = Stage.first(holds, len(rows), 1, weights)
+    share = stage.sharing(problem.linear(np.zeros(27)), rows.poses, "average").share
     np.testing.assert_allclose(share[:5], [1 / 3, 1 / 3, 1 / 3, 1 / 3, 1 / 4])
 
 
@@ -131,9 +130,9 @@ def test_first_weights_name_gross_rows_and_the_median_finds_the_noise(virtual):
     points = rows.points.copy()
     points[:6] += 0.02
     problem = Problem.first(virtual.kinematics, replace(rows, points=points))
-    stage = Stage.first(problem, Holds.of(virtual.kinematics.model, Priors(), {}))
+    stage = Stage.first(Holds.of(virtual.kinematics.model, Priors(), {}), len(rows), 1)
     for _ in range(4):
-        stage = stage.by_median(Linear.at(problem, np.zeros(27)))
+        stage = stage.by_median(problem.linear(np.zeros(27)))
     assert np.all(stage.weights[:6] < 0.02)
     assert np.median(stage.weights[6:]) > 0.7
     assert stage.noise[0] == pytest.approx(2.0, rel=0.3)

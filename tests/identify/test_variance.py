@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from calib.identify.linear import Linear
 from calib.identify.variance import (
     Known,
-    Linearised,
     Sizes,
     _pseudo_inverse_by_qr,
     _score,
@@ -40,13 +40,23 @@ def instruments_of(A, count):
     return result
 
 
+def normal_of(A, y, weights, instruments):
+    """The normal equations, as the linearised problem at 0 makes them."""
+    columns = np.concatenate([A, y[:, :, None]], axis=2).transpose(2, 1, 0).copy()
+    p, count = A.shape[2], int(instruments.max()) + 1
+    used, none = instruments >= 0, np.zeros((0, p))
+    return Linear(np.zeros(p), columns, used, instruments, (0.0,) * count, none, np.zeros(0)).data(
+        weights
+    )
+
+
 def one_instrument(A, y, weights=None):
     return linearised(A, y, 1, weights)
 
 
 def linearised(A, y, count, weights=None):
     weights = np.ones(len(A)) if weights is None else weights
-    return Linearised.of(A, y, weights, instruments_of(A, count))
+    return normal_of(A, y, weights, instruments_of(A, count))
 
 
 def restricted_log_likelihood(noise, sizes, A, y, held=None, C=None, z=None, centre=None):
@@ -335,8 +345,8 @@ def test_scalars_of_no_instrument_count_for_nothing():
     instruments = np.zeros((6, 3), dtype=int)
     instruments[:, 1] = -1
     y[:, 1] = 1e6
-    mine = Linearised.of(A, y, np.ones(6), instruments)
-    other = Linearised.of(A[:, ::2], y[:, ::2], np.ones(6), np.zeros((6, 2), dtype=int))
+    mine = normal_of(A, y, np.ones(6), instruments)
+    other = normal_of(A[:, ::2], y[:, ::2], np.ones(6), np.zeros((6, 2), dtype=int))
     np.testing.assert_allclose(mine.H, other.H)
     np.testing.assert_allclose(mine.yy, other.yy)
     assert mine.count == other.count == 12
