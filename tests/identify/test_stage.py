@@ -85,7 +85,7 @@ def repeated(virtual, rng, shared, own, poses=40, times=4):
     return replace(
         rows,
         samples=Samples.at(np.repeat(once.joints, times, axis=0)),
-        points=noise + own * rng.normal(size=(poses * times, 3)),
+        measured=noise + own * rng.normal(size=(poses * times, 3)),
         poses=np.repeat(np.arange(poses), times),
     )
 
@@ -129,7 +129,7 @@ def test_first_weights_name_gross_rows_and_the_median_finds_the_noise(virtual):
     rows = virtual.rows(rng, np.zeros(27), 60, 2e-4)
     points = rows.points.copy()
     points[:6] += 0.02
-    problem = Problem.first(virtual.kinematics, replace(rows, points=points))
+    problem = Problem.first(virtual.kinematics, replace(rows, measured=points))
     stage = Stage.first(Holds.of(virtual.kinematics.model, Priors(), {}), len(rows), 1)
     for _ in range(4):
         stage = stage.by_median(problem.linear(np.zeros(27)))
