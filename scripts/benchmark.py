@@ -32,15 +32,14 @@ from scipy.optimize import least_squares
 
 from calib.calibration import calibrate
 from calib.identify.fitting import Task, fit
-from calib.identify.passes import Passes
 from calib.identify.plan import plan
+from calib.identify.problem import Problem
 from calib.identify.rows import Rows
 from calib.identify.study import Trials, study
 from calib.identify.table_rows import rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.scenario import Scenario
-from calib.model.batch import warm_up
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.robot import Robot
@@ -63,7 +62,6 @@ def main() -> None:
     if asked.one:
         print(json.dumps(ONE[asked.one[0]](int(asked.one[1]))))
         return
-    warm_up()
     sizes = SIZES[:4] if asked.quick else SIZES
     tables = {
         "pass": of_passes(sizes[-1], asked.limit),
@@ -132,12 +130,10 @@ def one_pass(count: int) -> dict[str, float]:
     robot = task.robot
     kinematics = Kinematics(robot, error_model(robot, "dh", target=True), np.eye(4), np.eye(4))
     assert len(kinematics.model) == 27
-    passes, x = Passes.of(kinematics, rows), np.zeros(27)
-    weights = np.ones(len(rows))
+    x, weights = np.zeros(27), np.ones(len(rows))
 
     def again() -> None:
-        passes.normal(x, weights)
-        passes.forget()
+        Problem.first(kinematics, rows).linear(x).data(weights)
 
     return {"seconds": best(again, 5)}
 

@@ -127,12 +127,7 @@ def _pushes(fitted: Fitted) -> Array:
     if fitted.task.solver == "paper":  # not at the least of squares, and without priors
         return np.asarray(problem.precision * (x - problem.centre))
     between, slope = problem.constraints(x)
-    if problem.passes is None:
-        residual, jacobian = problem.residual_and_jacobian(x)
-        used = problem.rows.used
-        weights = np.where(used, problem.weights[:, None] / problem.scales**2, 0.0)
-        push = np.einsum("nd,ndp->p", weights * np.where(used, residual, 0.0), jacobian)
-    else:
-        precise = 1.0 / np.square(problem.passes.noise_of(problem.scales))
-        push = np.tensordot(precise, problem.passes.normal(x, problem.weights), 1)[:-1, -1]
+    linear, given = problem.linear(x), problem.rows.scales
+    data = linear.residual(x) * np.where(problem.rows.used, given / problem.scales, 0.0) ** 2
+    push = np.einsum("nd,ndp->p", problem.weights[:, None] * data, linear.A)
     return np.asarray(push + between @ slope)

@@ -50,12 +50,12 @@ class Linear:
 
     def __len__(self) -> int:
         """Number of rows."""
-        return self.columns.shape[2]
+        return int(self.columns.shape[2])
 
     @property
     def A(self) -> Array:
         """The derivative of the prediction, shape (N, D, p)."""
-        return self.columns[:-1].transpose(2, 1, 0)
+        return np.asarray(self.columns[:-1].transpose(2, 1, 0))
 
     def known(self, precision: Array, centre: Array) -> Known:
         """Priors of given precision and mean, and the known distances."""

@@ -197,7 +197,7 @@ def carried(frames: Array, T: Array, which: Numbers) -> Array:
     """Frames, shape (4, 3, B), followed by one of some placements, shapes (K, 4, 4) and (B,)."""
     if len(T) == 1:
         return np.asarray((T[0].T @ frames.reshape(4, -1)).reshape(frames.shape))
-    return np.einsum("bkc,kib->cib", T[which], frames)
+    return np.asarray(np.einsum("bkc,kib->cib", T[which], frames))
 
 
 def blocks(count: int) -> Iterator[slice]:

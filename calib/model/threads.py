@@ -1,8 +1,7 @@
 """one_blas_thread: linear algebra on small matrices by one thread.
 
 A fit multiplies and factors thousands of matrices of thirty columns. More threads gain nothing there, and on a busy
-machine their waiting for each other takes ten times as long as the work. What is large enough for several threads has
-threads of its own, see `calib.model.batch`.
+machine their waiting for each other takes ten times as long as the work.
 """
 
 from __future__ import annotations
