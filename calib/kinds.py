@@ -125,7 +125,7 @@ class Kind:
 
     @property
     def angles(self) -> int:
-        """How many of them are angles."""
+        """How many are angles."""
         return self.units.count("rad")
 
     @property
@@ -163,14 +163,10 @@ def register(kind: Kind) -> None:
     if kind.name in _KINDS:
         message = f"There is a kind '{kind.name}' already; give yours another name."
         raise CalibError(message)
-    for other in _KINDS.values():
-        for one in kind.readings:
-            if any(one.name == their.name and one != their for their in other.readings):
-                message = (
-                    f"The kind '{kind.name}' reads '{one.name}' otherwise than the kind '{other.name}' does; give your "
-                    "column another name."
-                )
-                raise CalibError(message)
+    for one in kind.readings:
+        if readings().get(one.name, one) != one:
+            message = f"Another kind reads '{one.name}' otherwise than '{kind.name}' does; rename your column."
+            raise CalibError(message)
     _KINDS[kind.name] = kind
 
 
@@ -207,26 +203,6 @@ def unit(v: Array) -> Array:
     return result
 
 
-def best_fit(points: Array, seen: Array) -> Array:
-    """The pose that carries points to where they were seen best (W. Kabsch, 1976), shape (4, 4), [m].
-
-    Args:
-        points: shape (N, 3).
-        seen: shape (N, 3).
-    """
-    centre, middle = points.mean(axis=0), seen.mean(axis=0)
-    T = np.eye(4)
-    T[:3, :3] = nearest_rotation((seen - middle).T @ (points - centre))
-    T[:3, 3] = middle - T[:3, :3] @ centre
-    return T
-
-
-def nearest_rotation(M: Array) -> Array:
-    """The rotation nearest to a matrix, shape (3, 3)."""
-    U, _, V = np.linalg.svd(M)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))]) @ V)
-
-
 def _place(T: Array) -> Array:
     """Positions, shape (..., 3)."""
     return T[..., :3, 3]
@@ -255,8 +231,9 @@ def _pose_residual(measured: Array, T: Array) -> Array:
 
 def _pose_derivative(measured: Array, T: Array, twists: Array) -> Array:
     """The derivative of position and orientation."""
-    turns = _log_derivative(_turned(measured, T)) @ twists[:, 3:]
-    return np.concatenate([twists[:, :3], turns], axis=1)
+    return np.concatenate(
+        [twists[:, :3], _log_derivative(_turned(measured, T)) @ twists[:, 3:]], axis=1
+    )
 
 
 def _log_derivative(rotation: Rotation) -> Array:
@@ -317,7 +294,7 @@ def _socket(points: Array, _measured: Array, T_frame_base: Array) -> Array:
 
 def _standing(T_frame_base: Array, place: Array) -> Array:
     """The frame with its origin at a place in the base."""
-    T = T_frame_base.copy()
+    T: Array = T_frame_base.copy()
     T[:3, 3] = -T[:3, :3] @ place
     return T
 

@@ -369,11 +369,10 @@ def _carried_text(table: Measurements | None, frame: BaseFrame) -> list[str]:
     import numpy as np
 
     from calib.errors import choices
-    from calib.measure.kinds import POSITIONS
 
     if table is None:
         return []
-    rows = table.of_kind(*POSITIONS)
+    rows = table.positions
     std = np.sqrt((frame.std_at(table.points[rows]) ** 2).sum(axis=1))
     text = (
         f"Carried {int(rows.sum())} rows of {table.source} into the base frame; it moves them "

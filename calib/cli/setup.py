@@ -91,11 +91,12 @@ def load_with_data(
         message = "--points-unit is the unit of a list of points; name the list with --points."
         raise CalibError(message)
     renamed = parse_columns(columns or [])
-    names = {split_header(label)[0] for label in Table.read(data).header}
+    read = Table.read(data)
+    names = {split_header(label)[0] for label in read.header}
     names |= {split_header(wanted)[0] for wanted in renamed.values()}
     arm = Robot.load(robot, cell.base, cell.tip, measured=names, held=cell.held)
     table = Measurements.read(
-        data,
+        read,
         joint_names=arm.joint_names,
         joint_types=arm.joint_types,
         columns=renamed,

@@ -9,12 +9,12 @@ from calib.errors import MeasurementError, choices
 from calib.measure.columns import (
     POINT,
     QUATERNION,
-    RESERVED,
     ROTATION_VECTOR,
     Column,
     close_names,
     list_columns,
     name_columns,
+    reserved,
     with_unit,
 )
 from calib.measure.layout import Layout
@@ -131,7 +131,7 @@ def _all_forms() -> tuple[str, ...]:
 
 def _named(table: Table, robot: Robot, columns: Mapping[str, str]) -> dict[str, Column]:
     """The columns by the name calib uses; those of roll, pitch and yaw in small or capital letters too."""
-    clash = [name for name in robot.joint_names if name in RESERVED]
+    clash = [name for name in robot.joint_names if name in reserved()]
     if clash:
         message = (
             f"{table.source}: a joint cannot be called {choices(clash)}, which is the name of another column of the "

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from calib.identify.rows import Rows
 from calib.identify.setup import Setup
-from calib.kinds import best_fit, nearest_rotation
 
 Array = NDArray[np.float64]
 
@@ -128,6 +127,26 @@ def _with_unknown(setup: Setup, unknown: tuple[tuple[str, ...], ...]) -> Setup:
     return replace(setup, unknown=unknown, rotation=False)
 
 
+def best_fit(points: Array, seen: Array) -> Array:
+    """The pose that carries points to where they were seen best (W. Kabsch, 1976), shape (4, 4), [m].
+
+    Args:
+        points: shape (N, 3).
+        seen: shape (N, 3).
+    """
+    centre, middle = points.mean(axis=0), seen.mean(axis=0)
+    T = np.eye(4)
+    T[:3, :3] = _nearest_rotation((seen - middle).T @ (points - centre))
+    T[:3, 3] = middle - T[:3, :3] @ centre
+    return T
+
+
+def _nearest_rotation(M: Array) -> Array:
+    """The rotation nearest to a matrix, shape (3, 3)."""
+    U, _, V = np.linalg.svd(M)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))]) @ V)
+
+
 def _both_rotations(R_i: Array, M_i: Array) -> tuple[Array, Array]:
     """R_f and R_t with M_i = R_f R_i R_t, shapes (3, 3)."""
     A = np.zeros((len(R_i), 9, 18))
@@ -141,7 +160,7 @@ def _both_rotations(R_i: Array, M_i: Array) -> tuple[Array, Array]:
     R_f, R_t = vector[:9].reshape(3, 3), vector[9:].reshape(3, 3).T
     if np.linalg.det(R_f) < 0.0:
         R_f, R_t = -R_f, -R_t
-    return nearest_rotation(R_f), nearest_rotation(R_t)
+    return _nearest_rotation(R_f), _nearest_rotation(R_t)
 
 
 def turned_targets(
@@ -163,7 +182,7 @@ def turned_targets(
         own = (rows.samples.target == t) & oriented
         if np.any(own) and setup.target_unknown[t]:
             mean = np.einsum("nji,njk->ik", R_frame_tip[own], _orientations(rows, own))
-            result[t, :3, :3] = nearest_rotation(mean)
+            result[t, :3, :3] = _nearest_rotation(mean)
     return result
 
 

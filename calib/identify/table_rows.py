@@ -129,15 +129,16 @@ def _joined(labels: NDArray[np.int_], pairs: Sequence[tuple[int, int]]) -> NDArr
 
 def _measured(m: Measurements, kinds: NDArray[np.int_]) -> Array:
     """What was measured, as `calib.identify.rows.Rows` has it, shape (N, K)."""
-    present = [(registry.at(k), np.flatnonzero(kinds == k)) for k in np.unique(kinds) if k != NONE]
+    present = [
+        (registry.at(int(k)), np.flatnonzero(kinds == k)) for k in np.unique(kinds) if k != NONE
+    ]
     result = np.zeros((len(m), max((kind.size for kind, _ in present), default=0)))
     for kind, rows in present:
         parts = [m.points[rows]] if kind.position else []
         if kind.orientation and m.rotations is not None:
             parts.append(m.rotations[rows].reshape(-1, 9))
         parts += [m.reading(one.name)[rows, None] for one in kind.readings]
-        if parts:
-            result[rows, : kind.size] = np.hstack(parts)
+        result[rows, : kind.size] = np.hstack(parts) if parts else 0.0
     return result
 
 

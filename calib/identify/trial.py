@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
+from calib import kinds as registry
 from calib.identify.calibration import calibrate, fit_table
 from calib.identify.fitting import Fitted
 from calib.identify.foresight import Outlook
@@ -21,7 +22,6 @@ from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.verdict import NO
 from calib.measure.candidates import draw, planning_ranges
 from calib.measure.cell import Cell
-from calib.measure.kinds import LENGTHS
 from calib.measure.planning import choose_poses
 from calib.measure.scenario import Scenario
 from calib.measure.simulation import Simulated, VirtualCell
@@ -167,7 +167,7 @@ def _verified(
     T_base_tip = truth.tip_poses(q)
     T_base_target = T_base_tip @ truth.T_tip_target[0]
     predicted, J = _predicted(trials, found.fitted, q)
-    if trials.scenario.kind in LENGTHS:
+    if not registry.get(trials.scenario.kind).position:
         # Lengths do not tell where the base stands: only the shape of all positions counts.
         true = T_base_target[:, :3, 3]
         error = without_rigid_motion(predicted, (predicted - true)[:, :, None])[:, :, 0]
@@ -205,7 +205,7 @@ def _predicted(trials: Trials, fitted: Fitted, q: Array) -> tuple[Array, Array]:
     if any(term.factor and term.factor.loaded for term in fitted.kinematics.model.terms):
         load = gravity_load(robot, q, cell.payload, cell.gravity)
     poses, twists = fitted.kinematics.twists(fitted.estimate.x, Samples.at(q, load), rotation=False)
-    if trials.scenario.kind in LENGTHS:
+    if not registry.get(trials.scenario.kind).position:
         poses = rigid_inverse(fitted.placed().T_frame_base[0]) @ poses
     return poses[:, :3, 3], twists
 

@@ -16,7 +16,6 @@ from calib.measure.axes import AxisRow, JointAxis, Survey
 from calib.measure.axis_geometry import NUMBERS
 from calib.measure.base_frame import BaseFrame
 from calib.measure.geometric_fits import Circle, Plane
-from calib.measure.kinds import POSITIONS
 from calib.measure.measurements import Measurements
 
 Array = NDArray[np.float64]
@@ -34,7 +33,7 @@ def carried(measurements: Measurements, frame: BaseFrame) -> Measurements:
     Raises:
         MeasurementError: No row measures a position, or the rows are of several set-ups, of which each has a frame.
     """
-    rows = measurements.of_kind(*POSITIONS)
+    rows = measurements.positions
     if not rows.any():
         message = (
             f"{measurements.source}: no row measures a position, they are of the kinds "

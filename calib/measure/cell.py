@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib import kinds
 from calib.errors import CalibError, choices
 from calib.measure import cell_parts as parts
 from calib.measure.cell_file import read_cell_file
 from calib.measure.cell_parts import PRIOR_SIZES, GroupDistance, Priors
 from calib.measure.checks import FARTHEST, SIGMAS
-from calib.measure.kinds import check_kind
 from calib.measure.surroundings import Box, Reflector, Tracker, checked_boxes, checked_ranges
 from calib.model.robot import read_only
 from calib.model.torques import Payload
@@ -225,7 +225,7 @@ def _numbers(cell: Cell) -> dict[str, Any]:
             )
             raise CalibError(message)
     if cell.kind is not None:
-        check_kind(cell.kind)
+        kinds.get(cell.kind)
     if cell.repeats not in REPEATS:
         message = f"Repeats were asked for as {cell.repeats!r}; choose one of {choices(REPEATS)}."
         raise CalibError(message)

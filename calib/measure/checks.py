@@ -1,152 +1,59 @@
-"""What must hold of `Measurements`: shapes, names, values; and, of a whole table, pairs and groups."""
+"""What must hold of the rows of a table: shapes, names, words and numbers, and what belongs together."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import NamedTuple, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from calib import kinds as registry
 from calib.errors import MeasurementError, choices
-from calib.measure.columns import QUATERNION, RESERVED, SETS, TORQUE
-from calib.measure.kinds import FEWEST, KINDS, LENGTHS, POSITIONS
+from calib.measure.columns import QUATERNION, SETS, TORQUE, reserved
 from calib.measure.orientation import no_rotation
+
+Array = NDArray[np.float64]
 
 # No instrument is better or worse than this [m or rad], and squares beyond it leave the range of numbers.
 SIGMAS = (1e-15, 1e6)
 
 # Beyond this [m or rad] doubles are further apart than what calib computes to, and no robot gets there.
 FARTHEST = 1e6
+REACH = (-FARTHEST, FARTHEST)
 
 # Two rows that share a distance have it to all digits of a table.
 AGREE_M = 1e-9
 
 
-class _Rows(Protocol):
-    """What is looked at: fields of `Measurements`, which imports this module."""
+class Where(NamedTuple):
+    """What a message says of a row: the file's name, the rows' numbers and their kinds."""
 
-    @property
-    def source(self) -> str: ...
-    @property
-    def joint_names(self) -> tuple[str, ...]: ...
-    @property
-    def prismatic(self) -> tuple[str, ...]: ...
-    @property
-    def sets(self) -> tuple[str, ...]: ...
-    @property
-    def targets(self) -> tuple[str, ...]: ...
-    @property
-    def groups(self) -> tuple[str, ...]: ...
-    @property
-    def kinds(self) -> tuple[str, ...]: ...
-    @property
-    def pairs(self) -> tuple[str, ...]: ...
-    @property
-    def rows(self) -> tuple[int, ...]: ...
-    @property
-    def joints(self) -> NDArray[np.float64]: ...
-    @property
-    def points(self) -> NDArray[np.float64]: ...
-    @property
-    def rotations(self) -> NDArray[np.float64] | None: ...
-    @property
-    def distances(self) -> NDArray[np.float64] | None: ...
-    @property
-    def torques(self) -> NDArray[np.float64] | None: ...
-    def of_kind(self, *kinds: str) -> NDArray[np.bool_]: ...
-    def __len__(self) -> int: ...
+    source: str
+    rows: Sequence[int]
+    kinds: Sequence[str]
 
-
-def check_shapes(m: _Rows) -> None:
-    """Refuse arrays and tuples that do not have one entry a row.
-
-    Raises:
-        MeasurementError: with the shape there is and the one wanted.
-    """
-    count = m.points.shape[0] if m.points.ndim else 0
-    n = len(m.joint_names)
-    shapes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}
-    expected: tuple[tuple[str, tuple[int, ...]], ...] = (
-        ("points", (count, 3)),
-        ("joints", (count, n)),
-        ("sigma", (count,)),
-        ("rotations", (count, 3, 3)),
-        ("distances", (count,)),
-        ("sigma_angle", (count,)),
-        ("torques", (count, n)),
-    )
-    for name, wanted in expected:
-        values = getattr(m, name)
-        if values is not None:
-            shapes[name] = (values.shape, wanted)
-    for name in ("sets", "targets", "groups", "rows", "kinds", "pairs"):
-        shapes[name] = ((len(getattr(m, name)),), (count,))
-    for name, (shape, right) in shapes.items():
-        if shape != right:
-            message = (
-                f"Measurements: '{name}' has shape {shape} and should have {right}: "
-                f"{count} rows of points, {n} joint names"
-            )
-            raise MeasurementError(message)
-
-
-def check_names(m: _Rows) -> None:
-    """Refuse names and words that a table cannot hold or that mean nothing.
-
-    Raises:
-        MeasurementError: with the names and, for words, the row.
-    """
-    source = m.source or "Measurements"
-    names = m.joint_names
-    taken = (*RESERVED, *(QUATERNION if "pose" in m.kinds else ()))
-    if m.torques is not None:
-        taken += tuple(name + TORQUE for name in names)
-    counts = Counter(names)
-    bad = [n for n in names if n in taken or not is_name(n) or counts[n] > 1]
-    if bad or not names:
-        message = (
-            f"{source}: joint names are unique, on one line, without blanks around them, and none "
-            f"of {choices(taken, limit=30)}; given were {choices(bad or ['no names at all'])}"
-        )
+    def fail(self, row: int, what: str) -> NoReturn:
+        """Refuse a row, from 0."""
+        message = f"{self.source or 'Measurements'}, row {self.rows[row]}: {what}"
         raise MeasurementError(message)
-    strange = [name for name in m.prismatic if name not in names]
-    if strange:
-        message = f"{source}: 'prismatic' names {choices(strange)}; the joints are {choices(names)}"
-        raise MeasurementError(message)
-    _check_words(m, source)
 
+    def by_word(self, kind: str, words: Sequence[str]) -> dict[str, list[int]]:
+        """The rows of one kind, from 0, by a word of theirs."""
+        found: dict[str, list[int]] = {}
+        for i in range(len(words)) if kind in self.kinds else ():
+            if self.kinds[i] == kind:
+                found.setdefault(words[i], []).append(i)
+        return found
 
-def _check_words(m: _Rows, source: str) -> None:
-    """Refuse words that are not allowed; each different one is looked at once, for there may be a million rows."""
-    strange = {word for word in set(m.sets) if word not in SETS}
-    no_targets = {target for target in set(m.targets) if not is_name(target)}
-    no_groups = {group for group in set(m.groups) if not (group == "" or is_name(group))}
-    unknown = {kind for kind in set(m.kinds) if kind not in KINDS}
-    pairs = "pair" in m.kinds
-    if not (strange or no_targets or no_groups or unknown or pairs):
-        return
-    for row, word, target, group in zip(m.rows, m.sets, m.targets, m.groups, strict=True):
-        if word in strange:
-            message = f"{source}, row {row}: the set '{word}' is neither of {choices(SETS)}"
-            raise MeasurementError(message)
-        if target in no_targets or group in no_groups:
-            message = (
-                f"{source}, row {row}: target {target!r} and group {group!r} are names on one "
-                "line, without blanks around them; only the group may be empty"
-            )
-            raise MeasurementError(message)
-    for row, kind, pair in zip(m.rows, m.kinds, m.pairs, strict=True):
-        if kind in unknown:
-            message = f"{source}, row {row}: the kind '{kind}' is none of {choices(KINDS)}"
-            raise MeasurementError(message)
-        if kind == "pair" and not is_name(pair):
-            message = (
-                f"{source}, row {row}: the pair '{pair}' is a word on one line, without blanks "
-                "around it, that two rows of the kind 'pair' share"
-            )
-            raise MeasurementError(message)
+    def pairs(self, words: Sequence[str]) -> dict[str, list[int]]:
+        """The rows, from 0, of each pair by its word; there may be one row only, or more than two."""
+        found: dict[str, list[int]] = {}
+        for kind in registry.names():
+            if registry.get(kind).paired:
+                found.update(self.by_word(kind, words))
+        return found
 
 
 def is_name(text: str) -> bool:
@@ -154,202 +61,217 @@ def is_name(text: str) -> bool:
     return text != "" and text == text.strip() and len(text.splitlines()) == 1 and "\0" not in text
 
 
-def check_values(m: _Rows) -> None:
-    """Refuse numbers that are not finite where the kind of row measures them, and row numbers given twice.
+def check_joint_names(
+    source: str, names: Sequence[str], prismatic: Sequence[str], *, turned: bool, torques: bool
+) -> None:
+    """Refuse names of joints that a table cannot hold or that mean something else.
 
     Raises:
-        MeasurementError: with the row and the value.
+        MeasurementError: with the names.
     """
-    source = m.source or "Measurements"
-    strange = set(map(type, m.rows)) - {int}
-    broken = [row for row in m.rows if strange and not isinstance(row, (int, np.integer))]
-    if broken:
+    taken = (*reserved(), *(QUATERNION if turned else ()))
+    if torques:
+        taken += tuple(name + TORQUE for name in names)
+    bad = [n for n, count in Counter(names).items() if n in taken or not is_name(n) or count > 1]
+    if bad or not names:
         message = (
-            f"{source}: the row number {broken[0]!r} is no integer; row numbers are whole numbers"
+            f"{source}: joint names are unique, on one line, without blanks around them, and none "
+            f"of {choices(taken, limit=30)}; given were {choices(bad or ['no names at all'])}"
         )
         raise MeasurementError(message)
-    if len(set(m.rows)) < len(m.rows):
-        twice = Counter(m.rows).most_common(1)[0][0]
-        message = f"{source}: the row number {twice} is there twice; row numbers are unique"
-        raise MeasurementError(message)
-    every = np.ones(len(m), dtype=np.bool_)
-    _check_numbers(m, "joints", every)
-    _check_numbers(m, "points", m.of_kind(*POSITIONS))
-    _check_numbers(m, "sigma", every, positive=True)
-    _check_numbers(m, "sigma_angle", m.of_kind("pose"), positive=True)
-    _check_sigmas(m, "sigma", "m", every)
-    _check_sigmas(m, "sigma_angle", "rad", m.of_kind("pose"))
-    _check_numbers(m, "distances", m.of_kind(*LENGTHS), positive=True)
-    _check_reach(m)
-    _check_rotations(m)
-    _check_torques(m)
-
-
-def _check_reach(m: _Rows) -> None:
-    """Refuse joint values, points and distances so large that their digits no longer tell a position."""
-    names = {"joints": m.joint_names, "points": "xyz", "distances": None}
-    for name, columns in names.items():
-        values = getattr(m, name)
-        if values is None:
-            continue
-        wrong = np.argwhere(np.abs(values) > FARTHEST)  # what a row's kind does not use may be NaN
-        if len(wrong):
-            at = tuple(int(i) for i in wrong[0])
-            what = columns[at[1]] if columns else "distance"
-            unit = "rad" if name == "joints" and what not in m.prismatic else "m"
-            message = (
-                f"{m.source or 'Measurements'}, row {m.rows[at[0]]}: '{what}' is {values[at]:g} {unit}; no robot gets "
-                f"beyond {FARTHEST:g} {unit}. Correct the value, or its unit."
-            )
-            raise MeasurementError(message)
-
-
-def _check_numbers(m: _Rows, name: str, rows: NDArray[np.bool_], *, positive: bool = False) -> None:
-    """Refuse values that are not finite, or not positive, in these rows."""
-    values = getattr(m, name)
-    if values is None:
-        return
-    good = np.isfinite(values) & (values > 0.0) if positive else np.isfinite(values)
-    wrong = ~good & rows.reshape((-1,) + (1,) * (values.ndim - 1))
-    if wrong.any():
-        at = tuple(int(i) for i in np.argwhere(wrong)[0])
-        what = "positive and finite" if positive else "finite"
-        where = f"{m.source or 'Measurements'}, row {m.rows[at[0]]}"
-        kind = "" if m.kinds[at[0]] == "point" else f" in a row of the kind '{m.kinds[at[0]]}'"
-        message = f"{where}: '{name}' holds {values[at]}; every value{kind} is {what}"
+    strange = [name for name in prismatic if name not in names]
+    if strange:
+        message = f"{source}: 'prismatic' names {choices(strange)}; the joints are {choices(names)}"
         raise MeasurementError(message)
 
 
-def _check_sigmas(m: _Rows, name: str, unit: str, rows: NDArray[np.bool_]) -> None:
-    """Refuse standard deviations that no instrument has."""
-    values = getattr(m, name)
-    if values is None:
-        return
-    wrong = np.flatnonzero(rows & ~((values >= SIGMAS[0]) & (values <= SIGMAS[1])))
-    if wrong.size:
-        i = int(wrong[0])
-        message = (
-            f"{m.source or 'Measurements'}, row {m.rows[i]}: '{name}' is {values[i]:g} {unit}; no instrument has one "
-            f"below {SIGMAS[0]:g} or above {SIGMAS[1]:g} {unit}. Correct it, or leave the column out: the noise is "
-            "found from the data."
-        )
-        raise MeasurementError(message)
+def check_words(where: Where, words: Mapping[str, Sequence[str]]) -> None:
+    """Refuse words that are not allowed; each different one is looked at once, for there may be a million rows.
 
-
-def _check_rotations(m: _Rows) -> None:
-    """Refuse matrices that are no rotations, and poses without any."""
-    poses = np.flatnonzero(m.of_kind("pose"))
-    for needed, rows, name in (
-        (m.rotations, poses, "rotations"),
-        (m.distances, np.flatnonzero(m.of_kind(*LENGTHS)), "distances"),
-    ):
-        if rows.size and needed is None:
-            i = int(rows[0])
-            message = (
-                f"{m.source or 'Measurements'}, row {m.rows[i]}: a row of the kind '{m.kinds[i]}' "
-                f"needs '{name}', and there are none"
-            )
-            raise MeasurementError(message)
-    if m.rotations is None:
-        return
-    wrong = poses[no_rotation(m.rotations[poses])]
-    if wrong.size:
-        message = (
-            f"{m.source or 'Measurements'}, row {m.rows[wrong[0]]}: 'rotations' holds a matrix that "
-            "is no rotation; each is orthonormal with determinant 1"
-        )
-        raise MeasurementError(message)
-
-
-def _check_torques(m: _Rows) -> None:
-    """Refuse a joint that has a torque in some rows only."""
-    if m.torques is None:
-        return
-    there = np.isfinite(m.torques)
-    for name, column in zip(m.joint_names, there.T, strict=True):
-        if column.any() and not column.all():
-            row = m.rows[int(np.argmin(column))]
-            message = (
-                f"{m.source or 'Measurements'}, row {row}: joint '{name}' has no torque here and has "
-                "one in other rows; give all of them, or none of the joint (NaN)"
-            )
-            raise MeasurementError(message)
-
-
-def share_distances(m: _Rows) -> NDArray[np.float64] | None:
-    """The distances with each one that stands in one row of a pair copied into the other, shape (N,), [m].
+    Args:
+        where: The rows.
+        words: Those of ``sets``, ``targets``, ``groups``, ``kinds`` and ``pairs``.
 
     Raises:
-        MeasurementError: the two rows of a pair have different distances.
+        MeasurementError: with the row and what is allowed.
     """
-    if m.distances is None or "pair" not in m.kinds:
-        return m.distances
-    distances = np.array(m.distances)
-    for word, (first, second) in two_rows(m).items():
-        one, other = distances[first], distances[second]
-        if abs(one - other) > AGREE_M:
-            message = (
-                f"{m.source or 'Measurements'}: the pair '{word}' has the distance {one * 1e3:.10g} mm "
-                f"in row {m.rows[first]} and {other * 1e3:.10g} mm in row {m.rows[second]}; give it "
-                "once, or the same"
-            )
-            raise MeasurementError(message)
-        distances[first] = other if np.isnan(one) else one
-        distances[second] = one if np.isnan(other) else other
-    return distances
-
-
-def two_rows(m: _Rows) -> dict[str, tuple[int, int]]:
-    """The two rows of each pair, from 0, by its word; pairs that have lost a row are left out."""
-    return {
-        word: (at[0], at[1]) for word, at in _by_word(m, "pair", m.pairs).items() if len(at) == 2
+    known = registry.names()
+    allowed = {
+        "sets": (SETS.__contains__, f"one of {choices(SETS)}"),
+        "kinds": (known.__contains__, f"one of {choices(known)}"),
+        "targets": (is_name, "a name on one line, without blanks around it"),
+        "groups": (lambda word: word == "" or is_name(word), "a name on one line, or empty"),
     }
+    for name, (is_good, what) in allowed.items():
+        wrong = {word for word in set(words[name]) if not is_good(word)}
+        if wrong:
+            i = next(i for i, word in enumerate(words[name]) if word in wrong)
+            where.fail(i, f"{words[name][i]!r} in '{name}' is not allowed; each is {what}")
+    for word, rows in where.pairs(words["pairs"]).items():
+        if not is_name(word):
+            where.fail(rows[0], f"the pair {word!r} is a word on one line that two rows share")
 
 
-def _by_word(m: _Rows, kind: str, words: Sequence[str]) -> dict[str, list[int]]:
-    """The rows of one kind, from 0, by a word of theirs."""
-    found: dict[str, list[int]] = {}
-    if kind not in m.kinds:
-        return found
-    for i, (each, word) in enumerate(zip(m.kinds, words, strict=True)):
-        if each == kind:
-            found.setdefault(word, []).append(i)
-    return found
+def check_row_numbers(source: str, rows: Sequence[int]) -> None:
+    """Refuse row numbers that are no whole numbers, or there twice.
+
+    Raises:
+        MeasurementError: with the number.
+    """
+    strange = set(map(type, rows)) - {int}
+    broken = [row for row in rows if strange and not isinstance(row, (int, np.integer))]
+    if broken or len(set(rows)) < len(rows):
+        what = f"{broken[0]!r}" if broken else f"{Counter(rows).most_common(1)[0][0]}, twice"
+        message = f"{source}: row numbers are whole numbers, each once; there is {what}"
+        raise MeasurementError(message)
 
 
-def check_whole(m: _Rows) -> None:
+def numbers(
+    where: Where,
+    name: str,
+    values: ArrayLike | None,
+    tail: tuple[int, ...],
+    told: NDArray[np.bool_],
+    limits: tuple[float, float] = REACH,
+    columns: Sequence[str] = (),
+) -> Array | None:
+    """A read-only copy of an array, NaN in rows that do not measure it; None if none is left.
+
+    Args:
+        where: The rows.
+        name: Of the array, for messages.
+        values: shape (N, *tail), in SI units; None where there are none.
+        tail: The shape of one row's.
+        told: shape (N,), the rows that measure it.
+        limits: Between which the values are.
+        columns: The names of the columns, for messages.
+
+    Raises:
+        MeasurementError: another shape, or a number of a row that is not finite, or outside of the limits.
+    """
+    if values is None:
+        return None
+    array = np.array(values, dtype=np.float64)
+    if array.shape != (len(told), *tail):
+        message = (
+            f"Measurements: '{name}' has shape {array.shape} and should have {(len(told), *tail)}"
+        )
+        raise MeasurementError(message)
+    if not told.any():
+        return None
+    good = np.isfinite(array) & (array >= limits[0]) & (array <= limits[1])
+    wrong = np.argwhere(~good & told.reshape(-1, *(1 for _ in tail)))
+    if len(wrong):
+        at = tuple(int(i) for i in wrong[0])
+        what = columns[at[1]] if columns else name
+        where.fail(
+            at[0],
+            f"'{what}' is {array[at]:g}; in a row of the kind '{where.kinds[at[0]]}' it is a number from "
+            f"{limits[0]:g} to {limits[1]:g}, in SI units. Correct it, or its unit.",
+        )
+    if not told.all():
+        array[~told] = np.nan
+    array.setflags(write=False)
+    return array
+
+
+def check_rotations(where: Where, rotations: Array, told: NDArray[np.bool_]) -> None:
+    """Refuse matrices that are no rotations.
+
+    Raises:
+        MeasurementError: with the row.
+    """
+    rows = np.flatnonzero(told)
+    wrong = rows[no_rotation(rotations[rows])]
+    if wrong.size:
+        where.fail(
+            int(wrong[0]), "'rotations' holds no rotation; each is orthonormal with determinant 1"
+        )
+
+
+def lacking(where: Where, told: NDArray[np.bool_], name: str) -> NoReturn:
+    """Refuse rows, shape (N,), whose kind needs numbers that there are none of."""
+    i = int(np.argmax(told))
+    where.fail(i, f"a row of the kind '{where.kinds[i]}' needs '{name}', and there are none")
+
+
+def checked_torques(where: Where, names: Sequence[str], torques: ArrayLike | None) -> Array | None:
+    """A read-only copy of torques, shape (N, n); of each joint there are all, or none (NaN).
+
+    Raises:
+        MeasurementError: another shape, or with the joint and a row without one.
+    """
+    if torques is None:
+        return None
+    result = np.array(torques, dtype=np.float64)
+    if result.shape != (len(where.rows), len(names)):
+        message = f"Measurements: 'torques' has shape {result.shape} and should have {(len(where.rows), len(names))}"
+        raise MeasurementError(message)
+    for name, there in zip(names, np.isfinite(result).T, strict=True):
+        if there.any() and not there.all():
+            what = (
+                f"joint '{name}' has no torque here and has one in other rows; give all of them, or none of the joint "
+                "(NaN)"
+            )
+            where.fail(int(np.argmin(there)), what)
+    result.setflags(write=False)
+    return result
+
+
+def shared(where: Where, values: Array, pairs: Mapping[str, Sequence[int]]) -> Array:
+    """Values with each one that stands in one row of a pair copied into the other, shape (N,).
+
+    Raises:
+        MeasurementError: the two rows of a pair have different ones.
+    """
+    result = np.array(values, dtype=np.float64)
+    for word, rows in pairs.items():
+        if len(rows) != 2:
+            continue
+        one, other = result[list(rows)]
+        if abs(one - other) > AGREE_M:
+            what = (
+                f"the pair '{word}' has {one:.10g} m here and {other:.10g} m in row "
+                f"{where.rows[rows[1]]}; give it once, or the same"
+            )
+            where.fail(rows[0], what)
+        result[list(rows)] = other if np.isnan(one) else one
+    return result
+
+
+def check_whole(where: Where, words: Mapping[str, Sequence[str]]) -> None:
     """Refuse, in a table as it was read, pairs of other than two rows and groups with too few.
 
     A selection of rows may have both.
 
+    Args:
+        where: The rows.
+        words: Those of ``sets``, ``groups`` and ``pairs``.
+
     Raises:
         MeasurementError: with the word or the group, and its rows.
     """
-    for word, at in _by_word(m, "pair", m.pairs).items():
-        where = f"{m.source}: the pair '{word}' stands in {_name_rows(m, at)}"
+    for word, at in where.pairs(words["pairs"]).items():
+        said = f"{where.source}: the pair '{word}' stands in {_name_rows(where, at)}"
         if len(at) != 2:
-            message = f"{where}; a distance is between two rows. Give each pair a word of its own."
+            message = f"{said}; a distance is between two rows. Give each pair a word of its own."
             raise MeasurementError(message)
-        if m.sets[at[0]] != m.sets[at[1]]:
-            message = f"{where}, one 'estimate', one 'validate'. Put both into one set."
+        if words["sets"][at[0]] != words["sets"][at[1]]:
+            message = f"{said}, one 'estimate', one 'validate'. Put both into one set."
             raise MeasurementError(message)
-    _check_groups(m, FEWEST)
-
-
-def _check_groups(m: _Rows, fewest: Mapping[str, int]) -> None:
-    """Refuse groups whose unknown point or plane fits whatever the robot does."""
-    for kind, count in fewest.items():
-        for group, at in _by_word(m, kind, m.groups).items():
-            if len(at) < count:
+    for kind in registry.names():
+        fewest = registry.get(kind).fewest
+        for group, at in where.by_word(kind, words["groups"]).items() if fewest > 1 else ():
+            if len(at) < fewest:
                 message = (
-                    f"{m.source}: the group '{group}' of the kind '{kind}' stands in {_name_rows(m, at)}"
-                    f"; it takes {count} rows or more to say anything of the robot. Measure more, "
+                    f"{where.source}: the group '{group}' of the kind '{kind}' stands in {_name_rows(where, at)}"
+                    f"; it takes {fewest} rows or more to say anything of the robot. Measure more, "
                     "correct the group's name, or remove it."
                 )
                 raise MeasurementError(message)
 
 
-def _name_rows(m: _Rows, at: Sequence[int]) -> str:
+def _name_rows(where: Where, at: Sequence[int]) -> str:
     """These rows, from 0, by their numbers."""
-    numbers = [str(m.rows[i]) for i in at[:8]] + (["..."] if len(at) > 8 else [])
-    return f"row {numbers[0]} only" if len(at) == 1 else f"rows {', '.join(numbers)}"
+    named = [str(where.rows[i]) for i in at[:8]] + (["..."] if len(at) > 8 else [])
+    return f"row {named[0]} only" if len(at) == 1 else f"rows {', '.join(named)}"

@@ -6,8 +6,9 @@ import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from calib import kinds
 from calib.errors import CalibError, MeasurementError, choices
-from calib.measure.table import Row, Table
+from calib.measure.table import Block, Row, Table
 from calib.units import Quantity, Unit, find_unit, parse_header, split_header, symbols
 
 POINT = ("x", "y", "z")
@@ -15,7 +16,6 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 ROTATION_VECTOR = ("rx", "ry", "rz")
 ORIENTATION = (*ROTATION_VECTOR, *QUATERNION)
 WORDS = ("row", "set", "kind", "target", "group", "pair", "point")
-RESERVED = (*WORDS, "sigma", "sigma_angle", "distance", *POINT)
 
 #: What the column ``set`` may say, and the name of a target that has none.
 SETS = ("estimate", "validate")
@@ -33,7 +33,13 @@ EXPECTED = "expected "
 #: Names of which the closest is looked for.
 _MOST_COMPARED = 500
 
-_COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm", "force": "N"}
+#: The unit that headers are proposed in, and tables written in.
+COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm", "force": "N"}
+
+
+def reserved() -> tuple[str, ...]:
+    """The names of columns that no joint can have: those of words, noise, positions, and of the kinds' readings."""
+    return (*WORDS, "sigma", "sigma_angle", *kinds.readings(), *POINT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,14 +80,14 @@ def name_columns(
         MeasurementError: a name of ``columns`` is not there, or two columns have one name.
     """
     found, mapped = _map_columns(table, columns)
+    meant = (*reserved(), *ORIENTATION)
     named: dict[str, Column] = {}
     groups: list[Column] = []
     for column in found:
         if column.name == IGNORE and column.index in mapped:
             continue
         plain = column.name.casefold()
-        reserved = plain in (*RESERVED, *ORIENTATION) and column.name not in joint_names
-        name = plain if reserved else column.name
+        name = plain if plain in meant and column.name not in joint_names else column.name
         if name == "group":
             groups.append(column)
         if name in named:
@@ -178,7 +184,7 @@ def with_unit(
     """
     if column.unit is not None and column.unit.quantity == quantity:
         return column
-    common = common or _COMMON[quantity]
+    common = common or COMMON[quantity]
     where = f"{table.source}, column '{column.label}'" + (f" ({what})" if what else "")
     written = split_header(column.label)[0]
     if column.unit is not None:
@@ -221,6 +227,17 @@ def place(table: Table, row: Row, numbers: Column | None, column: Column | None 
         number = row.cells[numbers.index] or number
     text = f"{table.source}, line {row.line} (row {number})"
     return text if column is None else f"{text}, column '{column.label}'"
+
+
+def check_widths(table: Table, block: Block, numbers: Column | None) -> None:
+    """Refuse a row of a block that has not as many cells as the header.
+
+    Raises:
+        MeasurementError: with the place and both counts.
+    """
+    for i, cells in enumerate(block.cells):
+        if len(cells) != len(table.header):
+            check_cells(table, block.row(i), numbers)
 
 
 def check_cells(table: Table, row: Row, numbers: Column | None) -> None:

@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from calib import kinds as registry
 from calib.errors import MeasurementError, choices
+from calib.kinds import Kind
 from calib.measure.columns import (
+    COMMON,
     EXPECTED,
     ORIENTATION,
     POINT,
     QUATERNION,
-    RESERVED,
     ROTATION_VECTOR,
     TORQUE,
     Column,
-    check_cells,
+    check_widths,
     close_names,
     list_columns,
     name_columns,
     place,
+    reserved,
     with_unit,
 )
-from calib.measure.kinds import KINDS, USES, check_kind
-from calib.measure.table import Table
+from calib.measure.table import Table, distinct
 from calib.units import Quantity, split_header
 
 # Signs that people write for "no unit" in the header of a quaternion.
@@ -31,7 +33,6 @@ _NO_UNIT = (None, "", "-", "1")
 
 # A table of commands has these two columns; the second says so where a row has none, and its cells are empty.
 _COMMANDS = ("correction position", "status")
-_NO_COMMAND = "no command: "
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +44,11 @@ class Layout:
             ``status`` of a table of commands.
         groups: the columns whose words make the group's name, in the order of the table.
         blocks: the columns of numbers that are used: ``joints`` (in the order asked for, else in that of the
-            table), ``torques``, ``points``, ``orientation`` (three or four), ``distance``, ``sigma``,
-            ``sigma_angle``; none of a block that is not there.
+            table), ``torques``, ``points``, ``orientation`` (three or four), ``sigma``, ``sigma_angle``, and each
+            reading of a kind by its name.
         kinds: the kinds of the rows; more than one only with a column ``kind``.
         ignored: the headers of the columns that were not used, but for those that a plan has and a fit does not need.
+        numbers: the columns of numbers, block after block.
     """
 
     words: Mapping[str, Column]
@@ -54,11 +56,12 @@ class Layout:
     blocks: Mapping[str, tuple[Column, ...]]
     kinds: tuple[str, ...]
     ignored: tuple[str, ...]
+    numbers: tuple[Column, ...] = field(init=False, repr=False)
 
-    @property
-    def numbers(self) -> tuple[Column, ...]:
-        """The columns of numbers, block after block."""
-        return tuple(column for block in self.blocks.values() for column in block)
+    def __post_init__(self) -> None:
+        """Put the columns of numbers together once."""
+        every = tuple(column for block in self.blocks.values() for column in block)
+        object.__setattr__(self, "numbers", every)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -78,29 +81,29 @@ class Layout:
         return tuple(names.index(c.name.removesuffix(TORQUE)) for c in self.blocks["torques"])
 
     def span(self, name: str) -> list[int]:
-        """Where the columns of a block stand among ``numbers``."""
-        before = list(self.blocks)[: list(self.blocks).index(name)]
-        start = sum(len(self.blocks[block]) for block in before)
-        return list(range(start, start + len(self.blocks[name])))
+        """Where the columns of a block stand among ``numbers``; nowhere if it is not there."""
+        start = 0
+        for block, columns in self.blocks.items():
+            if block == name:
+                return list(range(start, start + len(columns)))
+            start += len(columns)
+        return []
+
+    def measured_by(self, kind: str) -> list[int]:
+        """Which of ``numbers`` hold what a row of this kind measures; none if that is nothing, or stands elsewhere."""
+        return [i for name in _measured(registry.get(kind)) for i in self.span(name)]
 
     def used_by(self, kind: str) -> list[int]:
         """Which of ``numbers`` a row of this kind uses."""
-        other = {name for names in USES.values() for name in names} - set(USES[kind])
-        return [i for name in self.blocks if name not in other for i in self.span(name)]
-
-    def measured_by(self, kind: str) -> tuple[Column, ...]:
-        """The columns of what a row of this kind measures; none if it measures nothing, or does so elsewhere.
-
-        Of a pair one row is empty, so that nothing follows from it.
-        """
-        blocks = ("points", "orientation", "distance")
-        used = [name for name in blocks if name in USES[kind] and kind != "pair"]
-        return tuple(column for name in used for column in self.blocks[name])
-
-    def has_no_command(self, cells: Sequence[str]) -> bool:
-        """Whether these are the cells of a row of a table of commands that was never sent."""
-        column = self.words.get("status")
-        return column is not None and cells[column.index].startswith(_NO_COMMAND)
+        own = registry.get(kind)
+        used = {
+            "joints",
+            "torques",
+            "sigma",
+            *_measured(own),
+            *(["sigma_angle"] * (own.angles > 0)),
+        }
+        return [i for name in self.blocks if name in used for i in self.span(name)]
 
     @classmethod
     def find(
@@ -136,37 +139,67 @@ class Layout:
         for joint in joints:
             _check_joint_unit(table, joint, types)
         kinds = _find_kinds(table, named, kind, points_elsewhere=points_elsewhere)
-        used = {name for each in kinds for name in USES[each]}
-        blocks: dict[str, tuple[Column, ...]] = {
-            "joints": joints,
-            "torques": _torques(table, named, joints),
-            "points": (),
-            "orientation": (),
-            "distance": (),
-            "sigma": _optional(table, named, "sigma", "length"),
-            "sigma_angle": (),
-        }
-        if "points" in used and not points_elsewhere:
-            blocks["points"] = _points(table, named)
-        if "orientation" in used:
-            blocks["orientation"] = _orientation(table, named)
-            blocks["sigma_angle"] = _optional(table, named, "sigma_angle", "angle")
-        if "distance" in used:
-            blocks["distance"] = (_distance(table, named),)
-        always = ("row", "set", "target")
-        words: dict[str, Column] = {name: named[name] for name in always if name in named}
+        present = [registry.get(name) for name in kinds]
+        blocks = _blocks(table, named, joints, present, points_elsewhere=points_elsewhere)
+        words = _words(table, named, present, points_elsewhere=points_elsewhere)
         if kind is None and "kind" in named:
             words["kind"] = named["kind"]
-        if all(name in named for name in _COMMANDS):
-            words["status"] = named["status"]
-        if "pair" in kinds:
-            words["pair"] = _pair(table, named)
-        if points_elsewhere and "point" in named:
-            words["point"] = named["point"]
         taken = {c.index for block in (words.values(), groups, *blocks.values()) for c in block}
         taken |= _of_a_plan(table, named, empty=points_elsewhere)
         ignored = tuple(label for i, label in enumerate(table.header) if label and i not in taken)
         return cls(words, groups, blocks, kinds, ignored)
+
+
+def _blocks(
+    table: Table,
+    named: Mapping[str, Column],
+    joints: tuple[Column, ...],
+    present: Sequence[Kind],
+    *,
+    points_elsewhere: bool,
+) -> dict[str, tuple[Column, ...]]:
+    """The columns of numbers, see `Layout`."""
+    blocks: dict[str, tuple[Column, ...]] = {
+        "joints": joints,
+        "torques": _torques(table, named, joints),
+        "points": (),
+        "orientation": (),
+        "sigma": _optional(table, named, "sigma", "length"),
+    }
+    if any(one.position for one in present) and not points_elsewhere:
+        blocks["points"] = _points(table, named)
+    if any(one.orientation for one in present):
+        blocks["orientation"] = _orientation(table, named)
+    if any(one.angles for one in present):
+        blocks["sigma_angle"] = _optional(table, named, "sigma_angle", "angle")
+    for one in present:
+        for read in one.readings:
+            header = f"{read.name} [{COMMON[read.quantity]}]"
+            column = _needed(table, named, read.name, header, f"rows of the kind '{one.name}'")
+            blocks[read.name] = (with_unit(table, column, read.quantity),)
+    return blocks
+
+
+def _words(
+    table: Table, named: Mapping[str, Column], present: Sequence[Kind], *, points_elsewhere: bool
+) -> dict[str, Column]:
+    """The columns of words, see `Layout`, but for that of the kind."""
+    words = {name: named[name] for name in ("row", "set", "target") if name in named}
+    if all(name in named for name in _COMMANDS):
+        words["status"] = named["status"]
+    for one in present:
+        if one.paired:
+            what = f"rows of the kind '{one.name}', of which two share a word,"
+            words["pair"] = _needed(table, named, "pair", "pair", what)
+    if points_elsewhere and "point" in named:
+        words["point"] = named["point"]
+    return words
+
+
+def _measured(kind: Kind) -> tuple[str, ...]:
+    """The blocks that hold what rows of a kind measure."""
+    placed = ["points"] * kind.position + ["orientation"] * kind.orientation
+    return (*placed, *(one.name for one in kind.readings))
 
 
 def _of_a_plan(table: Table, named: Mapping[str, Column], *, empty: bool) -> set[int]:
@@ -191,15 +224,13 @@ def _find_kinds(
 ) -> tuple[str, ...]:
     """The kinds of the rows: as given, else from the column ``kind``, else from the columns there are."""
     if kind is not None:
-        check_kind(kind)
-        kinds: tuple[str, ...] = (kind,)
+        kinds: tuple[str, ...] = (registry.get(kind).name,)
     elif "kind" in named:
         kinds = _kinds_in(table, named)
-    elif points_elsewhere:
-        kinds = ("point",)
     else:
-        kinds = (_guess_kind(named),)
-    if points_elsewhere and ("point" not in kinds or "pose" in kinds):
+        kinds = ("point",) if points_elsewhere else (_guess_kind(named),)
+    wrong = {name for name in kinds if registry.get(name).orientation} or "point" not in kinds
+    if points_elsewhere and wrong:
         message = (
             f"{table.source}: with a file of points the rows are of the kind 'point', or some are "
             f"of others that measure no position; here they are {choices(kinds)}. Leave out the "
@@ -210,49 +241,62 @@ def _find_kinds(
 
 
 def _kinds_in(table: Table, named: Mapping[str, Column]) -> tuple[str, ...]:
-    """The kinds that occur in the column ``kind``, in the order of `KINDS`."""
+    """The kinds that occur in the column ``kind``, in the order of the registry."""
     column, numbers = named["kind"], named.get("row")
-    seen = set()
-    for row in table.rows():
-        check_cells(table, row, numbers)
-        text = row.cells[column.index]
-        if text not in KINDS:
+    known, seen = registry.names(), set()
+    for block in table.blocks():
+        check_widths(table, block, numbers)
+        words = distinct([cells[column.index] for cells in block.cells])
+        for i in (i for i, word in enumerate(words) if word not in known):
             message = (
-                f"{place(table, row, numbers, column)}: '{text}' is not a kind of measurement; "
-                f"allowed are {choices(KINDS)}. If the column means something else, "
+                f"{place(table, block.row(i), numbers, column)}: '{words[i]}' is not a kind of measurement; "
+                f"allowed are {choices(known)}. If the column means something else, "
                 f'--columns "{split_header(column.label)[0]}=-" leaves it out.'
             )
             raise MeasurementError(message)
-        seen.add(text)
-    return tuple(kind for kind in KINDS if kind in seen) or ("point",)
+        seen |= set(words)
+    return tuple(kind for kind in known if kind in seen) or ("point",)
 
 
 def _guess_kind(named: Mapping[str, Column]) -> str:
     """The kind of all rows from the columns that there are."""
     if any(all(name in named for name in names) for names in (QUATERNION, ROTATION_VECTOR)):
         return "pose"
-    if not any(name in named for name in POINT) and "distance" in named:
-        return "pair" if "pair" in named else "distance"
+    every = [registry.get(name) for name in registry.names()]
+    fitting = [k for k in every if k.readings and all(one.name in named for one in k.readings)]
+    if fitting and not any(name in named for name in POINT):
+        return max(fitting, key=lambda kind: kind.paired == ("pair" in named)).name
     return "point"
+
+
+def _needed(
+    table: Table, named: Mapping[str, Column], name: str, header: str, what: str, more: str = ""
+) -> Column:
+    """The column of this name.
+
+    Raises:
+        MeasurementError: it is missing; the text says what needs it, and what header it has.
+    """
+    if name not in named:
+        message = (
+            f"{table.source}: {what} need a column '{header}', and there is none. {list_columns(table)} "
+            f'Another name is mapped by --columns "name in the table={header}".{more}'
+        )
+        raise MeasurementError(message)
+    return named[name]
 
 
 def _points(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...]:
     """The columns x, y, z."""
-    missing = [name for name in POINT if name not in named]
-    if missing:
-        other = (
+    more = ""
+    if not any(name in named for name in POINT):
+        more = (
             " Rows that measure no position have a column 'distance [mm]', or are read with --kind "
             "fixed or --kind plane and a column 'group' (or --columns \"name in the table=group\", "
             "once or more)."
         )
-        message = (
-            f"{table.source}: no column for the measured point's {choices(missing)}. "
-            f"{list_columns(table)} The header of such a column is '{missing[0]} [mm]'; another name "
-            f'is mapped by --columns "name in the table={missing[0]}".'
-            f"{other if len(missing) == len(POINT) else ''}"
-        )
-        raise MeasurementError(message)
-    return tuple(with_unit(table, named[name], "length") for name in POINT)
+    found = [_needed(table, named, n, f"{n} [mm]", "measured points", more) for n in POINT]
+    return tuple(with_unit(table, column, "length") for column in found)
 
 
 def _orientation(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...]:
@@ -288,30 +332,6 @@ def _orientation(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...
     return tuple(replace(column, unit=None) for column in columns)
 
 
-def _distance(table: Table, named: Mapping[str, Column]) -> Column:
-    """The column of a length."""
-    if "distance" not in named:
-        message = (
-            f"{table.source}: rows of the kind 'distance' or 'pair' need a column 'distance [mm]'. "
-            f"{list_columns(table)} Another name is mapped by "
-            '--columns "name in the table=distance".'
-        )
-        raise MeasurementError(message)
-    return with_unit(table, named["distance"], "length")
-
-
-def _pair(table: Table, named: Mapping[str, Column]) -> Column:
-    """The column of the words that two rows share."""
-    if "pair" not in named:
-        message = (
-            f"{table.source}: rows of the kind 'pair' need a column 'pair' with a word that the two "
-            f"rows of each distance share. {list_columns(table)} Another name is mapped by "
-            '--columns "name in the table=pair".'
-        )
-        raise MeasurementError(message)
-    return named["pair"]
-
-
 def _optional(
     table: Table, named: Mapping[str, Column], name: str, quantity: Quantity
 ) -> tuple[Column, ...]:
@@ -341,7 +361,7 @@ def _guess_joints(
     joints = tuple(
         column
         for name, column in named.items()
-        if name not in (*RESERVED, *ORIENTATION)
+        if name not in (*reserved(), *ORIENTATION)
         and column.unit is not None
         and (column.unit.quantity == "angle" or name in types)
     )
@@ -361,7 +381,7 @@ def _pick_joints(
     types: Mapping[str, str],
 ) -> tuple[Column, ...]:
     """The columns of the joints asked for, in that order."""
-    clash = [name for name in joint_names if name in RESERVED]
+    clash = [name for name in joint_names if name in reserved()]
     if clash:
         message = (
             f"{table.source}: a joint cannot be called {choices(clash)}, which is the name of "
@@ -374,7 +394,7 @@ def _pick_joints(
     missing = [name for name in joint_names if name not in named]
     if not missing:
         return tuple(named[name] for name in joint_names)
-    free = [n for n in named if n not in joint_names and n not in (*RESERVED, *ORIENTATION)]
+    free = [n for n in named if n not in joint_names and n not in (*reserved(), *ORIENTATION)]
     # One each where many are missing: the line stays short enough to read.
     close = {name: close_names(name, free)[: 3 if len(missing) < 3 else 1] for name in missing}
     hint = "".join(f" Close to '{n}': {choices(names)}." for n, names in close.items() if names)

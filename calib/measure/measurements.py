@@ -2,47 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import compress
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import calib.kinds as registry
 from calib.errors import MeasurementError, choices
-from calib.measure.checks import (
-    check_names,
-    check_shapes,
-    check_values,
-    check_whole,
-    share_distances,
-    two_rows,
-)
+from calib.kinds import Kind
+from calib.measure import checks
 from calib.measure.columns import DEFAULT_TARGET, SETS
-from calib.measure.kinds import KINDS, LENGTHS, POSITIONS
 from calib.measure.layout import Layout
-from calib.measure.points_file import Points, match_points, read_points, unmeasured_points
+from calib.measure.points_file import read_points
 from calib.measure.table import Table
 from calib.measure.table_text import table_text
 from calib.measure.values import Values
 from calib.model.files import write_atomically
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
     """N rows: the joint values of the robot and what was measured of the target there.
 
-    What a row measures is its kind, one of `KINDS`:
-
-    - ``point``: the position of the target. ``pose``: its position and orientation.
-    - ``distance``: its distance to an anchor, one point for each group.
-    - ``pair``: the distance between the targets of the two rows that share a word.
-    - ``fixed``: nothing; the target sits at one unknown point for each group.
-    - ``plane``: nothing; the target touches one unknown plane for each group.
-
-    What a row's kind does not measure is NaN, whatever was given; an array of which nothing is left is None.
+    What a row measures is its kind, one of `calib.kinds`: ``point``, ``pose``, ``distance``, ``pair``, ``fixed``,
+    ``plane``, or one that was registered. What it does not measure is NaN, whatever was given; an array of which
+    nothing is left is None.
 
     Attributes:
         joint_names: the order of the columns of ``joints``.
@@ -64,6 +55,7 @@ class Measurements:
         pairs: the word that two rows of the kind ``pair`` share; ``""`` in other rows.
         torques: torques (forces) that the drives put on the joints, positive along the axis, shape (N, n),
             [Nm] ([N]), read-only; NaN for joints without; or None.
+        readings: what kinds from outside measure, shape (N,) each, in SI units, by the column's name, read-only.
         unmeasured: the numbers of the table's rows that are left out, for they hold no measurement.
 
     Raises:
@@ -88,51 +80,103 @@ class Measurements:
     sigma_angle: NDArray[np.float64] | None = None
     pairs: tuple[str, ...] = ()
     torques: NDArray[np.float64] | None = None
+    readings: Mapping[str, Array] = field(default_factory=dict)
     unmeasured: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy the arrays, fill in what was not given, and check that all of it fits together."""
         fill = object.__setattr__
-        for name in ("joints", "points", *_ARRAYS):
-            values = getattr(self, name)
-            fill(self, name, None if values is None else _read_only(values))
-        count = len(self.points) if self.points.ndim else 0
-        fill(self, "joint_names", tuple(self.joint_names))
-        fill(self, "sets", tuple(self.sets) or (SETS[0],) * count)
-        fill(self, "targets", tuple(self.targets) or (DEFAULT_TARGET,) * count)
-        fill(self, "groups", tuple(self.groups) or ("",) * count)
+        count = len(np.asarray(self.points))
+        for name in ("joint_names", "prismatic", "ignored", "unmeasured"):
+            fill(self, name, tuple(getattr(self, name)))
         fill(self, "rows", tuple(self.rows) or tuple(range(1, count + 1)))
-        fill(self, "ignored", tuple(self.ignored))
-        fill(self, "unmeasured", tuple(self.unmeasured))
-        fill(self, "prismatic", tuple(self.prismatic))
-        fill(self, "kinds", tuple(self.kinds) or (KINDS[0],) * count)
-        fill(self, "pairs", tuple(self.pairs) or ("",) * count)
-        check_shapes(self)
-        check_names(self)
-        for name, kinds in _MEASURED_BY.items():
-            fill(self, name, self._only(getattr(self, name), *kinds))
+        for name, word in _WORDS.items():
+            fill(self, name, tuple(getattr(self, name)) or (word,) * count)
+        self._check_words(count)
         if any(self.pairs):
-            pairs = zip(self.kinds, self.pairs, strict=True)
-            fill(self, "pairs", tuple(word if kind == "pair" else "" for kind, word in pairs))
-        shared = share_distances(self)
-        fill(self, "distances", None if shared is None else _read_only(shared))
-        check_values(self)
+            told = zip(self.paired.tolist(), self.pairs, strict=True)
+            fill(self, "pairs", tuple(word if paired else "" for paired, word in told))
+        for name, array in self._checked_arrays().items():
+            fill(self, name, array)
 
-    def _only(self, values: NDArray[np.float64] | None, *kinds: str) -> NDArray[np.float64] | None:
-        """The values with NaN in the rows of other kinds; of an optional array None when no row is left."""
-        rows = self.of_kind(*kinds)
-        if values is None or rows.all():
-            return values
-        if not rows.any() and values is not self.points:
-            return None
-        kept = values.copy()
-        kept[~rows] = np.nan
-        return _read_only(kept)
+    def _check_words(self, count: int) -> None:
+        """Refuse words that are not allowed, and other than one of them a row."""
+        words = {name: getattr(self, name) for name in _WORDS}
+        for name, values in (*words.items(), ("rows", self.rows)):
+            if len(values) != count:
+                message = f"Measurements: '{name}' has {len(values)} entries and should have {count}, one a row"
+                raise MeasurementError(message)
+        checks.check_words(self._where, words)
+        checks.check_row_numbers(self.source or "Measurements", self.rows)
+        checks.check_joint_names(
+            self.source or "Measurements",
+            self.joint_names,
+            self.prismatic,
+            turned=bool(self._rows_of(lambda kind: kind.orientation).any()),
+            torques=self.torques is not None,
+        )
+
+    def _checked_arrays(self) -> dict[str, Any]:
+        """The arrays, each with the rows whose kinds measure it."""
+        where, n, read = self._where, len(self.joint_names), registry.readings()
+        every = np.ones(len(self.rows), dtype=np.bool_)
+        own = {name: self._rows_of(_reads(one)) for name, one in read.items()}
+        own["rotations"] = self._rows_of(lambda kind: kind.orientation)
+        fields: dict[str, tuple[Any, ...]] = {
+            "joints": ((n,), every, checks.REACH, self.joint_names),
+            "points": ((3,), self.positions, checks.REACH, "xyz"),
+            "rotations": ((3, 3), own["rotations"]),
+            "sigma": ((), every, checks.SIGMAS),
+            "sigma_angle": ((), self._rows_of(lambda kind: kind.angles > 0), checks.SIGMAS),
+        }
+        for name, one in read.items():
+            least = checks.SIGMAS[0] if one.positive else -checks.FARTHEST
+            fields[name] = ((), own[name], (least, checks.FARTHEST))
+        given = {"distance": self.distances, **self.readings}
+        strange = [name for name in given if name not in read]
+        if strange:
+            message = f"No kind of measurement reads {choices(strange)}; register it first (calib.kinds.register)."
+            raise MeasurementError(message)
+        pairs = where.pairs(self.pairs)
+        found: dict[str, Any] = {}
+        for name, spec in fields.items():
+            values = given.get(name) if name in read else getattr(self, name)
+            if name in read and values is not None and pairs:
+                values = checks.shared(where, values, pairs)
+            found[name] = checks.numbers(where, name, values, *spec)
+            if found[name] is None and name in own and own[name].any():
+                checks.lacking(where, own[name], name)
+        if found["rotations"] is not None:
+            checks.check_rotations(where, found["rotations"], own["rotations"])
+        for name, width in (("joints", n), ("points", 3)):
+            if found[name] is None:
+                found[name] = _read_only(np.full((len(every), width), np.nan))
+        readings = {name: found.pop(name) for name in read}
+        return {
+            **found,
+            "torques": checks.checked_torques(where, self.joint_names, self.torques),
+            "distances": readings.pop("distance"),
+            "readings": MappingProxyType({k: v for k, v in readings.items() if v is not None}),
+        }
+
+    @property
+    def _where(self) -> checks.Where:
+        """What messages say of a row."""
+        return checks.Where(self.source, self.rows, self.kinds)
+
+    def _rows_of(self, test: Callable[[Kind], bool]) -> NDArray[np.bool_]:
+        """True for the rows of kinds that pass a test, shape (N,), read-only."""
+        return _mask(self.kinds, *(n for n in registry.names() if test(registry.get(n))))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To another process and back: a read-only mapping travels as a dict."""
+        values = {f: getattr(self, f) for f in self.__dataclass_fields__}
+        return _measurements, ({**values, "readings": dict(self.readings)},)
 
     @classmethod
     def read(
         cls,
-        path: str | Path,
+        path: str | Path | Table,
         joint_names: Sequence[str] | None = None,
         joint_types: Mapping[str, str] | None = None,
         columns: Mapping[str, str] | None = None,
@@ -143,7 +187,7 @@ class Measurements:
         """Read a table with units in its header; docs/data-format.md describes it.
 
         Args:
-            path: a CSV file in UTF-8, separated by commas, semicolons or tabs.
+            path: a CSV file in UTF-8, separated by commas, semicolons or tabs; or one that was read already.
             joint_names: the joints to read, each of which must have a column; None reads every
                 column in a unit of angle that is not of an orientation.
             joint_types: a joint's URDF type by its name; a ``"prismatic"`` joint is in a unit of
@@ -161,20 +205,19 @@ class Measurements:
             MeasurementError: the table cannot be read; the text names the file, row and column.
         """
         elsewhere = None if points is None else read_points(points, points_unit)
-        table = Table.read(path)
+        table = path if isinstance(path, Table) else Table.read(path)
         layout = Layout.find(
             table, joint_names, joint_types, columns, kind, points_elsewhere=elsewhere is not None
         )
         values = Values.read(table, layout)
-        positions, source, sha256 = values.points, table.source, table.sha256
+        source, sha256 = table.source, table.sha256
         if elsewhere is not None:
-            values = _measured(elsewhere, table, layout, values)
-            positions = _located(elsewhere, table, layout, values)
+            values = values.with_points(elsewhere, table.source, named="point" in layout.words)
             source, sha256 = f"{source} + {elsewhere.source}", f"{sha256} + {elsewhere.sha256}"
         measurements = cls(
             joint_names=layout.joint_names,
             joints=values.joints,
-            points=positions,
+            points=values.points,
             sets=values.sets,
             sigma=values.sigma,
             targets=values.targets,
@@ -186,13 +229,15 @@ class Measurements:
             prismatic=layout.prismatic,
             kinds=values.kinds,
             rotations=values.rotations,
-            distances=values.distances,
+            distances=values.readings.get("distance"),
+            readings={n: v for n, v in values.readings.items() if n != "distance"},
             sigma_angle=values.sigma_angle,
             pairs=values.pairs,
             torques=values.torques,
             unmeasured=values.unmeasured,
         )
-        check_whole(measurements)
+        words = {name: getattr(measurements, name) for name in _WORDS}
+        checks.check_whole(measurements._where, words)
         return measurements
 
     def __repr__(self) -> str:
@@ -218,22 +263,45 @@ class Measurements:
         """True for the rows of these kinds, shape (N,), read-only."""
         return _mask(self.kinds, *kinds)
 
-    def reading(self, name: str) -> NDArray[np.float64]:
+    def reading(self, name: str) -> Array:
         """What stands in a column that some kind reads, such as ``"distance"``, shape (N,), in SI units."""
-        assert name == "distance"
-        return np.full(len(self), np.nan) if self.distances is None else self.distances
+        found = self.distances if name == "distance" else self.readings.get(name)
+        return np.full(len(self), np.nan) if found is None else found
 
     @property
     def paired(self) -> NDArray[np.bool_]:
         """True for the rows of which two give one measurement, shape (N,), read-only."""
-        return self.of_kind(*(name for name in registry.names() if registry.get(name).paired))
+        return self._rows_of(lambda kind: kind.paired)
+
+    @property
+    def positions(self) -> NDArray[np.bool_]:
+        """True for the rows that measure a position, shape (N,), read-only."""
+        return self._rows_of(lambda kind: kind.position)
 
     @property
     def pair_rows(self) -> NDArray[np.intp]:
         """The two rows of each pair, from 0, shape (P, 2), read-only; pairs that have lost a row are left out."""
-        rows = np.array(list(two_rows(self).values()), dtype=np.intp).reshape(-1, 2)
-        rows.setflags(write=False)
-        return rows
+        both = [rows for rows in self._where.pairs(self.pairs).values() if len(rows) == 2]
+        pairs = np.array(both, dtype=np.intp).reshape(-1, 2)
+        pairs.setflags(write=False)
+        return pairs
+
+    @staticmethod
+    def columns_of(kind: Kind, measured: Array) -> dict[str, Any]:
+        """The arguments of `Measurements` that hold what n rows of one kind measure.
+
+        Args:
+            kind: Of all rows.
+            measured: shape (n, k), as `calib.kinds.Kind` says.
+        """
+        found: dict[str, Any] = {"points": np.full((len(measured), 3), np.nan)}
+        if kind.position:
+            found["points"] = measured[:, :3]
+        if kind.orientation:
+            found["rotations"] = measured[:, 3:12].reshape(-1, 3, 3)
+        own = measured[:, kind.size - len(kind.readings) :].T
+        read = {one.name: values for one, values in zip(kind.readings, own, strict=True)}
+        return {**found, "distances": read.pop("distance", None), "readings": read}
 
     def select(self, mask: ArrayLike) -> Measurements:
         """The rows where ``mask``, of shape (N,) and bool, is True; they keep their row numbers.
@@ -275,6 +343,7 @@ class Measurements:
             sigma_angle=numbers(self.sigma_angle),
             pairs=words(self.pairs),
             torques=numbers(self.torques),
+            readings={name: values[chosen] for name, values in self.readings.items()},
         )
 
     def joints_for(self, names: Sequence[str]) -> NDArray[np.float64]:
@@ -284,15 +353,6 @@ class Measurements:
             MeasurementError: there is no such joint in the table.
         """
         return _read_only(self.joints[:, self._index(names)])
-
-    def torques_for(self, names: Sequence[str]) -> NDArray[np.float64] | None:
-        """The torques of these joints in this order, shape (N, len(names)), [Nm] or [N]; None without any.
-
-        Raises:
-            MeasurementError: there is no such joint in the table.
-        """
-        index = self._index(names)
-        return None if self.torques is None else _read_only(self.torques[:, index])
 
     def _index(self, names: Sequence[str]) -> list[int]:
         """Where these joints stand among ``joint_names``."""
@@ -307,43 +367,54 @@ class Measurements:
         return [where[name] for name in names]
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write a CSV table in degrees and millimetres, see `calib.measure.table_text`.
+        """Write a CSV table in degrees and millimetres that `read` gives back, see `calib.measure.table_text`.
 
         Raises:
             FileError: the file exists and ``overwrite`` is False, or it cannot be written.
         """
-        write_atomically(path, table_text(self).encode(), overwrite=overwrite)
+        kinds = set(self.kinds)
+        words: dict[str, Sequence[object]] = {"row": self.rows, "set": self.sets}
+        if len(kinds) > 1 or any(not _is_plain(registry.get(kind)) for kind in kinds):
+            words["kind"] = self.kinds
+        if set(self.targets) - {DEFAULT_TARGET}:
+            words["target"] = self.targets
+        words |= {n: w for n, w in (("group", self.groups), ("pair", self.pairs)) if any(w)}
+        read = {
+            one.name: (one.quantity, self.reading(one.name)) for one in registry.readings().values()
+        }
+        text = table_text(
+            words,
+            joints=[
+                (n, n in self.prismatic, v)
+                for n, v in zip(self.joint_names, self.joints.T, strict=True)
+            ],
+            torques=None if self.torques is None else self.torques.T,
+            points=self.points if self.positions.any() or not len(self) else None,
+            rotations=self.rotations,
+            readings={name: one for name, one in read.items() if np.isfinite(one[1]).any()},
+            sigma=self.sigma,
+            sigma_angle=self.sigma_angle,
+        )
+        write_atomically(path, text.encode(), overwrite=overwrite)
 
 
-_ARRAYS = ("sigma", "rotations", "distances", "sigma_angle", "torques")
-
-# Which kinds of rows have a number here; in others it is NaN.
-_MEASURED_BY: Mapping[str, tuple[str, ...]] = {
-    "points": POSITIONS,
-    "rotations": ("pose",),
-    "distances": LENGTHS,
-    "sigma_angle": ("pose",),
-}
+#: The words of a row, by the attribute, and what stands for them where they are not given.
+_WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "point", "pairs": ""}
 
 
-def _measured(elsewhere: Points, table: Table, layout: Layout, values: Values) -> Values:
-    """The rows without those whose points are still to be measured."""
-    if "point" not in layout.words:
-        return values
-    at = [i for i, kind in enumerate(values.kinds) if kind in POSITIONS]
-    missing = unmeasured_points(elsewhere, [values.names[i] for i in at])
-    return values.without([at[k] for k in missing], table.source) if missing else values
+def _reads(one: registry.Reading) -> Callable[[Kind], bool]:
+    """Whether a kind has this reading."""
+    return lambda kind: one in kind.readings
 
 
-def _located(
-    elsewhere: Points, table: Table, layout: Layout, values: Values
-) -> NDArray[np.float64]:
-    """The points of a file of points in the rows that they belong to, shape (N, 3), [m]; NaN in others."""
-    at = [i for i, kind in enumerate(values.kinds) if kind in POSITIONS]
-    names = [values.names[i] for i in at] if "point" in layout.words else None
-    positions = np.full((len(values.kinds), 3), np.nan)
-    positions[at] = match_points(elsewhere, table.source, [values.rows[i] for i in at], names)
-    return positions
+def _is_plain(kind: Kind) -> bool:
+    """Whether the columns of a table tell that its rows are of this kind."""
+    return bool(kind.size) and not (kind.position and kind.readings)
+
+
+def _measurements(values: dict[str, Any]) -> Measurements:
+    """Measurements from their values by name, see `Measurements.__reduce__`."""
+    return Measurements(**values)
 
 
 def _read_only(values: ArrayLike) -> NDArray[np.float64]:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.measure.cell import Cell
-from calib.measure.kinds import POSITIONS
 from calib.measure.measurements import Measurements
 from calib.measure.table import Table
 from calib.model.robot import Robot, read_only, rigid_inverse
@@ -31,9 +30,12 @@ def read_rows(
     Raises:
         MeasurementError: The table cannot be read, or lacks a joint.
     """
-    if kind is None and not _has_positions(Table.read(path), columns or {}):
+    table = Table.read(path)
+    if kind is None and not _has_positions(table, columns or {}):
         kind = "fixed"  # a row of this kind measures nothing but its joint values
-    return Measurements.read(path, robot.joint_names, robot.joint_types, columns=columns, kind=kind)
+    return Measurements.read(
+        table, robot.joint_names, robot.joint_types, columns=columns, kind=kind
+    )
 
 
 def row_points(
@@ -51,7 +53,7 @@ def row_points(
     Returns:
         shape (N, 3), in the base frame [m]; and shape (N,).
     """
-    measured = rows.of_kind(*POSITIONS)
+    measured = rows.positions
     points = predicted_points(robot, rows, cell, target).copy()
     for i in np.flatnonzero(measured):
         T_frame_base = cell.frames.get(rows.groups[i], cell.T_frame_base)

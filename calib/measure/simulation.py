@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from calib import kinds as registry
 from calib.errors import CalibError, ModelError, choices
+from calib.kinds import Kind
 from calib.measure.cell_parts import is_number, vector
 from calib.measure.columns import SETS
 from calib.measure.disturbances import Encoder, MovedTarget, Outliers, outlier_directions
-from calib.measure.kinds import LENGTHS, check_kind
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise
 from calib.measure.random_streams import stream
@@ -27,9 +28,6 @@ from calib.measure.truth import Truth
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
-
-#: The kinds that a virtual cell measures. The others need poses that hold the target in a socket or on a plane.
-SIMULATED = ("point", "pose", "distance", "pair")
 
 #: No target is measured farther away [m].
 FARTHEST = 1e4
@@ -93,7 +91,7 @@ class VirtualCell:
 
     Attributes:
         truth: The robot, the targets and the frames.
-        kind: What is measured, one of `SIMULATED`.
+        kind: What is measured, of `calib.kinds` one whose poses are free.
         noise: Of one coordinate, by the distance from the tracker; None: none. The repeatability in it displaces
             all targets of one stop alike; of the kind ``distance`` the distance is that from the anchor.
         tracker: shape (3,), where the tracker stands in the base [m]; None: at the origin of each measurement frame.
@@ -119,11 +117,11 @@ class VirtualCell:
 
     def __post_init__(self) -> None:
         """Check kind and numbers; keep read-only copies."""
-        check_kind(self.kind)
-        if self.kind not in SIMULATED:
+        if registry.get(self.kind).measure is None:
+            free = [name for name in registry.names() if registry.get(name).measure is not None]
             message = (
                 f"Measurements of the kind '{self.kind}' cannot be simulated: their poses would have to hold the "
-                f"target in a socket or on a plane. Choose one of {choices(SIMULATED)}."
+                f"target in a socket or on a plane. Choose one of {choices(free)}."
             )
             raise CalibError(message)
         if not is_number(self.sigma_angle) or self.sigma_angle < 0.0:
@@ -176,25 +174,24 @@ class VirtualCell:
         T = self.truth.T_frame_base[plan.group] @ self.truth.tip_poses(stood)[plan.stop] @ placed
         drift = np.linspace(0.0, 1.0, len(plan.stop))[:, None] * self.drift
         shaken = T[:, :3, 3] + drift + self._robot_noise(plan, seed)
-        pairs = plan.pairs(sets) if self.kind == "pair" else ()
-        sigma = self._sigma(T[:, :3, 3], plan, pairs)
+        kind = registry.get(self.kind)
+        pairs = plan.pairs(sets) if kind.paired else ()
+        sigma = self._sigma(T, plan, pairs)
         outliers = self._outliers(words, pairs, seed)
         instrument = stream(seed, "tracker noise").standard_normal((len(sigma), 3))
-        own = sigma if self.noise is None else self._instrument(T[:, :3, 3], plan, pairs)
+        own = sigma if self.noise is None else self._instrument(T, plan, pairs)
         apart = instrument * own[:, None] + outliers
         _check_near(shaken + apart)
         table = Measurements(
             joint_names=self.robot.joint_names,
             joints=self.encoder.read(stood, sliding)[plan.stop],
-            points=shaken + apart,
             sets=words,
             targets=names,
             groups=tuple(self.truth.groups[g] for g in plan.group),
             kinds=(self.kind,) * len(words),
             prismatic=tuple(n for n, s in zip(self.robot.joint_names, sliding, strict=True) if s),
-            rotations=self._rotations(T[:, :3, :3], seed) if self.kind == "pose" else None,
-            distances=_lengths(shaken, apart[:, 0], pairs) if self.kind in LENGTHS else None,
             pairs=_pair_words(len(words), pairs),
+            **Measurements.columns_of(kind, self._read(kind, T, shaken, apart, pairs, seed)),
         )
         return Simulated(
             measurements=table,
@@ -224,26 +221,29 @@ class VirtualCell:
         stops = stream(seed, "robot noise").standard_normal((len(plan.tour), 3))
         return np.asarray(size * stops[plan.stop])
 
-    def _instrument(self, points: Array, plan: _Plan, pairs: Sequence[tuple[int, int]]) -> Array:
+    def _instrument(self, poses: Array, plan: _Plan, pairs: Sequence[tuple[int, int]]) -> Array:
         """Standard deviation of the instrument alone, shape (R,), [m]."""
         noise = self.noise
         if noise is None:
-            return np.zeros(len(points))
+            return np.zeros(len(poses))
+        points = poses[:, :3, 3]
         distance = np.linalg.norm(points, axis=1)
-        if self.kind == "pair":
-            for i, j in pairs:
-                distance[[i, j]] = np.linalg.norm(points[i] - points[j])
-        elif self.kind != "distance" and self.tracker is not None:
+        kind = registry.get(self.kind)
+        lengths = [i for i, one in enumerate(kind.readings) if one.quantity == "length"]
+        if lengths and not kind.position:  # the instrument is what the length is measured from
+            assert kind.measure is not None
+            distance = np.abs(kind.measure(_seen(kind, poses, pairs))[:, lengths[0]])
+        elif self.tracker is not None:
             T = self.truth.T_frame_base[plan.group]
             tracker = T[:, :3, :3] @ self.tracker + T[:, :3, 3]
             distance = np.linalg.norm(points - tracker, axis=1)
         return np.asarray(noise.constant + noise.per_length * distance)
 
-    def _sigma(self, points: Array, plan: _Plan, pairs: Sequence[tuple[int, int]]) -> Array:
+    def _sigma(self, poses: Array, plan: _Plan, pairs: Sequence[tuple[int, int]]) -> Array:
         """Standard deviation of one coordinate or length with all noise, shape (R,), [m]."""
         size = 0.0 if self.noise is None else self.noise.repeatability
-        stops = 2.0 if self.kind == "pair" else 1.0
-        return np.asarray(np.hypot(self._instrument(points, plan, pairs), np.sqrt(stops) * size))
+        stops = 2.0 if registry.get(self.kind).paired else 1.0
+        return np.asarray(np.hypot(self._instrument(poses, plan, pairs), np.sqrt(stops) * size))
 
     def _outliers(self, sets: Sequence[str], pairs: Sequence[tuple[int, int]], seed: int) -> Array:
         """How far each row's measurement is displaced, shape (R, 3), [m]; of a pair that of its first row."""
@@ -253,15 +253,48 @@ class VirtualCell:
         first = [i for i, _ in pairs] if pairs else range(len(sets))
         chosen = self.outliers.choose([i for i in first if sets[i] == SETS[0]], seed)
         directions = outlier_directions(len(sets), seed)
-        if self.kind in LENGTHS:
+        if not registry.get(self.kind).position:
             directions = np.sign(directions) * (1.0, 0.0, 0.0)
         result[chosen] = self.outliers.size * directions[chosen]
         return result
 
-    def _rotations(self, R: Array, seed: int) -> Array:
-        """Measured orientations, shape (R, 3, 3)."""
-        turn = self.sigma_angle * stream(seed, "angle noise").standard_normal((len(R), 3))
-        return np.asarray(Rotation.from_rotvec(turn).as_matrix() @ R)
+    def _read(
+        self,
+        kind: Kind,
+        T: Array,
+        shaken: Array,
+        apart: Array,
+        pairs: Sequence[tuple[int, int]],
+        seed: int,
+    ) -> Array:
+        """What the instrument reads in each row, as `calib.kinds.Kind` says, shape (R, k).
+
+        Args:
+            kind: Of the rows.
+            T: shape (R, 4, 4), true poses of the targets [m].
+            shaken: shape (R, 3), where the targets stand with drift and the robot's own noise [m].
+            apart: shape (R, 3), noise and outliers of the instrument [m]; of lengths the first columns count.
+            pairs: The two rows of each.
+            seed: Of the random numbers.
+        """
+        assert kind.measure is not None
+        seen = T.copy()
+        seen[:, :3, 3] = shaken
+        result = np.array(kind.measure(_seen(kind, seen, pairs)))
+        if kind.position:
+            result[:, :3] += apart
+        turn = self.sigma_angle * stream(seed, "angle noise").standard_normal((len(T), 3))
+        if kind.orientation:
+            R = Rotation.from_rotvec(turn).as_matrix() @ T[:, :3, :3]
+            result[:, 3:12] = R.reshape(-1, 9)
+        apart = apart.copy()
+        for i, j in pairs:
+            apart[j] = apart[i]
+        for k, one in enumerate(kind.readings, start=kind.size - len(kind.readings)):
+            result[:, k] += (apart if one.quantity == "length" else turn)[:, k % 3]
+            if one.positive:  # what noise would make negative is seen from the other side
+                result[:, k] = np.abs(result[:, k])
+        return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -347,21 +380,14 @@ def _check_near(points: Array) -> None:
         raise CalibError(message)
 
 
-def _lengths(points: Array, apart: Array, pairs: Sequence[tuple[int, int]]) -> Array:
-    """Measured lengths, shape (R,), [m]: to the frame's origin, or between the two points of a pair.
-
-    Args:
-        points: shape (R, 3), [m].
-        apart: shape (R,), noise and outliers [m]; of a pair those of its first row count.
-        pairs: The two rows of each.
-    """
-    lengths = np.linalg.norm(points, axis=1)
-    noise = apart.copy()
+def _seen(kind: Kind, T: Array, pairs: Sequence[tuple[int, int]]) -> Array:
+    """Poses as a kind looks at them, shape (R, 4, 4), of a paired kind (R, 2, 4, 4)."""
+    if not kind.paired:
+        return T
+    other = np.arange(len(T))
     for i, j in pairs:
-        lengths[[i, j]] = np.linalg.norm(points[i] - points[j])
-        noise[j] = noise[i]
-    # A length has no sign: what noise would make negative is seen from the other side.
-    return np.asarray(np.abs(lengths + noise))
+        other[[i, j]] = j, i
+    return np.stack([T, T[other]], axis=1)
 
 
 def _pair_words(count: int, pairs: Sequence[tuple[int, int]]) -> tuple[str, ...]:

@@ -20,12 +20,12 @@ from calib.errors import MeasurementError, choices
 from calib.measure.columns import (
     ORIENTATION,
     POINT,
-    RESERVED,
     Column,
     check_cells,
     list_columns,
     name_columns,
     place,
+    reserved,
     with_unit,
 )
 from calib.measure.layout import Layout
@@ -238,7 +238,7 @@ def _joint_columns(
 ) -> tuple[Column, ...]:
     """The columns of joint values: of all joints named, or of none."""
     if joint_names is None:
-        taken = (*RESERVED, *ORIENTATION)
+        taken = (*reserved(), *ORIENTATION)
         return tuple(
             c for n, c in named.items() if n not in taken and c.unit and c.unit.quantity == "angle"
         )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib import kinds as registry
 from calib.errors import MeasurementError
 from calib.measure.columns import Column
 from calib.measure.layout import Layout
@@ -55,11 +56,6 @@ class WrongUnits:
     grid: NDArray[np.float64]
     lines: Sequence[int]
     rows: Sequence[int]
-    _columns: tuple[Column, ...] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """The columns of ``grid``, put together once."""
-        object.__setattr__(self, "_columns", self.layout.numbers)
 
     @np.errstate(over="ignore")  # what is infinite is too large as well
     def check(self) -> None:
@@ -68,142 +64,122 @@ class WrongUnits:
         Raises:
             MeasurementError: with the file, the line, the column, and the unit that would make sense.
         """
-        span = self.layout.span
-        for i in span("joints"):
-            self._degrees([i])
-        if len(span("orientation")) == 3:
-            self._degrees(span("orientation"))
-            self._radians(span("orientation"))
-        self._positive()
-        for i in span("joints"):
-            if _unit(self._columns[i]).quantity == "length":
-                self._far([i], "further from the origin")
-        for name, far, near in (
-            ("points", "further from the origin", "no point is further from the origin"),
-            ("distance", "longer", "no distance is longer"),
-        ):
-            if span(name):
-                self._far(span(name), far)
-                self._near(span(name), near)
-        self._vague()
+        span, columns = self.layout.span, self.layout.numbers
+        joints, orientation = span("joints"), span("orientation")
+        for at in [*([i] for i in joints), *([orientation] if len(orientation) == 3 else [])]:
+            self._degrees(at)
+        if len(orientation) == 3:
+            self._radians(orientation)
+        slides = [[i] for i in joints if _unit(columns[i]).quantity == "length"]
+        for at in [*slides, *([span("points")] if span("points") else [])]:
+            self._far(at, "further from the origin")
+        if span("points"):
+            self._near(span("points"), "no point is further from the origin")
+        self._readings()
+        for i in span("sigma_angle"):
+            self._vague(i)
+        for i in (*span("sigma"), *span("sigma_angle")):
+            self._positive(i)
 
-    def _column(self, i: int) -> Column:
-        """The column of ``grid``'s column ``i``."""
-        return self._columns[i]
+    def _readings(self) -> None:
+        """The same for what kinds read in columns of their own."""
+        for name, reading in registry.readings().items():
+            at = self.layout.span(name)
+            if at and reading.positive:
+                self._positive(at[0])
+            if at and reading.quantity == "length":
+                self._far(at, "longer")
+                if reading.positive:
+                    self._near(at, f"no {name} is longer")
 
-    def _degrees(self, columns: list[int]) -> None:
+    def _degrees(self, at: list[int]) -> None:
         """Refuse columns in radians that look like degrees."""
-        if any(_unit(self._column(i)).symbol != "rad" for i in columns):
+        columns = [self.layout.numbers[i] for i in at]
+        if any(_unit(column).symbol != "rad" for column in columns):
             return
-        size = np.linalg.norm(self.grid[:, columns], axis=1)
+        size = np.linalg.norm(self.grid[:, at], axis=1)
         median = float(np.median(size[~np.isnan(size)]))
         if median > TURNS_RAD:
-            column = self._column(columns[0])
             message = (
-                f"{self.source}, column '{column.label}': half of the values are beyond "
+                f"{self.source}, column '{columns[0].label}': half of the values are beyond "
                 f"{median:.4g} rad, more than a turn; they look like degrees. If they are, "
-                f"write '{column.name} [deg]' into the header."
+                f"write '{columns[0].name} [deg]' into the header."
             )
             raise MeasurementError(message)
 
-    def _radians(self, columns: list[int]) -> None:
+    def _radians(self, at: list[int]) -> None:
         """Refuse rotation vectors in degrees that look like radians: the robot turns, they hardly do."""
-        if any(_unit(self._column(i)).symbol != "deg" for i in columns):
+        columns = [self.layout.numbers[i] for i in at]
+        if any(_unit(column).symbol != "deg" for column in columns):
             return
-        size = np.linalg.norm(self.grid[:, columns], axis=1)
+        size = np.linalg.norm(self.grid[:, at], axis=1)
         size = size[~np.isnan(size)]
-        low, high = VECTOR_DEG
-        if not (np.median(size) > low and size.max() < high):
+        if not (np.median(size) > VECTOR_DEG[0] and size.max() < VECTOR_DEG[1]):
             return
         for i in self.layout.span("joints"):
-            turned = float(np.ptp(self.grid[:, i])) * self._column(i).to_si
-            if _unit(self._column(i)).quantity == "angle" and turned > TURNING_RAD:
-                column = self._column(columns[0])
+            joint = self.layout.numbers[i]
+            turned = float(np.ptp(self.grid[:, i])) * joint.to_si
+            if _unit(joint).quantity == "angle" and turned > TURNING_RAD:
                 message = (
-                    f"{self.source}, column '{column.label}': no rotation vector is longer than "
-                    f"{size.max():.4g} deg, while '{self._column(i).name}' turns by "
-                    f"{np.degrees(turned):.4g} deg; they look like radians. If they are, write "
-                    f"'{column.name} [rad]' into the header; if not, give them in radians."
+                    f"{self.source}, column '{columns[0].label}': no rotation vector is longer than "
+                    f"{size.max():.4g} deg, while '{joint.name}' turns by {np.degrees(turned):.4g} deg; "
+                    f"they look like radians. If they are, write '{columns[0].name} [rad]' into the "
+                    "header; if not, give them in radians."
                 )
                 raise MeasurementError(message)
 
-    def _positive(self) -> None:
-        """Refuse a standard deviation or a distance that is not greater than zero."""
-        leave_out = ". Correct it, or leave the column out: the noise is found from the data."
-        for name, what, fix in (
-            ("sigma", "a standard deviation", leave_out),
-            ("sigma_angle", "a standard deviation", leave_out),
-            (
-                "distance",
-                "a distance",
-                ". A target that stays at one point is of the kind 'fixed'.",
-            ),
-        ):
-            for i in self.layout.span(name):
-                wrong = np.flatnonzero(self.grid[:, i] <= 0.0)
-                if wrong.size:
-                    value = self.grid[wrong[0], i]
-                    message = (
-                        f"{self._place(int(wrong[0]), i)}: {name} is '{value:.10g}'; {what} is "
-                        f"greater than zero{fix}"
-                    )
-                    raise MeasurementError(message)
-
-    def _vague(self) -> None:
+    def _vague(self, i: int) -> None:
         """Refuse a standard deviation of an angle that no instrument has."""
-        for i in self.layout.span("sigma_angle"):
-            column = self._column(i)
-            wrong = np.flatnonzero(self.grid[:, i] * column.to_si > VAGUE_RAD)
-            if wrong.size:
-                value = float(self.grid[wrong[0], i])
-                message = (
-                    f"{self._place(int(wrong[0]), i)}: {value:.10g} was read as "
-                    f"{value * column.to_si:.4g} rad, which says nothing of an orientation. If it "
-                    f"is in degrees, write '{column.name} [deg]' into the header."
-                )
-                raise MeasurementError(message)
+        wrong = np.flatnonzero(self.grid[:, i] * self.layout.numbers[i].to_si > VAGUE_RAD)
+        if wrong.size:
+            what = "which says nothing of an orientation"
+            self._refuse(int(wrong[0]), i, "rad", what, "deg")
 
-    def _metres(self, columns: list[int]) -> NDArray[np.float64]:
-        """Columns of lengths in metres, shape (N, len(columns)); zero where there is none."""
-        to_si = np.array([self._column(i).to_si for i in columns])
-        return np.asarray(np.nan_to_num(self.grid[:, columns]) * to_si)
+    def _positive(self, i: int) -> None:
+        """Refuse a standard deviation or a distance that is not greater than zero."""
+        column = self.layout.numbers[i]
+        wrong = np.flatnonzero(self.grid[:, i] <= 0.0)
+        if wrong.size:
+            message = (
+                f"{self._place(int(wrong[0]), column)}: {column.name} is '{self.grid[wrong[0], i]:.10g}'; it is "
+                "greater than zero. Correct it, or leave the column out: noise is found from the data."
+            )
+            raise MeasurementError(message)
 
-    def _far(self, columns: list[int], what: str) -> None:
+    def _metres(self, at: list[int]) -> tuple[int, int, float]:
+        """The row that is furthest from the origin, the column that makes it so, and how far [m]."""
+        to_si = np.array([self.layout.numbers[i].to_si for i in at])
+        metres = np.nan_to_num(self.grid[:, at]) * to_si
+        worst, distance = farthest(metres)
+        return worst, at[int(np.argmax(np.abs(metres[worst])))], distance
+
+    def _far(self, at: list[int], what: str) -> None:
         """Refuse a row further from the origin than any robot cell is wide."""
-        metres = self._metres(columns)
-        worst, distance = farthest(metres)
+        worst, i, distance = self._metres(at)
         if distance > FAR_M:
-            largest = columns[int(np.argmax(np.abs(metres[worst])))]
-            self._refuse(worst, largest, f"{what} than {FAR_M:g} m")
+            self._refuse(worst, i, "m", f"{what} than {FAR_M:g} m")
 
-    def _near(self, columns: list[int], what: str) -> None:
+    def _near(self, at: list[int], what: str) -> None:
         """Refuse lengths that are all shorter than a robot moves."""
-        metres = self._metres(columns)
-        worst, distance = farthest(metres)
-        largest = columns[int(np.argmax(np.abs(metres[worst])))]
-        in_metres = _unit(self._column(largest)).symbol == "m"  # no unit is larger
-        if distance < NEAR_M and not in_metres:
-            self._refuse(worst, largest, f"and {what} than {NEAR_M * 1e3:g} mm")
+        worst, i, distance = self._metres(at)
+        if distance < NEAR_M and _unit(self.layout.numbers[i]).symbol != "m":  # no unit is larger
+            self._refuse(worst, i, "m", f"and {what} than {NEAR_M * 1e3:g} mm")
 
-    def _refuse(self, row: int, i: int, what: str) -> None:
+    def _refuse(self, row: int, i: int, si: str, what: str, better: str = "") -> None:
         """Say what was read and which unit would make sense of it."""
-        column = self._column(i)
+        column = self.layout.numbers[i]
         value = float(self.grid[row, i])
-        unit = better_unit(value, _unit(column))
+        better = better or better_unit(value, _unit(column))
         fix = "Correct the value."
-        if unit:
-            fix = f"If it is in {unit}, write '{column.name} [{unit}]' into the header."
-        message = (
-            f"{self._place(row, i)}: {value:.10g} was read as {value * column.to_si:.6g} m, {what}. "
-            f"{fix}"
-        )
+        if better:
+            fix = f"If it is in {better}, write '{column.name} [{better}]' into the header."
+        message = f"{self._place(row, column)}: {value:.10g} was read as {value * column.to_si:.6g} {si}, {what}. {fix}"
         raise MeasurementError(message)
 
-    def _place(self, row: int, i: int) -> str:
+    def _place(self, row: int, column: Column) -> str:
         """Where a value stands."""
         return (
-            f"{self.source}, line {self.lines[row]} (row {self.rows[row]}), "
-            f"column '{self._column(i).label}'"
+            f"{self.source}, line {self.lines[row]} (row {self.rows[row]}), column '{column.label}'"
         )
 
 

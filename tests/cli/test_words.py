@@ -22,8 +22,8 @@ from calib.cli.words import (
     parse_sweeps,
 )
 from calib.errors import CalibError
+from calib.kinds import names as kind_names
 from calib.measure.cell import DIRECTIONS, PRIOR_SIZES, REPEATS, Cell
-from calib.measure.kinds import KINDS
 from calib.model.error_model import MODELS
 from calib.model.parameters import JOINT_FAMILIES
 from calib.model.torques import Payload
@@ -31,7 +31,7 @@ from calib.units import Angle, Length
 
 
 def test_the_words_to_choose_from_are_those_that_calib_knows():
-    assert tuple(k.value for k in Kind) == KINDS
+    assert tuple(k.value for k in Kind) == kind_names()
     assert tuple(r.value for r in Repeats) == REPEATS
     assert tuple(p.value for p in PriorSizes) == PRIOR_SIZES
 

@@ -11,8 +11,8 @@ from scipy.special import stdtrit
 
 from calib.errors import MeasurementError, ModelError
 from calib.identify.fitting import Task, fit, scale_of, unseen_scores
+from calib.identify.starts import best_fit
 from calib.identify.table_rows import known_distances, rows_of
-from calib.kinds import best_fit
 from calib.measure.cell import Cell, GroupDistance, Priors
 from calib.model.readback import random_joint_values
 

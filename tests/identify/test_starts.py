@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.identify.nominal import residual_of
-from calib.identify.starts import frames_around, linear_start, pose_start
+from calib.identify.starts import best_fit, frames_around, linear_start, pose_start
 from calib.identify.table_rows import rows_of
-from calib.kinds import best_fit, get
+from calib.kinds import get
 from calib.measure.cell import Cell
 
 

@@ -12,7 +12,7 @@ from calib.measure.cell import Cell
 from calib.measure.disturbances import Encoder, MovedTarget, Outliers
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise
-from calib.measure.simulation import SIMULATED, VirtualCell
+from calib.measure.simulation import VirtualCell
 from calib.measure.truth import draw_truth, tracker_pose
 from calib.model.readback import random_joint_values
 from calib.model.robot import rigid_inverse
@@ -66,7 +66,7 @@ def test_a_fit_of_the_same_model_finds_the_truth(ur3, model):
     q = random_joint_values(ur3, 60, seed=1)
     made = VirtualCell(true, noise=None).measure(q)
     # Priors pull a little, where there is no noise to weigh them against.
-    free = replace(cell, priors=replace(cell.priors, sizes="off"))
+    free = replace(cell, priors=cell.priors.with_sizes("off"))
     found = calibrate(ur3, made.measurements, cell=free, model=model, validate=False)
     unseen = random_joint_values(ur3, 50, seed=9)
     assert found.predict(unseen) == pytest.approx(true.points(unseen), abs=1e-9)
@@ -74,7 +74,7 @@ def test_a_fit_of_the_same_model_finds_the_truth(ur3, model):
     assert found.predict(q) == pytest.approx(made.points, abs=1e-7)
 
 
-@pytest.mark.parametrize("kind", SIMULATED)
+@pytest.mark.parametrize("kind", ["point", "pose", "distance", "pair"])
 def test_every_kind_is_fitted_back_from_its_file(ur3, tmp_path, kind):
     names = {"a": (0.05, 0.05, 0.05), "b": (-0.06, 0.03, 0.1)}
     frames = {
@@ -89,7 +89,7 @@ def test_every_kind_is_fitted_back_from_its_file(ur3, tmp_path, kind):
     table = Measurements.read(tmp_path / "table.csv", ur3.joint_names, ur3.joint_types)
     assert set(table.kinds) == {kind}
     assert len(table) == 120
-    free = replace(cell, priors=replace(cell.priors, sizes="off"))
+    free = replace(cell, priors=cell.priors.with_sizes("off"))
     found = calibrate(ur3, table, cell=free, model="placement", validate=False)
     unseen = random_joint_values(ur3, 30, seed=9)
     for name in names:
@@ -313,7 +313,7 @@ def test_what_cannot_be_measured(plain, q):
         plain.measure(q, sets=["estimate"] * 3)
     with pytest.raises(CalibError, match="The seed is -1"):
         plain.measure(q, -1)
-    with pytest.raises(MeasurementError, match="the set 'train' is neither"):
+    with pytest.raises(MeasurementError, match="row 1: 'train' in 'sets'"):
         plain.measure(q[:1], sets=["train"])
     with pytest.raises(CalibError, match="even number of poses; 3 are to 'estimate'"):
         replace(plain, kind="pair").measure(q[:3])

@@ -136,7 +136,7 @@ def test_a_list_beside_a_table(tmp_path: Path):
         (PLAIN.replace("[mm]", "[m]"), {}, "further from the origin than 100 m. If it is in mm"),
         (PLAIN.splitlines()[0], {}, "the table has a header and no rows below it"),
         (WITH_JOINTS.replace("-90", ""), {}, "column 'q_a .deg.': the cell is empty"),
-        (WITH_JOINTS.replace(";20;", ";0;"), {}, "sigma is '0'; a standard deviation is greater"),
+        (WITH_JOINTS.replace(";20;", ";0;"), {}, "sigma is '0'; it is greater"),
         (
             WITH_JOINTS,
             {"joint_names": ("q_a", "q_b", "q_c")},

@@ -5,11 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from calib.errors import CalibError, MeasurementError
-from calib.measure.measurements import Measurements
 from calib.measure.noise import parse_noise
 from calib.measure.quantities import parse_joint_value
 from calib.measure.sweeps import read_sweeps
@@ -26,136 +24,6 @@ def written(folder: Path, *lines: str, name: str = "t.csv") -> Path:
     path = folder / name
     path.write_text("\n".join([*lines, ""]))
     return path
-
-
-def rows(**changes):
-    """Three rows of a robot with one joint."""
-    values = {"joint_names": ("a",), "joints": np.zeros((3, 1)), "points": np.ones((3, 3))}
-    return Measurements(**{**values, "source": "own", **changes})
-
-
-def test_two_columns_of_one_name(tmp_path):
-    path = written(tmp_path, "a [deg],x [mm],y [mm],z [mm],x [m]", "1,2,3,4,5")
-    with refused(
-        MeasurementError,
-        "t.csv: two columns are called 'x': number 2 ('x [mm]') and number 5 ('x [m]'). Remove or "
-        'rename one, or leave one out: --columns "x [m]=-".',
-    ):
-        Measurements.read(path)
-
-
-def test_a_column_mapped_to_an_unknown_unit(tmp_path):
-    path = written(tmp_path, "a [deg],x,y [mm],z [mm]", "1,2,3,4")
-    with refused(
-        MeasurementError,
-        "t.csv: --columns maps 'x' to 'x [inch]': 'inch' is not a unit that calib knows: a length is "
-        "in 'm', 'mm', 'um', 'cm', 'in', an angle in 'rad', 'deg', 'mrad', a torque in 'Nm', a force "
-        "in 'N'",
-    ):
-        Measurements.read(path, columns={"x": "x [inch]"})
-
-
-def test_a_column_in_a_unit_of_another_quantity(tmp_path):
-    path = written(tmp_path, "a [deg],x [deg],y [mm],z [mm]", "1,2,3,4")
-    with refused(
-        MeasurementError,
-        "t.csv, column 'x [deg]': 'deg' is not a unit of length. Correct the header to 'x [mm]'; "
-        "allowed are 'm', 'mm', 'um', 'cm', 'in'.",
-    ):
-        Measurements.read(path)
-
-
-def test_a_column_without_a_unit(tmp_path):
-    path = written(tmp_path, "a [deg],x,y [mm],z [mm]", "1,2,3,4")
-    with refused(
-        MeasurementError,
-        "t.csv, column 'x': the column has no unit. Write the unit into the header, 'x [mm]', or "
-        "give it with --columns \"x=x [mm]\"; allowed are 'm', 'mm', 'um', 'cm', 'in'.",
-    ):
-        Measurements.read(path)
-
-
-def test_an_orientation_given_twice(tmp_path):
-    path = written(tmp_path, f"{POSE},rx [deg],ry [deg],rz [deg]", "1,2,3,4,0,0,0,1,0,0,0")
-    with refused(
-        MeasurementError,
-        "t.csv: the orientation is there twice, as 'qx', 'qy', 'qz', 'qw' and as 'rx', 'ry', 'rz'. "
-        'Leave one out: --columns "rx=-" or --columns "qx=-".',
-    ):
-        Measurements.read(path, kind="pose")
-
-
-def test_a_quaternion_with_a_unit(tmp_path):
-    path = written(tmp_path, POSE.replace("qy", "qy [deg]"), "1,2,3,4,0,0,0,1")
-    with refused(
-        MeasurementError,
-        "t.csv, column 'qy [deg]': 'deg' cannot be; a quaternion has no unit. Correct the header to "
-        "'qy'; for angles, to 'rx [deg]' and so on.",
-    ):
-        Measurements.read(path, kind="pose")
-
-
-def test_a_quaternion_that_has_not_length_one(tmp_path):
-    path = written(tmp_path, POSE, "1,2,3,4,0,0,0,1", "1,2,3,4,0,0,0.5,1")
-    with refused(
-        MeasurementError,
-        "t.csv, line 3 (row 2), columns qx, qy, qz, qw: the quaternion has the length 1.11803; that "
-        "of an orientation is 1. Correct it, or leave the orientation out with --kind point.",
-    ):
-        Measurements.read(path)
-
-
-def test_joints_without_columns(tmp_path):
-    path = written(tmp_path, "elbow [deg],x [mm],y [mm],z [mm]", "1,2,3,4")
-    with refused(
-        MeasurementError,
-        "t.csv: no column for the joints 'elbow_joint'. The columns found: 'elbow [deg]', 'x [mm]', "
-        "'y [mm]', 'z [mm]'. Close to 'elbow_joint': 'elbow'. The header of such a column is "
-        "'elbow_joint [deg]'; another name is mapped by --columns \"name in the table=elbow_joint "
-        '[deg]".',
-    ):
-        Measurements.read(path, ("elbow_joint",))
-
-
-def test_set_ups_that_would_be_joined_to_one_name(tmp_path):
-    head = "a [deg],x [mm],y [mm],z [mm],day,place"
-    path = written(tmp_path, head, "1,2,3,4,1/2,3", "1,2,3,4,1,2/3")
-    with refused(
-        MeasurementError,
-        "t.csv, line 3 (row 2): the words '1', '2/3' make the same group '1/2/3' as '1/2', '3'. "
-        "Write words without '/' in these columns.",
-    ):
-        Measurements.read(path, columns={"day": "group", "place": "group"})
-
-
-def test_files_that_are_no_text(tmp_path):
-    path = tmp_path / "t.csv"
-    path.write_bytes(b"a [deg],x [mm],y [mm],z [mm]\n1,2,\0,4\n")
-    with refused(
-        MeasurementError, "t.csv: this is not a text file. Save the table as CSV (UTF-8)."
-    ):
-        Measurements.read(path)
-    path.write_bytes(b"P1 1 2 3\nP2 1 \0 3\n")
-    with refused(
-        MeasurementError, "t.csv: this is not a text file. Export the points as text (ASCII)."
-    ):
-        read_sweeps(points=path)
-
-
-def test_quotes_that_do_not_close(tmp_path):
-    path = written(tmp_path, 'a [deg],"x [mm],y [mm],z [mm]', "1,2,3,4")
-    with refused(
-        MeasurementError,
-        't.csv: not a CSV table (unexpected end of data). Check the double quotes (") in its header.',
-    ):
-        Measurements.read(path)
-    path = written(tmp_path, "a [deg],x [mm],y [mm],z [mm]", '1,"2,3,4')
-    with refused(
-        MeasurementError,
-        't.csv, line 2: not a CSV table (unexpected end of data). Check the double quotes (") there '
-        "and above.",
-    ):
-        Measurements.read(path)
 
 
 def test_points_without_names_beside_a_table_with_names(tmp_path):
@@ -208,39 +76,6 @@ def test_a_cell_of_a_sweep_that_is_no_number(tmp_path, cell):
         read_sweeps(path)
 
 
-def test_rows_that_a_program_made_wrong():
-    with refused(
-        MeasurementError,
-        "own, row 2: target ' t' and group '' are names on one line, without blanks around them; "
-        "only the group may be empty",
-    ):
-        rows(targets=("t", " t", "t"))
-    with refused(
-        MeasurementError,
-        "own, row 2: the kind 'points' is none of 'point', 'pose', 'distance', 'pair', 'fixed', "
-        "'plane'",
-    ):
-        rows(kinds=("point", "points", "point"))
-    with refused(
-        MeasurementError,
-        "own, row 2: the pair '' is a word on one line, without blanks around it, that two rows of "
-        "the kind 'pair' share",
-    ):
-        rows(kinds=("point", "pair", "pair"), pairs=("", "", ""), distances=np.ones(3))
-    with refused(MeasurementError, "own: the row number 2 is there twice; row numbers are unique"):
-        rows(rows=(1, 2, 2))
-    with refused(
-        MeasurementError, "own, row 3: 'sigma' holds nan; every value is positive and finite"
-    ):
-        rows(sigma=[1e-4, 1e-4, np.nan])
-    with refused(
-        MeasurementError,
-        "own, row 2: 'sigma' is 1e+07 m; no instrument has one below 1e-15 or above 1e+06 m. Correct "
-        "it, or leave the column out: the noise is found from the data.",
-    ):
-        rows(sigma=[1e-4, 1e7, 1e-4])
-
-
 def test_a_noise_without_a_number():
     with refused(
         CalibError,
@@ -257,31 +92,3 @@ def test_a_joint_value_without_a_number():
         '"0.3 m".',
     ):
         parse_joint_value("half a turn", "[held] 'elbow'")
-
-
-def test_a_standard_deviation_of_zero(tmp_path):
-    path = written(tmp_path, "a [deg],x [mm],y [mm],z [mm],sigma [mm]", "1,100,200,300,0")
-    with refused(
-        MeasurementError,
-        "t.csv, line 2 (row 1), column 'sigma [mm]': sigma is '0'; a standard deviation is greater "
-        "than zero. Correct it, or leave the column out: the noise is found from the data.",
-    ):
-        Measurements.read(path)
-
-
-@pytest.mark.parametrize("cell", [1_000_000 * "1", '"' + 1_000_000 * "1" + '"'])
-def test_a_cell_that_is_longer_than_any(tmp_path, cell):
-    path = written(tmp_path, "a [deg],x [mm],y [mm],z [mm]", "1,2,3,4", f"1,2,3,{cell}", "1,2,3,4")
-    with refused(
-        MeasurementError,
-        "t.csv, line 3: a cell is longer than 131,072 characters, and no measurement is. Delete it; if it runs over "
-        'several lines, a double quote (") there does not close.',
-    ):
-        Measurements.read(path)
-    path = written(tmp_path, f"a [deg],{cell}", "1,2")
-    with refused(
-        MeasurementError,
-        "t.csv: a cell of the header is longer than 131,072 characters, and no column's name is. Check that it is the "
-        "right file.",
-    ):
-        Measurements.read(path)
