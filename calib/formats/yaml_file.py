@@ -76,7 +76,7 @@ def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
         FileError: It is no YAML, a key stands twice, or it has an alias or a tag that is not known.
     """
     try:
-        table = yaml.load(data, Loader=_StrictLoader)
+        table = _StrictLoader(data).get_single_data()
     except (yaml.YAMLError, ValueError, RecursionError, ArithmeticError) as error:
         mark = getattr(error, "problem_mark", None)
         place = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
