@@ -18,27 +18,27 @@ if TYPE_CHECKING:
     from calib.calibration import Calibration, Comparison, calibrate, compare
     from calib.compensate.commands import Commands, commands
     from calib.compensate.program import Program
+    from calib.design.plan import Plan, plan
+    from calib.design.region import Region
+    from calib.design.sensitivity import forecast
+    from calib.design.workspace import Density, sample_workspace
     from calib.errors import CalibError
     from calib.fleet.fleet import Fleet, fleet
     from calib.fleet.robots import FleetOptions, FleetRobot
     from calib.identify.acceptance import Acceptance, acceptance
     from calib.identify.evaluation import Evaluation, evaluate
-    from calib.identify.foresight import forecast
-    from calib.identify.plan import Plan, plan
-    from calib.identify.study import Study, Trials, study
     from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
     from calib.measure.axes import Survey, survey
     from calib.measure.cell import Cell, GroupDistance, Priors
     from calib.measure.measurements import Measurements
     from calib.measure.noise import TrackerNoise
-    from calib.measure.region import Region
     from calib.measure.scenario import Scenario
     from calib.measure.surroundings import Box, Reflector, Tracker
     from calib.measure.sweeps import Sweeps, read_sweeps
-    from calib.measure.workspace import Density, sample_workspace
     from calib.model.robot import Robot
     from calib.model.torques import Payload
     from calib.show.opening import show
+    from calib.simulate.study import Study, Trials, study
 
 from calib.version import __version__ as __version__
 
@@ -97,7 +97,7 @@ _MODULES = {
     "Cell": "calib.measure.cell",
     "Commands": "calib.compensate.commands",
     "Comparison": "calib.calibration",
-    "Density": "calib.measure.workspace",
+    "Density": "calib.design.workspace",
     "Evaluation": "calib.identify.evaluation",
     "Fleet": "calib.fleet.fleet",
     "FleetOptions": "calib.fleet.robots",
@@ -105,19 +105,19 @@ _MODULES = {
     "GroupDistance": "calib.measure.cell",
     "Measurements": "calib.measure.measurements",
     "Payload": "calib.model.torques",
-    "Plan": "calib.identify.plan",
+    "Plan": "calib.design.plan",
     "Priors": "calib.measure.cell",
     "Program": "calib.compensate.program",
     "Reflector": "calib.measure.surroundings",
-    "Region": "calib.measure.region",
+    "Region": "calib.design.region",
     "Robot": "calib.model.robot",
     "Scenario": "calib.measure.scenario",
-    "Study": "calib.identify.study",
+    "Study": "calib.simulate.study",
     "Survey": "calib.measure.axes",
     "Sweeps": "calib.measure.sweeps",
     "Tracker": "calib.measure.surroundings",
     "TrackerNoise": "calib.measure.noise",
-    "Trials": "calib.identify.study",
+    "Trials": "calib.simulate.study",
     "acceptance": "calib.identify.acceptance",
     "bootstrap": "calib.identify.uncertainty",
     "calibrate": "calib.calibration",
@@ -125,12 +125,12 @@ _MODULES = {
     "compare": "calib.calibration",
     "evaluate": "calib.identify.evaluation",
     "fleet": "calib.fleet.fleet",
-    "forecast": "calib.identify.foresight",
-    "plan": "calib.identify.plan",
+    "forecast": "calib.design.sensitivity",
+    "plan": "calib.design.plan",
     "profile_interval": "calib.identify.uncertainty",
     "read_sweeps": "calib.measure.sweeps",
-    "sample_workspace": "calib.measure.workspace",
-    "study": "calib.identify.study",
+    "sample_workspace": "calib.design.workspace",
+    "study": "calib.simulate.study",
     "survey": "calib.measure.axes",
     "workspace_uncertainty": "calib.identify.uncertainty",
 }

@@ -31,11 +31,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from calib.calibration import calibrate
+from calib.design.plan import plan
 from calib.identify.fitting import Task, fit
-from calib.identify.plan import plan
 from calib.identify.problem import Problem
 from calib.identify.rows import Rows
-from calib.identify.study import Trials, study
 from calib.identify.table_rows import rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
@@ -43,6 +42,7 @@ from calib.measure.scenario import Scenario
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.robot import Robot
+from calib.simulate.study import Trials, study
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "performance.md"

@@ -21,11 +21,11 @@ from pathlib import Path
 import calib
 from calib.compensate.program import Program
 from calib.data import paper_measurements
+from calib.design.region_file import RegionFile
+from calib.design.solids import read_solids
 from calib.errors import CalibError
 from calib.formats.sources import Asked, read_source
 from calib.measure.points_file import read_points
-from calib.measure.region_file import RegionFile
-from calib.measure.solid import read_solids
 from calib.measure.truth_file import read_truth
 
 ROOT = Path(__file__).resolve().parents[1]

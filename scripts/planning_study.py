@@ -21,16 +21,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.foresight import Outlook
-from calib.identify.plan import plan
-from calib.identify.study import Study, Trials, study
-from calib.measure.candidates import draw, planning_ranges
+from calib.design.candidates import draw, planning_ranges
+from calib.design.forecast import Forecast, Workspace, forecast
+from calib.design.plan import plan
+from calib.design.sensitivity import Outlook
 from calib.measure.cell import Cell
-from calib.measure.forecast import Forecast, Workspace, forecast
 from calib.measure.measurements import Measurements
 from calib.measure.scenario import Scenario
 from calib.measure.surroundings import Box, Reflector, Tracker
 from calib.model.robot import Robot
+from calib.simulate.study import Study, Trials, study
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGET = np.array([-0.06997, 0.07020, 0.02252])

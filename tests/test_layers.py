@@ -23,6 +23,8 @@ ORDER = (
     "model",
     "measure",
     "identify",
+    "design",
+    "simulate",
     "compensate",
     "formats",
     "show",

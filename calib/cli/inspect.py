@@ -25,8 +25,8 @@ from calib.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from calib.design.forecast import Forecast
     from calib.identify.inspection import Inspection
-    from calib.measure.forecast import Forecast
     from calib.model.robot import Robot
 
 _HELP = """Show a robot's chain, its DH rows, the parameters of a model and which of them can be identified.
@@ -99,7 +99,7 @@ def inspect(
         typer.echo("")
         typer.echo(_parameters_text(inspect_robot(arm, setup, table)))
         if table is not None:
-            from calib.identify.foresight import forecast_of_table, planned_model
+            from calib.design.sensitivity import forecast_of_table, planned_model
 
             foreseen = forecast_of_table(arm, setup, table)
             if foreseen is not None:

@@ -25,8 +25,8 @@ from calib.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from calib.measure.plan_file import Taken
-    from calib.measure.planning import Plan
+    from calib.design.choice import Plan
+    from calib.design.plan_file import Taken
 
 #: Of a line of the command to type next.
 _WIDTH = 88
@@ -220,7 +220,7 @@ def plan(
         from calib.cli.simulate_words import parse_angle
         from calib.cli.surroundings_words import add_surroundings
         from calib.cli.words import parse_columns
-        from calib.measure.plan_file import read_taken
+        from calib.design.plan_file import read_taken
 
         inputs: list[str | Path] = [robot, *(path for path in (cell, region, taken) if path)]
         check_outputs([output, json, view], inputs, force=force)
@@ -254,7 +254,7 @@ def plan(
         first = words.parse_start(start or [], arm)
 
         from calib.cli.progress import stages_bar
-        from calib.identify.plan import plan as make_plan
+        from calib.design.plan import plan as make_plan
 
         with stages_bar(quiet=quiet) as progress:
             made = make_plan(
@@ -310,7 +310,7 @@ def _write(
     force: bool,
 ) -> None:
     """Write the files asked for; rows go on behind those that were taken."""
-    from calib.measure.plan_file import plan_table, write_plan
+    from calib.design.plan_file import plan_table, write_plan
 
     if output is not None:
         first = 1 if before is None else max(before.last_row, 0) + 1

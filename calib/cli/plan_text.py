@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from calib.design.choice import Plan
+    from calib.design.forecast import Forecast
+    from calib.design.plan_file import Taken
     from calib.measure.cell import Cell
-    from calib.measure.forecast import Forecast
-    from calib.measure.plan_file import Taken
-    from calib.measure.planning import Plan
 
 _WIDTH = 100
 
@@ -246,7 +246,7 @@ def _time(seconds: float) -> str:
 
 def _blocked(plan: Plan) -> Iterator[str]:
     """Moves whose straight way collides, each with a pose to drive by, if one was found."""
-    from calib.measure.plan_file import blocked_moves
+    from calib.design.plan_file import blocked_moves
 
     moves = blocked_moves(plan)
     if not moves:

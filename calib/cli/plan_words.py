@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from calib.design.region import Region
     from calib.measure.cell import Cell
-    from calib.measure.region import Region
     from calib.model.robot import Robot
 
 #: The word for all joints at zero.
@@ -187,7 +187,7 @@ def read_region(path: Path | None, robot: Robot, cell: Cell) -> tuple[Region | N
     Raises:
         CalibError: It cannot be read, or is another robot's.
     """
-    from calib.measure.region_file import RegionFile
+    from calib.design.region_file import RegionFile
 
     if path is None:
         return None, []

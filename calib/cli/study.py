@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from calib.cli.simulate_setup import Prepared
-    from calib.identify.study import Study, Trials
+    from calib.simulate.study import Study, Trials
 
 #: The result file's kind and version.
 SCHEMA = "study 1"
@@ -50,7 +50,7 @@ def print_study(
     """
     from calib.cli.progress import progress_bar
     from calib.cli.words import AUTO, check_model
-    from calib.identify.study import study
+    from calib.simulate.study import study
 
     check_model(fit_model or AUTO, "--fit-model")
     trials = trials_of(prepared, fit_model or AUTO, planned=planned)
@@ -77,7 +77,7 @@ def trials_of(prepared: Prepared, fit_model: str, *, planned: bool) -> Trials:
     """
     from dataclasses import replace
 
-    from calib.identify.study import Trials
+    from calib.simulate.study import Trials
 
     if planned and prepared.poses is not None:
         message = "--planned makes poses; leave --poses out, or leave --planned out to measure at those of the file."
@@ -222,6 +222,6 @@ def _number(trials: Trials) -> int:
 
 def _verified() -> int:
     """Poses of the verification."""
-    from calib.identify.study import VERIFIED
+    from calib.simulate.study import VERIFIED
 
     return VERIFIED

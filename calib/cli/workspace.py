@@ -137,8 +137,8 @@ def workspace(
         from calib.cli.surroundings_words import add_surroundings
         from calib.cli.workspace_text import Found, text
         from calib.cli.workspace_words import parse_margins, parse_voxel, parse_within
+        from calib.design.workspace import Density, sample_workspace
         from calib.measure.ranges import joint_ranges
-        from calib.measure.workspace import Density, sample_workspace
         from calib.show.region_pictures import check_ending
 
         inputs = [path for path in (robot, cell, like, check) if path]
@@ -257,7 +257,7 @@ def _write(
 ) -> list[Path]:
     """Write what was asked for."""
     from calib.cli.workspace_text import picture_words
-    from calib.measure.region_file import RegionFile
+    from calib.design.region_file import RegionFile
     from calib.show.region_pictures import Marked, write_picture
 
     title, subtitle = picture_words(found)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.design.region import Region
+from calib.design.workspace import Density
 from calib.measure.measurements import Measurements
 from calib.measure.ranges import range_text
-from calib.measure.region import Region
-from calib.measure.workspace import Density
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]

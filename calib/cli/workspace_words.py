@@ -24,7 +24,7 @@ def parse_within(text: str) -> NDArray[np.float64]:
         CalibError: Words of another form, or a second corner that is not greater along each axis.
     """
     from calib.cli.words import parse_point
-    from calib.measure.region import checked_box
+    from calib.design.region import checked_box
 
     first, to, second = text.partition(" to ")
     unit = re.search(r"[A-Za-zµμ]+\s*$", second)

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.design.region import Region
+from calib.design.workspace import Density
 from calib.errors import FileError, choices
-from calib.measure.region import Region
-from calib.measure.workspace import Density
 from calib.model.files import write_atomically
 from calib.model.robot import read_only
 from calib.show.palette import ESTIMATION, INK, LITTLE_TO_MUCH, VALIDATION

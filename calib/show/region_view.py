@@ -15,9 +15,9 @@ import numpy as np
 from meshcat import geometry as mc
 from numpy.typing import NDArray
 
+from calib.design.region import Region
+from calib.design.workspace import Density
 from calib.errors import ModelError
-from calib.measure.region import Region
-from calib.measure.workspace import Density
 from calib.model.robot import Robot, read_only
 from calib.show.bodies import bodies
 from calib.show.marks import cloud, draw_bodies, draw_points

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.measure.collision import CollisionModel
+from calib.design.collision import CollisionModel
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot
 

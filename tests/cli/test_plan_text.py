@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calib.cli.plan_text import plan_text
-from calib.identify.plan import Plan, plan
+from calib.design.ordering import START, Tour
+from calib.design.plan import Plan, plan
 from calib.measure.cell import Cell
-from calib.measure.travel import START, Tour
 
 
 @pytest.fixture(scope="module")

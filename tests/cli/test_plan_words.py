@@ -16,11 +16,11 @@ from calib.cli.plan_words import (
     with_noise,
 )
 from calib.cli.setup import row_ranges
+from calib.design.region import Region
+from calib.design.region_file import RegionFile
 from calib.errors import CalibError
 from calib.measure.cell import Cell
 from calib.measure.noise import TrackerNoise
-from calib.measure.region import Region
-from calib.measure.region_file import RegionFile
 from calib.measure.surroundings import Tracker
 from calib.model.robot import Robot
 

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from calib.cli.workspace_words import parse_margins, parse_voxel, parse_within
+from calib.design.region_file import RegionFile
 from calib.errors import CalibError
-from calib.measure.region_file import RegionFile
 from calib.model.robot import Robot
 
 PAPER = (

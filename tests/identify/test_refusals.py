@@ -13,10 +13,10 @@ import pytest
 from calib.identify.executors import WorkerDied
 from calib.identify.processes import ProcessExecutor
 
+from calib.design.sensitivity import forecast
 from calib.errors import CalibError, FileError, ModelError, SolverError
 from calib.identify.calibration import calibrate
 from calib.identify.comparison import compare
-from calib.identify.foresight import forecast
 from calib.identify.result_file import read_result
 from calib.identify.solvers import levenberg_marquardt, paper_levenberg_marquardt
 from calib.identify.uncertainty import bootstrap

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from calib import data
+from calib.design.region import Region
+from calib.design.region_file import RegionFile
 from calib.errors import CalibError, FileError, MeasurementError, ModelError
 from calib.measure.algebraic_circles import METHODS, algebraic_circle
 from calib.measure.axes import survey
@@ -19,8 +21,6 @@ from calib.measure.disturbances import MovedTarget, Outliers
 from calib.measure.geometric_fits import fit_circle, fit_plane
 from calib.measure.quantities import parse_joint_value
 from calib.measure.ranges import joint_ranges
-from calib.measure.region import Region
-from calib.measure.region_file import RegionFile
 from calib.measure.simulation import VirtualCell
 from calib.measure.truth import draw_truth
 from calib.measure.truth_file import read_truth, write_truth

@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.design.solids import read_solids
 from calib.errors import UrdfError
-from calib.measure.solid import read_solids
 from calib.model.chain import _check_same
 from calib.model.meshes import link_shapes
 from calib.model.readback import check_written, random_joint_values

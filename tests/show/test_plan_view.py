@@ -11,8 +11,8 @@ import pytest
 import umsgpack
 
 from calib import data
+from calib.design.plan import plan
 from calib.errors import FileError
-from calib.identify.plan import plan
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Box, Tracker
 from calib.model.readback import random_joint_values

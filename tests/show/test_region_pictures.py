@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 
 from calib import data
+from calib.design.workspace import Density, sample_workspace
 from calib.errors import FileError
 from calib.measure.measurements import Measurements
 from calib.measure.ranges import joint_ranges
-from calib.measure.workspace import Density, sample_workspace
 from calib.show.region_pictures import Marked, draw_region, outline, write_picture
 
 
@@ -177,7 +177,7 @@ import sys
 import numpy as np
 import calib.show.region_pictures as pictures
 assert "matplotlib" not in sys.modules
-from calib.measure.workspace import Density
+from calib.design.workspace import Density
 import matplotlib
 before = matplotlib.rcParams.copy()
 density = Density.of(np.random.default_rng(0).normal(size=(5000, 3)))

@@ -12,10 +12,10 @@ import pytest
 import umsgpack
 
 from calib import data
+from calib.design.workspace import Density, sample_workspace
 from calib.errors import FileError, ModelError
 from calib.measure.measurements import Measurements
 from calib.measure.ranges import joint_ranges
-from calib.measure.workspace import Density, sample_workspace
 from calib.model.robot import Robot
 from calib.show.region_pictures import Marked
 from calib.show.region_view import RegionView, region_page, write_region_view

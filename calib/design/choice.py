@@ -1,0 +1,330 @@
+"""Planning: which poses to measure, out of candidates, under the model that the fit will use.
+
+What the poses are chosen for is the `calib.design.optimal` criterion; what they will give, the `Forecast`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.design.candidates import Pool
+from calib.design.forecast import Forecast, Sensitivity, Workspace, forecast, parameter_weight
+from calib.design.optimal import (
+    RESTARTS,
+    Basis,
+    check_criterion,
+    choose,
+    grow,
+    information,
+    short_list,
+)
+from calib.design.ordering import Tour
+from calib.errors import ModelError
+from calib.measure.cell import Cell
+from calib.model.robot import Robot, read_only
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int_]
+Progress = Callable[[int, int], None]
+
+#: Candidates among which the steps of the ladder are chosen: enough to show where more poses stop paying.
+_LADDER_POOL = 2000
+
+#: Draws of random poses, of which the median is shown.
+_RANDOM = 9
+
+#: Poses that differ by less than this in every joint are the same one [rad or m].
+_SAME = 1e-3
+
+#: More poses than this are chosen from one start: there are many choices that are as good.
+_MANY = 100
+
+#: Poses of a plan at most: exchanging thousands takes hours, and nothing is gained that random ones do not have.
+MOST_POSES = 300
+
+#: Steps of the ladder that is made where none is asked for, in poses of the plan.
+_RUNGS = (0.5, 0.67, 0.83, 1.0, 1.33, 1.67, 2.0, 3.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """Poses to measure, in the order to drive.
+
+    Attributes:
+        robot: The robot.
+        cell: What was planned for.
+        joints: shape (K, m), [rad] or [m], whole steps of 0.001 deg or mm.
+        sets: ``"estimate"`` or ``"validate"`` for each pose.
+        taken: shape (T, m), poses that were measured already.
+        targets: The targets measured at every pose.
+        T_tip_target: shape (targets, 4, 4), where they sit in the tip [m].
+        expected: shape (K, targets, 3), where the nominal robot puts each target, in the measurement frame if that is
+            known, else in the base [m].
+        criterion: ``"D"``, ``"A"`` or ``"V"``.
+        model: The parameter set planned for.
+        kind: What is measured at each pose.
+        seed: The same seed makes the same plan.
+        forecast: Of the fit of taken poses and planned ones.
+        before: Of a fit of the poses taken alone; None without.
+        at_random: Of as many poses drawn at random from the same candidates, in place of the planned ones: the median
+            of several draws.
+        ladder: Forecasts for other numbers of planned poses, in rising order, that of the plan among them.
+        drawn: Candidates drawn.
+        candidates: Of these, those that can be measured.
+        refused: How many of those drawn were refused, by reason.
+        tour: The order's length.
+        detours: For each of the tour's blocked moves joint values to drive by, shape (m,); None where none was found.
+        notes: Sentences that the person who measures must read.
+    """
+
+    robot: Robot
+    cell: Cell
+    joints: Array
+    sets: tuple[str, ...]
+    taken: Array
+    targets: tuple[str, ...]
+    T_tip_target: Array
+    expected: Array
+    criterion: str
+    model: str
+    kind: str
+    seed: int
+    forecast: Forecast
+    before: Forecast | None
+    at_random: Forecast
+    ladder: tuple[tuple[int, Forecast], ...]
+    drawn: int
+    candidates: int
+    refused: dict[str, int]
+    tour: Tour
+    detours: tuple[Array | None, ...]
+    notes: tuple[str, ...]
+
+    def places(self, q: Array) -> Array:
+        """Where the nominal robot puts each target in the base, shape (N, targets, 3), [m].
+
+        Args:
+            q: shape (N, m), joint values, [rad] or [m].
+        """
+        poses = self.robot.poses(q)[:, None] @ self.T_tip_target
+        return np.asarray(poses[:, :, :3, 3])
+
+    @property
+    def estimation(self) -> Array:
+        """The poses to fit, shape (N, m), in the order to drive."""
+        return np.asarray(self.joints[np.array(self.sets) == "estimate"])
+
+    @property
+    def validation(self) -> Array:
+        """The poses to validate with, shape (V, m)."""
+        return np.asarray(self.joints[np.array(self.sets) == "validate"])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """What was chosen out of a pool.
+
+    Attributes:
+        planned: shape (N, m), the poses to fit, [rad] or [m].
+        validation: shape (V, m), others, drawn at random.
+        forecast: See `Plan`, likewise the following.
+        before: Of the poses taken.
+        at_random: Of random ones.
+        ladder: For other numbers.
+    """
+
+    planned: Array
+    validation: Array
+    forecast: Forecast
+    before: Forecast | None
+    at_random: Forecast
+    ladder: tuple[tuple[int, Forecast], ...]
+
+
+def choose_poses(
+    sensitivity: Sensitivity,
+    pool: Pool,
+    *,
+    count: int,
+    validation: int = 0,
+    criterion: str = "V",
+    taken: Array | None = None,
+    ladder: Sequence[int] | None = None,
+    seed: int = 0,
+    restarts: int = RESTARTS,
+    progress: Progress | None = None,
+) -> Choice:
+    """Choose poses from a pool of candidates.
+
+    Args:
+        sensitivity: Of the model that the fit will use.
+        pool: The candidates, and where accuracy is wanted.
+        count: Poses to fit.
+        validation: Poses to validate with, beside them.
+        criterion: See `calib.design.optimal`.
+        taken: shape (T, m), poses that were measured already; they count, and are not planned again.
+        ladder: Numbers of poses to forecast; None: some from half to three times ``count``; empty: none.
+        seed: The same seed makes the same choice.
+        restarts: Random starts of the exchange; one is a few percent worse than several.
+        progress: Called after each step.
+
+    Raises:
+        ModelError: No such criterion, fewer candidates than poses, or fewer poses than the model needs.
+    """
+    check_criterion(criterion)
+    taken = np.zeros((0, pool.q.shape[1])) if taken is None else taken
+    q = _without(pool.q, taken)
+    check_numbers(count, validation, len(q))
+    measured = sensitivity.measured(q)
+    workspace = Workspace.of(sensitivity, pool.workspace)
+    rungs = _rungs(ladder, count, len(q), _fewest(workspace, measured.shape[1], len(taken)))
+    _check_enough(workspace, measured.shape[1], count, len(taken), sensitivity)
+    steps = 2 + len(rungs)
+
+    def done(step: int) -> None:
+        if progress is not None:
+            progress(step, steps)
+
+    known = information(sensitivity.measured(taken)) if len(taken) else 0.0 * workspace.mean_square
+    weight = {
+        "D": None,
+        "A": parameter_weight(sensitivity.units),
+        "V": workspace.mean_square,
+    }[criterion]
+    mean = information(measured) / len(measured)
+    basis = Basis.of(mean, sensitivity.leashed, weight, known)
+    blocks = basis.blocks(measured)
+    done(1)
+    chosen = choose(blocks, basis, count, seed, restarts if count <= _MANY else 1)
+    done(2)
+
+    def foreseen(indices: Indices) -> Forecast:
+        return forecast(sensitivity, workspace, np.concatenate([taken, q[indices]]))
+
+    rng = np.random.default_rng([seed, 1])
+    others = rng.permutation(np.setdiff1d(np.arange(len(q)), chosen))
+    plan = foreseen(chosen)
+    steps_of_ladder: list[tuple[int, Forecast]] = []
+    short = short_list(blocks, basis, max(_LADDER_POOL, *rungs, 0))
+    at = np.zeros(0, dtype=np.int_)
+    for step, number in enumerate(rungs):
+        if number == count:
+            steps_of_ladder.append((count, plan))
+        else:
+            at = grow(blocks[short], basis, at, number)
+            steps_of_ladder.append((number, foreseen(short[at])))
+        done(3 + step)
+    return Choice(
+        planned=read_only(q[chosen]),
+        validation=read_only(q[others[:validation]]),
+        forecast=plan,
+        before=forecast(sensitivity, workspace, taken) if len(taken) else None,
+        at_random=_median(
+            [foreseen(rng.choice(len(q), count, replace=False)) for _ in range(_RANDOM)]
+        ),
+        ladder=tuple(steps_of_ladder),
+    )
+
+
+def _without(q: Array, taken: Array) -> Array:
+    """The candidates but those that were measured already, all joints within `_SAME`, whole turns aside."""
+    again = np.zeros(len(q), dtype=bool)
+    for pose in taken:
+        gap = np.remainder(q - pose + np.pi, 2.0 * np.pi) - np.pi
+        again |= np.all(np.abs(gap) < _SAME, axis=1)
+    return q[~again]
+
+
+def _median(forecasts: list[Forecast]) -> Forecast:
+    """The one in the middle, by the expected rms error."""
+    return sorted(forecasts, key=lambda one: one.rms)[len(forecasts) // 2]
+
+
+def check_numbers(count: int, validation: int, candidates: int) -> None:
+    """Refuse numbers of poses that cannot be.
+
+    Raises:
+        ModelError: Below one pose, below no validation poses, or more than there are candidates.
+    """
+    if count < 1 or validation < 0:
+        message = (
+            f"{count} poses and {validation} validation poses were asked for; it takes 1 pose or more, and 0 or more "
+            "to validate."
+        )
+        raise ModelError(message)
+    if count + validation > candidates:
+        message = (
+            f"{count} poses and {validation} to validate were asked for, but only {candidates} candidates can be "
+            "measured. Draw more candidates, ask for fewer poses, or drop a condition."
+        )
+        raise ModelError(message)
+    if count + validation > MOST_POSES:
+        message = (
+            f"{count} poses and {validation} to validate were asked for; a plan has at most {MOST_POSES}. So many "
+            "random ones do as well: calib simulate --count draws them."
+        )
+        raise ModelError(message)
+
+
+def _fewest(workspace: Workspace, scalars: int, taken: int) -> int:
+    """The fewest planned poses whose numbers, with those taken, are as many as what can be told apart."""
+    return max(1, -(-workspace.rank // scalars) - taken)
+
+
+def check_enough(sensitivity: Sensitivity, q: Array, count: int, taken: Array) -> None:
+    """Refuse fewer poses than the parameters need, before candidates are drawn.
+
+    Args:
+        sensitivity: Of the model that will be fitted.
+        q: shape (n, m), poses all over the workspace, [rad] or [m].
+        count: Poses to fit.
+        taken: shape (T, m), poses that were measured already.
+
+    Raises:
+        ModelError: There are fewer.
+    """
+    scalars = sensitivity.measured(q[:1]).shape[1]
+    _check_enough(Workspace.of(sensitivity, q), scalars, count, len(taken), sensitivity)
+
+
+def _check_enough(
+    workspace: Workspace, scalars: int, count: int, taken: int, sensitivity: Sensitivity
+) -> None:
+    """Refuse fewer poses than the parameters need.
+
+    Raises:
+        ModelError: There are fewer.
+    """
+    fewest = _fewest(workspace, scalars, taken)
+    if count < fewest:
+        before = f" with the {taken} measured already" if taken else ""
+        message = (
+            f"{count} poses give {scalars * (count + taken)} numbers{before}, and the model '{sensitivity.model}' has "
+            f"{workspace.rank} parameters that can be told apart: at least {fewest} poses are needed, and twice as "
+            "many are wise. Ask for more poses, or choose a smaller --model."
+        )
+        raise ModelError(message)
+
+
+def _rungs(ladder: Sequence[int] | None, count: int, candidates: int, fewest: int) -> list[int]:
+    """The numbers of poses to forecast, in rising order, ``count`` among them if there are any.
+
+    Raises:
+        ModelError: A number that cannot be.
+    """
+    if ladder is None:
+        wanted = {round(share * count) for share in _RUNGS}
+        most = min(candidates, MOST_POSES)
+        return sorted(n for n in {*wanted, count} if fewest <= n <= most)
+    wrong = [n for n in ladder if not fewest <= n <= candidates]
+    if wrong:
+        message = (
+            f"A forecast for {wrong[0]} poses was asked for; it takes at least {fewest}, so many does the model need, "
+            f"and at most {candidates}, the candidates that can be measured."
+        )
+        raise ModelError(message)
+    return sorted({*ladder, count}) if ladder else []

@@ -1,0 +1,322 @@
+"""plan: a robot in a cell in, the poses to measure out.
+
+The order of the work: candidates inside the joint ranges, in the region, in the tracker's sight and free of collision;
+the choice under the model that the fit will use; poses to validate with; the order to drive; the forecast.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.design.candidates import Condition, Pool, draw, planning_ranges, rounded, turn_limits
+from calib.design.choice import Plan, check_enough, check_numbers, choose_poses
+from calib.design.collision import HOLDER_RADIUS, CollisionModel
+from calib.design.detours import detour
+from calib.design.line_of_sight import in_sight
+from calib.design.optimal import check_criterion
+from calib.design.ordering import START, Tour, order
+from calib.design.region import Region
+from calib.design.sensitivity import Outlook
+from calib.design.turns import turning, with_whole_turns
+from calib.measure.cell import Cell
+from calib.measure.surroundings import Tracker, check_outside
+from calib.model.readback import spread_between
+from calib.model.robot import Robot, read_only
+
+__all__ = ["Plan", "plan"]
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+#: Default margin to joint limits [rad].
+MARGIN = math.radians(5.0)
+
+#: Poses that tell how many parameters there are to be told apart.
+_FIRST_LOOK = 512
+
+#: Poses among which those to drive by are looked for.
+_STOPS = 4000
+
+#: Default number of candidates.
+CANDIDATES = 20_000
+
+
+def plan(
+    robot: Robot,
+    cell: Cell | None = None,
+    *,
+    count: int = 30,
+    validation: int = 5,
+    criterion: str = "V",
+    candidates: int = CANDIDATES,
+    region: Region | None = None,
+    margin: float = MARGIN,
+    taken: ArrayLike | None = None,
+    collisions: bool = True,
+    clearance: float = 0.0,
+    floor: bool = True,
+    holder_radius: float = HOLDER_RADIUS,
+    package_dirs: Sequence[str | Path] = (),
+    ladder: Sequence[int] | None = None,
+    start: ArrayLike | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Plan:
+    """Plan the poses of a calibration.
+
+    Args:
+        robot: The nominal robot.
+        cell: What the fit will be told, model and priors with it, and what stands around the robot: boxes, tracker,
+            reflector, joint ranges. The model ``"auto"`` is planned for as ``"placement"``, the largest geometry.
+        count: Poses to fit.
+        validation: Poses to validate with, drawn at random from the same candidates.
+        criterion: ``"V"``: least mean variance of predicted positions (default); ``"D"``: largest determinant of the
+            information; ``"A"``: least mean variance of the parameters.
+        candidates: Poses among which is chosen.
+        region: Where the first target is to lie, in the base; None: anywhere.
+        margin: Distance to the joint limits of the URDF [rad].
+        taken: shape (T, m), poses that are measured already: the plan adds to them.
+        collisions: Whether poses, and moves between them, are checked for collisions of the robot and its targets
+            with the robot itself, the cell's boxes and the mounting plane.
+        clearance: Least distance there [m].
+        floor: Whether nothing may come below the robot's mounting plane, see `CollisionModel`.
+        holder_radius: A target and what holds it are a rod of this radius from the tip to the target [m].
+        package_dirs: Folders in which packages of meshes lie.
+        ladder: Numbers of poses to forecast too; None: some around ``count``; empty: none.
+        start: shape (m,), where the robot stands before it begins; None: it begins at any pose.
+        seed: The same seed makes the same plan.
+        progress: Called with what is being done, how much of it is done, and how much there is.
+
+    Raises:
+        ModelError: An unknown model or criterion, fewer poses than it needs, or no candidate that can be measured.
+        CalibError: Ranges, boxes or meshes that do not fit the robot.
+    """
+    cell = Cell() if cell is None else cell
+    check_numbers(count, validation, candidates)
+    check_criterion(criterion)
+    measured = _taken(robot, taken)
+    outlook = Outlook.of(robot, cell)
+    ranges = planning_ranges(robot, cell.ranges, margin)
+    if region is None:
+        # What candidates cannot mend is said before they are drawn, which takes a while.
+        check_enough(outlook.sensitivity, spread_between(ranges, _FIRST_LOOK), count, measured)
+    body = (
+        CollisionModel.of(
+            robot,
+            cell.boxes,
+            clearance,
+            package_dirs,
+            targets={
+                name: T[:3, 3]
+                for name, T in zip(outlook.setup.targets, outlook.setup.T_tip_target, strict=True)
+            },
+            holder_radius=holder_radius,
+            floor=floor,
+        )
+        if collisions
+        else None
+    )
+    if body is not None and cell.tracker is not None:
+        check_outside(cell.tracker, cell.boxes)
+    conditions = _conditions(robot, cell, region, outlook.setup.T_tip_target, body)
+    pool = draw(robot, ranges, conditions, candidates, seed, _part(progress, "candidates"))
+    choice = choose_poses(
+        outlook.sensitivity,
+        pool,
+        count=count,
+        validation=validation,
+        criterion=criterion,
+        taken=measured,
+        ladder=ladder,
+        seed=seed,
+        progress=_part(progress, "choice"),
+    )
+    joints = np.concatenate([choice.planned, choice.validation])
+    sets = ("estimate",) * len(choice.planned) + ("validate",) * len(choice.validation)
+    # With errors that change with a joint's value, a pose one turn on is another pose.
+    limits = (
+        ranges if outlook.kinematics.model.joint_terms else turn_limits(robot, cell.ranges, margin)
+    )
+    way = _driven(robot, joints, limits, start, body, pool)
+    joints = way.joints
+    return Plan(
+        robot=robot,
+        cell=cell,
+        joints=read_only(joints),
+        sets=tuple(sets[i] for i in way.tour.indices),
+        taken=measured,
+        targets=outlook.setup.targets,
+        T_tip_target=outlook.setup.T_tip_target,
+        expected=read_only(outlook.expected(joints)),
+        criterion=criterion,
+        model=outlook.kinematics.model.name,
+        kind=outlook.kind,
+        seed=seed,
+        forecast=choice.forecast,
+        before=choice.before,
+        at_random=choice.at_random,
+        ladder=choice.ladder,
+        drawn=pool.drawn,
+        candidates=len(pool.q),
+        refused=dict(pool.refused),
+        tour=way.tour,
+        detours=way.detours,
+        notes=(*outlook.notes, *_notes(cell, body)),
+    )
+
+
+def _taken(robot: Robot, taken: ArrayLike | None) -> Array:
+    """Poses that were measured already, checked, shape (T, m)."""
+    if taken is None:
+        return read_only(np.zeros((0, len(robot.inputs))))
+    robot.chain_values(taken)
+    return read_only(np.atleast_2d(np.asarray(taken, dtype=np.float64)))
+
+
+def _conditions(
+    robot: Robot,
+    cell: Cell,
+    region: Region | None,
+    T_tip_target: Array,
+    body: CollisionModel | None,
+) -> list[Condition]:
+    """What a candidate must pass, the cheap conditions first."""
+    conditions = []
+    if region is not None:
+
+        def inside(q: Array) -> NDArray[np.bool_]:
+            return region.contains((robot.poses(q) @ T_tip_target[0])[:, :3, 3])
+
+        conditions.append(Condition("outside of the region", inside, where=True))
+    if cell.tracker is not None:
+        conditions += _sight(robot, cell, cell.tracker, T_tip_target, None)
+    # A beam is one rod against all links; they among themselves take ten times as long.
+    if body is not None and cell.tracker is not None:
+        conditions += _sight(robot, cell, cell.tracker, T_tip_target, body)
+    if body is not None:
+        conditions.append(Condition("in collision", body.free))
+    return conditions
+
+
+def _sight(
+    robot: Robot,
+    cell: Cell,
+    tracker: Tracker,
+    T_tip_target: Array,
+    body: CollisionModel | None,
+) -> list[Condition]:
+    """Every target in the tracker's range and facing it; with a body its beam free."""
+
+    def seen(q: Array, what: str) -> NDArray[np.bool_]:
+        result = np.ones(len(q), dtype=bool)
+        for T in T_tip_target:
+            sight = in_sight(robot, q[result], T, tracker, cell.reflector, body)
+            result[result] = getattr(sight, what)
+        return result
+
+    if body is not None:
+        return [Condition("with something in the beam", lambda q: seen(q, "beam"))]
+    conditions = [Condition("out of the tracker's range", lambda q: seen(q, "range"))]
+    if cell.reflector is not None:
+        conditions.append(Condition("with the reflector turned away", lambda q: seen(q, "cone")))
+    return conditions
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """Poses in the order to drive.
+
+    Attributes:
+        joints: shape (K, m), [rad] or [m].
+        tour: Their order and its length.
+        detours: For each blocked move a pose to drive by.
+    """
+
+    joints: Array
+    tour: Tour
+    detours: tuple[Array | None, ...]
+
+
+def _driven(
+    robot: Robot,
+    joints: Array,
+    limits: Array,
+    start: ArrayLike | None,
+    body: CollisionModel | None,
+    pool: Pool,
+) -> _Way:
+    """The poses in order; where a move is blocked, a turn more of some joints, else a pose to drive by."""
+    if body is None:
+        tour = order(joints, start=start)
+        return _Way(joints[tour.indices], tour, ())
+    tour = order(joints, start=start, free_path=body.path_free)
+    if tour.blocked:
+        turned = with_whole_turns(
+            joints, _stretches(tour), limits, turning(robot, limits), body.path_free
+        )
+        turned = rounded(robot, turned)
+        again = order(turned, start=start, free_path=body.path_free)
+        if len(again.blocked) < len(tour.blocked):
+            joints, tour = turned, again
+    return _Way(joints[tour.indices], tour, _detours(joints, start, tour, pool, body))
+
+
+def _stretches(tour: Tour) -> list[NDArray[np.intp]]:
+    """The poses between blocked moves, in the order to drive."""
+    place = {int(i): k for k, i in enumerate(tour.indices)}
+    cuts = sorted(place[b] for _, b in tour.blocked)
+    return [part for part in np.split(tour.indices, cuts) if len(part)]
+
+
+def _detours(
+    joints: Array, start: ArrayLike | None, tour: Tour, pool: Pool, body: CollisionModel
+) -> tuple[Array | None, ...]:
+    """For each blocked move a pose by which its way is free; nothing need see the target there."""
+    if not tour.blocked:
+        return ()
+    stops = pool.workspace[:_STOPS]
+    stops = stops[body.free(stops)]
+
+    def place(i: int) -> Array:
+        return np.asarray(start if i == START else joints[i], dtype=np.float64)
+
+    return tuple(detour(place(a), place(b), stops, body.path_free) for a, b in tour.blocked)
+
+
+def _notes(cell: Cell, body: CollisionModel | None) -> tuple[str, ...]:
+    """What was not checked."""
+    blind = "The reflector's direction was not looked at: nothing says where the tracker stands (--tracker)."
+    return (
+        *([blind] if cell.reflector is not None and cell.tracker is None else []),
+        *(("Collisions were not checked.",) if body is None else (*_checked(body), *body.notes)),
+    )
+
+
+def _checked(body: CollisionModel) -> tuple[str, str]:
+    """What was assumed where nobody said it, and what is not known."""
+    many = "each target and its holder" if len(body.targets) > 1 else "the target and its holder"
+    around = [f"the box '{box.name}'" for box in body.boxes]
+    if body.plane is not None:
+        around.append(body.plane)
+    against = f", and with {' and '.join(around)}" if around else ""
+    return (
+        f"Checked for collisions: the robot's links and {many}, taken as a rod of {1e3 * body.holder_radius:g} mm "
+        f"radius from the tip to the target (--holder), with each other{against}.",
+        "Not known, and not checked: what stands around and was not named (--box), "
+        + ("" if body.plane is not None else "the floor, ")
+        + "cables and hoses, holders of another shape, the instrument and its stand, people. Drive the first round "
+        "slowly.",
+    )
+
+
+def _part(progress: Progress | None, what: str) -> Callable[[int, int], None] | None:
+    """The progress of one part."""
+    if progress is None:
+        return None
+    return lambda done, every: progress(what, done, every)

@@ -1,0 +1,1 @@
+"""Studies on virtual robots: what a way of calibrating reaches, by many trials."""

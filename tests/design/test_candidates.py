@@ -1,0 +1,268 @@
+"""Candidates: inside their ranges, the same every time, the same in a table, and each refusal counted once."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from calib.design.candidates import Condition, draw, planning_ranges, rounded, turn_limits
+from calib.errors import CalibError, ModelError
+from calib.measure.measurements import Measurements
+from calib.measure.ranges import column_limits
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf
+
+DEG = math.pi / 180.0
+
+
+@pytest.fixture(scope="module")
+def mixed(serial_urdf) -> Robot:
+    """A turning, a sliding and an endless joint, the limits of the first two at 3."""
+    kinds = ("revolute", "prismatic", "continuous")
+    axes = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
+    joints = [(k, (0, 0, 0.2), (0, 0, 0), a) for k, a in zip(kinds, axes, strict=True)]
+    return Robot.from_urdf(serial_urdf(joints))
+
+
+def mimic(multiplier: float = 2.0) -> Robot:
+    """Two turning joints of one column; the second, twice as fast, has limits of its own."""
+    text = (
+        '<robot name="r"><link name="a"/><link name="b"/><link name="c"/>'
+        '<joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
+        '<axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="1" velocity="1"/></joint>'
+        '<joint name="k" type="revolute"><parent link="b"/><child link="c"/><axis xyz="0 1 0"/>'
+        f'<limit lower="-1" upper="3" effort="1" velocity="1"/>'
+        f'<mimic joint="j" multiplier="{multiplier}"/></joint></robot>'
+    )
+    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"), tip="c")
+
+
+# Ranges
+
+
+def test_ranges_keep_the_margin_to_the_urdfs_limits(mixed):
+    ranges = planning_ranges(mixed, {}, 5 * DEG)
+    np.testing.assert_allclose(ranges[0], [-3 + 5 * DEG, 3 - 5 * DEG])
+    # A sliding joint keeps 5 mm, if any.
+    np.testing.assert_allclose(ranges[1], [-2.995, 2.995])
+    np.testing.assert_allclose(planning_ranges(mixed, {}, 0.0)[1], [-3.0, 3.0])
+    # A turn, where there are no limits.
+    np.testing.assert_allclose(ranges[2], [-math.pi, math.pi])
+    assert not ranges.flags.writeable
+
+
+def test_ranges_given_may_leave_the_turn_but_not_the_limits(ur3):
+    wide = planning_ranges(ur3, {"wrist_3_joint": (-350 * DEG, 340 * DEG)}, 5 * DEG)
+    np.testing.assert_allclose(wide[5], [-350 * DEG, 340 * DEG])
+    most = planning_ranges(ur3, {"wrist_3_joint": (-2 * math.pi, 2 * math.pi)}, 5 * DEG)
+    limits = column_limits(ur3)
+    np.testing.assert_allclose(most[5], [limits[5, 0] + 5 * DEG, limits[5, 1] - 5 * DEG])
+    narrow = planning_ranges(ur3, {"elbow_joint": (0.1, 0.2)}, 5 * DEG)
+    np.testing.assert_allclose(narrow[2], [0.1, 0.2])
+    np.testing.assert_allclose(narrow[0], [-math.pi, math.pi])
+
+
+def test_followers_of_a_column_keep_the_margin_to_their_limits_in_its_unit():
+    robot = mimic()
+    # The follower's limits of -1 and 3 are -0.5 and 1.5 of the column.
+    np.testing.assert_allclose(planning_ranges(robot, {}, 0.1), [[-0.4, 1.4]])
+    q = draw(robot, planning_ranges(robot, {}, 0.1), [], 200, 0).q
+    follower = robot.chain_values(q)[:, 1]
+    assert -1.0 <= follower.min() < -0.7
+    assert 2.7 < follower.max() <= 3.0
+
+
+@pytest.mark.parametrize(
+    ("given", "margin", "words"),
+    [
+        ({}, math.pi, r"margin of 180 deg .* leaves nothing of the range of 'j1', .*-171.887 to"),
+        ({"j1": (2.95, 3.0)}, 5 * DEG, r"margin of 5 deg .* leaves nothing .* 'j1', 169.*to 171.*"),
+        ({"j2": (2.996, 3.0)}, 5 * DEG, r"margin of 5 mm .* 'j2', 2996 to 3000 mm. Widen .*--hold"),
+        ({"j2": (0.0, 4.0)}, 0.0, "its limits in the URDF are -3000 to 3000 mm"),
+        ({"j9": (0.0, 1.0)}, 0.0, "'j9', which does not move the chain"),
+        ({"j1": (1.0, 0.0)}, 0.0, "which is empty"),
+    ],
+)
+def test_ranges_of_which_nothing_is_left_are_refused(mixed, given, margin, words):
+    with pytest.raises(CalibError, match=words):
+        planning_ranges(mixed, given, margin)
+
+
+def test_joints_are_driven_by_whole_turns_where_their_limits_allow_it(ur3, mixed):
+    limits = turn_limits(ur3, {"wrist_3_joint": (-1.0, 2.0)}, 5 * DEG)
+    urdf = column_limits(ur3)
+    np.testing.assert_allclose(limits[0], [urdf[0, 0] + 5 * DEG, urdf[0, 1] - 5 * DEG])
+    assert limits[0, 1] > 1.5 * math.pi
+    np.testing.assert_allclose(limits[5], [-1.0, 2.0])
+    np.testing.assert_allclose(
+        turn_limits(mixed, {}, 5 * DEG)[:2], planning_ranges(mixed, {}, 5 * DEG)[:2]
+    )
+    assert turn_limits(mixed, {}, 5 * DEG)[2].tolist() == [-math.inf, math.inf]
+
+
+# Drawing
+
+
+def test_candidates_fill_their_ranges_and_stay_inside(mixed):
+    ranges = planning_ranges(mixed, {"j2": (0.0123456, 0.3)}, 5 * DEG)
+    q = draw(mixed, ranges, [], 3000, 0).q
+    assert q.shape == (3000, 3)
+    low, high = ranges.T
+    assert (q >= low - 1e-12).all()
+    assert (q <= high + 1e-12).all()
+    assert (q.min(axis=0) < low + 0.01 * (high - low)).all()
+    assert (q.max(axis=0) > high - 0.01 * (high - low)).all()
+    # Evenly: each tenth of each range has a tenth of them.
+    for k in range(3):
+        counts = np.histogram(q[:, k], bins=10, range=ranges[k])[0]
+        assert abs(counts - 300).max() < 15
+
+
+def test_the_same_seed_draws_the_same_and_another_does_not(ur3):
+    ranges = planning_ranges(ur3, {}, 5 * DEG)
+    one, two, other = (draw(ur3, ranges, [], 500, seed).q for seed in (7, 7, 8))
+    assert np.array_equal(one, two)
+    assert not np.array_equal(one, other)
+    assert not one.flags.writeable
+
+
+def test_more_candidates_begin_with_the_same(ur3):
+    ranges = planning_ranges(ur3, {}, 5 * DEG)
+    few, many = (draw(ur3, ranges, [], count, 0).q for count in (200, 9000))
+    assert np.array_equal(many[:200], few)
+    assert len(np.unique(many, axis=0)) == 9000
+
+
+def test_a_table_has_the_candidates_to_the_last_bit(mixed, tmp_path):
+    q = draw(mixed, planning_ranges(mixed, {}, 5 * DEG), [], 20_000, 0).q
+    table = Measurements(mixed.joint_names, q, np.ones((len(q), 3)), prismatic=("j2",))
+    table.write(tmp_path / "plan.csv")
+    again = Measurements.read(tmp_path / "plan.csv", mixed.joint_names, mixed.joint_types)
+    assert np.array_equal(again.joints, q)
+    # So does one that a person or a robot writes, with three decimals.
+    shown = q / [DEG, 1e-3, DEG]
+    lines = [",".join(f"{value:.3f}" for value in row) + ",1000,1000,1000" for row in shown]
+    header = "j1 [deg],j2 [mm],j3 [deg],x [mm],y [mm],z [mm]"
+    (tmp_path / "short.csv").write_text("\n".join([header, *lines, ""]))
+    again = Measurements.read(tmp_path / "short.csv", mixed.joint_names, mixed.joint_types)
+    assert np.array_equal(again.joints, q)
+
+
+def test_rounded_values_are_the_nearest_whole_steps(mixed):
+    q = np.array([[0.1234567, 0.1234567, -2.0], [-0.1234567, -0.0000004, 0.0]])
+    found = rounded(mixed, q)
+    np.testing.assert_allclose(
+        found / [DEG, 1e-3, DEG], [[7.074, 123.457, -114.592], [-7.074, 0.0, 0.0]], atol=1e-9
+    )
+    assert np.array_equal(rounded(mixed, found), found)
+    inside = rounded(mixed, q, np.array([[-1.0, 0.1234565], [0.0, 0.1234565], [-1.9999, 1.0]]))
+    assert (inside[0] / [DEG, 1e-3, DEG])[:2] == pytest.approx([7.073, 123.456])
+    assert inside[0, 2] >= -1.9999
+
+
+# Conditions
+
+
+def beyond(column: int, value: float):
+    return lambda q: q[:, column] > value
+
+
+def test_conditions_are_asked_in_order_and_count_what_they_refuse(ur3):
+    seen = []
+
+    def watched(name, passes):
+        def ask(q):
+            seen.append((name, len(q)))
+            return passes(q)
+
+        return ask
+
+    tests = [
+        Condition("low", watched("low", beyond(0, 0.0))),
+        Condition("left", watched("left", beyond(1, 1.0))),
+        Condition("back", watched("back", beyond(2, -3.0))),
+    ]
+    pool = draw(ur3, planning_ranges(ur3, {}, 0.0), tests, 2000, 0)
+    assert (pool.q[:, 0] > 0.0).all()
+    assert (pool.q[:, 1] > 1.0).all()
+    assert (pool.q[:, 2] > -3.0).all()
+    assert len(pool.q) == 2000
+    assert list(pool.refused) == ["low", "left", "back"]
+    batches = [seen[i : i + 3] for i in range(0, len(seen), 3)]
+    assert pool.drawn == sum(batch[0][1] for batch in batches)
+    for k, name in enumerate(("low", "left")):
+        assert {batch[k][0] for batch in batches} == {name}
+        lost = sum(batch[k][1] - batch[k + 1][1] for batch in batches)
+        assert pool.refused[name] == lost
+    passed = pool.drawn - sum(pool.refused.values())
+    assert 2000 <= passed < 2000 + 4096
+    assert pool.refused["low"] == pytest.approx(pool.drawn / 2, rel=0.01)
+
+
+def test_every_pose_drawn_is_counted_where_fewer_are_left_than_wanted(ur3):
+    tests = [Condition("rare", beyond(0, 3.13)), Condition("rarer", beyond(1, 0.0))]
+    pool = draw(ur3, planning_ranges(ur3, {}, 0.0), tests, 5000, 0)
+    assert 100 < len(pool.q) < 5000
+    assert pool.drawn == len(pool.q) + sum(pool.refused.values())
+    assert pool.drawn >= 40 * 5000
+
+
+def test_the_workspace_has_what_passed_the_tests_of_where(ur3):
+    tests = [
+        Condition("region", beyond(0, 0.0), where=True),
+        Condition("half", beyond(1, 0.0), where=True),
+        Condition("hidden", beyond(2, 0.0)),
+    ]
+    ranges = planning_ranges(ur3, {}, 0.0)
+    pool = draw(ur3, ranges, tests, 1000, 0)
+    assert (pool.workspace[:, :2] > 0.0).all()
+    assert 0.4 < np.mean(pool.workspace[:, 2] > 0.0) < 0.6
+    assert (pool.q > [0, 0, 0, -9, -9, -9]).all()
+    everywhere = draw(ur3, ranges, tests[2:], 1000, 0)
+    assert np.mean(everywhere.workspace > 0.0) == pytest.approx(0.5, abs=0.01)
+    only = draw(ur3, ranges, tests[:2], 1000, 0)
+    assert np.array_equal(only.workspace, only.q)
+    free = draw(ur3, ranges, [], 1000, 0)
+    assert np.array_equal(free.workspace, free.q)
+
+
+def test_nothing_left_says_what_refused_how_many(ur3):
+    tests = [
+        Condition("outside of the region", beyond(0, 0.0), where=True),
+        Condition("never", beyond(0, -9.0)),
+        Condition("in collision", lambda q: np.zeros(len(q), dtype=bool)),
+    ]
+    with pytest.raises(
+        ModelError,
+        match=r"None of (\d+) poses drawn can be measured: \d+ outside of the region, \d+ in collision\. Widen",
+    ) as caught:
+        draw(ur3, planning_ranges(ur3, {}, 0.0), tests, 10, 0)
+    numbers = [int(word) for word in str(caught.value).split() if word.isdigit()]
+    assert numbers[0] == numbers[1] + numbers[2]
+    # Given up early: geometry that refuses everything would be asked for an hour.
+    assert 40_960 <= numbers[0] < 42_000
+    assert "never" not in str(caught.value)
+
+
+def test_progress_tells_what_is_kept_and_wanted(ur3):
+    told = []
+    tests = [Condition("half", beyond(0, 0.0))]
+    draw(ur3, planning_ranges(ur3, {}, 0.0), tests, 5000, 0, lambda a, b: told.append((a, b)))
+    assert [b for _, b in told] == [5000] * len(told)
+    assert [a for a, _ in told] == sorted(a for a, _ in told)
+    assert told[-1] == (5000, 5000)
+    assert len(told) == 3
+
+
+def test_a_single_candidate_can_be_asked_for(ur3):
+    pool = draw(ur3, planning_ranges(ur3, {}, 0.0), [], 1, 0)
+    assert pool.q.shape == pool.workspace.shape == (1, 6)
+
+
+def test_a_range_of_a_few_steps_gives_each_pose_once(mixed):
+    narrow = {"j1": (0.0, 2e-3 * DEG), "j2": (0.0, 1e-6), "j3": (0.0, 1e-3 * DEG)}
+    q = draw(mixed, planning_ranges(mixed, narrow, 0.0), [], 1000, 0).q
+    assert len(np.unique(q, axis=0)) == len(q) == 12
+    assert (q >= 0.0).all()

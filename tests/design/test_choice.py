@@ -1,0 +1,293 @@
+"""Plans for the paper's UR3 against the bars that were set for them, and what they must refuse."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib.data
+from calib.design.candidates import Pool, draw, planning_ranges
+from calib.design.choice import Choice, check_numbers, choose_poses
+from calib.design.forecast import Sensitivity, Workspace, forecast
+from calib.design.sensitivity import Outlook
+from calib.errors import ModelError
+from calib.measure.cell import Cell, Priors
+
+SIGMA = 1e-4
+
+
+@pytest.fixture(scope="module")
+def paper(ur3) -> Sensitivity:
+    """The paper's target and its 23 identifiable parameters, without priors."""
+    target = np.array(calib.data.PAPER_TARGET)
+    cell = Cell(target=target, model="hayati", priors=Priors(sizes="off"), sigma=SIGMA)
+    return Outlook.of(ur3, cell).sensitivity
+
+
+@pytest.fixture(scope="module")
+def free(ur3) -> Pool:
+    """20,000 poses anywhere."""
+    return draw(ur3, planning_ranges(ur3, {}, 0.0), [], 20_000, 0)
+
+
+@pytest.fixture(scope="module")
+def some(free) -> Pool:
+    """The first 1500 of them: quick to choose from."""
+    return replace(free, q=free.q[:1500], workspace=free.workspace[:1500])
+
+
+@pytest.fixture(scope="module")
+def planned(paper, some) -> Choice:
+    return choose_poses(paper, some, count=20, validation=5, seed=3)
+
+
+# The bars
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_d_optimal_choice_comes_close_to_the_bound(paper, free, seed):
+    f = choose_poses(paper, free, count=30, criterion="D", ladder=(), seed=seed).forecast
+    assert f.rank == f.workspace_rank == 23
+    assert 1.0 < f.mean_variance / (23 / 30) <= 1.02
+    # Below the bound none can be (Kiefer and Wolfowitz).
+    assert 1.0 < f.worst_variance / (23 / 30) <= 1.15
+    assert f.efficiency == pytest.approx(23 / 30 / f.mean_variance)
+
+
+def test_a_v_optimal_choice_passes_it_in_the_mean(paper, free):
+    c = choose_poses(paper, free, count=30, criterion="V", ladder=(), seed=0)
+    assert c.forecast.mean_variance / (23 / 30) <= 1.0
+    assert c.forecast.worst_variance / (23 / 30) > 1.0
+    # In the noise of one measurement.
+    assert c.forecast.rms / SIGMA == pytest.approx(0.87, abs=0.02)
+    assert c.at_random.rms / SIGMA == pytest.approx(1.0, abs=0.06)
+
+
+def test_the_papers_poses_predict_with_four_times_the_noise(paper, free, paper_table):
+    measured = paper_table.joints[paper_table.estimation]
+    assert len(measured) == 30
+    f = forecast(paper, Workspace.of(paper, free.workspace), measured)
+    assert f.rms / SIGMA == pytest.approx(4.2, abs=0.1)
+
+
+# What the criteria do
+
+
+def test_each_criterion_is_the_best_at_its_own(paper, some):
+    found = {name: choose_poses(paper, some, count=16, criterion=name, ladder=()) for name in "DAV"}
+    s = replace(paper, precision=np.full(len(paper.names), 1e4))
+    by_prior = {name: choose_poses(s, some, count=16, criterion=name, ladder=()) for name in "DA"}
+    rms = {name: one.forecast.rms for name, one in found.items()}
+    assert min(rms, key=rms.__getitem__) == "V"
+    volume = {
+        name: np.linalg.slogdet(s.covariance(s.measured(one.planned)))[1]
+        for name, one in by_prior.items()
+    }
+    assert volume["D"] < volume["A"]
+    # All parameters of this model have a step of 1 mm or 1 mrad.
+    total = {name: np.sum(one.forecast.parameter_std**2) for name, one in by_prior.items()}
+    assert total["A"] < total["D"]
+
+
+@pytest.mark.parametrize("criterion", ["A", "V"])
+def test_as_few_poses_as_there_can_be_are_chosen_well(ur3, some, criterion):
+    """27 numbers for 27 parameters: without any one of the poses, a direction is not known at all."""
+    cell = Cell(model="placement", priors=Priors(sizes="off"), sigma=SIGMA)
+    s = Outlook.of(ur3, cell).sensitivity
+    other = choose_poses(s, some, count=9, criterion="D", ladder=()).forecast
+    f = choose_poses(s, some, count=9, criterion=criterion, ladder=()).forecast
+    assert f.rank == 27
+    if criterion == "V":
+        assert f.rms < other.rms
+    assert f.rms < 3.5 * SIGMA
+
+
+# What a choice is made of
+
+
+def test_poses_are_of_the_pool_and_all_different(planned, some):
+    assert planned.planned.shape == (20, 6)
+    assert planned.validation.shape == (5, 6)
+    both = np.concatenate([planned.planned, planned.validation])
+    assert len(np.unique(both, axis=0)) == 25
+    pool = {row.tobytes() for row in some.q}
+    assert all(row.tobytes() in pool for row in both)
+    assert not planned.planned.flags.writeable
+    assert planned.before is None
+
+
+def test_the_forecast_is_that_of_the_poses_planned(planned, paper, some):
+    f = forecast(paper, Workspace.of(paper, some.workspace), planned.planned)
+    assert f.poses == planned.forecast.poses == 20
+    assert planned.forecast.rms == pytest.approx(f.rms)
+
+
+def test_accuracy_is_wanted_in_the_workspace_not_at_the_candidates(paper, some):
+    """The poses that matter have their elbow to one side; they can be measured with it on the other side only."""
+    left = some.q[some.q[:, 2] > 0.0]
+    here = replace(some, q=some.q[some.q[:, 2] < 0.0], workspace=left)
+    c = choose_poses(paper, here, count=20, ladder=())
+    assert (c.planned[:, 2] < 0.0).all()
+    f = forecast(paper, Workspace.of(paper, left), c.planned)
+    assert c.forecast.rms == pytest.approx(f.rms)
+
+
+def test_the_same_seed_makes_the_same_choice(paper, some, planned):
+    again = choose_poses(paper, some, count=20, validation=5, seed=3, ladder=())
+    assert np.array_equal(again.planned, planned.planned)
+    assert np.array_equal(again.validation, planned.validation)
+    assert again.at_random.rms == planned.at_random.rms
+    other = choose_poses(paper, some, count=20, validation=5, seed=4, ladder=())
+    assert not np.array_equal(other.validation, planned.validation)
+
+
+def test_random_poses_are_worse(planned):
+    assert planned.at_random.poses == 20
+    assert planned.at_random.rms > 1.1 * planned.forecast.rms
+
+
+# The ladder
+
+
+def test_each_step_of_the_ladder_is_better_than_the_one_before(planned):
+    numbers = [number for number, _ in planned.ladder]
+    assert numbers == [10, 13, 17, 20, 27, 33, 40, 60]
+    assert [f.poses for _, f in planned.ladder] == numbers
+    rms = [f.rms for _, f in planned.ladder]
+    assert rms == sorted(rms, reverse=True)
+    assert dict(planned.ladder)[20] is planned.forecast
+
+
+def test_a_ladder_has_the_steps_asked_for_and_the_plan(paper, some):
+    c = choose_poses(paper, some, count=12, ladder=(9, 40))
+    assert [number for number, _ in c.ladder] == [9, 12, 40]
+    assert choose_poses(paper, some, count=12, ladder=()).ladder == ()
+
+
+def test_steps_that_the_model_needs_more_for_are_left_out_of_the_usual_ladder(paper, some):
+    few = replace(some, q=some.q[:20])
+    c = choose_poses(paper, few, count=9)
+    assert [number for number, _ in c.ladder] == [9, 12, 15, 18]
+
+
+def test_a_step_beyond_the_ladders_short_list_has_each_pose_once(paper, some, monkeypatch):
+    """Poses that count twice would be forecast as better than the pool can be."""
+    monkeypatch.setattr("calib.design.choice._LADDER_POOL", 20)
+    few = replace(some, q=some.q[:40])
+    c = choose_poses(paper, few, count=12, ladder=(40,))
+    everything = forecast(paper, Workspace.of(paper, some.workspace), few.q)
+    assert c.ladder[-1][1].rms == pytest.approx(everything.rms)
+
+
+# Poses taken already
+
+
+def test_poses_taken_lower_what_is_planned(paper, some, planned):
+    taken = planned.planned[:10]
+    c = choose_poses(paper, some, count=10, taken=taken, ladder=())
+    alone = choose_poses(paper, some, count=10, ladder=())
+    assert c.before is not None
+    assert (c.before.poses, c.forecast.poses, c.at_random.poses) == (10, 20, 20)
+    assert c.forecast.rms < alone.forecast.rms < c.before.rms
+    assert c.forecast.rms < c.at_random.rms
+    # As good, all but a hair, as a plan of all of them made at once.
+    assert c.forecast.rms < 1.05 * planned.forecast.rms
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "V"])
+def test_poses_taken_are_not_planned_again(paper, some, criterion):
+    few = replace(some, q=some.q[:60])
+    taken = choose_poses(paper, few, count=30, criterion=criterion, ladder=()).planned
+    # A controller's values are not quite those that it was told.
+    taken = taken + np.radians(0.01)
+    # Nor the same turn: it is the same pose after one more.
+    taken[::2, 5] += 2.0 * np.pi
+    c = choose_poses(
+        paper, few, count=20, validation=10, criterion=criterion, taken=taken, ladder=()
+    )
+    both = np.concatenate([c.planned, c.validation])
+    turns = both[:, None] - taken[None]
+    gap = np.abs(np.arctan2(np.sin(turns), np.cos(turns))).max(axis=2)
+    assert gap.min() > np.radians(1.0)
+    assert len(np.unique(both, axis=0)) == 30
+
+
+def test_few_poses_more_are_enough_with_those_taken(paper, some, planned):
+    c = choose_poses(paper, some, count=1, taken=planned.planned, ladder=())
+    assert c.planned.shape == (1, 6)
+    assert c.forecast.rms < planned.forecast.rms
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("count", "validation", "candidates", "words"),
+    [
+        (0, 5, 100, "^0 poses and 5 validation poses were asked for; it takes 1 pose or more"),
+        (30, -1, 100, "^30 poses and -1 validation poses were asked for"),
+        (30, 5, 34, "^30 poses and 5 to validate were asked for, but only 34 candidates can be"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused(count, validation, candidates, words):
+    with pytest.raises(ModelError, match=words):
+        check_numbers(count, validation, candidates)
+
+
+def test_numbers_that_just_can_be_pass():
+    check_numbers(1, 0, 1)
+    check_numbers(30, 5, 35)
+    check_numbers(295, 5, 20_000)
+
+
+def test_thousands_of_poses_are_refused_before_they_take_hours():
+    with pytest.raises(
+        ModelError, match=r"^5000 poses and 5 to validate were asked for; a plan has at most 300\."
+    ):
+        check_numbers(5000, 5, 20_000)
+
+
+def test_candidates_that_were_taken_do_not_count(paper, some):
+    few = replace(some, q=some.q[:20])
+    with pytest.raises(ModelError, match=r"10 poses and 5 to validate.*only 14 candidates can be"):
+        choose_poses(paper, few, count=10, validation=5, taken=some.q[:6])
+
+
+def test_fewer_poses_than_parameters_need_are_refused(paper, some):
+    with pytest.raises(
+        ModelError,
+        match=r"^7 poses give 21 numbers, and the model 'hayati' has 23 parameters that can be told apart: "
+        r"at least 8 poses are needed",
+    ):
+        choose_poses(paper, some, count=7)
+    assert choose_poses(paper, some, count=8, ladder=()).forecast.rank == 23
+
+
+def test_fewer_poses_are_refused_with_those_taken_too(paper, some):
+    with pytest.raises(
+        ModelError,
+        match=r"^2 poses give 21 numbers with the 5 measured already, .* at least 3 poses are needed",
+    ):
+        choose_poses(paper, some, count=2, taken=some.q[:5])
+
+
+@pytest.mark.parametrize(("ladder", "wrong"), [((20, 7), 7), ((20, 1501), 1501)])
+def test_a_ladder_with_a_step_that_cannot_be_is_refused(paper, some, ladder, wrong):
+    with pytest.raises(
+        ModelError,
+        match=rf"^A forecast for {wrong} poses was asked for; it takes at least 8, .* at most 1500",
+    ):
+        choose_poses(paper, some, count=30, ladder=ladder)
+
+
+def test_an_unknown_criterion_is_refused(paper, some):
+    with pytest.raises(ModelError, match="no criterion 'E'"):
+        choose_poses(paper, some, count=30, criterion="E")
+
+
+def test_progress_tells_each_step_once(paper, some):
+    told = []
+    choose_poses(paper, some, count=12, ladder=(9, 15), progress=lambda a, b: told.append((a, b)))
+    assert told == [(1, 5), (2, 5), (3, 5), (4, 5), (5, 5)]

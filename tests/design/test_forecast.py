@@ -1,0 +1,264 @@
+"""Forecasts against calibrations that are made: of a model that is linear, whose fits are exact."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.design.forecast import (
+    LEASH,
+    Sensitivity,
+    Workspace,
+    forecast,
+    parameter_weight,
+)
+from calib.model.observability import analyse
+
+#: Sizes of the errors in truth, those of the priors too: lengths [m] and angles [rad].
+UNITS = ("m", "m", "rad", "rad", "m", "rad", "rad")
+TAU = np.array([2e-3, 1e-3, 4e-3, 2e-3, 3e-3, 5e-3, 1e-3])
+NAMES = tuple("abcdefg")
+
+_MIX = np.random.default_rng(1).normal(size=(6, 3, 7))
+
+
+def jacobian(q: np.ndarray) -> np.ndarray:
+    """How a position depends on seven parameters, at two joint values, shape (n, 3, 7)."""
+    a, b = q.T
+    features = np.stack(
+        [np.ones_like(a), np.cos(a), np.sin(a), np.cos(b), np.sin(b), a * b], axis=1
+    )
+    return np.einsum("nf,fij->nij", features, _MIX)
+
+
+def noise(q: np.ndarray) -> np.ndarray:
+    """Of one coordinate [m]: larger far away."""
+    return 2e-4 * (1.0 + 0.5 * np.abs(q[:, 0]))
+
+
+def sensitivity(precision: np.ndarray | None = None) -> Sensitivity:
+    return Sensitivity(
+        names=NAMES,
+        units=UNITS,
+        measured=lambda q: jacobian(q) / noise(q)[:, None, None],
+        located=jacobian,
+        noise=noise,
+        precision=1.0 / TAU**2 if precision is None else precision,
+        model="linear",
+    )
+
+
+def poses(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1.5, 1.5, size=(count, 2))
+
+
+def calibrations(q: np.ndarray, runs: int, *, priors: bool = True) -> np.ndarray:
+    """What so many calibrations leave of the errors, shape (runs, 7): drawn, measured, and fitted by least squares."""
+    rng = np.random.default_rng(99)
+    sigma = np.repeat(noise(q), 3)
+    J = jacobian(q).reshape(-1, 7)
+    truth = TAU[:, None] * rng.normal(size=(7, runs))
+    measured = J @ truth + sigma[:, None] * rng.normal(size=(len(J), runs))
+    rows, values = J / sigma[:, None], measured / sigma[:, None]
+    if priors:
+        rows = np.concatenate([rows, np.diag(1.0 / TAU)])
+        values = np.concatenate([values, np.zeros((7, runs))])
+    return (np.linalg.lstsq(rows, values, rcond=None)[0] - truth).T
+
+
+# The parameters
+
+
+def test_the_covariance_is_that_of_what_fits_leave():
+    q = poses(4)
+    left = calibrations(q, 40_000)
+    found = sensitivity().covariance(sensitivity().measured(q))
+    np.testing.assert_allclose(np.sqrt(np.diag(found)), left.std(axis=0), rtol=0.02)
+    scale = left.std(axis=0)
+    np.testing.assert_allclose(found / np.outer(scale, scale), np.corrcoef(left.T), atol=0.03)
+
+
+def test_parameters_std_is_that_of_what_fits_leave():
+    q = poses(6)
+    f = forecast(sensitivity(), Workspace.of(sensitivity(), poses(50, 1)), q)
+    np.testing.assert_allclose(f.parameter_std, calibrations(q, 40_000).std(axis=0), rtol=0.02)
+    assert (f.names, f.units, f.poses, f.columns) == (NAMES, UNITS, 6, 7)
+    assert not f.parameter_std.flags.writeable
+
+
+def test_without_a_pose_the_priors_are_left():
+    found = sensitivity().covariance(np.zeros((0, 3, 7)))
+    np.testing.assert_allclose(found, np.diag(TAU**2), rtol=1e-12)
+
+
+def test_a_pose_more_never_makes_anything_worse():
+    where = Workspace.of(sensitivity(), poses(50, 1))
+    before = forecast(sensitivity(), where, poses(4))
+    for seed in range(10):
+        q = np.concatenate([poses(4), poses(1, 50 + seed)])
+        after = forecast(sensitivity(), where, q)
+        assert (after.parameter_std <= before.parameter_std).all()
+        assert after.rms < before.rms
+        assert after.max <= before.max
+
+
+# The workspace
+
+
+@pytest.mark.parametrize("count", [3, 5, 12])
+def test_the_rms_over_the_workspace_and_its_range_are_those_of_calibrations(count):
+    q, where = poses(count), poses(60, 1)
+    left = calibrations(q, 20_000)
+    off = np.einsum("nij,rj->rni", jacobian(where), left)
+    rms = np.sqrt(np.mean(np.sum(off**2, axis=2), axis=1))
+    f = forecast(sensitivity(), Workspace.of(sensitivity(), where), q)
+    assert f.rms == pytest.approx(np.sqrt(np.mean(rms**2)), rel=0.02)
+    inside = (rms > f.rms_low) & (rms < f.rms_high)
+    assert 0.88 < np.mean(inside) < 0.92
+    assert 0.04 < np.mean(rms < f.rms_low) < 0.06
+    each = np.sqrt(np.mean(np.sum(off**2, axis=2), axis=0))
+    assert f.max == pytest.approx(each.max(), rel=0.04)
+    assert f.quantile_95 == pytest.approx(np.quantile(each, 0.95), rel=0.03)
+
+
+def test_the_range_is_the_same_every_time():
+    where = Workspace.of(sensitivity(), poses(20, 1))
+    one, two = (forecast(sensitivity(), where, poses(5)) for _ in range(2))
+    assert (one.rms_low, one.rms_high) == (two.rms_low, two.rms_high)
+    assert one.rms_low < one.rms < one.rms_high
+
+
+def test_two_targets_count_each_for_itself():
+    s = sensitivity()
+    both = replace(s, located=lambda q: np.concatenate([jacobian(q), 3.0 * jacobian(q)], axis=1))
+    q, where = poses(6), poses(40, 1)
+    one = forecast(s, Workspace.of(s, where), q)
+    two = forecast(both, Workspace.of(both, where), q)
+    assert two.max == pytest.approx(3.0 * one.max)
+    assert two.rms == pytest.approx(one.rms * np.sqrt(5.0))
+    assert two.rms_high == pytest.approx(one.rms_high * np.sqrt(5.0))
+    assert two.mean_variance == pytest.approx(one.mean_variance)
+
+
+def test_the_mean_square_moves_as_the_workspace_does():
+    where = Workspace.of(sensitivity(), poses(40, 1))
+    for seed in range(5):
+        x = np.random.default_rng(seed).normal(size=7)
+        moved = np.mean(np.sum((jacobian(poses(40, 1)) @ x) ** 2, axis=1))
+        assert x @ where.mean_square @ x == pytest.approx(moved)
+
+
+# In the noise of what is measured
+
+
+def test_over_the_own_poses_the_variance_is_rank_over_n():
+    """Without priors: what N poses tell of p parameters, spread over themselves (Kiefer and Wolfowitz)."""
+    s, q = sensitivity(np.zeros(7)), poses(20)
+    f = forecast(s, Workspace.of(s, q), q)
+    assert f.rank == f.workspace_rank == 7
+    assert f.mean_variance == pytest.approx(7 / 20, rel=1e-4)
+    assert f.worst_variance > f.mean_variance
+    assert f.efficiency == pytest.approx(1.0, rel=1e-4)
+
+
+def test_efficiency_is_bound_over_mean():
+    s, q = sensitivity(np.zeros(7)), poses(8)
+    f = forecast(s, Workspace.of(s, poses(100, 1)), q)
+    C = np.linalg.inv(np.einsum("nij,nik->jk", s.measured(q), s.measured(q)))
+    variance = np.einsum("nij,jk,nik->n", s.measured(poses(100, 1)), C, s.measured(poses(100, 1)))
+    assert f.mean_variance == pytest.approx(variance.mean(), rel=1e-4)
+    assert f.worst_variance == pytest.approx(variance.max(), rel=1e-4)
+    assert f.efficiency == pytest.approx(7 / 8 / variance.mean(), rel=1e-4)
+
+
+def test_sigma_is_the_root_mean_square_over_the_poses():
+    q = poses(9)
+    f = forecast(sensitivity(), Workspace.of(sensitivity(), q), q)
+    assert f.sigma == pytest.approx(np.sqrt(np.mean(noise(q) ** 2)))
+
+
+def test_rank_and_indices_are_those_of_the_same_jacobian():
+    for count in (2, 3, 10):
+        q = poses(count)
+        f = forecast(sensitivity(), Workspace.of(sensitivity(), poses(50, 1)), q)
+        seen = analyse(jacobian(q).reshape(-1, 7), NAMES, UNITS)
+        assert f.rank == seen.rank == min(3 * count, 7)
+        assert set(f.indices) == {"O1", "O2", "O3", "O4", "O5"}
+        for name, value in seen.indices.items():
+            assert f.indices[name] == pytest.approx(value, rel=1e-9)
+        assert f.workspace_rank == 7
+
+
+# Priors off
+
+
+def test_what_nothing_tells_is_held_by_the_leash_alone():
+    """Two equal columns and one of zeros: their sum is known well, their difference not at all."""
+    s = sensitivity(np.zeros(7))
+
+    def changed(q: np.ndarray) -> np.ndarray:
+        J = jacobian(q)
+        J[:, :, 1], J[:, :, 4] = J[:, :, 0], 0.0
+        return J
+
+    bare = replace(s, measured=lambda q: changed(q) / noise(q)[:, None, None], located=changed)
+    q, where = poses(12), poses(60, 1)
+    f = forecast(bare, Workspace.of(bare, where), q)
+    assert f.rank == f.workspace_rank == 5
+    assert f.parameter_std[4] == pytest.approx(LEASH)
+    assert f.parameter_std[[0, 1]] == pytest.approx(LEASH / np.sqrt(2.0), rel=1e-4)
+    # As if the five that are left had been the model.
+    few = [0, 2, 3, 5, 6]
+    lean = replace(
+        s,
+        names=tuple(NAMES[k] for k in few),
+        units=tuple(UNITS[k] for k in few),
+        measured=lambda q: bare.measured(q)[:, :, few],
+        located=lambda q: changed(q)[:, :, few],
+        precision=np.zeros(5),
+    )
+    g = forecast(lean, Workspace.of(lean, where), q)
+    for name in ("rms", "rms_low", "rms_high", "max", "mean_variance", "worst_variance"):
+        rel = 0.02 if name.startswith("rms_") else 1e-5
+        assert getattr(f, name) == pytest.approx(getattr(g, name), rel=rel)
+
+
+@pytest.mark.parametrize("finer", [1e-2, 1e-4, 1e-6])
+def test_a_finer_instrument_is_as_much_better(finer):
+    """Down to 0.2 nm, with a direction that nothing but the leash of 1 m holds."""
+    s = sensitivity(np.zeros(7))
+
+    def equal(q: np.ndarray) -> np.ndarray:
+        J = jacobian(q)
+        J[:, :, 1] = J[:, :, 0]
+        return J
+
+    q, where = poses(5), poses(60, 1)
+    coarse, fine = (
+        replace(
+            s,
+            measured=lambda q, k=k: equal(q) / (k * noise(q))[:, None, None],
+            located=equal,
+            noise=lambda q, k=k: k * noise(q),
+        )
+        for k in (1.0, finer)
+    )
+    f, g = (forecast(one, Workspace.of(one, where), q) for one in (coarse, fine))
+    assert g.rms == pytest.approx(finer * f.rms, rel=1e-4)
+    assert g.rms_high == pytest.approx(finer * f.rms_high, rel=1e-4)
+    assert g.sigma == pytest.approx(finer * f.sigma)
+    assert g.mean_variance == pytest.approx(f.mean_variance, rel=1e-4)
+    assert g.rank == f.rank == 6
+
+
+def test_a_prior_of_one_parameter_leaves_the_leash_to_the_others():
+    s = sensitivity(np.array([4.0, 0.0, 0.0, 25.0, 0.0, 0.0, 0.0]))
+    assert s.leashed.tolist() == [4.0, 1.0, 1.0, 25.0, 1.0, 1.0, 1.0]
+
+
+def test_parameters_of_all_units_weigh_by_their_steps():
+    np.testing.assert_allclose(
+        parameter_weight(("m", "rad", "1", "rad/Nm", "m/N")), np.diag([1e6, 1e6, 1e6, 1e10, 1e12])
+    )

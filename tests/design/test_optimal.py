@@ -1,0 +1,382 @@
+"""The choice of poses against what is true of every optimal design, and against trying all of them."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from calib.design.optimal import (
+    CRITERIA,
+    Basis,
+    _gains,
+    check_criterion,
+    choose,
+    exchange,
+    grow,
+    information,
+    short_list,
+)
+from calib.errors import ModelError
+
+
+def pool(seed: int, n: int, d: int, p: int, spread: float = 0.0) -> np.ndarray:
+    """Derivatives of n candidates, the columns of very different sizes."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(n, d, p)) * 10.0 ** rng.uniform(-spread, spread, p)
+
+
+def basis_of(
+    A: np.ndarray,
+    criterion: str = "D",
+    precision: np.ndarray | None = None,
+    known: np.ndarray | None = None,
+    weight: np.ndarray | None = None,
+) -> Basis:
+    """The basis of a pool; the criterion V is that of the pool itself."""
+    p = A.shape[2]
+    precision = np.zeros(p) if precision is None else precision
+    known = np.zeros((p, p)) if known is None else known
+    if weight is None:
+        weight = {"D": None, "A": np.eye(p), "V": information(A) / len(A)}[criterion]
+    return Basis.of(information(A) / len(A), precision, weight, known)
+
+
+def cost(M: np.ndarray, weight: np.ndarray | None) -> float:
+    """The criterion from the full information matrix, in the parameters themselves."""
+    if weight is None:
+        return -float(np.linalg.slogdet(M)[1])
+    return float(np.trace(weight @ np.linalg.inv(M)))
+
+
+# The gain of a candidate
+
+
+@pytest.mark.parametrize("d", [1, 3, 6])
+@pytest.mark.parametrize("criterion", ["D", "A", "V"])
+def test_the_candidate_added_is_the_one_that_a_recomputation_likes_best(d, criterion):
+    for seed in range(10):
+        A = pool(seed, 40, d, 5, spread=2.0)
+        precision = np.full(5, 0.1)
+        basis = basis_of(A, criterion, precision)
+        weight = {"D": None, "A": np.eye(5), "V": information(A) / 40}[criterion]
+        start = np.arange(6)
+        M = np.diag(precision) + information(A[start])
+        costs = [np.inf if k in start else cost(M + A[k].T @ A[k], weight) for k in range(len(A))]
+        best = int(np.argmin(costs))
+        C = np.linalg.inv(basis.known + information(basis.blocks(A[start])))
+        gain = _gains(basis.blocks(A), C, basis.target)
+        gain[start] = -1.0
+        assert int(np.argmax(gain)) == best
+        before = cost(M, weight)
+        expected = np.exp(before - costs[best]) if weight is None else before - costs[best]
+        assert gain[best] == pytest.approx(expected, rel=1e-4)
+
+
+# Against all designs of small pools
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "V"])
+@pytest.mark.parametrize(
+    ("prior", "taken"), [(False, 0), (True, 0), (False, 3), (True, 3)], ids=str
+)
+def test_the_best_of_all_designs_is_found(criterion, prior, taken):
+    for seed in range(12):
+        A = pool(100 + seed, 10, 2, 6, spread=1.0)
+        measured = pool(200 + seed, taken, 2, 6)
+        known = information(measured)
+        size = np.sqrt(np.diag(information(A) / len(A)))
+        precision = (0.3 * size * np.arange(1, 7)) ** 2 if prior else np.zeros(6)
+        weight = {"D": None, "A": np.diag(size**2), "V": information(A) / len(A)}[criterion]
+        basis = basis_of(A, criterion, precision, known, weight)
+        K = np.diag(precision) + known
+        costs = {c: cost(K + information(A[list(c)]), weight) for c in combinations(range(10), 4)}
+        found = choose(basis.blocks(A), basis, 4, seed, restarts=20)
+        assert len(set(found.tolist())) == 4
+        best = min(costs.values())
+        assert costs[tuple(sorted(found.tolist()))] <= best + 1e-9 * abs(best)
+
+
+def test_three_starts_are_at_most_a_hair_off_the_best():
+    worse = 0
+    for seed in range(30):
+        A = pool(300 + seed, 12, 3, 8)
+        costs = {c: cost(information(A[list(c)]), None) for c in combinations(range(12), 4)}
+        basis = basis_of(A)
+        found = tuple(sorted(choose(basis.blocks(A), basis, 4, seed).tolist()))
+        worse += costs[found] > min(costs.values()) + 1e-9
+        assert costs[found] < min(costs.values()) + 0.5
+    assert worse <= 3
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "V"])
+@pytest.mark.parametrize("kind", ["zeros", "equal"])
+def test_columns_that_no_candidate_tells_apart(criterion, kind):
+    """With priors of different sizes: the unseen directions move with the seen ones."""
+    for seed in range(12):
+        A = pool(400 + seed, 10, 2, 6)
+        A[:, :, 5] = 0.0 if kind == "zeros" else A[:, :, 0]
+        precision = np.array([4.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+        size = {"D": None, "A": np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 3.0]), "V": None}[criterion]
+        weight = information(A) / len(A) if criterion == "V" else size
+        basis = basis_of(A, criterion, precision, weight=weight)
+        assert len(basis) == 5
+        costs = {
+            c: cost(np.diag(precision) + information(A[list(c)]), weight)
+            for c in combinations(range(10), 3)
+        }
+        found = choose(basis.blocks(A), basis, 3, seed, restarts=20)
+        best = min(costs.values())
+        assert costs[tuple(sorted(found.tolist()))] <= best + 1e-9 * abs(best)
+
+
+def test_without_priors_a_pool_of_low_rank_is_chosen_from_as_if_its_columns_were_few():
+    for seed in range(10):
+        few = pool(500 + seed, 10, 2, 4)
+        mixed = few @ np.random.default_rng(seed).normal(size=(4, 7))
+        one, other = basis_of(few), basis_of(mixed)
+        assert len(other) == 4
+        found = [
+            exchange(b.blocks(A), b, np.arange(3))[0].tolist()
+            for b, A in ((one, few), (other, mixed))
+        ]
+        assert found[0] == found[1]
+
+
+def test_measured_poses_can_tell_what_the_pool_cannot():
+    """Directions that only the poses taken before saw are known by them, not by the prior."""
+    A = pool(1, 10, 2, 3)
+    A[:, :, 2] = A[:, :, 1]
+    known = information(pool(2, 4, 2, 3) * 3.0)
+    precision = np.full(3, 1e-3)
+    basis = basis_of(A, "A", precision, known)
+    costs = {
+        c: cost(np.diag(precision) + known + information(A[list(c)]), np.eye(3))
+        for c in combinations(range(10), 2)
+    }
+    found = choose(basis.blocks(A), basis, 2, 0, restarts=20)
+    assert costs[tuple(sorted(found.tolist()))] == pytest.approx(min(costs.values()), rel=1e-9)
+
+
+# What the cost is
+
+
+def test_the_cost_given_is_the_criterions():
+    A = pool(3, 20, 2, 4)
+    start = np.arange(5)
+    for criterion, weight in (("A", np.eye(4)), ("V", information(A) / 20)):
+        chosen, value = exchange(basis_of(A, criterion).blocks(A), basis_of(A, criterion), start)
+        assert value == pytest.approx(cost(information(A[chosen]), weight), rel=1e-6)
+    basis = basis_of(A)
+    chosen, value = exchange(basis.blocks(A), basis, start)
+    # The determinant in the basis differs by that of the mean information.
+    shift = -float(np.linalg.slogdet(information(A) / 20)[1])
+    assert value == pytest.approx(cost(information(A[chosen]), None) - shift, abs=1e-6)
+
+
+def test_an_exchange_never_ends_worse_than_it_began_and_no_single_one_helps_then():
+    for seed in range(10):
+        A = pool(600 + seed, 60, 3, 7)
+        for criterion in CRITERIA:
+            basis = basis_of(A, criterion)
+            weight = {"D": None, "A": np.eye(7), "V": information(A) / 60}[criterion]
+            start = np.random.default_rng(seed).choice(60, 8, replace=False)
+            chosen, _ = exchange(basis.blocks(A), basis, start)
+            least = cost(information(A[chosen]), weight)
+            assert least <= cost(information(A[start]), weight)
+            for k in range(8):
+                for y in sorted(set(range(60)) - set(chosen.tolist())):
+                    other = chosen.copy()
+                    other[k] = y
+                    assert cost(information(A[other]), weight) >= least - 1e-6 * abs(least)
+
+
+# Textbook designs: a quadratic on [-1, 1]
+
+
+def quadratic(x: np.ndarray) -> np.ndarray:
+    return np.stack([np.ones_like(x), x, x**2], axis=1)[:, None, :]
+
+
+def test_the_d_optimal_quadratic_regression_is_at_both_ends_and_the_middle():
+    x = np.linspace(-1.0, 1.0, 21)
+    A = quadratic(x)
+    basis = basis_of(A)
+    np.testing.assert_allclose(
+        np.sort(x[choose(basis.blocks(A), basis, 3, 0)]), [-1, 0, 1], atol=1e-15
+    )
+
+
+def test_with_repeats_a_third_goes_to_each_of_the_three():
+    x = np.repeat(np.linspace(-1.0, 1.0, 21), 4)
+    A = quadratic(x)
+    basis = basis_of(A)
+    chosen = np.sort(x[choose(basis.blocks(A), basis, 12, 0)])
+    np.testing.assert_allclose(chosen, np.repeat([-1.0, 0.0, 1.0], 4), atol=1e-15)
+
+
+def test_the_v_optimal_quadratic_regression_is_half_in_the_middle():
+    """The mean variance over the interval is least with the weights 1/4, 1/2, 1/4 (V. Fedorov, 1972)."""
+    x = np.repeat(np.linspace(-1.0, 1.0, 21), 8)
+    A = quadratic(x)
+    moments = [1.0, 0.0, 1 / 3, 0.0, 1 / 5]
+    weight = np.array([[moments[i + j] for j in range(3)] for i in range(3)])
+    basis = basis_of(A, "V", weight=weight)
+    chosen = np.sort(x[choose(basis.blocks(A), basis, 12, 0)])
+    np.testing.assert_allclose(chosen, np.repeat([-1.0, 0.0, 1.0], [3, 6, 3]), atol=1e-15)
+
+
+def test_as_few_poses_as_parameters_are_chosen_well_without_priors():
+    """Without any one of them the rest tell nothing of one direction: the gain of any pose is without bound."""
+    x = np.linspace(-1.0, 1.0, 21)
+    A = np.stack([np.ones_like(x), x], axis=1)[:, None, :]
+    for criterion in CRITERIA:
+        basis = basis_of(A, criterion)
+        assert sorted(x[choose(basis.blocks(A), basis, 2, 0)]) == [-1.0, 1.0]
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "V"])
+def test_the_best_of_all_designs_with_as_many_numbers_as_parameters_is_found(criterion):
+    for seed in range(12):
+        A = pool(150 + seed, 10, 2, 8, spread=1.0)
+        size = np.sqrt(np.diag(information(A) / len(A)))
+        weight = {"D": None, "A": np.diag(size**2), "V": information(A) / len(A)}[criterion]
+        basis = basis_of(A, criterion, weight=weight)
+        costs = {c: cost(information(A[list(c)]), weight) for c in combinations(range(10), 4)}
+        found = choose(basis.blocks(A), basis, 4, seed, restarts=60)
+        best = min(costs.values())
+        assert costs[tuple(sorted(found.tolist()))] <= best + 1e-3 * abs(best)
+
+
+# Kiefer and Wolfowitz
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_design_beats_rank_over_n(seed):
+    A = pool(700 + seed, 300, 3, 9, spread=2.0)
+    basis = basis_of(A)
+    blocks = basis.blocks(A)
+    for chosen in (choose(blocks, basis, 12, seed), np.arange(12)):
+        C = np.linalg.inv(information(A[chosen]))
+        variance = np.einsum("ndi,ij,ndj->n", A, C, A)
+        assert variance.max() >= 9 / 12
+        assert variance[chosen].sum() == pytest.approx(9.0, rel=1e-6)
+    best = choose(blocks, basis, 60, seed)
+    variance = np.einsum("ndi,ij,ndj->n", A, np.linalg.inv(information(A[best])), A)
+    drawn = np.einsum("ndi,ij,ndj->n", A, np.linalg.inv(information(A[:60])), A)
+    assert variance.max() < drawn.max()
+    assert variance.max() < 1.5 * 9 / 60
+
+
+# Growing
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "V"])
+def test_growing_keeps_nothing_twice_and_costs_less_each_time(criterion):
+    A = pool(8, 25, 2, 5)
+    basis = basis_of(A, criterion)
+    weight = {"D": None, "A": np.eye(5), "V": information(A) / 25}[criterion]
+    at, costs = np.zeros(0, dtype=np.int_), []
+    for count in (3, 4, 7, 12, 24, 25):
+        at = grow(basis.blocks(A), basis, at, count)
+        assert len(at) == len(set(at.tolist())) == count
+        costs.append(cost(information(A[at]), weight))
+    assert costs == sorted(costs, reverse=True)
+
+
+def test_of_equal_candidates_each_is_chosen_once():
+    A = np.tile(pool(9, 1, 3, 3), (8, 1, 1))
+    basis = basis_of(A)
+    found = grow(basis.blocks(A), basis, np.zeros(0, dtype=np.int_), 8)
+    assert sorted(found.tolist()) == list(range(8))
+    assert sorted(choose(basis.blocks(A), basis, 8, 0).tolist()) == list(range(8))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+def test_fewer_poses_than_directions_and_many_equal_candidates_come_to_an_end(count):
+    for seed in range(20):
+        A = np.repeat(pool(800 + seed, 15, 1, 6, spread=3.0), 3, axis=0)
+        for criterion in CRITERIA:
+            basis = basis_of(A, criterion)
+            chosen = choose(basis.blocks(A), basis, count, seed)
+            assert len(set(chosen.tolist())) == count
+
+
+# The short list
+
+
+@pytest.mark.parametrize("criterion", ["D", "V"])
+def test_the_short_list_keeps_what_an_endless_design_stands_on(criterion):
+    x = np.linspace(-1.0, 1.0, 201)
+    A = quadratic(x)
+    basis = basis_of(A, criterion)
+    short = short_list(basis.blocks(A), basis, 30)
+    assert len(short) == len(set(short.tolist())) == 30
+    assert (np.diff(short) > 0).all()
+    assert {0, 100, 200} <= set(short.tolist())
+
+
+def test_a_short_list_of_all_is_the_pool():
+    A = pool(10, 20, 3, 4)
+    basis = basis_of(A)
+    assert short_list(basis.blocks(A), basis, 20).tolist() == list(range(20))
+
+
+def test_a_choice_by_the_short_list_is_as_good_as_one_without(monkeypatch):
+    A = pool(11, 3000, 3, 9)
+    basis = basis_of(A)
+    whole = choose(basis.blocks(A), basis, 12, 0)
+    monkeypatch.setattr("calib.design.optimal.SHORT", 400)
+    quick = choose(basis.blocks(A), basis, 12, 0)
+    assert cost(information(A[quick]), None) < cost(information(A[whole]), None) + 0.2
+
+
+# Units, seeds, names
+
+
+def test_the_same_seed_makes_the_same_choice():
+    A = pool(12, 200, 3, 9)
+    basis = basis_of(A, "V")
+    blocks = basis.blocks(A)
+    first = choose(blocks, basis, 10, 5)
+    assert choose(blocks, basis, 10, 5).tolist() == first.tolist()
+    assert any(choose(blocks, basis, 10, s).tolist() != first.tolist() for s in range(6, 10))
+
+
+@pytest.mark.parametrize("criterion", ["D", "V"])
+def test_units_do_not_matter(criterion):
+    A = pool(13, 80, 3, 6)
+    scaled = A * 10.0 ** np.array([-6, -3, 0, 3, 6, 1.5])
+    found = []
+    for one in (A, scaled):
+        basis = basis_of(one, criterion)
+        found.append(sorted(choose(basis.blocks(one), basis, 8, 0).tolist()))
+    assert found[0] == found[1]
+
+
+def test_a_mean_candidate_has_the_information_one():
+    A = pool(14, 50, 3, 6, spread=3.0)
+    basis = basis_of(A)
+    np.testing.assert_allclose(information(basis.blocks(A)) / 50, np.eye(6), atol=1e-9)
+    assert len(basis) == 6
+    assert not basis.directions.flags.writeable
+
+
+def test_an_unknown_criterion_names_those_there_are():
+    assert [check_criterion(name) for name in CRITERIA] == ["D", "A", "V"]
+    with pytest.raises(ModelError, match=r"no criterion 'E'.*'D', 'A'.*'V'.*D makes the volume"):
+        check_criterion("E")
+
+
+def test_a_column_of_rounding_is_no_direction():
+    # A target on the last axis moves by 1e-17 m with that joint's angle: scaled up, the choice went on for ever.
+    rng = np.random.default_rng(5)
+    A = rng.normal(size=(40, 3, 5))
+    A[:, :, 4] *= 1e-17
+    precision = np.array([0.0, 0.0, 0.0, 0.0, 4444.0])
+    basis = Basis.of(information(A) / 40, precision, np.eye(5), np.zeros((5, 5)))
+    assert len(basis) == 4
+    assert np.linalg.eigvalsh(basis.known).min() > 0.0
+    chosen = choose(basis.blocks(A), basis, 6, 0)
+    assert len(set(chosen.tolist())) == 6

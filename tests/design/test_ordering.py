@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+import itertools
+import re
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+from calib.design.ordering import START, order
+from calib.errors import CalibError
+
+
+def moves(q, speed=1.0):
+    """The cost of every move, shape (N, N)."""
+    return (np.abs(q[:, None] - q[None, :]) / speed).max(axis=2)
+
+
+def cost_of(tour, q, speed=1.0, start=None):
+    """The cost of a tour, counted anew."""
+    path = q[tour.indices] if start is None else np.vstack([start, q[tour.indices]])
+    return float((np.abs(np.diff(path, axis=0)) / speed).max(axis=1).sum())
+
+
+def is_order(tour, count):
+    return sorted(tour.indices.tolist()) == list(range(count))
+
+
+def every_order(count):
+    return np.array(list(itertools.permutations(range(count))))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    count=st.integers(2, 7),
+    joints=st.integers(1, 6),
+    seed=st.integers(0, 10**6),
+    begin=st.booleans(),
+)
+def test_few_poses_are_in_the_best_order(count, joints, seed, begin):
+    random = np.random.default_rng(seed)
+    q = random.uniform(-3.0, 3.0, (count, joints))
+    speed = random.uniform(0.5, 2.0, joints)
+    start = random.uniform(-3.0, 3.0, joints) if begin else None
+    tour = order(q, speed, start)
+    orders, costs = every_order(count), moves(q, speed)
+    totals = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
+    if start is not None:
+        totals += (np.abs(q - start) / speed).max(axis=1)[orders[:, 0]]
+    assert is_order(tour, count)
+    assert tour.cost == pytest.approx(cost_of(tour, q, speed, start), rel=1e-12)
+    assert tour.cost == pytest.approx(totals.min(), rel=1e-9)
+
+
+def test_eight_poses_are_in_the_best_order():
+    orders = every_order(8)
+    for seed in range(5):
+        q = np.random.default_rng(seed).uniform(-3.0, 3.0, (8, 6))
+        costs = moves(q)
+        best = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1).min()
+        assert order(q).cost == pytest.approx(best, rel=1e-12)
+
+
+@pytest.mark.parametrize("count", [30, 60, 100])
+def test_many_poses_are_in_a_short_order(count):
+    random = np.random.default_rng(count)
+    q = random.uniform(-3.0, 3.0, (count, 6))
+    began = time.process_time()
+    tour = order(q)
+    took = time.process_time() - began
+    costs = moves(q)
+    # No path is shorter than the tree that joins all poses; of random points the best is a tenth above it.
+    assert 1.0 < tour.cost / minimum_spanning_tree(costs).sum() < 1.2
+    shuffled = [random.permutation(count) for _ in range(50)]
+    assert tour.cost < 0.65 * min(costs[p[:-1], p[1:]].sum() for p in shuffled)
+    assert is_order(tour, count)
+    assert took < (1.0 if count <= 60 else 3.0)
+
+
+def test_poses_on_a_line_are_driven_along_it():
+    values = np.random.default_rng(3).permutation(50) * 0.1
+    q = np.column_stack([values, -values])
+    tour = order(q)
+    assert tour.cost == pytest.approx(4.9, rel=1e-12)
+    assert set(np.diff(values[tour.indices]).round(9)) in ({0.1}, {-0.1})
+    from_above = order(q, start=[6.0, -6.0])
+    assert from_above.cost == pytest.approx(6.0, rel=1e-12)
+    assert values[from_above.indices[0]] == pytest.approx(4.9)
+
+
+def test_the_slowest_joint_counts():
+    q = np.array([[0.0, 0.0], [1.0, 0.1], [0.1, 1.0]])
+    assert order(q, [10.0, 1.0]).cost == pytest.approx(1.0)
+    assert order(q, [1.0, 10.0]).cost == pytest.approx(1.0)
+    assert order(q, [1.0, 10.0]).indices.tolist() in ([0, 2, 1], [1, 2, 0])
+    assert order(q, 2.0).cost == pytest.approx(0.5 * order(q).cost)
+
+
+def test_the_same_poses_have_the_same_order():
+    q = np.random.default_rng(0).uniform(-3.0, 3.0, (40, 6))
+    first, second = order(q, start=np.zeros(6)), order(q.copy(), start=np.zeros(6))
+    assert first.indices.tolist() == second.indices.tolist()
+    assert not first.indices.flags.writeable
+    # The whole circle counts: joints are not wound back.
+    turned = order(np.array([[0.0], [2.0 * np.pi]]))
+    assert turned.cost == pytest.approx(2.0 * np.pi)
+
+
+def test_none_one_and_the_same_pose_often():
+    assert order(np.empty((0, 6))).indices.tolist() == []
+    assert order(np.empty((0, 6)), start=np.zeros(6)).cost == 0.0
+    assert order(np.ones((1, 6))).cost == 0.0
+    assert order(np.ones((1, 6)), start=np.zeros(6)).cost == 1.0
+    same = order(np.ones((12, 6)), start=np.zeros(6))
+    assert is_order(same, 12)
+    assert same.cost == 1.0
+    pairs = np.repeat(np.random.default_rng(0).uniform(-3.0, 3.0, (10, 6)), 2, axis=0)
+    tour = order(pairs)
+    assert tour.cost == pytest.approx(order(pairs[::2]).cost, rel=1e-12)
+
+
+def wall(a, b):
+    """A wall at 0 of the first joint, with a door where the second is above 2."""
+    if (a[0] < 0.0) == (b[0] < 0.0):
+        return True
+    at = a[1] + (b[1] - a[1]) * a[0] / (a[0] - b[0])
+    return bool(at > 2.0)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_few_poses_have_no_more_blocked_moves_than_needed(seed):
+    q = np.random.default_rng(seed).uniform(-3.0, 3.0, (6, 2))
+    start = np.array([-3.0, -3.0]) if seed % 2 else None
+    tour = order(q, start=start, free_path=wall)
+    costs, shut = moves(q), np.array([[not wall(a, b) for b in q] for a in q])
+    orders = every_order(6)
+    blocked = shut[orders[:, :-1], orders[:, 1:]].sum(axis=1)
+    totals = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
+    if start is not None:
+        blocked += np.array([not wall(start, p) for p in q])[orders[:, 0]]
+        totals += np.abs(q - start).max(axis=1)[orders[:, 0]]
+    fewest = blocked.min()
+    assert len(tour.blocked) == fewest
+    assert tour.cost == pytest.approx(totals[blocked == fewest].min(), rel=1e-9)
+    place = {START: start, **dict(enumerate(q))}
+    assert all(not wall(place[a], place[b]) for a, b in tour.blocked)
+
+
+def test_blocked_moves_are_avoided_and_few_are_asked_for():
+    q = np.random.default_rng(5).uniform(-3.0, 3.0, (60, 2))
+    asked = []
+
+    def free(a, b):
+        asked.append((a, b))
+        return wall(a, b)
+
+    tour = order(q, start=[-3.0, 0.0], free_path=free)
+    assert tour.blocked == ()
+    path = np.vstack([[-3.0, 0.0], q[tour.indices]])
+    assert all(wall(a, b) for a, b in itertools.pairwise(path))
+    assert len(asked) < 400  # of 1830
+    assert is_order(tour, 60)
+    assert tour.cost == pytest.approx(cost_of(tour, q, start=np.array([-3.0, 0.0])), rel=1e-12)
+
+
+def test_what_cannot_be_avoided_is_named():
+    q = np.array([[0.0], [1.0], [5.0], [6.0]])
+    shut = order(q, free_path=lambda a, b: abs(a[0] - b[0]) < 2.0)
+    assert shut.blocked in (((1, 2),), ((2, 1),))
+    assert shut.cost == pytest.approx(6.0)
+    nowhere = order(q, start=[7.0], free_path=lambda _a, _b: False)
+    assert nowhere.blocked == ((START, 3), (3, 2), (2, 1), (1, 0))
+    assert nowhere.cost == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize(
+    ("q", "speed", "start", "said"),
+    [
+        (np.zeros(6), None, None, "Poses to order are finite numbers of shape (N, m); given was shape (6,)."),
+        (np.full((3, 2), np.nan), None, None, "Poses to order are finite numbers"),
+        (np.zeros((3, 2)), [1.0, 0.0], None, "Joint speeds are positive, one for all or one for each of 2 joints"),
+        (np.zeros((3, 2)), [1.0, np.inf], None, "Joint speeds are positive"),
+        (np.zeros((3, 2)), [1.0] * 3, None, "Joint speeds are positive"),
+        (np.zeros((3, 2)), None, [0.0], "The start has one finite value for each of 2 joints; given was [0.0]."),
+        (np.zeros((3, 2)), None, [0.0, np.nan], "The start has one finite value for each of 2 joints"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_ordered(q, speed, start, said):
+    with pytest.raises(CalibError, match=re.escape(said)):
+        order(q, speed, start)

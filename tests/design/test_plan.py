@@ -1,0 +1,363 @@
+"""Plans of whole cells: every pose verified by means of its own, and what is said of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import fcl
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+
+import calib
+from calib.data import PAPER_TARGET
+from calib.design.plan import Plan, plan
+from calib.design.region import Region
+from calib.design.sensitivity import forecast
+from calib.errors import CalibError, ModelError
+from calib.measure.cell import Cell, Priors
+from calib.measure.surroundings import Box, Reflector, Tracker
+from calib.model.meshes import find_mesh, link_shapes, mesh_folders
+from calib.model.readback import random_joint_values
+
+TARGET = np.array(PAPER_TARGET)
+DEG = np.pi / 180.0
+
+
+def box(name: str, size, centre) -> Box:
+    T = np.eye(4)
+    T[:3, 3] = centre
+    return Box(name, np.array(size), T)
+
+
+TABLE = box("table", (1.6, 1.6, 0.04), (0.0, 0.0, -0.03))
+POST = box("post", (0.1, 0.1, 0.8), (0.45, -0.35, 0.4))
+
+BARE = Cell(target=TARGET, model="hayati", sigma=1e-4, priors=Priors(sizes="off"))
+FULL = replace(
+    BARE,
+    boxes=(TABLE, POST),
+    tracker=Tracker(np.array([2.2, 0.6, 0.5]), 1.9, 2.7),
+    reflector=Reflector(np.array([0.0, 0.0, 1.0]), 50 * DEG),
+    ranges={"shoulder_pan_joint": (-120 * DEG, 120 * DEG)},
+)
+#: Where the target may come: a ring of 50 mm voxels about the base.
+_CENTRES = np.stack(np.meshgrid(*[np.arange(-0.775, 0.8, 0.05)] * 3, indexing="ij"), axis=-1)
+_AWAY = np.linalg.norm(_CENTRES, axis=-1)
+REGION = Region(np.full(3, -0.8), 0.05, (_AWAY > 0.25) & (_AWAY < 0.6), 0.95, 0.95)
+
+
+@pytest.fixture(scope="module")
+def full(ur3) -> Plan:
+    return plan(ur3, FULL, count=15, validation=4, candidates=800, region=REGION, seed=1)
+
+
+@pytest.fixture(scope="module")
+def bare(ur3) -> Plan:
+    return plan(ur3, BARE, count=15, validation=4, candidates=800, collisions=False)
+
+
+def points(robot, q) -> np.ndarray:
+    return (robot.poses(q) @ np.append(TARGET, 1.0))[:, :3]
+
+
+# Every pose
+
+
+def test_poses_are_inside_ranges_and_limits(ur3, full, bare):
+    assert full.joints.shape == bare.joints.shape == (19, 6)
+    assert np.abs(full.joints[:, 0]).max() <= 120 * DEG + 1e-12
+    limits = np.array([(j.lower, j.upper) for j in ur3.inputs])
+    for joints in (full.joints, bare.joints):
+        assert (joints >= limits[:, 0] + 5 * DEG - 1e-12).all()
+        assert (joints <= limits[:, 1] - 5 * DEG + 1e-12).all()
+        np.testing.assert_allclose(joints / DEG * 1000, np.round(joints / DEG * 1000), atol=1e-6)
+    assert np.abs(bare.joints[:, 0]).max() > 120 * DEG
+
+
+def test_targets_lie_in_the_region(ur3, full, bare):
+    away = np.linalg.norm(points(ur3, full.joints), axis=1)
+    assert (away > 0.25 - 0.05 * np.sqrt(3)).all()
+    assert (away < 0.6 + 0.05 * np.sqrt(3)).all()
+    assert REGION.contains(points(ur3, full.joints)).all()
+    assert not REGION.contains(points(ur3, bare.joints)).all()
+
+
+def test_the_tracker_sees_every_target(ur3, full, bare):
+    def seen(joints: np.ndarray) -> np.ndarray:
+        towards = FULL.tracker.position - points(ur3, joints)
+        distance = np.linalg.norm(towards, axis=1)
+        facing = np.einsum("ni,ni->n", ur3.poses(joints)[:, :3, 2], towards) / distance
+        return (distance >= 1.9) & (distance <= 2.7) & (facing >= np.cos(50 * DEG))
+
+    assert seen(full.joints).all()
+    assert not seen(bare.joints).all()
+
+
+@cache
+def bodies(robot) -> dict[str, tuple[np.ndarray, fcl.CollisionGeometry]]:
+    """For each link the pose of its shape there, and the shape, its mesh read by trimesh."""
+    found = {}
+    for shape in link_shapes(robot.urdf, "collision"):
+        if shape.mesh is None:
+            geometry = fcl.Box(*shape.sizes)
+        else:
+            mesh = trimesh.load(find_mesh(shape.mesh[0], mesh_folders(robot.urdf)), force="mesh")
+            geometry = fcl.BVHModel()
+            geometry.beginModel(len(mesh.vertices), len(mesh.faces))
+            geometry.addSubModel(np.array(mesh.vertices), np.array(mesh.faces))
+            geometry.endModel()
+        found[shape.link] = shape.T_link_shape, geometry
+    return found
+
+
+def touching(robot, q: np.ndarray, boxes) -> bool:
+    """Whether FCL finds links, neighbours aside, or links and boxes in contact; Pinocchio's own model places them."""
+    model = pin.buildModelFromXML(robot.urdf.data.decode())
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, whole_configuration(model, robot, q))
+
+    def placed(link: str) -> np.ndarray:
+        return data.oMf[model.getFrameId(link)].homogeneous
+
+    solids = {link: (geometry, placed(link) @ T) for link, (T, geometry) in bodies(robot).items()}
+    links = list(solids)
+    solids |= {one.name: (fcl.Box(*one.size), placed(robot.base) @ one.T_base_box) for one in boxes}
+    objects = {
+        name: fcl.CollisionObject(geometry, fcl.Transform(T[:3, :3], T[:3, 3]))
+        for name, (geometry, T) in solids.items()
+    }
+    pairs = [(a, b) for i, a in enumerate(links) for b in links[i + 2 :]]
+    # The flange's box is fixed to wrist 3 and reaches into wrist 2.
+    pairs.remove(("wrist_2_link", "ee_link"))
+    pairs += [(a, one.name) for one in boxes for a in links if a != "base_link"]
+    return any(
+        fcl.collide(objects[a], objects[b], fcl.CollisionRequest(), fcl.CollisionResult())
+        for a, b in pairs
+    )
+
+
+def whole_configuration(model: pin.Model, robot, q: np.ndarray) -> np.ndarray:
+    """The configuration of Pinocchio's model of the whole URDF."""
+    values = np.zeros(model.nq)
+    for name, value in zip(robot.joint_names, q, strict=True):
+        values[model.joints[model.getJointId(name)].idx_q] = value
+    return values
+
+
+def test_every_pose_is_free_by_another_collision_library(ur3, full, bare):
+    assert not any(touching(ur3, q, FULL.boxes) for q in full.joints)
+    assert any(touching(ur3, q, FULL.boxes) for q in bare.joints)
+
+
+def test_targets_and_their_holders_stay_out_of_a_box_and_above_the_mounting_plane():
+    # On an UR10 five of 35 targets were planned inside of this table, and 14 without it below the plane.
+    robot, target = calib.Robot.load("ur10"), np.array([0.0, 0.05, 0.2])
+    cell = Cell(target=target, model="zeros", sigma=1e-4)
+    table = box("table", (3.0, 3.0, 0.05), (0.0, 0.0, -0.4))
+
+    def lowest(**options) -> float:
+        boxes = options.pop("boxes", ())
+        made = plan(
+            robot,
+            replace(cell, boxes=boxes),
+            count=12,
+            validation=8,
+            candidates=200,
+            ladder=(),
+            **options,
+        )
+        assert any("20 mm" in note for note in made.notes)
+        return float(made.places(made.joints)[..., 2].min())
+
+    assert lowest(floor=False) < -0.1
+    assert lowest() > 0.0199
+    assert lowest(floor=False, boxes=(table,)) > -0.4 + 0.0249 + 0.0199
+
+
+# What is said of them
+
+
+def test_those_that_were_refused_are_counted_by_reason(full, bare):
+    assert list(full.refused) == [
+        "outside of the region",
+        "out of the tracker's range",
+        "with the reflector turned away",
+        "with something in the beam",
+        "in collision",
+    ]
+    assert all(count > 0 for count in full.refused.values())
+    assert full.candidates == 800
+    assert full.drawn - sum(full.refused.values()) >= 800
+    assert bare.refused == {}
+
+
+def test_sets_targets_and_places(ur3, full):
+    assert sorted(full.sets) == ["estimate"] * 15 + ["validate"] * 4
+    assert full.estimation.shape == (15, 6)
+    assert full.validation.shape == (4, 6)
+    assert len(np.unique(full.joints, axis=0)) == 19
+    assert (full.criterion, full.model, full.kind, full.seed) == ("V", "hayati", "point", 1)
+    assert full.targets == ("target",)
+    np.testing.assert_allclose(full.expected[:, 0], points(ur3, full.joints), atol=1e-12)
+    assert full.taken.shape == (0, 6)
+    assert full.before is None
+    assert full.forecast.poses == 15
+
+
+def test_the_forecast_is_that_of_the_poses_to_fit(ur3, full, bare):
+    again = forecast(ur3, BARE, bare.estimation)
+    np.testing.assert_allclose(bare.forecast.parameter_std, again.parameter_std)
+    assert bare.forecast.rms == pytest.approx(again.rms, rel=0.1)
+    assert full.forecast.rank == bare.forecast.rank == 23
+    assert full.forecast.rms < full.at_random.rms
+    numbers = [number for number, _ in full.ladder]
+    assert numbers == sorted(numbers)
+    assert dict(full.ladder)[15] is full.forecast
+
+
+def test_the_same_seed_makes_the_same_plan(ur3, full):
+    again = plan(ur3, FULL, count=15, validation=4, candidates=800, region=REGION, seed=1)
+    assert np.array_equal(again.joints, full.joints)
+    assert again.sets == full.sets
+    other = plan(ur3, BARE, count=15, candidates=800, collisions=False, seed=2, ladder=())
+    assert not np.array_equal(other.joints[:15], full.joints[:15])
+
+
+def test_the_order_begins_where_the_robot_stands(ur3, bare):
+    """The poses are the same, in another order, and each keeps its set."""
+    start = bare.joints[-1]
+    there = plan(
+        ur3, BARE, count=15, validation=4, candidates=800, collisions=False, start=start, ladder=()
+    )
+    assert np.array_equal(there.joints[0], start)
+    assert np.array_equal(np.unique(there.joints, axis=0), np.unique(bare.joints, axis=0))
+    pairs = dict(zip(map(bytes, bare.joints), bare.sets, strict=True))
+    assert all(pairs[bytes(q)] == s for q, s in zip(there.joints, there.sets, strict=True))
+
+
+def test_poses_are_added_to_those_taken(ur3, bare):
+    more = plan(
+        ur3,
+        BARE,
+        count=5,
+        validation=0,
+        candidates=800,
+        collisions=False,
+        taken=bare.estimation,
+        ladder=(),
+    )
+    assert more.joints.shape == (5, 6)
+    assert more.before is not None
+    assert more.before.rms == pytest.approx(bare.forecast.rms, rel=0.05)
+    assert more.forecast.rms < more.before.rms
+    assert more.forecast.poses == 20
+    old = {bytes(q) for q in bare.estimation}
+    assert not any(bytes(q) in old for q in more.joints)
+
+
+def test_notes_say_what_was_assumed_and_not_checked(ur3, bare):
+    assert bare.notes == ("Collisions were not checked.",)
+    p = plan(ur3, count=12, validation=0, candidates=100, collisions=False, ladder=())
+    assert p.model == "placement"
+    assert any("50, 70, 30 mm off the tip" in note for note in p.notes)
+
+
+@pytest.mark.parametrize(("kind", "count", "numbers"), [("pose", 8, 6), ("distance", 30, 1)])
+def test_other_kinds_can_be_planned(ur3, kind, count, numbers):
+    frame = np.eye(4)
+    frame[:3, 3] = [-0.7, 0.5, -0.3]
+    cell = replace(BARE, kind=kind, T_frame_base=frame)
+    p = plan(ur3, cell, count=count, validation=0, candidates=300, collisions=False, ladder=())
+    assert p.kind == kind
+    assert p.forecast.rank == p.forecast.workspace_rank <= numbers * count
+    np.testing.assert_allclose(p.expected[:, 0], points(ur3, p.joints) + frame[:3, 3], atol=1e-12)
+
+
+def test_several_targets_are_all_in_sight(ur3):
+    two = {"front": TARGET, "back": np.array([0.0, -0.2, 0.0])}
+    cell = replace(
+        FULL, target=None, targets=two, tracker=Tracker(np.array([2.2, 0.6, 0.5]), 2.0, 2.5)
+    )
+    p = plan(ur3, cell, count=12, validation=0, candidates=200, collisions=False, ladder=())
+    assert p.targets == ("front", "back")
+    assert p.expected.shape == (12, 2, 3)
+    distance = np.linalg.norm(p.expected - cell.tracker.position, axis=2)
+    assert (distance >= 2.0).all()
+    assert (distance <= 2.5).all()
+
+
+def test_progress_tells_of_candidates_and_choice(ur3):
+    told = []
+    plan(
+        ur3,
+        BARE,
+        count=10,
+        candidates=200,
+        collisions=False,
+        ladder=(),
+        progress=lambda what, done, every: told.append((what, done, every)),
+    )
+    for what in ("candidates", "choice"):
+        parts = [(done, every) for name, done, every in told if name == what]
+        assert parts
+        assert parts[-1][0] == parts[-1][1]
+        assert [done for done, _ in parts] == sorted(done for done, _ in parts)
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("cell", "given", "words"),
+    [
+        (BARE, {"count": 7}, r"7 poses give 21 numbers.*at least 8 poses are needed"),
+        (BARE, {"count": 0}, "it takes 1 pose or more"),
+        (BARE, {"count": 298}, r"298 poses and 5 to validate .* only 300 candidates"),
+        (BARE, {"criterion": "E"}, "no criterion 'E'"),
+        (BARE, {"ladder": (9, 500)}, "A forecast for 500 poses"),
+        (BARE, {"margin": 7.0}, r"margin of 401.* deg .* leaves nothing .*'shoulder_pan_joint'"),
+        (BARE, {"taken": np.zeros((3, 5))}, "6 joints"),
+        (replace(BARE, kind="plane"), {}, "planned for the kind 'plane'"),
+        (replace(BARE, model="nonsense"), {}, "'nonsense'"),
+        (replace(BARE, ranges={"nonsense": (0.0, 1.0)}), {}, "'nonsense', which does not move"),
+        (
+            replace(FULL, tracker=Tracker(np.array([9.0, 0.0, 0.0]), 0.0, 2.0)),
+            {},
+            r"None of \d+ poses drawn can be measured: \d+ out of the tracker's range\. Widen",
+        ),
+        (
+            BARE,
+            {"region": Region(np.array([5.0, 5.0, 5.0]), 0.1, np.ones((2, 2, 2)), 1.0, 1.0)},
+            r"None of \d+ poses drawn can be measured: \d+ outside of the region\. Widen",
+        ),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(ur3, cell, given, words):
+    usual = {"count": 12, "candidates": 300, "collisions": False}
+    with pytest.raises(CalibError, match=words):
+        plan(ur3, cell, **(usual | given))
+
+
+def test_a_box_that_swallows_the_robot_is_refused(ur3):
+    cell = replace(BARE, boxes=(box("cage", (3.0, 3.0, 3.0), (0.0, 0.0, 0.0)),))
+    with pytest.raises((CalibError, ModelError), match="cage"):
+        plan(ur3, cell, count=12, candidates=300)
+
+
+def test_a_reflector_that_is_not_looked_at_is_said(ur3, full, bare):
+    aimless = plan(
+        ur3, replace(FULL, tracker=None), count=9, candidates=60, collisions=False, ladder=()
+    )
+    said = "The reflector's direction was not looked at: nothing says where the tracker stands (--tracker)."
+    assert said in aimless.notes
+    assert said not in (*full.notes, *bare.notes)
+
+
+def test_taken_poses_that_are_none_are_refused(ur3):
+    taken = random_joint_values(ur3, 3)
+    taken[1, 2] = np.nan
+    with pytest.raises(ModelError, match="that of 'elbow_joint' in row 2 is nan"):
+        plan(ur3, BARE, count=12, candidates=300, collisions=False, taken=taken)

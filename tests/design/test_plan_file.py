@@ -1,0 +1,315 @@
+from __future__ import annotations
+
+import csv
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.design.ordering import START, Tour
+from calib.design.plan import plan
+from calib.design.plan_file import (
+    SCHEMA,
+    blocked_moves,
+    plan_table,
+    read_taken,
+    write_plan,
+)
+from calib.errors import FileError, MeasurementError
+from calib.identify.result_file import write_table
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.robot import Robot
+
+CELL = Cell(target=np.array([0.05, 0.07, 0.03]), model="dh")
+
+
+@pytest.fixture(scope="module")
+def planned(ur3):
+    """A plan of 15 poses and 3 to validate with."""
+    return plan(
+        ur3, CELL, count=15, validation=3, candidates=400, collisions=False, ladder=[15, 20]
+    )
+
+
+def cells(path):
+    """The header and the rows of a table."""
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    return header, rows
+
+
+def fill_in(path, values):
+    """Write a measurement into the first rows of a plan, one for each of the values."""
+    header, rows = cells(path)
+    at = [header.index(f"{axis} [mm]") for axis in "xyz"]
+    for row, point in zip(rows, values, strict=False):
+        for i, value in zip(at, 1e3 * point, strict=True):
+            row[i] = repr(float(value))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+
+
+def test_a_plan_is_a_table_to_fill_in(planned, ur3, tmp_path):
+    path = write_plan(planned, tmp_path / "plan.csv")
+    header, rows = cells(path)
+    joints = [f"{name} [deg]" for name in ur3.joint_names]
+    xyz = ["x [mm]", "y [mm]", "z [mm]"]
+    assert header == ["row", "set", "point", *joints, *xyz, *(f"expected {a}" for a in xyz)]
+    assert [row[0] for row in rows] == [str(k) for k in range(1, 19)]
+    assert tuple(row[1] for row in rows) == planned.sets
+    assert [row[2] for row in rows] == [f"P{k}" for k in range(1, 19)]
+    assert all(row[9:12] == ["", "", ""] for row in rows)
+    with pytest.raises(MeasurementError, match=r"nothing is measured yet; .* in all 18 rows"):
+        Measurements.read(path, ur3.joint_names)
+    fill_in(path, planned.expected[:, 0] + 1e-5)
+    table = Measurements.read(path, ur3.joint_names, ur3.joint_types)
+    # What the robot is sent is what the fit reads, to the last digit.
+    np.testing.assert_allclose(table.joints, planned.joints, rtol=1e-15, atol=1e-16)
+    np.testing.assert_allclose(table.points, planned.expected[:, 0] + 1e-5, rtol=1e-12)
+    assert (table.sets, table.ignored, table.unmeasured) == (planned.sets, (), ())
+
+
+def test_joint_values_have_three_digits(planned, ur3, tmp_path):
+    _, rows = cells(write_plan(planned, tmp_path / "plan.csv"))
+    assert all(re.fullmatch(r"-?\d+\.\d{3}", cell) for row in rows for cell in row[3:9])
+    expected = np.array([[float(cell) for cell in row[12:]] for row in rows])
+    seen = ur3.poses(planned.joints) @ np.array([0.05, 0.07, 0.03, 1.0])
+    np.testing.assert_allclose(expected, 1e3 * seen[:, :3], atol=5.1e-4)
+    # Values of other origin keep all of their digits.
+    odd = replace(planned, joints=planned.joints + 1e-7)
+    path = write_plan(odd, tmp_path / "odd.csv")
+    np.testing.assert_allclose(
+        read_taken(path, ur3).joints,
+        odd.joints[np.array(odd.sets) == "estimate"],
+        rtol=1e-14,
+        atol=1e-16,
+    )
+
+
+def test_half_a_plan_and_a_list_of_points(planned, ur3, tmp_path):
+    path = write_plan(planned, tmp_path / "plan.csv")
+    lines = [
+        f"Job::Run::P{k} {' '.join(f'{1e3 * v:.4f}' for v in planned.expected[k - 1, 0])}"
+        for k in (12, 3, 7, 9, 1, 2)
+    ]
+    (tmp_path / "list.txt").write_text("\n".join(["# Units: mm", *lines]), encoding="utf-8")
+    table = Measurements.read(path, ur3.joint_names, points=tmp_path / "list.txt")
+    assert table.rows == (1, 2, 3, 7, 9, 12)
+    assert table.unmeasured == tuple(sorted(set(range(1, 19)) - set(table.rows)))
+    np.testing.assert_allclose(
+        table.points, planned.expected[np.array(table.rows) - 1, 0], atol=1e-7
+    )
+    fill_in(path, planned.expected[:7, 0])
+    assert Measurements.read(path, ur3.joint_names).unmeasured == tuple(range(8, 19))
+
+
+@pytest.mark.parametrize(
+    ("kind", "columns"),
+    [
+        ("pose", ["x [mm]", "y [mm]", "z [mm]", "qx", "qy", "qz", "qw"]),
+        ("distance", ["distance [mm]"]),
+    ],
+)
+def test_every_kind_has_its_columns(ur3, tmp_path, kind, columns):
+    T = np.eye(4)
+    T[:3, 3] = [1.0, 0.5, 0.2]
+    cell = replace(CELL, kind=kind, T_frame_base=T)
+    made = plan(ur3, cell, count=30, validation=0, candidates=400, collisions=False, ladder=[])
+    header, rows = cells(write_plan(made, tmp_path / "plan.csv"))
+    assert header[9 : 9 + len(columns)] == columns
+    assert [name.partition(" ")[0] for name in header[9 + len(columns) :]] == ["expected"] * (
+        3 if kind == "pose" else 1
+    )
+    if kind == "distance":
+        distance = np.array([float(row[-1]) for row in rows])
+        np.testing.assert_allclose(
+            distance, 1e3 * np.linalg.norm(made.expected[:, 0], axis=1), atol=5.1e-4
+        )
+    seen = {"pose": "100,200,300,0,0,0,1", "distance": "500"}[kind]
+    at = slice(9, 9 + len(columns))
+    rows[0][at] = seen.split(",")
+    with (tmp_path / "plan.csv").open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+    table = Measurements.read(tmp_path / "plan.csv", ur3.joint_names)
+    assert table.kinds == (kind,)
+    assert table.unmeasured == tuple(range(2, 31))
+
+
+def test_several_targets_have_a_row_each(ur3, tmp_path):
+    targets = {"left": np.array([0.05, 0.0, 0.03]), "right": np.array([-0.05, 0.0, 0.03])}
+    made = plan(
+        ur3, replace(CELL, target=None, targets=targets), count=12, validation=2, candidates=300,
+        collisions=False, ladder=[],
+    )  # fmt: skip
+    path = write_plan(made, tmp_path / "plan.csv", first_row=101)
+    header, rows = cells(path)
+    assert header[:4] == ["row", "set", "point", "target"]
+    assert [row[3] for row in rows] == ["left", "right"] * 14
+    assert [row[2] for row in rows] == [f"P{k}" for k in range(101, 129)]
+    assert rows[0][4:10] == rows[1][4:10]
+    assert rows[0][13:] != rows[1][13:]
+    taken = read_taken(path, ur3)
+    np.testing.assert_allclose(taken.joints, made.estimation, rtol=1e-15)
+    assert taken.last_row == 128
+
+
+def test_a_joint_that_slides_is_in_mm(tmp_path, serial_urdf):
+    urdf = serial_urdf(
+        [
+            ("prismatic", (0, 0, 0.1), (0, 0, 0), (1, 0, 0)),
+            ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1)),
+            ("revolute", (0.3, 0, 0), (0, 0, 0), (0, 1, 0)),
+        ]
+    )
+    robot = Robot.from_urdf(urdf)
+    made = plan(robot, CELL, count=12, validation=0, candidates=300, collisions=False, ladder=[])
+    path = write_plan(made, tmp_path / "plan.csv")
+    header, _ = cells(path)
+    assert header[3:6] == ["j1 [mm]", "j2 [deg]", "j3 [deg]"]
+    np.testing.assert_allclose(read_taken(path, robot).joints, made.joints, rtol=1e-14, atol=1e-16)
+
+
+def test_a_plan_that_is_there_is_kept(planned, tmp_path):
+    path = tmp_path / "plan.csv"
+    path.write_text("mine", encoding="utf-8")
+    with pytest.raises(FileError, match="exists already"):
+        write_plan(planned, path)
+    assert path.read_text(encoding="utf-8") == "mine"
+    write_plan(planned, path, overwrite=True)
+    assert len(cells(path)[1]) == 18
+
+
+# Poses that were taken
+
+
+def test_what_is_measured_counts_as_taken(planned, ur3, paper_table, tmp_path):
+    path = write_plan(planned, tmp_path / "plan.csv")
+    still = read_taken(path, ur3)  # still to be driven: all of it counts
+    np.testing.assert_allclose(still.joints, planned.estimation, rtol=1e-15)
+    assert (still.unmeasured, still.validation, still.last_row) == ((), 3, 18)
+    fill_in(path, planned.expected[:7, 0])
+    half = read_taken(path, ur3)
+    fitted = [i for i in range(7) if planned.sets[i] == "estimate"]
+    np.testing.assert_allclose(half.joints, planned.joints[fitted], rtol=1e-15)
+    assert (half.unmeasured, half.validation) == (tuple(range(8, 19)), 7 - len(fitted))
+    paper_table.write(tmp_path / "paper.csv")
+    paper = read_taken(tmp_path / "paper.csv", ur3)
+    np.testing.assert_allclose(paper.joints, paper_table.joints[:30], rtol=1e-14)
+    assert (paper.unmeasured, paper.validation, paper.last_row) == ((), 5, 35)
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Writes a table's lines to a file and gives its path."""
+
+    def write(*lines):
+        path = tmp_path / "taken.csv"
+        path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def arm(serial_urdf):
+    return Robot.from_urdf(serial_urdf([("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1))]))
+
+
+def degrees(taken):
+    return np.degrees(taken.joints[:, 0]).round(9).tolist()
+
+
+def test_tables_of_every_kind_count(table, arm):
+    bare = table("j1 [deg]", "1")
+    assert degrees(read_taken(bare, arm)) == [1.0]
+    pairs = table("j1 [deg],distance [mm],pair", "1,,p", "2,500,p", "3,,q", "4,501,q")
+    assert degrees(read_taken(pairs, arm)) == [1.0, 2.0, 3.0, 4.0]
+    mixed = table(
+        "kind,j1 [deg],x [mm],y [mm],z [mm],group", "fixed,1,,,,A", "fixed,2,,,,A", "point,3,,,,",
+        "point,4,1,2,300,",
+    )  # fmt: skip
+    taken = read_taken(mixed, arm)
+    assert (degrees(taken), taken.unmeasured) == ([1.0, 2.0, 4.0], (3,))
+    mapped = table("J [deg],X", "1,", "2,300")
+    columns = {"J": "j1", "X": "x [mm]"}
+    assert degrees(read_taken(mapped, arm, columns)) == [2.0]
+
+
+def test_a_pose_with_several_targets_counts_once_and_one_that_is_repeated_again(table, arm):
+    rows = ("a,1,1,2,300", "b,1,1,2,300", "a,2,1,2,300", "a,2,1,2,300", "b,1,1,2,300")
+    taken = read_taken(table("target,j1 [deg],x [mm],y [mm],z [mm]", *rows), arm)
+    assert degrees(taken) == [1.0, 2.0, 2.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("lines", "says"),
+    [
+        (("j2 [deg],x [mm]", "1,2"), "taken.csv: no column for the joints 'j1'."),
+        (("j1 [deg],x [mm]",), "taken.csv: the table has a header and no rows below it"),
+        (("j1 [deg],x [mm]", "a,2"), "taken.csv, line 2 (row 1), column 'j1 [deg]': 'a' is not a number"),
+        (("set,j1 [deg]", "validate,1"), "taken.csv, column 'set': no row is 'estimate'"),
+        (
+            ("set,j1 [deg],x [mm]", "validate,1,200", "estimate,2,"),
+            "taken.csv: no row that is measured is 'estimate', so that no pose counts as taken.",
+        ),
+    ],
+)  # fmt: skip
+def test_tables_from_which_nothing_is_taken(table, arm, lines, says):
+    with pytest.raises(MeasurementError, match=re.escape(says)):
+        read_taken(table(*lines), arm)
+
+
+# The forecast
+
+
+def test_the_forecast_as_json(planned, tmp_path):
+    path = write_table(plan_table(planned), tmp_path / "plan.json")
+    table = json.loads(path.read_text(encoding="utf-8"))
+    assert table["schema"] == SCHEMA == "plan 1"
+    f = planned.forecast
+    assert table["forecast"]["rms_m"] == f.rms
+    assert table["forecast"]["parameters"][0] == {
+        "name": f.names[0], "unit": f.units[0], "std": f.parameter_std[0], "identifiable": bool(f.identifiable[0]),
+    }  # fmt: skip
+    assert [step["planned"] for step in table["ladder"]] == [15, 20]
+    assert table["ladder"][0]["rms_m"] == f.rms
+    assert table["ladder"][1]["rms_m"] < f.rms < table["at_random"]["rms_m"]
+    assert table["before"] is None
+    assert table["candidates"] == {"drawn": planned.drawn, "kept": 400, "refused": {}}
+    assert len(table["poses"]) == 18
+    assert table["poses"][3]["joints"] == planned.joints[3].tolist()
+    assert table["poses"][3]["expected_xyz_m"] == planned.expected[3].tolist()
+    assert table["travel"] == {"largest_joint_moves": planned.tour.cost, "blocked": []}
+
+
+def keys(value):
+    """Every key of nested tables; the reasons of refusals are no keys."""
+    if isinstance(value, dict):
+        for name, entry in value.items():
+            yield name
+            yield from () if name == "refused" else keys(entry)
+    elif isinstance(value, list):
+        for entry in value:
+            yield from keys(entry)
+
+
+def test_the_document_has_every_key(planned):
+    blocked = replace(planned, tour=Tour(np.arange(18), 1.0, ((0, 1),)), detours=(None,))
+    lines = (Path(__file__).parents[2] / "docs" / "planning.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`.*?) \|", lines.partition("## The plan as JSON")[2], re.MULTILINE)
+    documented = set(re.findall(r"[A-Za-z0-9_]+", " ".join(rows))) | {"schema"}
+    assert documented == set(keys(plan_table(blocked)))
+
+
+def test_moves_that_collide_are_told_by_their_place_in_the_order(planned):
+    tour = Tour(np.array([4, 2, 0, 1, 3]), 1.0, ((START, 4), (2, 0)))
+    blocked = replace(planned, tour=tour, detours=(None, planned.joints[5]))
+    assert blocked_moves(blocked) == [(0, 1), (2, 3)]
+    assert plan_table(blocked)["travel"]["blocked"] == [
+        {"from": 0, "to": 1, "by": None},
+        {"from": 2, "to": 3, "by": planned.joints[5].tolist()},
+    ]

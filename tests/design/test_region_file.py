@@ -1,0 +1,224 @@
+"""Regions as files: what is read is what was written, and what is damaged is named."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from calib import data
+from calib.design.region import Region
+from calib.design.region_file import RegionFile
+from calib.design.workspace import Density, joint_ranges, sample_workspace
+from calib.errors import CalibError, FileError
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf
+
+
+@pytest.fixture(scope="module")
+def ur3():
+    return Robot.load(data.paper_urdf(), base="base", tip="tool0")
+
+
+@pytest.fixture(scope="module")
+def stored(ur3):
+    target, ranges = np.array(data.PAPER_TARGET), joint_ranges(ur3, {"elbow_joint": (0.1, 1.2)})
+    points = sample_workspace(ur3, target, ranges, 2**13, 4)
+    box = [[-0.4, -np.inf, -np.inf], [np.inf, np.inf, 0.6]]
+    region = Density.of(points, box=box).region(0.9)
+    return RegionFile.of(region, ur3, target, ranges, 2**13, 4)
+
+
+@pytest.fixture
+def path(stored, tmp_path):
+    return stored.write(tmp_path / "region.json")
+
+
+def test_what_is_read_is_what_was_written(stored, path):
+    again = RegionFile.read(path)
+    for name in ("robot", "base", "tip", "joints", "prismatic", "samples", "seed"):
+        assert getattr(again, name) == getattr(stored, name)
+    for name in ("ranges", "target"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(stored, name))
+    for name in ("origin", "cells", "box", "voxel", "share", "held", "volume"):
+        np.testing.assert_array_equal(getattr(again.region, name), getattr(stored.region, name))
+    assert again.write(path, overwrite=True).read_bytes() == path.read_bytes()
+    points = np.random.default_rng(0).uniform(-0.6, 0.6, (2000, 3))
+    inside = stored.region.contains(points)
+    assert 0 < inside.sum() < 2000
+    np.testing.assert_array_equal(again.region.contains(points), inside)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_runs_begin_with_those_outside(tmp_path, first):
+    cells = np.array([[[first, True, True], [False, False, True]]])
+    region = Region(np.zeros(3), 0.1, cells, 0.5, 0.5)
+    path = tmp_path / "small.json"
+    RegionFile(
+        region, "r", "b", "t", ("j",), np.array([[0.0, 1.0]]), ("j",), np.zeros(3), 9, 0
+    ).write(path)
+    table = json.loads(path.read_text())
+    assert table["runs"] == ([0, 3, 2, 1] if first else [1, 2, 2, 1])
+    assert table["shape"] == [1, 2, 3]
+    assert table["box_m"] is None
+    assert table["robot"]["joints"] == [{"name": "j", "low_m": 0.0, "high_m": 1.0}]
+    again = RegionFile.read(path)
+    np.testing.assert_array_equal(again.region.cells, cells)
+    assert again.prismatic == ("j",)
+
+
+def test_the_file_is_read_by_hand_in_four_lines(stored, path):
+    """As docs/workspace.md says."""
+    file = json.loads(path.read_text(encoding="utf-8"))
+    runs = file["runs"]
+    cells = np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(file["shape"])
+    np.testing.assert_array_equal(cells, stored.region.cells)
+
+
+def test_a_file_that_exists_is_kept(stored, path):
+    before = path.read_bytes()
+    with pytest.raises(FileError, match="exists already"):
+        stored.write(path)
+    assert path.read_bytes() == before
+
+
+# Whose region it is.
+
+
+def test_it_fits_its_own_robot_and_a_corrected_one(stored, ur3):
+    assert stored.check_fits(ur3, stored.target) == ()
+    assert stored.check_fits(ur3) == ()
+    placements = ur3.placements.copy()
+    placements[2, 0, 3] += 1e-3
+    assert stored.check_fits(ur3.with_placements(placements), stored.target) == ()
+
+
+def test_another_name_or_target_is_told(stored, ur3):
+    text = ur3.urdf.data.replace(b'robot name="ur3"', b'robot name="ur3e"')
+    other = Robot.from_urdf(Urdf.from_bytes(text, "ur3e.urdf"), "base", "tool0")
+    (note,) = stored.check_fits(other, stored.target)
+    assert note == "The region was made for 'ur3', this robot is 'ur3e'."
+    (note,) = stored.check_fits(ur3, stored.target + np.array([0.0, 0.3, 0.0]))
+    assert note.startswith("The region was made for a target 300 mm away from this one")
+    assert stored.check_fits(ur3, stored.target + 1e-3) == ()
+
+
+@pytest.mark.parametrize(
+    ("base", "tip", "said"),
+    [
+        ("base_link", "tool0", "for the base 'base' of 'ur3', and the base is 'base_link' now. Give --base base"),
+        ("base", "ee_link", "for the tip 'tool0' of 'ur3', and the tip is 'ee_link' now. Give --tip tool0"),
+    ],
+)  # fmt: skip
+def test_another_base_or_tip_is_refused(stored, ur3, base, tip, said):
+    with pytest.raises(CalibError, match=said):
+        stored.check_fits(ur3.rebuilt(base=base, tip=tip))
+
+
+def test_other_joints_are_refused(stored, ur3):
+    text = ur3.urdf.data.replace(b'"elbow_joint"', b'"knee"')
+    other = Robot.from_urdf(Urdf.from_bytes(text, "other.urdf"), "base", "tool0")
+    with pytest.raises(CalibError, match=r"for the joints .*'elbow_joint'.* has .*'knee'"):
+        stored.check_fits(other)
+
+
+# Files that are damaged.
+
+
+def test_files_that_are_no_region_are_refused(tmp_path):
+    path = tmp_path / "r.json"
+    with pytest.raises(FileError, match=r"region '.*r.json' does not exist"):
+        RegionFile.read(path)
+    for text, said in (
+        ("{", "this is not a JSON file"),
+        ("[" * 100_000, "this is not a JSON file"),
+        ("[]", "its 'schema' is None; a region of calib"),
+        ('{"schema": 1}', "its 'schema' is 1; a region of calib .* has 'region 1'"),
+        ('{"schema": "region 2"}', "its 'schema' is 'region 2'"),
+    ):
+        path.write_text(text)
+        with pytest.raises(FileError, match=said):
+            RegionFile.read(path)
+
+
+REMOVED = object()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        *[
+            (key, REMOVED, f"'{key}' is missing")
+            for key in (
+                "robot", "robot.name", "robot.base", "robot.tip", "robot.joints", "target_xyz_m", "samples", "seed",
+                "share", "held", "volume_m3", "box_m", "voxel_m", "origin_m", "shape", "runs",
+            )
+        ],
+        ("robot", [], r"'robot' is \[\]; a table is wanted"),
+        ("robot.name", 3, "'robot.name' is 3; a text is wanted"),
+        ("robot.joints", {}, "'robot.joints' is {}; a list is wanted"),
+        ("robot.joints", [], "at least one is wanted"),
+        ("robot.joints", [3], r"'robot.joints\[1\]' is 3; a table is wanted"),
+        ("robot.joints", [{"name": "a", "low_rad": 0}], r"'robot.joints\[1\].high_rad' is missing"),
+        ("robot.joints", [{"low_m": 0, "high_m": 1}], r"'robot.joints\[1\].name' is missing"),
+        ("robot.joints", [{"name": "a", "low_m": 1, "high_m": 0}], "goes from 1 to 0; the lower end comes first"),
+        ("robot.joints", [{"name": "a", "low_m": 0, "high_m": 1}] * 2, "'a', 'a'; at least one is .*, and each once"),
+        ("target_xyz_m", [1, 2], "'target_xyz_m' has 2 entries; 3 numbers are wanted"),
+        ("target_xyz_m", [1, 2, "3"], "'target_xyz_m.2' is '3'; a finite number is wanted"),
+        ("samples", 0, "'samples' is 0; a whole number of at least 1"),
+        ("seed", 1.5, "'seed' is 1.5; a whole number of at least 0"),
+        ("share", True, "'share' is True; a finite number is wanted"),
+        ("share", 0, "shares are 0.0 and"),
+        ("held", 1.2, "shares are 0.9 and 1.2"),
+        ("volume_m3", 1.0, "'volume_m3' is 1, and its voxels have 0"),
+        ("volume_m3", "nan", "'volume_m3' is 'nan'; a finite number"),
+        ("box_m", 3, "'box_m' is 3; a list is wanted"),
+        ("box_m", [[1, 2, 3]], "two corners of three numbers, or null"),
+        ("box_m", [[1, 2, 3], [0, 0, 0]], "the second greater than the first"),
+        ("box_m", [[1, 2, "x"], [3, 3, 3]], r"'box_m\[0\].v' is 'x'"),
+        ("box_m", [[5, 5, 5], [6, 6, 6]], "The region is empty"),
+        ("voxel_m", 0, "voxel is 0.0 m; it must be greater"),
+        ("voxel_m", 10**400, "'voxel_m' is 10+...; a finite number"),
+        ("origin_m", None, "'origin_m' is None; a list is wanted"),
+        ("shape", [1, 2], r"'shape' is \[1, 2\]; three whole numbers greater than 0"),
+        ("shape", [1, 2, 0], "three whole numbers greater than 0"),
+        ("shape", [1, 2, True], "three whole numbers greater than 0"),
+        ("shape", [10**6, 10**6, 10**6], "three whole numbers greater than 0"),
+        ("runs", [1, 2, "3"], "'runs' holds something that is no whole number"),
+        ("runs", [-1, 2], "'runs' holds something that is no whole number"),
+        ("runs", [1, 2], "'runs' make 3 voxels; the grid of"),
+    ],
+)  # fmt: skip
+def test_each_key_is_checked(path, key, value, said):
+    table = json.loads(path.read_text())
+    *above, last = key.split(".")
+    inner = table
+    for name in above:
+        inner = inner[name]
+    if value is REMOVED:
+        del inner[last]
+    else:
+        inner[last] = value
+    path.write_text(json.dumps(table))
+    with pytest.raises(FileError, match=said) as error:
+        RegionFile.read(path)
+    assert str(error.value).startswith(f"{path}: the region is damaged: ")
+    assert str(error.value).endswith("Write it again with 'calib workspace -o'.")
+    assert "\n" not in str(error.value)
+
+
+def test_a_number_that_is_none_is_no_json(path):
+    table = json.loads(path.read_text()) | {"volume_m3": math.nan}
+    path.write_text(json.dumps(table))
+    with pytest.raises(FileError, match="it holds NaN; write the number, or null"):
+        RegionFile.read(path)
+
+
+def test_all_voxels_outside_is_refused(path):
+    table = json.loads(path.read_text())
+    table["runs"] = [sum(table["runs"])]
+    path.write_text(json.dumps(table))
+    with pytest.raises(FileError, match="The region is empty: no voxel"):
+        RegionFile.read(path)

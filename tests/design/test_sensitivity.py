@@ -1,0 +1,458 @@
+"""Foresight against the fit that it foresees: derivatives, noise, priors, ranks, and what calibrations leave."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.design.sensitivity import Outlook, forecast
+from calib.errors import MeasurementError, ModelError
+from calib.identify.calibration import calibrate
+from calib.identify.estimate import FIRST_SIGMA_ANGLE
+from calib.identify.inspection import inspect
+from calib.identify.rigid_motion import without_rigid_motion
+from calib.measure.cell import Cell, Priors
+from calib.measure.measurements import Measurements
+from calib.measure.noise import TrackerNoise
+from calib.measure.surroundings import Tracker
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.readback import random_joint_values, spread_poses
+from calib.model.robot import Robot
+from calib.model.torques import Payload, gravity_load
+
+TARGET = np.array([0.05, -0.06, 0.04])
+SIGMA = 1e-4
+FRAME = np.eye(4)
+FRAME[:3, :3] = Rotation.from_rotvec([0.2, -0.4, 1.1]).as_matrix()
+FRAME[:3, 3] = [2.0, -1.0, 0.4]
+PAYLOAD = Payload(2.0, np.array([0.0, 0.02, 0.05]))
+
+CELLS = {
+    "a known frame": Cell(target=TARGET, model="dh", sigma=SIGMA),
+    "an estimated frame": Cell(
+        target=TARGET, model="dh", sigma=SIGMA, T_frame_base=FRAME, estimate_frame=True
+    ),
+    "a frame that is not given": Cell(target=TARGET, model="dh", sigma=SIGMA, estimate_frame=True),
+    "poses": Cell(
+        target=TARGET, model="dh", kind="pose", sigma=SIGMA, T_frame_base=FRAME, estimate_frame=True
+    ),
+    "poses of a turned target": Cell(
+        target=TARGET,
+        model="placement",
+        kind="pose",
+        sigma=SIGMA,
+        sigma_angle=3e-4,
+        target_rotation=Rotation.from_rotvec([0.5, 0.3, -2.0]).as_matrix(),
+    ),
+    "distances": Cell(target=TARGET, model="dh", kind="distance", sigma=SIGMA, T_frame_base=FRAME),
+    "two targets": Cell(
+        targets={"one": TARGET, "two": -2.0 * TARGET}, model="placement", sigma=SIGMA
+    ),
+    "two targets' distances": Cell(
+        targets={"one": TARGET, "two": -2.0 * TARGET},
+        model="dh",
+        kind="distance",
+        sigma=SIGMA,
+        frames={"A": FRAME},
+    ),
+    "bending": Cell(
+        target=TARGET, model="dh+gain+eccentricity+compliance", sigma=SIGMA, payload=PAYLOAD
+    ),
+    "no target": Cell(model="hayati", sigma=SIGMA),
+    "auto": Cell(target=TARGET, sigma=SIGMA),
+    "frozen and tied": Cell(
+        target=TARGET, model="dh", sigma=SIGMA, frozen=("a2",), ties={"a3": ("d1", 2.0)}
+    ),
+}
+
+
+@pytest.fixture(params=CELLS)
+def cell(request) -> Cell:
+    return CELLS[request.param]
+
+
+def predicted(cell: Cell, kinematics: Kinematics, x: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Poses of all targets, pose by pose, shape (n, targets, 4, 4)."""
+    robot, k = kinematics.robot, len(kinematics.T_tip_target)
+    load = gravity_load(robot, q, cell.payload, cell.gravity)
+    stack = []
+    for t in range(k):
+        n = len(q)
+        samples = Samples(q, np.zeros(n, dtype=int), np.full(n, t), load)
+        stack.append(kinematics.poses(x, samples))
+    return np.stack(stack, axis=1)
+
+
+def differences(cell, kinematics, q, look, step=1e-6):
+    """Central differences of what `look` makes of two stacks of poses, one for each parameter, last."""
+    columns = []
+    for k in range(len(kinematics.model)):
+        e = np.zeros(len(kinematics.model))
+        e[k] = step
+        plus = predicted(cell, kinematics, e, q)
+        minus = predicted(cell, kinematics, -e, q)
+        columns.append(look(plus, minus) / (2.0 * step))
+    return np.stack(columns, axis=-1)
+
+
+def in_position(plus, minus):
+    return plus[:, :, :3, 3] - minus[:, :, :3, 3]
+
+
+def in_length(plus, minus):
+    lengths = [np.linalg.norm(T[:, :, :3, 3], axis=2, keepdims=True) for T in (plus, minus)]
+    return lengths[0] - lengths[1]
+
+
+def in_orientation(plus, minus):
+    turn = plus[:, :, :3, :3] @ minus[:, :, :3, :3].swapaxes(2, 3)
+    return Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec().reshape(*turn.shape[:2], 3)
+
+
+# Derivatives
+
+
+def test_what_is_measured_moves_as_predictions_do(ur3, cell):
+    outlook = Outlook.of(ur3, cell)
+    q = random_joint_values(ur3, 7, 5)
+    parts = {
+        "point": [(in_position, SIGMA)],
+        "pose": [(in_position, SIGMA), (in_orientation, cell.sigma_angle or FIRST_SIGMA_ANGLE)],
+        "distance": [(in_length, SIGMA)],
+    }[outlook.kind]
+    expected = np.concatenate(
+        [differences(cell, outlook.kinematics, q, look) / sigma for look, sigma in parts], axis=2
+    )
+    found = outlook.sensitivity.measured(q)
+    assert found.shape == (7, expected.shape[1] * expected.shape[2], len(outlook.kinematics.model))
+    scale = np.abs(expected).max(axis=(0, 1, 2))
+    # A joint that carries no load does not bend.
+    scale = np.where(scale > 0.0, scale, 1.0)
+    np.testing.assert_allclose(
+        found / scale, expected.reshape(found.shape) / scale, rtol=0.0, atol=2e-6
+    )
+
+
+def test_what_is_located_moves_as_predictions_do(ur3, cell):
+    outlook = Outlook.of(ur3, cell)
+    q = random_joint_values(ur3, 7, 6)
+    expected = differences(cell, outlook.kinematics, q, in_position)
+    if outlook.kind == "distance":
+        points = predicted(cell, outlook.kinematics, np.zeros(expected.shape[-1]), q)[:, :, :3, 3]
+        flat = expected.reshape(-1, 3, expected.shape[-1])
+        expected = without_rigid_motion(points.reshape(-1, 3), flat).reshape(expected.shape)
+    found = outlook.sensitivity.located(q)
+    assert found.shape == (7, 3 * len(outlook.setup.targets), expected.shape[-1])
+    np.testing.assert_allclose(found, expected.reshape(found.shape), rtol=0.0, atol=2e-6)
+
+
+def test_where_the_base_stands_is_not_accuracy_where_only_distances_are_measured(ur3):
+    outlook = Outlook.of(ur3, CELLS["distances"])
+    located = outlook.sensitivity.located(random_joint_values(ur3, 30, 5))
+    names = outlook.kinematics.model.names
+    frame = [names.index(f"frame_{axis}") for axis in "xyz"]
+    assert np.abs(located[:, :, frame]).max() < 1e-12
+    assert np.abs(located).max() > 0.1
+
+
+def test_many_poses_are_derived_piece_by_piece_as_few_are(ur3, monkeypatch):
+    s = Outlook.of(ur3, CELLS["two targets"]).sensitivity
+    q = random_joint_values(ur3, 25, 5)
+    whole = s.measured(q), s.located(q)
+    monkeypatch.setattr("calib.design.sensitivity._CHUNK", 10)
+    np.testing.assert_array_equal(s.measured(q), whole[0])
+    np.testing.assert_array_equal(s.located(q), whole[1])
+
+
+def test_targets_are_expected_where_the_nominal_robot_puts_them(ur3):
+    q = random_joint_values(ur3, 9, 5)
+    tips = ur3.poses(q)
+    for name in ("two targets", "two targets' distances"):
+        found = Outlook.of(ur3, CELLS[name]).expected(q)
+        T = FRAME if "distances" in name else np.eye(4)
+        for t, target in enumerate((TARGET, -2.0 * TARGET)):
+            want = (T @ tips @ np.append(target, 1.0))[:, :3]
+            np.testing.assert_allclose(found[:, t], want, atol=1e-12)
+    # A frame that nobody knows counts as the base.
+    found = Outlook.of(ur3, CELLS["a frame that is not given"]).expected(q)
+    np.testing.assert_allclose(found[:, 0], (tips @ np.append(TARGET, 1.0))[:, :3], atol=1e-12)
+
+
+# Noise
+
+
+def test_the_noise_is_the_cells_or_the_trackers_by_distance_or_a_usual_trackers(ur3):
+    q = random_joint_values(ur3, 20, 5)
+    given = Outlook.of(ur3, Cell(target=TARGET, sigma=SIGMA)).sensitivity
+    np.testing.assert_array_equal(given.noise(q), np.full(20, SIGMA))
+    tracker = Tracker(np.array([2.5, 0.3, 0.5]), noise=TrackerNoise(10e-6, 50e-6, 0.0))
+    seen = Outlook.of(ur3, Cell(target=TARGET, tracker=tracker)).sensitivity
+    points = (ur3.poses(q) @ np.append(TARGET, 1.0))[:, :3]
+    distance = np.linalg.norm(points - tracker.position, axis=1)
+    np.testing.assert_allclose(seen.noise(q), 10e-6 + 50e-6 * distance, rtol=1e-12)
+    assert np.ptp(seen.noise(q)) > 1e-5
+    both = Outlook.of(ur3, Cell(target=TARGET, tracker=tracker, sigma=SIGMA)).sensitivity
+    np.testing.assert_array_equal(both.noise(q), np.full(20, SIGMA))
+    usual = Outlook.of(ur3, Cell(target=TARGET)).sensitivity
+    np.testing.assert_allclose(usual.noise(q), np.hypot(15e-6 + 3 * 6e-6, 20e-6))
+    # What is measured is in this noise.
+    np.testing.assert_allclose(
+        seen.measured(q) * seen.noise(q)[:, None, None],
+        usual.measured(q) * usual.noise(q)[:, None, None],
+    )
+
+
+# Priors
+
+
+def test_precision_is_that_of_each_parameters_prior(ur3):
+    priors = Priors(length=1e-3, angle=2e-3, zero=4e-3, gain=5e-4, compliance=2e-5)
+    cell = Cell(
+        target=TARGET,
+        model="dh+gain+compliance",
+        priors=priors,
+        estimate_frame=True,
+        parameter_priors={"a2": 7e-5, "target_x": 1e-2},
+    )
+    s = Outlook.of(ur3, cell).sensitivity
+    found = dict(zip(s.names, s.precision, strict=True))
+    model = Outlook.of(ur3, cell).kinematics.model
+    seen = set()
+    for parameter in model.parameters:
+        if parameter.name in cell.parameter_priors:
+            size = cell.parameter_priors[parameter.name]
+        elif parameter.name.startswith(("frame_", "target_")):
+            assert found[parameter.name] == 0.0
+            continue
+        else:
+            size = priors.of(parameter.family)
+        seen.add(parameter.family)
+        assert found[parameter.name] == pytest.approx(1.0 / size**2)
+    assert {"length", "angle", "gain", "compliance"} <= seen
+    assert not s.precision.flags.writeable
+
+
+def test_priors_that_are_off_leave_those_of_single_parameters(ur3):
+    cell = Cell(
+        target=TARGET, model="dh", priors=Priors(sizes="off"), parameter_priors={"a2": 1e-4}
+    )
+    s = Outlook.of(ur3, cell).sensitivity
+    assert s.precision[s.names.index("a2")] == pytest.approx(1e8)
+    assert np.count_nonzero(s.precision) == 1
+
+
+# Ranks
+
+
+@pytest.mark.parametrize("name", [name for name in CELLS if "targets" not in name])
+def test_the_rank_over_the_joint_limits_is_that_of_inspect(ur3, name):
+    cell = replace(CELLS[name], model="placement") if name == "auto" else CELLS[name]
+    found = forecast(ur3, cell, spread_poses(ur3))
+    expected = inspect(ur3, cell).observability
+    assert (found.rank, found.columns) == (expected.rank, expected.columns)
+    assert found.workspace_rank == expected.rank
+    for index, value in expected.indices.items():
+        assert found.indices[index] == pytest.approx(value, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["two targets", "two targets' distances"])
+def test_the_rank_of_two_targets_is_that_of_inspect_with_a_table(ur3, name):
+    cell, q = CELLS[name], spread_poses(ur3)
+    outlook = Outlook.of(ur3, cell)
+    points = outlook.expected(q).reshape(-1, 3)
+    table = Measurements(
+        ur3.joint_names,
+        np.repeat(q, 2, axis=0),
+        points,
+        kinds=(outlook.kind,) * len(points),
+        targets=("one", "two") * len(q),
+        groups=outlook.setup.groups * len(points),
+        distances=np.linalg.norm(points, axis=1),
+    )
+    found, expected = forecast(ur3, cell, q), inspect(ur3, cell, table).observability
+    assert (found.rank, found.columns) == (expected.rank, expected.columns)
+    assert found.workspace_rank == expected.rank
+    for index, value in expected.indices.items():
+        assert found.indices[index] == pytest.approx(value, rel=1e-4)
+
+
+def test_the_noise_of_orientations_is_told_where_it_was_assumed(ur3):
+    (note,) = Outlook.of(ur3, Cell(target=TARGET, kind="pose")).notes
+    assert note.startswith("The noise of an orientation was taken to be 1 mrad about each axis.")
+    assert Outlook.of(ur3, Cell(target=TARGET, kind="pose", sigma_angle=1e-4)).notes == ()
+
+
+def test_targets_of_one_stop_share_the_robots_repeatability(ur3):
+    noise = TrackerNoise(10e-6, 0.0, 40e-6)
+    tracker = Tracker(np.array([3.0, 0.0, 0.0]), noise=noise)
+    cell = Cell(targets={"one": TARGET, "two": TARGET, "three": TARGET}, model="dh")
+    q = random_joint_values(ur3, 4, seed=3)
+    shared = Outlook.of(ur3, replace(cell, tracker=tracker)).sensitivity.measured(q)
+    alone = Outlook.of(ur3, replace(cell, sigma=noise.std(3.0))).sensitivity.measured(q)
+    # Three targets at one place say of the robot what one row does whose noise is that of their mean.
+    robot = slice(0, 20)
+    square = (10e-6**2 / 3.0 + 40e-6**2) / (noise.std(3.0) ** 2 / 3.0)
+    assert alone[..., robot] / np.sqrt(square) == pytest.approx(shared[..., robot], rel=1e-9)
+
+
+def test_the_noise_of_a_distance_grows_from_the_anchor(ur3):
+    cell = Cell(target=TARGET, model="dh", kind="distance", T_frame_base=FRAME)
+    q = random_joint_values(ur3, 5, seed=3)
+    length = np.linalg.norm(Outlook.of(ur3, cell).expected(q)[:, 0], axis=1)
+    tracker = Tracker(np.array([9.0, 0.0, 0.0]), noise=TrackerNoise(10e-6, 5e-6, 0.0))
+    assert Outlook.of(ur3, cell).sensitivity.noise(q) == pytest.approx(TrackerNoise().std(length))
+    told = Outlook.of(ur3, replace(cell, tracker=tracker)).sensitivity.noise(q)
+    assert told == pytest.approx(10e-6 + 5e-6 * length)
+
+
+def test_auto_is_foreseen_as_the_largest_geometry(ur3):
+    outlook = Outlook.of(ur3, Cell())
+    assert outlook.sensitivity.model == "placement"
+    (note,) = outlook.notes
+    assert "50, 70, 30 mm" in note
+    np.testing.assert_allclose(outlook.setup.T_tip_target[0, :3, 3], [0.05, 0.07, 0.03])
+    # Names of parameters that the geometry lacks are those of another candidate of auto.
+    Outlook.of(ur3, Cell(frozen=("a2",), parameter_priors={"a3": 1e-3}))
+    assert Outlook.of(ur3, Cell(target=TARGET)).notes == ()
+
+
+# Against calibrations
+
+
+def simulated(robot, cell, q, rng) -> Measurements:
+    """A table of a robot that is a little wrong, as linear as the forecast, measured with the cell's noise."""
+    outlook = Outlook.of(robot, cell)
+    model = outlook.kinematics.model
+    size = np.where(np.array(model.units) == "m", 3e-5, 1e-4)
+    x = size * rng.normal(size=len(model))
+    T = predicted(cell, outlook.kinematics, x, q)[:, 0]
+    n, kind = len(q), outlook.kind
+    points = T[:, :3, 3] + SIGMA * rng.normal(size=(n, 3))
+    columns = {}
+    if kind == "distance":
+        lengths = np.linalg.norm(T[:, :3, 3], axis=1)
+        columns["distances"] = lengths + SIGMA * rng.normal(size=n)
+        points = np.full((n, 3), np.nan)
+    if kind == "pose":
+        turn = Rotation.from_rotvec(cell.sigma_angle * rng.normal(size=(n, 3))).as_matrix()
+        columns["rotations"] = turn @ T[:, :3, :3]
+    return Measurements(robot.joint_names, q, points, kinds=(kind,) * n, **columns)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["a known frame", "an estimated frame", "poses of a turned target", "distances", "zeros"],
+)
+def test_the_forecast_is_what_a_calibration_then_says_of_itself(ur3, name):
+    given = Priors(sizes="given")
+    cell = (
+        Cell(target=TARGET, model="zeros", sigma=SIGMA, priors=given)
+        if name == "zeros"
+        else replace(CELLS[name], priors=given)
+    )
+    q = random_joint_values(ur3, 90 if name == "distances" else 40, 5)
+    f = forecast(ur3, cell, q)
+    table = simulated(ur3, cell, q, np.random.default_rng(3))
+    c = calibrate(ur3, table, cell=cell, validate=False, robust=False)
+    found = c.fitted.estimate
+    assert c.model.names == f.names
+    # What the poses tell, parameter by parameter, and over the workspace.
+    sure = c.observability.identifiable
+    assert sure.sum() >= 5
+    std = np.sqrt(np.diag(found.covariance))
+    np.testing.assert_allclose(f.parameter_std[sure], std[sure], rtol=0.15)
+    where = random_joint_values(ur3, 300, 9)
+    outlook = Outlook.of(ur3, cell)
+    located = outlook.sensitivity.located(where)
+    rms = np.sqrt(np.einsum("nij,jk,nik->", located, found.covariance, located) / len(where))
+    assert f.rms == pytest.approx(rms, rel=0.15)
+    assert f.sigma == pytest.approx(SIGMA)
+
+
+def test_the_error_that_calibrations_leave_is_the_one_foreseen(ur3):
+    """Twenty tables of a robot, fitted with the noise that they have: rms over unseen poses."""
+    cell = Cell(target=TARGET, model="hayati", sigma=SIGMA, priors=Priors(sizes="off"))
+    q, where = random_joint_values(ur3, 20, 5), random_joint_values(ur3, 200, 9)
+    f = forecast(ur3, cell, q)
+    outlook = Outlook.of(ur3, cell)
+    kinematics = outlook.kinematics
+    rng = np.random.default_rng(4)
+    size = np.where(np.array(f.units) == "m", 3e-4, 1e-3)
+    left = []
+    for _ in range(20):
+        x = size * rng.normal(size=len(f.names))
+        points = kinematics.points(x, q) + SIGMA * rng.normal(size=(20, 3))
+        table = Measurements(ur3.joint_names, q, points)
+        c = calibrate(ur3, table, cell=cell, validate=False, robust=False)
+        off = c.predict(where) - kinematics.points(x, where)
+        left.append(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    assert f.rms == pytest.approx(np.sqrt(np.mean(np.square(left))), rel=0.12)
+    # Of 20 with a chance of 90 % each: fewer than 15 in one case of 50.
+    assert np.sum((np.array(left) > f.rms_low) & (np.array(left) < f.rms_high)) >= 15
+
+
+def test_accuracy_is_foreseen_over_the_ranges_given(ur3):
+    cell = Cell(target=TARGET, model="dh", sigma=SIGMA, priors=Priors(sizes="off"))
+    here = np.clip(random_joint_values(ur3, 40, 5), -0.5, 0.5)
+    near = replace(cell, ranges=dict.fromkeys(ur3.joint_names, (-0.5, 0.5)))
+    assert forecast(ur3, near, here).rms < 0.7 * forecast(ur3, cell, here).rms
+    # A margin to the limits takes a little of the workspace.
+    assert forecast(ur3, cell, here, margin=1.5).rms != forecast(ur3, cell, here).rms
+
+
+def test_a_single_pose_can_be_foreseen(ur3):
+    f = forecast(ur3, CELLS["a known frame"], np.zeros(6))
+    assert (f.poses, f.rank) == (1, 3)
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("cell", "words"),
+    [
+        (Cell(kind="fixed"), r"planned for the kind 'fixed': .*Choose one of 'point', 'pose'"),
+        (Cell(kind="plane"), "planned for the kind 'plane'"),
+        (Cell(kind="pair"), "planned for the kind 'pair'"),
+        (Cell(frames={"A": FRAME, "B": FRAME}), r"has the set-ups 'A' and 'B'|set-ups 'A', 'B'"),
+        (Cell(kind="distance"), r"roughly where the anchor is: .*frame_xyz_mm"),
+        (Cell(model="nonsense"), "'nonsense'"),
+        (Cell(model="dh+nonsense"), "'nonsense'"),
+        (Cell(model="dh", frozen=("nonsense",)), "'nonsense'"),
+        (Cell(model="dh", parameter_priors={"nonsense": 1.0}), "'nonsense'"),
+        (Cell(model="dh", bounds={"nonsense": (-1.0, 1.0)}), "'nonsense'"),
+    ],
+)
+def test_cells_that_cannot_be_planned_for_are_refused(ur3, cell, words):
+    with pytest.raises(ModelError, match=words):
+        forecast(ur3, cell, np.zeros((10, 6)))
+
+
+def test_no_poses_are_refused(ur3):
+    with pytest.raises(MeasurementError, match=r"^A forecast needs poses; none was given"):
+        forecast(ur3, Cell(), np.zeros((0, 6)))
+
+
+@pytest.mark.parametrize(
+    ("joints", "words"),
+    [
+        (np.zeros((4, 5)), r"shape \(4, 5\) were given; .* has 6 joints"),
+        (np.full((2, 6), np.nan), "must be finite numbers; that of 'shoulder_pan_joint'"),
+    ],
+)
+def test_joint_values_that_are_none_are_refused(ur3, joints, words):
+    with pytest.raises(ModelError, match=words):
+        forecast(ur3, Cell(), joints)
+
+
+def test_the_joints_of_a_prismatic_robot_are_foreseen_too(serial_urdf):
+    kinds = ("revolute", "prismatic", "revolute")
+    axes = ((0, 0, 1), (1, 0, 0), (0, 1, 0))
+    joints = [(k, (0, 0.1, 0.3), (0.2, 0, 0), a) for k, a in zip(kinds, axes, strict=True)]
+    robot = Robot.from_urdf(serial_urdf(joints))
+    f = forecast(robot, Cell(target=TARGET, model="zeros", sigma=SIGMA), random_joint_values(robot))
+    assert f.rank >= 5
+    assert 0.0 < f.rms < SIGMA * 2.0

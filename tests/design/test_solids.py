@@ -1,0 +1,123 @@
+"""The geometry of links: found where pictures find it, and named where it is not."""
+
+import re
+
+import numpy as np
+import pytest
+
+from calib import data
+from calib.design.collision import CollisionModel
+from calib.design.solids import read_solids
+from calib.errors import UrdfError
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def urdf_with(folder, filename: str, more: str = "") -> Urdf:
+    """A URDF of one joint whose first link has a mesh of that name, in ``folder/robot``."""
+    (folder / "robot").mkdir(exist_ok=True)
+    path = folder / "robot" / "r.urdf"
+    path.write_text(f"""<robot name="r">
+      <link name="a"><collision><origin xyz="1 0 0"/><geometry><mesh filename="{filename}" scale="2 2 2"/></geometry>
+        </collision>{more}</link>
+      <link name="b"/>
+      <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>""")
+    return Urdf.read(path)
+
+
+def test_the_ur3_has_seven_meshes_and_a_box():
+    found = read_solids(Robot.load(data.paper_urdf(), base="base", tip="tool0").urdf)
+    assert [s.link for s in found.solids][:2] == ["base_link", "shoulder_link"]
+    assert len(found.solids) == 8
+    assert (found.from_visuals, found.unchecked) == ((), ())
+
+
+@pytest.mark.parametrize(
+    ("filename", "place", "folders"),
+    [
+        ("t.obj", "robot/t.obj", ()),
+        ("../meshes/t.obj", "meshes/t.obj", ()),
+        ("package://mine/meshes/t.obj", "elsewhere/mine/meshes/t.obj", ("elsewhere",)),
+        ("package://mine/meshes/t.obj", "elsewhere/mine/meshes/t.obj", ("elsewhere/mine",)),
+        ("file://{tmp}/there/t.obj", "there/t.obj", ()),
+    ],
+)
+def test_where_a_mesh_may_lie(tmp_path, filename, place, folders):
+    (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / place).write_text(TETRAHEDRON)
+    urdf = urdf_with(tmp_path, filename.format(tmp=tmp_path))
+    (solid,) = read_solids(urdf, [tmp_path / folder for folder in folders]).solids
+    assert solid.link == "a"
+    np.testing.assert_array_equal(solid.T_link_shape[:3, 3], [1, 0, 0])
+    solid.geometry.computeLocalAABB()
+    np.testing.assert_allclose(np.ravel(solid.geometry.aabb_local.max_), [2, 2, 2])  # the scale
+
+
+def test_a_folder_that_the_user_names_comes_first(tmp_path):
+    for folder, size in (("robot", 1), ("mine", 3)):
+        (tmp_path / folder).mkdir()
+        text = re.sub(r"\b1\b(?= 0| 0 0|$)", str(size), "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1")
+        (tmp_path / folder / "t.obj").write_text(text + "\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    (solid,) = read_solids(urdf_with(tmp_path, "t.obj"), [tmp_path / "mine"]).solids
+    solid.geometry.computeLocalAABB()
+    assert np.ravel(solid.geometry.aabb_local.max_)[0] == 6.0
+
+
+def test_a_mesh_that_is_missing_is_named_with_where_it_was_looked_for(tmp_path):
+    urdf = urdf_with(tmp_path, "package://nowhere/t.stl")
+    said = (
+        rf"^r\.urdf: link 'a': the mesh 'package://nowhere/t\.stl' was not found in {tmp_path}/mine, .*robot, .* and "
+        r"\d+ more folders\. Name the folder that holds it, for package://NAME/\.\.\. the one that NAME stands in, by "
+        r"--package-dir, or plan without collisions \(--no-collisions\)\.$"
+    )
+    with pytest.raises(UrdfError, match=said):
+        read_solids(urdf, [tmp_path / "mine"])
+
+
+@pytest.mark.parametrize(
+    ("content", "said"), [(b"no mesh", "cannot be read"), (b"", "cannot be read|is empty")]
+)
+def test_a_mesh_that_cannot_be_read_is_named(tmp_path, content, said):
+    (tmp_path / "bad.stl").write_bytes(content)
+    with pytest.raises(
+        UrdfError, match=rf"link 'a': the mesh file '.*bad\.stl' ({said})\. Replace"
+    ):
+        read_solids(urdf_with(tmp_path, "../bad.stl"))
+
+
+def test_collision_geometry_is_taken_before_visual_geometry(tmp_path):
+    (tmp_path / "t.obj").write_text(TETRAHEDRON)
+    more = '<visual><geometry><sphere radius="1"/></geometry></visual>'
+    found = read_solids(urdf_with(tmp_path, "../t.obj", more))
+    assert len(found.solids) == 1
+    assert found.from_visuals == ()
+
+
+def test_simple_shapes(tmp_path):
+    (tmp_path / "t.obj").write_text(TETRAHEDRON)
+    kinds = [
+        '<box size="0.2 0.4 0.6"/>',
+        '<cylinder radius="0.1" length="0.6"/>',
+        '<capsule radius="0.1" length="0.6"/>',
+        '<sphere radius="0.3"/>',
+        '<sphere radius="-1"/>',
+    ]
+    more = "".join(f"<collision><geometry>{kind}</geometry></collision>" for kind in kinds)
+    found = read_solids(urdf_with(tmp_path, "../t.obj", more))
+    tops = []
+    for solid in found.solids[1:]:
+        solid.geometry.computeLocalAABB()
+        tops.append(np.ravel(solid.geometry.aabb_local.max_))
+    np.testing.assert_allclose(
+        tops, [[0.1, 0.2, 0.3], [0.1, 0.1, 0.3], [0.1, 0.1, 0.4], [0.3, 0.3, 0.3]]
+    )
+    assert found.unchecked == ("a",)  # not all of it
+
+
+def test_the_error_reaches_who_asks_for_collisions(tmp_path):
+    robot = Robot.from_urdf(urdf_with(tmp_path, "none.stl"), "a", "b")
+    with pytest.raises(UrdfError, match="was not found in"):
+        CollisionModel.of(robot)

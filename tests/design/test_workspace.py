@@ -1,0 +1,388 @@
+"""Density and region against what is known without counting: a planar arm, a gantry, the paper's table."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib import data
+from calib.design.workspace import MOST_VOXELS, Density, sample_workspace
+from calib.errors import CalibError
+from calib.measure.measurements import Measurements
+from calib.measure.ranges import joint_ranges
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf
+
+L1, L2 = 0.4, 0.3
+
+PLANAR = f"""<robot name="planar">
+  <link name="a"/><link name="b"/><link name="c"/><link name="d"/>
+  <joint name="j1" type="continuous"><parent link="a"/><child link="b"/>
+    <origin xyz="0 0 0.1"/><axis xyz="0 0 1"/></joint>
+  <joint name="j2" type="continuous"><parent link="b"/><child link="c"/>
+    <origin xyz="{L1} 0 0"/><axis xyz="0 0 1"/></joint>
+  <joint name="end" type="fixed"><parent link="c"/><child link="d"/><origin xyz="{L2} 0 0"/></joint>
+</robot>"""
+
+GANTRY = """<robot name="gantry">
+  <link name="a"/><link name="b"/><link name="c"/><link name="d"/>
+  <joint name="x" type="prismatic"><parent link="a"/><child link="b"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="{size}" effort="1" velocity="1"/></joint>
+  <joint name="y" type="prismatic"><parent link="b"/><child link="c"/><axis xyz="0 1 0"/>
+    <limit lower="0" upper="{size}" effort="1" velocity="1"/></joint>
+  <joint name="z" type="prismatic"><parent link="c"/><child link="d"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="{size}" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+def gantry(size: float) -> Robot:
+    return Robot.from_urdf(Urdf.from_bytes(GANTRY.format(size=size).encode(), "g.urdf"), "a", "d")
+
+
+@pytest.fixture(scope="module")
+def planar():
+    return Robot.from_urdf(Urdf.from_bytes(PLANAR.encode(), "planar.urdf"), "a", "d")
+
+
+@pytest.fixture(scope="module")
+def ur3():
+    return Robot.load(data.paper_urdf(), base="base", tip="tool0")
+
+
+@pytest.fixture(scope="module")
+def paper(ur3):
+    return Measurements.read(data.paper_measurements(), ur3.joint_names, ur3.joint_types)
+
+
+@pytest.fixture(scope="module")
+def narrowed(ur3, paper):
+    """The joint ranges of rows 1 to 30, 5 deg wider."""
+    rows = paper.joints_for(ur3.joint_names)[paper.estimation]
+    return joint_ranges(ur3, like=rows, margin=np.radians(5.0))
+
+
+def of_paper(ur3, narrowed, count, seed):
+    return sample_workspace(ur3, data.PAPER_TARGET, narrowed, count, seed)
+
+
+# What the paper says.
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_paper_s_region_holds_rows_31_to_33_and_not_34_and_35(ur3, paper, narrowed, seed):
+    region = Density.of(of_paper(ur3, narrowed, 2**17, seed)).region(0.95)
+    inside = region.contains(paper.points)
+    assert inside[30:].tolist() == [True, True, True, False, False]
+    assert inside[:30].all()
+    # None of the five is a matter of luck: the nearest is further from the border than a voxel.
+    assert np.abs(region.depth(paper.points[30:])).min() > 0.06 > region.voxel
+
+
+def test_depth_and_share_tell_the_same(ur3, paper, narrowed):
+    density = Density.of(of_paper(ur3, narrowed, 2**17, 0))
+    needed = density.share_of(paper.points)
+    for share in (0.3, 0.5, 0.95, 1.0):
+        region = density.region(share)
+        np.testing.assert_array_equal(region.contains(paper.points), needed <= region.held)
+        np.testing.assert_array_equal(region.depth(paper.points) > 0, needed <= region.held)
+    assert np.isinf(needed[34])
+
+
+# Statistics of the rule for the voxel.
+
+
+@pytest.mark.parametrize("count", [2**15, 2**17])
+def test_the_region_is_stable_between_seeds_and_holds_new_samples(ur3, narrowed, count):
+    new = of_paper(ur3, narrowed, 2**16, 99)
+    regions = [Density.of(of_paper(ur3, narrowed, count, seed)).region(0.95) for seed in (0, 1)]
+    inside = [region.contains(new) for region in regions]
+    for region, mask in zip(regions, inside, strict=True):
+        assert 0.95 <= region.held < 0.951
+        assert np.mean(mask) == pytest.approx(0.95, abs=0.005)
+    assert np.mean(inside[0] != inside[1]) < 0.025
+    assert regions[0].volume == pytest.approx(regions[1].volume, rel=0.02)
+
+
+def test_without_the_rule_it_is_not(ur3, narrowed):
+    new = of_paper(ur3, narrowed, 2**16, 99)
+    region = Density.of(of_paper(ur3, narrowed, 2**15, 0), 0.015).region(0.95)
+    assert np.mean(region.contains(new)) < 0.6
+
+
+def test_more_samples_make_smaller_voxels_of_the_same_error(ur3, narrowed):
+    every = of_paper(ur3, narrowed, 2**18, 0)
+    densities = [Density.of(every[:count]) for count in (2**12, 2**15, 2**18)]
+    assert [d.voxel for d in densities] == sorted((d.voxel for d in densities), reverse=True)
+    assert densities[0].voxel > 2 * densities[2].voxel
+    for density in densities:
+        assert 0.025 < density.error <= 300**-0.5
+
+
+# Truths that need no counting.
+
+
+def test_a_planar_arm_has_the_radial_density_of_the_formula(planar):
+    points = sample_workspace(planar, count=2**16, seed=3)
+    np.testing.assert_allclose(points[:, 2], 0.1, atol=1e-12)
+    radius = np.hypot(points[:, 0], points[:, 1])
+    for r in (0.15, 0.3, 0.5, 0.6, 0.69):
+        below = 1.0 - np.arccos((r**2 - L1**2 - L2**2) / (2 * L1 * L2)) / np.pi
+        assert np.mean(radius < r) == pytest.approx(below, abs=1e-3)
+
+    density = Density.of(points, 0.01)
+    assert density.counts.shape == (140, 140, 1)
+    assert float(density.values.sum() * density.voxel**3) == pytest.approx(1.0, rel=1e-12)
+    index = np.argwhere(density.counts)
+    centres = density.origin + density.voxel * (index + 0.5)
+    r2 = centres[:, 0] ** 2 + centres[:, 1] ** 2
+    elbow = (r2 - L1**2 - L2**2) / (2 * L1 * L2)
+    smooth = np.abs(elbow) < 0.8  # at the rims the density grows beyond all bounds
+    formula = 1.0 / (2 * np.pi**2 * L1 * L2 * np.sqrt(1 - elbow[smooth] ** 2))
+    counted = density.values[tuple(index.T)][smooth] * density.voxel
+    # An arm's density over the plane, with a voxel's height; 16 samples in a voxel, smoothed over 7.
+    assert np.mean(counted / formula) == pytest.approx(1.0, abs=0.01)
+    assert np.std(counted / formula) < 0.12
+
+
+def test_a_planar_arm_s_region_is_two_rings(planar):
+    # The density is 1 / (2 pi^2 l1 l2 |sin q2|): half of the samples, those nearest to straight and folded, are the
+    # densest, and lie outside of the ring of 45 deg < q2 < 135 deg, which has sin 45 deg of the area.
+    area = 4 * np.pi * L1 * L2 * (1 - np.sin(np.pi / 4))
+    points = sample_workspace(planar, count=2**20)
+    off = []
+    for voxel in (0.02, 0.01, 0.005):
+        region = Density.of(points, voxel).region(0.5)
+        off.append(region.volume / voxel / area - 1)
+    # At the rims voxels are partly filled: what they make too much goes with their size.
+    assert off[2] < 0.6 * off[1] < 0.36 * off[0]
+    assert off[2] == pytest.approx(0.0, abs=0.035)
+
+    def at(elbow_deg):
+        elbow = np.radians(elbow_deg)
+        r = np.sqrt(L1**2 + L2**2 + 2 * L1 * L2 * np.cos(elbow))
+        angle = np.linspace(0, 6, 50)
+        return np.stack([r * np.cos(angle), r * np.sin(angle), np.full(50, 0.1)], axis=1)
+
+    for elbow in (10, 35, 145, 165):
+        assert region.contains(at(elbow)).all()
+    for elbow in (55, 90, 125):
+        assert not region.contains(at(elbow)).any()
+
+
+@pytest.mark.parametrize("size", [1.0, 0.001, 200.0])
+@pytest.mark.parametrize("share", [0.25, 0.95, 1.0])
+def test_a_gantry_s_density_is_even_and_its_region_has_the_share_of_the_volume(size, share):
+    robot = gantry(size)
+    density = Density.of(sample_workspace(robot, count=2**17), size / 16)
+    assert density.counts.shape == (16, 16, 16)
+    np.testing.assert_allclose(density.values * size**3, 1.0, atol=0.15)
+    region = density.region(share)
+    assert region.volume == pytest.approx(share * size**3, rel=0.03)
+
+
+def test_a_box_is_the_workspace_within_it():
+    density = Density.of(
+        sample_workspace(gantry(1.0), count=2**17), 0.05, box=[[0, 0, 0], [0.5, 1.0, np.inf]]
+    )
+    assert density.samples == pytest.approx(2**16, rel=1e-3)
+    assert density.drawn == 2**17
+    region = density.region(0.95)
+    assert region.volume == pytest.approx(0.95 * 0.5, rel=0.03)
+    assert not region.contains([[0.505, 0.5, 0.5], [0.75, 0.5, 0.5]]).any()
+    assert np.isinf(density.share_of([[0.7, 0.5, 0.5]])).all()
+
+
+def test_the_sequence_is_even_not_random():
+    points = sample_workspace(gantry(1.0), count=2**12)
+    # Each of the 8 x 8 x 8 blocks has its share to the sample; plain random ones would scatter by 35 %.
+    index = np.floor(8 * points).astype(int)
+    counts = np.bincount(np.ravel_multi_index(index.T, (8, 8, 8)), minlength=512)
+    assert set(counts) <= set(range(5, 12))
+    assert np.std(counts) < 1.0
+
+
+def test_the_same_seed_gives_the_same_points(ur3):
+    first = sample_workspace(ur3, data.PAPER_TARGET, count=5000, seed=7)
+    np.testing.assert_array_equal(
+        first, sample_workspace(ur3, data.PAPER_TARGET, count=5000, seed=7)
+    )
+    assert first.shape == (5000, 3)
+    assert not first.flags.writeable
+    # More of them begin with the same.
+    more = sample_workspace(ur3, data.PAPER_TARGET, count=40_000, seed=7)
+    np.testing.assert_array_equal(more[:5000], first)
+    other = sample_workspace(ur3, data.PAPER_TARGET, count=5000, seed=8)
+    assert not np.any(first == other)
+
+
+def test_the_target_is_a_point_of_the_tip(ur3, narrowed):
+    target = np.array([0.1, -0.2, 0.3])
+    at_tip, at_target = (sample_workspace(ur3, p, narrowed, 256) for p in (np.zeros(3), target))
+    distances = np.linalg.norm(at_target - at_tip, axis=1)
+    np.testing.assert_allclose(distances, np.linalg.norm(target), rtol=1e-12)
+
+
+# Robots of other kinds.
+
+
+def robots():
+    planar = Urdf.from_bytes(PLANAR.encode(), "planar.urdf")
+    yield "one joint", Robot.from_urdf(planar, "b", "d"), np.zeros(3)
+    yield "a curved surface", Robot.load("panda", tip="panda_link2"), np.array([0.1, 0.0, 0.3])
+    yield "one point", Robot.load("panda", tip="panda_link1"), np.zeros(3)
+    yield "fingers that mimic", Robot.load("panda", "panda_hand", "panda_rightfinger"), np.zeros(3)
+    yield "a lift and an arm", Robot.load("tiago", tip="arm_7_link"), np.zeros(3)
+    yield (
+        "a base that moves",
+        Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link"),
+        np.zeros(3),
+    )
+
+
+@pytest.mark.parametrize(("name", "robot", "target"), [pytest.param(*r, id=r[0]) for r in robots()])
+def test_any_robot_has_a_workspace(name, robot, target):
+    density = Density.of(sample_workspace(robot, target, count=2**14))
+    assert density.counts.size <= MOST_VOXELS
+    region = density.region(0.9)
+    if name != "one point":  # a single voxel holds all of it
+        assert 0.9 <= region.held < 0.95
+    new = sample_workspace(robot, target, count=2**13, seed=5)
+    assert np.mean(region.contains(new)) == pytest.approx(region.held, abs=0.03)
+    assert region.volume > 0
+    assert np.all(region.depth(new[region.contains(new)][:50]) >= 0)
+
+
+def test_a_flat_workspace_stays_one_voxel_high(planar):
+    density = Density.of(sample_workspace(planar, count=2**14))
+    assert density.counts.shape[2] == 1
+    region = density.region(0.95)
+    # Measured points are never quite in the plane; those near it belong to it.
+    on = np.array([[0.68, 0.0, 0.1], [0.0, 0.68, 0.1 + 0.4 * region.voxel]])
+    assert region.contains(on).all()
+    assert not region.contains(on + np.array([0, 0, region.voxel])).any()
+
+
+# Counting itself.
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.floats(0.01, 1.0))
+def test_a_region_is_the_fewest_voxels_of_the_highest_density(seed, count, share):
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    density = Density.of(points, 0.7)
+    assert density.counts.sum() == count
+    assert np.all((density.smooth > 0) == (density.counts > 0))
+    try:
+        region = density.region(share)
+    except CalibError as error:
+        assert "densest voxel" in str(error)  # noqa: PT017
+        return
+    chosen = density.smooth[region.cells]
+    left = density.smooth[~region.cells]
+    assert chosen.min() >= left.max(initial=0.0)
+    held = density.counts[region.cells].sum() / count
+    assert held == pytest.approx(region.held, abs=1e-12)
+    assert held >= share - 1e-9
+    # Without its least dense voxel it would hold less than the share.
+    least = density.counts[region.cells][chosen == chosen.min()].max() / count
+    assert held - least < share
+
+
+def test_smoothing_leaves_an_even_density_alone():
+    points = np.stack(np.meshgrid(*[0.5 * np.arange(12) + 0.25] * 3), axis=-1).reshape(-1, 3)
+    density = Density.of(points, 1.0)
+    np.testing.assert_array_equal(density.counts, np.full((6, 6, 6), 8))
+    np.testing.assert_allclose(density.smooth, 8.0, rtol=1e-12)
+
+
+def test_a_voxel_that_divides_the_workspace_makes_no_voxel_more():
+    points = np.array([[0.0, 0.0, 0.0], [0.3, 0.9, 0.1 + 0.2]])
+    assert Density.of(points, 0.1).counts.shape == (3, 9, 3)
+
+
+def test_speed_and_memory(ur3):
+    start = time.process_time()
+    points = sample_workspace(ur3, count=2**17)
+    Density.of(points).region(0.95)
+    assert time.process_time() - start < 3.0
+    tracemalloc.start()
+    sample_workspace(ur3, count=2**18)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 60e6  # 6 of it are the points
+
+
+# What is refused.
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"target": np.zeros(2)}, r"target has shape \(2,\)"),
+        ({"target": np.full(3, np.nan)}, "finite numbers"),
+        ({"ranges": np.zeros((5, 2))}, r"the ranges \(5, 2\); .* \(6, 2\) are wanted"),
+        ({"ranges": np.full((6, 2), np.inf)}, "finite numbers"),
+        ({"count": 0}, "0 samples of the workspace were asked for; give one at least"),
+    ],
+)
+def test_samples_that_cannot_be_are_refused(ur3, change, said):
+    with pytest.raises(CalibError, match=said):
+        sample_workspace(ur3, **change)
+
+
+POINTS = np.random.default_rng(0).uniform(size=(1000, 3))
+
+
+@pytest.mark.parametrize("share", [0.0, -0.1, 1.01, np.nan])
+def test_shares_outside_of_0_to_1_are_refused(share):
+    with pytest.raises(CalibError, match=r"it must be greater than 0 and at most 1, such as 0\.95"):
+        Density.of(POINTS).region(share)
+
+
+def test_a_share_that_is_less_than_a_voxel_is_refused():
+    with pytest.raises(
+        CalibError, match=r"densest voxel of 500 mm alone holds 0.1\d: the region would"
+    ):
+        Density.of(POINTS, 0.5).region(0.01)
+    # Where there is but one voxel it is the region.
+    assert Density.of(POINTS, 2.0).region(0.01).held == 1.0
+
+
+@pytest.mark.parametrize("voxel", [0.0, -1.0, np.nan, np.inf])
+def test_voxels_that_are_no_length_are_refused(voxel):
+    with pytest.raises(CalibError, match="it must be a length greater than 0"):
+        Density.of(POINTS, voxel)
+
+
+def test_too_fine_a_grid_is_refused_with_one_that_is_not():
+    with pytest.raises(
+        CalibError, match=r"at most 4,000,000 .* Give voxels of (\S+) mm or more"
+    ) as e:
+        Density.of(POINTS, 1e-3)
+    voxel = 1e-3 * float(str(e.value).split("voxels of ")[-1].split(" mm")[0])
+    assert Density.of(POINTS, voxel).counts.size <= MOST_VOXELS
+    with pytest.raises(CalibError, match="at most 4,000,000"):
+        Density.of(POINTS, 0.5 * voxel)
+
+
+def test_a_box_out_of_reach_is_refused_with_what_is_in_reach():
+    box = [[2, 2, 2], [3, 3, 3]]
+    with pytest.raises(
+        CalibError,
+        match=r"none of 1,000 samples lies in the box from 2000 2000 2000 to 3000 3000 3000 mm\. They lie ",
+    ):
+        Density.of(POINTS, box=box)
+    with pytest.raises(CalibError, match="two corners of three numbers"):
+        Density.of(POINTS, box=[[1, 1, 1], [0, 0, 0]])
+
+
+def test_no_points_are_refused():
+    with pytest.raises(CalibError, match="No points were given to count"):
+        Density.of(np.zeros((0, 3)))
+    with pytest.raises(CalibError, match=r"finite numbers of shape \(N, 3\)"):
+        Density.of([[0.0, np.inf, 0.0]])
