@@ -13,7 +13,7 @@ from calib.data import (
     paper_measurements,
     paper_urdf,
 )
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only

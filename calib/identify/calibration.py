@@ -24,7 +24,7 @@ from calib.identify.findings import Outlier, parameter_estimates
 from calib.identify.fitting import Fitted, Task, fit, unseen_scores
 from calib.identify.inspection import known_slopes
 from calib.identify.nominal import nominal_on
-from calib.identify.prediction import Larger, expected_error, tells_place
+from calib.identify.prediction import Larger, base_motion, expected_error, tells_place
 from calib.identify.repeats import Repeats, repeats
 from calib.identify.result import Calibration, Fit, RowNames, Source
 from calib.identify.robust import Limits
@@ -215,6 +215,7 @@ def _with_larger(result: Calibration, fitted: Fitted, every: Rows) -> Calibratio
         setup=fitted.placed(),
         residual=read_only(fitted.residual(every)),
         cross_validation=None,
+        base_motion=_motion(fitted),
         payload=fitted.task.cell.payload,
         gravity=fitted.task.cell.gravity,
     )
@@ -264,7 +265,7 @@ def _assemble(
     used, scales = problem.rows.used, problem.scales
     m = measurements
     solved = fitted.kinematics, estimated.x, estimated.covariance
-    in_base = not tells_place(frozenset(m.kinds))
+    motion = _motion(fitted)
     return Calibration(
         nominal=robot,
         robot=model.apply(robot, estimated.x),
@@ -292,6 +293,7 @@ def _assemble(
         used=every.used,
         scores=read_only(scores),
         weights=read_only(weights),
+        base_motion=motion,
         ranges=_ranges(every.joints[weights > 0.0]),
         flag_limit=limit,
         outliers=named(mask, limit),
@@ -301,10 +303,8 @@ def _assemble(
         else None,
         repeats=_repeats(fitted),
         outside=_outside(robot, every, mask),
-        expected_measured=expected_error(*solved, problem.rows.samples, in_base=in_base),
-        expected_everywhere=expected_error(
-            *solved, Samples.at(spread_poses(robot)), in_base=in_base
-        ),
+        expected_measured=expected_error(*solved, problem.rows.samples, motion),
+        expected_everywhere=expected_error(*solved, Samples.at(spread_poses(robot)), motion),
         cross_validation=None,
         nominal_cross_validation=None,
         observability=observability,
@@ -320,6 +320,14 @@ def _without_rows(one: Candidate) -> Candidate:
     nothing = read_only(np.zeros((0, 0)))
     found = replace(one.cross_validation, poses=np.zeros(0, dtype=int), residual=nothing)
     return replace(one, cross_validation=found)
+
+
+def _motion(fitted: Fitted) -> Array | None:
+    """What of a fit a motion of the base makes up for; None where its rows tell where the base stands."""
+    rows = fitted.estimate.problem.rows
+    if tells_place(kind.name for kind in rows.present):
+        return None
+    return base_motion(fitted.kinematics, fitted.estimate.x, rows.samples)
 
 
 def _ranges(joints: Array) -> Array:

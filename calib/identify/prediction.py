@@ -1,14 +1,15 @@
 """Where a result puts its targets, and how sure that is.
 
 A predicted pose's standard deviations are those of J dx, sqrt(trace(J C J^T)), with the parameters' covariance C and
-the derivative J of the very pose that is predicted: in the measurement frame, or in the base where sockets, planes,
-anchors or pairs alone were measured. These tell neither where the base stands nor how it is turned, so what moves all
-poses as one body is then known by the priors only, and is part of the standard deviation all the same.
+the derivative J of the predicted pose. Sockets, planes, anchors and pairs tell neither where the base stands nor how it
+is turned: what moves all poses as one body is then known by the priors alone, whatever these may be. So predictions in
+the base leave it out there: the rigid motion of the base that makes up best for what a parameter does at the measured
+poses is taken off J, wherever else it is asked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ import calib.kinds as registry
 from calib.errors import ModelError, choices
 from calib.identify.coverage import OutsideRow, outside
 from calib.identify.findings import ParameterEstimate
+from calib.identify.rigid_motion import best_motion, moved_by
 from calib.identify.setup import Setup
 from calib.identify.statistics import CrossValidation
 from calib.model.kinematics import Kinematics, Samples
@@ -33,6 +35,9 @@ _BETWEEN = 73
 #: Poses over which expected errors are averaged; more do not change them.
 _MOST_EXPECTED = 1000
 
+#: Measured poses that say what a motion of the base makes up for; more do not change it.
+_ENOUGH = 20_000
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Larger:
@@ -47,6 +52,7 @@ class Larger:
         setup: Its own frames and targets.
         residual: shape (N, D), measured minus predicted, all rows [m], [rad].
         cross_validation: Errors on left-out rows; None where it was not asked for.
+        base_motion: As that of `calib.identify.result.Calibration`.
         payload: What the tip carried; None where nothing was said.
         gravity: shape (3,), in the URDF's root frame [m/s^2].
     """
@@ -59,6 +65,7 @@ class Larger:
     setup: Setup
     residual: Array
     cross_validation: CrossValidation | None
+    base_motion: Array | None
     payload: Payload | None
     gravity: Array
 
@@ -94,6 +101,7 @@ class Predictor:
     kinematics: Kinematics
     x: Array
     covariance: Array
+    base_motion: Array | None
     ranges: Array
     cross_validation: CrossValidation | None
     larger: Larger | None
@@ -178,15 +186,17 @@ class Predictor:
     ) -> Array:
         """How sure `predict` is, sqrt(trace(J C J^T)), shape (N,), [m]; the arguments are those of `predict`.
 
-        C is the covariance of the parameters, J the derivative of the predicted position, in the same frame as
-        `predict`. It knows nothing of errors that the model lacks.
+        C is the covariance of the parameters, J the derivative of the predicted position; where only sockets, planes,
+        anchors or pairs were measured, and no group is named, less what moves all positions as one body. It knows
+        nothing of errors that the model lacks.
         """
         part = self.part(larger=larger)
-        in_base = group is None and not self.tells_place
         samples = self.samples(q, target=target, group=group)
-        return pose_std(
-            part.kinematics, part.x, part.covariance, samples, without=(FRAME,) if in_base else ()
-        )[:, 0]
+        if group is None and part.base_motion is not None:
+            return base_std(part.kinematics, part.x, part.covariance, samples, part.base_motion)[
+                :, 0
+            ]
+        return pose_std(part.kinematics, part.x, part.covariance, samples)[:, 0]
 
     def tool_std(
         self,
@@ -211,14 +221,16 @@ class Predictor:
         Raises:
             ModelError: No such target or set-up.
         """
-        known = tuple(f for f, named in ((FRAME, group), (TARGET, target)) if named is None)
         samples = self.samples(q, target=target, group=group)
-        if target is not None:
-            return pose_std(self.kinematics, self.x, self.covariance, samples, without=known)
-        tools = np.broadcast_to(T_tip_tool, self.kinematics.T_tip_target.shape)
-        x = np.where(self.model.family(TARGET), 0.0, self.x)
-        tool = replace(self.kinematics, T_tip_target=tools)
-        return pose_std(tool, x, self.covariance, samples, without=known)
+        kinematics, x, C, motion = self.kinematics, self.x, self.covariance, self.base_motion
+        if target is None:
+            own = self.model.family(TARGET)
+            tools = np.broadcast_to(T_tip_tool, kinematics.T_tip_target.shape)
+            kinematics, x = replace(kinematics, T_tip_target=tools), np.where(own, 0.0, x)
+            C = np.where(own[:, None] | own, 0.0, C)
+        if group is None:
+            return base_std(kinematics, x, C, samples, motion)
+        return pose_std(kinematics, x, C, samples)
 
     def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
         """T_base_tip by the larger model, or by the corrected origins where there is none, shape (N, 4, 4), [m].
@@ -256,14 +268,7 @@ class Predictor:
         return self.larger if larger and self.larger is not None else self
 
 
-def pose_std(
-    kinematics: Kinematics,
-    x: Array,
-    covariance: Array,
-    samples: Samples,
-    *,
-    without: tuple[str, ...] = (),
-) -> Array:
+def pose_std(kinematics: Kinematics, x: Array, covariance: Array, samples: Samples) -> Array:
     """Standard deviations of predicted poses, sqrt(trace(J C J^T)), shape (N, 2): position [m] and angle [rad].
 
     Args:
@@ -271,12 +276,74 @@ def pose_std(
         x: shape (p,), its parameters.
         covariance: shape (p, p), of ``x``.
         samples: N joint values, each with its frame and target.
-        without: Families of parameters that are taken as exact, such as `FRAME` for predictions in the base.
     """
-    chosen = np.flatnonzero(~kinematics.model.family(*without))
-    twists = kinematics.twists(x, samples)[1][:, :, chosen]
-    covariance = covariance[np.ix_(chosen, chosen)]
-    wide = (twists.reshape(-1, len(chosen)) @ covariance).reshape(twists.shape)
+    return _spread(kinematics.twists(x, samples)[1], covariance)
+
+
+def base_std(
+    kinematics: Kinematics, x: Array, covariance: Array, samples: Samples, motion: Array | None
+) -> Array:
+    """The same of poses in the base, shape (N, 2), less a motion of the base; the other arguments are those above.
+
+    Args:
+        kinematics: Of the fit.
+        x: shape (p,), its parameters.
+        covariance: shape (p, p), of ``x``.
+        samples: N joint values, each with its target.
+        motion: shape (6, p), see `base_motion`; None for none.
+    """
+    poses, twists = _in_base(kinematics, x, samples)
+    if motion is not None:
+        twists[:, :3] -= moved_by(motion, poses[:, :3, 3])
+        twists[:, 3:] -= motion[3:]
+    return _spread(twists, covariance)
+
+
+def base_motion(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
+    """The motion of the base that makes up best for a unit of each parameter, over some poses, shape (6, p).
+
+    Args:
+        kinematics: Of the fit.
+        x: shape (p,), its parameters.
+        samples: The poses that were measured.
+    """
+    some = samples.select(np.linspace(0, len(samples) - 1, min(len(samples), _ENOUGH)).astype(int))
+    poses, twists = _in_base(kinematics, x, some)
+    return read_only(best_motion(poses[:, :3, 3], twists[:, :3]))
+
+
+def expected_error(
+    kinematics: Kinematics, x: Array, covariance: Array, samples: Samples, motion: Array | None
+) -> float:
+    """Standard deviation of the predicted position over some samples, a thousand at most, rms [m].
+
+    Args:
+        kinematics: Of the fit.
+        x: shape (p,), its parameters.
+        covariance: shape (p, p), of ``x``.
+        samples: Joint values, each with its frame and target.
+        motion: Of the base, where the measurements do not tell where that stands.
+    """
+    chosen = samples.select(slice(0, _MOST_EXPECTED))
+    if motion is None:
+        std = pose_std(kinematics, x, covariance, chosen)
+    else:
+        std = base_std(kinematics, x, covariance, chosen, motion)
+    return float(np.sqrt(np.mean(std[:, 0] ** 2)))
+
+
+def _in_base(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array, Array]:
+    """T_base_target, shape (N, 4, 4), and what a unit of each parameter does to it, shape (N, 6, p); frames nothing."""
+    of_frame = kinematics.model.family(FRAME)
+    frames = np.broadcast_to(np.eye(4), kinematics.T_frame_base.shape)
+    in_base = replace(kinematics, T_frame_base=frames)
+    poses, twists = in_base.twists(np.where(of_frame, 0.0, x), samples)
+    return poses, np.where(of_frame, 0.0, twists)
+
+
+def _spread(twists: Array, covariance: Array) -> Array:
+    """The root of the summed variances of a position, and of an angle, shape (N, 2)."""
+    wide = (twists.reshape(-1, len(covariance)) @ covariance).reshape(twists.shape)
     variance = np.sum(wide * twists, axis=2).reshape(-1, 2, 3).sum(axis=2)
     return read_only(np.sqrt(np.maximum(variance, 0.0)))
 
@@ -293,25 +360,7 @@ def tip_poses(part: Predictor | Larger, samples: Samples) -> Array:
     return np.asarray(into_base @ T @ np.linalg.inv(part.setup.T_tip_target)[samples.target])
 
 
-def expected_error(
-    kinematics: Kinematics, x: Array, covariance: Array, samples: Samples, *, in_base: bool
-) -> float:
-    """Standard deviation of the predicted position over some samples, a thousand at most, rms [m].
-
-    Args:
-        kinematics: Of the fit.
-        x: shape (p,), its parameters.
-        covariance: shape (p, p), of ``x``.
-        samples: Joint values, each with its frame and target.
-        in_base: Whether positions in the base are meant, not in the measurement frame.
-    """
-    chosen = samples.select(slice(0, _MOST_EXPECTED))
-    without = (FRAME,) if in_base else ()
-    std = pose_std(kinematics, x, covariance, chosen, without=without)[:, 0]
-    return float(np.sqrt(np.mean(std**2)))
-
-
-def tells_place(kinds: frozenset[str]) -> bool:
+def tells_place(kinds: Iterable[str]) -> bool:
     """Whether rows of these kinds tell where the base stands; otherwise predictions are in the base."""
     return any(registry.get(kind).position for kind in kinds)
 

@@ -180,6 +180,8 @@ class Calibration(Predictor):
         used: shape (N, D), which scalars were measured.
         scores: shape (N,), of all rows; see `calib.identify.robust`.
         weights: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows.
+        base_motion: shape (6, p), the motion of the base, linear part first, that makes up best for a unit of each
+            parameter over the measured poses; None where the rows tell where the base stands.
         ranges: shape (m, 2), the smallest and the largest value of each joint in the rows that were fitted [rad], [m].
         flag_limit: The score above which a row is flagged.
         outliers: The estimation rows flagged; they have no weight where the fit was robust.
@@ -227,6 +229,7 @@ class Calibration(Predictor):
     used: Mask
     scores: Array
     weights: Array
+    base_motion: Array | None
     ranges: Array
     flag_limit: float
     outliers: tuple[Outlier, ...]

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from calib.errors import CalibError, FileError
 from calib.identify import result_tables as tables
+from calib.identify import table_fields as fields
 from calib.identify.coverage import Beyond, OutsideRow
 from calib.identify.findings import Outlier, ParameterEstimate
-from calib.identify.prediction import Larger
 from calib.identify.result import Calibration, RowNames, Source
+from calib.identify.result_rows import residuals_of, rows_table, used_of
 from calib.identify.solvers import Iteration, Solution
 from calib.identify.statistics import CrossValidation
 from calib.identify.verdict import Verdict
@@ -28,7 +29,6 @@ from calib.measure.columns import SETS
 from calib.model.files import write_atomically
 from calib.model.json_file import damage, json_bytes, read_json
 from calib.model.robot import Robot
-from calib.model.torques import Payload
 from calib.model.urdf import Urdf
 from calib.version import __version__
 
@@ -155,15 +155,16 @@ def result_table(c: Calibration) -> dict[str, Any]:
             "sizes_from": c.sizes_from,
             "flag_limit": c.flag_limit,
         },
-        "parameters": [tables.to_table(p, tables.PARAMETER) for p in c.parameters],
+        "parameters": [fields.to_table(p, fields.PARAMETER) for p in c.parameters],
         "x": c.x,
+        "base_motion": c.base_motion,
         "covariance": c.covariance,
-        "outliers": [tables.to_table(o, tables.OUTLIER) for o in c.outliers],
-        "suspects": [tables.to_table(o, tables.OUTLIER) for o in c.suspects],
+        "outliers": [fields.to_table(o, fields.OUTLIER) for o in c.outliers],
+        "suspects": [fields.to_table(o, fields.OUTLIER) for o in c.suspects],
         "outside": [
             {
                 "index": row.index,
-                "joints": [tables.to_table(one, tables.BEYOND) for one in row.beyond],
+                "joints": [fields.to_table(one, fields.BEYOND) for one in row.beyond],
             }
             for row in c.outside
         ],
@@ -179,7 +180,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
             "indices": c.observability.indices,
             "singular_values": c.observability.singular_values,
             "unidentifiable": [
-                {**tables.to_table(one, tables.COMBINATION), "text": str(one)}
+                {**fields.to_table(one, fields.COMBINATION), "text": str(one)}
                 for one in c.observability.unidentifiable
             ],
         },
@@ -192,7 +193,7 @@ def result_table(c: Calibration) -> dict[str, Any]:
             ],
             "candidates": [tables.candidate_table(one) for one in c.candidates],
         },
-        "larger": _larger_table(c),
+        "larger": None if c.larger is None else tables.larger_table(c.larger, c.errors["larger"]),
         "solver": {
             "name": c.solver,
             "iterations": c.solution.iterations,
@@ -201,12 +202,12 @@ def result_table(c: Calibration) -> dict[str, Any]:
             "status": c.solution.status,
             "message": c.solution.message,
             "cost": c.solution.cost,
-            "history": [tables.to_table(one, tables.STEP) for one in c.solution.history],
+            "history": [fields.to_table(one, fields.STEP) for one in c.solution.history],
         },
         "verdict": None
         if c.verdict is None
         else {"use": c.verdict.use, "reasons": list(c.verdict.reasons)},
-        "rows": _rows_table(c),
+        "rows": rows_table(c),
         "inputs": {
             "urdf": {
                 "name": c.nominal.urdf.source,
@@ -241,14 +242,14 @@ def _calibration(table: Json, folder: Path) -> Calibration:
     rows, larger = table["rows"], table["larger"]
     names = RowNames(
         numbers=tuple(int(one["row"]) for one in rows),
-        sets=tables.words([one["set"] for one in rows]),
-        kinds=tables.words([one["kind"] for one in rows]),
-        groups=tables.words([one["group"] for one in rows]),
-        targets=tables.words([one["target"] for one in rows]),
+        sets=fields.words([one["set"] for one in rows]),
+        kinds=fields.words([one["kind"] for one in rows]),
+        groups=fields.words([one["group"] for one in rows]),
+        targets=fields.words([one["target"] for one in rows]),
     )
-    used = tables.used_of(rows)
+    used = used_of(rows)
     estimated, rotation = names.estimation, "pose" in names.kinds
-    x, setup = tables.numbers(table["x"]), tables.places_of(frames, rotation=rotation)
+    x, setup = fields.numbers(table["x"]), tables.places_of(frames, rotation=rotation)
     validated = table["cross_validation"]
     kinematics = tables.kinematics_of(nominal, tables.model_of(model, _names(table)), setup, x)
 
@@ -258,7 +259,7 @@ def _calibration(table: Json, folder: Path) -> Calibration:
             return None
         own = [one for one, chosen in zip(rows, estimated, strict=True) if chosen]
         poses = np.array([one["pose"] for one in own], dtype=int)
-        residual = tables.residuals_of(own, f"left_out_{who}", used[estimated])
+        residual = residuals_of(own, f"left_out_{who}", used[estimated])
         return tables.left_out_of(found, poses, residual)
 
     return Calibration(
@@ -267,7 +268,7 @@ def _calibration(table: Json, folder: Path) -> Calibration:
         source=Source(inputs["measurements"]["name"], inputs["measurements"]["sha256"]),
         rows=names,
         frame_estimated=bool(frames["frame_estimated"]),
-        frozen=tables.words(model["frozen"]),
+        frozen=fields.words(model["frozen"]),
         ties={t["name"]: (t["other"], float(t["factor"])) for t in model["ties"]},
         sizes_from=noise["sizes_from"],
         nominal_setup=tables.places_of(frames["nominal"], rotation=rotation),
@@ -281,31 +282,32 @@ def _calibration(table: Json, folder: Path) -> Calibration:
             message=solver["message"],
             evaluations=int(solver["evaluations"]),
             history=tuple(
-                tables.from_table(Iteration, one, tables.STEP) for one in solver["history"]
+                fields.from_table(Iteration, one, fields.STEP) for one in solver["history"]
             ),
         ),
-        seconds=tables.number(solver["seconds"]),
+        seconds=fields.number(solver["seconds"]),
         x=x,
         covariance=tables.square(table["covariance"], len(x)),
         freedom=float(noise["freedom"]),
-        sigma=tables.number(noise["sigma_m"]),
-        sigma_angle=tables.number(noise["sigma_angle_rad"]),
+        sigma=fields.number(noise["sigma_m"]),
+        sigma_angle=fields.number(noise["sigma_angle_rad"]),
         sizes=tables.sizes_of(noise["sizes"]),
         parameters=tuple(
-            tables.from_table(ParameterEstimate, p, tables.PARAMETER) for p in table["parameters"]
+            fields.from_table(ParameterEstimate, p, fields.PARAMETER) for p in table["parameters"]
         ),
-        residual_nominal=tables.residuals_of(rows, "nominal", used),
-        residual_calibrated=tables.residuals_of(rows, "calibrated", used),
+        residual_nominal=residuals_of(rows, "nominal", used),
+        residual_calibrated=residuals_of(rows, "calibrated", used),
         used=used,
-        scores=tables.numbers([one["score"] for one in rows]),
-        weights=tables.numbers([one["weight"] for one in rows]),
+        scores=fields.numbers([one["score"] for one in rows]),
+        weights=fields.numbers([one["weight"] for one in rows]),
+        base_motion=tables.motion_of(table),
         ranges=tables.ranges_of(robot["ranges"]),
         flag_limit=float(noise["flag_limit"]),
         outliers=tuple(
-            tables.from_table(Outlier, one, tables.OUTLIER) for one in table["outliers"]
+            fields.from_table(Outlier, one, fields.OUTLIER) for one in table["outliers"]
         ),
         suspects=tuple(
-            tables.from_table(Outlier, one, tables.OUTLIER) for one in table["suspects"]
+            fields.from_table(Outlier, one, fields.OUTLIER) for one in table["suspects"]
         ),
         robustness=None
         if table["robustness"] is None
@@ -314,100 +316,30 @@ def _calibration(table: Json, folder: Path) -> Calibration:
         outside=tuple(
             OutsideRow(
                 int(one["index"]),
-                tuple(tables.from_table(Beyond, far, tables.BEYOND) for far in one["joints"]),
+                tuple(fields.from_table(Beyond, far, fields.BEYOND) for far in one["joints"]),
             )
             for one in table["outside"]
         ),
-        expected_measured=tables.number(table["expected"]["measured_rms_m"]),
-        expected_everywhere=tables.number(table["expected"]["everywhere_rms_m"]),
+        expected_measured=fields.number(table["expected"]["measured_rms_m"]),
+        expected_everywhere=fields.number(table["expected"]["everywhere_rms_m"]),
         cross_validation=left_out(validated, "calibrated"),
         nominal_cross_validation=left_out(validated and validated["nominal"], "nominal"),
         observability=tables.observability_of(table),
         candidates=tuple(tables.candidate_of(one) for one in model["candidates"]),
         larger=None
         if larger is None
-        else _larger_of(
+        else tables.larger_of(
             larger, nominal, rows, used, left_out(larger["cross_validation"], "larger")
         ),
         verdict=None
         if verdict is None
-        else Verdict(verdict["use"], tables.words(verdict["reasons"])),
+        else Verdict(verdict["use"], fields.words(verdict["reasons"])),
     )
 
 
 def _names(table: Json) -> tuple[str, ...]:
     """The parameters of the geometry."""
     return tuple(str(one["name"]) for one in table["parameters"])
-
-
-def _rows_table(c: Calibration) -> list[dict[str, Any]]:
-    """What each row is, and what is left over in it: nominal, calibrated, larger, and left out of the fit."""
-    larger = c.larger
-    every: list[tuple[str, Array]] = [
-        ("nominal", c.residual_nominal),
-        ("calibrated", c.residual_calibrated),
-    ]
-    left: list[tuple[str, CrossValidation | None]] = [
-        ("nominal", c.nominal_cross_validation),
-        ("calibrated", c.cross_validation),
-    ]
-    if larger is not None:
-        every.append(("larger", larger.residual))
-        left.append(("larger", larger.cross_validation))
-    seen = np.cumsum(c.rows.estimation) - 1
-    names = c.rows
-    result = []
-    for i, row in enumerate(names.numbers):
-        table = {
-            "row": row,
-            "set": names.sets[i],
-            "kind": names.kinds[i],
-            "group": names.groups[i],
-            "target": names.targets[i],
-        }
-        for who, residual in every:
-            table |= tables.residual_table(who, residual[i], c.used[i])
-        if c.cross_validation is not None and names.sets[i] == SETS[0]:
-            table["pose"] = c.cross_validation.poses[seen[i]]
-            for who, v in left:
-                if v is not None:
-                    own = v.residual[seen[i]]
-                    table |= tables.residual_table(f"left_out_{who}", own, c.used[i])
-        result.append({**table, "score": c.scores[i], "weight": c.weights[i]})
-    return result
-
-
-def _larger_table(c: Calibration) -> dict[str, Any] | None:
-    """The larger model, which no URDF can hold."""
-    return None if c.larger is None else tables.larger_table(c.larger, c.errors["larger"])
-
-
-def _larger_of(
-    table: Json,
-    nominal: Robot,
-    rows: list[Json],
-    used: NDArray[np.bool_],
-    validated: CrossValidation | None,
-) -> Larger:
-    """The same back."""
-    x = tables.numbers(table["x"])
-    setup, payload = tables.places_of(table, rotation=used.shape[1] > 3), table["payload"]
-    return Larger(
-        kinematics=tables.kinematics_of(nominal, tables.model_of(table, table["names"]), setup, x),
-        x=x,
-        covariance=tables.square(table["covariance"], len(x)),
-        sizes=tables.sizes_of(table["sizes"]),
-        parameters=tuple(
-            tables.from_table(ParameterEstimate, p, tables.PARAMETER) for p in table["parameters"]
-        ),
-        setup=setup,
-        residual=tables.residuals_of(rows, "larger", used),
-        cross_validation=validated,
-        payload=None
-        if payload is None
-        else Payload(float(payload["mass_kg"]), tables.numbers(payload["com_m"])),
-        gravity=tables.numbers(table["gravity_m_s2"]),
-    )
 
 
 def _checked(c: Calibration) -> Calibration:

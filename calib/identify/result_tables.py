@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,127 +13,47 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.families import FAMILIES, family_of
+from calib.identify.findings import ParameterEstimate
 from calib.identify.prediction import Larger
 from calib.identify.repeats import Repeats
+from calib.identify.result_rows import residuals_of
 from calib.identify.robustness import Robustness
 from calib.identify.selection import Candidate
 from calib.identify.setup import Setup
 from calib.identify.statistics import CrossValidation, Errors
+from calib.identify.table_fields import (
+    ANGLES,
+    COMBINATION,
+    ERRORS,
+    PARAMETER,
+    TERM,
+    Json,
+    flags,
+    from_table,
+    number,
+    numbers,
+    to_table,
+    words,
+)
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Combination, Observability
 from calib.model.parameters import ErrorModel, Parameter
 from calib.model.robot import Robot, read_only
+from calib.model.torques import Payload
 from calib.version import __version__
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Json = Mapping[str, Any]
-T = TypeVar("T")
-
-
-def number(value: Any) -> float:  # noqa: ANN401  JSON values are of any kind
-    """A number; NaN where it is missing."""
-    return float("nan") if value is None else float(value)
-
-
-def numbers(values: Any) -> Array:  # noqa: ANN401
-    """An array of numbers, NaN where one is missing."""
-    return read_only(np.array(values, dtype=np.float64))
-
-
-def flags(values: Any) -> Mask:  # noqa: ANN401
-    """An array of true and false."""
-    return np.array(values, dtype=bool)
-
-
-def words(values: Sequence[Any]) -> tuple[str, ...]:
-    """A list of texts."""
-    return tuple(map(str, values))
-
-
-#: Attribute, key and what reads it, of the values whose fields stand in a table of their own.
-Field = tuple[str, str, Callable[[Any], Any]]
-_ERRORS: tuple[Field, ...] = (
-    ("n", "n", int),
-    ("max", "max_m", number),
-    ("mean", "mean_m", number),
-    ("rms", "rms_m", number),
-    ("mean_axis", "mean_xyz_m", numbers),
-    ("rms_axis", "rms_xyz_m", numbers),
-    ("span_axis", "span_xyz_m", numbers),
-)
-_ANGLES: tuple[Field, ...] = (
-    ("n_angle", "n_rad", int),
-    ("max_angle", "max_rad", number),
-    ("mean_angle", "mean_rad", number),
-    ("rms_angle", "rms_rad", number),
-)
-PARAMETER: tuple[Field, ...] = (
-    ("name", "name", str),
-    ("unit", "unit", str),
-    ("nominal", "nominal", lambda value: None if value is None else float(value)),
-    ("value", "value", number),
-    ("delta", "delta", number),
-    ("std", "std", number),
-    ("low", "low", number),
-    ("high", "high", number),
-    ("identifiable", "identifiable", bool),
-    ("at_bound", "at_bound", bool),
-    ("prior_std", "prior_std", number),
-    ("push", "push", number),
-)
-OUTLIER: tuple[Field, ...] = (
-    ("row", "row", int),
-    ("residual", "residual_m", number),
-    ("score", "score", number),
-)
-STEP: tuple[Field, ...] = (
-    ("cost", "cost", float),
-    ("mu", "mu", number),
-    ("gain", "gain", number),
-    ("step", "step", float),
-    ("accepted", "accepted", bool),
-)
-BEYOND: tuple[Field, ...] = (
-    ("joint", "joint", str),
-    ("prismatic", "prismatic", bool),
-    ("by", "by", float),
-)
-COMBINATION: tuple[Field, ...] = (
-    ("names", "names", words),
-    ("steps", "steps", lambda values: tuple(map(float, values))),
-    ("units", "units", words),
-)
-
-
-_TERM: tuple[Field, ...] = (
-    ("name", "name", str),
-    ("unit", "unit", str),
-    ("place", "place", str),
-    ("direction", "direction", numbers),
-    ("family", "family", str),
-    ("nominal", "nominal", float),
-)
-
-
-def to_table(value: object, fields: tuple[Field, ...]) -> dict[str, Any]:
-    """A value as a table."""
-    return {key: getattr(value, attribute) for attribute, key, _ in fields}
-
-
-def from_table(kind: Callable[..., T], table: Json, fields: tuple[Field, ...]) -> T:
-    """A value from its table."""
-    return kind(**{attribute: read(table[key]) for attribute, key, read in fields})
 
 
 def errors_table(errors: Errors) -> dict[str, Any]:
     """Errors of one set of rows."""
-    return to_table(errors, _ERRORS) | (to_table(errors, _ANGLES) if errors.n_angle else {})
+    return to_table(errors, ERRORS) | (to_table(errors, ANGLES) if errors.n_angle else {})
 
 
 def errors_of(table: Json) -> Errors:
     """The same back."""
-    return from_table(Errors, table, (*_ERRORS, *(_ANGLES if "n_rad" in table else ())))
+    return from_table(Errors, table, (*ERRORS, *(ANGLES if "n_rad" in table else ())))
 
 
 def left_out_table(v: CrossValidation) -> dict[str, Any]:
@@ -271,7 +191,7 @@ def model_table(model: ErrorModel) -> dict[str, Any]:
         "set": model.name,
         "places": list(model.places),
         "terms": [
-            to_table(one, _TERM) | {"factor": None if one.factor is None else one.factor.name}
+            to_table(one, TERM) | {"factor": None if one.factor is None else one.factor.name}
             for one in model.terms
         ],
         "mixing": None if model.terms is model.parameters else model.mixing,
@@ -299,7 +219,7 @@ def _term_of(table: Json) -> Parameter:
     factor = table["factor"]
     if factor is not None:
         factor = next(one for one in family_of(table["family"]).factors if one.name == factor)
-    return from_table(lambda **values: Parameter(**values, factor=factor), table, _TERM)
+    return from_table(lambda **values: Parameter(**values, factor=factor), table, TERM)
 
 
 def kinematics_of(nominal: Robot, model: ErrorModel, setup: Setup, x: Array) -> Kinematics:
@@ -321,6 +241,7 @@ def larger_table(larger: Larger, errors: Mapping[str, Errors]) -> dict[str, Any]
         **model_table(larger.model),
         "x": larger.x,
         "names": list(larger.model.names),
+        "base_motion": larger.base_motion,
         "covariance": larger.covariance,
         "sizes": sizes_table(larger.sizes),
         "parameters": [to_table(p, PARAMETER) for p in larger.parameters],
@@ -332,6 +253,39 @@ def larger_table(larger: Larger, errors: Mapping[str, Errors]) -> dict[str, Any]
         else {"mass_kg": larger.payload.mass, "com_m": larger.payload.com},
         "gravity_m_s2": larger.gravity,
     }
+
+
+def larger_of(
+    table: Json,
+    nominal: Robot,
+    rows: Sequence[Json],
+    used: Mask,
+    validated: CrossValidation | None,
+) -> Larger:
+    """The same back."""
+    x = numbers(table["x"])
+    setup, payload = places_of(table, rotation=used.shape[1] > 3), table["payload"]
+    return Larger(
+        kinematics=kinematics_of(nominal, model_of(table, table["names"]), setup, x),
+        x=x,
+        covariance=square(table["covariance"], len(x)),
+        sizes=sizes_of(table["sizes"]),
+        parameters=tuple(from_table(ParameterEstimate, p, PARAMETER) for p in table["parameters"]),
+        setup=setup,
+        residual=residuals_of(rows, "larger", used),
+        cross_validation=validated,
+        base_motion=motion_of(table),
+        payload=None
+        if payload is None
+        else Payload(float(payload["mass_kg"]), numbers(payload["com_m"])),
+        gravity=numbers(table["gravity_m_s2"]),
+    )
+
+
+def motion_of(table: Json) -> Array | None:
+    """What a motion of the base makes up for, shape (6, p)."""
+    found = table["base_motion"]
+    return None if found is None else numbers(found).reshape(6, -1)
 
 
 def square(table: Any, count: int) -> Array:  # noqa: ANN401
@@ -421,38 +375,6 @@ def repeats_of(table: Json | None) -> Repeats | None:
     return Repeats(
         numbers(table["scatter"]), freedoms, float(freedoms.sum()), float(table["correlation"])
     )
-
-
-def residual_table(who: str, residual: Array, used: Mask) -> dict[str, Any]:
-    """What is left over in one row: lengths, and angles where an orientation was measured."""
-    table: dict[str, Any] = {f"residual_{who}_m": residual[:3][used[:3]]}
-    if np.any(used[3:]):
-        table[f"residual_{who}_rad"] = residual[3:][used[3:]]
-    return table
-
-
-def used_of(rows: Sequence[Json]) -> Mask:
-    """Which scalars were measured, shape (N, D): a row's lengths stand in the first columns."""
-    lengths = [len(one["residual_nominal_m"]) for one in rows]
-    angles = [len(one.get("residual_nominal_rad", ())) for one in rows]
-    widths = [
-        3 + turned if turned else count for count, turned in zip(lengths, angles, strict=True)
-    ]
-    used = np.zeros((len(rows), max(widths, default=1)), dtype=bool)
-    for i, (count, turned) in enumerate(zip(lengths, angles, strict=True)):
-        used[i, :count] = True
-        used[i, 3 : 3 + turned] = True
-    return used
-
-
-def residuals_of(rows: Sequence[Json], who: str, used: Mask) -> Array:
-    """What is left over, shape (N, D), zero where nothing was measured."""
-    result = np.zeros(used.shape)
-    for i, one in enumerate(rows):
-        result[i, :3][used[i, :3]] = one[f"residual_{who}_m"]
-        if np.any(used[i, 3:]):
-            result[i, 3:][used[i, 3:]] = one[f"residual_{who}_rad"]
-    return read_only(result)
 
 
 def versions() -> dict[str, str]:

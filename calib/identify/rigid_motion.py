@@ -22,17 +22,33 @@ def without_rigid_motion(
         moves: shape (N, 3, k), k moves of them, [m] or [m per unit].
         seen: Points and their k moves that the motion makes up for; None for the same.
     """
-    of_points, of_moves = (points, moves) if seen is None else seen
-    middle = of_points.mean(axis=0)
-    flat = of_moves.reshape(-1, of_moves.shape[2])
+    motion = best_motion(*((points, moves) if seen is None else seen))
+    return np.asarray(moves - moved_by(motion, points))
+
+
+def best_motion(points: Array, moves: Array) -> Array:
+    """The rigid motions that best make up for moves of points, shape (6, k): of the origin, then turns [rad].
+
+    Args:
+        points: shape (N, 3), [m].
+        moves: shape (N, 3, k), k moves of them, [m] or [m per unit].
+    """
+    middle = points.mean(axis=0)
+    columns = np.zeros((len(points), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    columns[:, :, 3:] = np.cross(np.eye(3), (points - middle)[:, None, :]).transpose(0, 2, 1)
+    flat = moves.reshape(-1, moves.shape[2])
     # Points on a line tell nothing of a turn about it: the shortest solution has none.
-    motion = np.linalg.lstsq(_rigid(of_points - middle), flat, rcond=1e-9)[0]
-    return np.asarray(moves - (_rigid(points - middle) @ motion).reshape(moves.shape))
+    motion = np.linalg.lstsq(columns.reshape(-1, 6), flat, rcond=1e-9)[0]
+    motion[:3] -= np.cross(motion[3:], middle, axisa=0).T
+    return np.asarray(motion)
 
 
-def _rigid(points: Array) -> Array:
-    """What the six rigid motions do to points, shape (3 N, 6)."""
-    motion = np.zeros((len(points), 3, 6))
-    motion[:, :, :3] = np.eye(3)
-    motion[:, :, 3:] = np.cross(np.eye(3), points[:, None, :]).transpose(0, 2, 1)
-    return motion.reshape(-1, 6)
+def moved_by(motion: Array, points: Array) -> Array:
+    """What rigid motions do to points, shape (N, 3, k).
+
+    Args:
+        motion: shape (6, k), see `best_motion`.
+        points: shape (N, 3), [m].
+    """
+    return np.asarray(motion[:3] + np.cross(motion[3:].T, points[:, None]).transpose(0, 2, 1))

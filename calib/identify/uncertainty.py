@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -44,11 +44,11 @@ from calib.identify.fitting import Fitted
 from calib.identify.jobs import batch_size, run
 from calib.identify.resampling import Profile, bootstrap_indices, profile
 from calib.identify.result import Calibration
+from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.robustness import Robustness, compare
 from calib.identify.solvers import levenberg_marquardt
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
-from calib.model.parameters import FRAME
 from calib.model.readback import spread_poses
 from calib.model.robot import read_only
 from calib.model.threads import one_blas_thread
@@ -123,17 +123,27 @@ class Bootstrap:
     def position_std(self, where: Where) -> Array:
         """Standard deviation of the predicted position over the samples, shape (N,), [m].
 
-        The root of the summed variances of x, y and z, as `Calibration.position_std` has it from the covariance; of
-        positions in the base where nothing that was measured tells where that stands.
+        The root of the summed variances of x, y and z, as `Calibration.position_std` has it from the covariance.
 
         Args:
             where: As for `positions`.
         """
-        kinematics, x = self.fitted.kinematics, self.x
-        if not any(kind.position for kind in self.fitted.estimate.problem.rows.present):
-            x = np.where(kinematics.model.family(FRAME), self.fitted.estimate.x, x)
-        points = np.array([kinematics.points(one, where) for one in x])
-        return np.asarray(np.sqrt(np.sum(np.var(points, axis=0, ddof=1), axis=1)))
+        samples = where if isinstance(where, Samples) else Samples.at(where)
+        problem = self.fitted.estimate.problem
+        as_one_body = not any(kind.position for kind in problem.rows.present)
+        points, moves = self._scatter(samples, as_one_body)
+        if as_one_body:
+            seen = self._scatter(_some(problem.rows.samples), as_one_body)
+            moves = without_rigid_motion(points, moves, seen)
+        return np.asarray(np.sqrt(np.sum(np.var(moves, axis=2, ddof=1), axis=1)))
+
+    def _scatter(self, samples: Samples, as_one_body: bool) -> tuple[Array, Array]:
+        """Mean positions and the samples' differences from them, shapes (N, 3) and (N, 3, count)."""
+        if as_one_body:
+            samples = replace(samples, frame=np.zeros_like(samples.frame))
+        points = self.positions(samples)
+        mean = points.mean(axis=0)
+        return mean, (points - mean).transpose(1, 2, 0)
 
 
 @one_blas_thread()

@@ -8,7 +8,7 @@ import pytest
 
 from calib.cli.intervals import bootstrap_text, profile_text
 from calib.data import PAPER_TARGET
-from calib.identify.calibration import Calibration, calibrate
+from calib.calibration import Calibration, calibrate
 from calib.identify.resampling import Profile
 from calib.identify.uncertainty import bootstrap
 from calib.measure.cell import Cell

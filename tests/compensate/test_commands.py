@@ -11,7 +11,7 @@ from calib.compensate.inverse import solve
 from calib.compensate.matching import Matching
 from calib.compensate.program import Program
 from calib.errors import ModelError
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
 from calib.measure.ranges import column_limits
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from calib.data import paper_urdf
-from calib.identify.calibration import Calibration, calibrate
+from calib.calibration import Calibration, calibrate
 from calib.identify.comparison import compare
 from calib.measure.cell import Cell
 from calib.measure.simulation import VirtualCell

@@ -1,4 +1,4 @@
-"""The statistics of a comparison, on linear problems whose truth is known: rate of false alarms, power, covariance."""
+"""The statistics of a comparison, on linear problems whose truth is known: rate of false alarms, covariance."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ from scipy import stats
 
 from calib.identify.drift import (
     LEVEL,
-    POWER,
     DriftTest,
     Estimated,
     Pair,
     drift_test,
-    noncentrality,
 )
 
 TAU = np.array([1.0, 1.0, 0.5, 0.5, 2.0])
@@ -83,29 +81,6 @@ def test_the_covariance_about_a_common_truth(many):
     )
 
 
-@pytest.mark.parametrize("parameter", [0, 2])
-def test_a_drift_of_the_size_told_is_noticed_as_often_as_told(many, parameter: int):
-    a, b, of_a, of_b, x = many
-    one = judged(a, b, of_b[:1])[0]
-    changed = x[:1000] + one.shows_from(parameter) * np.eye(5)[parameter]
-    again = means(design(2), changed, np.random.default_rng(9))
-    found = judged(a, b, again - of_a[:1000])
-    assert np.mean([test.drifted for test in found]) == pytest.approx(POWER, abs=0.035)
-    assert one.shows_from(4) > 1e3 * one.shows_from(0)  # what the data do not know
-
-
-def test_one_change_that_explains_all(many):
-    a, b, of_a, _, x = many
-    again = means(design(2), x[:500] + 3.0 * np.eye(5)[1], np.random.default_rng(9))
-    found = judged(a, b, again - of_a[:500])
-    told = [one.explained(1) for one in found]
-    off = np.array([(t.change - 3.0) / t.std for t in told])
-    assert abs(np.mean(off)) < 0.2
-    assert np.std(off) == pytest.approx(1.0, abs=0.15)
-    assert stats.kstest([t.p for t in told], "uniform").pvalue > 1e-3
-    assert max(one.explained(0).p for one in found) < 0.05
-
-
 def test_few_degrees_of_freedom_ask_for_more():
     a, b = posterior(design(1)), posterior(design(2))
     few = [replace(e, freedom=8.0) for e in (a, b)]
@@ -120,13 +95,5 @@ def test_nothing_known_in_common():
     a = posterior(1e-3 * design(1))
     (found,) = judged(a, a, np.ones((1, 5)))
     assert (found.combinations, found.p, found.drifted) == (0, 1.0, False)
-    assert found.shows_from(0) == np.inf
-    assert found.explained(0).std == np.inf
 
 
-@pytest.mark.parametrize(("k", "freedom"), [(1, 5.0), (6, 60.0), (24, 1e5)])
-def test_the_noncentrality_has_the_power(k: int, freedom: float):
-    limit = stats.f.isf(LEVEL, k, freedom)
-    assert stats.ncf.sf(limit, k, freedom, noncentrality(k, freedom)) == pytest.approx(
-        POWER, abs=1e-3
-    )

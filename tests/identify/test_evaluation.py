@@ -8,8 +8,24 @@ import numpy as np
 import pytest
 
 from calib.errors import ModelError
-from calib.identify.evaluation import Known, evaluate, hint
+from calib.identify.evaluation import evaluate, hint, moved
+from calib.identify.setup import Setup
 from calib.measure.cell import Cell
+
+
+def part(
+    setup: Setup, frames: list[int] | None = None, targets: list[int] | None = None
+) -> Setup:
+    """What is known of some of the frames and targets; None: of all."""
+    f = list(range(len(setup.groups))) if frames is None else frames
+    t = list(range(len(setup.targets))) if targets is None else targets
+    return replace(
+        setup,
+        groups=tuple(setup.groups[k] for k in f),
+        T_frame_base=setup.T_frame_base[f],
+        targets=tuple(setup.targets[k] for k in t),
+        T_tip_target=setup.T_tip_target[t],
+    )
 
 
 def test_the_nominal_errors_are_those_of_the_fit(case):
@@ -36,19 +52,18 @@ def test_frames_and_targets_of_every_set_up_are_given_back(calibrated):
 
 def test_what_is_known_wins_over_the_cell(calibrated):
     _, c = calibrated("points")
-    known = Known({"0": np.eye(4)}, {"t0": c.setup.T_tip_target[0]})
     cell = Cell(target=np.array([0.5, 0.5, 0.5]), estimate_target=False)
-    found = evaluate(c.robot, c.measurements, cell, known=known)
+    found = evaluate(c.robot, c.measurements, cell, known=c.setup)
     np.testing.assert_allclose(found.residual, c.residual_calibrated, atol=1e-9)
     off = evaluate(c.robot, c.measurements, cell)
     assert off.errors["all"].rms > 0.3
-    only_frames = replace(known, targets={})
-    assert evaluate(c.robot, c.measurements, cell, known=only_frames).errors["all"].rms > 0.3
+    only_frames = evaluate(c.robot, c.measurements, cell, known=c.setup, which=("frame",))
+    assert only_frames.errors["all"].rms > 0.3
 
 
 def test_targets_that_a_result_lacks_are_registered(calibrated):
     _, c = calibrated("targets")
-    known = Known({"0": np.eye(4)}, {"t1": c.setup.T_tip_target[1]})
+    known = part(c.setup, targets=[1])
     found = evaluate(c.robot, c.measurements, known=known)
     assert found.registered == ("target",)
     np.testing.assert_array_equal(found.setup.T_tip_target[1], c.setup.T_tip_target[1])
@@ -57,7 +72,7 @@ def test_targets_that_a_result_lacks_are_registered(calibrated):
 
 def test_set_ups_that_nothing_is_known_of_are_refused(calibrated):
     _, c = calibrated("known set-ups")
-    known = Known({"0": c.T_frame_base, "2": c.T_frame_base}, {})
+    known = replace(c.setup, groups=("0", "2"))
     with pytest.raises(ModelError, match=r"has the set-ups '0', '2'; the table's '1' are none"):
         evaluate(c.robot, c.measurements, known=known)
 
@@ -65,8 +80,7 @@ def test_set_ups_that_nothing_is_known_of_are_refused(calibrated):
 def test_a_new_socket_is_found(calibrated):
     """What a socket is for: nobody needs to know where it is."""
     _, c = calibrated("sockets")
-    frames = dict(zip(c.setup.groups, c.setup.T_frame_base, strict=True))
-    known = Known({"0": frames["0"], "1": frames["1"]}, {"t0": c.setup.T_tip_target[0]})
+    known = part(c.setup, frames=[0, 1])
     found = evaluate(c.robot, c.measurements, known=known)
     assert found.registered == ("frame",)
     assert found.errors["all"].rms < 1.05 * c.errors["calibrated"]["estimation"].rms + 1e-5

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
 from calib.measure.cell import Cell
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.errors import ModelError
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
 from calib.model.kinematics import Samples
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
@@ -92,10 +92,9 @@ def test_without_an_instrument_s_frame_positions_are_as_sure_as_they_are_in_the_
     step = 1e-6
 
     def at(x):
-        estimate = replace(c.fitted.estimate, x=x)
-        return replace(c, fitted=replace(c.fitted, estimate=estimate)).predict(q)
+        return replace(c, x=x).predict(q)
 
-    x = c.fitted.estimate.x
+    x = c.x
     J = np.stack([(at(x + e) - at(x - e)) / (2 * step) for e in step * np.eye(len(x))], axis=2)
     expected = np.sqrt(np.einsum("nij,jk,nik->n", J, c.covariance, J))
     np.testing.assert_allclose(c.position_std(q), expected, rtol=1e-3)

@@ -18,7 +18,7 @@ from calib.errors import FileError, ModelError, UrdfError
 from calib.identify.acceptance import acceptance
 from calib.identify.acceptance_tables import acceptance_table, accuracy_table
 from calib.identify.accuracy import accuracy
-from calib.identify.calibration import Calibration, calibrate
+from calib.calibration import Calibration, calibrate
 from calib.identify.evaluation import evaluate
 from calib.identify.result_file import (
     evaluation_table,

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import fdtri, stdtrit
 
 from calib.errors import CalibError, ModelError
-from calib.identify.calibration import Calibration, calibrate
+from calib.calibration import Calibration, calibrate
 from calib.identify.correlations import correlations
 from calib.identify.uncertainty import (
     Bootstrap,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
 from calib.identify.words import frame_text, target_text, three, wrap
 
 

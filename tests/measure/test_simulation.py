@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.errors import CalibError, MeasurementError, ModelError
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.disturbances import Encoder, MovedTarget, Outliers
 from calib.measure.measurements import Measurements

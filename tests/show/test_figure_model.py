@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
 from calib.identify.correlations import correlations as strong_correlations
 from calib.show.figure_base import styled
 from calib.show.figure_model import (

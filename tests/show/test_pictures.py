@@ -10,7 +10,7 @@ import pytest
 import calib
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.errors import FileError
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.surroundings import Tracker

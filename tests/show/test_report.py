@@ -13,7 +13,7 @@ import pytest
 
 from calib.data import paper_urdf
 from calib.errors import FileError
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.simulation import VirtualCell
 from calib.measure.truth import draw_truth
