@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.calibration import calibrate
 from calib.data import (
     PAPER_TARGET,
     PAPER_TARGET_AS_PRINTED,
     paper_measurements,
     paper_urdf,
 )
-from calib.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only

@@ -322,8 +322,8 @@ def test_positions_alone_leave_the_orientation_open(call, folder: Path):
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A virtual UR3 with compliances and a target that is turned, seen in two frames that were estimated."""
-    from calib.data import paper_urdf
     from calib.calibration import calibrate
+    from calib.data import paper_urdf
     from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot, read_only

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
-from calib.identify.stored import StoredResult
 
-from calib.identify.result_file import result_table, stored_result
+from calib.identify.result import Calibration
+from calib.identify.result_file import read_result, write_result
 from calib.model.error_model import error_model
-from calib.model.json_file import plain
 from calib.model.robot import Robot
 from tests.show.calibrations import made
 
@@ -25,9 +26,10 @@ def off(robot: Robot, seed: int = 1, model: str = "placement", size: float = 1.0
 
 
 @cache
-def stored(case: str) -> StoredResult:
+def stored(case: str) -> Calibration:
     """A calibration of `tests.show.calibrations` as it is read from its file."""
-    return stored_result(plain(result_table(made(case))), case)
+    with TemporaryDirectory() as folder:
+        return read_result(write_result(made(case), Path(folder) / f"{case}.json"))
 
 
 def turned(seed: int, size: float = 0.4) -> np.ndarray:

@@ -168,10 +168,10 @@ def test_large_corrections_are_said(ur3):
 
 
 def test_outside_of_what_was_measured_is_said(ur3):
-    middle = stored("paper").certainty.ranges.mean(axis=1)
+    middle = stored("paper").ranges.mean(axis=1)
     middle[4] += 0.5
     beyond = middle.copy()
-    beyond[2] = stored("paper").certainty.ranges[2, 1] + 0.5
+    beyond[2] = stored("paper").ranges[2, 1] + 0.5
     found = commands(stored("paper"), Program.of_joints([middle, beyond]), nominal=ur3)
     assert not any("outside" in w for w in found.warnings[0])
     assert any(

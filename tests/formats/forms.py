@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 import calib.data
+from calib.calibration import calibrate
 from calib.formats.convert import Wanted, write_target
 from calib.formats.sources import Asked, read_source
-from calib.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot

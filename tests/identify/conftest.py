@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.calibration import Calibration, calibrate
+from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.identify.rows import Rows
 from calib.measure.cell import Cell, GroupDistance
 from calib.measure.measurements import Measurements

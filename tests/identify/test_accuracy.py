@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import MeasurementError
 from calib.identify.accuracy import Accuracy, accuracy
-from calib.identify.evaluation import Known, evaluate
+from calib.identify.evaluation import evaluate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.readback import random_joint_values
@@ -144,7 +144,7 @@ def test_lengths_have_the_standards_distance_accuracy(ur3: Robot):
     table = Measurements(
         ur3.joint_names, m.joints, m.points, kinds=("distance",) * 6, distances=lengths + off
     )
-    known = Known({"": np.eye(4)}, {"target": _at(KNOWN.target)})
+    known = evaluate(ur3, m, KNOWN).setup
     first, second = accuracy(evaluate(ur3, table, KNOWN, known=known)).poses
     assert first.ap == pytest.approx(2e-3, abs=1e-12)
     assert first.rp == pytest.approx(3e-3, abs=1e-12)

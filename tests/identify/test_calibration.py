@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.calibration import calibrate
 from calib.data import PAPER_TARGET_AS_PRINTED
 from calib.errors import MeasurementError, ModelError, UrdfError
-from calib.calibration import calibrate
 from calib.identify.evaluation import evaluate
 from calib.identify.result_file import read_result
 from calib.identify.statistics import Errors

@@ -14,20 +14,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.calibration import Calibration, Comparison, calibrate, compare
 from calib.data import PAPER_TARGET, paper_urdf
 from calib.errors import FileError, ModelError, UrdfError
-from calib.families import ANGLE, LENGTH, ZERO
-from calib.calibration import Calibration, calibrate
-from calib.calibration import Comparison, compare
-from calib.identify.drift import LEVEL
+from calib.families import ANGLE, LENGTH, ZERO, unit_of
 from calib.identify.comparison_text import notes, sentence
+from calib.identify.drift import LEVEL
 from calib.identify.verdict import Verdict
-from calib.measure.cell import Cell
+from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.json_file import plain
 from calib.model.kinematics import Kinematics
-from calib.model.observability import STEPS
 from calib.model.readback import spread_between
 from calib.model.robot import Robot
 
@@ -273,7 +271,9 @@ def test_the_data_push_as_hard_as_the_priors_pull(before: Calibration):
     told = [k for k in of_robot if before.x[k]]
     assert len(told) > 15
     size = np.max(np.abs(pull[told]))
-    np.testing.assert_allclose(np.array([p.push for p in before.parameters])[told], pull[told], atol=1e-2 * size)
+    np.testing.assert_allclose(
+        np.array([p.push for p in before.parameters])[told], pull[told], atol=1e-2 * size
+    )
 
 
 def test_the_solver_of_the_paper_has_no_priors(arm: Arm):
@@ -309,13 +309,13 @@ def test_a_robot_that_is_right_already(ur3: Robot):
 def test_priors_do_not_make_a_drift(before: Calibration, sizes: str):
     # The same rows under other priors: what the data say is the same, and the sha256 alone gives them away.
     m = before.measurements
-    cell = replace(before.cell, priors=replace(before.cell.priors, sizes=sizes))
+    cell = replace(before.cell, priors=Priors(sizes))
     other = calibrate(before.nominal, m, cell=cell, validate=False)
     c = compare(before, other)
     assert c.why == "same data"
     assert c.test.combinations == 16
     assert c.test.chi_square < 1.0
-    raw = max(abs(p.difference) / STEPS[p.unit] for p in c.parameters)
+    raw = max(abs(p.difference) / unit_of(p.unit).step for p in c.parameters)
     assert raw > 0.01  # in steps of 1 mm and 1 mrad: the results themselves do differ
 
 

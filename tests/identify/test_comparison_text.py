@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import cache
 
+from calib.calibration import Calibration, calibrate, compare
 from calib.data import paper_urdf
-from calib.calibration import Calibration, calibrate
-from calib.identify.comparison import compare
+from calib.identify.comparison_text import notes, sentence
 from calib.measure.cell import Cell
 from calib.measure.simulation import VirtualCell
 from calib.measure.truth import draw_truth
@@ -38,14 +38,11 @@ def test_places_without_a_partner_are_named_for_both():
 
 def test_robots_of_other_names():
     found = compare(measured("upper", "lower"), measured("upper", "lower", seed=2, name="cell 7"))
-    assert "The URDFs name their robots 'ur3' and 'cell 7'." in found.notes
+    assert "The URDFs name their robots 'ur3' and 'cell 7'." in notes(found)
 
 
 def test_data_that_know_nothing_in_common():
     one, other = (measured("upper", seed=seed, poses=1, estimate_target=True) for seed in (1, 2))
     found = compare(one, other)
-    assert found.outcome == "cannot tell"
-    assert found.why == (
-        "The data of the two know no combination of the robot's parameters in common better than the priors do. "
-        "Measure more poses."
-    )
+    assert (found.outcome, found.why) == ("cannot tell", "nothing known")
+    assert "know no combination of the robot's parameters in common" in sentence(found)

@@ -95,5 +95,3 @@ def test_nothing_known_in_common():
     a = posterior(1e-3 * design(1))
     (found,) = judged(a, a, np.ones((1, 5)))
     assert (found.combinations, found.p, found.drifted) == (0, 1.0, False)
-
-

@@ -11,11 +11,12 @@ from calib.errors import ModelError
 from calib.identify.evaluation import evaluate, hint, moved
 from calib.identify.setup import Setup
 from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.readback import random_joint_values
+from calib.model.robot import Robot
 
 
-def part(
-    setup: Setup, frames: list[int] | None = None, targets: list[int] | None = None
-) -> Setup:
+def part(setup: Setup, frames: list[int] | None = None, targets: list[int] | None = None) -> Setup:
     """What is known of some of the frames and targets; None: of all."""
     f = list(range(len(setup.groups))) if frames is None else frames
     t = list(range(len(setup.targets))) if targets is None else targets
@@ -98,3 +99,47 @@ def test_rows_that_all_validate_are_registered_to_themselves(calibrated):
 def test_the_usual_mistakes_are_looked_for_in_points_only(calibrated):
     _, c = calibrated("planes")
     assert hint(evaluate(c.nominal, c.measurements), Cell()) == ""
+
+
+TARGET = np.array([0.05, 0.06, 0.07])
+
+
+def fresh(
+    robot: Robot, target: np.ndarray, shift: np.ndarray, count: int = 12
+) -> tuple[Measurements, Setup]:
+    """Points with 0.05 mm of noise, of a target and in a frame that may not be those of a result; and the result's."""
+    q = random_joint_values(robot, count, 1)
+    poses = robot.poses(q)
+    noise = np.random.default_rng(1).normal(0.0, 5e-5, (count, 3))
+    points = poses[:, :3, :3] @ target + poses[:, :3, 3] + shift + noise
+    table = Measurements(robot.joint_names, q, points)
+    known = evaluate(robot, table, Cell(target=TARGET, estimate_target=False)).setup
+    return table, known
+
+
+@pytest.mark.parametrize(
+    ("target", "shift", "said"),
+    [
+        ([0.0, 0.0, 0.0], [2e-3, 0.0, 1e-3], "only 0.0779 mm if the measurement frame is found anew"),
+        ([2e-3, 0.0, 0.0], [0.0, 0.0, 0.0], "only 0.0782 mm if the target is found anew"),
+    ],
+)  # fmt: skip
+def test_what_moved_since_the_calibration_is_named(
+    ur3: Robot, target: list[float], shift: list[float], said: str
+):
+    m, known = fresh(ur3, TARGET + target, np.array(shift))
+    assert said in moved(ur3, m, Cell(), known)
+
+
+@pytest.mark.parametrize(("shift", "count"), [(0.0, 12), (2e-3, 2), (2e-3, 4)])
+def test_nothing_is_said_where_nothing_is_known(ur3: Robot, shift: float, count: int):
+    """Nothing to explain; too few rows to find a frame; and enough to find it, but not to say that this means much."""
+    m, known = fresh(ur3, TARGET, np.array([shift, 0.0, 0.0]), count)
+    assert moved(ur3, m, Cell(), known) == ""
+
+
+def test_errors_of_the_robot_are_not_explained_away(ur3: Robot):
+    m, known = fresh(ur3, TARGET, np.zeros(3))
+    off = np.random.default_rng(4).normal(0.0, 1e-3, (12, 3))
+    wrong = Measurements(m.joint_names, m.joints, m.points + off)
+    assert moved(ur3, wrong, Cell(), known) == ""

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import ModelError
 from calib.calibration import calibrate
+from calib.errors import ModelError
 from calib.model.kinematics import Samples
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
@@ -85,19 +85,19 @@ def test_positions_are_as_sure_as_their_errors_are_small(calibrated):
     assert np.sqrt(np.mean(std**2)) == pytest.approx(c.expected_everywhere, rel=0.15)
 
 
-def test_without_an_instrument_s_frame_positions_are_as_sure_as_they_are_in_the_base(calibrated):
-    """By differences of what `predict` gives, the socket's frame left out of it."""
+def test_in_a_socket_s_frame_positions_are_as_sure_as_predictions_differ(calibrated):
+    """By differences of what `predict` gives."""
     _, c = calibrated("sockets")
-    q = random_joint_values(c.nominal, 5, 3)
-    step = 1e-6
+    q, group, step = random_joint_values(c.nominal, 5, 3), c.setup.groups[0], 1e-6
 
     def at(x):
-        return replace(c, x=x).predict(q)
+        return replace(c, x=x).predict(q, group=group)
 
-    x = c.x
-    J = np.stack([(at(x + e) - at(x - e)) / (2 * step) for e in step * np.eye(len(x))], axis=2)
+    J = np.stack(
+        [(at(c.x + e) - at(c.x - e)) / (2 * step) for e in step * np.eye(len(c.x))], axis=2
+    )
     expected = np.sqrt(np.einsum("nij,jk,nik->n", J, c.covariance, J))
-    np.testing.assert_allclose(c.position_std(q), expected, rtol=1e-3)
+    np.testing.assert_allclose(c.position_std(q, group=group), expected, rtol=1e-3)
 
 
 def test_the_larger_model_is_surer_where_it_is_the_true_one(calibrated):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data import PAPER_TARGET_AS_PRINTED, paper_urdf
 from calib.calibration import Calibration, calibrate
+from calib.data import PAPER_TARGET_AS_PRINTED, paper_urdf
 from calib.identify.statistics import Errors
 from calib.identify.summary import error_head, error_row
 from calib.measure.cell import Cell, Priors

@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtri, stdtrit
 
-from calib.errors import CalibError, ModelError
 from calib.calibration import Calibration, calibrate
+from calib.errors import CalibError, ModelError
 from calib.identify.correlations import correlations
 from calib.identify.uncertainty import (
     Bootstrap,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.errors import CalibError, MeasurementError, ModelError
 from calib.calibration import calibrate
+from calib.errors import CalibError, MeasurementError, ModelError
 from calib.measure.cell import Cell
 from calib.measure.disturbances import Encoder, MovedTarget, Outliers
 from calib.measure.measurements import Measurements

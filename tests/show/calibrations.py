@@ -13,8 +13,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.calibration import calibrate
+from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.identify.result import Calibration
 from calib.measure.cell import Cell
 from calib.measure.disturbances import Outliers

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import calib
+from calib.calibration import calibrate
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.errors import FileError
-from calib.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.surroundings import Tracker

@@ -11,9 +11,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.calibration import calibrate
 from calib.data import paper_urdf
 from calib.errors import FileError
-from calib.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.simulation import VirtualCell
 from calib.measure.truth import draw_truth

@@ -1,0 +1,128 @@
+"""How sure predictions are: against fits to other noise, and against robots drawn from the covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.identify.calibration import calibrate
+from calib.identify.result import Calibration
+from calib.kinds import best_fit
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.model.error_model import error_model
+from calib.model.parameters import FRAME
+from calib.model.readback import random_joint_values
+from calib.model.robot import Robot
+from tests.show.calibrations import made
+
+TARGET = np.array([0.05, -0.06, 0.04])
+ANCHOR = np.array([0.9, 0.2, 0.1])
+
+
+def points_of(robot: Robot, q: np.ndarray) -> np.ndarray:
+    poses = robot.poses(q)
+    return np.asarray(poses[:, :3, :3] @ TARGET + poses[:, :3, 3])
+
+
+def by_lengths(ur3: Robot, truth: Robot, rng: np.random.Generator, model: str) -> Calibration:
+    """A draw wire, from an anchor whose place is not known."""
+    q = random_joint_values(ur3, 60, 1)
+    lengths = np.linalg.norm(points_of(truth, q) - ANCHOR, axis=1)
+    table = Measurements(
+        ur3.joint_names,
+        q,
+        np.full((60, 3), np.nan),
+        kinds=("distance",) * 60,
+        distances=lengths + 1e-4 * rng.normal(size=60),
+    )
+    return calibrate(ur3, table, cell=Cell(model=model, target=TARGET), validate=False)
+
+
+def test_of_points_it_is_what_fits_to_other_noise_scatter_by(ur3: Robot):
+    """The same poses measured 40 times."""
+    q, where = random_joint_values(ur3, 30, 1), random_joint_values(ur3, 40, 9)
+    points, rng, found = points_of(ur3, q), np.random.default_rng(2), []
+    for _ in range(40):
+        table = Measurements(ur3.joint_names, q, points + 1e-4 * rng.normal(size=points.shape))
+        found.append(calibrate(ur3, table, cell=Cell(model="frames"), validate=False))
+    scatter = np.var([one.predict(where) for one in found], axis=0, ddof=1).sum(axis=1)
+    std = found[0].position_std(where)
+    assert np.sqrt(np.mean(std**2)) == pytest.approx(np.sqrt(np.mean(scatter)), rel=0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "size"), [("frames", 0.0), ("zeros", 1e-3)])
+def test_of_lengths_it_is_the_error_as_one_body(ur3: Robot, model: str, size: float):
+    """Where the base stands no length tells: moved onto the truth by the measured poses, errors are as large as told.
+
+    In the base they are not: what the first joint's zero is known to is its prior's word, whatever that is.
+    """
+    q, where = random_joint_values(ur3, 60, 1), random_joint_values(ur3, 40, 9)
+    errors = error_model(ur3, "zeros", target=False)
+    rng, as_one_body, in_base = np.random.default_rng(6), [], []
+    for _ in range(25):
+        truth = errors.apply(ur3, size * rng.normal(size=len(errors)))
+        found = by_lengths(ur3, truth, rng, model)
+        wanted, there = points_of(truth, where), found.predict(where)
+        T = best_fit(found.predict(q), points_of(truth, q))
+        moved = there @ T[:3, :3].T + T[:3, 3]
+        told = np.mean(found.position_std(where) ** 2)
+        as_one_body.append(np.mean(np.sum((moved - wanted) ** 2, axis=1)) / told)
+        in_base.append(np.mean(np.sum((there - wanted) ** 2, axis=1)) / told)
+    assert np.sqrt(np.mean(as_one_body)) == pytest.approx(1.0, abs=0.25)
+    assert size == 0.0 or np.sqrt(np.mean(in_base)) > 2.0
+
+
+def test_of_lengths_one_pose_is_as_sure_as_among_others_and_as_the_summary_says(ur3: Robot):
+    found = by_lengths(ur3, ur3, np.random.default_rng(1), "zeros")
+    assert found.base_motion is not None
+    q = found.measurements.joints
+    std = found.position_std(q)
+    alone = [found.position_std(one)[0] for one in q[:5]]
+    np.testing.assert_allclose(alone, std[:5], rtol=1e-9)
+    assert np.sqrt(np.mean(std**2)) == pytest.approx(found.expected_measured, rel=1e-12)
+    # In the anchor's own frame the length counts, and the anchor's place with it.
+    group = found.setup.groups[0]
+    assert np.all(found.position_std(q, group=group) > 0.0)
+
+
+@pytest.mark.parametrize("case", ["paper", "poses", "mixed", "prismatic", "two_joints"])
+def test_a_target_as_a_tool_is_as_sure_as_the_target(case: str):
+    found = made(case)
+    q = found.measurements.joints_for(found.nominal.joint_names)[:7]
+    target, group = found.setup.targets[0], found.setup.groups[0]
+    T = found.setup.T_tip_target[0]
+    std = found.tool_std(q, T, target=target, group=group)
+    np.testing.assert_allclose(std[:, 0], found.position_std(q, group=group, larger=False))
+    # In the base the robot's place counts, which a frame that was estimated takes away.
+    if found.tells_place and np.any(found.model.family(FRAME)):
+        assert (found.tool_std(q, T, target=target)[:, 0] > std[:, 0]).all()
+
+
+def test_of_a_tool_it_is_the_scatter_of_robots_drawn_from_the_covariance():
+    found = made("paper")
+    q, tool = random_joint_values(found.nominal, 3), np.eye(4)
+    tool[:3, 3] = 0.05, 0.0, 0.1
+    own = [k for k, name in enumerate(found.model.names) if not name.startswith("target")]
+    rng = np.random.default_rng(0)
+    spread = rng.multivariate_normal(np.zeros(len(own)), found.covariance[np.ix_(own, own)], 400)
+    model = found.model.without([n for n in found.model.names if n.startswith("target")])
+    points = np.array(
+        [(model.apply(found.nominal, found.x[own] + d).poses(q) @ tool)[:, :3, 3] for d in spread]
+    )
+    expected = found.tool_std(q, tool)
+    scatter = np.sqrt(points.var(axis=0).sum(axis=1))
+    assert scatter == pytest.approx(expected[:, 0], rel=0.12)
+    # One target says little of how the tip is turned: the angle stays as unsure as its priors left it.
+    assert expected[:, 1].min() > 2e-3
+
+
+def test_rows_outside_of_the_measured_range_are_named():
+    found = made("paper")
+    middle = found.ranges.mean(axis=1)
+    beyond = middle.copy()
+    beyond[2] = found.ranges[2, 1] + 0.5
+    (row,) = found.outside_of_measured(np.array([middle, beyond]))
+    assert row.index == 1
+    assert str(row.beyond[0]) == "'elbow_joint' 28.6 deg"
