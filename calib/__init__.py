@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from calib.design.sensitivity import forecast
     from calib.design.workspace import Density, sample_workspace
     from calib.errors import CalibError
-    from calib.fleet.fleet import Fleet, fleet
-    from calib.fleet.robots import FleetOptions, FleetRobot
+    from calib.fleets.fleet import Fleet, fleet
+    from calib.fleets.robots import FleetOptions, FleetRobot
     from calib.identify.acceptance import Acceptance, acceptance
     from calib.identify.evaluation import Evaluation, evaluate
     from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
@@ -99,9 +99,9 @@ _MODULES = {
     "Comparison": "calib.calibration",
     "Density": "calib.design.workspace",
     "Evaluation": "calib.identify.evaluation",
-    "Fleet": "calib.fleet.fleet",
-    "FleetOptions": "calib.fleet.robots",
-    "FleetRobot": "calib.fleet.robots",
+    "Fleet": "calib.fleets.fleet",
+    "FleetOptions": "calib.fleets.robots",
+    "FleetRobot": "calib.fleets.robots",
     "GroupDistance": "calib.measure.cell",
     "Measurements": "calib.measure.measurements",
     "Payload": "calib.model.torques",
@@ -124,7 +124,7 @@ _MODULES = {
     "commands": "calib.compensate.commands",
     "compare": "calib.calibration",
     "evaluate": "calib.identify.evaluation",
-    "fleet": "calib.fleet.fleet",
+    "fleet": "calib.fleets.fleet",
     "forecast": "calib.design.sensitivity",
     "plan": "calib.design.plan",
     "profile_interval": "calib.identify.uncertainty",

@@ -29,7 +29,7 @@ ORDER = (
     "formats",
     "show",
     "calibration",
-    "fleet",
+    "fleets",
     "cli",
 )
 

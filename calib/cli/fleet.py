@@ -106,8 +106,8 @@ def fleet(
         from calib.cli.fleet_manifest import Said, check_out, read_manifest
         from calib.cli.fleet_text import print_fleet
         from calib.cli.progress import progress_bar
-        from calib.fleet.fleet import fleet as calibrate_fleet
-        from calib.fleet.robots import FleetOptions
+        from calib.fleets.fleet import fleet as calibrate_fleet
+        from calib.fleets.robots import FleetOptions
 
         said = Said(
             cell=cell,

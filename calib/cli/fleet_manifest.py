@@ -15,7 +15,7 @@ from calib.cli.words import parse_columns
 from calib.errors import CalibError, FileError, choices, did_you_mean
 
 if TYPE_CHECKING:
-    from calib.fleet.robots import FleetInputs, FleetRobot
+    from calib.fleets.robots import FleetInputs, FleetRobot
     from calib.measure.cell import Cell
     from calib.model.urdf import Urdf
 
@@ -108,7 +108,7 @@ class _Entry:
         Raises:
             CalibError: Something cannot be read, or does not fit.
         """
-        from calib.fleet.robots import FleetRobot
+        from calib.fleets.robots import FleetRobot
 
         try:
             robot = FleetRobot.of_files(
@@ -221,8 +221,8 @@ def read_manifest(path: Path, said: Said) -> tuple[FleetRobot, ...]:
         CalibError: It cannot be read, a column is missing, unknown or there twice, a row has no name, robot or data, or
             names are those of no folder or of two robots; or what the command line says can be said of no robot.
     """
-    from calib.fleet.fleet import check_names
-    from calib.fleet.robots import FleetRobot
+    from calib.fleets.fleet import check_names
+    from calib.fleets.robots import FleetRobot
     from calib.measure.table import Table
 
     setup = said.check()
@@ -267,7 +267,7 @@ def _check_known(where: str, what: str, name: str | None, entries: Iterable[_Ent
     Raises:
         CalibError: None has it. Where one does, the others fail alone: a fleet may have robots of several kinds.
     """
-    from calib.fleet.robots import urdf_reader
+    from calib.fleets.robots import urdf_reader
 
     if name is None:
         return
@@ -296,7 +296,7 @@ def check_out(path: Path, out: Path) -> None:
     Raises:
         FileError: It would.
     """
-    from calib.fleet.tables import CSV
+    from calib.fleets.tables import CSV
 
     if path.resolve() == (out / CSV).resolve():
         message = f"{path} is the manifest, and the table of results would have its name; choose another --out."

@@ -15,9 +15,9 @@ from calib.cli.terminal import VERDICTS
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from calib.fleet.fleet import Fleet
-    from calib.fleet.outliers import Odd
-    from calib.fleet.record import FleetRow
+    from calib.fleets.fleet import Fleet
+    from calib.fleets.outliers import Odd
+    from calib.fleets.record import FleetRow
 
 _WIDTH = 100
 
@@ -44,7 +44,7 @@ _CROSS = "cross-val."
 
 def print_fleet(found: Fleet) -> None:
     """Print a fleet: a table with colours on a terminal, plain text elsewhere."""
-    from calib.fleet.record import DONE
+    from calib.fleets.record import DONE
 
     done = [row for row in found.rows if row.status == DONE]
     shown = shown_rows(found)
@@ -63,7 +63,7 @@ def print_fleet(found: Fleet) -> None:
 
 def shown_rows(found: Fleet) -> list[FleetRow]:
     """The robots that are listed: all of a small fleet, and of a large one those that are odd or not to be used."""
-    from calib.fleet.record import DONE
+    from calib.fleets.record import DONE
 
     done = [row for row in found.rows if row.status == DONE]
     if len(done) <= LISTED:
@@ -157,7 +157,7 @@ def _which(shown: int, done: int) -> str:
 
 def _counts(found: Fleet) -> str:
     """How many robots, with which verdicts."""
-    from calib.fleet.record import DONE, STALE
+    from calib.fleets.record import DONE, STALE
 
     done = [row for row in found.rows if row.status == DONE]
     verdicts = Counter(row.verdict or "no verdict" for row in done)
@@ -174,7 +174,7 @@ def _counts(found: Fleet) -> str:
 
 def failed_lines(rows: Sequence[FleetRow]) -> Iterator[str]:
     """Each reason once, with the robots that it is of."""
-    from calib.fleet.record import STALE
+    from calib.fleets.record import STALE
 
     groups: dict[tuple[str, str], list[str]] = {}
     for row in rows:

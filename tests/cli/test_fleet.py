@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from calib.cli.fleet import _command
-from tests.fleet.arms import arms
+from tests.fleets.arms import arms
 
 DOC = Path(__file__).parents[2] / "docs" / "fleet.md"
 ARM = ("--base", "base", "--tip", "tool0", "--model", "zeros", "--workers", "1")

@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 
 from calib.errors import CalibError
-from calib.fleet.fleet import fleet
-from calib.fleet.record import DONE, FAILED, STALE, FleetRow
-from calib.fleet.robots import FleetOptions, FleetRobot, urdf_reader
-from calib.fleet.tables import csv_bytes
-from tests.fleet.arms import CELL, arms, files
+from calib.fleets.fleet import fleet
+from calib.fleets.record import DONE, FAILED, STALE, FleetRow
+from calib.fleets.robots import FleetOptions, FleetRobot, urdf_reader
+from calib.fleets.tables import csv_bytes
+from tests.fleets.arms import CELL, arms, files
 
 QUICK = FleetOptions(validate=False, reports=False)
 MADE = {"corrected.urdf", "made.json", "result.json", "summary.txt"}

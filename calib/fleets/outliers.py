@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from calib.fleet.record import DONE, FleetRow
+from calib.fleets.record import DONE, FleetRow
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from calib.calibration import calibrate
 from calib.errors import CalibError
-from calib.fleet.fingerprint import fingerprint
-from calib.fleet.record import FleetRow
+from calib.fleets.fingerprint import fingerprint
+from calib.fleets.record import FleetRow
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.table import Table

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import calib.data
-from calib.fleet.robots import FleetRobot
+from calib.fleets.robots import FleetRobot
 from calib.measure.cell import Cell
 from calib.measure.scenario import Scenario
 from calib.model.robot import Robot

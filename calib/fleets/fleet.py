@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.errors import CalibError, FileError
-from calib.fleet.outliers import Odd, odd_ones
-from calib.fleet.record import DONE, FAILED, STALE, FleetRow
-from calib.fleet.robots import (
+from calib.fleets.outliers import Odd, odd_ones
+from calib.fleets.record import DONE, FAILED, STALE, FleetRow
+from calib.fleets.robots import (
     FleetInputs,
     FleetOptions,
     FleetRobot,
@@ -27,7 +27,7 @@ from calib.fleet.robots import (
     inputs_fingerprint,
     urdf_reader,
 )
-from calib.fleet.tables import write_tables
+from calib.fleets.tables import write_tables
 from calib.identify.jobs import run
 from calib.model.files import make_folder, write_atomically
 from calib.model.json_file import json_bytes
@@ -49,7 +49,7 @@ class Fleet:
 
     Attributes:
         rows: One for each robot, in their order.
-        odd: What is odd about which of them, see `calib.fleet.outliers`.
+        odd: What is odd about which of them, see `calib.fleets.outliers`.
         notes: What could not be said, and what else a person should know.
         kept: How many of them were taken from an earlier run.
     """

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.fleet.outliers import FEWEST, limit, odd_ones, scores
-from calib.fleet.record import FleetParameter, FleetRow, measured_hash
+from calib.fleets.outliers import FEWEST, limit, odd_ones, scores
+from calib.fleets.record import FleetParameter, FleetRow, measured_hash
 from calib.measure.measurements import Measurements
 
 

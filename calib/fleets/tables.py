@@ -9,8 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from calib.fleet.outliers import Odd
-from calib.fleet.record import FleetRow
+from calib.fleets.outliers import Odd
+from calib.fleets.record import FleetRow
 from calib.model.files import write_atomically
 from calib.model.json_file import json_bytes, plain
 
