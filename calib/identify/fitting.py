@@ -26,12 +26,12 @@ from calib.identify.solvers import (
     scipy_least_squares,
 )
 from calib.measure.cell import Cell
-from calib.model import kernel
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
 from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.model.threads import over_blocks
 
 Array = NDArray[np.float64]
 
@@ -350,9 +350,12 @@ def seen_from(setup: Setup, T_base_tip: Array, rows: Rows) -> Array:
     """T_frame_target of each row, shape (N, 4, 4), [m]."""
     frame, target = rows.samples.frame, rows.samples.target
     result = np.empty((len(rows), 4, 4))
-    for own in kernel.blocks(len(rows)):  # so that no more than the result itself takes room
+
+    def work(own: slice) -> None:
         T_frame_tip = setup.T_frame_base[frame[own]] @ T_base_tip[own]
         np.matmul(T_frame_tip, setup.T_tip_target[target[own]], out=result[own])
+
+    over_blocks(work, len(rows))
     return result
 
 

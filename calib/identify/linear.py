@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 from calib.identify.robust import as_of_a_point, deleted_norms
 from calib.identify.statistics import Mask
 from calib.identify.variance import Known, Linearised
-from calib.model.kernel import blocks
+from calib.model.threads import over_blocks
 
 Array = NDArray[np.float64]
+
+#: Normal equations that are kept.
+_KEPT = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +40,7 @@ class Linear:
     C: Array
     z: Array
     _parts: tuple[tuple[slice, Array | None], ...] = field(init=False, repr=False)
+    _told: list[tuple[Array, Linearised]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Find the columns of each instrument's scalars, and where not all rows have them, which do, shape (d, N)."""
@@ -47,6 +51,7 @@ class Linear:
             at = slice(int(there[0]), int(there[-1]) + 1) if len(there) else slice(0, 0)
             parts.append((at, None if own[at].all() else own[at].astype(np.float64)))
         object.__setattr__(self, "_parts", tuple(parts))
+        object.__setattr__(self, "_told", [])
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -81,18 +86,32 @@ class Linear:
         )
 
     def data(self, weights: Array) -> Linearised:
-        """The normal equations with these weights, shape (N,)."""
+        """The normal equations with these weights, shape (N,); the last ones are kept, for stages ask again."""
+        for known, told in self._told:
+            if np.array_equal(known, weights):
+                return told
+        told = self._data(weights)
+        self._told[:] = [(weights.copy(), told), *self._told[: _KEPT - 1]]
+        return told
+
+    def _data(self, weights: Array) -> Linearised:
+        """The normal equations."""
         p = len(self.x)
         both = np.zeros((len(self._parts), p + 1, p + 1))
         count = np.zeros(len(self._parts))
         root = np.sqrt(weights)
         for c, (at, there) in enumerate(self._parts):
-            for own in blocks(len(self)):
-                factor = root[own] if there is None else there[:, own] * root[own]
-                part = (self.columns[:, at, own] * factor).reshape(p + 1, -1)
-                both[c] += part @ part.T
-            alive = weights if there is None else there * weights
-            count[c] = (at.stop - at.start) * alive.sum() if there is None else alive.sum()
+            factor = root if there is None else there * root
+
+            def product(own: slice, at: slice = at, factor: Array = factor) -> Array:
+                part = (self.columns[:, at, own] * factor[..., own]).reshape(p + 1, -1)
+                return np.asarray(part @ part.T)
+
+            both[c] = np.sum(over_blocks(product, len(self)), axis=0)
+            alive = (
+                weights.sum() * (at.stop - at.start) if there is None else (there @ weights).sum()
+            )
+            count[c] = alive
         # [A r] are at hand; what is asked for is [A y] with y = r + A x.
         H, g, rr = both[:, :p, :p], both[:, :p, p], both[:, p, p]
         Hx = H @ self.x

@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from calib.identify.linear import Linear
 from calib.identify.robust import median
 from calib.identify.rows import Rows, whole_blocks
+from calib.identify.solvers import triangle
 from calib.identify.statistics import Mask
 from calib.model.kinematics import Kinematics
+from calib.model.threads import over_blocks
 
 Array = NDArray[np.float64]
 
@@ -29,6 +31,9 @@ SMALLEST_SIGMA = 1e-8
 
 #: Rows whose twists are held at a time.
 _PART = 16_384
+
+#: Up to so many rows a solver sees every scalar.
+_TALL = 1024
 
 #: Columns of a residual that are lengths; angles are behind them.
 _LENGTHS = 3
@@ -166,25 +171,38 @@ class Problem:
 
         Returns:
             shape (M + priors + distances,) and shape (M + priors + distances, p); see the module's equation. Of the M
-            scalars those of column 0 come first, of all rows, then those of column 1.
+            scalars those of column 0 come first, of all rows, then those of column 1. Of many rows M is p + 1: numbers
+            whose squares and products are those of all scalars.
         """
         held = np.flatnonzero(self.precision)
         root = np.sqrt(self.precision[held])
         between, slope = self.constraints(x)
-        columns, used = self.linear(x).columns, self.rows.used.T
-        whiten = (np.sqrt(self.weights)[:, None] * (self.rows.scales / self.scales)).T
-        if not used.all():
-            columns, whiten = columns[:, used], whiten[used]
-        measured = whiten.size
+        rows = self._whitened(self.linear(x).columns)
+        measured = rows.shape[1]
         last = measured + len(held)
-        # By columns in memory, as solvers want it.
-        both = np.zeros((self.size + 1, last + len(between)))
-        np.multiply(columns, whiten, out=both[:, :measured].reshape(columns.shape))
-        np.negative(both[:-1, :measured], out=both[:-1, :measured])
+        both = np.zeros(
+            (self.size + 1, last + len(between))
+        )  # by columns in memory, as solvers want it
+        both[:-1, :measured], both[-1, :measured] = -rows[:-1], rows[-1]
         both[held, measured + np.arange(len(held))] = -root
         both[-1, measured:last] = -root * (x - self.centre)[held]
         both[:-1, last:], both[-1, last:] = -slope.T, between
         return both[-1], both[:-1].T
+
+    def _whitened(self, columns: Array) -> Array:
+        """[A r] of the measured scalars in units of their noise, shape (p + 1, M); R of [A r] = Q R for many rows."""
+        whiten = (np.sqrt(self.weights)[:, None] * (self.rows.scales / self.scales)).T
+        used = self.rows.used.T
+        if len(self.weights) <= _TALL:
+            return (columns * whiten)[:, used]
+
+        factor = whiten * used
+
+        def work(own: slice) -> Array:
+            return triangle((columns[:, :, own] * factor[:, own]).reshape(len(columns), -1).T)
+
+        parts = over_blocks(work, len(self.weights))
+        return triangle(np.asfortranarray(np.concatenate(parts))).T
 
     def paper_system(self, nominal: Array, unit: Array, X: Array) -> tuple[Array, Array]:
         """The paper's error e_i = |dP_i|^2 [mm^2] and its derivative, at its absolute parameters X.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, fdtri
 
-from calib.model.kernel import blocks
+from calib.model.threads import over_blocks
 
 Array = NDArray[np.float64]
 
@@ -29,6 +29,9 @@ _FALSE_ALARM = 0.01
 
 #: A row that leaves less than this of a direction to the others carries it nearly alone.
 _CARRIED = 1e-4
+
+#: Identities by their size, of the scalars that a row may have.
+_IDENTITIES = tuple(np.eye(d)[:, :, None] for d in range(7))
 
 #: The scalars of a point, for which scores are told.
 _POINT = 3
@@ -82,15 +85,21 @@ def deleted_norms(
         factors: shape (N, D), what residual and jacobian are multiplied by; None for 1.
     """
     norms = np.empty(len(residual))
-    for own in blocks(len(residual)):
+
+    def work(own: slice) -> None:
         A, r = jacobian[own].transpose(2, 1, 0), residual[own].T
         p, D, B = A.shape
         spread = (covariance @ A.reshape(p, D * B)).reshape(p, D, B)
-        leverage = np.einsum("pib,pjb->ijb", spread, A)
+        leverage = np.empty((D, D, B))
+        for i in range(D):
+            row = np.einsum("pb,pjb->jb", spread[:, i], A[:, : i + 1])
+            leverage[i, : i + 1], leverage[: i + 1, i] = row, row
         if factors is not None:
             f = factors[own].T
             r, leverage = r * f, leverage * f * f[:, None]
         norms[own] = _norms_of(r, leverage, weights[own])
+
+    over_blocks(work, len(norms))
     return norms
 
 
@@ -100,16 +109,18 @@ def _norms_of(r: Array, K: Array, w: Array) -> Array:
     (I + (1 - w) K) (I - w K) is symmetric and solved as it stands; where a row carries nearly all that is known of a
     direction, by the eigenvalues of K, none of which may then pass 1 / w.
     """
-    identity = np.eye(len(r))[:, :, None]
-    kept = identity - w * K
+    kept = _IDENTITIES[len(r)] - w * K
     spread = kept + (1.0 - w) * np.einsum("ijb,jkb->ikb", K, kept)
     with np.errstate(all="ignore"):
-        # The product of 1 - w k over the eigenvalues k of K is at most its smallest factor.
-        left, _ = _eliminated(kept, np.zeros_like(r))
         _, square = _eliminated(spread, r.copy())
-    risky = ~(left >= _CARRIED) | (K.max(axis=(0, 1), initial=0.0) > 1.0 / _CARRIED)
-    if risky.any():
-        square[risky] = _squares_by_eigenvalues(r[:, risky].T, K[:, :, risky].T, w[risky])
+    trace = np.einsum("iib->b", K)
+    # The product of 1 - w k over the eigenvalues k of K is at most its smallest factor, and at least 1 - w trace K.
+    if not np.all(w * trace < 1.0 - _CARRIED):
+        with np.errstate(all="ignore"):
+            left, _ = _eliminated(kept, np.zeros_like(r))
+        risky = ~(left >= _CARRIED) | (K.max(axis=(0, 1), initial=0.0) > 1.0 / _CARRIED)
+        if risky.any():
+            square[risky] = _squares_by_eigenvalues(r[:, risky].T, K[:, :, risky].T, w[risky])
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 

@@ -274,11 +274,16 @@ def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
     p = J.shape[1]
     both = np.empty((len(r), p + 1), order="F")  # as LAPACK wants it
     both[:, :p], both[:, p] = J, -r
-    R = _packed(both)
-    R = R * _upper(*R.shape)
+    R = triangle(both)
     if len(R) < p:
         R = np.vstack([R, np.zeros((p - len(R), p + 1))])
     return R[:p, :p], R[:p, p]
+
+
+def triangle(A: Array) -> Array:
+    """The triangle R of A = Q R, of as many rows as A has rows or columns; A is overwritten if laid out by columns."""
+    R = _packed(A)
+    return R * _upper(*R.shape)
 
 
 @lru_cache(maxsize=64)

@@ -12,17 +12,15 @@ what the tests compare with.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.model.threads import over_blocks
+
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int_]
-
-#: Samples of one block.
-BLOCK = 1024
 
 #: A z component below this has the axis point against z.
 _AGAINST = -1.0 + 1e-12
@@ -100,9 +98,11 @@ def poses(geometry: Geometry, stood: Stood) -> Array:
     found = np.empty((len(stood.values), 4, 4))
     found[:, 3] = 0.0, 0.0, 0.0, 1.0
     steps = _steps(geometry)
-    for own in blocks(len(found)):
-        frames = _frames(geometry, steps, stood, own)
-        found[own, :3] = frames[-1].transpose(2, 1, 0)
+
+    def work(own: slice) -> None:
+        found[own, :3] = _frames(geometry, steps, stood, own)[-1].transpose(2, 1, 0)
+
+    over_blocks(work, len(found))
     return found
 
 
@@ -129,30 +129,33 @@ def twists(
     inner = directions.placements.reshape(n + 1, 2, 3, p).copy()
     inner[:n] = geometry.turns.transpose(0, 2, 1)[:, None] @ inner[:n]
     seen = (directions.bases, stood.frame), (directions.targets, stood.target)
-    for own in blocks(N):
+    linear = inner.reshape(6 * (n + 1), p).T
+    angular = inner[:, 1].reshape(3 * (n + 1), p).T
+
+    def work(own: slice) -> None:
         frames = _frames(geometry, steps, stood, own)
         T_frame_target[own, :3] = frames[-1].transpose(2, 1, 0)
-        moves = regressor(frames, frames[-1, 3])
-        B = moves.shape[3]
-        part = inner.reshape(6 * (n + 1), p).T @ moves[1:-1].reshape(6 * (n + 1), 3 * B)
-        part = part.reshape(p, 3, B)
-        for k, (local, which) in zip((0, -1), seen, strict=True):
-            add_columns(part, moves[k], local, which[own])
-        if len(stood.columns):
-            along = moves[np.arange(1, n + 1), np.where(geometry.slides, 2, 5)]
-            part[stood.columns] += np.einsum("idb,bik->kdb", along, stood.moved[own])
+        moves, axes = regressor(frames, frames[-1, 3]), frames[:, :3]
+        B = frames.shape[3]
+        joints = np.arange(1, n + 1)
+        along = moves[joints, np.where(geometry.slides, 2, 5)]
+        part = (linear @ moves[1:-1].reshape(6 * (n + 1), 3 * B)).reshape(p, 3, B)
+        add(part, moves, 0, along, own)
         found[:, :3, own] = part
-        if not rotation:
-            continue
-        axes = np.ascontiguousarray(frames[:, :3])
-        part = inner[:, 1].reshape(3 * (n + 1), p).T @ axes[1:-1].reshape(3 * (n + 1), 3 * B)
-        part = part.reshape(p, 3, B)
+        if rotation:
+            about = np.where(geometry.slides[:, None, None], 0.0, axes[joints, 2])
+            part = (angular @ axes[1:-1].reshape(3 * (n + 1), 3 * B)).reshape(p, 3, B)
+            add(part, axes, 3, about, own)
+            found[:, 3:, own] = part
+
+    def add(part: Array, moves: Array, first: int, along: Array, own: slice) -> None:
+        """What parameters of frames, targets and the joints' state do besides."""
         for k, (local, which) in zip((0, -1), seen, strict=True):
-            add_columns(part, axes[k], local[:, 3:], which[own])
+            add_columns(part, moves[k], local[:, first:], which[own])
         if len(stood.columns):
-            along = np.where(geometry.slides[:, None, None], 0.0, axes[1 : n + 1, 2])
             part[stood.columns] += np.einsum("idb,bik->kdb", along, stood.moved[own])
-        found[:, 3:, own] = part
+
+    over_blocks(work, N)
     return T_frame_target, found.transpose(2, 1, 0)
 
 
@@ -198,11 +201,6 @@ def carried(frames: Array, T: Array, which: Numbers) -> Array:
     if len(T) == 1:
         return np.asarray((T[0].T @ frames.reshape(4, -1)).reshape(frames.shape))
     return np.asarray(np.einsum("bkc,kib->cib", T[which], frames))
-
-
-def blocks(count: int) -> Iterator[slice]:
-    """Parts of some samples."""
-    return (slice(first, min(first + BLOCK, count)) for first in range(0, count, BLOCK))
 
 
 def _steps(geometry: Geometry) -> Array:
