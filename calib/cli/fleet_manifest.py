@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.cli.options import Kind, PriorSizes, Repeats
+from calib.cli.options import PriorSizes, Repeats
 from calib.cli.setup import read_cell
 from calib.cli.words import parse_columns
 from calib.errors import CalibError, FileError, choices, did_you_mean
@@ -57,7 +57,7 @@ class Said:
     target: str | None = None
     frame: str | None = None
     model: str | None = None
-    kind: Kind | None = None
+    kind: str | None = None
     payload: str | None = None
     hold: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
@@ -146,14 +146,15 @@ class _Entry:
 
     def _setup(self) -> Cell:
         """The cell file with what the command line says on top of it, and what the row says on top of that."""
+        from calib import kinds
+
         said, own = self.said, self.cells
         kind = said.kind
         if "kind" in own:
-            kinds = [k.value for k in Kind]
-            if own["kind"] not in kinds:
-                message = f"column 'kind': '{own['kind']}' is no kind of measurement; choose one of {choices(kinds)}."
+            kind = own["kind"]
+            if kind not in kinds.names():
+                message = f"column 'kind': '{kind}' is no kind of measurement; choose one of {choices(kinds.names())}."
                 raise CalibError(message)
-            kind = Kind(own["kind"])
         setup = read_cell(
             self._path("cell") or said.cell,
             base=own.get("base", said.base),

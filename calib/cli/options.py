@@ -12,18 +12,17 @@ from typing import Annotated
 
 import typer
 
-from calib.errors import CalibError
+from calib.errors import CalibError, choices
 
 
-class Kind(str, Enum):
-    """The kinds of measurement."""
+def parse_kind(name: str) -> str:
+    """The name of a kind of measurement, for ``--kind``."""
+    from calib import kinds
 
-    point = "point"
-    pose = "pose"
-    distance = "distance"
-    pair = "pair"
-    fixed = "fixed"
-    plane = "plane"
+    if name not in kinds.names():
+        message = f"{name!r} is not one of {choices(kinds.names())}."
+        raise typer.BadParameter(message)
+    return name
 
 
 class Repeats(str, Enum):
@@ -99,8 +98,13 @@ ModelName = Annotated[
     ),
 ]
 MeasuredKind = Annotated[
-    Kind | None,
-    typer.Option("--kind", help="What every row measures. Default: as the table's columns say."),
+    str | None,
+    typer.Option(
+        "--kind",
+        parser=parse_kind,
+        metavar="KIND",
+        help="What every row measures: point, pose, distance, pair, fixed or plane. Default: as the columns say.",
+    ),
 ]
 PointsFile = Annotated[
     Path | None,

@@ -292,7 +292,7 @@ def plan(
             "--tip": tip,
             "--target": target,
             "--frame": frame,
-            "--kind": None if kind is None else kind.value,
+            "--kind": kind,
             "--model": model,
             "--payload": payload,
             "--cell": None if cell is None else str(cell),

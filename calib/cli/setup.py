@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from calib.cli.options import Kind
 from calib.cli.words import (
     check_model,
     parse_columns,
@@ -36,7 +35,7 @@ def read_cell(
     target: str | None = None,
     frame: str | None = None,
     model: str | None = None,
-    kind: Kind | None = None,
+    kind: str | None = None,
     hold: Iterable[str] | None = None,
     payload: str | None = None,
 ) -> Cell:
@@ -44,13 +43,11 @@ def read_cell(
     from calib.measure.cell import Cell
 
     cell = Cell() if path is None else Cell.read(path)
-    said: dict[str, Any] = {"base": base, "tip": tip, "model": model}
+    said: dict[str, Any] = {"base": base, "tip": tip, "model": model, "kind": kind}
     if target is not None:
         said["target"] = parse_point(target, "--target")
     if frame is not None:
         said["estimate_frame"], said["frame_directions"] = parse_frame(frame)
-    if kind is not None:
-        said["kind"] = kind.value
     if hold:
         said["held"] = {**cell.held, **parse_held(hold)}
     if payload is not None:

@@ -314,7 +314,7 @@ def simulate(
                 "--tip": tip,
                 "--target": target,
                 "--frame": frame,
-                "--kind": None if kind is None else kind.value,
+                "--kind": kind,
                 "--payload": payload,
                 "--cell": None if cell is None else str(cell),
             }

@@ -172,10 +172,11 @@ def _sigma_angle(cell: Cell, said: str | None, *, any_noise: bool) -> float:
     """The noise of an orientation: as said, the cell's, or a tracker's 6D probe's; none where there is no noise."""
     import math
 
+    from calib import kinds
     from calib.cli.simulate_words import parse_angle
 
     if said is not None:
-        if cell.kind != "pose":
+        if cell.kind is None or not kinds.get(cell.kind).angles:
             message = (
                 "--angle-noise is the noise of orientations; they are measured with --kind pose."
             )

@@ -48,17 +48,14 @@ def _fill(text: str) -> str:
 
 def _what(cell: VirtualCell, made: Simulated) -> str:
     """How many rows of what."""
+    from calib import kinds
+
     robot, table = cell.robot, made.measurements
     held_back = int(table.validation.sum())
     rows = f"{len(table)} rows"
     if held_back:
         rows += f" ({len(table) - held_back} to estimate from, {held_back} to validate with)"
-    what = {
-        "point": "the position of the target",
-        "pose": "position and orientation of the target",
-        "distance": "the distance from the target to an anchor",
-        "pair": "the distance between the target's places at two poses",
-    }[cell.kind]
+    what = f"the {kinds.get(cell.kind).words}"
     names = cell.truth.targets
     if len(names) > 1:
         what += f", at each pose of {len(names)} targets ({', '.join(names)})"
@@ -108,6 +105,8 @@ def _family_line(family: str, unit: str, pairs: Sequence[tuple[Parameter, float]
 
 def _places(cell: VirtualCell) -> Iterator[str]:
     """Where targets and frames truly are."""
+    from calib import kinds
+
     truth = cell.truth
     for name, T, said in zip(
         truth.targets, truth.T_tip_target, truth.said_T_tip_target, strict=True
@@ -116,7 +115,7 @@ def _places(cell: VirtualCell) -> Iterator[str]:
         yield (
             f"{label} sits at {_point(T[:3, 3])} mm in the tip; it is said to sit at {_point(said[:3, 3])} mm."
         )
-    if cell.kind == "pair":
+    if not kinds.get(cell.kind).directions:
         return
     for name, T in zip(truth.groups, truth.T_frame_base, strict=True):
         label = "The measurement frame" if len(truth.groups) == 1 else f"The frame of '{name}'"
@@ -128,8 +127,10 @@ def _places(cell: VirtualCell) -> Iterator[str]:
 
 def _noise(cell: VirtualCell, made: Simulated) -> Iterator[str]:
     """What is uncertain in a measurement."""
+    from calib import kinds
+
     noise = cell.noise
-    what = "length" if cell.kind in ("distance", "pair") else "coordinate"
+    what = "length" if kinds.get(cell.kind).lengths == 1 else "coordinate"
     if noise is None:
         yield f"Noise of a {what}: none."
     else:
@@ -141,7 +142,7 @@ def _noise(cell: VirtualCell, made: Simulated) -> Iterator[str]:
         if noise.repeatability:
             parts.append(f"the robot's repeatability {1e6 * noise.repeatability:g} um")
         yield f"Noise of a {what}: {between} (standard deviation): {', '.join(parts)}."
-    if cell.kind == "pose":
+    if kinds.get(cell.kind).angles:
         yield f"Noise of an orientation about each axis: {math.degrees(cell.sigma_angle):g} deg."
     steps = [
         f"{math.degrees(cell.encoder.angle):g} deg" if cell.encoder.angle else "",

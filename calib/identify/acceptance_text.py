@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from calib import kinds
 from calib.errors import choices
 from calib.identify.acceptance import FAIL, UNDECIDED, Acceptance, Check, size_of
 from calib.identify.acceptance_rows import FEWEST_APART
@@ -24,9 +25,6 @@ _WORTH_ADVICE = 1.1
 
 #: Poses that are listed, and rows of a pose that are named.
 _MOST_POSES, _MOST_ROWS = 10, 3
-
-#: Kinds of row with three coordinates.
-_WHOLE = ("point", "pose", "fixed")
 
 #: What the criteria look at.
 _LENGTHS = {
@@ -301,7 +299,9 @@ def _left_out_text(a: Acceptance) -> str:
         parts.append("Orientations were measured and have no tolerance: they are not judged.")
     if a.length is None:
         parts.append("Positions were measured and have no tolerance: they are not judged.")
-    narrow = list(dict.fromkeys(p.kind for p in a.accuracy.poses if p.kind not in _WHOLE))
+    narrow = list(
+        dict.fromkeys(p.kind for p in a.accuracy.poses if not kinds.get(p.kind).coordinates)
+    )
     if narrow:
         parts.append(f"Rows of the kind {choices(narrow)} say nothing of errors across them.")
     return " ".join(parts)
@@ -309,7 +309,7 @@ def _left_out_text(a: Acceptance) -> str:
 
 def _narrow(one: Accuracy) -> bool:
     """Whether every row measures one length alone."""
-    return not any(pose.kind in _WHOLE for pose in one.poses)
+    return not any(kinds.get(pose.kind).coordinates for pose in one.poses)
 
 
 def _sized(value: float, angle: bool, digits: int = 3) -> str:
@@ -330,7 +330,7 @@ def _number(value: float, digits: int) -> str:
 def _rows_label(pose: PoseAccuracy) -> str:
     """The rows of a pose in few words."""
     rows = pose.rows
-    if pose.kind == "pair":
+    if kinds.get(pose.kind).paired:
         return f"pair of row {rows[0]}{', ...' * (len(rows) > 1)}"
     if len(rows) == 1:
         return f"row {rows[0]}"

@@ -15,10 +15,8 @@ from calib.identify.result import Calibration
 from calib.identify.selection import Candidate
 from calib.identify.statistics import Errors
 from calib.identify.words import three
+from calib.kinds import get
 from calib.model.parameters import FRAME, TARGET
-
-#: Kinds of row that measure one length.
-_OF_ONE_LENGTH = ("distance", "plane", "pair")
 
 #: Correlations beyond this are told, the largest few.
 _WORTH_NAMING, _MOST_PAIRS = 0.95, 4
@@ -76,7 +74,7 @@ def lengths_of_kinds(kinds: Collection[str]) -> str:
     Args:
         kinds: Such as ``"point"``.
     """
-    lengths = [kind for kind in kinds if kind in _OF_ONE_LENGTH]
+    lengths = [kind for kind in kinds if get(kind).lengths == 1]
     return _lengths(coordinates=len(lengths) < len(kinds), lengths=bool(lengths))
 
 

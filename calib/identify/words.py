@@ -7,6 +7,7 @@ import textwrap
 import numpy as np
 import pinocchio as pin
 
+from calib import kinds as registry
 from calib.identify.result import Calibration
 from calib.model.error_model import placed_name
 
@@ -90,15 +91,16 @@ def _one_frame(c: Calibration, f: int, group: str) -> str:
     """One measurement frame; of a socket the point in the base, of a plane its normal and distance."""
     T, directions = c.setup.T_frame_base[f], c.setup.unknown[f]
     what = f" '{group}'" if group else ""
-    kinds = {k for k, g in zip(c.rows.kinds, c.rows.groups, strict=True) if g == c.setup.groups[f]}
-    base = c.nominal.base
-    if kinds <= {"fixed", "distance"}:
-        name = "Socket" if kinds == {"fixed"} else "Anchor"
+    names = {k for k, g in zip(c.rows.kinds, c.rows.groups, strict=True) if g == c.setup.groups[f]}
+    kinds = [registry.get(name) for name in names]
+    base, places = c.nominal.base, sorted(kind.place for kind in kinds)
+    if all(kind.own_frame and kind.directions == ("x", "y", "z") for kind in kinds):
+        name = places[0]  # of an anchor in a socket: anchor
         place = ", ".join(three(1e3 * float(v)) for v in -T[:3, :3].T @ T[:3, 3])
         return f"{name}{what}: found at ({place}) mm in {base}."
-    if kinds == {"plane"}:
+    if all(kind.own_frame and kind.directions == ("z", "rx", "ry") for kind in kinds):
         normal = ", ".join(f"{v:.5f}" for v in T[2, :3])
-        return f"Plane{what}: found with the normal ({normal}) in {base}, {-1e3 * T[2, 3]:.3f} mm along it."
+        return f"{places[0]}{what}: found with the normal ({normal}) in {base}, {-1e3 * T[2, 3]:.3f} mm along it."
     xyz = ", ".join(three(1e3 * float(v)) for v in T[:3, 3])
     rpy = ", ".join(three(float(v)) for v in np.degrees(pin.rpy.matrixToRpy(T[:3, :3])))
     shift = [placed_name("frame", d, group) for d in directions if d in "xyz"]
@@ -106,8 +108,9 @@ def _one_frame(c: Calibration, f: int, group: str) -> str:
     sure = [f"({_half_widths(c, shift, 1e3)}) mm"] * bool(shift)
     sure += [f"({_half_widths(c, turn, float(np.degrees(1.0)))}) deg"] * bool(turn)
     return (
-        f"Measurement frame{what}: {base} found at ({xyz}) mm, rpy ({rpy}) deg in it; 95 % ± "
-        f"{' and '.join(sure)} for {', '.join(directions)} along and about the axes of {base}."
+        f"{places[0]}{what}: {base} found at ({xyz}) mm, rpy ({rpy}) deg in it; 95 % ± "
+        f"{' and '.join(sure)} for {', '.join(directions)} along and about the axes of "
+        f"{'the frame' if c.setup.own_axes[f] else base}."
     )
 
 

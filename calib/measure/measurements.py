@@ -112,7 +112,7 @@ class Measurements:
             self.source or "Measurements",
             self.joint_names,
             self.prismatic,
-            turned=bool(self._rows_of(lambda kind: kind.orientation).any()),
+            turned=bool(self.where(lambda kind: kind.orientation).any()),
             torques=self.torques is not None,
         )
 
@@ -120,14 +120,14 @@ class Measurements:
         """The arrays, each with the rows whose kinds measure it."""
         where, n, read = self._where, len(self.joint_names), registry.readings()
         every = np.ones(len(self.rows), dtype=np.bool_)
-        own = {name: self._rows_of(_reads(one)) for name, one in read.items()}
-        own["rotations"] = self._rows_of(lambda kind: kind.orientation)
+        own = {name: self.where(_reads(one)) for name, one in read.items()}
+        own["rotations"] = self.where(lambda kind: kind.orientation)
         fields: dict[str, tuple[Any, ...]] = {
             "joints": ((n,), every, checks.REACH, self.joint_names),
             "points": ((3,), self.positions, checks.REACH, "xyz"),
             "rotations": ((3, 3), own["rotations"]),
             "sigma": ((), every, checks.SIGMAS),
-            "sigma_angle": ((), self._rows_of(lambda kind: kind.angles > 0), checks.SIGMAS),
+            "sigma_angle": ((), self.where(lambda kind: kind.angles > 0), checks.SIGMAS),
         }
         for name, one in read.items():
             least = checks.SIGMAS[0] if one.positive else -checks.FARTHEST
@@ -164,7 +164,7 @@ class Measurements:
         """What messages say of a row."""
         return checks.Where(self.source, self.rows, self.kinds)
 
-    def _rows_of(self, test: Callable[[Kind], bool]) -> NDArray[np.bool_]:
+    def where(self, test: Callable[[Kind], bool]) -> NDArray[np.bool_]:
         """True for the rows of kinds that pass a test, shape (N,), read-only."""
         return _mask(self.kinds, *(n for n in registry.names() if test(registry.get(n))))
 
@@ -271,12 +271,12 @@ class Measurements:
     @property
     def paired(self) -> NDArray[np.bool_]:
         """True for the rows of which two give one measurement, shape (N,), read-only."""
-        return self._rows_of(lambda kind: kind.paired)
+        return self.where(lambda kind: kind.paired)
 
     @property
     def positions(self) -> NDArray[np.bool_]:
         """True for the rows that measure a position, shape (N,), read-only."""
-        return self._rows_of(lambda kind: kind.position)
+        return self.where(lambda kind: kind.position)
 
     @property
     def pair_rows(self) -> NDArray[np.intp]:

@@ -160,7 +160,7 @@ def _between(m: Measurements, nominal: Array, calibrated: Array) -> Array:
 
     Shape (N, 4, 4), [m]. Where nothing tells a place, neither finds where it stands: the two then share their base.
     """
-    if not np.any(m.of_kind("point", "pose", "fixed")):
+    if not np.any(m.where(lambda kind: kind.coordinates)):
         return np.broadcast_to(np.eye(4), nominal.shape)
     return rigid_inverse(calibrated) @ nominal
 
@@ -170,7 +170,7 @@ def _measured(m: Measurements, T_frame_base: Array) -> Array:
 
     A target in a socket was where its set-up's frame stands. Distances and planes tell no place.
     """
-    known = m.of_kind("point", "pose", "fixed")
+    known = m.where(lambda kind: kind.coordinates)
     T_base_frame = rigid_inverse(T_frame_base)
     points = np.nan_to_num(m.points)
     places = np.einsum("nij,nj->ni", T_base_frame[:, :3, :3], points) + T_base_frame[:, :3, 3]
@@ -181,7 +181,7 @@ def _instruments(m: Measurements, T_frame_base: Array) -> Array:
     """Where the measuring frame of each row stands in the base, shape (N, 4, 4); NaN where it is the base itself."""
     T_base_frame = rigid_inverse(T_frame_base)
     elsewhere = np.max(np.abs(T_base_frame - np.eye(4)), axis=(1, 2)) > _THE_BASE
-    known = m.of_kind("point", "pose") & elsewhere
+    known = m.positions & elsewhere
     return np.where(known[:, None, None], T_base_frame, np.nan)
 
 
@@ -189,7 +189,7 @@ def _with_tracker(c: Calibration, instruments: Array) -> Array:
     """The instruments; for points that were measured in the base itself the cell's tracker, shape (N, 4, 4)."""
     if c.cell.tracker is None:
         return instruments
-    seen = c.measurements.of_kind("point", "pose") & np.isnan(instruments[:, 0, 0])
+    seen = c.measurements.positions & np.isnan(instruments[:, 0, 0])
     return np.where(seen[:, None, None], translated(c.cell.tracker.position), instruments)
 
 

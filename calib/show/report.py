@@ -34,6 +34,7 @@ from calib.identify.statements import (
 )
 from calib.identify.statistics import interval_factor
 from calib.identify.words import frame_sentences, target_sentences
+from calib.kinds import get as kind_named
 from calib.model.files import write_atomically
 from calib.show import report_tables as tables
 from calib.show.figures import Drawing, drawings, rendered_with_width
@@ -53,16 +54,6 @@ _VERDICTS = {
     "use with care": ("!", "care"),
     "do not use": ("\N{MULTIPLICATION X}", "bad"),
     "none": ("\N{EN DASH}", "none"),
-}
-
-#: What a kind of row measures.
-_KINDS = {
-    "point": "position of the target",
-    "pose": "position and orientation of the target",
-    "distance": "distance from the target to an anchor",
-    "pair": "distance between the target's places at two poses",
-    "fixed": "the target sits at one unknown point",
-    "plane": "the target touches one unknown plane",
 }
 
 _PRIORS = {
@@ -206,7 +197,7 @@ def _measured(c: Calibration) -> Iterator[tuple[str, str]]:
     rows = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate (column 'set')"
     more = f"; {len(m.unmeasured):,} more without a measurement, left out" if m.unmeasured else ""
     yield "Rows", f"{len(m):,}: {rows}{more}"
-    kinds = [f"{_KINDS.get(kind, kind)} ({n:,} rows)" for kind, n in Counter(m.kinds).items()]
+    kinds = [f"{kind_named(kind).words} ({n:,} rows)" for kind, n in Counter(m.kinds).items()]
     yield "Each row measures", "; ".join(kinds)
     for what, names in (("Targets", m.targets), ("Set-ups", m.groups)):
         if len(set(names)) > 1:

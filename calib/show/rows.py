@@ -44,7 +44,7 @@ def measured_in_base(m: Measurements, T_frame_base: Array) -> Array:
     """
     T_base_frame = rigid_inverse(T_frame_base)
     points = np.einsum("nij,nj->ni", T_base_frame[:, :3, :3], np.nan_to_num(m.points))
-    known = m.of_kind("point", "pose", "fixed")
+    known = m.where(lambda kind: kind.coordinates)
     return np.where(known[:, None], points + T_base_frame[:, :3, 3], np.nan)
 
 

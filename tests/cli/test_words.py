@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.cli.options import Kind, PriorSizes, Repeats
+from calib.cli.options import PriorSizes, Repeats
 from calib.cli.setup import load, load_with_data, read_cell
 from calib.cli.words import (
     check_model,
@@ -22,7 +22,6 @@ from calib.cli.words import (
     parse_sweeps,
 )
 from calib.errors import CalibError
-from calib.kinds import names as kind_names
 from calib.measure.cell import DIRECTIONS, PRIOR_SIZES, REPEATS, Cell
 from calib.model.error_model import MODELS
 from calib.model.parameters import JOINT_FAMILIES
@@ -31,7 +30,6 @@ from calib.units import Angle, Length
 
 
 def test_the_words_to_choose_from_are_those_that_calib_knows():
-    assert tuple(k.value for k in Kind) == kind_names()
     assert tuple(r.value for r in Repeats) == REPEATS
     assert tuple(p.value for p in PriorSizes) == PRIOR_SIZES
 
@@ -131,7 +129,7 @@ def test_the_line_wins_over_the_file(tmp_path: Path):
     plain = read_cell(path)
     assert repr(plain) == repr(Cell.read(path))
     cell = read_cell(
-        path, tip="tool0", frame="estimate", model="dh", kind=Kind.pose, hold=["lift=0.3 m"],
+        path, tip="tool0", frame="estimate", model="dh", kind="pose", hold=["lift=0.3 m"],
         payload="5 kg", target="1 2 3 mm",
     )  # fmt: skip
     assert (cell.base, cell.tip, cell.model, cell.kind) == ("base", "tool0", "dh", "pose")
