@@ -191,7 +191,7 @@ def compensate(
         from calib.cli.words import parse_columns
         from calib.compensate.commands import commands
         from calib.compensate.commands_file import write_commands
-        from calib.compensate.program import Program
+        from calib.compensate.program_file import read_program
 
         if (calibration is None) == (corrected is None):
             message = (
@@ -207,7 +207,7 @@ def compensate(
             if calibration is not None
             else of_robots(robot, str(corrected), column_names(program, renamed), base, tip, hold)
         )
-        asked = Program.read(
+        asked = read_program(
             program, truth.nominal, columns=renamed, given=None if given is None else given.value
         )
         weighs = parse_lever(lever) if lever is not None else None

@@ -6,7 +6,7 @@ T_nominal(q). For a wanted pose T of the tool:
     q:       T_true(q) = T               joint values to command, in the branch of the nominal solution
     T_send = T_nominal(q)                the pose to send: the controller's own inverse kinematics makes q of it
 
-Both are the same command in two forms; for an arm with a redundant joint see `calib.compensate.sending`. Poses sent in
+Both are the same command in two forms; for an arm with a redundant joint see `_poses_to_send`. Poses sent in
 place of the wanted ones are known as fake targets. Source: Z. Roth, B. Mooring, B. Ravani, An overview of robot
 calibration, 1987 ("compensation").
 """
@@ -16,18 +16,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from calib.compensate.inverse import solve
-from calib.compensate.judgement import judged
-from calib.compensate.matching import MATCHES, POSE, POSITION, WEIGHTED, Matching
-from calib.compensate.pair import Pair
+from calib.compensate.inverse import MATCHES, POSE, POSITION, WEIGHTED, Matching, Solved, solve
+from calib.compensate.nominal_actual import Pair, pair_of
 from calib.compensate.program import Program
-from calib.compensate.sending import poses_to_send
-from calib.compensate.starts import Starts, following, near, start_values
+from calib.compensate.starts import following, start_values
+from calib.compensate.warnings import judged
 from calib.errors import ModelError, choices
 from calib.identify.result import Calibration
 from calib.measure.ranges import column_limits
@@ -43,6 +41,12 @@ _LOST = 1e-6
 
 #: Less than this is rounding [m], [rad].
 _EXACT = 1e-9
+
+#: The nominal robot differs from the actual one by a hundredth at most, so that each time two digits are won.
+_TIMES = 6
+
+#: The length that an angle counts as with another controller; below the other there is nothing to correct [m].
+_SHORT, _ENOUGH = 0.01, 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,33 +115,6 @@ class Commands:
         """How far the pose to send is from the one wanted, shape (N, 2): position [m], angle [rad]."""
         return Matching(POSE, 1.0).misses(self.T_send, self.T_wanted)
 
-    def write(
-        self,
-        path: str | Path,
-        *,
-        send: str = "both",
-        orientation: str = "rotation-vector",
-        units: str = "deg mm",
-        overwrite: bool = False,
-    ) -> Path:
-        """Write the commands as a table; see docs/compensation.md.
-
-        Args:
-            path: Where to.
-            send: ``"joints"``, ``"poses"`` or ``"both"``.
-            orientation: ``"rotation-vector"``, ``"quaternion"`` or ``"rpy"``.
-            units: ``"deg mm"`` or ``"rad m"``.
-            overwrite: Whether an existing file may be replaced.
-
-        Raises:
-            FileError: The file exists, or cannot be written.
-        """
-        from calib.compensate.commands_file import write_commands
-
-        return write_commands(
-            self, path, send=send, orientation=orientation, units=units, overwrite=overwrite
-        )
-
 
 def commands(
     calibration: Calibration | Robot,
@@ -180,8 +157,8 @@ def commands(
     Raises:
         ModelError: A tool, frame, match or joint that does not exist, a program of another robot, or no nominal robot.
     """
-    pair = Pair.of(calibration, nominal, tool=tool, frame=frame, larger=larger, payload=payload)
-    robot = pair.believed.robot
+    pair = pair_of(calibration, nominal, tool=tool, frame=frame, larger=larger, payload=payload)
+    robot = pair.nominal.robot
     matching = Matching(match or _usual_match(robot, program), lever)
     if matching.name != WEIGHTED:
         # Where all is reached the lever is one of scale, and the arm's own length is the scale.
@@ -189,8 +166,8 @@ def commands(
     _check_bounds(accept, limit)
     _check(program, robot, matching, start)
     T_wanted, starts = _nominal(pair, program, matching, start_values(robot, start), progress)
-    solved = solve(pair.true, T_wanted, starts.q, matching, column_limits(robot))
-    T_send, left_by_pose = poses_to_send(pair, T_wanted, starts, solved, matching)
+    solved = solve(pair.actual, T_wanted, starts.q, matching, column_limits(robot))
+    T_send, left_by_pose = _poses_to_send(pair, T_wanted, starts, solved, matching)
     found = judged(
         pair,
         program,
@@ -207,8 +184,8 @@ def commands(
         program=program,
         match=matching.name,
         T_frame_base=pair.T_frame_base,
-        T_tip_tool=pair.true.T_tip_tool,
-        T_tip_tool_nominal=pair.believed.T_tip_tool,
+        T_tip_tool=pair.actual.T_tip_tool,
+        T_tip_tool_nominal=pair.nominal.T_tip_tool,
         T_wanted=read_only(pair.T_frame_base @ T_wanted),
         q_nominal=_where(found.nominal_reaches, starts.q),
         q=_where(found.reached, solved.q),
@@ -277,48 +254,85 @@ def _nominal(
     matching: Matching,
     start: Array,
     progress: Callable[[int, int], None] | None,
-) -> tuple[Array, Starts]:
-    """The poses that are wanted, in the base, and the joint values that the nominal robot has for them."""
-    believed = pair.believed
+) -> tuple[Array, Solved]:
+    """The poses that are wanted, in the base, and the joint values that the nominal robot has for them.
+
+    These are for the whole pose where one is given, and it can have one, also where less is matched: what is left free
+    is to stay as the program has it.
+    """
+    nominal = pair.nominal
     if program.T_wanted is None:
         assert program.q is not None  # a program has one of them
-        poses = believed.poses(program.q)
-        return poses, Starts(program.q, poses)
+        poses, twists = nominal.motion(program.q)
+        return poses, Solved(program.q, poses, twists)
     T_wanted = rigid_inverse(pair.T_frame_base) @ program.T_wanted
-    starts = _starts(pair, program, T_wanted, matching, start, progress)
+    limits = column_limits(nominal.robot)
+    whole = program.oriented and len(nominal.robot.joint_names) >= 6
+    full = Matching(POSE, pair.reach) if whole else matching
+    if program.q is not None:
+        starts = solve(nominal, T_wanted, program.q, full, limits)
+    else:
+        starts = following(nominal, T_wanted, start, full, progress)
+    lost = np.linalg.norm(full.error(starts.T_base_tool, T_wanted), axis=1) > _LOST
+    if full.name != matching.name and lost.any():
+        again = solve(nominal, T_wanted[lost], starts.q[lost], matching, limits)
+        q = starts.q.copy()
+        q[lost] = again.q
+        starts = Solved(read_only(q), *nominal.motion(q))
     if not program.oriented:
         # What was not asked for is as the nominal robot has it, so that a pose to send can be held against it.
         T_wanted[:, :3, :3] = starts.T_base_tool[:, :3, :3]
     return T_wanted, starts
 
 
-def _starts(
-    pair: Pair,
-    program: Program,
-    T_wanted: Array,
-    matching: Matching,
-    start: Array,
-    progress: Callable[[int, int], None] | None,
-) -> Starts:
-    """Joint values of the nominal robot: for the whole pose where one is given, and it can have one.
+def _poses_to_send(
+    pair: Pair, T_wanted: Array, starts: Solved, solved: Solved, matching: Matching
+) -> tuple[Array, Array]:
+    """The poses to send, and how far the actual robot misses with what the controller makes of them.
 
-    Also where less is matched: what is left free is to stay as the program has it.
+    The controller's own inverse kinematics q = q_nominal(T_send) is taken to stay near the joint values that it has for
+    the wanted pose. A robot without a redundant joint then comes to the joint values that were meant. One with a
+    redundant joint chooses where its elbow goes, and the pose is corrected for that choice, a few times over:
+
+        T_send <- T_send exp(e),   e: what the actual robot still misses, along the tool's axes
+
+    Args:
+        pair: The two models.
+        T_wanted: shape (N, 4, 4), poses of the tool in the base [m].
+        starts: Joint values of the nominal robot, near which the controller stays.
+        solved: Joint values that bring the true robot there.
+        matching: What is matched.
+
+    Returns:
+        shape (N, 4, 4), in the base [m]; and shape (N, 2), position [m] and angle [rad].
     """
-    whole = program.oriented and len(pair.believed.robot.joint_names) >= 6
-    full = Matching(POSE, pair.reach) if whole else matching
-    if program.q is not None:
-        starts = near(pair.believed, T_wanted, program.q, full)
-    else:
-        starts = following(pair.believed, T_wanted, start, full, progress)
-    if full.name == matching.name:
-        return starts
-    lost = np.linalg.norm(full.error(starts.T_base_tool, T_wanted), axis=1) > _LOST
-    if not lost.any():
-        return starts
-    again = near(pair.believed, T_wanted[lost], starts.q[lost], matching)
-    q, poses = starts.q.copy(), starts.T_base_tool.copy()
-    q[lost], poses[lost] = again.q, again.T_base_tool
-    return Starts(read_only(q), read_only(poses))
+    controller, another = (Matching(POSE, lever) for lever in (pair.reach, _SHORT))
+    limits = column_limits(pair.nominal.robot)
+    T_send = pair.nominal.poses(solved.q)
+    arrived = np.empty_like(T_send)
+    rows = np.arange(len(T_send))
+    for _ in range(_TIMES):
+        q = solve(pair.nominal, T_send[rows], starts.q[rows], controller, limits).q
+        arrived[rows] = pair.actual.poses(q)
+        error = matching.error(arrived[rows], T_wanted[rows])
+        elsewhere = np.abs(q - solved.q[rows]).max(axis=1) > _ENOUGH
+        worth = elsewhere & (np.linalg.norm(error, axis=1) > _ENOUGH)
+        if not (worth.any() and len(pair.nominal.robot.joint_names) > controller.rows):
+            break
+        rows = rows[worth]
+        T_send[rows] = T_send[rows] @ _steps(error[worth], matching)
+    # Next to a singularity it is up to the controller where it ends: one that weighs angles otherwise may differ.
+    q = solve(pair.nominal, T_send, starts.q, another, limits).q
+    misses = (matching.misses(T, T_wanted) for T in (arrived, pair.actual.poses(q)))
+    return T_send, read_only(np.maximum(*misses))
+
+
+def _steps(error: Array, matching: Matching) -> Array:
+    """The displacements that make errors good, shape (N, 4, 4), [m]; what is not matched stays."""
+    twists = np.zeros((len(error), 6))
+    twists[:, :3] = error[:, :3]
+    twists[:, 3 : error.shape[1]] = error[:, 3:] / matching.lever
+    return np.array([pin.exp6(twist).homogeneous for twist in twists]).reshape(-1, 4, 4)
 
 
 def _where(there: NDArray[np.bool_], values: Array) -> Array:

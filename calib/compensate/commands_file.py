@@ -8,21 +8,18 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from calib.compensate.commands import Commands
 from calib.compensate.program_columns import CORRECTION, ROLL_PITCH_YAW, STATUS
 from calib.errors import ModelError, choices
 from calib.measure.columns import POINT, QUATERNION, ROTATION_VECTOR
 from calib.measure.orientation import to_quaternions
 from calib.model.files import write_atomically
-
-if TYPE_CHECKING:
-    from calib.compensate.commands import Commands
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,11 @@
 """Inverse kinematics of an arm with known errors: joint values that bring its tool to a pose, near those given.
 
-Levenberg-Marquardt on each row's error (`calib.compensate.matching`), all rows at once, with the singular values of the
-Jacobian J = U S V^T:
+What of a pose is to be reached is an error along the tool's own axes, in the order of a twist; a robot that moves by
+that twist is where it should be, to first order:
+
+    e = (R_now^T (p_wanted - p_now), log(R_now^T R_wanted))
+
+Levenberg-Marquardt on each row's error, all rows at once, with the singular values of the Jacobian J = U S V^T:
 
     dq = V S (S^2 + lambda^2)^-1 U^T e + (1 - V_r V_r^T) (q_start - q)
 
@@ -16,14 +20,23 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from calib.compensate.arm import Arm
-from calib.compensate.matching import WEIGHTED, Matching
+from calib.compensate.nominal_actual import Arm
+from calib.errors import ModelError, choices
 from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int_]
+
+POSE, POSITION, AXIS, WEIGHTED = "pose", "position", "axis", "weighted"
+
+MATCHES = (POSE, POSITION, AXIS, WEIGHTED)
+"""What is matched: position and orientation; the position alone; position and direction of the tool's z axis; both as
+well as can be, an angle counting as a length."""
+
+_ROWS = {POSE: 6, POSITION: 3, AXIS: 5, WEIGHTED: 6}
 
 #: No joint moves further than this in one step [rad or m].
 _LONGEST_STEP = 0.3
@@ -51,6 +64,61 @@ _ERROR_WEIGHT = 1e6
 
 #: Singular values below this, relative to the largest, are zero.
 _RANK = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Matching:
+    """What is matched, and what an angle counts.
+
+    Attributes:
+        name: One of `MATCHES`.
+        lever: The length that an angle of one radian counts as [m].
+
+    Raises:
+        ModelError: No such name, or a lever that is not a positive length.
+    """
+
+    name: str
+    lever: float
+
+    def __post_init__(self) -> None:
+        """Check both."""
+        if self.name not in MATCHES:
+            message = f"Poses cannot be matched by '{self.name}'; choose one of {choices(MATCHES)}."
+            raise ModelError(message)
+        if not (np.isfinite(self.lever) and self.lever > 0.0):
+            message = f"The lever is {self.lever} m; it must be a length greater than 0."
+            raise ModelError(message)
+
+    @property
+    def rows(self) -> int:
+        """How many numbers are matched."""
+        return _ROWS[self.name]
+
+    def error(self, T_now: Array, T_wanted: Array) -> Array:
+        """The error, angles times the lever, shape (N, rows), [m]; of poses of shape (N, 4, 4)."""
+        turned = np.swapaxes(T_now[:, :3, :3], 1, 2)
+        moved = (turned @ (T_wanted[:, :3, 3] - T_now[:, :3, 3])[:, :, None])[:, :, 0]
+        if self.name == POSITION:
+            return np.asarray(moved)
+        relative = turned @ T_wanted[:, :3, :3]
+        angles = _tilt(relative[:, :, 2]) if self.name == AXIS else _turn(relative)
+        return np.concatenate([moved, self.lever * angles], axis=1)
+
+    def jacobian(self, twists: Array) -> Array:
+        """The same rows of the tool's twists of shape (N, 6, m), shape (N, rows, m), [m per rad or m]."""
+        rows = twists[:, : self.rows].copy()
+        rows[:, 3:] *= self.lever
+        return np.asarray(rows)
+
+    def misses(self, T_now: Array, T_wanted: Array) -> Array:
+        """Distance [m] and angle [rad] between poses, shape (N, 2); the angle is NaN where it is not matched."""
+        distance = np.linalg.norm(T_wanted[:, :3, 3] - T_now[:, :3, 3], axis=1)
+        if self.name == POSITION:
+            return np.stack([distance, np.full(len(distance), np.nan)], axis=1)
+        relative = np.swapaxes(T_now[:, :3, :3], 1, 2) @ T_wanted[:, :3, :3]
+        angles = _tilt(relative[:, :, 2]) if self.name == AXIS else _turn(relative)
+        return np.stack([distance, np.linalg.norm(angles, axis=1)], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,28 +160,19 @@ def solve(
         What was found; how far it is from what was wanted is for the caller to see, too.
     """
     redundant = start.shape[1] > matching.rows
-    first = _run(_State.at(arm, T_wanted, start, matching, limits, pulled=redundant), steps)
+    first = _State.at(arm, T_wanted, start, matching, limits, pulled=redundant).run(steps)
     left = np.linalg.norm(first.error, axis=1) > _REACHED
     if redundant and left.any():
         # Next to a singularity the pull can be in the way of what can be reached.
         kept = np.flatnonzero(left)
-        again = _run(
-            _State.at(arm, T_wanted[kept], start[kept], matching, limits, pulled=False), steps
+        again = _State.at(arm, T_wanted[kept], start[kept], matching, limits, pulled=False).run(
+            steps
         )
         nearer = np.linalg.norm(again.error, axis=1) < np.linalg.norm(first.error[kept], axis=1)
         taken = kept[nearer]
         first.q[taken], first.poses[taken] = again.q[nearer], again.poses[nearer]
         first.twists[taken] = again.twists[nearer]
     return Solved(read_only(first.q), read_only(first.poses), read_only(first.twists))
-
-
-def _run(state: _State, steps: int) -> _State:
-    """Steps until every row rests."""
-    for _ in range(steps):
-        if not state.moving.any():
-            break
-        state.step()
-    return state
 
 
 @dataclass(slots=True, eq=False)
@@ -145,25 +204,23 @@ class _State:
         pulled: bool,
     ) -> _State:
         """At the start; joint values beyond their limits are brought to them where the arm can do without."""
-        count = start.shape[1]
-        bounded = limits is not None and (count > matching.rows or matching.name == WEIGHTED)
-        kept = limits if bounded else None
-        q = start.copy() if kept is None else np.clip(start, kept[:, 0], kept[:, 1])
+        if start.shape[1] <= matching.rows and matching.name != WEIGHTED:
+            limits = None
+        q = start.copy() if limits is None else np.clip(start, limits[:, 0], limits[:, 1])
         poses, twists = arm.motion(q)
+        error = matching.error(poses, wanted)
+        damping, moving = np.zeros(len(q)), np.ones(len(q), dtype=bool)
         return cls(
-            arm=arm,
-            wanted=wanted,
-            start=start,
-            matching=matching,
-            limits=kept,
-            q=q,
-            poses=poses,
-            twists=twists,
-            error=matching.error(poses, wanted),
-            pulled=pulled,
-            damping=np.zeros(len(q)),
-            moving=np.ones(len(q), dtype=bool),
+            arm, wanted, start, matching, limits, q, poses, twists, error, pulled, damping, moving
         )
+
+    def run(self, steps: int) -> _State:
+        """Steps until every row rests."""
+        for _ in range(steps):
+            if not self.moving.any():
+                break
+            self.step()
+        return self
 
     def step(self) -> None:
         """One step of every row that still moves."""
@@ -266,3 +323,22 @@ class _State:
 def _pushed(dq: Array, at_low: Mask, at_high: Mask, rounding: float = _AT_LIMIT) -> Mask:
     """Which joints at a limit a step would push through it by more than rounding."""
     return np.asarray((at_low & (dq < -rounding)) | (at_high & (dq > rounding)))
+
+
+def _turn(rotations: Array) -> Array:
+    """Rotation vectors of matrices of shape (N, 3, 3), shape (N, 3), [rad]; NaN stays NaN."""
+    result = np.full((len(rotations), 3), np.nan)
+    there = np.isfinite(rotations).all(axis=(1, 2))
+    if there.any():
+        result[there] = Rotation.from_matrix(rotations[there]).as_rotvec()
+    return result
+
+
+def _tilt(z: Array) -> Array:
+    """The smallest turn that brings the tool's z axis to a direction given in the tool, (N, 3) to (N, 2), [rad]."""
+    sine = np.hypot(z[:, 0], z[:, 1])
+    angle = np.arctan2(sine, z[:, 2])
+    across = np.stack([-z[:, 1], z[:, 0]], axis=1)
+    # A direction straight back may be reached by any turn; about x is one.
+    across[sine == 0.0] = [1.0, 0.0]
+    return np.asarray(across / np.where(sine == 0.0, 1.0, sine)[:, None] * angle[:, None])

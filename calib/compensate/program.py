@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError
-from calib.model.robot import Robot, read_only
+from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
 
@@ -98,31 +97,6 @@ class Program:
         poses = np.tile(np.eye(4), (len(positions), 1, 1))
         poses[:, :3, 3] = positions
         return cls(_counted(len(poses)), _rows(q), poses, oriented=False)
-
-    @classmethod
-    def read(
-        cls,
-        path: str | Path,
-        robot: Robot,
-        *,
-        columns: Mapping[str, str] | None = None,
-        given: str | None = None,
-    ) -> Program:
-        """Read a table of joint values, of poses, or of both; see docs/compensation.md.
-
-        Args:
-            path: CSV with the unit of each number in the header.
-            robot: The robot whose joints the columns are of.
-            columns: Names of the table to names of calib, see `Measurements.read`.
-            given: ``"joints"`` or ``"poses"``, which of the two is the program where the table has both; default the
-                poses, and the joint values are where to start.
-
-        Raises:
-            MeasurementError: The table cannot be read; the text names file, row and column.
-        """
-        from calib.compensate.program_file import read_program
-
-        return read_program(path, robot, columns=columns, given=given)
 
 
 def _counted(count: int) -> tuple[str, ...]:

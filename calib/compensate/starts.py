@@ -7,15 +7,13 @@ the first is the solution nearest to a start, found from joint values spread ove
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from calib.compensate.arm import Arm
-from calib.compensate.inverse import solve
-from calib.compensate.matching import WEIGHTED, Matching
+from calib.compensate.inverse import WEIGHTED, Matching, Solved, solve
+from calib.compensate.nominal_actual import Arm
 from calib.errors import ModelError, choices
 from calib.measure.ranges import column_limits, full_ranges
 from calib.model.robot import Robot, read_only
@@ -41,32 +39,13 @@ _REACHED = 1e-8
 _ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Starts:
-    """Joint values of the nominal robot.
-
-    Attributes:
-        q: shape (N, m), as near to the wanted poses as was found [rad] or [m].
-        T_base_tool: shape (N, 4, 4), the nominal robot's poses there [m].
-    """
-
-    q: Array
-    T_base_tool: Array
-
-
-def near(arm: Arm, T_wanted: Array, q: Array, matching: Matching) -> Starts:
-    """The solution next to joint values that are given for each row, shape (N, m), [rad] or [m]."""
-    solved = solve(arm, T_wanted, q, matching, column_limits(arm.robot))
-    return Starts(solved.q, solved.T_base_tool)
-
-
 def following(
     arm: Arm,
     T_wanted: Array,
     start: Array,
     matching: Matching,
     progress: Callable[[int, int], None] | None = None,
-) -> Starts:
+) -> Solved:
     """Each row's solution follows the row before, and that of the first is the nearest to a start, shape (m,).
 
     A path is followed in blocks, which grow as long as all goes well: rows of a block start at the row before it.
@@ -102,7 +81,7 @@ def following(
         if progress is not None:
             progress(done, count)
         block = min(2 * block, _LONGEST_BLOCK) if taken == len(good) else 1
-    return Starts(read_only(q), read_only(poses))
+    return Solved(read_only(q), read_only(poses), arm.motion(q)[1])
 
 
 def start_values(robot: Robot, named: Mapping[str, float] | None) -> Array:
