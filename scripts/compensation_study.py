@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.calibration import Calibration, calibrate
-from calib.compensate.arm import Arm
 from calib.compensate.commands import Commands, commands
-from calib.compensate.inverse import solve
-from calib.compensate.matching import Matching
+from calib.compensate.inverse import Matching, solve
+from calib.compensate.nominal_actual import Arm
 from calib.compensate.program import Program
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.measure.cell import Cell
@@ -98,7 +97,7 @@ def print_random(title: str, result: Calibration, count: int, seed: int) -> None
 
 def sent_to_controller(nominal: Robot, found: Commands, rows: NDArray[np.bool_]) -> Array:
     """What the controller's own inverse kinematics makes of the poses that are sent."""
-    believed = Arm.of_robot(nominal, np.eye(4))
+    believed = Arm.of(nominal, np.eye(4))
     limits = column_limits(nominal)
     return solve(believed, found.T_send[rows], found.q_nominal[rows], POSE, limits).q
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import calib
-from calib.compensate.program import Program
+from calib.compensate.program_file import read_program
 from calib.data import paper_measurements
 from calib.design.region_file import RegionFile
 from calib.design.solids import read_solids
@@ -73,7 +73,7 @@ LIST = b"# Units: mm\nP1 100.5 200 300\nP2 -1 2e2 3.5\nP3 7 8 9\n"
 READERS: dict[str, tuple[str, Callable[[Path], object], Callable[[], Sequence[bytes]]]] = {
     "urdf": ("r.urdf", read_robot, lambda: [Path(ARM).read_bytes()]),
     "table": ("t.csv", calib.Measurements.read, lambda: [DATA.read_bytes()]),
-    "program": ("p.csv", lambda path: Program.read(path, UR3), lambda: [DATA.read_bytes()]),
+    "program": ("p.csv", lambda path: read_program(path, UR3), lambda: [DATA.read_bytes()]),
     "points": ("p.txt", lambda path: read_points(path, None), lambda: [LIST]),
     "cell": ("c.toml", calib.Cell.read, cells),
     "result": ("r.json", convert, lambda: made(FIT)),

@@ -33,7 +33,7 @@ def read_program(
     columns: Mapping[str, str] | None = None,
     given: str | None = None,
 ) -> Program:
-    """Read a program; see `Program.read` and docs/compensation.md.
+    """Read a table of joint values, of poses, or of both; see docs/compensation.md.
 
     Args:
         path: CSV with the unit of each number in the header.

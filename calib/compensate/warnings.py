@@ -115,7 +115,7 @@ def judged(
     reached = np.array([not reason for reason in reasons])
     given = None if program.T_wanted is None else program.q
     said: list[list[str]] = [[] for _ in reasons]
-    for row in np.flatnonzero(~nominal_reaches):
+    for row in np.flatnonzero(~nominal_reaches).tolist():
         said[row].append("the nominal robot cannot reach the pose itself")
     _left_over(said, left, missed, matching)
     _near_singularity(said, pair, matching, starts, solved)
@@ -123,10 +123,10 @@ def judged(
     _moved(said, robot, moved, np.abs(solved.q - starts.q), limit)
     _jumps(said, pair, T_wanted, starts.q, solved.q, program.labels, np.flatnonzero(reached))
     if given is not None:
-        for row, apart in enumerate(np.abs(starts.q - given)):
+        for words, apart in zip(said, np.abs(starts.q - given), strict=True):
             if apart.max() > _FAR_FROM_GIVEN:
-                said[row].append(f"far from the joint values given: {_furthest(robot, apart)}")
-    for row in np.flatnonzero(~_within(left_by_pose - left, accept)):
+                words.append(f"far from the joint values given: {_furthest(robot, apart)}")
+    for row in np.flatnonzero(~_within(left_by_pose - left, accept)).tolist():
         off = f"{1e3 * left_by_pose[row, 0]:.3g} mm"
         said[row].append(
             f"sent as a pose it may end {off} off: the controller can come to other joint values"

@@ -112,11 +112,11 @@ def test_the_document_s_examples_print_what_it_says(call, examples, tmp_path: Pa
 
 
 def test_both_forms_of_a_command_are_the_same(call, folder: Path, ur3):
-    from calib.compensate.program import Program
+    from calib.compensate.program_file import read_program
 
     done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT, "-o", "c.csv")
     assert (done.code, done.err) == (0, "")
-    program = Program.read(folder / "c.csv", ur3, given="poses")
+    program = read_program(folder / "c.csv", ur3, given="poses")
     assert program.q is not None
     assert program.T_wanted is not None
     assert np.abs(ur3.poses(program.q) - program.T_wanted).max() < 2e-9

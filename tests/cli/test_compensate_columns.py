@@ -10,12 +10,13 @@ import pytest
 from calib.cli.compensate_columns import passed_through, unread_orientation
 from calib.cli.words import parse_columns
 from calib.compensate.program import Program
+from calib.compensate.program_file import read_program
 from calib.model.robot import Robot
 
 
 def program(path: Path, robot: Robot, header: str, cells: str, *columns: str) -> Program:
     path.write_text(f"{header}\n{cells}\n", encoding="utf-8")
-    return Program.read(path, robot, columns=parse_columns(columns))
+    return read_program(path, robot, columns=parse_columns(columns))
 
 
 @pytest.mark.parametrize(

@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
 import numpy as np
 
-from calib.identify.result import Calibration
-from calib.identify.result_file import read_result, write_result
 from calib.model.error_model import error_model
 from calib.model.robot import Robot
-from tests.show.calibrations import made
 
 #: Errors of real arms: half a millimetre, two milliradians.
 LENGTH, ANGLE = 0.5e-3, 2e-3
@@ -23,13 +16,6 @@ def off(robot: Robot, seed: int = 1, model: str = "placement", size: float = 1.0
     errors = error_model(robot, model, target=False)
     stds = np.where(np.array(errors.units) == "m", LENGTH, ANGLE) * size
     return errors.apply(robot, np.random.default_rng(seed).normal(size=len(errors)) * stds)
-
-
-@cache
-def stored(case: str) -> Calibration:
-    """A calibration of `tests.show.calibrations` as it is read from its file."""
-    with TemporaryDirectory() as folder:
-        return read_result(write_result(made(case), Path(folder) / f"{case}.json"))
 
 
 def turned(seed: int, size: float = 0.4) -> np.ndarray:

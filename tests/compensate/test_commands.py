@@ -5,17 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.calibration import calibrate
-from calib.compensate.arm import Arm
 from calib.compensate.commands import commands
-from calib.compensate.inverse import solve
-from calib.compensate.matching import Matching
+from calib.compensate.inverse import Matching, solve
+from calib.compensate.nominal_actual import Arm
 from calib.compensate.program import Program
 from calib.errors import ModelError
+from calib.identify.calibration import calibrate
 from calib.measure.ranges import column_limits
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
-from tests.compensate.arms import off, stored, turned
+from tests.compensate.arms import off, turned
 from tests.show.calibrations import made, table
 
 POSE = Matching("pose", 0.01)
@@ -27,7 +26,7 @@ def controller(
     nominal: Robot, T_send: np.ndarray, near: np.ndarray, tool: np.ndarray
 ) -> np.ndarray:
     """What a controller with the nominal model makes of poses: its own inverse kinematics."""
-    return solve(Arm.of_robot(nominal, tool), T_send, near, POSE, column_limits(nominal)).q
+    return solve(Arm.of(nominal, tool), T_send, near, POSE, column_limits(nominal)).q
 
 
 @pytest.mark.parametrize("name", ["ur3", "panda"])
@@ -68,7 +67,7 @@ def test_a_result_predicts_that_its_commands_arrive(case):
     assert found.reached.all()
     assert result.predict(found.q) == pytest.approx(wanted, abs=1e-9)
     assert np.isfinite(found.std).all()
-    assert found.certainty.use == result.verdict.use
+    assert found.result is result
 
 
 def test_paper_rows_that_the_fit_did_not_see():
@@ -172,7 +171,7 @@ def test_what_does_not_fit_is_refused(ur3, program, arguments, said):
 
 
 def test_values_cannot_be_written_to():
-    found = commands(stored("paper"), Program.of_joints(START), nominal=made("paper").nominal)
+    found = commands(made("paper"), Program.of_joints(START), nominal=made("paper").nominal)
     for name in ("q", "q_nominal", "T_send", "T_wanted", "missed", "left", "std"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(found, name)[...] = 0.0

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from calib.compensate.commands import Commands, commands
 from calib.compensate.commands_file import write_commands
 from calib.compensate.program import Program
+from calib.compensate.program_file import read_program
 from calib.errors import FileError, ModelError
 from calib.model.robot import Robot
 
@@ -57,7 +58,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def test_what_stands_in_the_table(made: Commands, tmp_path: Path):
-    table = rows(made.write(tmp_path / "c.csv"))
+    table = rows(write_commands(made, tmp_path / "c.csv"))
     corrections = [f"correction {name} [deg]" for name in JOINTS]
     assert list(table[0]) == [
         "name", "speed [mm/s]", *(f"{name} [deg]" for name in JOINTS), "x [mm]", "y [mm]", "z [mm]",
@@ -82,7 +83,7 @@ def test_what_stands_in_the_table(made: Commands, tmp_path: Path):
 def test_a_row_without_a_command_is_empty_but_for_what_goes_along_and_the_reason(
     made: Commands, tmp_path: Path
 ):
-    last = rows(made.write(tmp_path / "c.csv"))[-1]
+    last = rows(write_commands(made, tmp_path / "c.csv"))[-1]
     assert last.pop("name") == "d, far"
     assert last.pop("speed [mm/s]") == "4"
     assert last.pop("status") == f"no command: {made.reasons[3]}"
@@ -93,7 +94,7 @@ def test_a_row_without_a_command_is_empty_but_for_what_goes_along_and_the_reason
 def test_every_form_of_an_orientation_is_read_back(
     made: Commands, tmp_path: Path, ur3: Robot, form: str
 ):
-    path = made.write(tmp_path / "c.csv", orientation=form)
+    path = write_commands(made, tmp_path / "c.csv", orientation=form)
     kept = rows(path)[:3]
     with path.open(
         "w", encoding="utf-8", newline=""
@@ -101,7 +102,7 @@ def test_every_form_of_an_orientation_is_read_back(
         writer = csv.DictWriter(file, list(kept[0]))
         writer.writeheader()
         writer.writerows(kept)
-    program = Program.read(path, ur3, given="poses")
+    program = read_program(path, ur3, given="poses")
     assert program.T_wanted is not None
     assert program.q is not None
     assert np.abs(program.T_wanted - made.T_send[:3]).max() < 1e-9
@@ -125,7 +126,7 @@ def test_radians_and_metres(made: Commands, tmp_path: Path, ur3: Robot, form: st
         millimetres = plain[0][name.replace("m]", "mm]")]
         assert float(table[0][name]) == pytest.approx(1e-3 * float(millimetres), abs=1e-9)
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:4]), encoding="utf-8")
-    program = Program.read(path, ur3, given="poses")
+    program = read_program(path, ur3, given="poses")
     assert program.T_wanted is not None
     assert program.q is not None
     assert np.abs(program.T_wanted - made.T_send[:3]).max() < 1e-9
@@ -161,7 +162,7 @@ def test_rotations_by_half_a_turn_and_at_the_pole_are_read_back(
         )
         lines = path.read_text(encoding="utf-8").splitlines()
         path.write_text("\n".join(lines[:4]), encoding="utf-8")
-        program = Program.read(path, ur3, given="poses")
+        program = read_program(path, ur3, given="poses")
         assert program.T_wanted is not None
         assert np.abs(program.T_wanted[:, :3, :3] - R).max() < 1e-10
 
@@ -176,7 +177,7 @@ def test_rotations_by_half_a_turn_and_at_the_pole_are_read_back(
 def test_joint_values_or_poses_alone(
     made: Commands, tmp_path: Path, send: str, there: set[str], missing: set[str]
 ):
-    header = set(rows(made.write(tmp_path / "c.csv", send=send))[0])
+    header = set(rows(write_commands(made, tmp_path / "c.csv", send=send))[0])
     assert header >= there | {"name", "correction position [mm]", "status"}
     assert not header & missing
 
@@ -184,7 +185,7 @@ def test_joint_values_or_poses_alone(
 def test_warnings_stand_in_the_last_column(ur3: Robot, true: Robot, tmp_path: Path):
     program = Program.of_joints(np.radians([10, -80, 70, -60, -90, 5]))
     found = commands(true, program, nominal=ur3, limit=(1e-4, 1e-4))
-    status = rows(found.write(tmp_path / "c.csv"))[0]["status"]
+    status = rows(write_commands(found, tmp_path / "c.csv"))[0]["status"]
     assert status == "warning: " + "; ".join(found.warnings[0])
     assert "the pose moves by" in status
     assert "the pose turns by" in status
@@ -192,7 +193,7 @@ def test_warnings_stand_in_the_last_column(ur3: Robot, true: Robot, tmp_path: Pa
 
 def test_a_robot_that_is_right_has_corrections_of_zero_without_a_sign(ur3: Robot, tmp_path: Path):
     program = Program.of_joints(np.radians([[10, -80, 70, -60, -90, 5]]))
-    row = rows(commands(ur3, program, nominal=ur3).write(tmp_path / "c.csv"))[0]
+    row = rows(write_commands(commands(ur3, program, nominal=ur3), tmp_path / "c.csv"))[0]
     assert {row[f"correction {name} [deg]"] for name in JOINTS} == {"0.000000000"}
     assert row["correction position [mm]"] == "0.000000"
 
@@ -209,7 +210,7 @@ def test_a_joint_that_slides_is_in_millimetres(serial_urdf, tmp_path: Path):
     nominal = arm(0.2)
     name = nominal.joint_names[1]
     program = Program.of_points(nominal.poses([[0.2, 0.05]])[:, :3, 3], [[0.2, 0.05]])
-    row = rows(commands(arm(0.201), program, nominal=nominal).write(tmp_path / "c.csv"))[0]
+    row = rows(write_commands(commands(arm(0.201), program, nominal=nominal), tmp_path / "c.csv"))[0]
     assert float(row[f"{name} [mm]"]) == pytest.approx(49.0, abs=1e-6)
     assert float(row[f"correction {name} [mm]"]) == pytest.approx(-1.0, abs=1e-6)
 
@@ -231,7 +232,7 @@ def test_a_file_that_exists_is_kept(made: Commands, tmp_path: Path):
     path = tmp_path / "c.csv"
     path.write_text("mine", encoding="utf-8")
     with pytest.raises(FileError, match="exists already"):
-        made.write(path)
+        write_commands(made, path)
     assert path.read_text(encoding="utf-8") == "mine"
-    made.write(path, overwrite=True)
+    write_commands(made, path, overwrite=True)
     assert path.read_text(encoding="utf-8").startswith("name,speed [mm/s],")

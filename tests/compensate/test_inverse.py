@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from calib.compensate.arm import Arm
-from calib.compensate.inverse import solve
-from calib.compensate.matching import Matching
+from calib.compensate.inverse import Matching, solve
+from calib.compensate.nominal_actual import Arm
 from calib.measure.ranges import column_limits
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
@@ -33,7 +32,7 @@ def well(
 @pytest.mark.parametrize("name", ["ur3", "panda"])
 def test_the_true_robot_arrives_near_the_nominal_joint_values(name, match, request):
     nominal = request.getfixturevalue(name)
-    believed, true = Arm.of_robot(nominal, np.eye(4)), Arm.of_robot(off(nominal), np.eye(4))
+    believed, true = Arm.of(nominal, np.eye(4)), Arm.of(off(nominal), np.eye(4))
     matching = Matching(match, 0.01)
     # Away from the limits, where a redundant arm can use all of its joints.
     q = well(believed, 100, matching) * 0.95
@@ -50,9 +49,9 @@ def test_the_true_robot_arrives_near_the_nominal_joint_values(name, match, reque
 
 
 def test_a_redundant_arm_stays_as_near_as_it_can(panda):
-    true = Arm.of_robot(off(panda), np.eye(4))
-    q = well(Arm.of_robot(panda, np.eye(4)), 6, POSE)
-    wanted = Arm.of_robot(panda, np.eye(4)).poses(q)
+    true = Arm.of(off(panda), np.eye(4))
+    q = well(Arm.of(panda, np.eye(4)), 6, POSE)
+    wanted = Arm.of(panda, np.eye(4)).poses(q)
     found = solve(true, wanted, q, POSE, None)
     for start, near, T in zip(q, found.q, wanted, strict=True):
         nearest = minimize(
@@ -70,10 +69,10 @@ def test_a_redundant_arm_stays_as_near_as_it_can(panda):
 
 
 def test_a_redundant_arm_keeps_to_its_limits(panda):
-    true = Arm.of_robot(off(panda), np.eye(4))
-    q = well(Arm.of_robot(panda, np.eye(4)), 60, POSE)
+    true = Arm.of(off(panda), np.eye(4))
+    q = well(Arm.of(panda, np.eye(4)), 60, POSE)
     q[:, 0] = 1.0
-    wanted = Arm.of_robot(panda, np.eye(4)).poses(q)
+    wanted = Arm.of(panda, np.eye(4)).poses(q)
     free = solve(true, wanted, q, POSE, None).q
     # A limit that half of the free solutions pass.
     limits = np.stack([q.min(axis=0) - 1.0, q.max(axis=0) + 1.0], axis=1)
@@ -98,7 +97,7 @@ def test_a_redundant_arm_keeps_to_its_limits(panda):
 @pytest.mark.parametrize("match", ["pose", "axis"])
 def test_joints_at_their_limits_are_held_only_as_long_as_they_must_be(panda, match):
     matching = Matching(match, 1.0)
-    believed, true = Arm.of_robot(panda, np.eye(4)), Arm.of_robot(off(panda), np.eye(4))
+    believed, true = Arm.of(panda, np.eye(4)), Arm.of(off(panda), np.eye(4))
     limits = column_limits(panda)
     q, rng = well(believed, 40, POSE), np.random.default_rng(3)
     for row in q:
@@ -132,16 +131,16 @@ def test_joints_at_their_limits_are_held_only_as_long_as_they_must_be(panda, mat
 
 
 def test_an_arm_that_needs_all_its_joints_says_where_they_would_be(ur3):
-    true = Arm.of_robot(off(ur3), np.eye(4))
-    q = well(Arm.of_robot(ur3, np.eye(4)), 20, POSE)
-    wanted = Arm.of_robot(ur3, np.eye(4)).poses(q)
+    true = Arm.of(off(ur3), np.eye(4))
+    q = well(Arm.of(ur3, np.eye(4)), 20, POSE)
+    wanted = Arm.of(ur3, np.eye(4)).poses(q)
     free = solve(true, wanted, q, POSE, None).q
     narrow = np.stack([q.min(axis=0), q.min(axis=0) + 1e-3], axis=1)
     assert solve(true, wanted, q, POSE, narrow).q == pytest.approx(free, abs=0)
 
 
 def test_what_cannot_be_reached_is_as_near_as_can_be(ur3):
-    arm = Arm.of_robot(ur3, np.eye(4))
+    arm = Arm.of(ur3, np.eye(4))
     q = np.radians([[10.0, -40.0, 30.0, -60.0, 50.0, 20.0]])
     wanted = arm.poses(q)
     wanted[0, :3, 3] *= 5.0
@@ -168,7 +167,7 @@ def test_few_joints_weigh_position_against_angle(serial_urdf):
             ]
         )
     )
-    true, believed = Arm.of_robot(off(four), np.eye(4)), Arm.of_robot(four, np.eye(4))
+    true, believed = Arm.of(off(four), np.eye(4)), Arm.of(four, np.eye(4))
     q = 0.5 * random_joint_values(four, 20)
     q[:, 1] += 1.0
     wanted = believed.poses(q)
@@ -189,9 +188,9 @@ def test_few_joints_weigh_position_against_angle(serial_urdf):
 
 
 def test_a_slow_row_does_not_hold_up_the_others(ur3):
-    arm = Arm.of_robot(ur3, np.eye(4))
+    arm = Arm.of(ur3, np.eye(4))
     q = well(arm, 3, POSE)
-    wanted = Arm.of_robot(off(ur3), np.eye(4)).poses(q)
+    wanted = Arm.of(off(ur3), np.eye(4)).poses(q)
     hopeless = wanted[:1].copy()
     hopeless[0, :3, 3] += 5.0
     alone = solve(arm, wanted, q, POSE, None)
@@ -203,9 +202,9 @@ def test_a_slow_row_does_not_hold_up_the_others(ur3):
 
 
 def test_few_steps_stop_early(ur3):
-    arm = Arm.of_robot(ur3, np.eye(4))
+    arm = Arm.of(ur3, np.eye(4))
     q = well(arm, 3, POSE)
-    wanted = Arm.of_robot(off(ur3, size=5.0), np.eye(4)).poses(q)
+    wanted = Arm.of(off(ur3, size=5.0), np.eye(4)).poses(q)
     once = POSE.misses(solve(arm, wanted, q, POSE, None, steps=1).T_base_tool, wanted)
     often = POSE.misses(solve(arm, wanted, q, POSE, None).T_base_tool, wanted)
     assert (once[:, 0] > 1e-6).all()

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.compensate.matching import MATCHES, Matching
+from calib.compensate.inverse import MATCHES, Matching
 from calib.errors import ModelError
 
 TWIST = st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6).map(np.array)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calib.compensate.program import Program
+from calib.compensate.program_file import read_program
 from calib.data import paper_measurements, paper_urdf
 from calib.errors import MeasurementError
 from calib.model.robot import Robot
@@ -36,7 +37,7 @@ def read(tmp_path: Path, ur3: Robot):
     def reader(*lines: str, robot: Robot = ur3, **options: object) -> Program:
         path = tmp_path / "program.csv"
         path.write_text("\n".join([*lines, ""]), encoding="utf-8")
-        return Program.read(path, robot, **options)  # type: ignore[arg-type]
+        return read_program(path, robot, **options)  # type: ignore[arg-type]
 
     return reader
 
@@ -76,7 +77,7 @@ def test_columns_in_any_order_and_unit_and_another_name(read):
 
 
 def test_the_paper_s_table_is_points_with_joint_values_to_start_at(ur3: Robot):
-    program = Program.read(paper_measurements(), ur3)
+    program = read_program(paper_measurements(), ur3)
     assert program.q is not None
     assert program.T_wanted is not None
     assert not program.oriented
@@ -86,11 +87,11 @@ def test_the_paper_s_table_is_points_with_joint_values_to_start_at(ur3: Robot):
 
 
 def test_given_joints_leaves_poses_out_and_given_poses_keeps_both(ur3: Robot):
-    joints = Program.read(paper_measurements(), ur3, given="joints")
+    joints = read_program(paper_measurements(), ur3, given="joints")
     assert joints.T_wanted is None
     assert joints.oriented
     assert [label for label, _ in joints.kept] == ["row", "set"]
-    both = Program.read(paper_measurements(), ur3, given="poses")
+    both = read_program(paper_measurements(), ur3, given="poses")
     assert both.q == pytest.approx(joints.q)
     assert both.T_wanted is not None
 
@@ -115,7 +116,7 @@ def test_the_three_forms_of_an_orientation_are_one(tmp_path_factory, roll, pitch
     ):
         cells = ",".join(repr(float(number)) for number in numbers)
         path.write_text(f"x [m],y [m],z [m],{header}\n0.3,0.2,0.1,{cells}\n", encoding="utf-8")
-        program = Program.read(path, robot)
+        program = read_program(path, robot)
         assert program.oriented
         assert program.T_wanted is not None
         assert program.q is None
@@ -293,14 +294,14 @@ def test_a_joint_called_roll_is_a_joint(read, one_joint):
 
 def test_no_file(ur3: Robot, tmp_path: Path):
     with pytest.raises(MeasurementError, match=re.escape("does not exist; check the name")):
-        Program.read(tmp_path / "none.csv", ur3)
+        read_program(tmp_path / "none.csv", ur3)
 
 
 def test_a_column_that_only_begins_like_a_correction_goes_along(tmp_path, ur3):
     names = ",".join(f"{name} [deg]" for name in ur3.joint_names)
     path = tmp_path / "p.csv"
     path.write_text(f"{names},correction factor\n1,2,3,4,5,6,0.5\n")
-    assert Program.read(path, ur3).kept == (("correction factor", ("0.5",)),)
+    assert read_program(path, ur3).kept == (("correction factor", ("0.5",)),)
 
 
 @pytest.mark.filterwarnings("error")

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.compensate.arm import Arm
-from calib.compensate.matching import Matching
-from calib.compensate.starts import following, near, start_values
+from calib.compensate.inverse import Matching, solve
+from calib.compensate.nominal_actual import Arm
+from calib.compensate.starts import following, start_values
 from calib.errors import ModelError
 from calib.measure.ranges import column_limits
 from calib.model.robot import Robot
@@ -19,7 +19,7 @@ START = np.radians([-20.0, -80.0, 60.0, -70.0, -90.0, 10.0])
 @pytest.fixture(scope="module")
 def arm() -> Arm:
     robot = Robot.load("ur3", base="base", tip="tool0")
-    return Arm.of_robot(robot, turned(4, 0.1))
+    return Arm.of(robot, turned(4, 0.1))
 
 
 def path(arm: Arm, count: int) -> np.ndarray:
@@ -31,7 +31,7 @@ def path(arm: Arm, count: int) -> np.ndarray:
 
 def test_near_is_the_solution_next_to_what_is_given(arm):
     wanted = path(arm, 5)
-    found = near(arm, wanted, np.tile(START, (5, 1)), POSE)
+    found = solve(arm, wanted, np.tile(START, (5, 1)), POSE, column_limits(arm.robot))
     assert found.T_base_tool == pytest.approx(wanted, abs=1e-12)
     assert np.abs(found.q - START).max() < 0.7
 
@@ -49,7 +49,7 @@ def test_a_path_is_followed_in_one_branch(arm):
     # Row by row, as a simple loop would.
     q = START[None]
     for T in wanted[::100]:
-        q = near(arm, T[None], q, POSE).q
+        q = solve(arm, T[None], q, POSE, column_limits(arm.robot)).q
     assert found.q[600] == pytest.approx(q[0], abs=1e-9)
 
 
