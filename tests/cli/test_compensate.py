@@ -324,6 +324,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A virtual UR3 with compliances and a target that is turned, seen in two frames that were estimated."""
     from calib.calibration import calibrate
     from calib.data import paper_urdf
+    from calib.identify.result_file import write_result
     from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot, read_only
@@ -349,7 +350,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
         target=T[:3, 3], target_rotation=T[:3, :3], estimate_frame=True, model="dh+compliance",
         payload=payload,
     )  # fmt: skip
-    calibrate(nominal, table, cell=cell, validate=False).write_json(folder / "result.json")
+    write_result(calibrate(nominal, table, cell=cell, validate=False), folder / "result.json")
     write(folder / "program.csv", HEADER, "-40,-85,75,-120,-45,0", "-20,-75,85,-140,-45,0")
     write(folder / "points.csv", "x [mm],y [mm],z [mm]", "300,-200,300")
     return folder
@@ -610,16 +611,6 @@ def test_corrected_poses_are_not_for_a_corrected_controller(call, folder: Path):
     assert never in said(call(folder, *words))
     assert never in said(call(folder, *words, "--send", "poses"))
     assert never not in said(call(folder, *words, "--send", "joints"))
-
-
-def test_a_result_of_an_older_calib(call, folder: Path):
-    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    del result["robot"]["ranges"], result["frames"]["frame_estimated"]
-    (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
-    done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT)
-    assert (done.code, done.err) == (0, "")
-    assert "Verdict: none of result.json" in said(done)
-    assert "an older calib wrote it. Fit again, and it does. Program: 2 rows" in said(done)
 
 
 @pytest.mark.parametrize(

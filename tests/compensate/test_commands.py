@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.calibration import calibrate
 from calib.compensate.commands import commands
 from calib.compensate.inverse import Matching, solve
 from calib.compensate.nominal_actual import Arm
 from calib.compensate.program import Program
 from calib.errors import ModelError
-from calib.identify.calibration import calibrate
 from calib.measure.ranges import column_limits
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot

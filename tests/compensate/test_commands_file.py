@@ -157,8 +157,12 @@ def test_rotations_by_half_a_turn_and_at_the_pole_are_read_back(
     T = made.T_send.copy()
     T[:, :3, :3] = R
     for form in ("rotation-vector", "quaternion", "rpy"):
-        path = replace(made, T_send=T, reasons=("",) * 4).write(
-            tmp_path / "c.csv", send="poses", orientation=form, overwrite=True
+        path = write_commands(
+            replace(made, T_send=T, reasons=("",) * 4),
+            tmp_path / "c.csv",
+            send="poses",
+            orientation=form,
+            overwrite=True,
         )
         lines = path.read_text(encoding="utf-8").splitlines()
         path.write_text("\n".join(lines[:4]), encoding="utf-8")
@@ -210,7 +214,9 @@ def test_a_joint_that_slides_is_in_millimetres(serial_urdf, tmp_path: Path):
     nominal = arm(0.2)
     name = nominal.joint_names[1]
     program = Program.of_points(nominal.poses([[0.2, 0.05]])[:, :3, 3], [[0.2, 0.05]])
-    row = rows(write_commands(commands(arm(0.201), program, nominal=nominal), tmp_path / "c.csv"))[0]
+    row = rows(write_commands(commands(arm(0.201), program, nominal=nominal), tmp_path / "c.csv"))[
+        0
+    ]
     assert float(row[f"{name} [mm]"]) == pytest.approx(49.0, abs=1e-6)
     assert float(row[f"correction {name} [mm]"]) == pytest.approx(-1.0, abs=1e-6)
 

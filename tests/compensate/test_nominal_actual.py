@@ -33,7 +33,9 @@ def larger(robot: Robot, families: str, seed: int = 3) -> Larger:
     sizes = {"m": 5e-4, "rad": 2e-3, "1": 1e-3, "m/m": 1e-3, "rad/Nm": 1e-5, "m/N": 1e-6}
     rng = np.random.default_rng(seed)
     x = np.array([float(rng.normal() * sizes[p.unit]) for p in model.parameters])
-    nothing = dict.fromkeys(("covariance", "sizes", "setup", "residual", "cross_validation"))
+    nothing = dict.fromkeys(
+        ("covariance", "base_motion", "sizes", "setup", "residual", "cross_validation")
+    )
     return Larger(
         kinematics=Kinematics(robot, model, np.eye(4), np.eye(4)),
         x=x,

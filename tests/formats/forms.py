@@ -10,6 +10,7 @@ import calib.data
 from calib.calibration import calibrate
 from calib.formats.convert import Wanted, write_target
 from calib.formats.sources import Asked, read_source
+from calib.identify.result_file import write_result
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot
@@ -35,8 +36,8 @@ def write_forms(folder: Path) -> Path:
     table = Measurements.read(calib.data.paper_measurements(), arm.joint_names, arm.joint_types)
     cell = Cell(target=np.array([-0.07, 0.07, 0.0225]), model="dh")
     found = calibrate(arm, table, cell=cell, validate=False)
-    found.write_json(folder / "result.json")
-    found.write_urdf(folder / "corrected.urdf")
+    write_result(found, folder / "result.json")
+    found.robot.urdf.write(folder / "corrected.urdf")
     write_conf(UR3, folder / "calibration.conf")
     source = read_source(str(folder / "result.json"), Asked())
     write_target(source, Wanted(folder / "origins.yaml", "origins"))
