@@ -29,10 +29,12 @@ from calib.formats.universal_robots import write_ur_conf
 from calib.formats.ur_conf import write_deltas
 from calib.formats.ur_dh import FullDH
 from calib.formats.ur_models import ur_model
+from calib.identify.result_file import write_result
 from calib.model.dh import dh_table
 from calib.model.robot import Robot
 from tests.formats.forms import UR3, write_conf, write_forms
 from tests.formats.ur_cases import CALIBRATIONS, rows
+from tests.show.calibrations import made
 
 URDF = str(calib.data.paper_urdf())
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
@@ -413,37 +415,14 @@ def test_a_result_says_base_tip_and_held_joints_itself(shop):
 
 
 def test_the_urdf_of_a_result(shop, tmp_path):
-    result = tmp_path / "result.json"
-    result.write_bytes((shop / "result.json").read_bytes())
-    with pytest.raises(
-        FileError, match="made with is not beside it nor here, or has changed since"
-    ):
-        read_source(str(result), Asked())
-    nominal = read_source(str(result), Asked(robot=str(shop / "robot.urdf")))
-    corrected = read_source(str(result), Asked(robot=str(shop / "corrected.urdf")))
+    result = str(shop / "result.json")
+    nominal = read_source(result, Asked(robot=str(shop / "robot.urdf")))
+    corrected = read_source(result, Asked(robot=str(shop / "corrected.urdf")))
     q = np.random.default_rng(1).uniform(-1, 1, (3, 6))
-    np.testing.assert_allclose(nominal.robot.poses(q), corrected.robot.poses(q), atol=1e-12)
-    np.testing.assert_allclose(nominal.nominal.poses(q), corrected.nominal.poses(q), atol=1e-12)
+    for other in (corrected, read_source(result, Asked())):  # the result holds its URDF
+        np.testing.assert_allclose(nominal.robot.poses(q), other.robot.poses(q), atol=1e-12)
+        np.testing.assert_allclose(nominal.nominal.poses(q), other.nominal.poses(q), atol=1e-12)
     assert corrected.robot.urdf.data == (shop / "corrected.urdf").read_bytes()
-    (tmp_path / "robot.urdf").write_bytes((shop / "robot.urdf").read_bytes())
-    assert read_source(str(result), Asked()).nominal.urdf.data == nominal.nominal.urdf.data
-
-
-def test_the_urdf_that_comes_with_calib_is_at_hand(shop, tmp_path):
-    table = json.loads((shop / "result.json").read_text())
-    table["inputs"]["urdf"]["name"] = "ur3.urdf"
-    path = tmp_path / "calibration.json"
-    path.write_text(json.dumps(table))
-    assert read_source(str(path), Asked()).nominal.urdf.data == Path(URDF).read_bytes()
-
-
-def test_a_result_that_names_no_urdf(shop, tmp_path):
-    table = json.loads((shop / "result.json").read_text())
-    table["inputs"] = []
-    path = tmp_path / "result.json"
-    path.write_text(json.dumps(table))
-    with pytest.raises(FileError, match="Give it as --robot"):
-        read_source(str(path), Asked())
 
 
 def test_another_robot_than_the_result_s(shop):
@@ -468,16 +447,10 @@ def test_a_robot_whose_chain_has_other_origins(shop, tmp_path):
         read_source(str(shop / "result.json"), Asked(robot=str(path)))
 
 
-def test_a_larger_model_is_said(shop, tmp_path):
-    table = json.loads((shop / "result.json").read_text())
-    ties = {"set_ups": table["frames"]["set_ups"], "targets": table["frames"]["targets"]}
-    table["larger"] = {
-        "set": "dh+gain", "names": [], "x": [], "payload": None, "gravity_m_s2": [0, 0, -9.81], **ties,
-    }  # fmt: skip
-    path = tmp_path / "result.json"
-    path.write_text(json.dumps(table))
-    (remark,) = read_source(str(path), Asked(robot=str(shop / "robot.urdf"))).remarks
-    assert remark.startswith("The result has a larger model, 'dh+gain'")
+def test_a_larger_model_is_said(tmp_path):
+    path = write_result(made("larger"), tmp_path / "result.json")
+    (remark,) = read_source(str(path), Asked()).remarks
+    assert remark.startswith("The result has a larger model, 'dh+")
 
 
 def test_a_conf_needs_its_arm(shop):
