@@ -414,7 +414,7 @@ def test_a_result_says_base_tip_and_held_joints_itself(shop):
         read_source(result, Asked(held=parse_held(["elbow_joint=1 rad"])))
 
 
-def test_the_urdf_of_a_result(shop, tmp_path):
+def test_the_urdf_of_a_result(shop):
     result = str(shop / "result.json")
     nominal = read_source(result, Asked(robot=str(shop / "robot.urdf")))
     corrected = read_source(result, Asked(robot=str(shop / "corrected.urdf")))
