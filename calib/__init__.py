@@ -15,6 +15,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from calib.base_frame.survey import Survey, survey
+    from calib.base_frame.sweeps import Sweeps, read_sweeps
     from calib.calibration import Calibration, Comparison, calibrate, compare
     from calib.compensate.commands import Commands, commands
     from calib.compensate.program import Program
@@ -28,13 +30,11 @@ if TYPE_CHECKING:
     from calib.identify.acceptance import Acceptance, acceptance
     from calib.identify.evaluation import Evaluation, evaluate
     from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
-    from calib.measure.axes import Survey, survey
     from calib.measure.cell import Cell, GroupDistance, Priors
     from calib.measure.measurements import Measurements
     from calib.measure.noise import TrackerNoise
     from calib.measure.scenario import Scenario
     from calib.measure.surroundings import Box, Reflector, Tracker
-    from calib.measure.sweeps import Sweeps, read_sweeps
     from calib.model.robot import Robot
     from calib.model.torques import Payload
     from calib.show.opening import show
@@ -113,8 +113,8 @@ _MODULES = {
     "Robot": "calib.model.robot",
     "Scenario": "calib.measure.scenario",
     "Study": "calib.simulate.study",
-    "Survey": "calib.measure.axes",
-    "Sweeps": "calib.measure.sweeps",
+    "Survey": "calib.base_frame.survey",
+    "Sweeps": "calib.base_frame.sweeps",
     "Tracker": "calib.measure.surroundings",
     "TrackerNoise": "calib.measure.noise",
     "Trials": "calib.simulate.study",
@@ -128,10 +128,10 @@ _MODULES = {
     "forecast": "calib.design.sensitivity",
     "plan": "calib.design.plan",
     "profile_interval": "calib.identify.uncertainty",
-    "read_sweeps": "calib.measure.sweeps",
+    "read_sweeps": "calib.base_frame.sweeps",
     "sample_workspace": "calib.design.workspace",
     "study": "calib.simulate.study",
-    "survey": "calib.measure.axes",
+    "survey": "calib.base_frame.survey",
     "workspace_uncertainty": "calib.identify.uncertainty",
 }
 
