@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.design.candidates import draw, planning_ranges
 from calib.design.choice import choose_poses
 from calib.design.sensitivity import Outlook
