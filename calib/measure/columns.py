@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import calib.kinds as registry
 from calib.errors import CalibError, MeasurementError, choices
 from calib.measure.table import Block, Row, Table
 from calib.units import Quantity, Unit, find_unit, parse_header, split_header, symbols
