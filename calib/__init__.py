@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from calib.calibration import Calibration, Comparison, calibrate, compare
     from calib.compensate.commands import Commands, commands
     from calib.compensate.program import Program
+    from calib.design.forecast import forecast
     from calib.design.plan import Plan, plan
     from calib.design.region import Region
-    from calib.design.sensitivity import forecast
     from calib.design.workspace import Density, sample_workspace
     from calib.errors import CalibError
     from calib.fleets.fleet import Fleet, fleet
@@ -125,7 +125,7 @@ _MODULES = {
     "compare": "calib.calibration",
     "evaluate": "calib.identify.evaluation",
     "fleet": "calib.fleets.fleet",
-    "forecast": "calib.design.sensitivity",
+    "forecast": "calib.design.forecast",
     "plan": "calib.design.plan",
     "profile_interval": "calib.identify.uncertainty",
     "read_sweeps": "calib.base_frame.sweeps",

@@ -12,7 +12,7 @@ import numpy as np
 from meshcat import geometry as mc
 from numpy.typing import NDArray
 
-from calib.design.choice import Plan
+from calib.design.plan import Plan
 from calib.measure.surroundings import Box, Tracker
 from calib.show.bodies import bodies
 from calib.show.marks import draw_bodies, draw_lines, draw_points, number
