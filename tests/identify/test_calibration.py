@@ -649,7 +649,7 @@ def test_parameters_by_exact_name_hold_under_auto(make_scene, tmp_path):
     for p in stored["parameters"]:
         assert p["at_bound"] == (p["name"] == "alpha1")
         assert (p["std"] is p["low"] is p["high"] is None) == p["at_bound"]
-    again = evaluate(held.nominal, m, known=read_result(tmp_path / "held.json").known)
+    again = evaluate(held.nominal, m, known=read_result(tmp_path / "held.json").setup)
     assert again.errors["all"].n == 70
     assert not free.parameter("alpha1").at_bound
     assert abs(held.parameter("d5").delta) < 1e-7
