@@ -22,7 +22,6 @@ ORDER = (
     "data",
     "model",
     "measure",
-    "base_frame",
     "identify",
     "design",
     "simulate",

@@ -32,8 +32,8 @@ from calib.cli.options import (
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
-    from calib.show.scene import View
-    from calib.show.viewer import Viewer
+    from calib.show.live import Viewer
+    from calib.show.view import View
 
 #: So many shapes that are not drawn as they should be are named.
 _MOST_WARNINGS = 3
@@ -138,7 +138,7 @@ def view(
         if output is not None:
             _write(shown, output, force=force, quiet=quiet)
             return
-        from calib.show.viewer import Viewer
+        from calib.show.live import Viewer
 
         with Viewer(shown, port=port or 0) as viewer:
             _serve(viewer, browser=not no_browser, quiet=quiet)
@@ -154,7 +154,7 @@ def _check_table(data: Path | None, given: dict[str, Any]) -> None:
 
 def _write(shown: View, output: Path, *, force: bool, quiet: bool) -> None:
     """The page as a file."""
-    from calib.show.scene import view_page
+    from calib.show.robots_page import view_page
 
     page = view_page(shown)
     page.write(output, overwrite=force)

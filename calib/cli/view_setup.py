@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
-    from calib.show.scene import View
+    from calib.show.view import View
 
     Names = tuple[tuple[str, str], tuple[str, str]]
 

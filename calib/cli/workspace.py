@@ -139,7 +139,7 @@ def workspace(
         from calib.cli.workspace_words import parse_margins, parse_voxel, parse_within
         from calib.design.workspace import Density, sample_workspace
         from calib.measure.ranges import joint_ranges
-        from calib.show.region_pictures import check_ending
+        from calib.show.figure_region import check_ending
 
         inputs = [path for path in (robot, cell, like, check) if path]
         check_outputs([output, picture, view], inputs, force=force)
@@ -258,7 +258,7 @@ def _write(
     """Write what was asked for."""
     from calib.cli.workspace_text import picture_words
     from calib.design.region_file import RegionFile
-    from calib.show.region_pictures import Marked, write_picture
+    from calib.show.figure_region import Marked, write_picture
 
     title, subtitle = picture_words(found)
     marked = None

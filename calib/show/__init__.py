@@ -1,7 +1,7 @@
 """Pictures of a calibration for people; nothing here changes a result.
 
 ``calib.show(result)`` opens the picture of a calibration in the browser and returns the page's path, in a temporary
-folder; ``calib.show(result, live=True)`` returns a `calib.show.viewer.Viewer`, with which a program moves the robots
+folder; ``calib.show(result, live=True)`` returns a `calib.show.live.Viewer`, with which a program moves the robots
 and draws more. ``calib.show.pictures.write_page(result, "view.html")`` keeps the page.
 
 The folder's module can be called, for Python binds the name ``calib.show`` to this module as soon as anything in it is
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from calib.identify.calibration import Calibration
     from calib.model.robot import Robot
-    from calib.show.viewer import Viewer
+    from calib.show.live import Viewer
 
 
 class _Show(ModuleType):

@@ -42,9 +42,9 @@ class Camera:
 
     @property
     def position(self) -> list[float]:
-        """Where it stands, from the centre, [m]."""
-        result: list[float] = (self.distance * self.axes[2]).tolist()
-        return result
+        """Where it stands, from the centre, in meshcat's frame of cameras, in which y is up [m]."""
+        x, y, z = (float(value) for value in self.distance * self.axes[2])
+        return [x, z, -y]
 
 
 def row_direction(points: Array) -> Array:
@@ -105,3 +105,9 @@ def _outermost(points: Array) -> Array:
     except QhullError:  # all in one plane
         return points
     return corners
+
+
+def round_length(longest: float) -> float:
+    """The largest 1, 2 or 5 times a power of ten that is not above a length."""
+    power = 10.0 ** np.floor(np.log10(longest))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= longest * 1.000001))

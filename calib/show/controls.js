@@ -152,22 +152,22 @@ window.addEventListener("beforeprint", () => {
   paper.getContext("2d").drawImage(drawn, 0, 0);
 });
 
-// A server that this page came from may send a pose of its own, or things for meshcat to draw.
+// The server that this page came from tells what meshcat draws, and a pose of the program's own.
 function listen() {
   const socket = new WebSocket(`ws://${location.host}/live`);
   socket.binaryType = "arraybuffer";
+  const handle_command = (command) => (command.pose ? show(command.pose) : viewer.handle_command(command));
   socket.addEventListener("message", ({ data }) => {
-    if (typeof data !== "string") {
-      viewer.handle_command_bytearray(new Uint8Array(data));
-      return;
-    }
-    const { pose } = JSON.parse(data);
-    if (!pose) return;
-    state.alone = { label: pose.label || "a pose of the program" };
-    for (const who of names) state.alone[who] = floats(pose.robots[who]);
-    update();
+    // As in page.js: the viewer's own method decodes.
+    MeshCat.Viewer.prototype.handle_command_bytearray.call({ handle_command }, new Uint8Array(data));
   });
   socket.addEventListener("close", () => fill(element("pose"), "The server has stopped; the picture stays as it is."));
+}
+
+function show(pose) {
+  state.alone = { label: pose.label || "a pose of the program" };
+  for (const who of names) state.alone[who] = floats(pose.robots[who]);
+  update();
 }
 
 // An address may say what is shown at first, such as view.html#row=35&mode=over&robots=50.

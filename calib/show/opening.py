@@ -10,10 +10,10 @@ from typing import Literal, overload
 from calib.errors import ModelError
 from calib.identify.result import Calibration
 from calib.model.robot import Robot
+from calib.show.live import Viewer
 from calib.show.pictures import view_of, view_of_robots
-from calib.show.scene import write_view
+from calib.show.robots_page import write_view
 from calib.show.view import View
-from calib.show.viewer import Viewer
 
 
 @overload

@@ -3,93 +3,146 @@
 from __future__ import annotations
 
 import hashlib
-import html
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from string import Template
 from typing import Any
 
+import meshcat
 import numpy as np
+from numpy.typing import NDArray
 
+from calib.model.robot import Robot
+from calib.show.camera import look_at, round_length, row_direction
 from calib.show.palette import CALIBRATED, MEASURED, NOMINAL
+from calib.show.puppet import Puppet, span, stage_poses
+from calib.show.scene import SCENE, Page, draw_puppet, draw_stage, new_scene, translation
+from calib.show.shapes import read_visuals
 from calib.show.window import as_base64, viewer_licences, viewer_script
+
+Array = NDArray[np.float64]
 
 #: The colours of robots and of what was measured.
 COLOURS = {"nominal": NOMINAL, "calibrated": CALIBRATED, "measured": MEASURED}
-
-#: The scene's node that holds the robots.
-SCENE = "robots"
 
 #: What a page may talk to that came from a server on this computer.
 _LIVE = "; connect-src 'self' ws://127.0.0.1:* ws://localhost:*"
 
 
+@dataclass(frozen=True, slots=True)
+class Key:
+    """A line of the legend that shows and hides a part of the scene.
+
+    Attributes:
+        text: What it is.
+        colour: As CSS has it.
+        nodes: Which nodes below `SCENE`, blanks between them.
+        kind: ``"dot"`` for a round mark, and others of the style sheet.
+        on: Whether it is shown at first.
+    """
+
+    text: str
+    colour: str
+    nodes: str
+    kind: str = ""
+    on: bool = True
+
+
 def filled_page(
-    *,
-    title: str,
-    facts: str,
-    labels: str = "",
-    controls: str = "",
-    inset: str = "",
-    warnings: Sequence[str],
-    legend: str,
+    template: str,
     scene: bytes,
+    *,
     table: Mapping[str, Any] | None = None,
     scripts: Sequence[str] = (),
     live: bool = False,
+    **content: Any,  # noqa: ANN401  what the template names
 ) -> bytes:
-    """The page about any scene, UTF-8. What is HTML must have its names escaped, see `escaped`.
+    """The page about a scene, UTF-8.
 
     Args:
-        title: The heading, plain text.
-        facts: HTML below the heading.
-        labels: HTML of the labels in the scene.
-        controls: HTML beside the heading.
-        inset: HTML in the corner.
-        warnings: What could not be drawn, plain text.
-        legend: HTML at the foot, see `key` and `grid_text`.
+        template: ``"page.html"``, or one that extends it.
         scene: The scene's message.
         table: What the page's own script is told; None for a page without one.
         scripts: Names of that script's files.
         live: Whether the page listens to the server that it came from.
+        content: What the template is filled with: ``title``, ``text``, ``keys``, ``grid`` and ``warnings`` at least.
     """
+    import jinja2
+    from markupsafe import Markup
+
     folder = Path(__file__).parent
-    # A script must not hold what ends it, nor may a text block; the base64 of the scene cannot.
-    viewer = _no_end_tag(viewer_script())
-    start = _no_end_tag((folder / "page.js").read_text(encoding="utf-8"))
-    own = _no_end_tag(_joined([(folder / name).read_text(encoding="utf-8") for name in scripts]))
-    page = Template((folder / "page.html").read_text(encoding="utf-8"))
-    text = page.substitute(
-        hashes=" ".join(_hash(one) for one in (viewer, start, own) if one)
-        + (_LIVE if live else ""),
-        live=" data-live" if live else "",
-        title=escaped(title),
-        facts=facts,
-        labels=labels,
-        controls=controls,
-        inset=inset,
-        warnings=_warnings(warnings),
-        legend=legend,
-        licences=_no_end_tag(viewer_licences()),
-        scene=as_base64(scene),
-        viewer=viewer,
-        start=start,
-        table=_table(table),
-        own=f"<script>{own}</script>" if own else "",
-        **COLOURS,
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folder),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
     )
-    return text.encode("utf-8")
+    texts = [viewer_script(), (folder / "page.js").read_text(encoding="utf-8")]
+    if scripts:
+        own = "\n".join((folder / name).read_text(encoding="utf-8") for name in scripts)
+        texts.append(f'"use strict";\n(() => {{\n{own}}})();\n')
+    texts = [_no_end_tag(text) for text in texts]
+    hashes = " ".join(f"'sha256-{_hash(text)}'" for text in texts) + (_LIVE if live else "")
+    # A block of JSON that no name in it can end.
+    told = json.dumps(table, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    page = environment.get_template(template).render(
+        hashes=Markup(hashes),
+        live=live,
+        colours=COLOURS,
+        licences=Markup(_no_end_tag(viewer_licences())),
+        scene=as_base64(scene),
+        table=Markup(told) if table else "",
+        scripts=[Markup(text) for text in texts],
+        **content,
+    )
+    return page.encode("utf-8", "replace")
 
 
-def escaped(text: str) -> str:
-    """Text for HTML, in an element or in quotes; characters that UTF-8 lacks become a question mark."""
-    return html.escape(text.encode("utf-8", "replace").decode("utf-8"), quote=True)
+def single_page(
+    robot: Robot,
+    q: Array,
+    points: Array,
+    draw: Callable[[meshcat.Visualizer, float], list[Key]],
+    *,
+    title: str,
+    text: str,
+    legend: str,
+) -> Page:
+    """A page of one robot at one pose, and what else is drawn about it.
 
+    Args:
+        robot: The robot.
+        q: shape (m,), [rad] or [m], how it stands.
+        points: shape (K, 3), in the base, of what else is to be seen [m].
+        draw: Draws below the node given, in the base frame, things about as large as the size given [m], and returns
+            their lines of the legend.
+        title: The heading.
+        text: Sentences below it.
+        legend: What the legend says of the robot.
 
-def _joined(files: Sequence[str]) -> str:
-    """Several files as one script with names of its own; none for no files."""
-    return '"use strict";\n(() => {\n' + "\n".join(files) + "})();\n" if files else ""
+    Raises:
+        UrdfError: Pinocchio cannot build a model of the URDF.
+    """
+    visuals, warnings = read_visuals(robot.urdf)
+    puppet = Puppet.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
+    upright = np.eye(4)
+    upright[:3, :3] = stage_poses(robot, q[None])[0, :3, :3]
+    drawn = puppet.outline(0) @ upright[:3, :3].T
+    everything = np.concatenate([drawn, points @ upright[:3, :3].T])
+    size, grid = span(everything), round_length(span(everything) / 7.0)
+    camera = look_at(everything, row_direction(puppet.origins[0] @ upright[:3, :3].T))
+    window, root = new_scene()
+    floor = float(drawn[:, 2].min())
+    draw_stage(root, camera, size=size, floor=floor, grid=grid, through=np.zeros(3))
+    root[SCENE].set_transform(translation(-camera.centre) @ upright)
+    draw_puppet(root[SCENE]["nominal"], puppet, 0, NOMINAL, 0.0, front=False)
+    keys = [Key(legend, NOMINAL, "nominal"), *draw(root[SCENE], size)]
+    html = filled_page(
+        "page.html", window.scene(), title=title, text=text, keys=keys, grid=grid, warnings=warnings
+    )
+    return Page(html, tuple(warnings))
 
 
 def _no_end_tag(text: str) -> str:
@@ -99,49 +152,4 @@ def _no_end_tag(text: str) -> str:
 
 def _hash(script: str) -> str:
     """A script's name in the page's policy: no other script runs, whatever a name may hold."""
-    return f"'sha256-{as_base64(hashlib.sha256(script.encode('utf-8')).digest())}'"
-
-
-def _table(table: Mapping[str, Any] | None) -> str:
-    """A block of JSON that no name in it can end."""
-    if table is None:
-        return ""
-    text = json.dumps(table, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    return f'<script type="application/json" id="table">{text}</script>'
-
-
-def key(text: str, colour: str, nodes: str, kind: str = "", *, on: bool = True) -> str:
-    """A line of the legend that shows and hides a part of the scene, HTML.
-
-    Args:
-        text: What it is, HTML.
-        colour: As CSS has it.
-        nodes: Which nodes below `SCENE`, blanks between them.
-        kind: ``"dot"`` for a round mark.
-        on: Whether it is shown at first.
-    """
-    return (
-        f'<label class="key"><input type="checkbox"{" checked" if on else ""} data-show="{nodes}">'
-        f'<i class="{kind}" style="background: {colour}"></i>{text}</label>'
-    )
-
-
-def grid_text(grid: float) -> str:
-    """How large the floor's squares are, and how to turn the scene, HTML."""
-    size = f"{grid:g} m" if grid >= 0.1 else f"{1e3 * grid:g} mm"
-    return f"<span>Floor squares {size}. Drag to turn, scroll to zoom.</span>"
-
-
-def _warnings(warnings: Sequence[str]) -> str:
-    """A list that opens on a click; nothing if there are none."""
-    if not warnings:
-        return ""
-    items = "".join(f"<li>{escaped(warning)}</li>" for warning in warnings)
-    count = f"{len(warnings)} shape{'s' * (len(warnings) > 1)} not drawn as in the URDF"
-    return f'<details class="over"><summary>{count}</summary><ul>{items}</ul></details>'
-
-
-def round_length(longest: float) -> float:
-    """The largest 1, 2 or 5 times a power of ten that is not above a length."""
-    power = 10.0 ** np.floor(np.log10(longest))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= longest * 1.000001))
+    return as_base64(hashlib.sha256(script.encode("utf-8")).digest())

@@ -1,4 +1,4 @@
-"""Which robots, poses and rows are shown: of a calibration, or of two robots and a table."""
+"""Which robots, poses and rows are shown: of a calibration, of two robots and a table, or of two results."""
 
 from __future__ import annotations
 
@@ -8,20 +8,25 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.identify.comparison import Comparison
+from calib.identify.comparison_text import sentence
 from calib.identify.evaluation import Evaluation
 from calib.identify.result import Calibration
 from calib.identify.setup import Setup
 from calib.measure.measurements import Measurements
-from calib.model.readback import column_ranges, spread_poses
+from calib.model.readback import column_ranges, spread_between, spread_poses
 from calib.model.robot import Robot, rigid_inverse
-from calib.show.cloud import cloud_of
-from calib.show.scene import write_view
-from calib.show.view import NAMES, Names, View, translated
+from calib.show.robots_page import write_view
+from calib.show.rows import angles_of, flagged_rows, lengths_of, measured_in_base, placed
+from calib.show.view import NAMES, Cloud, Names, View, translated
 
 Array = NDArray[np.float64]
 
 #: Poses of two robots of which nothing was measured.
 _POSES = 24
+
+#: Points of the cloud over the joint limits, and within the measured joint values.
+EVERYWHERE, MEASURED = 4000, 2000
 
 #: Frames nearer to the base's than this are the base's own: there is no instrument to show [m, and 1].
 _THE_BASE = 1e-9
@@ -38,7 +43,7 @@ def view_of(calibration: Calibration, *, cloud: bool = True) -> View:
         cloud: Whether to compute how well positions are known over the workspace.
     """
     c = calibration
-    flagged = frozenset(outlier.row for outlier in (*c.outliers, *c.suspects))
+    flagged = frozenset(np.array(c.measurements.rows)[flagged_rows(c)].tolist())
     before = _Half(c.nominal, c.nominal_setup, c.residual_nominal, c.used)
     after = _Half(c.robot, c.setup, c.residual_calibrated, c.used)
     shown = _view_of_rows(c.measurements, before, after, flagged)
@@ -103,6 +108,41 @@ def view_of_robots(
     )
 
 
+def view_of_comparison(comparison: Comparison) -> View:
+    """The view of two results of one robot, with the first one's target, each in the base as its own fit has it.
+
+    The poses are not measured ones: they are spread over the joint limits, and their labels say so.
+    """
+    c = comparison
+    first, second = c.robots
+    target = translated(c.a.target)
+    view = view_of_robots(
+        first,
+        second,
+        names=((f"a: {c.names[0]}", "the first result"), (f"b: {c.names[1]}", "the second result")),
+        title=f"{c.a.nominal.name or 'Robot'}: two calibrations",
+        note=sentence(c),
+    )
+    return replace(view, nominal_target=target, calibrated_target=target)
+
+
+def cloud_of(calibration: Calibration) -> Cloud:
+    """Predicted positions and their standard deviation, sqrt(trace(J C J^T)), over the workspace.
+
+    Half as many points again lie within the range of the joint values that were fitted as over the joint limits. The
+    standard deviations are those of `calib.workspace_uncertainty`: they know nothing of errors that the model lacks.
+    """
+    robot = calibration.robot
+    seen = calibration.measurements.joints_for(robot.joint_names)[calibration.weights > 0.0]
+    limits = column_ranges(robot)
+    inner = np.stack([seen.min(axis=0), seen.max(axis=0)], axis=1) if len(seen) else limits
+    q = np.concatenate([spread_between(limits, EVERYWHERE), spread_between(inner, MEASURED)])
+    std = calibration.position_std(q, larger=False)
+    T = robot.poses(q)
+    points = T[:, :3, :3] @ calibration.target + T[:, :3, 3]
+    return Cloud(points, std, np.all((q >= inner[:, 0]) & (q <= inner[:, 1]), axis=1))
+
+
 def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write a self-contained page that shows both robots.
 
@@ -126,10 +166,11 @@ def _view_of_rows(
     m: Measurements, first: _Half, second: _Half | None, flagged: frozenset[int]
 ) -> View:
     """The view of one or two robots at the rows of a table."""
-    before = _placed(first.setup, m)
-    after = before if second is None else _placed(second.setup, m)
-    kinds = _kinds(m, np.array([row in flagged for row in m.rows]))
-    sizes = [_sizes(half.residual, half.used) for half in (first, second or first)]
+    before = placed(first.setup, m)
+    after = before if second is None else placed(second.setup, m)
+    kinds = _kinds(m, flagged)
+    halves = (first, second or first)
+    errors = np.array([lengths_of(half.residual, half.used) for half in halves])
     return View(
         nominal=first.robot,
         calibrated=None if second is None else second.robot,
@@ -138,21 +179,14 @@ def _view_of_rows(
         kinds=kinds,
         nominal_target=before[1],
         calibrated_target=after[1],
-        measured=_measured(m, after[0]),
-        errors=np.array([lengths for lengths, _ in sizes]),
-        angles=np.array([angles for _, angles in sizes]),
+        measured=measured_in_base(m, after[0]),
+        errors=errors,
+        angles=np.array([angles_of(half.residual, half.used) for half in halves]),
         # Its error in the picture is then that of the tables, not where each of the two finds the tracker.
         T_base_nominal=_between(m, before[0], after[0]),
         instruments=_instruments(m, after[0]),
-        start=_worst(sizes[0][0], kinds),
+        start=_worst(errors[0], kinds),
     )
-
-
-def _placed(setup: Setup, m: Measurements) -> tuple[Array, Array]:
-    """T_frame_base and T_tip_target of each row, shapes (N, 4, 4), [m]."""
-    frames = np.array([setup.groups.index(group) for group in m.groups])
-    targets = np.array([setup.targets.index(target) for target in m.targets])
-    return setup.T_frame_base[frames], setup.T_tip_target[targets]
 
 
 def _between(m: Measurements, nominal: Array, calibrated: Array) -> Array:
@@ -163,18 +197,6 @@ def _between(m: Measurements, nominal: Array, calibrated: Array) -> Array:
     if not np.any(m.where(lambda kind: kind.coordinates)):
         return np.broadcast_to(np.eye(4), nominal.shape)
     return rigid_inverse(calibrated) @ nominal
-
-
-def _measured(m: Measurements, T_frame_base: Array) -> Array:
-    """Where the target was seen, in the base, shape (N, 3), [m]; NaN where that is not known.
-
-    A target in a socket was where its set-up's frame stands. Distances and planes tell no place.
-    """
-    known = m.where(lambda kind: kind.coordinates)
-    T_base_frame = rigid_inverse(T_frame_base)
-    points = np.nan_to_num(m.points)
-    places = np.einsum("nij,nj->ni", T_base_frame[:, :3, :3], points) + T_base_frame[:, :3, 3]
-    return np.where(known[:, None], places, np.nan)
 
 
 def _instruments(m: Measurements, T_frame_base: Array) -> Array:
@@ -193,19 +215,12 @@ def _with_tracker(c: Calibration, instruments: Array) -> Array:
     return np.where(seen[:, None, None], translated(c.cell.tracker.position), instruments)
 
 
-def _kinds(m: Measurements, flagged: NDArray[np.bool_]) -> tuple[str, ...]:
+def _kinds(m: Measurements, flagged: frozenset[int]) -> tuple[str, ...]:
     """What each row is."""
-    words = np.where(flagged, "flagged", np.where(m.validation, "validation", "estimation"))
-    return tuple(str(word) for word in words)
-
-
-def _sizes(residual: Array, used: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """The length and the angle that each row leaves over, shapes (N,), [m], [rad]; NaN where it has none."""
-    result = []
-    for part in (slice(0, 3), slice(3, None)):
-        size = np.linalg.norm(np.where(used[:, part], residual[:, part], 0.0), axis=1)
-        result.append(np.where(np.any(used[:, part], axis=1), size, np.nan))
-    return result[0], result[1]
+    sets = np.where(m.validation, "validation", "estimation")
+    return tuple(
+        "flagged" if row in flagged else str(word) for row, word in zip(m.rows, sets, strict=True)
+    )
 
 
 def _worst(lengths: Array, kinds: tuple[str, ...]) -> int:

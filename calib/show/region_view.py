@@ -1,7 +1,6 @@
 """A region in the browser: its voxels as coloured points about the nominal robot, in one HTML file.
 
-The voxels stand in bands by how often the target is there; each band can be hidden. See
-`calib.show.scene` for the page.
+The voxels stand in bands by how often the target is there; each band can be hidden.
 """
 
 from __future__ import annotations
@@ -17,17 +16,11 @@ from numpy.typing import NDArray
 
 from calib.design.region import Region
 from calib.design.workspace import Density
-from calib.errors import ModelError
-from calib.model.robot import Robot, read_only
-from calib.show.bodies import bodies
-from calib.show.marks import cloud, draw_bodies, draw_points
-from calib.show.page import escaped, key
+from calib.model.robot import Robot
+from calib.show.figure_region import Marked
+from calib.show.page import Key, single_page
 from calib.show.palette import ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
-from calib.show.region_pictures import Marked
-from calib.show.single import Layout, single_page
-from calib.show.stage import Page, translation
-from calib.show.visuals import read_visuals
-from calib.show.window import without_shadow
+from calib.show.scene import Page, draw_cloud, draw_points, solid, translation
 
 Array = NDArray[np.float64]
 
@@ -71,15 +64,6 @@ class RegionView:
     text: str = ""
     marked: Marked | None = None
 
-    def __post_init__(self) -> None:
-        """Copy the arrays and check them."""
-        for name, count in (("q", len(self.robot.joint_names)), ("target", 3)):
-            values = read_only(getattr(self, name))
-            if values.shape != (count,) or not np.isfinite(values).all():
-                message = f"{name} has shape {values.shape}; finite numbers of shape ({count},) are wanted."
-                raise ModelError(message)
-            object.__setattr__(self, name, values)
-
 
 def write_region_view(view: RegionView, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write a region as one HTML file that opens from disk without a network.
@@ -96,32 +80,29 @@ def region_page(view: RegionView) -> Page:
     Raises:
         UrdfError: Pinocchio cannot build a model of the URDF.
     """
-    visuals, warnings = read_visuals(view.robot.urdf)
-    parts = bodies(view.robot, view.q, visuals)
     T_tip = view.robot.poses(view.q)[0]
     target = T_tip[:3, :3] @ view.target + T_tip[:3, 3]
     centres = _centres(view.density, view.region.cells)
-    seen = np.concatenate([target[None], centres[:: 1 + len(centres) // 5000]])
-    layout = Layout.of(view.robot, view.q, parts, seen)
 
-    def draw(scene: meshcat.Visualizer) -> list[str]:
-        _draw_robot(scene["nominal"], view, layout, target)
-        keys = [key(f"{escaped(view.robot.name)}, nominal", NOMINAL, "nominal")]
-        keys += _draw_voxels(scene, view)
-        return keys + _draw_rows(scene, view, layout.size)
+    def draw(scene: meshcat.Visualizer, size: float) -> list[Key]:
+        if np.any(view.target):
+            node = scene["nominal"]["target"]
+            node.set_object(mc.Sphere(_BALL * size), solid(NOMINAL))
+            node.set_transform(translation(target))
+        return [*_draw_voxels(scene, view), *_draw_rows(scene, view, size)]
 
-    return single_page(layout, draw, title=view.title, text=view.text, warnings=warnings)
+    return single_page(
+        view.robot,
+        view.q,
+        np.concatenate([target[None], centres[:: 1 + len(centres) // 5000]]),
+        draw,
+        title=view.title,
+        text=view.text,
+        legend=f"{view.robot.name}, nominal",
+    )
 
 
-def _draw_robot(scene: meshcat.Visualizer, view: RegionView, layout: Layout, target: Array) -> None:
-    """The nominal robot with its target."""
-    material = draw_bodies(scene, layout.parts, NOMINAL)
-    if np.any(view.target):
-        scene["target"].set_object(mc.Sphere(_BALL * layout.size), material)
-        scene["target"].set_transform(translation(target))
-
-
-def _draw_voxels(scene: meshcat.Visualizer, view: RegionView) -> list[str]:
+def _draw_voxels(scene: meshcat.Visualizer, view: RegionView) -> list[Key]:
     """The region's voxels in bands, and their lines of the legend."""
     centres = _centres(view.density, view.region.cells)
     # The centre of a voxel may lie beyond the box that cuts it.
@@ -148,15 +129,13 @@ def _draw_voxels(scene: meshcat.Visualizer, view: RegionView) -> list[str]:
         points = centres[band]
         if not len(points):
             continue
-        node = scene[f"band{i}"]
-        node.set_object(cloud(points, colour, edge))
-        without_shadow(node)
+        draw_cloud(scene[f"band{i}"], points, colour, edge)
         words = f"the densest {100 * end:.3g} %" if i == 0 else f"up to {100 * end:.3g} %"
-        keys.append(key(words, colour, f"band{i}"))
+        keys.append(Key(words, colour, f"band{i}"))
     return keys
 
 
-def _draw_rows(scene: meshcat.Visualizer, view: RegionView, size: float) -> list[str]:
+def _draw_rows(scene: meshcat.Visualizer, view: RegionView, size: float) -> list[Key]:
     """The points of a table, and their lines of the legend."""
     if view.marked is None:
         return []
@@ -171,7 +150,7 @@ def _draw_rows(scene: meshcat.Visualizer, view: RegionView, size: float) -> list
         if not len(points):
             continue
         draw_points(scene[word], points, colour, _SMALL_BALL * size)
-        keys.append(key(f"{word} rows", colour, word, "dot"))
+        keys.append(Key(f"{word} rows", colour, word, "dot"))
     return keys
 
 

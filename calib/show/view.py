@@ -12,11 +12,6 @@ from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
-#: What a row can be: one that the fit has seen, one that it has not, one that does not belong to the others, or a pose
-#: at which nothing was measured.
-KINDS = ("estimation", "validation", "flagged", "pose")
-
-
 #: What two robots are called, and what that means.
 Names = tuple[tuple[str, str], tuple[str, str]]
 NAMES: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected URDF"))
@@ -36,14 +31,6 @@ class Cloud:
     std: Array
     measured: NDArray[np.bool_]
 
-    def __post_init__(self) -> None:
-        """Copy the arrays and check that they fit together."""
-        mask = np.array(self.measured, dtype=np.bool_)
-        mask.setflags(write=False)
-        object.__setattr__(self, "measured", mask)
-        for name, shape in (("points", (len(mask), 3)), ("std", (len(mask),))):
-            object.__setattr__(self, name, _checked(name, getattr(self, name), shape))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
@@ -54,7 +41,8 @@ class View:
         calibrated: The robot after it, the same chain; None to show one robot alone.
         q: shape (N, m), [rad] or [m], the poses, in the order of ``nominal.joint_names``.
         labels: What each pose is called, such as ``"row 31"``, N of them; none for numbers from 1.
-        kinds: What each is, of `KINDS`, N of them; none for ``"pose"``.
+        kinds: ``"estimation"``, ``"validation"``, ``"flagged"`` or, where nothing was measured, ``"pose"``, N of them;
+            none for ``"pose"``.
         nominal_target: shape (N, 4, 4) or (4, 4), T_tip_target of the nominal robot [m].
         calibrated_target: shape (N, 4, 4) or (4, 4), T_tip_target of the calibrated robot [m].
         measured: shape (N, 3), the measured targets in the base [m]; NaN where nothing was measured; may be empty.
@@ -106,32 +94,31 @@ class View:
                 f"{choices(other.joint_names)}. Show two robots with the same chain."
             )
             raise ModelError(message)
-        count = len(self.q) if np.ndim(self.q) == 2 else 0
-        if not count:
-            message = f"q has shape {np.shape(self.q)}; give one row of joint values for each pose, one at least."
-            raise ModelError(message)
-        self._store("q", self.q, (count, len(robot.joint_names)))
-        for name in ("nominal_target", "calibrated_target", "T_base_nominal"):
-            self._store(name, _each(getattr(self, name), count), (count, 4, 4))
-        for name, shape in (
-            ("measured", (count, 3)),
-            ("instruments", (count, 4, 4)),
-            ("errors", (2, count)),
-            ("angles", (2, count)),
+        count = len(self.q)
+        poses, gaps = (count, 4, 4), np.nan
+        for name, shape, otherwise in (
+            ("q", (count, len(robot.joint_names)), None),
+            ("nominal_target", poses, None),
+            ("calibrated_target", poses, None),
+            ("T_base_nominal", poses, None),
+            ("measured", (count, 3), gaps),
+            ("instruments", poses, gaps),
+            ("errors", (2, count), gaps),
+            ("angles", (2, count), gaps),
         ):
             given = np.asarray(getattr(self, name), dtype=np.float64)
-            self._store(name, given if given.size else np.full(shape, np.nan), shape, gaps=True)
-        self._name("labels", tuple(f"pose {k + 1}" for k in range(count)))
-        self._name("kinds", ("pose",) * count)
-        wrong = set(self.kinds) - set(KINDS)
-        if wrong:
-            message = (
-                f"There is no kind of row {choices(sorted(wrong))}; there is {choices(KINDS)}."
-            )
-            raise ModelError(message)
-        if not 0 <= self.start < count:
-            message = f"start is {self.start}, and there are {count} poses; give a number from 0 to {count - 1}."
-            raise ModelError(message)
+            values = given if given.size else np.full(shape, otherwise)
+            values = np.broadcast_to(values, shape) if values.shape == (4, 4) else values
+            if values.shape != shape or not count or (otherwise is None and np.isnan(values).any()):
+                wanted = f"finite numbers of shape {shape} are wanted, for one pose at least"
+                message = f"{name} has shape {given.shape}; {wanted}."
+                raise ModelError(message)
+            object.__setattr__(self, name, read_only(values))
+        for words, default in (
+            ("labels", tuple(f"pose {k + 1}" for k in range(count))),
+            ("kinds", ("pose",) * count),
+        ):
+            object.__setattr__(self, words, tuple(getattr(self, words)) or default)
 
     @property
     def robots(self) -> dict[str, Robot]:
@@ -181,22 +168,6 @@ class View:
             rows=self.rows or len(self.q),
         )
 
-    def _store(
-        self, name: str, values: ArrayLike, shape: tuple[int, ...], *, gaps: bool = False
-    ) -> None:
-        """Set a field to a checked read-only copy."""
-        object.__setattr__(self, name, _checked(name, values, shape, gaps=gaps))
-
-    def _name(self, name: str, otherwise: tuple[str, ...]) -> None:
-        """Check that there are as many words as poses."""
-        given = tuple(getattr(self, name)) or otherwise
-        if len(given) != len(otherwise):
-            message = (
-                f"There are {len(given)} {name}, and {len(otherwise)} poses; give one for each."
-            )
-            raise ModelError(message)
-        object.__setattr__(self, name, given)
-
 
 def translated(point: ArrayLike) -> Array:
     """A pose without rotation, shape (4, 4): that of a target of which only the place is known.
@@ -207,23 +178,3 @@ def translated(point: ArrayLike) -> Array:
     T = np.eye(4)
     T[:3, 3] = point
     return T
-
-
-def _each(values: ArrayLike, count: int) -> Array:
-    """One pose for each row."""
-    array = np.asarray(values, dtype=np.float64)
-    return np.broadcast_to(array, (count, 4, 4)) if array.shape == (4, 4) else array
-
-
-def _checked(name: str, values: ArrayLike, shape: tuple[int, ...], *, gaps: bool = False) -> Array:
-    """A read-only copy of numbers of a shape, NaN only where there may be gaps.
-
-    Raises:
-        ModelError: It is something else.
-    """
-    array = read_only(values)
-    wrong = np.any(np.isinf(array)) if gaps else not np.all(np.isfinite(array))
-    if array.shape != shape or wrong:
-        message = f"{name} has shape {array.shape}; finite numbers of shape {shape} are wanted."
-        raise ModelError(message)
-    return array

@@ -10,7 +10,7 @@ import base64
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import meshcat
 import numpy as np
@@ -19,7 +19,7 @@ from meshcat.geometry import Geometry, Material
 from meshcat.servers.tree import SceneTree, find_node, walk
 from numpy.typing import NDArray
 
-from calib.show.triangles import Triangles
+from calib.show.shapes import Triangles
 
 #: How msgpack-lite, meshcat's decoder in the browser, names typed arrays.
 _ARRAYS = {
@@ -28,13 +28,6 @@ _ARRAYS = {
     np.dtype(np.uint32): ("Uint32Array", 0x16),
     np.dtype(np.float32): ("Float32Array", 0x17),
 }
-
-
-class Command(Protocol):
-    """What meshcat's visualizer sends to a window."""
-
-    def lower(self) -> dict[str, Any]:
-        """The command as a message."""
 
 
 class SceneWindow:
@@ -48,7 +41,7 @@ class SceneWindow:
         self._tree = SceneTree()
         self._geometries: dict[str, dict[str, Any]] = {}
 
-    def send(self, command: Command) -> None:
+    def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
         """Take a command, as meshcat's server does."""
         message = command.lower()
         path = [part for part in message["path"].split("/") if part]
@@ -58,11 +51,8 @@ class SceneWindow:
             node.object, node.properties = message, []
         elif message["type"] == "set_transform":
             node.transform = message
-        elif message["type"] == "set_property":
-            node.properties.append(message)
         else:
-            text = f"SceneWindow takes no command '{message['type']}'"
-            raise ValueError(text)
+            node.properties.append(message)
 
     def scene(self) -> bytes:
         """The whole scene as one message: the geometries by name, and the commands in order."""

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.design.forecast import Forecast, Workspace
-from calib.design.sensitivity import Sensitivity
+from calib.design.forecast import forecast as forecast_of
+from calib.design.sensitivity import Outlook
 from calib.errors import CalibError, ModelError
 from calib.identify.jobs import batch_size, run
 from calib.measure.scenario import DEFAULT_TRACKER, Scenario
@@ -154,12 +155,12 @@ def _forecast_of(trials: Trials, seed: int) -> Forecast | None:
         tracker=Tracker(place, noise=scenario.noise),
     )
     try:
-        sensitivity = Sensitivity.of(scenario.robot, cell)
+        sensitivity = Outlook.of(scenario.robot, cell).sensitivity
     except ModelError:
         return None
     q, sets = trial_poses(trials, seed)
     visited = np.repeat(q[[one == "estimate" for one in sets]], scenario.visits, axis=0)
-    return Forecast.of(
+    return forecast_of(
         sensitivity, Workspace.of(sensitivity, verification_poses(scenario)), visited
     )
 

@@ -20,6 +20,7 @@ from calib.model.meshes import find_mesh, link_shapes, mesh_folders
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
+from calib.show.puppet import root_poses
 
 #: A post that turns about z, and on it a ball of 50 mm, 1 m away and beside the tip that is 1.5 m away.
 TURNTABLE = """<robot name="t"><link name="base"/>
@@ -223,6 +224,12 @@ def ur3() -> Robot:
     return Robot.load(data.paper_urdf(), base="base", tip="tool0")
 
 
+def link_poses(q):
+    """T_base_link of every link, by the model of pictures, which shares no code with that of collisions."""
+    at = root_poses(ur3(), q[None])
+    return {link: np.linalg.inv(at[ur3().base][0]) @ T[0] for link, T in at.items()}
+
+
 @cache
 def ur3_meshes() -> dict[str, tuple[np.ndarray, trimesh.Trimesh]]:
     """For each link the pose of its shape there, and the shape as trimesh reads it."""
@@ -271,10 +278,7 @@ def test_the_ur3_s_beam_against_rays():
     lengths = np.concatenate([[length], np.tile(length - 0.5 * BEAM, (len(turns), 1))])
     rays = np.broadcast_to(along, origins.shape)
     hit, near = np.zeros(origins.shape[:2], dtype=bool), np.full(len(q), np.inf)
-    # Poses of the links by the collision model of pictures, which shares no code with that of collisions.
-    from calib.show.bodies import link_poses
-
-    poses = [link_poses(ur3(), row) for row in q]
+    poses = [link_poses(row) for row in q]
     for link, (T_link_shape, mesh) in ur3_meshes().items():
         caster = RayMeshIntersector(mesh)
         T_shape_base = np.linalg.inv(np.array([p[link] for p in poses]) @ T_link_shape)
@@ -304,8 +308,6 @@ def test_the_ur3_s_beam_against_rays():
 def test_the_ur3_s_beam_against_fcl():
     q, free = ur3_sight()
     start, along, length = beams(q)
-    from calib.show.bodies import link_poses
-
     solids = {}
     for link, (T_link_shape, mesh) in ur3_meshes().items():
         solid = fcl.BVHModel()
@@ -319,7 +321,7 @@ def test_the_ur3_s_beam_against_fcl():
         rod = fcl.CollisionObject(
             fcl.Capsule(0.5 * BEAM, reach - BEAM), fcl.Transform(R, start + 0.5 * reach * way)
         )
-        poses = link_poses(ur3(), row)
+        poses = link_poses(row)
         blocked = False
         for link, (T_link_shape, solid) in solids.items():
             T = poses[link] @ T_link_shape

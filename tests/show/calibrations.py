@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.calibration import calibrate
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.identify.result import Calibration
+from calib.identify.result import Calibration, RowNames
 from calib.measure.cell import Cell
 from calib.measure.disturbances import Outliers
 from calib.measure.measurements import Measurements
@@ -213,6 +213,17 @@ def _turned(angle: float) -> np.ndarray:
     T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     T[:3, 3] = 2.0 * np.cos(angle), 2.0 * np.sin(angle), 0.2
     return read_only(T)
+
+
+def with_rows(c: Calibration, m: Measurements) -> Calibration:
+    """The calibration as if its rows had been others."""
+    rows = RowNames(m.rows, m.sets, m.kinds, m.groups, m.targets)
+    return replace(c, rows=rows, fit=replace(c.fit, measurements=m))
+
+
+def with_cell(c: Calibration, cell: Cell) -> Calibration:
+    """The calibration as if its cell had been another."""
+    return replace(c, fit=replace(c.fit, cell=cell))
 
 
 #: What makes each case; in tests ``many_rows`` has 20,000 rows.

@@ -150,7 +150,7 @@ def test_a_set_of_rows_without_numbers_is_left_out(calibrations):
     c = calibrations.made("mixed")
     turned = c.measurements.of_kind("pose")
     sets = tuple("estimate" if pose else "validate" for pose in turned)
-    held = replace(c, measurements=replace(c.measurements, sets=sets))
+    held = calibrations.with_rows(c, replace(c.measurements, sets=sets))
     labels = [t.get_text() for t in orientation_by_row(held).legends[0].get_texts()]
     assert not [label for label in labels if "validation" in label]
 

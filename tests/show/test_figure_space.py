@@ -142,7 +142,7 @@ def test_of_a_distance_all_is_along_the_beam(calibrations):
 def test_of_a_plane_all_is_along_its_normal(calibrations):
     c = calibrations.made("distances")
     kinds = ("plane",) * len(c.measurements)
-    plane = replace(c, measurements=replace(c.measurements, kinds=kinds))
+    plane = calibrations.with_rows(c, replace(c.measurements, kinds=kinds))
     q = c.measurements.joints_for(c.nominal.joint_names)
     anchor = c.measurements.groups[0]
     up = c.predict(q + 1e-5 * np.eye(6)[1], group=anchor) - c.predict(q, group=anchor)
@@ -221,4 +221,4 @@ def test_lengths_between_two_rows_belong_to_neither(calibrations):
         distances=np.repeat(m.distances[:count:2], 2),
     )
     mask = np.arange(len(m)) < count
-    assert not np.any(drawn_rows(replace(c, measurements=pairs, used=c.used[mask])))
+    assert not np.any(drawn_rows(calibrations.with_rows(replace(c, used=c.used[mask]), pairs)))

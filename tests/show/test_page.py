@@ -4,9 +4,11 @@ import json
 import re
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
-from calib.show.page import escaped, filled_page, grid_text, key, round_length
+from calib.show.camera import round_length
+from calib.show.page import Key, filled_page, single_page
 
 NASTY = "</script><script>alert(1)</script> \"'&<!-- é漢字 \udcff"
 
@@ -40,23 +42,29 @@ class Reader(HTMLParser):
 def make(**changes):
     arguments = {
         "title": "UR3",
-        "facts": "<p>fact</p>",
+        "text": "a fact",
         "warnings": (),
-        "legend": grid_text(0.1),
-        "scene": b"scene",
+        "keys": [Key("arm", "#123456", "arm")],
+        "grid": 0.1,
         "table": {"labels": ["row 1"]},
         "scripts": ("words.js", "controls.js"),
     }
-    return filled_page(**{**arguments, **changes})
+    return filled_page("page.html", b"scene", **{**arguments, **changes})
 
 
 def test_names_are_text_whatever_they_hold():
-    page = make(title=NASTY, warnings=[NASTY, NASTY], table={"labels": [NASTY]})
-    reader, plain = Reader(page), Reader(make(warnings=["a", "b"]))
+    page = make(
+        title=NASTY,
+        text=NASTY,
+        warnings=[NASTY] * 2,
+        keys=[Key(NASTY, "#1", "x")],
+        table={"labels": [NASTY]},
+    )
+    reader, plain = Reader(page), Reader(make(warnings=["a", "b"], keys=[Key("a", "#1", "x")]))
     assert reader.tags == plain.tags  # no tag and no attribute more than with harmless names
     assert len(reader.scripts) == len(plain.scripts)
     shown = NASTY.replace("\udcff", "?")
-    assert reader.text.count(shown) == 4  # <title>, heading and two warnings
+    assert reader.text.count(shown) == 6  # <title>, heading, text, legend and two warnings
     assert json.loads(reader.scripts[2]) == {"labels": [NASTY]}
 
 
@@ -108,11 +116,30 @@ def test_a_live_page_may_talk_to_this_computer_and_to_nobody_else():
 
 
 def test_a_key_says_what_it_shows_and_whether_it_does_at_first():
-    on, off = key(escaped("a<b"), "#123456", "x y"), key("c", "", "z", "dot", on=False)
-    assert 'checked data-show="x y"' in on
-    assert "a&lt;b" in on
-    assert "checked" not in off
-    assert 'class="dot"' in off
+    keys = [Key("a<b", "#123456", "x y"), Key("c", "", "z", "dot", on=False)]
+    page = make(keys=keys).decode()
+    assert 'checked data-show="x y"' in page
+    assert "a&lt;b" in page
+    assert '<input type="checkbox" data-show="z"><i class="dot"' in page
+    assert "Floor squares 0.1 m" in page
+    assert "Floor squares 20 mm" in make(grid=0.02).decode()
+
+
+def test_a_page_of_one_robot_holds_it_and_what_is_drawn(gantry):
+    sizes = []
+
+    def draw(scene, size):
+        sizes.append(size)
+        scene["ball"].set_transform(np.eye(4))
+        return [Key("a ball", "#112233", "ball")]
+
+    for points in (np.zeros((0, 3)), np.array([[9.0, 0.0, 0.0]])):
+        words = {"title": "A <title>", "text": "1 < 2", "legend": "an arm"}
+        html = single_page(gantry, np.zeros(3), points, draw, **words).html.decode()
+    assert sizes[1] > 8.0 > sizes[0]
+    assert "A &lt;title&gt;" in html
+    assert "<p>1 &lt; 2</p>" in html
+    assert re.findall('data-show="(.*?)"', html) == ["nominal", "ball"]
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,15 @@ import calib
 from calib.calibration import calibrate
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.errors import FileError
+from calib.identify.uncertainty import workspace_uncertainty
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.surroundings import Tracker
 from calib.model.readback import column_ranges, random_joint_values
 from calib.model.robot import Robot
-from calib.show.pictures import view_of, view_of_robots, write_page
+from calib.show.pictures import EVERYWHERE, MEASURED, cloud_of, view_of, view_of_robots, write_page
 from calib.show.view import translated
-from tests.show.calibrations import made
+from tests.show.calibrations import made, with_cell, with_rows
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def test_without_validation_rows_an_outlier_is_not_shown_first(result):
     every = replace(result.measurements, sets=("estimate",) * 35)
     worst = np.array(result.residual_nominal)
     worst[10] *= 100.0  # row 11, the outlier
-    view = view_of(replace(result, measurements=every, residual_nominal=worst), cloud=False)
+    view = view_of(with_rows(replace(result, residual_nominal=worst), every), cloud=False)
     assert view.kinds[view.start] == "estimation"
 
 
@@ -70,14 +71,14 @@ def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_st
     T[:3, 3] = [2.0, -1.0, 0.4]
     moved = replace(result.measurements, points=result.measurements.points @ T[:3, :3].T + T[:3, 3])
     setup = result.setup.placed(T[None], result.setup.T_tip_target)
-    view = view_of(replace(result, measurements=moved, setup=setup), cloud=False)
+    view = view_of(with_rows(replace(result, setup=setup), moved), cloud=False)
     np.testing.assert_allclose(view.measured, result.measurements.points, atol=1e-12)
     np.testing.assert_allclose(view.instruments, np.tile(np.linalg.inv(T), (35, 1, 1)), atol=1e-12)
 
 
 def test_the_cell_s_tracker_is_shown_where_points_are_in_the_base(result):
     cell = replace(result.cell, tracker=Tracker(np.array([2.5, 0.3, 0.8])))
-    view = view_of(replace(result, cell=cell), cloud=False)
+    view = view_of(with_cell(result, cell), cloud=False)
     np.testing.assert_array_equal(
         view.instruments, np.tile(translated([2.5, 0.3, 0.8]), (35, 1, 1))
     )
@@ -187,3 +188,15 @@ def test_the_target_and_set_up_of_the_row_are_shown(tmp_path):
         np.testing.assert_array_equal(view.calibrated_target[row], found.setup.T_tip_target[t])
     assert np.isfinite(view.instruments[:, 0, 0]).tolist() == far.tolist()
     assert write_page(found, tmp_path / "view.html").is_file()
+
+
+def test_the_cloud_is_the_uncertainty_over_the_workspace(result):
+    cloud = cloud_of(result)
+    assert cloud.points.shape == (EVERYWHERE + MEASURED, 3)
+    same = workspace_uncertainty(result, EVERYWHERE)
+    np.testing.assert_allclose(cloud.std[:EVERYWHERE], same.std, rtol=1e-12)
+    np.testing.assert_allclose(cloud.points[:EVERYWHERE], result.predict(same.q), atol=1e-12)
+    # Where joints were measured positions are known better.
+    assert cloud.measured[EVERYWHERE:].all()
+    assert not cloud.measured[:EVERYWHERE].all()
+    assert np.median(cloud.std[cloud.measured]) < np.median(cloud.std[~cloud.measured])

@@ -145,6 +145,7 @@ def test_an_existing_file_is_kept(planned, tmp_path):
     assert write_plan_view(planned, path, overwrite=True).read_bytes() == plan_page(planned).html
 
 
+@pytest.mark.slow
 def test_chromium_draws_it_without_a_complaint(browser, planned, tmp_path):
     path = write_plan_view(planned, tmp_path / "plan.html")
     with browser.open(path.as_uri()) as tab:

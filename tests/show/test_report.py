@@ -14,6 +14,7 @@ import pytest
 from calib.calibration import calibrate
 from calib.data import paper_urdf
 from calib.errors import FileError
+from calib.identify.statements import errorless
 from calib.measure.cell import Cell
 from calib.measure.simulation import VirtualCell
 from calib.measure.truth import draw_truth
@@ -221,12 +222,11 @@ def test_parameters_with_correction_and_interval(page, paper_calibration):
 
 
 def test_parameters_of_kinds_without_errors_have_no_interval(calibrations):
-    c = calibrations.made("auto")
-    length = [p.name for p in c.model.parameters if p.family == "length"]
-    none = replace(c, sizes={**c.sizes, "length": 1e-7})
-    rows = {row[0]: row for row in report_tables.parameters(none, "mm").rows}
-    assert {row[4:] for name, row in rows.items() if name in length} == {("-", "kept")}
-    assert {row[5] for name, row in rows.items() if name not in length} <= {"yes", "jointly"}
+    c = calibrations.made("three_rows")
+    none = errorless(c)
+    rows = {row[0]: row for row in report_tables.parameters(c, "deg").rows}
+    assert none == {name for name, row in rows.items() if row[4:] == ("-", "kept")} != set()
+    assert {row[5] for name, row in rows.items() if name not in none} <= {"yes", "jointly"}
 
 
 def test_targets_that_were_not_given_and_the_larger_model(calibrations):
@@ -270,8 +270,9 @@ def test_rows_that_follow_another_convention_than_the_model_say_so(calibrations)
     said = "Where the model has other parameters between such axes, they differ from those above."
     # The model has d between the UR3's parallel axes, where the rows have beta, as Hayati's parameters do.
     c = calibrations.made("paper")
+    hayati = replace(c, kinematics=replace(c.kinematics, model=error_model(c.nominal, "hayati")))
     assert said in report_tables.dh(c).note
-    assert said not in report_tables.dh(replace(c, model=error_model(c.nominal, "hayati"))).note
+    assert said not in report_tables.dh(hayati).note
 
 
 def test_turned_frames_are_the_same_geometry(calibrations):

@@ -1,10 +1,9 @@
 import meshcat
 import numpy as np
-import pytest
 import umsgpack
 from meshcat import geometry as mc
 
-from calib.show.triangles import shaded
+from calib.show.shapes import shaded
 from calib.show.window import (
     PackedGeometry,
     SceneWindow,
@@ -79,11 +78,6 @@ def test_the_same_scene_is_the_same_bytes():
         scene["a"].set_object(mc.Box([1, 1, 1]), mc.MeshPhongMaterial(color=0xFF0000))
 
     assert scene_of(draw) == scene_of(draw)
-
-
-def test_a_command_it_cannot_keep_is_refused():
-    with pytest.raises(ValueError, match="takes no command 'delete'"):
-        meshcat.Visualizer(window=SceneWindow()).delete()
 
 
 def test_the_viewer_comes_with_its_notices():

@@ -1,0 +1,302 @@
+"""The robot's base frame in the tracker's, from its mounting plane and the axes of its first two joints.
+
+As the paper does (section 4.2): the origin is where axis 1 meets the plane, z is along axis 1, y along axis 2 made
+perpendicular to it; both axes point so that the joints' positive sense turns about them. That is the frame A:
+
+    o = c_1 + s n_1,  n_P . (o - p) = 0;     z = n_1;     y ~ n_2 - (n_2 . z) z
+
+Where joint 1 was not at zero while joint 2 was swept, A is turned back about z. With a robot the result is the URDF's
+own base frame, in which the nominal axes 1 and 2 and the plane z = 0 are known:
+T_tracker_base = T_tracker_A T_base_A^-1.
+
+Uncertainty: the covariance of plane and circles through the derivatives of these equations, C = sum_k C_k. The noise
+is found from the residuals, each figure for itself, so that the frame is off by
+
+    xi = sum_k C_k^1/2 t_k,     t_k: Student's t in 6 dimensions with the figure's dof_k
+
+(normal where the noise was given; W. Behrens, 1929; R. Fisher, 1935). Quantiles of xi^T C^-1 xi and of each component
+of xi are those of draws, the same every time. A plane of four points has one degree of freedom and circles of 40 have
+74: no single number stands for these, and a region made with one would hold the truth in 87 % of the cases, not 95 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import gammaincinv, ndtri
+
+from calib.errors import CalibError
+from calib.measure.geometric_fits import Circle, Plane
+from calib.model.robot import read_only, rigid_inverse
+
+Array = NDArray[np.float64]
+
+#: Axis 1 closer than this to the plane does not meet it anywhere near [rad].
+SLANT_RAD = float(np.radians(30.0))
+
+#: Axes 1 and 2 closer than this to parallel say nothing of y [rad].
+PARALLEL_RAD = float(np.radians(5.0))
+
+#: Draws of the frame's error, for a quantile to about 1 %, and their seed: the same every time.
+_DRAWS, _SEED = 10_000, 19350101
+
+
+class Line(NamedTuple):
+    """A point (3,) [m] and a unit vector (3,): an axis, or a plane and its normal."""
+
+    point: Array
+    direction: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BaseFrame:
+    """A base frame and how well it is known.
+
+    Attributes:
+        T_tracker_base: Pose of the base in the tracker's frame, shape (4, 4) [m].
+        covariance: shape (6, 6), of the twist xi (displacement [m], rotation [rad], in the base's axes) in
+            T_tracker_base exp(xi).
+        parts: What plane, circle 1 and circle 2 contribute to the covariance, shape (3, 6, 6).
+        dofs: The degrees of freedom of each part; infinite where the noise was given.
+    """
+
+    T_tracker_base: Array
+    covariance: Array
+    parts: tuple[Array, ...]
+    dofs: tuple[float, ...]
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the covariance as a whole, see `effective_dof`; infinite where the noise was given."""
+        return effective_dof(self.parts, self.dofs)
+
+    @property
+    def T_base_tracker(self) -> Array:
+        """Pose of the tracker in the base, shape (4, 4) [m]."""
+        return rigid_inverse(self.T_tracker_base)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the twist, shape (6,) [m, rad], in the base's axes."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def carry(self, points: ArrayLike) -> Array:
+        """Points of the tracker's frame in the base, shape (N, 3) or (3,) [m]."""
+        T = self.T_base_tracker
+        return np.asarray(np.asarray(points, dtype=np.float64) @ T[:3, :3].T + T[:3, 3])
+
+    def std_at(self, points: ArrayLike) -> Array:
+        """What the frame's uncertainty makes of points of the base, along its axes, shape (N, 3) or (3,) [m]."""
+        given = np.asarray(points, dtype=np.float64)
+        p = given.reshape(-1, 3)
+        G = np.zeros((len(p), 3, 6))
+        G[:, :, :3] = np.eye(3)
+        for k in range(3):
+            G[:, :, 3 + k] = np.cross(np.eye(3)[k], p)
+        variance = np.einsum("nij,jk,nik->ni", G, self.covariance, G)
+        return np.asarray(np.sqrt(variance).reshape(given.shape))
+
+    def distance(self, T_tracker_base: Array) -> float:
+        """Squared distance of another pose of the base in units of the covariance."""
+        xi = pin.log6(rigid_inverse(self.T_tracker_base) @ T_tracker_base).vector
+        return float(xi @ np.linalg.solve(self.covariance, xi))
+
+    def limit(self, share: float = 0.95) -> float:
+        """The squared distance below which the true base lies with this probability."""
+        if np.all(np.isinf(self.dofs)):
+            return 2.0 * float(gammaincinv(3.0, share))
+        xi = self._draws()
+        square = np.einsum("ni,ij,nj->n", xi, np.linalg.inv(self.covariance), xi)
+        return float(np.quantile(square, share))
+
+    def within(self, share: float = 0.95) -> Array:
+        """To both sides of zero, between which each component of the twist lies with this probability, shape (6,)."""
+        if np.all(np.isinf(self.dofs)):
+            return np.asarray(ndtri(0.5 + 0.5 * share) * self.std)
+        return np.asarray(np.quantile(np.abs(self._draws()), share, axis=0))
+
+    def _draws(self) -> Array:
+        """Errors of the frame that the measurements allow for, shape (draws, 6); see the module's text."""
+        xi = np.zeros((_DRAWS, 6))
+        # In units of the standard deviations: lengths stand beside angles.
+        scale = np.outer(self.std, self.std)
+        for part, (wider, normal) in zip(self.parts, _standard_draws(self.dofs), strict=True):
+            values, vectors = np.linalg.eigh(part / scale)
+            root = vectors * np.sqrt(np.maximum(values, 0.0))
+            xi += wider * (normal @ root.T)
+        return xi * self.std
+
+
+@lru_cache(maxsize=4)
+def _standard_draws(dofs: tuple[float, ...]) -> tuple[tuple[Array, Array], ...]:
+    """For each part how much wider than normal its errors are, shape (draws, 1) or (), and normal draws, (draws, 6).
+
+    They depend on the degrees of freedom alone and are kept: a frame is asked for its limits more than once.
+    """
+    rng = np.random.default_rng(_SEED)
+    drawn = []
+    for dof in dofs:
+        wider = 1.0 if np.isinf(dof) else np.sqrt(dof / rng.chisquare(dof, size=(_DRAWS, 1)))
+        drawn.append((read_only(wider), read_only(rng.normal(size=(_DRAWS, 6)))))
+    return tuple(drawn)
+
+
+def base_frame(
+    plane: Plane,
+    first: Circle,
+    second: Circle,
+    *,
+    q1: float = 0.0,
+    plane_offset: float = 0.0,
+    T_base_axes: Array | None = None,
+) -> BaseFrame:
+    """The base frame.
+
+    Args:
+        plane: Through what was measured of the mounting plane.
+        first: The circle of joint 1, its normal in the joint's positive sense.
+        second: That of joint 2.
+        q1: Value of joint 1 while joint 2 was swept [rad].
+        plane_offset: How far the measured points stand off the mounting plane, towards the circles [m].
+        T_base_axes: Pose of the frame A at q1 = 0 in the base, shape (4, 4) [m], see `nominal_axes_frame`; None: A is
+            the base.
+
+    Raises:
+        CalibError: Axis 1 runs along the plane, axes 1 and 2 are parallel, or it cannot be told on which side of the
+            plane the circles are.
+    """
+    lowered = mounting_plane(plane, first, plane_offset)
+    T = axes_frame(lowered, axis_line(first), axis_line(second))
+    covariances = (plane.covariance, first.covariance, second.covariance)
+    derivatives = _derivatives(T, plane, first, second)
+    X = turned_about_z(-q1) @ rigid_inverse(np.eye(4) if T_base_axes is None else T_base_axes)
+    A = pin.SE3(X).toActionMatrixInverse()
+    parts = [A @ D @ C @ D.T @ A.T for D, C in zip(derivatives, covariances, strict=True)]
+    return BaseFrame(
+        read_only(T @ X),
+        read_only(np.sum(parts, axis=0)),
+        tuple(read_only(part) for part in parts),
+        tuple(figure.scatter.dof for figure in (plane, first, second)),
+    )
+
+
+def effective_dof(parts: Sequence[Array], dofs: Sequence[float]) -> float:
+    """The degrees of freedom of a sum of covariances that are each known up to a scale.
+
+        1 / dof = 1/6 sum_k tr(M_k^2) / dof_k,     M_k = C^-1/2 C_k C^-1/2
+
+    With it 6 F(6, dof) has the mean of the squared distance to the first order in 1 / dof_k.
+    """
+    inverse = np.linalg.inv(np.sum(parts, axis=0))
+    share = sum(
+        float(np.trace(inverse @ part @ inverse @ part)) / dof
+        for part, dof in zip(parts, dofs, strict=True)
+    )
+    return np.inf if share == 0.0 else len(inverse) / share
+
+
+def axis_line(circle: Circle) -> Line:
+    """The axis of a circle."""
+    return Line(circle.center, circle.normal)
+
+
+def mounting_plane(plane: Plane, first: Circle, offset: float) -> Line:
+    """The mounting plane under the measured one, away from the circle of joint 1.
+
+    Raises:
+        CalibError: There is an offset, and the circle lies in the measured plane.
+    """
+    height = float(plane.normal @ (first.center - plane.point))
+    if offset and abs(height) < 2.0 * abs(offset):
+        message = (
+            f"the circle of joint 1 lies {1e3 * abs(height):.3g} mm from the measured plane: that is too near to tell "
+            f"on which side the robot stands, as an offset of {1e3 * offset:.6g} mm needs it. Fix the target higher up"
+        )
+        raise CalibError(message)
+    return Line(plane.point - np.sign(height) * offset * plane.normal, plane.normal)
+
+
+def axes_frame(plane: Line, first: Line, second: Line) -> Array:
+    """T_tracker_A, shape (4, 4) [m]; see the module's text.
+
+    Raises:
+        CalibError: Axis 1 runs along the plane, or axes 1 and 2 are parallel.
+    """
+    z, n2 = first.direction, second.direction
+    slope = float(plane.direction @ z)
+    if abs(slope) < np.sin(SLANT_RAD):
+        message = (
+            f"axis 1 stands at {np.degrees(np.arcsin(abs(slope))):.3g} deg to the plane, it should stand upright on "
+            "it: one of the two is not what its name says. Check which joint was turned and which surface was touched"
+        )
+        raise CalibError(message)
+    y = n2 - (n2 @ z) * z
+    across = float(np.linalg.norm(y))
+    if across < np.sin(PARALLEL_RAD):
+        message = (
+            f"the axes of joints 1 and 2 are parallel within {np.degrees(np.arcsin(across)):.3g} deg, so that they do "
+            "not say where y points. If the second sweep is of joint 1 again, sweep joint 2; a robot whose first axes "
+            "are parallel needs another joint for it"
+        )
+        raise CalibError(message)
+    y = y / across
+    T = np.eye(4)
+    T[:3, :3] = np.stack([np.cross(y, z), y, z], axis=1)
+    T[:3, 3] = first.point + z * (plane.direction @ (plane.point - first.point)) / slope
+    return T
+
+
+def nominal_axes_frame(first: Line, second: Line) -> Array:
+    """T_base_A of a robot's nominal axes 1 and 2 at zero; the mounting plane is z = 0 of the base.
+
+    Raises:
+        CalibError: As for `axes_frame`.
+    """
+    try:
+        return axes_frame(Line(np.zeros(3), np.array([0.0, 0.0, 1.0])), first, second)
+    except CalibError as error:
+        message = f"In the URDF, with the plane z = 0 of the base, {error}. Choose another base link (--base)."
+        raise CalibError(message) from error
+
+
+def turned_about_z(angle: float) -> Array:
+    """A rotation about z, shape (4, 4)."""
+    c, s = np.cos(angle), np.sin(angle)
+    T = np.eye(4)
+    T[:2, :2] = [[c, -s], [s, c]]
+    return T
+
+
+def _derivatives(
+    T: Array, plane: Plane, first: Circle, second: Circle
+) -> tuple[Array, Array, Array]:
+    """What the figures' own displacements make of the frame A, as twists in its axes: (6, 3), (6, 6), (6, 6)."""
+    R, o = T[:3, :3], T[:3, 3]
+    x, z = R[:, 0], R[:, 2]
+    slope = float(plane.normal @ z)
+    swing = float(second.normal @ z)
+    across = np.sqrt(1.0 - swing**2)
+
+    of_plane, of_first, of_second = np.zeros((6, 3)), np.zeros((6, 6)), np.zeros((6, 6))
+    # The plane lifts the origin along axis 1 by what it rises there.
+    rise = np.array([1.0, *(-plane.basis[:, :2].T @ (o - plane.point))])
+    of_plane[:3] = np.outer(R.T @ z, rise) / slope
+    # Axis 1 takes the origin along, which stays in the plane, and turns z.
+    s = float((o - first.center) @ z)
+    shift = np.zeros((3, 6))
+    shift[:, :3] = first.basis
+    shift[:, 3:5] = s * first.basis[:, :2]
+    of_first[:3] = R.T @ (shift - np.outer(z, plane.normal @ shift) / slope)
+    tilt = np.zeros((3, 6))
+    tilt[:, 3:5] = first.basis[:, :2]
+    of_first[3:] = R.T @ np.cross(z, tilt.T).T
+    of_first[5] = swing / across * (x @ tilt)
+    # Axis 2 turns about z only.
+    of_second[5, 3:5] = -(x @ second.basis[:, :2]) / across
+    return of_plane, of_first, of_second

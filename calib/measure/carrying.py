@@ -1,0 +1,202 @@
+"""Measurements from the tracker's frame into the base, and the base frame as files: a cell, a table for JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib.errors import MeasurementError, choices
+from calib.measure.axes import AxisRow, JointAxis, Survey
+from calib.measure.axis_geometry import NUMBERS
+from calib.measure.base_frame import BaseFrame
+from calib.measure.geometric_fits import Circle, Plane
+from calib.measure.measurements import Measurements
+
+Array = NDArray[np.float64]
+
+#: Of the table for JSON; a number behind it changes with the meaning of a key.
+SCHEMA = "base-frame 1"
+
+#: How far from the base's origin the uncertainty of a point is stated [m].
+REACH_M = 0.5
+
+
+def carried(measurements: Measurements, frame: BaseFrame) -> Measurements:
+    """Measurements of the tracker's frame in the base: positions and orientations; all else stays.
+
+    Raises:
+        MeasurementError: No row measures a position, or the rows are of several set-ups, of which each has a frame.
+    """
+    rows = measurements.positions
+    if not rows.any():
+        message = (
+            f"{measurements.source}: no row measures a position, they are of the kinds "
+            f"{choices(dict.fromkeys(measurements.kinds))}. There is nothing to carry into the base frame."
+        )
+        raise MeasurementError(message)
+    groups = dict.fromkeys(g for g, there in zip(measurements.groups, rows, strict=True) if there)
+    if len(groups) > 1:
+        message = (
+            f"{measurements.source}: the rows are of the set-ups {choices(groups)} (column 'group'), and the sweeps "
+            "tell the base frame of one. Carry each set-up with its own sweeps."
+        )
+        raise MeasurementError(message)
+    rotations = measurements.rotations
+    return replace(
+        measurements,
+        points=frame.carry(measurements.points),
+        rotations=None if rotations is None else frame.T_base_tracker[:3, :3] @ rotations,
+    )
+
+
+def cell_text(survey: Survey, source: str, base: str | None = None, tip: str | None = None) -> str:
+    """The base frame as a cell file, with which measurements in the tracker's frame can be used as they are.
+
+    Args:
+        survey: With the frame.
+        source: Name of the file of sweeps, for the comment.
+        base: The base link; None: none is named.
+        tip: The tip link, likewise.
+    """
+    T = survey.frame.T_tracker_base
+    std = survey.frame.std
+    links = [(key, name) for key, name in (("base", base), ("tip", tip)) if name is not None]
+    return "\n".join(
+        [
+            f"# The base in the tracker's frame, by calib base-frame from {json.dumps(source)}.",
+            f"# Standard deviation along x, y, z of the base: {_listed(1e3 * std[:3], 3)} mm, about them: "
+            f"{_listed(1e3 * std[3:], 3)} mrad.",
+            *(f"{key} = {json.dumps(name)}" for key, name in links),
+            'frame = "known"',
+            f"frame_xyz_mm = [{_listed(1e3 * T[:3, 3])}]",
+            f"frame_rpy_deg = [{_listed(np.degrees(pin.rpy.matrixToRpy(T[:3, :3])))}]",
+            "",
+            "# A tracker in the origin of its frame stands here in the base; calib plan asks then what it sees.",
+            "# [tracker]",
+            f"# xyz_mm = [{', '.join(f'{1e3 * v:.1f}' for v in tracker_place(survey.frame))}]",
+            "",
+        ]
+    )
+
+
+def tracker_place(frame: BaseFrame) -> Array:
+    """Where the origin of the tracker's frame lies in the base, shape (3,), [m]."""
+    T = frame.T_tracker_base
+    return np.asarray(-T[:3, :3].T @ T[:3, 3])
+
+
+def _listed(values: Array, digits: int | None = None) -> str:
+    """Numbers with commas between them, with all digits or some significant ones."""
+    return ", ".join(repr(float(v)) if digits is None else f"{v:.{digits}g}" for v in values)
+
+
+def survey_table(survey: Survey) -> dict[str, Any]:
+    """All of it as nested tables of plain values and arrays, SI units, see docs/base-frame.md."""
+    frame = survey.frame
+    return {
+        "schema": SCHEMA,
+        "frame": {
+            "T_tracker_base": frame.T_tracker_base,
+            "covariance": frame.covariance,
+            "dof": frame.dof if np.isfinite(frame.dof) else None,
+            "region_95": frame.limit(0.95),
+            "std_m": frame.std[:3],
+            "std_rad": frame.std[3:],
+        },
+        "plane": _plane_table(survey.plane, survey.plane_sweep.name),
+        "joints": [_joint_table(joint) for joint in survey.joints],
+        "rows": [_row_table(row) for row in survey.rows],
+        "rows_at_zero": survey.at_zero,
+        "findings": list(survey.findings),
+    }
+
+
+def _plane_table(plane: Plane, name: str) -> Mapping[str, Any]:
+    """The plane, in the tracker's frame."""
+    return {
+        "sweep": name,
+        "points": int(plane.used.sum()),
+        "point_m": plane.point,
+        "normal": plane.normal,
+        "rms_m": _rms(plane.residuals[plane.used]),
+        "noise_m": plane.scatter.estimate,
+        "residuals_m": plane.residuals[:, 0],
+        "used": plane.used.tolist(),
+    }
+
+
+def _joint_table(joint: JointAxis) -> Mapping[str, Any]:
+    """A joint's axis, and its circle."""
+    circle, turned = joint.circle, joint.turning
+    center, normal = tracker_covariance(circle)
+    return {
+        "joint": joint.joint + 1,
+        "name": joint.name,
+        "points": int(circle.used.sum()),
+        "radius_m": circle.radius,
+        "radius_std_m": float(np.sqrt(circle.covariance[5, 5])),
+        "arc_rad": circle.arc,
+        "tracker": {
+            "point_m": circle.center,
+            "direction": circle.normal,
+            "point_covariance": center,
+            "direction_covariance": normal,
+        },
+        "base": {
+            "point_m": joint.point,
+            "direction": joint.direction,
+            "covariance": joint.covariance,
+        },
+        "radial_rms_m": _rms(circle.residuals[circle.used, 0]),
+        "axial_rms_m": _rms(circle.residuals[circle.used, 1]),
+        "noise_m": circle.scatter.estimate,
+        "turning": None
+        if turned is None
+        else {
+            "rms_rad": turned.rms,
+            "gain": turned.gain,
+            "gain_std": turned.gain_std,
+            "eccentricity_rad": turned.eccentricity,
+            "eccentricity_std_rad": turned.eccentricity_std,
+        },
+        "radial_m": circle.residuals[:, 0],
+        "axial_m": circle.residuals[:, 1],
+        "angles_rad": circle.angles,
+        "rows": list(joint.sweep.rows),
+        "used": circle.used.tolist(),
+    }
+
+
+def tracker_covariance(circle: Circle) -> tuple[Array, Array]:
+    """Covariances of a circle's centre [m] and normal along the tracker's axes, shape (3, 3) each."""
+    B = circle.basis
+    return (
+        np.asarray(B @ circle.covariance[:3, :3] @ B.T),
+        np.asarray(B[:, :2] @ circle.covariance[3:5, 3:5] @ B[:, :2].T),
+    )
+
+
+def _row_table(row: AxisRow) -> Mapping[str, Any]:
+    """A DH row, its standard deviations, and the URDF's."""
+
+    def named(values: Array) -> dict[str, float]:
+        units = ("m", "rad", "m", "rad", "rad")
+        return {f"{n}_{u}": float(v) for n, u, v in zip(NUMBERS, units, values, strict=True)}
+
+    return {
+        "joint": row.joint,
+        "measured": named(row.values),
+        "std": named(row.std),
+        "nominal": None if row.nominal is None else named(row.nominal),
+    }
+
+
+def _rms(values: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(values**2)))
