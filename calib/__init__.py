@@ -15,12 +15,14 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from calib.base_frame.survey import Survey, survey
+    from calib.base_frame.sweeps import Sweeps, read_sweeps
     from calib.calibration import Calibration, Comparison, calibrate, compare
     from calib.compensate.commands import Commands, commands
     from calib.compensate.program import Program
+    from calib.design.forecast import forecast
     from calib.design.plan import Plan, plan
     from calib.design.region import Region
-    from calib.design.sensitivity import forecast
     from calib.design.workspace import Density, sample_workspace
     from calib.errors import CalibError
     from calib.fleets.fleet import Fleet, fleet
@@ -28,13 +30,11 @@ if TYPE_CHECKING:
     from calib.identify.acceptance import Acceptance, acceptance
     from calib.identify.evaluation import Evaluation, evaluate
     from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
-    from calib.measure.axes import Survey, survey
     from calib.measure.cell import Cell, GroupDistance, Priors
     from calib.measure.measurements import Measurements
     from calib.measure.noise import TrackerNoise
     from calib.measure.scenario import Scenario
     from calib.measure.surroundings import Box, Reflector, Tracker
-    from calib.measure.sweeps import Sweeps, read_sweeps
     from calib.model.robot import Robot
     from calib.model.torques import Payload
     from calib.show.opening import show
@@ -113,8 +113,8 @@ _MODULES = {
     "Robot": "calib.model.robot",
     "Scenario": "calib.measure.scenario",
     "Study": "calib.simulate.study",
-    "Survey": "calib.measure.axes",
-    "Sweeps": "calib.measure.sweeps",
+    "Survey": "calib.base_frame.survey",
+    "Sweeps": "calib.base_frame.sweeps",
     "Tracker": "calib.measure.surroundings",
     "TrackerNoise": "calib.measure.noise",
     "Trials": "calib.simulate.study",
@@ -125,13 +125,13 @@ _MODULES = {
     "compare": "calib.calibration",
     "evaluate": "calib.identify.evaluation",
     "fleet": "calib.fleets.fleet",
-    "forecast": "calib.design.sensitivity",
+    "forecast": "calib.design.forecast",
     "plan": "calib.design.plan",
     "profile_interval": "calib.identify.uncertainty",
-    "read_sweeps": "calib.measure.sweeps",
+    "read_sweeps": "calib.base_frame.sweeps",
     "sample_workspace": "calib.design.workspace",
     "study": "calib.simulate.study",
-    "survey": "calib.measure.axes",
+    "survey": "calib.base_frame.survey",
     "workspace_uncertainty": "calib.identify.uncertainty",
 }
 

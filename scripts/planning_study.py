@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.design.candidates import draw, planning_ranges
-from calib.design.forecast import Forecast, Workspace, forecast
+from calib.design.forecast import Forecast, Workspace
 from calib.design.plan import plan
-from calib.design.sensitivity import Outlook
+from calib.design.sensitivity import Sensitivity
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.scenario import Scenario
@@ -83,16 +83,16 @@ def free(count: int, candidates: int, criterion: str) -> tuple[Forecast, float]:
 def yardstick(candidates: int) -> list[str]:
     """30 poses of the paper, 30 random ones and 30 planned ones: prediction error in noise of one measurement."""
     robot = ur3()
-    sensitivity = Outlook.of(robot, cell_of()).sensitivity
+    sensitivity = Sensitivity.of(robot, cell_of())
     pool = draw(robot, planning_ranges(robot, {}, 0.0), [], candidates, 0)
     workspace = Workspace.of(sensitivity, pool.workspace)
     table = Measurements.read(ROOT / "calib" / "data" / "ur3_leica.csv", robot.joint_names)
     rows = table.joints_for(robot.joint_names)[table.estimation]
     rng = np.random.default_rng(0)
-    of_paper = forecast(sensitivity, workspace, rows)
+    of_paper = Forecast.of(sensitivity, workspace, rows)
     draws = [rng.choice(len(pool.q), 30, replace=False) for _ in range(21)]
     of_random = np.median(
-        [forecast(sensitivity, workspace, pool.q[one]).mean_variance for one in draws]
+        [Forecast.of(sensitivity, workspace, pool.q[one]).mean_variance for one in draws]
     )
     planned, _ = free(30, candidates, "V")
     return [
@@ -133,7 +133,7 @@ def obstacles(candidates: int) -> list[str]:
         f"- of {made.drawn} candidates {made.candidates} could be measured ({refused}), {seconds:.1f} s;",
         f"- forecast {1e3 * made.forecast.rms:.4f} mm rms, free {1e3 * without.forecast.rms:.4f} mm: ratio "
         f"{made.forecast.rms / without.forecast.rms:.3f};",
-        f"- moves between poses that are not free: {len(made.tour.blocked)}.",
+        f"- moves between poses that are not free: {len(made.blocked)}.",
     ]
 
 

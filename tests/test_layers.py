@@ -22,6 +22,7 @@ ORDER = (
     "data",
     "model",
     "measure",
+    "base_frame",
     "identify",
     "design",
     "simulate",

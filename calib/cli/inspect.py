@@ -99,7 +99,8 @@ def inspect(
         typer.echo("")
         typer.echo(_parameters_text(inspect_robot(arm, setup, table)))
         if table is not None:
-            from calib.design.sensitivity import forecast_of_table, planned_model
+            from calib.design.forecast import forecast_of_table
+            from calib.design.sensitivity import planned_model
 
             foreseen = forecast_of_table(arm, setup, table)
             if foreseen is not None:

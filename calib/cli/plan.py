@@ -25,7 +25,7 @@ from calib.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from calib.design.choice import Plan
+    from calib.design.plan import Plan
     from calib.design.plan_file import Taken
 
 #: Of a line of the command to type next.

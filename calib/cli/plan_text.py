@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from calib.design.choice import Plan
     from calib.design.forecast import Forecast
+    from calib.design.plan import Plan
     from calib.design.plan_file import Taken
     from calib.measure.cell import Cell
 
@@ -231,7 +231,7 @@ def _travel(plan: Plan) -> str:
     robot = plan.robot
     if any(kind == "prismatic" for kind in robot.joint_types.values()):
         return "Order: the poses stand in a short order to drive."
-    cost = plan.tour.cost
+    cost = plan.travel
     return (
         "Order: the poses stand in a short order to drive. The joint that turns farthest in each move turns "
         f"{math.degrees(cost):.0f} deg in all, {_time(cost / _SPEED)} at "
@@ -246,18 +246,15 @@ def _time(seconds: float) -> str:
 
 def _blocked(plan: Plan) -> Iterator[str]:
     """Moves whose straight way collides, each with a pose to drive by, if one was found."""
-    from calib.design.plan_file import blocked_moves
-
-    moves = blocked_moves(plan)
-    if not moves:
+    if not plan.blocked:
         return
     k = len(plan.targets)
     named = []
-    for (a, b), stop in list(zip(moves, plan.detours, strict=True))[:_NAMED]:
-        by = "" if stop is None else f" (drive by {_joints_text(plan, stop)})"
-        start = f"row {k * (a - 1) + 1}" if a else "the start"
-        named.append(f"{start} to row {k * (b - 1) + 1}{by}")
-    rest = f" and {len(moves) - _NAMED} more" if len(moves) > _NAMED else ""
+    for one in plan.blocked[:_NAMED]:
+        by = "" if one.by is None else f" (drive by {_joints_text(plan, one.by)})"
+        start = f"row {k * (one.start - 1) + 1}" if one.start else "the start"
+        named.append(f"{start} to row {k * (one.end - 1) + 1}{by}")
+    rest = f" and {len(plan.blocked) - _NAMED} more" if len(plan.blocked) > _NAMED else ""
     yield f"The straight way in joint space collides from {', '.join(named)}{rest}; drive there by a pose in between."
 
 

@@ -1,7 +1,4 @@
-"""Planning: which poses to measure, out of candidates, under the model that the fit will use.
-
-What the poses are chosen for is the `calib.design.optimal` criterion; what they will give, the `Forecast`.
-"""
+"""The choice of poses to measure, out of candidates, under the model that the fit will use, and what they will give."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.design.candidates import Pool
-from calib.design.forecast import Forecast, Sensitivity, Workspace, forecast, parameter_weight
+from calib.design.forecast import Forecast, Workspace, held, parameter_weight
 from calib.design.optimal import (
     RESTARTS,
     Basis,
@@ -22,10 +19,9 @@ from calib.design.optimal import (
     information,
     short_list,
 )
-from calib.design.ordering import Tour
+from calib.design.sensitivity import Sensitivity
 from calib.errors import ModelError
-from calib.measure.cell import Cell
-from calib.model.robot import Robot, read_only
+from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int_]
@@ -51,90 +47,16 @@ _RUNGS = (0.5, 0.67, 0.83, 1.0, 1.33, 1.67, 2.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
-    """Poses to measure, in the order to drive.
-
-    Attributes:
-        robot: The robot.
-        cell: What was planned for.
-        joints: shape (K, m), [rad] or [m], whole steps of 0.001 deg or mm.
-        sets: ``"estimate"`` or ``"validate"`` for each pose.
-        taken: shape (T, m), poses that were measured already.
-        targets: The targets measured at every pose.
-        T_tip_target: shape (targets, 4, 4), where they sit in the tip [m].
-        expected: shape (K, targets, 3), where the nominal robot puts each target, in the measurement frame if that is
-            known, else in the base [m].
-        criterion: ``"D"``, ``"A"`` or ``"V"``.
-        model: The parameter set planned for.
-        kind: What is measured at each pose.
-        seed: The same seed makes the same plan.
-        forecast: Of the fit of taken poses and planned ones.
-        before: Of a fit of the poses taken alone; None without.
-        at_random: Of as many poses drawn at random from the same candidates, in place of the planned ones: the median
-            of several draws.
-        ladder: Forecasts for other numbers of planned poses, in rising order, that of the plan among them.
-        drawn: Candidates drawn.
-        candidates: Of these, those that can be measured.
-        refused: How many of those drawn were refused, by reason.
-        tour: The order's length.
-        detours: For each of the tour's blocked moves joint values to drive by, shape (m,); None where none was found.
-        notes: Sentences that the person who measures must read.
-    """
-
-    robot: Robot
-    cell: Cell
-    joints: Array
-    sets: tuple[str, ...]
-    taken: Array
-    targets: tuple[str, ...]
-    T_tip_target: Array
-    expected: Array
-    criterion: str
-    model: str
-    kind: str
-    seed: int
-    forecast: Forecast
-    before: Forecast | None
-    at_random: Forecast
-    ladder: tuple[tuple[int, Forecast], ...]
-    drawn: int
-    candidates: int
-    refused: dict[str, int]
-    tour: Tour
-    detours: tuple[Array | None, ...]
-    notes: tuple[str, ...]
-
-    def places(self, q: Array) -> Array:
-        """Where the nominal robot puts each target in the base, shape (N, targets, 3), [m].
-
-        Args:
-            q: shape (N, m), joint values, [rad] or [m].
-        """
-        poses = self.robot.poses(q)[:, None] @ self.T_tip_target
-        return np.asarray(poses[:, :, :3, 3])
-
-    @property
-    def estimation(self) -> Array:
-        """The poses to fit, shape (N, m), in the order to drive."""
-        return np.asarray(self.joints[np.array(self.sets) == "estimate"])
-
-    @property
-    def validation(self) -> Array:
-        """The poses to validate with, shape (V, m)."""
-        return np.asarray(self.joints[np.array(self.sets) == "validate"])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Choice:
     """What was chosen out of a pool.
 
     Attributes:
         planned: shape (N, m), the poses to fit, [rad] or [m].
         validation: shape (V, m), others, drawn at random.
-        forecast: See `Plan`, likewise the following.
-        before: Of the poses taken.
-        at_random: Of random ones.
-        ladder: For other numbers.
+        forecast: Of the fit of taken poses and planned ones.
+        before: Of the poses taken alone; None without.
+        at_random: Of as many random poses, the median of several draws.
+        ladder: Of other numbers of planned poses, in rising order.
     """
 
     planned: Array
@@ -196,14 +118,14 @@ def choose_poses(
         "V": workspace.mean_square,
     }[criterion]
     mean = information(measured) / len(measured)
-    basis = Basis.of(mean, sensitivity.leashed, weight, known)
+    basis = Basis.of(mean, held(sensitivity.precision), weight, known)
     blocks = basis.blocks(measured)
     done(1)
     chosen = choose(blocks, basis, count, seed, restarts if count <= _MANY else 1)
     done(2)
 
     def foreseen(indices: Indices) -> Forecast:
-        return forecast(sensitivity, workspace, np.concatenate([taken, q[indices]]))
+        return Forecast.of(sensitivity, workspace, np.concatenate([taken, q[indices]]))
 
     rng = np.random.default_rng([seed, 1])
     others = rng.permutation(np.setdiff1d(np.arange(len(q)), chosen))
@@ -222,7 +144,7 @@ def choose_poses(
         planned=read_only(q[chosen]),
         validation=read_only(q[others[:validation]]),
         forecast=plan,
-        before=forecast(sensitivity, workspace, taken) if len(taken) else None,
+        before=Forecast.of(sensitivity, workspace, taken) if len(taken) else None,
         at_random=_median(
             [foreseen(rng.choice(len(q), count, replace=False)) for _ in range(_RANDOM)]
         ),
@@ -273,22 +195,6 @@ def check_numbers(count: int, validation: int, candidates: int) -> None:
 def _fewest(workspace: Workspace, scalars: int, taken: int) -> int:
     """The fewest planned poses whose numbers, with those taken, are as many as what can be told apart."""
     return max(1, -(-workspace.rank // scalars) - taken)
-
-
-def check_enough(sensitivity: Sensitivity, q: Array, count: int, taken: Array) -> None:
-    """Refuse fewer poses than the parameters need, before candidates are drawn.
-
-    Args:
-        sensitivity: Of the model that will be fitted.
-        q: shape (n, m), poses all over the workspace, [rad] or [m].
-        count: Poses to fit.
-        taken: shape (T, m), poses that were measured already.
-
-    Raises:
-        ModelError: There are fewer.
-    """
-    scalars = sensitivity.measured(q[:1]).shape[1]
-    _check_enough(Workspace.of(sensitivity, q), scalars, count, len(taken), sensitivity)
 
 
 def _check_enough(

@@ -10,17 +10,24 @@ It knows nothing of errors that the model lacks.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
+from calib.design.candidates import planning_ranges
 from calib.design.optimal import information
+from calib.design.sensitivity import KINDS, Sensitivity
+from calib.errors import MeasurementError
+from calib.identify.registration import register
+from calib.identify.table_rows import rows_of
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
 from calib.model.observability import analyse, steps
-from calib.model.robot import read_only
+from calib.model.readback import spread_between
+from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
@@ -30,61 +37,11 @@ LEASH = 1.0
 #: Draws for the range of one calibration's rms, and their seed: the same every time.
 _DRAWS, _SEED = 20_000, 20170401
 
+#: Poses over which a forecast without a plan is made.
+_POSES = 4096
+
 #: Share of calibrations whose rms lies inside the range.
 _RANGE = 0.90
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sensitivity:
-    """How what is measured at a pose, and where the target is, change with the parameters.
-
-    Attributes:
-        names: The parameters, p of them.
-        units: Of each.
-        measured: q of shape (n, m) to the derivative of what is measured there, shape (n, d, p), in standard deviations
-            of the noise.
-        located: q to the derivative of the predicted positions of the k targets, shape (n, 3 k, p), [m per unit].
-        noise: q to the standard deviation of one measured coordinate or length at a pose, shape (n,), [m].
-        precision: shape (p,), 1 / tau^2 of each parameter's prior; 0 where there is none.
-        model: The name of the parameter set.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    measured: Callable[[Array], Array]
-    located: Callable[[Array], Array]
-    noise: Callable[[Array], Array]
-    precision: Array
-    model: str
-
-    @property
-    def leashed(self) -> Array:
-        """The priors' precision, with a leash on the parameters that have none, shape (p,)."""
-        return np.where(self.precision > 0.0, self.precision, 1.0 / LEASH**2)
-
-    def root(self, measured: Array) -> Array:
-        """A root of the parameters' covariance after these measurements, C = root root^T, shape (p, p).
-
-        By a QR decomposition of the measurements and the priors below each other: what a fine instrument tells, and
-        what nothing but the leash holds, are too far apart for their squares.
-
-        Args:
-            measured: shape (n, d, p).
-        """
-        rows = np.concatenate(
-            [measured.reshape(-1, measured.shape[2]), np.diag(np.sqrt(self.leashed))]
-        )
-        R = np.linalg.qr(rows, mode="r")
-        return np.asarray(solve_triangular(R, np.eye(len(R))))
-
-    def covariance(self, measured: Array) -> Array:
-        """The parameters' covariance after these measurements, shape (p, p).
-
-        Args:
-            measured: shape (n, d, p).
-        """
-        root = self.root(measured)
-        return np.asarray(root @ root.T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,6 +119,47 @@ class Forecast:
     worst_variance: float
     indices: dict[str, float]
 
+    @classmethod
+    def of(cls, sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:
+        """What a fit of measurements at these poses will reach.
+
+        Args:
+            sensitivity: Of the model that will be fitted.
+            workspace: Over which accuracy is wanted.
+            q: shape (N, m), joint values to be measured, [rad] or [m].
+        """
+        measured = sensitivity.measured(q)
+        root = covariance_root(measured, sensitivity.precision)
+        targets = workspace.located.shape[1] // 3
+        moves = workspace.located @ root
+        variance = np.sum(moves.reshape(len(moves) * targets, -1) ** 2, axis=1)
+        relative = np.sum((workspace.measured @ root) ** 2, axis=(1, 2))
+        low, high = _rms_range(moves)
+        sigma = sensitivity.noise(q)
+        flat = (
+            measured.reshape(-1, measured.shape[2]) * np.repeat(sigma, measured.shape[1])[:, None]
+        )
+        seen = analyse(flat, sensitivity.names, sensitivity.units)
+        return cls(
+            names=sensitivity.names,
+            units=sensitivity.units,
+            parameter_std=read_only(np.linalg.norm(root, axis=1)),
+            identifiable=seen.identifiable,
+            poses=len(q),
+            rms=float(np.sqrt(np.mean(variance))),
+            rms_low=low,
+            rms_high=high,
+            max=float(np.sqrt(np.max(variance))),
+            quantile_95=float(np.sqrt(np.quantile(variance, 0.95))),
+            sigma=float(np.sqrt(np.mean(sigma**2))),
+            rank=seen.rank,
+            columns=len(sensitivity.names),
+            workspace_rank=workspace.rank,
+            mean_variance=float(np.mean(relative)),
+            worst_variance=float(np.max(relative)),
+            indices=dict(seen.indices),
+        )
+
     @property
     def efficiency(self) -> float:
         """(rank / N) / mean variance: about 1 for the best N poses, no bound, and more with tight priors.
@@ -171,43 +169,85 @@ class Forecast:
         return self.workspace_rank / self.poses / self.mean_variance
 
 
-def forecast(sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:
-    """What a fit of measurements at these poses will reach.
+def forecast(robot: Robot, cell: Cell, joints: ArrayLike, margin: float = 0.0) -> Forecast:
+    """What a calibration measured at these poses will reach, over the joint ranges.
 
     Args:
-        sensitivity: Of the model that will be fitted.
-        workspace: Over which accuracy is wanted.
-        q: shape (N, m), joint values to be measured, [rad] or [m].
+        robot: The nominal robot.
+        cell: Model, targets, frames, noise and priors; ``"auto"`` is taken as ``"placement"``.
+        joints: shape (N, m), [rad] or [m], in the order of ``robot.joint_names``.
+        margin: See `calib.design.candidates.planning_ranges`.
+
+    Raises:
+        ModelError: The model or the cell do not fit the robot, or a joint's value is missing.
+        MeasurementError: No pose.
     """
-    measured = sensitivity.measured(q)
-    root = sensitivity.root(measured)
-    targets = workspace.located.shape[1] // 3
-    moves = workspace.located @ root
-    variance = np.sum(moves.reshape(len(moves) * targets, -1) ** 2, axis=1)
-    relative = np.sum((workspace.measured @ root) ** 2, axis=(1, 2))
-    low, high = _rms_range(moves)
-    sigma = sensitivity.noise(q)
-    flat = measured.reshape(-1, measured.shape[2]) * np.repeat(sigma, measured.shape[1])[:, None]
-    seen = analyse(flat, sensitivity.names, sensitivity.units)
-    return Forecast(
-        names=sensitivity.names,
-        units=sensitivity.units,
-        parameter_std=read_only(np.linalg.norm(root, axis=1)),
-        identifiable=seen.identifiable,
-        poses=len(q),
-        rms=float(np.sqrt(np.mean(variance))),
-        rms_low=low,
-        rms_high=high,
-        max=float(np.sqrt(np.max(variance))),
-        quantile_95=float(np.sqrt(np.quantile(variance, 0.95))),
-        sigma=float(np.sqrt(np.mean(sigma**2))),
-        rank=seen.rank,
-        columns=len(sensitivity.names),
-        workspace_rank=workspace.rank,
-        mean_variance=float(np.mean(relative)),
-        worst_variance=float(np.max(relative)),
-        indices=dict(seen.indices),
+    robot.chain_values(joints)
+    q = np.atleast_2d(np.asarray(joints, dtype=np.float64))
+    if not len(q):
+        message = "A forecast needs poses; none was given."
+        raise MeasurementError(message)
+    sensitivity = Sensitivity.of(robot, cell)
+    everywhere = spread_between(planning_ranges(robot, cell.ranges, margin), _POSES)
+    return Forecast.of(sensitivity, Workspace.of(sensitivity, everywhere), q)
+
+
+def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> Forecast | None:
+    """What a fit of a table's estimation rows can reach, by its poses alone; the target is registered.
+
+    Args:
+        robot: The nominal robot.
+        cell: As for the fit; ``"auto"`` is taken as ``"placement"``.
+        measurements: The table.
+
+    Returns:
+        None where rows are of several kinds, targets or set-ups, or of a kind whose poses are not free.
+
+    Raises:
+        MeasurementError: A joint's column is missing, or too few rows.
+    """
+    seen = measurements.select(measurements.estimation)
+    kinds = set(seen.kinds)
+    if (
+        len(kinds) > 1
+        or len(set(seen.targets)) > 1
+        or len(set(seen.groups)) > 1
+        or kinds - {*KINDS}
+    ):
+        return None
+    rows, setup = rows_of(robot, measurements, cell)
+    started = register(robot, setup, rows.select(measurements.estimation))
+    known = replace(
+        cell,
+        kind=seen.kinds[0],
+        T_frame_base=cell.T_frame_base if seen.kinds[0] != "distance" else started.T_frame_base[0],
+        target=started.T_tip_target[0, :3, 3],
+        targets={},
+        frames={},
     )
+    return forecast(robot, known, seen.joints_for(robot.joint_names))
+
+
+def held(precision: Array) -> Array:
+    """The priors' precision, with a leash on the parameters that have none, shape (p,)."""
+    return np.where(precision > 0.0, precision, 1.0 / LEASH**2)
+
+
+def covariance_root(measured: Array, precision: Array) -> Array:
+    """A root of the parameters' covariance after measurements, C = root root^T, shape (p, p).
+
+    By a QR decomposition of the measurements and the priors below each other: what a fine instrument tells, and what
+    nothing but the leash holds, are too far apart for their squares.
+
+    Args:
+        measured: shape (n, d, p), see `Sensitivity.measured`.
+        precision: shape (p,), see `Sensitivity`.
+    """
+    rows = np.concatenate(
+        [measured.reshape(-1, measured.shape[2]), np.diag(np.sqrt(held(precision)))]
+    )
+    R = np.linalg.qr(rows, mode="r")
+    return np.asarray(solve_triangular(R, np.eye(len(R))))
 
 
 def parameter_weight(units: tuple[str, ...]) -> Array:

@@ -14,22 +14,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.design.candidates import Condition, Pool, draw, planning_ranges, rounded, turn_limits
-from calib.design.choice import Plan, check_enough, check_numbers, choose_poses
+from calib.design.candidates import Condition, draw, planning_ranges, turn_limits
+from calib.design.choice import check_numbers, choose_poses
 from calib.design.collision import HOLDER_RADIUS, CollisionModel
-from calib.design.detours import detour
+from calib.design.forecast import Forecast
 from calib.design.line_of_sight import in_sight
 from calib.design.optimal import check_criterion
-from calib.design.ordering import START, Tour, order
 from calib.design.region import Region
-from calib.design.sensitivity import Outlook
-from calib.design.turns import turning, with_whole_turns
+from calib.design.route import Blocked, route
+from calib.design.sensitivity import Sensitivity
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Tracker, check_outside
-from calib.model.readback import spread_between
 from calib.model.robot import Robot, read_only
-
-__all__ = ["Plan", "plan"]
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -37,14 +33,85 @@ Progress = Callable[[str, int, int], None]
 #: Default margin to joint limits [rad].
 MARGIN = math.radians(5.0)
 
-#: Poses that tell how many parameters there are to be told apart.
-_FIRST_LOOK = 512
-
 #: Poses among which those to drive by are looked for.
 _STOPS = 4000
 
 #: Default number of candidates.
 CANDIDATES = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """Poses to measure, in the order to drive.
+
+    Attributes:
+        robot: The robot.
+        cell: What was planned for.
+        joints: shape (K, m), [rad] or [m], whole steps of 0.001 deg or mm.
+        sets: ``"estimate"`` or ``"validate"`` for each pose.
+        taken: shape (T, m), poses that were measured already.
+        targets: The targets measured at every pose.
+        T_tip_target: shape (targets, 4, 4), where they sit in the tip [m].
+        expected: shape (K, targets, 3), where the nominal robot puts each target, in the measurement frame if that is
+            known, else in the base [m].
+        criterion: ``"D"``, ``"A"`` or ``"V"``.
+        model: The parameter set planned for.
+        kind: What is measured at each pose.
+        seed: The same seed makes the same plan.
+        forecast: Of the fit of taken poses and planned ones.
+        before: Of a fit of the poses taken alone; None without.
+        at_random: Of as many poses drawn at random from the same candidates, in place of the planned ones: the median
+            of several draws.
+        ladder: Forecasts for other numbers of planned poses, in rising order, that of the plan among them.
+        drawn: Candidates drawn.
+        candidates: Of these, those that can be measured.
+        refused: How many of those drawn were refused, by reason.
+        travel: The sum over all moves of the largest move of a joint [rad] or [m].
+        blocked: The moves whose straight way is not free.
+        notes: Sentences that the person who measures must read.
+    """
+
+    robot: Robot
+    cell: Cell
+    joints: Array
+    sets: tuple[str, ...]
+    taken: Array
+    targets: tuple[str, ...]
+    T_tip_target: Array
+    expected: Array
+    criterion: str
+    model: str
+    kind: str
+    seed: int
+    forecast: Forecast
+    before: Forecast | None
+    at_random: Forecast
+    ladder: tuple[tuple[int, Forecast], ...]
+    drawn: int
+    candidates: int
+    refused: dict[str, int]
+    travel: float
+    blocked: tuple[Blocked, ...]
+    notes: tuple[str, ...]
+
+    def places(self, q: Array) -> Array:
+        """Where the nominal robot puts each target in the base, shape (N, targets, 3), [m].
+
+        Args:
+            q: shape (N, m), joint values, [rad] or [m].
+        """
+        poses = self.robot.poses(q)[:, None] @ self.T_tip_target
+        return np.asarray(poses[:, :, :3, 3])
+
+    @property
+    def estimation(self) -> Array:
+        """The poses to fit, shape (N, m), in the order to drive."""
+        return np.asarray(self.joints[np.array(self.sets) == "estimate"])
+
+    @property
+    def validation(self) -> Array:
+        """The poses to validate with, shape (V, m)."""
+        return np.asarray(self.joints[np.array(self.sets) == "validate"])
 
 
 def plan(
@@ -101,33 +168,26 @@ def plan(
     check_numbers(count, validation, candidates)
     check_criterion(criterion)
     measured = _taken(robot, taken)
-    outlook = Outlook.of(robot, cell)
+    sensitivity = Sensitivity.of(robot, cell)
+    T_tip_target, names = sensitivity.setup.T_tip_target, sensitivity.setup.targets
     ranges = planning_ranges(robot, cell.ranges, margin)
-    if region is None:
-        # What candidates cannot mend is said before they are drawn, which takes a while.
-        check_enough(outlook.sensitivity, spread_between(ranges, _FIRST_LOOK), count, measured)
-    body = (
-        CollisionModel.of(
+    body = None
+    if collisions:
+        body = CollisionModel.of(
             robot,
             cell.boxes,
             clearance,
             package_dirs,
-            targets={
-                name: T[:3, 3]
-                for name, T in zip(outlook.setup.targets, outlook.setup.T_tip_target, strict=True)
-            },
+            targets=dict(zip(names, T_tip_target[:, :3, 3], strict=True)),
             holder_radius=holder_radius,
             floor=floor,
         )
-        if collisions
-        else None
-    )
     if body is not None and cell.tracker is not None:
         check_outside(cell.tracker, cell.boxes)
-    conditions = _conditions(robot, cell, region, outlook.setup.T_tip_target, body)
+    conditions = _conditions(robot, cell, region, T_tip_target, body)
     pool = draw(robot, ranges, conditions, candidates, seed, _part(progress, "candidates"))
     choice = choose_poses(
-        outlook.sensitivity,
+        sensitivity,
         pool,
         count=count,
         validation=validation,
@@ -137,26 +197,36 @@ def plan(
         seed=seed,
         progress=_part(progress, "choice"),
     )
-    joints = np.concatenate([choice.planned, choice.validation])
     sets = ("estimate",) * len(choice.planned) + ("validate",) * len(choice.validation)
     # With errors that change with a joint's value, a pose one turn on is another pose.
-    limits = (
-        ranges if outlook.kinematics.model.joint_terms else turn_limits(robot, cell.ranges, margin)
+    terms = sensitivity.kinematics.model.joint_terms
+    limits = ranges if terms else turn_limits(robot, cell.ranges, margin)
+
+    def stops() -> Array:
+        # Nothing need see the target on the way.
+        some = pool.workspace[:_STOPS]
+        return some if body is None else some[body.free(some)]
+
+    way = route(
+        robot,
+        np.concatenate([choice.planned, choice.validation]),
+        limits,
+        None if start is None else np.asarray(start, dtype=np.float64),
+        None if body is None else body.path_free,
+        stops,
     )
-    way = _driven(robot, joints, limits, start, body, pool)
-    joints = way.joints
     return Plan(
         robot=robot,
         cell=cell,
-        joints=read_only(joints),
-        sets=tuple(sets[i] for i in way.tour.indices),
+        joints=way.joints,
+        sets=tuple(sets[i] for i in way.indices),
         taken=measured,
-        targets=outlook.setup.targets,
-        T_tip_target=outlook.setup.T_tip_target,
-        expected=read_only(outlook.expected(joints)),
+        targets=names,
+        T_tip_target=T_tip_target,
+        expected=read_only(sensitivity.expected(way.joints)),
         criterion=criterion,
-        model=outlook.kinematics.model.name,
-        kind=outlook.kind,
+        model=sensitivity.model,
+        kind=sensitivity.kind,
         seed=seed,
         forecast=choice.forecast,
         before=choice.before,
@@ -165,9 +235,9 @@ def plan(
         drawn=pool.drawn,
         candidates=len(pool.q),
         refused=dict(pool.refused),
-        tour=way.tour,
-        detours=way.detours,
-        notes=(*outlook.notes, *_notes(cell, body)),
+        travel=way.length,
+        blocked=way.blocked,
+        notes=(*sensitivity.notes, *_notes(cell, body)),
     )
 
 
@@ -226,67 +296,6 @@ def _sight(
     if cell.reflector is not None:
         conditions.append(Condition("with the reflector turned away", lambda q: seen(q, "cone")))
     return conditions
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Way:
-    """Poses in the order to drive.
-
-    Attributes:
-        joints: shape (K, m), [rad] or [m].
-        tour: Their order and its length.
-        detours: For each blocked move a pose to drive by.
-    """
-
-    joints: Array
-    tour: Tour
-    detours: tuple[Array | None, ...]
-
-
-def _driven(
-    robot: Robot,
-    joints: Array,
-    limits: Array,
-    start: ArrayLike | None,
-    body: CollisionModel | None,
-    pool: Pool,
-) -> _Way:
-    """The poses in order; where a move is blocked, a turn more of some joints, else a pose to drive by."""
-    if body is None:
-        tour = order(joints, start=start)
-        return _Way(joints[tour.indices], tour, ())
-    tour = order(joints, start=start, free_path=body.path_free)
-    if tour.blocked:
-        turned = with_whole_turns(
-            joints, _stretches(tour), limits, turning(robot, limits), body.path_free
-        )
-        turned = rounded(robot, turned)
-        again = order(turned, start=start, free_path=body.path_free)
-        if len(again.blocked) < len(tour.blocked):
-            joints, tour = turned, again
-    return _Way(joints[tour.indices], tour, _detours(joints, start, tour, pool, body))
-
-
-def _stretches(tour: Tour) -> list[NDArray[np.intp]]:
-    """The poses between blocked moves, in the order to drive."""
-    place = {int(i): k for k, i in enumerate(tour.indices)}
-    cuts = sorted(place[b] for _, b in tour.blocked)
-    return [part for part in np.split(tour.indices, cuts) if len(part)]
-
-
-def _detours(
-    joints: Array, start: ArrayLike | None, tour: Tour, pool: Pool, body: CollisionModel
-) -> tuple[Array | None, ...]:
-    """For each blocked move a pose by which its way is free; nothing need see the target there."""
-    if not tour.blocked:
-        return ()
-    stops = pool.workspace[:_STOPS]
-    stops = stops[body.free(stops)]
-
-    def place(i: int) -> Array:
-        return np.asarray(start if i == START else joints[i], dtype=np.float64)
-
-    return tuple(detour(place(a), place(b), stops, body.path_free) for a, b in tour.blocked)
 
 
 def _notes(cell: Cell, body: CollisionModel | None) -> tuple[str, ...]:

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.design.choice import Plan
 from calib.design.forecast import Forecast
-from calib.design.ordering import START
+from calib.design.plan import Plan
 from calib.errors import MeasurementError
 from calib.measure.columns import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, name_columns
 from calib.measure.layout import Layout
@@ -237,10 +236,14 @@ def plan_table(plan: Plan) -> dict[str, Any]:
         "at_random": forecast_table(plan.at_random),
         "ladder": [{"planned": n, **forecast_table(one)} for n, one in plan.ladder],
         "travel": {
-            "largest_joint_moves": plan.tour.cost,
+            "largest_joint_moves": plan.travel,
             "blocked": [
-                {"from": a, "to": b, "by": None if stop is None else stop.tolist()}
-                for (a, b), stop in zip(blocked_moves(plan), plan.detours, strict=True)
+                {
+                    "from": one.start,
+                    "to": one.end,
+                    "by": None if one.by is None else one.by.tolist(),
+                }
+                for one in plan.blocked
             ],
         },
         "notes": list(plan.notes),
@@ -270,9 +273,3 @@ def forecast_table(forecast: Forecast) -> dict[str, Any]:
             )
         ],
     }
-
-
-def blocked_moves(plan: Plan) -> list[tuple[int, int]]:
-    """Moves whose straight way is not free, as poses from 1 in the order to drive; 0 is where the robot begins."""
-    place = {int(i): k for k, i in enumerate(plan.tour.indices, 1)} | {START: 0}
-    return [(place[a], place[b]) for a, b in plan.tour.blocked]

@@ -1,7 +1,6 @@
-"""Foresight: what the fit of a robot in a cell would learn from poses, before any is measured.
+"""Sensitivity: how what is measured at a pose, and where the targets are, change with the parameters of the fit.
 
-The same rows, error model and priors as the fit's: planning takes them as two callables and a vector, see
-`calib.design.forecast.Sensitivity`.
+The same rows, error model, noise and priors as the fit's, before anything is measured.
 """
 
 from __future__ import annotations
@@ -9,28 +8,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 import calib.kinds as registry
-from calib.design.candidates import planning_ranges
-from calib.design.forecast import Forecast, Sensitivity, Workspace
-from calib.design.forecast import forecast as forecast_of
-from calib.errors import MeasurementError, ModelError, choices
+from calib.errors import ModelError, choices
 from calib.families import FAMILIES
 from calib.identify.estimate import FIRST_SIGMA_ANGLE
 from calib.identify.fitting import Task, model_of
 from calib.identify.inspection import GENERIC_TARGET
-from calib.identify.registration import register
 from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.rows import Rows
 from calib.identify.setup import Setup, along_own_axes, setup_of, targets_along_tip
-from calib.identify.table_rows import rows_of
 from calib.measure.cell import AUTO, Cell
 from calib.measure.columns import DEFAULT_TARGET
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise
 from calib.model.kinematics import Kinematics, Samples
-from calib.model.readback import spread_between
 from calib.model.robot import Robot, read_only
 from calib.model.torques import gravity_load
 
@@ -39,22 +32,19 @@ Array = NDArray[np.float64]
 #: What `auto` is planned for: the largest geometry, so that every smaller one is covered.
 PLANNED_FOR_AUTO = "placement"
 
-#: The distance of an instrument of which nothing is said [m].
-_USUAL_DISTANCE = 3.0
-
 #: Kinds that poses can be planned for.
 KINDS = ("point", "pose", "distance")
+
+#: The distance of an instrument of which nothing is said [m].
+_USUAL_DISTANCE = 3.0
 
 #: Poses whose derivatives are computed together.
 _CHUNK = 8192
 
-#: Poses over which a forecast without a plan is made.
-_POSES = 4096
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outlook:
-    """A robot in a cell, as the fit would see it.
+class Sensitivity:
+    """A robot in a cell, as the fit would see it; p is the number of parameters, k that of targets.
 
     Attributes:
         robot: The nominal robot.
@@ -62,6 +52,7 @@ class Outlook:
         kind: What is measured at each pose.
         setup: Frames and targets; a target that was not given stands at a general place.
         kinematics: Under the model that the fit will use.
+        precision: shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's; 0 where there is none.
         notes: What was assumed, in sentences.
     """
 
@@ -70,10 +61,11 @@ class Outlook:
     kind: str
     setup: Setup
     kinematics: Kinematics
+    precision: Array
     notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, robot: Robot, cell: Cell) -> Outlook:
+    def of(cls, robot: Robot, cell: Cell) -> Sensitivity:
         """The fit's model of a robot in a cell.
 
         Raises:
@@ -81,20 +73,7 @@ class Outlook:
         """
         kind = _checked_kind(cell)
         cell = replace(cell, distances=())
-        names = tuple(cell.targets) or (DEFAULT_TARGET,)
-        group = next(iter(cell.frames), "")
-        table = Measurements(
-            joint_names=robot.joint_names,
-            joints=np.zeros((len(names), len(robot.inputs))),
-            points=np.zeros((len(names), 3)),
-            rotations=np.tile(np.eye(3), (len(names), 1, 1)),
-            distances=np.ones(len(names)),
-            kinds=(kind,) * len(names),
-            targets=names,
-            groups=(group,) * len(names),
-            prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
-        )
-        setup = setup_of(cell, table, np.full(len(names), registry.names().index(kind)))
+        setup = _one_pose(robot, cell, kind)
         notes = []
         if not np.all(setup.target_given):
             T_tip_target = setup.T_tip_target.copy()
@@ -114,21 +93,22 @@ class Outlook:
             for wanted in (*cell.parameter_priors, *cell.bounds):
                 model.index(wanted)
         kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
-        return cls(robot, cell, kind, setup, kinematics, tuple(notes))
+        return cls(robot, cell, kind, setup, kinematics, _precision(kinematics, cell), tuple(notes))
 
     @property
-    def sensitivity(self) -> Sensitivity:
-        """What planning and forecasts take."""
-        model = self.kinematics.model
-        return Sensitivity(
-            names=model.names,
-            units=model.units,
-            measured=self._measured,
-            located=self._located,
-            noise=self._noise,
-            precision=_precision(self),
-            model=model.name,
-        )
+    def model(self) -> str:
+        """The name of the parameter set."""
+        return self.kinematics.model.name
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters."""
+        return self.kinematics.model.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of each parameter."""
+        return self.kinematics.model.units
 
     def expected(self, q: Array) -> Array:
         """Where the nominal robot puts each target in the measurement frame, shape (N, targets, 3), [m].
@@ -165,18 +145,23 @@ class Outlook:
             blocks=np.arange(n),
         )
 
-    def _measured(self, q: Array) -> Array:
-        """The derivative of what is measured at poses, in standard deviations, shape (n, d, p)."""
+    def measured(self, q: Array) -> Array:
+        """The derivative of what is measured at poses, shape (n, d, p), in standard deviations of the noise per unit.
+
+        Args:
+            q: shape (n, m), [rad] or [m].
+        """
         x = np.zeros(len(self.kinematics.model))
         parts = []
         for chunk in _chunks(q):
+            noise = self.noise(chunk)
             samples = self._samples(chunk)
             poses, twists = self.kinematics.twists(x, samples)
-            rows = self._rows(samples, np.repeat(self._noise(chunk), len(self.setup.targets)))
+            rows = self._rows(samples, np.repeat(noise, len(self.setup.targets)))
             rows = rows.as_measured_at(poses)
             slopes = rows.derivative(poses, twists) / rows.scales[:, :, None]
             slopes = slopes.reshape(len(chunk), len(self.setup.targets), -1, len(x))
-            slopes = self._shared_out(slopes, self._noise(chunk))
+            slopes = self._shared_out(slopes, noise)
             parts.append(slopes.reshape(len(chunk), -1, len(x)))
         return np.concatenate(parts)
 
@@ -201,10 +186,13 @@ class Outlook:
         """The noise of the cell's tracker, or of a usual one."""
         return TrackerNoise() if self.cell.tracker is None else self.cell.tracker.noise
 
-    def _located(self, q: Array) -> Array:
-        """The derivative of the targets' predicted positions, shape (n, 3 k, p).
+    def located(self, q: Array) -> Array:
+        """The derivative of the targets' predicted positions, shape (n, 3 k, p), [m per unit].
 
         Distances do not tell where the base stands: what one rigid motion of all these positions does is left out.
+
+        Args:
+            q: shape (n, m), [rad] or [m].
         """
         x = np.zeros(len(self.kinematics.model))
         pairs = [self.kinematics.points_jacobian(x, self._samples(chunk)) for chunk in _chunks(q)]
@@ -214,8 +202,12 @@ class Outlook:
             slopes = without_rigid_motion(points, slopes)
         return slopes.reshape(len(q), -1, len(x))
 
-    def _noise(self, q: Array) -> Array:
-        """Standard deviation of one coordinate, or of the length from the anchor, at poses, shape (n,), [m]."""
+    def noise(self, q: Array) -> Array:
+        """Standard deviation of one coordinate, or of the length from the anchor, at poses, shape (n,), [m].
+
+        Args:
+            q: shape (n, m), [rad] or [m].
+        """
         if self.cell.sigma is not None:
             return np.full(len(q), self.cell.sigma)
         tracker = self.cell.tracker
@@ -232,65 +224,6 @@ class Outlook:
 def planned_model(cell: Cell) -> str:
     """The parameter set that is planned for: the cell's, or what stands for ``"auto"``."""
     return PLANNED_FOR_AUTO if cell.model == AUTO else cell.model
-
-
-def forecast(robot: Robot, cell: Cell, joints: ArrayLike, margin: float = 0.0) -> Forecast:
-    """What a calibration measured at these poses will reach, over the joint ranges.
-
-    Args:
-        robot: The nominal robot.
-        cell: Model, targets, frames, noise and priors; ``"auto"`` is taken as ``"placement"``.
-        joints: shape (N, m), [rad] or [m], in the order of ``robot.joint_names``.
-        margin: See `calib.design.candidates.planning_ranges`.
-
-    Raises:
-        ModelError: The model or the cell do not fit the robot, or a joint's value is missing.
-        MeasurementError: No pose.
-    """
-    robot.chain_values(joints)
-    q = np.atleast_2d(np.asarray(joints, dtype=np.float64))
-    if not len(q):
-        message = "A forecast needs poses; none was given."
-        raise MeasurementError(message)
-    sensitivity = Outlook.of(robot, cell).sensitivity
-    everywhere = spread_between(planning_ranges(robot, cell.ranges, margin), _POSES)
-    return forecast_of(sensitivity, Workspace.of(sensitivity, everywhere), q)
-
-
-def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> Forecast | None:
-    """What a fit of a table's estimation rows can reach, by its poses alone; the target is registered.
-
-    Args:
-        robot: The nominal robot.
-        cell: As for the fit; ``"auto"`` is taken as ``"placement"``.
-        measurements: The table.
-
-    Returns:
-        None where rows are of several kinds, targets or set-ups, or of a kind whose poses are not free.
-
-    Raises:
-        MeasurementError: A joint's column is missing, or too few rows.
-    """
-    seen = measurements.select(measurements.estimation)
-    kinds = set(seen.kinds)
-    if (
-        len(kinds) > 1
-        or len(set(seen.targets)) > 1
-        or len(set(seen.groups)) > 1
-        or kinds - {*KINDS}
-    ):
-        return None
-    rows, setup = rows_of(robot, measurements, cell)
-    started = register(robot, setup, rows.select(measurements.estimation))
-    known = replace(
-        cell,
-        kind=seen.kinds[0],
-        T_frame_base=cell.T_frame_base if seen.kinds[0] != "distance" else started.T_frame_base[0],
-        target=started.T_tip_target[0, :3, 3],
-        targets={},
-        frames={},
-    )
-    return forecast(robot, known, seen.joints_for(robot.joint_names))
 
 
 def _checked_kind(cell: Cell) -> str:
@@ -321,14 +254,31 @@ def _checked_kind(cell: Cell) -> str:
     return kind
 
 
-def _precision(outlook: Outlook) -> Array:
+def _one_pose(robot: Robot, cell: Cell, kind: str) -> Setup:
+    """Frames and targets of a table that has one pose, with a row for each target."""
+    names = tuple(cell.targets) or (DEFAULT_TARGET,)
+    count = len(names)
+    table = Measurements(
+        joint_names=robot.joint_names,
+        joints=np.zeros((count, len(robot.inputs))),
+        points=np.zeros((count, 3)),
+        rotations=np.tile(np.eye(3), (count, 1, 1)),
+        distances=np.ones(count),
+        kinds=(kind,) * count,
+        targets=names,
+        groups=(next(iter(cell.frames), ""),) * count,
+        prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
+    )
+    return setup_of(cell, table, np.full(count, registry.names().index(kind)))
+
+
+def _precision(kinematics: Kinematics, cell: Cell) -> Array:
     """1 / tau^2 of each parameter's prior, shape (p,): its own, its family's, or 0."""
-    priors, own = outlook.cell.priors, outlook.cell.parameter_priors
-    result = np.zeros(len(outlook.kinematics.model))
-    for k, parameter in enumerate(outlook.kinematics.model.parameters):
-        shared = priors.sizes != "off" and parameter.family in FAMILIES
-        size = priors.of(parameter.family) if shared else None
-        size = own.get(parameter.name, size)
+    result = np.zeros(len(kinematics.model))
+    for k, parameter in enumerate(kinematics.model.parameters):
+        shared = cell.priors.sizes != "off" and parameter.family in FAMILIES
+        size = cell.priors.of(parameter.family) if shared else None
+        size = cell.parameter_priors.get(parameter.name, size)
         result[k] = 0.0 if size is None else 1.0 / size**2
     return read_only(result)
 

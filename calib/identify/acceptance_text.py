@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import kinds
+import calib.kinds as registry
 from calib.errors import choices
 from calib.identify.acceptance import FAIL, UNDECIDED, Acceptance, Check, size_of
 from calib.identify.acceptance_rows import FEWEST_APART
@@ -300,7 +300,7 @@ def _left_out_text(a: Acceptance) -> str:
     if a.length is None:
         parts.append("Positions were measured and have no tolerance: they are not judged.")
     narrow = list(
-        dict.fromkeys(p.kind for p in a.accuracy.poses if not kinds.get(p.kind).coordinates)
+        dict.fromkeys(p.kind for p in a.accuracy.poses if not registry.get(p.kind).coordinates)
     )
     if narrow:
         parts.append(f"Rows of the kind {choices(narrow)} say nothing of errors across them.")
@@ -309,7 +309,7 @@ def _left_out_text(a: Acceptance) -> str:
 
 def _narrow(one: Accuracy) -> bool:
     """Whether every row measures one length alone."""
-    return not any(kinds.get(pose.kind).coordinates for pose in one.poses)
+    return not any(registry.get(pose.kind).coordinates for pose in one.poses)
 
 
 def _sized(value: float, angle: bool, digits: int = 3) -> str:
@@ -330,7 +330,7 @@ def _number(value: float, digits: int) -> str:
 def _rows_label(pose: PoseAccuracy) -> str:
     """The rows of a pose in few words."""
     rows = pose.rows
-    if kinds.get(pose.kind).paired:
+    if registry.get(pose.kind).paired:
         return f"pair of row {rows[0]}{', ...' * (len(rows) > 1)}"
     if len(rows) == 1:
         return f"row {rows[0]}"

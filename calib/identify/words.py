@@ -7,7 +7,7 @@ import textwrap
 import numpy as np
 import pinocchio as pin
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.identify.result import Calibration
 from calib.model.error_model import placed_name
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib import kinds
+import calib.kinds as registry
 from calib.errors import CalibError, choices
 from calib.measure import cell_parts as parts
 from calib.measure.cell_file import read_cell_file
@@ -225,7 +225,7 @@ def _numbers(cell: Cell) -> dict[str, Any]:
             )
             raise CalibError(message)
     if cell.kind is not None:
-        kinds.get(cell.kind)
+        registry.get(cell.kind)
     if cell.repeats not in REPEATS:
         message = f"Repeats were asked for as {cell.repeats!r}; choose one of {choices(REPEATS)}."
         raise CalibError(message)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.errors import MeasurementError, choices
 from calib.measure.columns import DEFAULT_TARGET, SETS, Column, check_widths, place
 from calib.measure.layout import Layout

@@ -9,7 +9,7 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.errors import MeasurementError, choices
 from calib.measure.columns import QUATERNION, SETS, TORQUE, reserved
 from calib.measure.orientation import no_rotation

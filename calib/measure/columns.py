@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from calib import kinds
+import calib.kinds as registry
 from calib.errors import CalibError, MeasurementError, choices
 from calib.measure.table import Block, Row, Table
 from calib.units import Quantity, Unit, find_unit, parse_header, split_header, symbols
@@ -39,7 +39,7 @@ COMMON: Mapping[Quantity, str] = {"length": "mm", "angle": "deg", "torque": "Nm"
 
 def reserved() -> tuple[str, ...]:
     """The names of columns that no joint can have: those of words, noise, positions, and of the kinds' readings."""
-    return (*WORDS, "sigma", "sigma_angle", *kinds.readings(), *POINT)
+    return (*WORDS, "sigma", "sigma_angle", *registry.readings(), *POINT)
 
 
 @dataclass(frozen=True, slots=True)

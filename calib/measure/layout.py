@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.errors import MeasurementError, choices
 from calib.kinds import Kind
 from calib.measure.columns import (

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib import kinds
+import calib.kinds as registry
 from calib.measure.cell import Cell
 from calib.measure.disturbances import Encoder, MovedTarget, Outliers
 from calib.measure.noise import TrackerNoise
@@ -100,7 +100,7 @@ class Scenario:
             errors=dict(self.errors),
             true_robot=self.true_robot,
             target_error=self.target_error,
-            draw_frame=self.cell.estimate_frame or kinds.get(self.kind).own_frame,
+            draw_frame=self.cell.estimate_frame or registry.get(self.kind).own_frame,
         )
         return VirtualCell(
             truth=truth,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.errors import CalibError, ModelError, choices
 from calib.kinds import Kind
 from calib.measure.cell_parts import is_number, vector

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.errors import MeasurementError, choices
 from calib.measure.cells import Cells
 from calib.measure.layout import Layout

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.errors import MeasurementError
 from calib.measure.columns import Column
 from calib.measure.layout import Layout

@@ -14,6 +14,7 @@ leaves what lies behind the last axis, where the tip turns about it, to T_n_tip 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -41,6 +42,7 @@ __all__ = [
     "dh_frames",
     "dh_table",
     "near_parallel",
+    "rows_between",
     "taken_as_parallel",
     "zero_poses",
 ]
@@ -109,6 +111,28 @@ def near_parallel(robot: Robot) -> dict[tuple[str, str], float]:
 def taken_as_parallel(robot: Robot) -> float:
     """The largest angle [rad] between consecutive axes that the pure conventions take as parallel; 0 without such."""
     return _largest_below(_limit(robot), _sines(robot))
+
+
+def rows_between(
+    lines: Sequence[tuple[Array, Array]], like: DHTable | None = None
+) -> tuple[DHRow, ...]:
+    """Hayati's rows from each of some axes of turning joints to the next.
+
+    Args:
+        lines: A point (3,) [m] and the unit direction (3,) of each axis, in base at q = 0.
+        like: Hayati's rows of the nominal robot: choices that the convention leaves open are made as there.
+    """
+    wanted: list[_Wanted | None] = [None] * len(lines)
+    if like is not None:
+        wanted = [_Wanted(row, F[:3, 0]) for row, F in zip(like.rows, dh_frames(like), strict=True)]
+    point, axis = lines[0]
+    T, rows = _first_frame(axis, point, np.eye(4) if like is None else like.T_base_0), []
+    for i, (point, axis) in enumerate(lines[1:]):
+        name = "" if like is None else like.rows[i].joint
+        numbers = _row(T, point, axis, wanted[i], HAYATI, 0.0)
+        rows.append(_tidy(DHRow(name, False, *numbers), wanted[i]))
+        T = T @ rows[-1].matrix()
+    return tuple(rows)
 
 
 def zero_poses(robot: Robot) -> tuple[list[Array], Array]:

@@ -12,7 +12,7 @@ import meshcat
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.design.choice import Plan
+from calib.design.plan import Plan
 from calib.measure.surroundings import Box, Tracker
 from calib.show.page import Key, single_page
 from calib.show.palette import BEAM, ESTIMATION, VALIDATION

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.design.forecast import Forecast, Workspace
-from calib.design.forecast import forecast as forecast_of
-from calib.design.sensitivity import Outlook
+from calib.design.sensitivity import Sensitivity
 from calib.errors import CalibError, ModelError
 from calib.identify.jobs import batch_size, run
 from calib.measure.scenario import DEFAULT_TRACKER, Scenario
@@ -155,12 +154,12 @@ def _forecast_of(trials: Trials, seed: int) -> Forecast | None:
         tracker=Tracker(place, noise=scenario.noise),
     )
     try:
-        sensitivity = Outlook.of(scenario.robot, cell).sensitivity
+        sensitivity = Sensitivity.of(scenario.robot, cell)
     except ModelError:
         return None
     q, sets = trial_poses(trials, seed)
     visited = np.repeat(q[[one == "estimate" for one in sets]], scenario.visits, axis=0)
-    return forecast_of(
+    return Forecast.of(
         sensitivity, Workspace.of(sensitivity, verification_poses(scenario)), visited
     )
 

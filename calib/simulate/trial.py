@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
-from calib import kinds as registry
+import calib.kinds as registry
 from calib.design.candidates import draw, planning_ranges
 from calib.design.choice import choose_poses
-from calib.design.sensitivity import Outlook
+from calib.design.sensitivity import Sensitivity
 from calib.identify.calibration import calibrate, fit_table
 from calib.identify.fitting import Fitted
 from calib.identify.rigid_motion import without_rigid_motion
@@ -241,7 +241,7 @@ def trial_poses(trials: Trials, seed: int) -> tuple[Array, tuple[str, ...]]:
 def _planned(trials: Trials, seed: int) -> Array:
     """Poses that are planned for this trial; collisions are not looked at, for the robot is a virtual one."""
     robot = trials.scenario.robot
-    sensitivity = Outlook.of(robot, trials.cell).sensitivity
+    sensitivity = Sensitivity.of(robot, trials.cell)
     ranges = planning_ranges(robot, trials.scenario.cell.ranges, 0.0)
     pool = draw(robot, ranges, [], max(PLAN_CANDIDATES, trials.count), seed)
     chosen = choose_poses(

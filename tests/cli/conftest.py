@@ -22,8 +22,8 @@ from typer.main import get_command
 
 from calib.cli import app, main
 from calib.data import paper_measurements, paper_urdf
-from calib.measure.virtual_sweeps import virtual_sweeps, write_sweeps
 from calib.model.robot import Robot
+from tests.base_frame.virtual_sweeps import virtual_sweeps, write_sweeps
 from tests.formats.ur_cases import CALIBRATIONS
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -17,7 +17,7 @@ from calib.cli.compensate_words import (
     parse_tool,
 )
 from calib.compensate.commands_file import ORIENTATIONS, SEND
-from calib.compensate.matching import MATCHES
+from calib.compensate.inverse import MATCHES
 from calib.compensate.program_columns import GIVEN
 from calib.errors import CalibError
 from calib.model.robot import Robot

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calib.cli.plan_text import plan_text
-from calib.design.ordering import START, Tour
 from calib.design.plan import Plan, plan
+from calib.design.route import Blocked
 from calib.measure.cell import Cell
 
 
@@ -25,9 +25,8 @@ def said(one: Plan) -> str:
 
 def test_moves_that_collide_are_named_with_poses_to_drive_by(planned: Plan):
     degrees = ", ".join(f"{d:.1f} deg" for d in np.degrees(planned.joints[3]))
-    blocked = ((START, 0), (0, 4), *((k, k + 1) for k in range(10)))
-    detours = (None, planned.joints[3], *[None] * 10)
-    many = replace(planned, tour=Tour(np.arange(10), 1.0, blocked[:3]), detours=detours[:3])
+    blocked = Blocked(0, 1, None), Blocked(1, 5, planned.joints[3]), Blocked(1, 2, None)
+    many = replace(planned, blocked=blocked)
     assert (
         "Note: The straight way in joint space collides from the start to row 1, row 1 to row 5 (drive by "
         f"{degrees}), row 1 to row 2; drive there by a pose in between."

@@ -10,8 +10,8 @@ import pytest
 import calib.data
 from calib.design.candidates import Pool, draw, planning_ranges
 from calib.design.choice import Choice, check_numbers, choose_poses
-from calib.design.forecast import Sensitivity, Workspace, forecast
-from calib.design.sensitivity import Outlook
+from calib.design.forecast import Forecast, Workspace, covariance_root
+from calib.design.sensitivity import Sensitivity
 from calib.errors import ModelError
 from calib.measure.cell import Cell, Priors
 
@@ -23,7 +23,7 @@ def paper(ur3) -> Sensitivity:
     """The paper's target and its 23 identifiable parameters, without priors."""
     target = np.array(calib.data.PAPER_TARGET)
     cell = Cell(target=target, model="hayati", priors=Priors(sizes="off"), sigma=SIGMA)
-    return Outlook.of(ur3, cell).sensitivity
+    return Sensitivity.of(ur3, cell)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_a_v_optimal_choice_passes_it_in_the_mean(paper, free):
 def test_the_papers_poses_predict_with_four_times_the_noise(paper, free, paper_table):
     measured = paper_table.joints[paper_table.estimation]
     assert len(measured) == 30
-    f = forecast(paper, Workspace.of(paper, free.workspace), measured)
+    f = Forecast.of(paper, Workspace.of(paper, free.workspace), measured)
     assert f.rms / SIGMA == pytest.approx(4.2, abs=0.1)
 
 
@@ -82,7 +82,7 @@ def test_each_criterion_is_the_best_at_its_own(paper, some):
     rms = {name: one.forecast.rms for name, one in found.items()}
     assert min(rms, key=rms.__getitem__) == "V"
     volume = {
-        name: np.linalg.slogdet(s.covariance(s.measured(one.planned)))[1]
+        name: 2.0 * np.linalg.slogdet(covariance_root(s.measured(one.planned), s.precision))[1]
         for name, one in by_prior.items()
     }
     assert volume["D"] < volume["A"]
@@ -95,7 +95,7 @@ def test_each_criterion_is_the_best_at_its_own(paper, some):
 def test_as_few_poses_as_there_can_be_are_chosen_well(ur3, some, criterion):
     """27 numbers for 27 parameters: without any one of the poses, a direction is not known at all."""
     cell = Cell(model="placement", priors=Priors(sizes="off"), sigma=SIGMA)
-    s = Outlook.of(ur3, cell).sensitivity
+    s = Sensitivity.of(ur3, cell)
     other = choose_poses(s, some, count=9, criterion="D", ladder=()).forecast
     f = choose_poses(s, some, count=9, criterion=criterion, ladder=()).forecast
     assert f.rank == 27
@@ -119,7 +119,7 @@ def test_poses_are_of_the_pool_and_all_different(planned, some):
 
 
 def test_the_forecast_is_that_of_the_poses_planned(planned, paper, some):
-    f = forecast(paper, Workspace.of(paper, some.workspace), planned.planned)
+    f = Forecast.of(paper, Workspace.of(paper, some.workspace), planned.planned)
     assert f.poses == planned.forecast.poses == 20
     assert planned.forecast.rms == pytest.approx(f.rms)
 
@@ -130,7 +130,7 @@ def test_accuracy_is_wanted_in_the_workspace_not_at_the_candidates(paper, some):
     here = replace(some, q=some.q[some.q[:, 2] < 0.0], workspace=left)
     c = choose_poses(paper, here, count=20, ladder=())
     assert (c.planned[:, 2] < 0.0).all()
-    f = forecast(paper, Workspace.of(paper, left), c.planned)
+    f = Forecast.of(paper, Workspace.of(paper, left), c.planned)
     assert c.forecast.rms == pytest.approx(f.rms)
 
 
@@ -177,7 +177,7 @@ def test_a_step_beyond_the_ladders_short_list_has_each_pose_once(paper, some, mo
     monkeypatch.setattr("calib.design.choice._LADDER_POOL", 20)
     few = replace(some, q=some.q[:40])
     c = choose_poses(paper, few, count=12, ladder=(40,))
-    everything = forecast(paper, Workspace.of(paper, some.workspace), few.q)
+    everything = Forecast.of(paper, Workspace.of(paper, some.workspace), few.q)
     assert c.ladder[-1][1].rms == pytest.approx(everything.rms)
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from calib.design.forecast import (
     LEASH,
-    Sensitivity,
+    Forecast,
     Workspace,
-    forecast,
+    covariance_root,
+    held,
     parameter_weight,
 )
 from calib.model.observability import analyse
@@ -38,15 +40,31 @@ def noise(q: np.ndarray) -> np.ndarray:
     return 2e-4 * (1.0 + 0.5 * np.abs(q[:, 0]))
 
 
-def sensitivity(precision: np.ndarray | None = None) -> Sensitivity:
-    return Sensitivity(
+@dataclass(frozen=True)
+class Linear:
+    """A model that is linear, in place of a robot's `Sensitivity`."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    measured: Callable[[np.ndarray], np.ndarray]
+    located: Callable[[np.ndarray], np.ndarray]
+    noise: Callable[[np.ndarray], np.ndarray]
+    precision: np.ndarray
+
+
+def covariance(of: Linear, measured: np.ndarray) -> np.ndarray:
+    root = covariance_root(measured, of.precision)
+    return root @ root.T
+
+
+def sensitivity(precision: np.ndarray | None = None) -> Linear:
+    return Linear(
         names=NAMES,
         units=UNITS,
         measured=lambda q: jacobian(q) / noise(q)[:, None, None],
         located=jacobian,
         noise=noise,
         precision=1.0 / TAU**2 if precision is None else precision,
-        model="linear",
     )
 
 
@@ -74,7 +92,7 @@ def calibrations(q: np.ndarray, runs: int, *, priors: bool = True) -> np.ndarray
 def test_the_covariance_is_that_of_what_fits_leave():
     q = poses(4)
     left = calibrations(q, 40_000)
-    found = sensitivity().covariance(sensitivity().measured(q))
+    found = covariance(sensitivity(), sensitivity().measured(q))
     np.testing.assert_allclose(np.sqrt(np.diag(found)), left.std(axis=0), rtol=0.02)
     scale = left.std(axis=0)
     np.testing.assert_allclose(found / np.outer(scale, scale), np.corrcoef(left.T), atol=0.03)
@@ -82,23 +100,23 @@ def test_the_covariance_is_that_of_what_fits_leave():
 
 def test_parameters_std_is_that_of_what_fits_leave():
     q = poses(6)
-    f = forecast(sensitivity(), Workspace.of(sensitivity(), poses(50, 1)), q)
+    f = Forecast.of(sensitivity(), Workspace.of(sensitivity(), poses(50, 1)), q)
     np.testing.assert_allclose(f.parameter_std, calibrations(q, 40_000).std(axis=0), rtol=0.02)
     assert (f.names, f.units, f.poses, f.columns) == (NAMES, UNITS, 6, 7)
     assert not f.parameter_std.flags.writeable
 
 
 def test_without_a_pose_the_priors_are_left():
-    found = sensitivity().covariance(np.zeros((0, 3, 7)))
+    found = covariance(sensitivity(), np.zeros((0, 3, 7)))
     np.testing.assert_allclose(found, np.diag(TAU**2), rtol=1e-12)
 
 
 def test_a_pose_more_never_makes_anything_worse():
     where = Workspace.of(sensitivity(), poses(50, 1))
-    before = forecast(sensitivity(), where, poses(4))
+    before = Forecast.of(sensitivity(), where, poses(4))
     for seed in range(10):
         q = np.concatenate([poses(4), poses(1, 50 + seed)])
-        after = forecast(sensitivity(), where, q)
+        after = Forecast.of(sensitivity(), where, q)
         assert (after.parameter_std <= before.parameter_std).all()
         assert after.rms < before.rms
         assert after.max <= before.max
@@ -113,7 +131,7 @@ def test_the_rms_over_the_workspace_and_its_range_are_those_of_calibrations(coun
     left = calibrations(q, 20_000)
     off = np.einsum("nij,rj->rni", jacobian(where), left)
     rms = np.sqrt(np.mean(np.sum(off**2, axis=2), axis=1))
-    f = forecast(sensitivity(), Workspace.of(sensitivity(), where), q)
+    f = Forecast.of(sensitivity(), Workspace.of(sensitivity(), where), q)
     assert f.rms == pytest.approx(np.sqrt(np.mean(rms**2)), rel=0.02)
     inside = (rms > f.rms_low) & (rms < f.rms_high)
     assert 0.88 < np.mean(inside) < 0.92
@@ -125,7 +143,7 @@ def test_the_rms_over_the_workspace_and_its_range_are_those_of_calibrations(coun
 
 def test_the_range_is_the_same_every_time():
     where = Workspace.of(sensitivity(), poses(20, 1))
-    one, two = (forecast(sensitivity(), where, poses(5)) for _ in range(2))
+    one, two = (Forecast.of(sensitivity(), where, poses(5)) for _ in range(2))
     assert (one.rms_low, one.rms_high) == (two.rms_low, two.rms_high)
     assert one.rms_low < one.rms < one.rms_high
 
@@ -134,8 +152,8 @@ def test_two_targets_count_each_for_itself():
     s = sensitivity()
     both = replace(s, located=lambda q: np.concatenate([jacobian(q), 3.0 * jacobian(q)], axis=1))
     q, where = poses(6), poses(40, 1)
-    one = forecast(s, Workspace.of(s, where), q)
-    two = forecast(both, Workspace.of(both, where), q)
+    one = Forecast.of(s, Workspace.of(s, where), q)
+    two = Forecast.of(both, Workspace.of(both, where), q)
     assert two.max == pytest.approx(3.0 * one.max)
     assert two.rms == pytest.approx(one.rms * np.sqrt(5.0))
     assert two.rms_high == pytest.approx(one.rms_high * np.sqrt(5.0))
@@ -156,7 +174,7 @@ def test_the_mean_square_moves_as_the_workspace_does():
 def test_over_the_own_poses_the_variance_is_rank_over_n():
     """Without priors: what N poses tell of p parameters, spread over themselves (Kiefer and Wolfowitz)."""
     s, q = sensitivity(np.zeros(7)), poses(20)
-    f = forecast(s, Workspace.of(s, q), q)
+    f = Forecast.of(s, Workspace.of(s, q), q)
     assert f.rank == f.workspace_rank == 7
     assert f.mean_variance == pytest.approx(7 / 20, rel=1e-4)
     assert f.worst_variance > f.mean_variance
@@ -165,7 +183,7 @@ def test_over_the_own_poses_the_variance_is_rank_over_n():
 
 def test_efficiency_is_bound_over_mean():
     s, q = sensitivity(np.zeros(7)), poses(8)
-    f = forecast(s, Workspace.of(s, poses(100, 1)), q)
+    f = Forecast.of(s, Workspace.of(s, poses(100, 1)), q)
     C = np.linalg.inv(np.einsum("nij,nik->jk", s.measured(q), s.measured(q)))
     variance = np.einsum("nij,jk,nik->n", s.measured(poses(100, 1)), C, s.measured(poses(100, 1)))
     assert f.mean_variance == pytest.approx(variance.mean(), rel=1e-4)
@@ -175,14 +193,14 @@ def test_efficiency_is_bound_over_mean():
 
 def test_sigma_is_the_root_mean_square_over_the_poses():
     q = poses(9)
-    f = forecast(sensitivity(), Workspace.of(sensitivity(), q), q)
+    f = Forecast.of(sensitivity(), Workspace.of(sensitivity(), q), q)
     assert f.sigma == pytest.approx(np.sqrt(np.mean(noise(q) ** 2)))
 
 
 def test_rank_and_indices_are_those_of_the_same_jacobian():
     for count in (2, 3, 10):
         q = poses(count)
-        f = forecast(sensitivity(), Workspace.of(sensitivity(), poses(50, 1)), q)
+        f = Forecast.of(sensitivity(), Workspace.of(sensitivity(), poses(50, 1)), q)
         seen = analyse(jacobian(q).reshape(-1, 7), NAMES, UNITS)
         assert f.rank == seen.rank == min(3 * count, 7)
         assert set(f.indices) == {"O1", "O2", "O3", "O4", "O5"}
@@ -205,7 +223,7 @@ def test_what_nothing_tells_is_held_by_the_leash_alone():
 
     bare = replace(s, measured=lambda q: changed(q) / noise(q)[:, None, None], located=changed)
     q, where = poses(12), poses(60, 1)
-    f = forecast(bare, Workspace.of(bare, where), q)
+    f = Forecast.of(bare, Workspace.of(bare, where), q)
     assert f.rank == f.workspace_rank == 5
     assert f.parameter_std[4] == pytest.approx(LEASH)
     assert f.parameter_std[[0, 1]] == pytest.approx(LEASH / np.sqrt(2.0), rel=1e-4)
@@ -219,7 +237,7 @@ def test_what_nothing_tells_is_held_by_the_leash_alone():
         located=lambda q: changed(q)[:, :, few],
         precision=np.zeros(5),
     )
-    g = forecast(lean, Workspace.of(lean, where), q)
+    g = Forecast.of(lean, Workspace.of(lean, where), q)
     for name in ("rms", "rms_low", "rms_high", "max", "mean_variance", "worst_variance"):
         rel = 0.02 if name.startswith("rms_") else 1e-5
         assert getattr(f, name) == pytest.approx(getattr(g, name), rel=rel)
@@ -245,7 +263,7 @@ def test_a_finer_instrument_is_as_much_better(finer):
         )
         for k in (1.0, finer)
     )
-    f, g = (forecast(one, Workspace.of(one, where), q) for one in (coarse, fine))
+    f, g = (Forecast.of(one, Workspace.of(one, where), q) for one in (coarse, fine))
     assert g.rms == pytest.approx(finer * f.rms, rel=1e-4)
     assert g.rms_high == pytest.approx(finer * f.rms_high, rel=1e-4)
     assert g.sigma == pytest.approx(finer * f.sigma)
@@ -255,7 +273,7 @@ def test_a_finer_instrument_is_as_much_better(finer):
 
 def test_a_prior_of_one_parameter_leaves_the_leash_to_the_others():
     s = sensitivity(np.array([4.0, 0.0, 0.0, 25.0, 0.0, 0.0, 0.0]))
-    assert s.leashed.tolist() == [4.0, 1.0, 1.0, 25.0, 1.0, 1.0, 1.0]
+    assert held(s.precision).tolist() == [4.0, 1.0, 1.0, 25.0, 1.0, 1.0, 1.0]
 
 
 def test_parameters_of_all_units_weigh_by_their_steps():

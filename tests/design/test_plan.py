@@ -13,9 +13,9 @@ import trimesh
 
 import calib
 from calib.data import PAPER_TARGET
+from calib.design.forecast import forecast
 from calib.design.plan import Plan, plan
 from calib.design.region import Region
-from calib.design.sensitivity import forecast
 from calib.errors import CalibError, ModelError
 from calib.measure.cell import Cell, Priors
 from calib.measure.surroundings import Box, Reflector, Tracker

@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.design.ordering import START, Tour
 from calib.design.plan import plan
 from calib.design.plan_file import (
     SCHEMA,
-    blocked_moves,
     plan_table,
     read_taken,
     write_plan,
 )
+from calib.design.route import Blocked
 from calib.errors import FileError, MeasurementError
 from calib.identify.result_file import write_table
 from calib.measure.cell import Cell
@@ -283,7 +282,7 @@ def test_the_forecast_as_json(planned, tmp_path):
     assert len(table["poses"]) == 18
     assert table["poses"][3]["joints"] == planned.joints[3].tolist()
     assert table["poses"][3]["expected_xyz_m"] == planned.expected[3].tolist()
-    assert table["travel"] == {"largest_joint_moves": planned.tour.cost, "blocked": []}
+    assert table["travel"] == {"largest_joint_moves": planned.travel, "blocked": []}
 
 
 def keys(value):
@@ -298,7 +297,7 @@ def keys(value):
 
 
 def test_the_document_has_every_key(planned):
-    blocked = replace(planned, tour=Tour(np.arange(18), 1.0, ((0, 1),)), detours=(None,))
+    blocked = replace(planned, blocked=(Blocked(1, 2, None),))
     lines = (Path(__file__).parents[2] / "docs" / "planning.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (`.*?) \|", lines.partition("## The plan as JSON")[2], re.MULTILINE)
     documented = set(re.findall(r"[A-Za-z0-9_]+", " ".join(rows))) | {"schema"}
@@ -306,9 +305,8 @@ def test_the_document_has_every_key(planned):
 
 
 def test_moves_that_collide_are_told_by_their_place_in_the_order(planned):
-    tour = Tour(np.array([4, 2, 0, 1, 3]), 1.0, ((START, 4), (2, 0)))
-    blocked = replace(planned, tour=tour, detours=(None, planned.joints[5]))
-    assert blocked_moves(blocked) == [(0, 1), (2, 3)]
+    moves = Blocked(0, 1, None), Blocked(2, 3, planned.joints[5])
+    blocked = replace(planned, blocked=moves)
     assert plan_table(blocked)["travel"]["blocked"] == [
         {"from": 0, "to": 1, "by": None},
         {"from": 2, "to": 3, "by": planned.joints[5].tolist()},

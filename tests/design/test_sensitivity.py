@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.design.sensitivity import Outlook, forecast
+from calib.design.forecast import forecast
+from calib.design.sensitivity import Sensitivity
 from calib.errors import MeasurementError, ModelError
 from calib.identify.calibration import calibrate
 from calib.identify.estimate import FIRST_SIGMA_ANGLE
@@ -116,18 +117,23 @@ def in_orientation(plus, minus):
 
 
 def test_what_is_measured_moves_as_predictions_do(ur3, cell):
-    outlook = Outlook.of(ur3, cell)
+    sensitivity = Sensitivity.of(ur3, cell)
     q = random_joint_values(ur3, 7, 5)
     parts = {
         "point": [(in_position, SIGMA)],
         "pose": [(in_position, SIGMA), (in_orientation, cell.sigma_angle or FIRST_SIGMA_ANGLE)],
         "distance": [(in_length, SIGMA)],
-    }[outlook.kind]
+    }[sensitivity.kind]
     expected = np.concatenate(
-        [differences(cell, outlook.kinematics, q, look) / sigma for look, sigma in parts], axis=2
+        [differences(cell, sensitivity.kinematics, q, look) / sigma for look, sigma in parts],
+        axis=2,
     )
-    found = outlook.sensitivity.measured(q)
-    assert found.shape == (7, expected.shape[1] * expected.shape[2], len(outlook.kinematics.model))
+    found = sensitivity.measured(q)
+    assert found.shape == (
+        7,
+        expected.shape[1] * expected.shape[2],
+        len(sensitivity.kinematics.model),
+    )
     scale = np.abs(expected).max(axis=(0, 1, 2))
     # A joint that carries no load does not bend.
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -137,29 +143,31 @@ def test_what_is_measured_moves_as_predictions_do(ur3, cell):
 
 
 def test_what_is_located_moves_as_predictions_do(ur3, cell):
-    outlook = Outlook.of(ur3, cell)
+    sensitivity = Sensitivity.of(ur3, cell)
     q = random_joint_values(ur3, 7, 6)
-    expected = differences(cell, outlook.kinematics, q, in_position)
-    if outlook.kind == "distance":
-        points = predicted(cell, outlook.kinematics, np.zeros(expected.shape[-1]), q)[:, :, :3, 3]
+    expected = differences(cell, sensitivity.kinematics, q, in_position)
+    if sensitivity.kind == "distance":
+        points = predicted(cell, sensitivity.kinematics, np.zeros(expected.shape[-1]), q)[
+            :, :, :3, 3
+        ]
         flat = expected.reshape(-1, 3, expected.shape[-1])
         expected = without_rigid_motion(points.reshape(-1, 3), flat).reshape(expected.shape)
-    found = outlook.sensitivity.located(q)
-    assert found.shape == (7, 3 * len(outlook.setup.targets), expected.shape[-1])
+    found = sensitivity.located(q)
+    assert found.shape == (7, 3 * len(sensitivity.setup.targets), expected.shape[-1])
     np.testing.assert_allclose(found, expected.reshape(found.shape), rtol=0.0, atol=2e-6)
 
 
 def test_where_the_base_stands_is_not_accuracy_where_only_distances_are_measured(ur3):
-    outlook = Outlook.of(ur3, CELLS["distances"])
-    located = outlook.sensitivity.located(random_joint_values(ur3, 30, 5))
-    names = outlook.kinematics.model.names
+    sensitivity = Sensitivity.of(ur3, CELLS["distances"])
+    located = sensitivity.located(random_joint_values(ur3, 30, 5))
+    names = sensitivity.kinematics.model.names
     frame = [names.index(f"frame_{axis}") for axis in "xyz"]
     assert np.abs(located[:, :, frame]).max() < 1e-12
     assert np.abs(located).max() > 0.1
 
 
 def test_many_poses_are_derived_piece_by_piece_as_few_are(ur3, monkeypatch):
-    s = Outlook.of(ur3, CELLS["two targets"]).sensitivity
+    s = Sensitivity.of(ur3, CELLS["two targets"])
     q = random_joint_values(ur3, 25, 5)
     whole = s.measured(q), s.located(q)
     monkeypatch.setattr("calib.design.sensitivity._CHUNK", 10)
@@ -171,13 +179,13 @@ def test_targets_are_expected_where_the_nominal_robot_puts_them(ur3):
     q = random_joint_values(ur3, 9, 5)
     tips = ur3.poses(q)
     for name in ("two targets", "two targets' distances"):
-        found = Outlook.of(ur3, CELLS[name]).expected(q)
+        found = Sensitivity.of(ur3, CELLS[name]).expected(q)
         T = FRAME if "distances" in name else np.eye(4)
         for t, target in enumerate((TARGET, -2.0 * TARGET)):
             want = (T @ tips @ np.append(target, 1.0))[:, :3]
             np.testing.assert_allclose(found[:, t], want, atol=1e-12)
     # A frame that nobody knows counts as the base.
-    found = Outlook.of(ur3, CELLS["a frame that is not given"]).expected(q)
+    found = Sensitivity.of(ur3, CELLS["a frame that is not given"]).expected(q)
     np.testing.assert_allclose(found[:, 0], (tips @ np.append(TARGET, 1.0))[:, :3], atol=1e-12)
 
 
@@ -186,17 +194,17 @@ def test_targets_are_expected_where_the_nominal_robot_puts_them(ur3):
 
 def test_the_noise_is_the_cells_or_the_trackers_by_distance_or_a_usual_trackers(ur3):
     q = random_joint_values(ur3, 20, 5)
-    given = Outlook.of(ur3, Cell(target=TARGET, sigma=SIGMA)).sensitivity
+    given = Sensitivity.of(ur3, Cell(target=TARGET, sigma=SIGMA))
     np.testing.assert_array_equal(given.noise(q), np.full(20, SIGMA))
     tracker = Tracker(np.array([2.5, 0.3, 0.5]), noise=TrackerNoise(10e-6, 50e-6, 0.0))
-    seen = Outlook.of(ur3, Cell(target=TARGET, tracker=tracker)).sensitivity
+    seen = Sensitivity.of(ur3, Cell(target=TARGET, tracker=tracker))
     points = (ur3.poses(q) @ np.append(TARGET, 1.0))[:, :3]
     distance = np.linalg.norm(points - tracker.position, axis=1)
     np.testing.assert_allclose(seen.noise(q), 10e-6 + 50e-6 * distance, rtol=1e-12)
     assert np.ptp(seen.noise(q)) > 1e-5
-    both = Outlook.of(ur3, Cell(target=TARGET, tracker=tracker, sigma=SIGMA)).sensitivity
+    both = Sensitivity.of(ur3, Cell(target=TARGET, tracker=tracker, sigma=SIGMA))
     np.testing.assert_array_equal(both.noise(q), np.full(20, SIGMA))
-    usual = Outlook.of(ur3, Cell(target=TARGET)).sensitivity
+    usual = Sensitivity.of(ur3, Cell(target=TARGET))
     np.testing.assert_allclose(usual.noise(q), np.hypot(15e-6 + 3 * 6e-6, 20e-6))
     # What is measured is in this noise.
     np.testing.assert_allclose(
@@ -217,9 +225,9 @@ def test_precision_is_that_of_each_parameters_prior(ur3):
         estimate_frame=True,
         parameter_priors={"a2": 7e-5, "target_x": 1e-2},
     )
-    s = Outlook.of(ur3, cell).sensitivity
+    s = Sensitivity.of(ur3, cell)
     found = dict(zip(s.names, s.precision, strict=True))
-    model = Outlook.of(ur3, cell).kinematics.model
+    model = Sensitivity.of(ur3, cell).kinematics.model
     seen = set()
     for parameter in model.parameters:
         if parameter.name in cell.parameter_priors:
@@ -239,7 +247,7 @@ def test_priors_that_are_off_leave_those_of_single_parameters(ur3):
     cell = Cell(
         target=TARGET, model="dh", priors=Priors(sizes="off"), parameter_priors={"a2": 1e-4}
     )
-    s = Outlook.of(ur3, cell).sensitivity
+    s = Sensitivity.of(ur3, cell)
     assert s.precision[s.names.index("a2")] == pytest.approx(1e8)
     assert np.count_nonzero(s.precision) == 1
 
@@ -261,15 +269,15 @@ def test_the_rank_over_the_joint_limits_is_that_of_inspect(ur3, name):
 @pytest.mark.parametrize("name", ["two targets", "two targets' distances"])
 def test_the_rank_of_two_targets_is_that_of_inspect_with_a_table(ur3, name):
     cell, q = CELLS[name], spread_poses(ur3)
-    outlook = Outlook.of(ur3, cell)
-    points = outlook.expected(q).reshape(-1, 3)
+    sensitivity = Sensitivity.of(ur3, cell)
+    points = sensitivity.expected(q).reshape(-1, 3)
     table = Measurements(
         ur3.joint_names,
         np.repeat(q, 2, axis=0),
         points,
-        kinds=(outlook.kind,) * len(points),
+        kinds=(sensitivity.kind,) * len(points),
         targets=("one", "two") * len(q),
-        groups=outlook.setup.groups * len(points),
+        groups=sensitivity.setup.groups * len(points),
         distances=np.linalg.norm(points, axis=1),
     )
     found, expected = forecast(ur3, cell, q), inspect(ur3, cell, table).observability
@@ -280,9 +288,9 @@ def test_the_rank_of_two_targets_is_that_of_inspect_with_a_table(ur3, name):
 
 
 def test_the_noise_of_orientations_is_told_where_it_was_assumed(ur3):
-    (note,) = Outlook.of(ur3, Cell(target=TARGET, kind="pose")).notes
+    (note,) = Sensitivity.of(ur3, Cell(target=TARGET, kind="pose")).notes
     assert note.startswith("The noise of an orientation was taken to be 1 mrad about each axis.")
-    assert Outlook.of(ur3, Cell(target=TARGET, kind="pose", sigma_angle=1e-4)).notes == ()
+    assert Sensitivity.of(ur3, Cell(target=TARGET, kind="pose", sigma_angle=1e-4)).notes == ()
 
 
 def test_targets_of_one_stop_share_the_robots_repeatability(ur3):
@@ -290,8 +298,8 @@ def test_targets_of_one_stop_share_the_robots_repeatability(ur3):
     tracker = Tracker(np.array([3.0, 0.0, 0.0]), noise=noise)
     cell = Cell(targets={"one": TARGET, "two": TARGET, "three": TARGET}, model="dh")
     q = random_joint_values(ur3, 4, seed=3)
-    shared = Outlook.of(ur3, replace(cell, tracker=tracker)).sensitivity.measured(q)
-    alone = Outlook.of(ur3, replace(cell, sigma=noise.std(3.0))).sensitivity.measured(q)
+    shared = Sensitivity.of(ur3, replace(cell, tracker=tracker)).measured(q)
+    alone = Sensitivity.of(ur3, replace(cell, sigma=noise.std(3.0))).measured(q)
     # Three targets at one place say of the robot what one row does whose noise is that of their mean.
     robot = slice(0, 20)
     square = (10e-6**2 / 3.0 + 40e-6**2) / (noise.std(3.0) ** 2 / 3.0)
@@ -301,22 +309,22 @@ def test_targets_of_one_stop_share_the_robots_repeatability(ur3):
 def test_the_noise_of_a_distance_grows_from_the_anchor(ur3):
     cell = Cell(target=TARGET, model="dh", kind="distance", T_frame_base=FRAME)
     q = random_joint_values(ur3, 5, seed=3)
-    length = np.linalg.norm(Outlook.of(ur3, cell).expected(q)[:, 0], axis=1)
+    length = np.linalg.norm(Sensitivity.of(ur3, cell).expected(q)[:, 0], axis=1)
     tracker = Tracker(np.array([9.0, 0.0, 0.0]), noise=TrackerNoise(10e-6, 5e-6, 0.0))
-    assert Outlook.of(ur3, cell).sensitivity.noise(q) == pytest.approx(TrackerNoise().std(length))
-    told = Outlook.of(ur3, replace(cell, tracker=tracker)).sensitivity.noise(q)
+    assert Sensitivity.of(ur3, cell).noise(q) == pytest.approx(TrackerNoise().std(length))
+    told = Sensitivity.of(ur3, replace(cell, tracker=tracker)).noise(q)
     assert told == pytest.approx(10e-6 + 5e-6 * length)
 
 
 def test_auto_is_foreseen_as_the_largest_geometry(ur3):
-    outlook = Outlook.of(ur3, Cell())
-    assert outlook.sensitivity.model == "placement"
-    (note,) = outlook.notes
+    sensitivity = Sensitivity.of(ur3, Cell())
+    assert sensitivity.model == "placement"
+    (note,) = sensitivity.notes
     assert "50, 70, 30 mm" in note
-    np.testing.assert_allclose(outlook.setup.T_tip_target[0, :3, 3], [0.05, 0.07, 0.03])
+    np.testing.assert_allclose(sensitivity.setup.T_tip_target[0, :3, 3], [0.05, 0.07, 0.03])
     # Names of parameters that the geometry lacks are those of another candidate of auto.
-    Outlook.of(ur3, Cell(frozen=("a2",), parameter_priors={"a3": 1e-3}))
-    assert Outlook.of(ur3, Cell(target=TARGET)).notes == ()
+    Sensitivity.of(ur3, Cell(frozen=("a2",), parameter_priors={"a3": 1e-3}))
+    assert Sensitivity.of(ur3, Cell(target=TARGET)).notes == ()
 
 
 # Against calibrations
@@ -324,12 +332,12 @@ def test_auto_is_foreseen_as_the_largest_geometry(ur3):
 
 def simulated(robot, cell, q, rng) -> Measurements:
     """A table of a robot that is a little wrong, as linear as the forecast, measured with the cell's noise."""
-    outlook = Outlook.of(robot, cell)
-    model = outlook.kinematics.model
+    sensitivity = Sensitivity.of(robot, cell)
+    model = sensitivity.kinematics.model
     size = np.where(np.array(model.units) == "m", 3e-5, 1e-4)
     x = size * rng.normal(size=len(model))
-    T = predicted(cell, outlook.kinematics, x, q)[:, 0]
-    n, kind = len(q), outlook.kind
+    T = predicted(cell, sensitivity.kinematics, x, q)[:, 0]
+    n, kind = len(q), sensitivity.kind
     points = T[:, :3, 3] + SIGMA * rng.normal(size=(n, 3))
     columns = {}
     if kind == "distance":
@@ -365,8 +373,8 @@ def test_the_forecast_is_what_a_calibration_then_says_of_itself(ur3, name):
     std = np.sqrt(np.diag(found.covariance))
     np.testing.assert_allclose(f.parameter_std[sure], std[sure], rtol=0.15)
     where = random_joint_values(ur3, 300, 9)
-    outlook = Outlook.of(ur3, cell)
-    located = outlook.sensitivity.located(where)
+    sensitivity = Sensitivity.of(ur3, cell)
+    located = sensitivity.located(where)
     rms = np.sqrt(np.einsum("nij,jk,nik->", located, found.covariance, located) / len(where))
     assert f.rms == pytest.approx(rms, rel=0.15)
     assert f.sigma == pytest.approx(SIGMA)
@@ -377,8 +385,8 @@ def test_the_error_that_calibrations_leave_is_the_one_foreseen(ur3):
     cell = Cell(target=TARGET, model="hayati", sigma=SIGMA, priors=Priors(sizes="off"))
     q, where = random_joint_values(ur3, 20, 5), random_joint_values(ur3, 200, 9)
     f = forecast(ur3, cell, q)
-    outlook = Outlook.of(ur3, cell)
-    kinematics = outlook.kinematics
+    sensitivity = Sensitivity.of(ur3, cell)
+    kinematics = sensitivity.kinematics
     rng = np.random.default_rng(4)
     size = np.where(np.array(f.units) == "m", 3e-4, 1e-3)
     left = []

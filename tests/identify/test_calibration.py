@@ -560,7 +560,7 @@ def test_unseen_poses_of_a_known_truth_are_right(calibrated, name, bar):
     """200 poses over the joint limits, in the base, within what noise of 0.02 mm allows."""
     scene, c = calibrated(name)
     q = random_joint_values(scene.robot, 200, 71)
-    fitted = c.fitted if c.larger is None else c.larger.fitted
+    fitted = c.fit.larger or c.fit.geometry
     into_base = rigid_inverse(fitted.placed().T_frame_base[0])
     for t, target in enumerate(c.setup.targets):
         found = (into_base @ c.predict_poses(q, target=target))[:, :3, 3]
@@ -649,7 +649,7 @@ def test_parameters_by_exact_name_hold_under_auto(make_scene, tmp_path):
     for p in stored["parameters"]:
         assert p["at_bound"] == (p["name"] == "alpha1")
         assert (p["std"] is p["low"] is p["high"] is None) == p["at_bound"]
-    again = evaluate(held.nominal, m, known=read_result(tmp_path / "held.json").known)
+    again = evaluate(held.nominal, m, known=read_result(tmp_path / "held.json").setup)
     assert again.errors["all"].n == 70
     assert not free.parameter("alpha1").at_bound
     assert abs(held.parameter("d5").delta) < 1e-7
@@ -689,9 +689,7 @@ def test_families_that_are_named_make_the_larger_model(calibrated):
         scene.robot, c.measurements, cell=replace(c.cell, model="dh+gain"), validate=False
     )
     assert (named.model.name, named.larger.name, named.candidates) == ("dh", "dh+gain", ())
-    np.testing.assert_allclose(
-        named.larger.fitted.estimate.x, c.larger.fitted.estimate.x, atol=1e-6
-    )
+    np.testing.assert_allclose(named.larger.x, c.larger.x, atol=1e-6)
     gains = [p for p in named.larger.parameters if p.name.endswith(".gain")]
     truth = dict(zip(scene.kinematics.model.names, scene.x, strict=True))
     assert len(gains) == 6

@@ -151,7 +151,7 @@ def test_the_linear_one_agrees_with_the_refitted_one(case):
     """For every kind; sizes and noise are not found anew, and folds move them a little."""
     _, c = case
     # Where there is a larger model the geometry alone leaves outliers, which each fold judges anew.
-    fitted = c.fitted if c.larger is None else c.larger.fitted
+    fitted = c.fit.larger or c.fit.geometry
     refitted = c.cross_validation if c.larger is None else c.larger.cross_validation
     linear = linear_cross_validation(fitted)
     assert linear.method == refitted.method

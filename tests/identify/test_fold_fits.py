@@ -30,7 +30,7 @@ def fitted_to(scene: Any, table: Measurements, cell: Cell, model: str = "dh") ->
 
 def of_case(case: tuple[Any, Any]) -> Fitted:
     _, c = case
-    return c.fitted if c.larger is None else c.larger.fitted
+    return c.fit.larger or c.fit.geometry
 
 
 def rows_of_fit(fitted: Fitted) -> Rows:

@@ -13,7 +13,7 @@ import pytest
 from calib.identify.executors import WorkerDied
 from calib.identify.processes import ProcessExecutor
 
-from calib.design.sensitivity import forecast
+from calib.design.forecast import forecast
 from calib.errors import CalibError, FileError, ModelError, SolverError
 from calib.identify.calibration import calibrate
 from calib.identify.comparison import compare

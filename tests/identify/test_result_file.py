@@ -307,7 +307,8 @@ TYPES = {
 WHOLE = {
     "cross_validation", "verdict", "larger", "larger.payload", "larger.cross_validation", "noise.repeats",
     "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates", "model.ties",
-    "robot.held", "robustness", "outside",
+    "robot.held", "robustness", "outside", "outside[].index", "outside[].joints[].joint",
+    "outside[].joints[].prismatic", "outside[].joints[].by",
 }  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from calib.identify.calibration import Calibration, calibrate
 from calib.identify.robustness import compare
+from calib.identify.summary import summary
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
@@ -85,10 +86,10 @@ def test_its_sentence_says_which_way(robust, plain):
         f"Without these rows' weights lowered the prediction would move by {moved} mm at most; the error of the other "
         f"rows, left out of a linearised fit, would be {full:.3f} mm rms in place of {lowered:.3f} mm."
     )
-    assert found.sentence() in " ".join(robust.summary().split())
+    assert found.sentence() in " ".join(summary(robust).split())
     said = plain.robustness.sentence()
     assert said.startswith("With these rows' weights lowered the prediction would move by")
-    assert said in " ".join(plain.summary().split())
+    assert said in " ".join(summary(plain).split())
     assert float(said.split("would be ")[1].split()[0]) < float(
         said.split("place of ")[1].split()[0]
     )
@@ -99,7 +100,7 @@ def test_a_clean_table_is_not_compared(ur3, table):
     result = calibrate(ur3, clean, cell=CELL, validate=False)
     assert result.outliers == ()
     assert result.robustness is None
-    assert "weights lowered" not in result.summary()
+    assert "weights lowered" not in summary(result)
     assert compare(result.fitted).moved_max < 5e-5
 
 

@@ -96,8 +96,8 @@ def test_validation_rows_by_axis(text: str, default_result: Calibration):
         [*b, np.linalg.norm(b), *a, np.linalg.norm(a)] for b, a in zip(before, after, strict=True)
     ]
     np.testing.assert_allclose(shown, 1e3 * np.array(wanted), atol=5.001e-4)
-    many = replace(default_result.measurements, sets=("estimate",) * 20 + ("validate",) * 15)
-    assert "  row 31 [mm]" not in replace(default_result, measurements=many).summary()
+    many = replace(default_result.rows, sets=("estimate",) * 20 + ("validate",) * 15)
+    assert "  row 31 [mm]" not in replace(default_result, rows=many).summary()
 
 
 def test_where_the_base_stands_in_the_trackers_frame(ur3: Robot, table: Measurements):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,19 +11,15 @@ import pytest
 from calib import data
 from calib.design.region import Region
 from calib.design.region_file import RegionFile
-from calib.errors import CalibError, FileError, MeasurementError, ModelError
-from calib.measure.algebraic_circles import METHODS, algebraic_circle
-from calib.measure.axes import survey
+from calib.errors import CalibError, FileError, ModelError
 from calib.measure.cell import Cell
 from calib.measure.cell_parts import GroupDistance
 from calib.measure.disturbances import MovedTarget, Outliers
-from calib.measure.geometric_fits import fit_circle, fit_plane
 from calib.measure.quantities import parse_joint_value
 from calib.measure.ranges import joint_ranges
 from calib.measure.simulation import VirtualCell
 from calib.measure.truth import draw_truth
 from calib.measure.truth_file import read_truth, write_truth
-from calib.measure.virtual_sweeps import virtual_sweeps
 from calib.model.robot import Robot
 
 
@@ -168,97 +163,6 @@ def test_what_the_truth_has_not(ur3):
     truth = draw_truth(ur3, "zeros", seed=1)
     with refused(ModelError, "The truth has no target 'probe'; it has 'target'."):
         truth.poses(np.zeros((1, 6)), target="probe")
-
-
-ZIGZAG = np.array([[-3.0, -0.1, 0.0], [-1.0, 0.1, 0.0], [1.0, -0.1, 0.0], [3.0, 0.1, 0.0]])
-
-
-@pytest.mark.parametrize("method", sorted(METHODS))
-def test_points_on_a_line_have_no_circle(method):
-    with refused(
-        CalibError,
-        "the points lie on a line, through which there is no circle. Let the joint turn further, or "
-        "fix the target further from its axis",
-    ):
-        algebraic_circle(arc(np.zeros(4)) * np.arange(4.0)[:, None], method)
-
-
-@pytest.mark.parametrize("method", ["pratt", "taubin"])
-def test_points_on_both_sides_of_a_line_alike_have_no_circle(method):
-    with refused(
-        CalibError,
-        "no circle is nearer to the points than a straight line is: they lie on both sides of it "
-        "alike. Let the joint turn further, or fix the target further from its axis",
-    ):
-        algebraic_circle(ZIGZAG, method)
-
-
-def test_a_joint_that_hardly_turned():
-    rng = np.random.default_rng(1)
-    with refused(
-        CalibError,
-        "the arc is too short for its noise: no circle can be told from others. Let the joint turn "
-        "further, or fix the target further from its axis",
-    ):
-        fit_circle(arc(np.linspace(0.0, 1e-6, 9)) + 1e-9 * rng.normal(size=(9, 3)))
-
-
-TOO_SHORT = (
-    "the arc is too short for its noise: no circle can be told from others. Let the joint turn further, or fix the "
-    "target further from its axis"
-)
-
-
-def told(points: np.ndarray) -> str:
-    """What a fit says of points; "" where it finds a circle."""
-    try:
-        radius = fit_circle(points, robust=False).radius
-    except CalibError as error:
-        return str(error)
-    assert radius > 0.0
-    return ""
-
-
-def test_arcs_of_which_no_radius_can_be_told():
-    # As noisy as they are high: the fit runs away.
-    rng = np.random.default_rng(0)
-    noisy = [arc(rng.uniform(-0.5, 0.5, 9)) + 0.07 * rng.normal(size=(9, 3)) for _ in range(40)]
-    assert TOO_SHORT in {told(points) for points in noisy}
-    # Hardly any noise, and so short that the radius and the place of the centre are one number in double precision.
-    short = [
-        arc(rng.uniform(-2e-4, 2e-4, n)) + 1e-11 * rng.normal(size=(n, 3)) for n in range(5, 50)
-    ]
-    assert {told(points) for points in short} == {"", TOO_SHORT}
-
-
-def test_sweeps_of_parallel_axes(ur3):
-    sweeps = virtual_sweeps(ur3, np.eye(4), 0.0, arcs=np.full(3, 2.0), values=False)
-    plane, first, *_ = sweeps.sweeps
-    again = replace(sweeps, sweeps=(plane, first, replace(first, joint=1, name="joint 2")))
-    with refused(
-        MeasurementError,
-        "virtual sweeps, sweeps 'plane', 'shoulder_pan_joint', 'joint 2': the axes of joints 1 and 2 "
-        "are parallel within 0 deg, so that they do not say where y points. If the second sweep is "
-        "of joint 1 again, sweep joint 2; a robot whose first axes are parallel needs another joint "
-        "for it.",
-    ):
-        survey(again)
-
-
-def test_arcs_that_are_lines_and_planes_of_a_row():
-    points = np.outer(np.linspace(0.0, 0.1, 9), [1.0, 0.0, 0.0])
-    with refused(
-        CalibError,
-        "the points lie on a line (they spread over 32.3 mm along it and 0 mm across): no circle "
-        "lies through them. Let the joint turn further, or fix the target further from its axis",
-    ):
-        fit_circle(points)
-    with refused(
-        CalibError,
-        "the points lie on a line (they spread over 32.3 mm along it and 0 mm across): no plane lies "
-        "through them alone. Touch it at places that are well apart, not in a row",
-    ):
-        fit_plane(points)
 
 
 def test_a_cell_with_a_number_of_too_many_digits(tmp_path):

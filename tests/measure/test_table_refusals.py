@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from calib.base_frame.sweeps import read_sweeps
 from calib.errors import CalibError, MeasurementError
 from calib.measure.noise import parse_noise
 from calib.measure.quantities import parse_joint_value
-from calib.measure.sweeps import read_sweeps
 
 POSE = "a [deg],x [mm],y [mm],z [mm],qx,qy,qz,qw"
 

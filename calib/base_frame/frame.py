@@ -9,8 +9,8 @@ Where joint 1 was not at zero while joint 2 was swept, A is turned back about z.
 own base frame, in which the nominal axes 1 and 2 and the plane z = 0 are known:
 T_tracker_base = T_tracker_A T_base_A^-1.
 
-Uncertainty: the covariance of plane and circles through the derivatives of these equations, C = sum_k C_k. The noise
-is found from the residuals, each figure for itself, so that the frame is off by
+Uncertainty: the covariance of plane and circles through the derivatives of these equations (central differences),
+C = sum_k C_k. The noise is found from the residuals, each figure for itself, so that the frame is off by
 
     xi = sum_k C_k^1/2 t_k,     t_k: Student's t in 6 dimensions with the figure's dof_k
 
@@ -21,18 +21,18 @@ of xi are those of draws, the same every time. A plane of four points has one de
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv, ndtri
 
+from calib.base_frame.axes import Line
+from calib.base_frame.fits import Circle, Plane
 from calib.errors import CalibError
-from calib.measure.geometric_fits import Circle, Plane
 from calib.model.robot import read_only, rigid_inverse
 
 Array = NDArray[np.float64]
@@ -46,12 +46,8 @@ PARALLEL_RAD = float(np.radians(5.0))
 #: Draws of the frame's error, for a quantile to about 1 %, and their seed: the same every time.
 _DRAWS, _SEED = 10_000, 19350101
 
-
-class Line(NamedTuple):
-    """A point (3,) [m] and a unit vector (3,): an axis, or a plane and its normal."""
-
-    point: Array
-    direction: Array
+# Of the central differences that uncertainty is propagated with [m, rad]: all of it is smooth over centimetres.
+_STEP = 3e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,19 +167,61 @@ def base_frame(
         CalibError: Axis 1 runs along the plane, axes 1 and 2 are parallel, or it cannot be told on which side of the
             plane the circles are.
     """
-    lowered = mounting_plane(plane, first, plane_offset)
-    T = axes_frame(lowered, axis_line(first), axis_line(second))
-    covariances = (plane.covariance, first.covariance, second.covariance)
-    derivatives = _derivatives(T, plane, first, second)
     X = turned_about_z(-q1) @ rigid_inverse(np.eye(4) if T_base_axes is None else T_base_axes)
-    A = pin.SE3(X).toActionMatrixInverse()
-    parts = [A @ D @ C @ D.T @ A.T for D, C in zip(derivatives, covariances, strict=True)]
+    lowered = mounting_plane(plane, first, plane_offset)
+    lines = [Line(circle.center, circle.normal) for circle in (first, second)]
+    T = axes_frame(lowered, *lines) @ X
+
+    def moved(mounting: Line, axes: Sequence[Line]) -> Array:
+        """The frame's displacement with that of the figures, as a twist in its own axes."""
+        M = rigid_inverse(T) @ axes_frame(mounting, *axes) @ X
+        return np.concatenate([M[:3, 3], 0.5 * (M - M.T)[[2, 0, 1], [1, 2, 0]]])
+
+    parts = propagated(moved, plane, lowered, (first, second))
     return BaseFrame(
-        read_only(T @ X),
+        read_only(T),
         read_only(np.sum(parts, axis=0)),
         tuple(read_only(part) for part in parts),
         tuple(figure.scatter.dof for figure in (plane, first, second)),
     )
+
+
+def propagated(
+    result: Callable[[Line, Sequence[Line]], Array],
+    plane: Plane,
+    mounting: Line,
+    circles: Sequence[Circle],
+) -> list[Array]:
+    """What the uncertainty of the plane and of each circle contributes to the covariance of a result.
+
+    Args:
+        result: From the mounting plane and the axes to numbers, shape (k,).
+        plane: As measured.
+        mounting: The mounting plane, parallel to it.
+        circles: Whose centres and normals are the axes.
+    """
+    lines = [mounting, *(Line(circle.center, circle.normal) for circle in circles)]
+    # Columns of the figures' bases along which a point moves, then two towards which the direction tilts.
+    figures: list[tuple[Array, tuple[int, ...], Array]] = [(plane.basis, (2,), plane.covariance)]
+    figures += [(circle.basis, (0, 1, 2), circle.covariance[:5, :5]) for circle in circles]
+    parts = []
+    for i, (basis, along, covariance) in enumerate(figures):
+        columns = []
+        for k in range(len(covariance)):
+            both = []
+            for step in (_STEP, -_STEP):
+                point, direction = lines[i]
+                if k < len(along):
+                    point = point + step * basis[:, along[k]]
+                else:
+                    direction = direction + step * basis[:, k - len(along)]
+                    direction = direction / np.linalg.norm(direction)
+                one = [*lines[:i], Line(point, direction), *lines[i + 1 :]]
+                both.append(result(one[0], one[1:]))
+            columns.append((both[0] - both[1]) / (2.0 * _STEP))
+        D = np.column_stack(columns)
+        parts.append(D @ covariance @ D.T)
+    return parts
 
 
 def effective_dof(parts: Sequence[Array], dofs: Sequence[float]) -> float:
@@ -199,11 +237,6 @@ def effective_dof(parts: Sequence[Array], dofs: Sequence[float]) -> float:
         for part, dof in zip(parts, dofs, strict=True)
     )
     return np.inf if share == 0.0 else len(inverse) / share
-
-
-def axis_line(circle: Circle) -> Line:
-    """The axis of a circle."""
-    return Line(circle.center, circle.normal)
 
 
 def mounting_plane(plane: Plane, first: Circle, offset: float) -> Line:
@@ -240,7 +273,7 @@ def axes_frame(plane: Line, first: Line, second: Line) -> Array:
     across = float(np.linalg.norm(y))
     if across < np.sin(PARALLEL_RAD):
         message = (
-            f"the axes of joints 1 and 2 are parallel within {np.degrees(np.arcsin(across)):.3g} deg, so that they do "
+            f"the axes of joints 1 and 2 are parallel within {np.degrees(np.arcsin(across)):.2f} deg, so that they do "
             "not say where y points. If the second sweep is of joint 1 again, sweep joint 2; a robot whose first axes "
             "are parallel needs another joint for it"
         )
@@ -271,32 +304,3 @@ def turned_about_z(angle: float) -> Array:
     T = np.eye(4)
     T[:2, :2] = [[c, -s], [s, c]]
     return T
-
-
-def _derivatives(
-    T: Array, plane: Plane, first: Circle, second: Circle
-) -> tuple[Array, Array, Array]:
-    """What the figures' own displacements make of the frame A, as twists in its axes: (6, 3), (6, 6), (6, 6)."""
-    R, o = T[:3, :3], T[:3, 3]
-    x, z = R[:, 0], R[:, 2]
-    slope = float(plane.normal @ z)
-    swing = float(second.normal @ z)
-    across = np.sqrt(1.0 - swing**2)
-
-    of_plane, of_first, of_second = np.zeros((6, 3)), np.zeros((6, 6)), np.zeros((6, 6))
-    # The plane lifts the origin along axis 1 by what it rises there.
-    rise = np.array([1.0, *(-plane.basis[:, :2].T @ (o - plane.point))])
-    of_plane[:3] = np.outer(R.T @ z, rise) / slope
-    # Axis 1 takes the origin along, which stays in the plane, and turns z.
-    s = float((o - first.center) @ z)
-    shift = np.zeros((3, 6))
-    shift[:, :3] = first.basis
-    shift[:, 3:5] = s * first.basis[:, :2]
-    of_first[:3] = R.T @ (shift - np.outer(z, plane.normal @ shift) / slope)
-    tilt = np.zeros((3, 6))
-    tilt[:, 3:5] = first.basis[:, :2]
-    of_first[3:] = R.T @ np.cross(z, tilt.T).T
-    of_first[5] = swing / across * (x @ tilt)
-    # Axis 2 turns about z only.
-    of_second[5, 3:5] = -(x @ second.basis[:, :2]) / across
-    return of_plane, of_first, of_second

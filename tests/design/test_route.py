@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.design.candidates import turn_limits
-from calib.design.turns import turning, with_whole_turns
+from calib.design.route import detour, route, turning, with_whole_turns
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 
@@ -70,3 +70,66 @@ def test_joints_that_slide_or_are_followed_are_not_turned():
     assert turning(robot, wide).tolist() == [True, True, True, True, False]
     panda = Robot.load("panda", tip="panda_leftfinger")
     assert not turning(panda, np.tile([-10.0, 10.0], (8, 1)))[-1]
+
+
+# A pose in between
+
+#: A wall between x = -0.1 and 0.1 that ends at y = 1.
+WALL = 0.1, 1.0
+
+
+def free(a, b):
+    """Whether the straight line between two points of the plane misses the wall."""
+    for t in np.linspace(0.0, 1.0, 201):
+        x, y = a + t * (b - a)
+        if abs(x) < WALL[0] and y < WALL[1]:
+            return False
+    return True
+
+
+def test_the_shortest_way_round_a_wall():
+    axis = np.linspace(-3.0, 3.0, 25)
+    grid = np.array([(x, y) for x in axis for y in axis if not (abs(x) < WALL[0] and y < WALL[1])])
+    start, end = np.array([-1.0, 0.0]), np.array([1.0, 0.0])
+    assert not free(start, end)
+    found = detour(start, end, grid, free)
+    assert free(start, found)
+    assert free(found, end)
+    lengths = [
+        max(abs(p - start)) + max(abs(p - end)) for p in grid if free(start, p) and free(p, end)
+    ]
+    assert max(abs(found - start)) + max(abs(found - end)) == pytest.approx(min(lengths))
+    with pytest.raises(ValueError, match="read-only"):
+        found[0] = 0.0
+
+
+def test_no_way_round_is_none():
+    below = np.array([(x, -1.0) for x in np.linspace(-3.0, 3.0, 30)])
+    assert detour(np.array([-1.0, 0.0]), np.array([1.0, 0.0]), below, free) is None
+    assert detour(np.array([-1.0, 0.0]), np.array([1.0, 0.0]), below[:0], free) is None
+
+
+# All together
+
+
+def test_a_route_turns_goes_round_or_says_what_is_blocked():
+    ur3 = Robot.load("urdf/ur3.urdf", base="base", tip="tool0")
+    limits = turn_limits(ur3, {}, np.radians(5.0))
+    q = np.zeros((5, 6))
+    q[:, 1] = np.radians([-120.0, -80.0, -10.0, 150.0, 170.0])
+
+    def free(a, b):
+        return floor(a[1:], b[1:])
+
+    way = route(ur3, q, limits, free_path=free)
+    assert way.blocked == ()
+    assert sorted(np.degrees(way.joints[:, 1])) == pytest.approx([-210, -190, -120, -80, -10])
+    narrow = np.array(limits)
+    narrow[1] = -np.pi, np.pi
+    way = route(ur3, q, narrow, start=q[0], free_path=free, stops=lambda: q[:0])
+    (one,) = way.blocked
+    assert (one.start, one.end, one.by) == (3, 4, None)
+    # Without anything in the way there is only the order.
+    way = route(ur3, q, narrow)
+    assert (way.blocked, sorted(way.indices)) == ((), [0, 1, 2, 3, 4])
+    assert way.length == pytest.approx(np.radians(290.0))

@@ -7,18 +7,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.errors import MeasurementError
-from calib.measure.axes import Survey, survey
-from calib.measure.carrying import (
+from calib.base_frame.files import (
     carried,
     cell_text,
     survey_table,
-    tracker_covariance,
     tracker_place,
 )
+from calib.base_frame.survey import Survey, survey
+from calib.errors import MeasurementError
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.measure.virtual_sweeps import virtual_sweeps
+from tests.base_frame.virtual_sweeps import virtual_sweeps
 
 T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
 
@@ -103,7 +102,7 @@ def test_the_table_has_everything(found):
 
 
 def test_an_axis_has_covariances_along_the_tracker_s_axes(found):
-    circle = found.joints[0].circle
-    center, normal = tracker_covariance(circle)
-    assert np.trace(center) == pytest.approx(np.trace(circle.covariance[:3, :3]))
-    assert circle.normal @ normal @ circle.normal == pytest.approx(0.0, abs=1e-20)
+    circle, axis = found.joints[0].circle, survey_table(found)["joints"][0]["tracker"]
+    assert np.trace(axis["point_covariance"]) == pytest.approx(np.trace(circle.covariance[:3, :3]))
+    tilt = circle.normal @ axis["direction_covariance"] @ circle.normal
+    assert tilt == pytest.approx(0.0, abs=1e-20)

@@ -22,6 +22,7 @@ from calib.measure.columns import (
     POINT,
     Column,
     check_cells,
+    close_names,
     list_columns,
     name_columns,
     place,
@@ -30,13 +31,17 @@ from calib.measure.columns import (
 )
 from calib.measure.layout import Layout
 from calib.measure.points_file import PARTS, Points, match_points, read_points
-from calib.measure.sweep_words import PLANE_NUMBER, SweepWords
 from calib.measure.table import Row, Table
 from calib.measure.wrong_units import WrongUnits
 from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
 
+#: What the sweep is called that is none.
+PLANE = "plane"
+
+_PLANE_NUMBER = -1
+_NUMBERED = re.compile(r"(?:joint|axis|sweep|j|a)?[ _\-.]*0*([1-9][0-9]?)", re.IGNORECASE)
 _POINT_NAME = re.compile(r"(.*?)[ _\-.:]*[0-9]+")
 
 
@@ -133,6 +138,53 @@ def read_sweeps(
     return _from_points(listed, tuple(joint_names or ()), words or {})
 
 
+@dataclass(frozen=True, slots=True)
+class _Names:
+    """What sweeps may be called in one file: by the joints' names or numbers, or by the user's own words."""
+
+    joint_names: tuple[str, ...]
+    words: Mapping[str, str]
+
+    def __post_init__(self) -> None:
+        """Refuse words of the user's that stand for no sweep."""
+        for word, wanted in self.words.items():
+            if self._meant(wanted) is None:
+                raise MeasurementError(self.refusal(f"--sweep maps '{word}'", wanted))
+
+    def number(self, word: str) -> int | None:
+        """The joint that a word names, from 0; -1 for the plane; None for any other word."""
+        return self._meant(self.words.get(word, word))
+
+    def _meant(self, word: str) -> int | None:
+        """The same of a word that is no user's own."""
+        plain = word.strip()
+        if plain.casefold() == PLANE:
+            return _PLANE_NUMBER
+        if plain in self.joint_names:
+            return self.joint_names.index(plain)
+        match = _NUMBERED.fullmatch(plain)
+        if match is None or (self.joint_names and int(match[1]) > len(self.joint_names)):
+            return None
+        return int(match[1]) - 1
+
+    def refusal(self, where: str, word: str) -> str:
+        """What to say of a word that names no sweep."""
+        close = close_names(word, [PLANE, *self.joint_names])
+        hint = f" Close to it: {choices(close)}." if close else ""
+        count = len(self.joint_names)
+        joints = f"a joint's name ({choices(self.joint_names)}), or " if count else ""
+        last = f" to 'joint {count}'" if count > 1 else ""
+        names = (
+            ""
+            if count
+            else " Joints go by their names where --robot or columns of joint values tell them."
+        )
+        return (
+            f"{where}: '{word}' is not a sweep; allowed are '{PLANE}', {joints}a joint's number, 'joint 1'{last}."
+            f'{hint}{names} Correct it, or map it: --sweep "{word}=joint 1".'
+        )
+
+
 def _from_points(points: Points, joint_names: tuple[str, ...], words: Mapping[str, str]) -> Sweeps:
     """The sweeps of a list of points by their names."""
     if not points.names:
@@ -141,24 +193,20 @@ def _from_points(points: Points, joint_names: tuple[str, ...], words: Mapping[st
             "'joint1_01' and so on, or give a table with a column 'sweep'."
         )
         raise MeasurementError(message)
-    named = SweepWords(points.source, joint_names, words)
+    names = _Names(joint_names, words)
     found = []
     for name, line in zip(points.names, points.lines, strict=True):
         parts = [part.strip() for part in name.split(PARTS)]
         match = _POINT_NAME.fullmatch(parts[-1])
         # The point's own name without its number; else the group that it stands in.
         candidates = [*([match[1]] if match else []), *parts[-2:-1]]
-        word = next((word for word in candidates if named.number(word) is not None), None)
+        word = next((word for word in candidates if names.number(word) is not None), None)
         if word is None:
             where = f"{points.source}, line {line}: the point '{name}'"
-            raise MeasurementError(named.refusal(where, candidates[0] if candidates else name))
+            raise MeasurementError(names.refusal(where, candidates[0] if candidates else name))
         found.append(word)
-    return Sweeps(
-        _split(named, found, points.points, None, None, points.lines, points.source, "line"),
-        joint_names,
-        points.source,
-        points.sha256,
-    )
+    sweeps = _split(names, found, points.points, None, None, points.lines, points.source, "line")
+    return Sweeps(sweeps, joint_names, points.source, points.sha256)
 
 
 def _from_table(
@@ -170,7 +218,6 @@ def _from_table(
 ) -> Sweeps:
     """The sweeps of a table, whose points may stand in a list of their own."""
     named, _ = name_columns(table, joint_names or (), columns)
-    joints = _joint_columns(table, named, joint_names)
     sweep = next((column for name, column in named.items() if name.casefold() == "sweep"), None)
     if sweep is None:
         message = (
@@ -178,59 +225,42 @@ def _from_table(
             f'turned. {list_columns(table)} Another name is mapped by --columns "name in the table=sweep".'
         )
         raise MeasurementError(message)
+    joints = _joint_columns(table, named, joint_names)
     xyz = () if points is not None else _point_columns(table, named)
     sigma = (with_unit(table, named["sigma"], "length"),) if "sigma" in named else ()
-    names = tuple(joint_names) if joint_names is not None else tuple(c.name for c in joints)
-    spelled = SweepWords(table.source, names, words)
-    numbers = (*xyz, *sigma, *joints)
+    none = dict.fromkeys(("orientation", "distance", "sigma_angle"), ())
+    blocks = {"joints": joints, "points": xyz, "sigma": sigma, **none}
+    layout = Layout({}, (), blocks, ("point",), ())
+    joint_names = tuple(joint_names) if joint_names is not None else layout.joint_names
+    names, numbers = _Names(joint_names, words), named.get("row")
     grid, found, rows, labels, lines = [], [], [], [], []
     for row in table.rows():
-        check_cells(table, row, named.get("row"))
+        check_cells(table, row, numbers)
         word = row.cells[sweep.index]
-        if spelled.number(word) is None:
-            raise MeasurementError(
-                spelled.refusal(place(table, row, named.get("row"), sweep), word)
-            )
-        free = len(joints) if spelled.number(word) == PLANE_NUMBER else 0
-        grid.append(_numbers(table, row, numbers, named.get("row"), free))
+        number = names.number(word)
+        if number is None:
+            raise MeasurementError(names.refusal(place(table, row, numbers, sweep), word))
+        free = joints if number == _PLANE_NUMBER else ()
+        grid.append([_number(table, row, c, numbers, free=c in free) for c in layout.numbers])
         found.append(word)
         lines.append(row.line)
-        rows.append(_row_number(row, named.get("row")))
+        rows.append(_row_number(row, numbers))
         labels.append(row.cells[named["point"].index] if "point" in named else "")
     if not grid:
         message = f"{table.source}: the table has a header and no rows below it"
         raise MeasurementError(message)
     values = np.array(grid, dtype=np.float64).reshape(len(grid), -1)
-    blocks = {
-        "joints": joints,
-        "orientation": (),
-        "points": xyz,
-        "distance": (),
-        "sigma": sigma,
-        "sigma_angle": (),
-    }
-    order = [*range(len(numbers) - len(joints), len(numbers)), *range(len(numbers) - len(joints))]
-    layout = Layout({}, (), blocks, ("point",), ())
-    WrongUnits(table.source, layout, values[:, order], tuple(lines), tuple(rows)).check()
-    values = values * np.array([column.to_si for column in numbers])
-    if points is not None:
+    WrongUnits(table.source, layout, values, tuple(lines), tuple(rows)).check()
+    values = values * np.array([column.to_si for column in layout.numbers])
+    if points is None:
+        where, sha256 = values[:, layout.span("points")], table.sha256
+    else:
         where = match_points(points, table.source, rows, labels if "point" in named else None)
-        values = np.hstack([where, values])
-    return Sweeps(
-        _split(
-            spelled,
-            found,
-            values[:, :3],
-            values[:, 3] if sigma else None,
-            values[:, -len(joints) :] if joints else None,
-            tuple(rows),
-            table.source,
-            "row",
-        ),
-        names,
-        table.source,
-        table.sha256 if points is None else f"{table.sha256} + {points.sha256}",
-    )
+        sha256 = f"{table.sha256} + {points.sha256}"
+    noise = values[:, layout.span("sigma")[0]] if sigma else None
+    turned = values[:, layout.span("joints")] if joints else None
+    sweeps = _split(names, found, where, noise, turned, rows, table.source, "row")
+    return Sweeps(sweeps, joint_names, table.source, sha256)
 
 
 def _joint_columns(
@@ -250,8 +280,7 @@ def _joint_columns(
             'the values of all joints of the chain, or of none (--columns "name=-" leaves a column out).'
         )
         raise MeasurementError(message)
-    what = "revolute joint"
-    return tuple(with_unit(table, named[n], "angle", f"{what} '{n}'") for n in there)
+    return tuple(with_unit(table, named[n], "angle", f"revolute joint '{n}'") for n in there)
 
 
 def _point_columns(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...]:
@@ -273,32 +302,24 @@ def _row_number(row: Row, numbers: Column | None) -> int:
     return int(text) if text.isdecimal() and len(text) < 19 else row.ordinal
 
 
-def _numbers(
-    table: Table, row: Row, columns: Sequence[Column], numbers: Column | None, free: int
-) -> list[float]:
-    """The numbers of a row; NaN in those of the last ``free`` columns that are empty."""
-    result = []
-    for k, column in enumerate(columns):
-        text = row.cells[column.index]
-        if text == "" and k >= len(columns) - free:
-            result.append(math.nan)
-            continue
-        try:
-            value = float(text.replace(",", ".") if table.separator == ";" else text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value) or "_" in text:
-            said = "the cell is empty" if text == "" else f"'{text}' is not a finite number"
-            message = (
-                f"{place(table, row, numbers, column)}: {said}. Correct it, or remove the row."
-            )
-            raise MeasurementError(message)
-        result.append(value)
-    return result
+def _number(table: Table, row: Row, column: Column, numbers: Column | None, *, free: bool) -> float:
+    """The number in a cell; NaN for an empty one that need not be filled in."""
+    text = row.cells[column.index]
+    if text == "" and free:
+        return math.nan
+    try:
+        value = float(text.replace(",", ".") if table.separator == ";" else text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or "_" in text:
+        said = "the cell is empty" if text == "" else f"'{text}' is not a finite number"
+        message = f"{place(table, row, numbers, column)}: {said}. Correct it, or remove the row."
+        raise MeasurementError(message)
+    return value
 
 
 def _split(
-    named: SweepWords,
+    names: _Names,
     found: Sequence[str],
     points: Array,
     sigma: Array | None,
@@ -308,22 +329,15 @@ def _split(
     counted: str,
 ) -> tuple[Sweep, ...]:
     """The rows by their sweeps, the plane first."""
-    numbers = [named.number(word) for word in found]
-    result = []
+    numbers = [names.number(word) for word in found]
+    sweeps = []
     for number in sorted({n for n in numbers if n is not None}):
         at = [i for i, n in enumerate(numbers) if n == number]
-        joint = None if number == PLANE_NUMBER else number
-        values = None if joints is None or joint is None else joints[at]
-        result.append(
-            Sweep(
-                joint,
-                found[at[0]],
-                read_only(points[at]),
-                None if sigma is None else read_only(sigma[at]),
-                None if values is None else read_only(values),
-                tuple(rows[i] for i in at),
-                source,
-                counted,
-            )
+        joint = None if number == _PLANE_NUMBER else number
+        values = None if joints is None or joint is None else read_only(joints[at])
+        noise = None if sigma is None else read_only(sigma[at])
+        own = tuple(rows[i] for i in at)
+        sweeps.append(
+            Sweep(joint, found[at[0]], read_only(points[at]), noise, values, own, source, counted)
         )
-    return tuple(result)
+    return tuple(sweeps)

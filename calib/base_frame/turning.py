@@ -16,18 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtrit
 
-from calib.errors import MeasurementError, choices
-from calib.measure.geometric_fits import Circle
-from calib.measure.scatter import LEVEL
-from calib.measure.sweeps import Sweep
+from calib.base_frame.fits import Circle
+from calib.base_frame.scatter import LEVEL
+from calib.base_frame.sweeps import Sweep
+from calib.errors import MeasurementError
 
 Array = NDArray[np.float64]
-
-#: Beside the joint that turns, no other may by more than this [rad].
-STILL_RAD = float(np.radians(0.1))
-
-#: A joint that turns by less than this was not swept [rad].
-TURNED_RAD = float(np.radians(1.0))
 
 #: Joint values and points may disagree by this much, rms, before they are of different sweeps [rad].
 _DISAGREE_RAD = float(np.radians(3.0))
@@ -60,41 +54,6 @@ class Turning:
     eccentricity_std: float
     gain_found: bool
     eccentricity_found: bool
-
-
-def check_joint(sweep: Sweep, joint_names: tuple[str, ...]) -> None:
-    """Refuse a sweep in which the joint columns show another joint turning.
-
-    Raises:
-        MeasurementError: The joint does not turn, or another one does.
-    """
-    if sweep.joints is None or sweep.joint is None:
-        return
-    if sweep.joint >= sweep.joints.shape[1]:
-        message = (
-            f"{sweep.where}: the table has columns for {sweep.joints.shape[1]} joints only, {choices(joint_names)}. "
-            "Give a column for each joint of the chain, in their order, or none."
-        )
-        raise MeasurementError(message)
-    ranges = np.ptp(sweep.joints, axis=0)
-    own, others = float(ranges[sweep.joint]), np.delete(ranges, sweep.joint)
-    name = joint_names[sweep.joint]
-    if own < TURNED_RAD:
-        message = f"{sweep.where}: by its column the joint '{name}' turns by {np.degrees(own):.3g} deg only"
-        if others.size and others.max() > max(own, STILL_RAD):
-            other = joint_names[int(np.argmax(ranges))]
-            message += f", and '{other}' by {np.degrees(others.max()):.4g} deg. Name the joint that turns as its sweep."
-        else:
-            message += ". A sweep turns one joint, as far as it can."
-        raise MeasurementError(message)
-    if others.size and others.max() > STILL_RAD:
-        ranges[sweep.joint] = 0.0
-        other = joint_names[int(np.argmax(ranges))]
-        message = (
-            f"{sweep.where}: beside '{name}' the joint '{other}' moves by {np.degrees(ranges.max()):.3g} deg. In a "
-            "sweep one joint turns and all others stand still; name the joint that turns, or measure it again."
-        )
-        raise MeasurementError(message)
 
 
 def positive(sweep: Sweep, circle: Circle) -> Circle:

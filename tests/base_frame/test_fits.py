@@ -6,15 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from calib.errors import CalibError
-from calib.measure.algebraic_circles import Ring, algebraic_circle
-from calib.measure.geometric_fits import (
+from calib.base_frame.fits import (
     Circle,
+    Ring,
     circle_basis,
     circle_residuals,
     fit_circle,
     fit_plane,
+    taubin_circle,
 )
+from calib.errors import CalibError
 
 CENTER = np.array([1.0, -2.0, 0.5])
 SIGMA = 33e-6
@@ -118,6 +119,7 @@ def test_it_is_the_minimum_that_scipy_finds(degrees: float):
     assert circle.radius == pytest.approx(best.x[6], abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [30.0, 60.0, 270.0])
 def test_the_covariance_is_the_scatter_of_many_fits(degrees: float):
     rng = np.random.default_rng(2)
@@ -137,6 +139,7 @@ def test_the_covariance_is_the_scatter_of_many_fits(degrees: float):
     assert np.linalg.eigvalsh(whitened) == pytest.approx(np.ones(6), abs=0.35)
 
 
+@pytest.mark.slow
 def test_a_plane_s_covariance_is_the_scatter_of_many_fits():
     rng = np.random.default_rng(4)
     exact = disc()
@@ -150,10 +153,6 @@ def test_a_plane_s_covariance_is_the_scatter_of_many_fits():
     covariance = np.array(errors).T @ np.array(errors) / 400
     L = np.linalg.inv(np.linalg.cholesky(plane.covariance))
     assert np.linalg.eigvalsh(L @ covariance @ L.T) == pytest.approx(np.ones(3), abs=0.3)
-    turned = plane.turned()
-    assert turned.normal == pytest.approx(-plane.normal)
-    assert turned.turned().covariance == pytest.approx(plane.covariance)
-    assert np.linalg.det(turned.basis) == pytest.approx(1.0)
 
 
 def test_noise_is_found_from_the_residuals_or_taken_as_given():
@@ -180,20 +179,49 @@ def test_weights_are_those_of_the_given_noise():
     assert np.sqrt(weighted.covariance[0, 0]) < 3e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [SIGMA, 3e-4])
-def test_on_a_short_arc_the_bias_is_below_a_tenth_of_kasas(sigma: float):
+def test_on_a_short_arc_the_center_has_no_bias_to_speak_of(sigma: float):
     rng = np.random.default_rng(8)
     exact = arc(30.0)
-    geometric, kasa = [], []
+    centers = []
     for _ in range(150):
         e = sigma * rng.normal(size=exact.shape)
-        for points in (exact + e, exact - e):  # the first order cancels
-            geometric.append(fit_circle(points, robust=False).center @ B[:, 0])
-            kasa.append(algebraic_circle(points, "kasa").center @ B[:, 0])
-    bias = np.mean(geometric) - CENTER @ B[:, 0]
-    of_kasa = np.mean(kasa) - CENTER @ B[:, 0]
-    assert of_kasa > 2e-5 * (sigma / SIGMA) ** 2
-    assert abs(bias) < 0.1 * of_kasa
+        both = (exact + e, exact - e)  # the first order cancels
+        centers += [fit_circle(points, robust=False).center @ B[:, 0] for points in both]
+    # A tenth of the bias of the least squares of A = 1 (I. Kasa, 1976), 29 um at 33 um of noise.
+    assert abs(np.mean(centers) - CENTER @ B[:, 0]) < 2.9e-6 * (sigma / SIGMA) ** 2
+
+
+def test_it_begins_at_taubin_s_circle():
+    ring = taubin_circle(arc(40.0), np.linspace(1.0, 2.0, 40))
+    assert ring.center == pytest.approx(CENTER, abs=1e-9)
+    assert ring.radius == pytest.approx(0.3, abs=1e-9)
+    assert abs(ring.normal @ B[:, 2]) == pytest.approx(1.0)
+
+
+def test_arcs_of_which_no_radius_can_be_told():
+    def told(points: np.ndarray) -> str:
+        try:
+            assert fit_circle(points, robust=False).radius > 0.0
+        except CalibError as error:
+            return str(error)[:40]
+        return ""
+
+    too_short = "the arc is too short for its noise: no c"
+    # As noisy as they are high: the fit runs away.
+    rng = np.random.default_rng(0)
+
+    def around(t: np.ndarray) -> np.ndarray:
+        return 0.3 * np.column_stack([np.cos(t), np.sin(t), 0.0 * t])
+
+    noisy = [around(rng.uniform(-0.5, 0.5, 9)) + 0.07 * rng.normal(size=(9, 3)) for _ in range(40)]
+    assert too_short in {told(points) for points in noisy}
+    # Hardly any noise, and so short that the radius and the place of the centre are one number in double precision.
+    short = [
+        around(rng.uniform(-2e-4, 2e-4, n)) + 1e-11 * rng.normal(size=(n, 3)) for n in range(5, 50)
+    ]
+    assert {told(points) for points in short} <= {"", too_short}
 
 
 @pytest.mark.parametrize("degrees", [30.0, 270.0])
@@ -213,6 +241,7 @@ def test_one_gross_point_is_left_out(degrees: float):
     assert np.flatnonzero(~fit_plane(touched).used).tolist() == [3]
 
 
+@pytest.mark.slow
 def test_without_gross_points_it_is_plain_least_squares():
     rng = np.random.default_rng(10)
     left_out = sum(

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.base_frame.checks import check_joint
+from calib.base_frame.fits import fit_circle
+from calib.base_frame.sweeps import Sweep
+from calib.base_frame.turning import positive, turning
 from calib.errors import MeasurementError
-from calib.measure.geometric_fits import fit_circle
-from calib.measure.sweeps import Sweep
-from calib.measure.turning import check_joint, positive, turning
 
 NAMES = ("a", "b")
 SIGMA = 33e-6
@@ -126,6 +127,7 @@ def test_a_once_per_turn_error():
     assert not found.eccentricity_found
 
 
+@pytest.mark.slow
 def test_a_once_per_turn_error_of_0_2_mrad_is_found_as_often_as_its_level_says():
     # As two of the gain's t tests it had the level 5e-6 in place of 5e-4, and found 28 % of these.
     q = np.radians(np.linspace(-135.0, 135.0, 40))

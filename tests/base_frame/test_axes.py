@@ -4,13 +4,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib.base_frame.axes import Line, axis_rows, between, nominal_axes
 from calib.errors import UrdfError
-from calib.measure.axis_geometry import NUMBERS, axis_rows, nominal_axes
 from calib.model.robot import Robot
 
 
 def rows_of(nominal) -> np.ndarray:
-    return np.array([[getattr(row, n) for n in NUMBERS] for row in nominal.rows[:-1]])
+    return np.asarray(nominal.rows[:-1])
 
 
 def disturbed(robot: Robot, seed: int, size: float = 3e-3) -> Robot:
@@ -55,3 +55,21 @@ def test_chains_that_cannot_be_swept():
     hand = Robot.load("ur3", base="tool0", tip="base")
     with pytest.raises(UrdfError, match="joints move the base 'tool0' itself"):
         nominal_axes(hand)
+
+
+X, Y, Z = np.eye(3)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "angle", "distance"),
+    [
+        (Line(0 * X, Z), Line(0.3 * X + 7 * Z, Z), 0.0, 0.3),
+        (Line(0 * X, Z), Line(0.3 * X + 7 * Z, -Z), 180.0, 0.3),
+        (Line(0 * X, Z), Line(0.2 * Y + 0.1 * X, X), 90.0, 0.2),
+        (Line(0 * X, Z), Line(5 * Z, X), 90.0, 0.0),
+    ],
+)
+def test_between(first: Line, second: Line, angle: float, distance: float):
+    found = between(first, second)
+    assert np.degrees(found[0]) == pytest.approx(angle)
+    assert found[1] == pytest.approx(distance)

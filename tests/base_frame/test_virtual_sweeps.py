@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from calib.base_frame.sweeps import read_sweeps
 from calib.errors import FileError
-from calib.measure.sweeps import read_sweeps
-from calib.measure.virtual_sweeps import virtual_sweeps, write_sweeps
+from tests.base_frame.virtual_sweeps import virtual_sweeps, write_sweeps
 
 ARCS = np.radians([270.0, 180.0, 90.0])
 

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.measure.axis_geometry import nominal_axes
-from calib.measure.sweep_words import PLANE
-from calib.measure.sweeps import Sweep, Sweeps
+from calib.base_frame.axes import nominal_axes
+from calib.base_frame.sweeps import PLANE, Sweep, Sweeps
 from calib.model.files import write_atomically
 from calib.model.robot import Robot, read_only, rigid_inverse
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.base_frame.sweeps import Sweeps, read_sweeps
 from calib.errors import MeasurementError
-from calib.measure.sweeps import Sweeps, read_sweeps
 
 PLAIN = """sweep,x [mm],y [mm],z [mm]
 plane,1,200,3
@@ -161,3 +161,41 @@ def test_no_file_and_no_names(tmp_path: Path):
         read_sweeps(points=written(tmp_path, "# Units: mm\n1.5 20 3\n", "t.txt"))
     with pytest.raises(MeasurementError, match="does not exist"):
         read_sweeps(tmp_path / "no.csv")
+
+
+NAMES = ("shoulder_pan_joint", "shoulder_lift_joint")
+
+
+@pytest.mark.parametrize(
+    ("word", "joint"),
+    [
+        (" Plane ", None),
+        ("flange", None),
+        ("shoulder_lift_joint", 1),
+        ("Joint2", 1),
+        ("joint_02", 1),
+        ("axis 1", 0),
+        ("J2", 1),
+        ("2", 1),
+        ("ring_a", 0),
+    ],
+)
+def test_what_sweeps_may_be_called(tmp_path: Path, word: str, joint: int | None):
+    text = f"sweep,x [mm],y [mm],z [mm]\n{word},1,200,3\n"
+    words = {"ring_a": "joint 1", "flange": "plane"}
+    (sweep,) = read(tmp_path, text, joint_names=NAMES, words=words).sweeps
+    assert sweep.joint == joint
+
+
+@pytest.mark.parametrize("word", ["3", "0", "elbow_joint", ""])
+def test_and_what_not(tmp_path: Path, word: str):
+    text = f"sweep,x [mm],y [mm],z [mm]\n{word},1,200,3\n"
+    with pytest.raises(
+        MeasurementError, match="is not a sweep; allowed are 'plane', a joint's name"
+    ):
+        read(tmp_path, text, joint_names=NAMES)
+
+
+def test_a_word_that_is_mapped_to_no_sweep(tmp_path: Path):
+    with pytest.raises(MeasurementError, match=r"^--sweep maps 'a': 'joint 7' is not a sweep"):
+        read(tmp_path, PLAIN, joint_names=NAMES, words={"a": "joint 7"})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,11 +10,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib.base_frame.axes import NUMBERS
+from calib.base_frame.frame import BaseFrame
+from calib.base_frame.survey import JointAxis, Survey
 from calib.errors import MeasurementError, choices
-from calib.measure.axes import AxisRow, JointAxis, Survey
-from calib.measure.axis_geometry import NUMBERS
-from calib.measure.base_frame import BaseFrame
-from calib.measure.geometric_fits import Circle, Plane
 from calib.measure.measurements import Measurements
 
 Array = NDArray[np.float64]
@@ -98,7 +96,7 @@ def _listed(values: Array, digits: int | None = None) -> str:
 
 def survey_table(survey: Survey) -> dict[str, Any]:
     """All of it as nested tables of plain values and arrays, SI units, see docs/base-frame.md."""
-    frame = survey.frame
+    frame, plane = survey.frame, survey.plane
     return {
         "schema": SCHEMA,
         "frame": {
@@ -109,32 +107,34 @@ def survey_table(survey: Survey) -> dict[str, Any]:
             "std_m": frame.std[:3],
             "std_rad": frame.std[3:],
         },
-        "plane": _plane_table(survey.plane, survey.plane_sweep.name),
+        "plane": {
+            "sweep": survey.plane_sweep.name,
+            "points": int(plane.used.sum()),
+            "point_m": plane.point,
+            "normal": plane.normal,
+            "rms_m": _rms(plane.residuals[plane.used]),
+            "noise_m": plane.scatter.estimate,
+            "residuals_m": plane.residuals[:, 0],
+            "used": plane.used.tolist(),
+        },
         "joints": [_joint_table(joint) for joint in survey.joints],
-        "rows": [_row_table(row) for row in survey.rows],
+        "rows": [
+            {
+                "joint": row.joint,
+                "measured": _named(row.values),
+                "std": _named(row.std),
+                "nominal": None if row.nominal is None else _named(row.nominal),
+            }
+            for row in survey.rows
+        ],
         "rows_at_zero": survey.at_zero,
         "findings": list(survey.findings),
     }
 
 
-def _plane_table(plane: Plane, name: str) -> Mapping[str, Any]:
-    """The plane, in the tracker's frame."""
-    return {
-        "sweep": name,
-        "points": int(plane.used.sum()),
-        "point_m": plane.point,
-        "normal": plane.normal,
-        "rms_m": _rms(plane.residuals[plane.used]),
-        "noise_m": plane.scatter.estimate,
-        "residuals_m": plane.residuals[:, 0],
-        "used": plane.used.tolist(),
-    }
-
-
-def _joint_table(joint: JointAxis) -> Mapping[str, Any]:
+def _joint_table(joint: JointAxis) -> dict[str, Any]:
     """A joint's axis, and its circle."""
-    circle, turned = joint.circle, joint.turning
-    center, normal = tracker_covariance(circle)
+    circle, turned, B = joint.circle, joint.turning, joint.circle.basis
     return {
         "joint": joint.joint + 1,
         "name": joint.name,
@@ -145,8 +145,8 @@ def _joint_table(joint: JointAxis) -> Mapping[str, Any]:
         "tracker": {
             "point_m": circle.center,
             "direction": circle.normal,
-            "point_covariance": center,
-            "direction_covariance": normal,
+            "point_covariance": B @ circle.covariance[:3, :3] @ B.T,
+            "direction_covariance": B[:, :2] @ circle.covariance[3:5, 3:5] @ B[:, :2].T,
         },
         "base": {
             "point_m": joint.point,
@@ -173,28 +173,10 @@ def _joint_table(joint: JointAxis) -> Mapping[str, Any]:
     }
 
 
-def tracker_covariance(circle: Circle) -> tuple[Array, Array]:
-    """Covariances of a circle's centre [m] and normal along the tracker's axes, shape (3, 3) each."""
-    B = circle.basis
-    return (
-        np.asarray(B @ circle.covariance[:3, :3] @ B.T),
-        np.asarray(B[:, :2] @ circle.covariance[3:5, 3:5] @ B[:, :2].T),
-    )
-
-
-def _row_table(row: AxisRow) -> Mapping[str, Any]:
-    """A DH row, its standard deviations, and the URDF's."""
-
-    def named(values: Array) -> dict[str, float]:
-        units = ("m", "rad", "m", "rad", "rad")
-        return {f"{n}_{u}": float(v) for n, u, v in zip(NUMBERS, units, values, strict=True)}
-
-    return {
-        "joint": row.joint,
-        "measured": named(row.values),
-        "std": named(row.std),
-        "nominal": None if row.nominal is None else named(row.nominal),
-    }
+def _named(values: Array) -> dict[str, float]:
+    """The numbers of a DH row by their names and units."""
+    units = ("m", "rad", "m", "rad", "rad")
+    return {f"{n}_{u}": float(v) for n, u, v in zip(NUMBERS, units, values, strict=True)}
 
 
 def _rms(values: Array) -> float:
