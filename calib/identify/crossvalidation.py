@@ -24,7 +24,7 @@ from calib.identify.linear import Linear
 from calib.identify.registration import register_poses
 from calib.identify.rows import Rows, evenly
 from calib.identify.setup import Setup
-from calib.identify.stage import FEWEST_FREEDOM, Holds
+from calib.identify.stage import FEWEST_FREEDOM
 from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
 from calib.identify.table_rows import joined_setups
 from calib.kinds import DIRECTIONS
@@ -150,10 +150,9 @@ class _Linearised:
         if not chosen:
             return None
         options = task_options(task, model, fitted.setup)
-        holds = Holds.of(model, options.priors, options.single, (), options.nominal)
         linear = problem.linear(estimate.x)
         tried = tuple(masks[k] for k in chosen)
-        found = fold_fits(problem, estimate.noise, linear, holds, tried, options)
+        found = fold_fits(problem, estimate.noise, linear, tried, options)
         good = (found.freedom > FEWEST_FREEDOM) & np.all(np.isfinite(found.x), axis=1)
         if options.bounds is not None:
             low, high = options.bounds.T

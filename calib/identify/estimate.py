@@ -8,12 +8,13 @@ that name the outliers, each followed by a new solve from where the last one sto
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.linear import Linear
+from calib.identify.options import Options
 from calib.identify.problem import Problem
 from calib.identify.repeats import repeats
 from calib.identify.robust import Limits
@@ -55,29 +56,6 @@ _TELLING = 1e-6
 
 #: Limit of the rounds in which weights, and then sizes, settle.
 ROUNDS = 12
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Options:
-    """What an estimation is to do.
-
-    Attributes:
-        priors: How large errors are expected to be, by family.
-        robust: Whether rows may lose their weight; outliers are named either way.
-        single: Standard deviations of single parameters, by name.
-        bounds: shape (p, 2), lowest and highest value of each parameter; None without.
-        nominal: shape (p,), where single priors have their means; None: at 0.
-        repeats: What repeats of a pose count for: ``"weighted"``, ``"average"`` or ``"independent"``.
-        weights: shape (N,), weights that stay, repeats shared out, of an estimation before; None to find them.
-    """
-
-    priors: Priors = field(default_factory=Priors)
-    robust: bool = True
-    single: Mapping[str, float] = field(default_factory=dict)
-    bounds: Array | None = None
-    nominal: Array | None = None
-    repeats: str = "weighted"
-    weights: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +106,7 @@ def estimate(problem: Problem, solve: Solve, options: Options) -> Estimate:
     """
     fixed: dict[int, float] = {}
     released: set[int] = set()
-    result = _estimate(problem, solve, options, ())
+    result = _estimate(problem, solve, options, fixed)
     if options.bounds is None:
         return result
     # Active set: what would leave its bounds stays there and the others are estimated again; what then is no longer
@@ -143,7 +121,7 @@ def estimate(problem: Problem, solve: Solve, options: Options) -> Estimate:
         fixed |= {int(k): float(np.clip(result.x[k], low[k], high[k])) for k in beyond}
         released |= set(loose)
         fixed = {k: value for k, value in fixed.items() if k not in loose}
-        result = _estimate(problem, solve, options, tuple(sorted(fixed.items())))
+        result = _estimate(problem, solve, options, fixed)
     return result
 
 
@@ -152,7 +130,7 @@ def _pushed_inside(
 ) -> list[int]:
     """Parameters at a bound that measurements and priors would have inside of it."""
     assert options.bounds is not None
-    holds = Holds.of(problem.kinematics.model, options.priors, options.single, (), options.nominal)
+    holds = options.holds
     sizes = tuple(
         size if holds.off else result.sizes.get(name, size)
         for name, size in zip(holds.names, holds.start, strict=True)
@@ -171,12 +149,10 @@ def _pushed_inside(
 
 
 def _estimate(
-    problem: Problem, solve: Solve, options: Options, fixed: tuple[tuple[int, float], ...]
+    problem: Problem, solve: Solve, options: Options, fixed: Mapping[int, float]
 ) -> Estimate:
     """`estimate`, with some parameters fixed at a bound."""
-    holds = Holds.of(
-        problem.kinematics.model, options.priors, options.single, fixed, options.nominal
-    )
+    holds = options.holds.at_bounds(fixed)
     path = _Path(problem, solve, holds.centre.copy())
     first = Stage.first(holds, len(problem.rows), len(problem.smallest), options.weights)
     stage = staged(first, path.linear, problem.rows.poses, options)
@@ -278,7 +254,7 @@ def plain_estimate(problem: Problem, solution: Solution) -> Estimate:
     # Both figures for normal noise: see the docstring.
     left = max(float(data.count[0]) - (2.0 - _FOURTH_POWERS) * rank, 1.0)
     noise = float(np.sqrt(np.sum(np.square(linear.residual(solution.x))) / left))
-    holds = Holds.of(problem.kinematics.model, Priors("off"), {})
+    holds = Holds.of(problem.kinematics.model, Priors("off"))
     first = Stage.first(holds, len(problem.rows), len(problem.smallest))
     stage = replace(first, noise=(max(noise, linear.smallest[0]),))
     return _finish(problem, stage, solution, spread=_FOURTH_POWERS)

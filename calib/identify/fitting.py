@@ -12,19 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, ModelError, choices
-from calib.identify.estimate import Estimate, Options, Solve, estimate, plain_estimate
-from calib.identify.options import options_of
+from calib.identify.estimate import Estimate, Solve, estimate, plain_estimate
+from calib.identify.options import Options
 from calib.identify.problem import KnownDistance, Problem, parts_of
 from calib.identify.registration import register, register_poses, register_seen
 from calib.identify.robust import scores
 from calib.identify.rows import Rows, evenly
 from calib.identify.setup import Setup, along_own_axes, targets_along_tip
-from calib.identify.solvers import (
-    Solution,
-    levenberg_marquardt,
-    paper_levenberg_marquardt,
-    scipy_least_squares,
-)
+from calib.identify.solvers import SOLVERS, Solution, paper_levenberg_marquardt
 from calib.measure.cell import Cell
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
@@ -42,8 +37,8 @@ _GROSS_ROUNDS = 5
 #: Rows in which gross ones are looked for; more do not change where targets and frames are registered.
 ENOUGH = 20_000
 
-#: The solvers' names.
-SOLVERS = ("lm", "paper", "scipy")
+#: The paper's algorithm, which is no least-squares solver: it knows no weights and no priors.
+PAPER = "paper"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +51,7 @@ class Task:
         setup: Frames and targets as given.
         model: Name of the parameter set and families.
         distances: Known distances between set-ups.
-        solver: One of `SOLVERS`.
+        solver: A name of `calib.identify.solvers.SOLVERS`, or `PAPER`.
         robust: Whether outliers lose their weight.
         lenient: Whether the cell may name parameters that this model lacks, because it is one of several.
     """
@@ -140,8 +135,8 @@ def fit(
         MeasurementError: Too few rows.
         SolverError: The residual at the start is not finite.
     """
-    if task.solver not in SOLVERS:
-        message = f"There is no solver '{task.solver}'. Choose one of {choices(SOLVERS)}."
+    if task.solver not in (*SOLVERS, PAPER):
+        message = f"There is no solver '{task.solver}'. Choose one of {choices((*SOLVERS, PAPER))}."
         raise ModelError(message)
     model = model_of(task)
     _check_enough(model, task.cell, rows)
@@ -149,7 +144,7 @@ def fit(
     model = targets_along_tip(along_own_axes(model, started), started)
     kinematics = Kinematics(task.robot, model, started.T_frame_base, started.T_tip_target)
     problem = Problem.first(kinematics, rows, _between_seen(task.distances, rows))
-    if task.solver == "paper":
+    if task.solver == PAPER:
         estimated = plain_estimate(problem, _solve_as_the_paper(problem, started))
     else:
         options = replace(task_options(task, model, started), weights=weights)
@@ -167,7 +162,7 @@ def registered(task: Task, rows: Rows) -> Setup:
         MeasurementError: Too few rows.
     """
     # The paper's algorithm starts where it was told to, if it was told.
-    as_given = task.solver == "paper" and bool(np.all(task.setup.target_given))
+    as_given = task.solver == PAPER and bool(np.all(task.setup.target_given))
     known = np.full(len(task.setup.targets), as_given)
     no_frame = np.zeros(len(task.setup.groups), dtype=bool)
     started = register(task.robot, task.setup.as_known(no_frame, known), rows)
@@ -178,10 +173,10 @@ def task_options(task: Task, model: ErrorModel, started: Setup) -> Options:
     """How a task is estimated from a registered start.
 
     Raises:
-        ModelError: See `calib.identify.options.options_of`.
+        ModelError: See `calib.identify.options.Options.of`.
     """
     setups = (task.setup, started)
-    return options_of(task.cell, model, setups, robust=task.robust, lenient=task.lenient)
+    return Options.of(task.cell, model, setups, robust=task.robust, lenient=task.lenient)
 
 
 def model_of(task: Task) -> ErrorModel:
@@ -220,9 +215,7 @@ def _solver(name: str, size: Array) -> Solve:
     """A solver by its name, with each parameter's step."""
 
     def solve(problem: Problem, x: Array, tolerance: float) -> Solution:
-        if name == "scipy":
-            return scipy_least_squares(problem.system, x, step_size=size)
-        return levenberg_marquardt(problem.system, x, step_size=size, step_tolerance=tolerance)
+        return SOLVERS[name](problem.system, x, size, tolerance)
 
     return solve
 

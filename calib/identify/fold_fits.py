@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.estimate import Options, staged
+from calib.identify.estimate import staged
 from calib.identify.linear import Linear
+from calib.identify.options import Options
 from calib.identify.problem import Problem
-from calib.identify.stage import Holds, Stage
+from calib.identify.stage import Stage
 from calib.identify.statistics import Mask
 from calib.identify.variance import Known
 
@@ -42,7 +43,6 @@ def fold_fits(
     problem: Problem,
     noise: tuple[float, ...],
     linear: Linear,
-    holds: Holds,
     masks: Sequence[Mask],
     options: Options,
 ) -> FoldFits:
@@ -52,7 +52,6 @@ def fold_fits(
         problem: Of all rows, in its last form.
         noise: Of each instrument, as the fit to all rows found it.
         linear: The problem linearised there.
-        holds: What holds the parameters.
         masks: The rows left out, each of shape (N,).
         options: Of the fit, without weights that stay.
     """
@@ -63,7 +62,7 @@ def fold_fits(
     x, freedoms = [], []
     for mask in masks:
         rest, poses = linear.select(~mask), problem.rows.poses[~mask]
-        first = Stage.first(holds, len(rest), len(rest.smallest))
+        first = Stage.first(options.holds, len(rest), len(rest.smallest))
         shared = first.sharing(rest, poses, options.repeats)
         freedoms.append(rest.fit(shared.effective, shared.noise, shared.known(rest))[2])
         last = staged(first, lambda _, rest=rest: rest, poses, options)  # type: ignore[misc]

@@ -6,13 +6,15 @@ registration puts it and where the estimation starts.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import ModelError
-from calib.identify.estimate import Options
 from calib.identify.setup import Setup
+from calib.identify.stage import Holds
 from calib.measure.cell import Cell
 from calib.model.parameters import TARGET, ErrorModel, frame_place, target_place
 from calib.model.robot import rigid_inverse
@@ -20,41 +22,59 @@ from calib.model.robot import rigid_inverse
 Array = NDArray[np.float64]
 
 
-def options_of(
-    cell: Cell, model: ErrorModel, setups: tuple[Setup, Setup], *, robust: bool, lenient: bool
-) -> Options:
-    """How to estimate, from the cell.
+@dataclass(frozen=True, slots=True, eq=False)
+class Options:
+    """What an estimation is to do.
 
-    Args:
-        cell: With priors, bounds and what repeats count for.
-        model: The parameters.
-        setups: Frames and targets as given, and as registered, where x = 0.
-        robust: Whether outliers lose their weight.
-        lenient: Whether the cell may name parameters that this model lacks.
-
-    Raises:
-        ModelError: A bound or a prior for a parameter that the model lacks, or for that of a target or frame that was
-            not said to be anywhere.
+    Attributes:
+        holds: Priors of families and of single parameters.
+        robust: Whether rows may lose their weight; outliers are named either way.
+        bounds: shape (p, 2), lowest and highest value of each parameter; None without.
+        repeats: What repeats of a pose count for: ``"weighted"``, ``"average"`` or ``"independent"``.
+        weights: shape (N,), weights that stay, repeats shared out, of an estimation before; None to find them.
     """
-    bounds = None
-    wanted = {
-        name: ends for name, ends in cell.bounds.items() if _has(model, name, lenient=lenient)
-    }
-    single = {n: std for n, std in cell.parameter_priors.items() if _has(model, n, lenient=lenient)}
-    nominal = _nominal(setups, model, {*wanted, *single})
-    if wanted:
-        bounds = np.tile([-np.inf, np.inf], (len(model), 1))
+
+    holds: Holds
+    robust: bool = True
+    bounds: Array | None = None
+    repeats: str = "weighted"
+    weights: Array | None = None
+
+    @classmethod
+    def of(
+        cls,
+        cell: Cell,
+        model: ErrorModel,
+        setups: tuple[Setup, Setup],
+        *,
+        robust: bool,
+        lenient: bool,
+    ) -> Options:
+        """How to estimate, from the cell.
+
+        Args:
+            cell: With priors, bounds and what repeats count for.
+            model: The parameters.
+            setups: Frames and targets as given, and as registered, where x = 0.
+            robust: Whether outliers lose their weight.
+            lenient: Whether the cell may name parameters that this model lacks.
+
+        Raises:
+            ModelError: A bound or a prior for a parameter that the model lacks, or for that of a target or frame that
+                was not said to be anywhere.
+        """
+        wanted = {n: ends for n, ends in cell.bounds.items() if _has(model, n, lenient=lenient)}
+        single = {
+            n: std for n, std in cell.parameter_priors.items() if _has(model, n, lenient=lenient)
+        }
+        nominal = _nominal(setups, model, {*wanted, *single})
+        bounds = np.tile([-np.inf, np.inf], (len(model), 1)) if wanted else None
         for name, ends in wanted.items():
+            assert bounds is not None
             k = model.index(name)
             bounds[k] = nominal[k] + np.array(ends)
-    return Options(
-        priors=cell.priors,
-        robust=robust,
-        single=single,
-        bounds=bounds,
-        nominal=nominal,
-        repeats=cell.repeats,
-    )
+        holds = Holds.of(model, cell.priors, single, nominal)
+        return cls(holds, robust, bounds, cell.repeats)
 
 
 def _nominal(setups: tuple[Setup, Setup], model: ErrorModel, names: set[str]) -> Array:

@@ -79,10 +79,10 @@ class Solution:
 def levenberg_marquardt(
     system: System,
     x0: Array,
-    *,
     step_size: Array,
-    tolerance: float = 1e-12,
     step_tolerance: float = 1e-9,
+    *,
+    tolerance: float = 1e-12,
     iterations: int = 100,
 ) -> Solution:
     """Levenberg-Marquardt with a damped step solved by QR.
@@ -95,8 +95,8 @@ def levenberg_marquardt(
         system: Residual and Jacobian.
         x0: shape (p,), start.
         step_size: shape (p,), a step of each parameter that is worth talking about, in its unit.
-        tolerance: Stop when a step promises to lower E by less than this share.
         step_tolerance: Stop when a step is shorter than this in units of ``step_size``.
+        tolerance: Stop when a step promises to lower E by less than this share.
         iterations: Limit of trial steps.
 
     Raises:
@@ -199,7 +199,12 @@ def paper_levenberg_marquardt(
 
 
 def scipy_least_squares(
-    system: System, x0: Array, *, step_size: Array, iterations: int = 100
+    system: System,
+    x0: Array,
+    step_size: Array,
+    step_tolerance: float = 1e-9,  # noqa: ARG001  it goes to the end each time
+    *,
+    iterations: int = 100,
 ) -> Solution:
     """SciPy's ``least_squares`` (trust-region reflective, exact SVD steps).
 
@@ -207,6 +212,7 @@ def scipy_least_squares(
         system: Residual and Jacobian.
         x0: shape (p,), start.
         step_size: shape (p,), the scale of each parameter (``x_scale``).
+        step_tolerance: Not used.
         iterations: Limit of evaluations.
 
     Raises:
@@ -245,6 +251,14 @@ def scipy_least_squares(
     return Solution(
         result.x, float(result.cost), status, result.message, int(result.nfev), tuple(history)
     )
+
+
+#: Called with a system, a start, a step of each parameter that is worth talking about, and the share of these that a
+#: last step may have.
+Solver = Callable[[System, Array, Array, float], Solution]
+
+#: The least-squares solvers by the name that `calib.calibrate` and ``--solver`` take; yours is one more.
+SOLVERS: dict[str, Solver] = {"lm": levenberg_marquardt, "scipy": scipy_least_squares}
 
 
 def _checked_start(system: System, x: Array) -> tuple[Array, Array]:

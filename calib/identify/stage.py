@@ -88,8 +88,7 @@ class Holds:
         cls,
         model: ErrorModel,
         priors: Priors,
-        single: Mapping[str, float],
-        fixed: tuple[tuple[int, float], ...] = (),
+        single: Mapping[str, float] | None = None,
         nominal: Array | None = None,
     ) -> Holds:
         """From the cell's priors.
@@ -98,16 +97,14 @@ class Holds:
             model: The error model.
             priors: Sizes by family.
             single: Standard deviations of single parameters, by name.
-            fixed: Numbers of parameters that stand at a bound, and their values.
             nominal: shape (p,), where each parameter's change is 0; None: where x is.
         """
+        single = single or {}
         placed = model.family(FRAME, TARGET)
         precision = np.where(placed, 1.0 / _PLACED**2, 0.0)
         alone = np.array([name in single for name in model.names], dtype=bool)
         for k in np.flatnonzero(alone):
             precision[k] = 1.0 / single[model.names[k]] ** 2
-        for number, _ in fixed:
-            alone[number], precision[number] = True, 1.0 / _FIXED**2
         off = priors.sizes == "off"
         known = np.zeros(len(model)) if nominal is None else np.where(alone, nominal, 0.0)
         names = [f for f in model.families if np.any(model.family(f) & ~alone)]
@@ -119,8 +116,24 @@ class Holds:
             flat=placed & ~alone,
             adapts=priors.sizes == "data",
             off=off,
-            fixed=fixed,
             means=tuple((int(k), float(known[k])) for k in np.flatnonzero(known)),
+        )
+
+    def at_bounds(self, fixed: Mapping[int, float]) -> Holds:
+        """With some parameters, by their numbers, held at these values."""
+        if not fixed:
+            return self
+        at = np.zeros(len(self.precision), dtype=bool)
+        at[list(fixed)] = True
+        kept = [k for k, members in enumerate(self.families) if np.any(members & ~at)]
+        return replace(
+            self,
+            names=tuple(self.names[k] for k in kept),
+            families=tuple(self.families[k] & ~at for k in kept),
+            start=tuple(self.start[k] for k in kept),
+            precision=np.where(at, 1.0 / _FIXED**2, self.precision),
+            flat=self.flat & ~at,
+            fixed=tuple(sorted(fixed.items())),
         )
 
     @property

@@ -170,9 +170,9 @@ def test_a_left_out_fold_does_not_move_its_own_prediction(calibrated):
     task, rows = of_case((scene, c))
     outliers = np.zeros(len(rows), dtype=bool)
     before = cross_validation(task, rows, outliers).residual
-    moved = rows.points.copy()
+    moved = rows.measured.copy()
     moved[7] += [3e-3, 4e-3, 0.0]
-    after = cross_validation(task, replace(rows, points=moved), outliers).residual
+    after = cross_validation(task, replace(rows, measured=moved), outliers).residual
     np.testing.assert_allclose(after[7] - before[7], [3e-3, 4e-3, 0.0], atol=1e-9)
     mask = next(m for m in folds_of(task, rows).masks if m[7])
     mask = mask & (np.arange(len(rows)) != 7)

@@ -28,7 +28,7 @@ def fitted(virtual, cell: Cell, rows: Rows, **options) -> Fitted:
 
 
 def with_points(rows: Rows, points, sigma=None) -> Rows:
-    return replace(rows, points=points, sigma=rows.sigma if sigma is None else sigma)
+    return replace(rows, measured=points, sigma=rows.sigma if sigma is None else sigma)
 
 
 def fitted_table(scene, table, cell: Cell, model="dh", **options) -> tuple[Fitted, Rows]:

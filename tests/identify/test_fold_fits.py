@@ -15,7 +15,6 @@ from calib.identify.fitting import _solver as solver_of
 from calib.identify.fold_fits import fold_fits, fold_means
 from calib.identify.problem import Problem
 from calib.identify.rows import Rows
-from calib.identify.stage import Holds
 from calib.identify.table_rows import known_distances, rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
@@ -54,8 +53,7 @@ def test_folds_by_the_linearised_problem_go_through_the_stages_of_a_fit(make_sce
     masks = folds_of(fitted.task, rows_of_fit(fitted)).masks[:6]
     problem, estimate = fitted.estimate.problem, fitted.estimate
     options = task_options(fitted.task, fitted.kinematics.model, fitted.setup)
-    holds = Holds.of(fitted.kinematics.model, options.priors, options.single, (), options.nominal)
-    found = fold_fits(problem, estimate.noise, problem.linear(estimate.x), holds, masks, options)
+    found = fold_fits(problem, estimate.noise, problem.linear(estimate.x), masks, options)
     std = np.sqrt(np.diag(estimate.covariance))
     for mask, x in zip(masks, found.x, strict=True):
         first = Problem.first(problem.kinematics, problem.rows.select(~mask))

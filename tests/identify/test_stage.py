@@ -22,7 +22,7 @@ def model(ur3):
 
 
 def test_each_family_has_a_size_and_frame_and_target_a_weak_hold(model):
-    holds = Holds.of(model, Priors(), {})
+    holds = Holds.of(model, Priors())
     assert holds.names == ("length", "angle", "zero", "compliance")
     assert holds.start == (3e-3, 15e-3, 15e-3, 1e-5)
     placed = model.family(FRAME, TARGET)
@@ -47,7 +47,7 @@ def test_a_prior_of_its_own_takes_a_parameter_out_of_its_family(model):
 
 def test_a_parameter_at_its_bound_stays_there(model):
     k = model.index("d1")
-    holds = Holds.of(model, Priors(), {}, ((k, 2e-3),))
+    holds = Holds.of(model, Priors()).at_bounds({k: 2e-3})
     assert holds.centre[k] == 2e-3
     assert holds.precision[k] > 1e15
     assert not any(members[k] for members in holds.families)
@@ -105,7 +105,7 @@ def test_repeats_count_for_what_they_do_not_share(virtual, mode, shared, own, rh
     for seed in range(8):
         rows = repeated(virtual, np.random.default_rng(seed), shared, own)
         problem = Problem.first(virtual.kinematics, rows)
-        stage = Stage.first(Holds.of(virtual.kinematics.model, Priors(), {}), len(rows), 1)
+        stage = Stage.first(Holds.of(virtual.kinematics.model, Priors()), len(rows), 1)
         linear = problem.linear(np.zeros(27))
         stage = stage.sharing(linear, rows.poses, mode)
         np.testing.assert_array_equal(stage.share, stage.share[0])
@@ -118,7 +118,7 @@ def test_a_flagged_repeat_leaves_its_part_to_the_others(virtual):
     problem = Problem.first(virtual.kinematics, rows)
     weights = np.ones(len(rows))
     weights[0] = 0.0
-    holds = Holds.of(virtual.kinematics.model, Priors(), {})
+    holds = Holds.of(virtual.kinematics.model, Priors())
     stage = Stage.first(holds, len(rows), 1, weights)
     share = stage.sharing(problem.linear(np.zeros(27)), rows.poses, "average").share
     np.testing.assert_allclose(share[:5], [1 / 3, 1 / 3, 1 / 3, 1 / 3, 1 / 4])
@@ -130,7 +130,7 @@ def test_first_weights_name_gross_rows_and_the_median_finds_the_noise(virtual):
     points = rows.points.copy()
     points[:6] += 0.02
     problem = Problem.first(virtual.kinematics, replace(rows, measured=points))
-    stage = Stage.first(Holds.of(virtual.kinematics.model, Priors(), {}), len(rows), 1)
+    stage = Stage.first(Holds.of(virtual.kinematics.model, Priors()), len(rows), 1)
     for _ in range(4):
         stage = stage.by_median(problem.linear(np.zeros(27)))
     assert np.all(stage.weights[:6] < 0.02)
