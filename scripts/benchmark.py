@@ -22,11 +22,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from calib.identify.processes import process_executor
+import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
@@ -163,19 +164,34 @@ def one_plain(count: int) -> dict[str, float]:
     Once with finite differences, as most scripts do it, and once with the derivative from Pinocchio's regressor.
     """
     task, rows = task_of(count)
-    model = error_model(task.robot, "dh", target=True)
-    T_tip_target = np.eye(4)
-    T_tip_target[:3, 3] = TARGET
-    kinematics = Kinematics(task.robot, model, np.eye(4), T_tip_target)
-    parts = [rows.joints[i : i + 1000] for i in range(0, count, 1000)]  # too few for the kernel
+    robot, model = task.robot, error_model(task.robot, "dh", target=True)
+    n, T_tip_target = len(robot.joints), pin.SE3(np.eye(3), TARGET)
+    q = robot.configurations(robot.chain_values(rows.joints))
+
+    def each(x: Array, *, columns: bool) -> tuple[Array, Array]:
+        D, S = model.displacements(x)  # of the frame, the joints, the tip and the target
+        T = [pin.SE3(one) for one in (robot.placements @ D[1 : n + 2])]
+        chain = robot.chain_model(np.array([one.homogeneous for one in T]))
+        data, T_last_target = chain.createData(), T[-1] * T_tip_target * pin.SE3(D[-1])
+        of_target = pin.SE3(T_tip_target.homogeneous @ D[-1]).toActionMatrixInverse() @ S[-12:-6]
+        of_target += S[-6:]
+        points, J = np.empty((count, 3)), np.empty((count if columns else 0, 3, len(x)))
+        for i in range(count):
+            pin.forwardKinematics(chain, data, q[i])
+            pose = data.oMi[n] * T_last_target
+            points[i] = pose.translation
+            if columns:
+                found = pin.computeJointKinematicRegressor(
+                    chain, data, n, pin.LOCAL_WORLD_ALIGNED, T_last_target
+                )
+                J[i] = found[:3] @ S[6 : 6 * n + 6] + pose.rotation @ of_target[:3]
+        return points, J
 
     def residual(x: Array) -> Array:
-        points = np.concatenate([kinematics.points(x, q) for q in parts])
-        return np.asarray((rows.points - points).ravel() / 5e-5)
+        return np.asarray((rows.points - each(x, columns=False)[0]).ravel() / 5e-5)
 
     def derivative(x: Array) -> Array:
-        J = np.concatenate([kinematics.points_jacobian(x, q)[1] for q in parts])
-        return np.asarray(-J.reshape(-1, len(model)) / 5e-5)
+        return np.asarray(-each(x, columns=True)[1].reshape(-1, len(model)) / 5e-5)
 
     start = np.zeros(len(model))
 
@@ -279,7 +295,7 @@ def of_studies(count: int) -> list[str]:
         began = time.perf_counter()
         study(trials, fewer)
         serial = time.perf_counter() - began
-        with process_executor(cores()) as executor:
+        with ProcessPoolExecutor(cores()) as executor:
             study(trials, 2 * cores(), executor=executor)  # processes started, modules loaded
             began = time.perf_counter()
             study(trials, fewer, executor=executor)

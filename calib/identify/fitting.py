@@ -26,7 +26,7 @@ from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
 from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.model.robot import Robot, read_only, rigid_inverse
-from calib.model.threads import over_blocks
+from calib.model.threads import one_blas_thread, over_blocks
 
 Array = NDArray[np.float64]
 
@@ -119,6 +119,7 @@ class Fitted:
         return rows.residual(seen_from(found, T_base_tip, rows))
 
 
+@one_blas_thread()
 def fit(
     task: Task, rows: Rows, weights: Array | None = None, started: Setup | None = None
 ) -> Fitted:

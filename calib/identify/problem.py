@@ -194,7 +194,7 @@ class Problem:
         whiten = (np.sqrt(self.weights)[:, None] * (self.rows.scales / self.scales)).T
         used = self.rows.used.T
         if len(self.weights) <= _TALL:
-            return (columns * whiten)[:, used]
+            return np.asarray((columns * whiten)[:, used])
 
         factor = whiten * used
 
@@ -202,7 +202,7 @@ class Problem:
             return triangle((columns[:, :, own] * factor[:, own]).reshape(len(columns), -1).T)
 
         parts = over_blocks(work, len(self.weights))
-        return triangle(np.asfortranarray(np.concatenate(parts))).T
+        return np.asarray(triangle(np.asfortranarray(np.concatenate(parts))).T)
 
     def paper_system(self, nominal: Array, unit: Array, X: Array) -> tuple[Array, Array]:
         """The paper's error e_i = |dP_i|^2 [mm^2] and its derivative, at its absolute parameters X.

@@ -38,11 +38,12 @@ def over_blocks(work: Callable[[slice], T], count: int) -> list[T]:
     """What ``work`` gives for each block of some samples, in their order; it must not ask for blocks itself."""
     parts = [slice(first, min(first + BLOCK, count)) for first in range(0, count, BLOCK)]
     size = -(-len(parts) // _cores())
-    if len(parts) < 2 or size == len(parts):
-        return [work(part) for part in parts]
-    shares = [parts[k : k + size] for k in range(0, len(parts), size)]
-    done = _pool().map(lambda share: [work(part) for part in share], shares)
-    return [one for share in done for one in share]
+    with one_blas_thread():
+        if len(parts) < 2 or size == len(parts):
+            return [work(part) for part in parts]
+        shares = [parts[k : k + size] for k in range(0, len(parts), size)]
+        done = _pool().map(lambda share: [work(part) for part in share], shares)
+        return [one for share in done for one in share]
 
 
 @cache
