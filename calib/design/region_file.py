@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from calib.design.region import Region, checked_box
 from calib.errors import CalibError, FileError, choices
-from calib.model.files import write_atomically
-from calib.model.json_file import json_bytes, read_json
+from calib.model.files import json_bytes, read_json, write_atomically
 from calib.model.robot import Robot, read_only
 from calib.version import __version__
 

@@ -29,8 +29,7 @@ from calib.fleets.robots import (
 )
 from calib.fleets.tables import write_tables
 from calib.identify.jobs import run
-from calib.model.files import make_folder, write_atomically
-from calib.model.json_file import json_bytes
+from calib.model.files import json_bytes, make_folder, write_atomically
 
 Progress = Callable[[int, int], None]
 

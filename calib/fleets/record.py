@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.identify.result import Calibration
 from calib.measure.measurements import Measurements
-from calib.model.json_file import plain
+from calib.model.files import plain
 from calib.model.parameters import FRAME, TARGET
 
 #: How it went.

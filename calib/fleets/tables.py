@@ -11,8 +11,7 @@ from typing import Any
 
 from calib.fleets.outliers import Odd
 from calib.fleets.record import FleetRow
-from calib.model.files import write_atomically
-from calib.model.json_file import json_bytes, plain
+from calib.model.files import json_bytes, plain, write_atomically
 
 CSV, JSON = "fleet.csv", "fleet.json"
 SCHEMA = "fleet 1"

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from calib.errors import FileError, choices
 from calib.formats.dh_tables import AFTER, BEFORE, CHANGE, DHTables
 from calib.model.dh_table import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
-from calib.model.files import write_atomically
-from calib.model.json_file import json_bytes
+from calib.model.files import json_bytes, write_atomically
 from calib.model.readback import TOLERANCE
 
 Array = NDArray[np.float64]

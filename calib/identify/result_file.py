@@ -26,8 +26,7 @@ from calib.identify.solvers import Iteration, Solution
 from calib.identify.statistics import CrossValidation
 from calib.identify.verdict import Verdict
 from calib.measure.columns import SETS
-from calib.model.files import write_atomically
-from calib.model.json_file import damage, json_bytes, read_json
+from calib.model.files import damage, json_bytes, read_json, write_atomically
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 from calib.version import __version__

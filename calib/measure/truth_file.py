@@ -19,8 +19,7 @@ from calib.measure.cell_parts import vector
 from calib.measure.simulation import Simulated, VirtualCell
 from calib.measure.truth import Truth
 from calib.model.error_model import error_model
-from calib.model.files import write_atomically
-from calib.model.json_file import damage, json_bytes, read_json
+from calib.model.files import damage, json_bytes, read_json, write_atomically
 from calib.model.readback import check_written, random_joint_values
 from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload

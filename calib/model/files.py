@@ -1,14 +1,23 @@
-"""Files in and out: read with a message that says what is wrong, written whole or not at all."""
+"""Files in and out: read with a message that says what is wrong, written whole or not at all.
+
+JSON files of calib's own: each says by its ``schema`` what it is.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
 import secrets
 import stat
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from calib.errors import FileError
+import numpy as np
+
+from calib.errors import CalibError, FileError
 
 #: What pipes gave, by device and inode: they cannot be read twice, and a command looks at a table more than once.
 _PIPED: dict[tuple[int, int], bytes] = {}
@@ -141,3 +150,84 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
 def _reason(error: Exception) -> str:
     """What the system says, without the name of the temporary file."""
     return str(getattr(error, "strerror", None) or error)
+
+
+#: A list of more entries than that has one of them a line.
+_LONG = 500
+
+
+def read_json(
+    path: str | os.PathLike[str], what: str, schema: object, expected: str
+) -> dict[str, Any]:
+    """Read a table whose ``schema`` is the one wanted.
+
+    Args:
+        path: The file.
+        what: What the file should be, for the message: ``"region"``.
+        schema: What stands under ``schema``.
+        expected: What has which schema, and which file to give: the end of the message about another schema.
+
+    Raises:
+        FileError: It cannot be read, is no JSON, or of another schema.
+    """
+    try:
+        table = json.loads(read_bytes(path, what), parse_constant=_refused)
+    except (ValueError, RecursionError) as error:
+        message = f"{path}: this is not a JSON file: {error}. Wanted is a {what} with its 'schema'; {expected}"
+        raise FileError(message) from error
+    found = table.get("schema") if isinstance(table, dict) else None
+    if not isinstance(table, dict) or found != schema:
+        message = f"{path}: its 'schema' is {found!r}; {expected}"
+        raise FileError(message)
+    return table
+
+
+def _refused(name: str) -> float:
+    """JSON has no NaN or Infinity, and calib writes null."""
+    message = f"it holds {name}; write the number, or null where there is none"
+    raise ValueError(message)
+
+
+def damage(error: Exception) -> str:
+    """What reading a file's nested tables stumbled over, in words.
+
+    Example:
+        >>> damage(KeyError("robot"))
+        "'robot' is missing"
+        >>> damage(TypeError("'float' object is not iterable"))
+        "a value is of another kind: 'float' object is not iterable"
+    """
+    if isinstance(error, KeyError):
+        return f"'{error.args[0]}' is missing"
+    if isinstance(error, (ValueError, CalibError)):
+        return str(error).rstrip(".")
+    return f"a value is of another kind: {error}"
+
+
+def json_bytes(table: Mapping[str, Any]) -> bytes:
+    """A table as JSON, UTF-8, one value a line; of a long list one entry a line.
+
+    Arrays stand as lists, numbers that do not exist as null. What UTF-8 lacks, such as a byte of a file's name that is
+    no letter, stands as JSON's own escape.
+    """
+    lines = [f" {json.dumps(key)}: {_indented(plain(value))}" for key, value in table.items()]
+    return ("{\n" + ",\n".join(lines) + "\n}\n").encode("utf-8", "backslashreplace")
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401
+    """Nested tables as JSON has them: arrays as lists, numbers that do not exist as None."""
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _indented(value: Any) -> str:  # noqa: ANN401
+    """An entry of a table, its lines one step in."""
+    if isinstance(value, list) and len(value) > _LONG:
+        entries = (json.dumps(entry, ensure_ascii=False) for entry in value)
+        return "[\n  " + ",\n  ".join(entries) + "\n ]"
+    return json.dumps(value, indent=1, ensure_ascii=False).replace("\n", "\n ")

@@ -26,8 +26,7 @@ from calib.errors import UrdfError
 from calib.model import kernel
 from calib.model.chain import Chain, last_joint_poses, read_only, rigid_inverse
 from calib.model.coupling import Coupling, all_values, checked_held
-from calib.model.sources import read_urdf
-from calib.model.tips import farthest_link
+from calib.model.sources import farthest_link, read_urdf
 from calib.model.urdf import Urdf, UrdfJoint
 
 __all__ = ["Robot", "last_joint_poses", "read_only", "rigid_inverse"]

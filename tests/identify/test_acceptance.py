@@ -25,7 +25,7 @@ from calib.identify.accuracy import accuracy
 from calib.identify.evaluation import Evaluation, evaluate
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.model.json_file import plain
+from calib.model.files import plain
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
 

@@ -24,7 +24,7 @@ from calib.identify.verdict import Verdict
 from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
-from calib.model.json_file import plain
+from calib.model.files import plain
 from calib.model.kinematics import Kinematics
 from calib.model.readback import spread_between
 from calib.model.robot import Robot

@@ -26,7 +26,7 @@ from calib.identify.result_file import read_result, write_result, write_table
 from calib.identify.summary import summary
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.model.json_file import plain
+from calib.model.files import plain
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload

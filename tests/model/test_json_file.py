@@ -3,7 +3,7 @@
 import pytest
 
 from calib.errors import FileError
-from calib.model.json_file import json_bytes, read_json
+from calib.model.files import json_bytes, read_json
 
 
 def read(path, schema="thing 1"):

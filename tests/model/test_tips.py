@@ -4,8 +4,7 @@ import pytest
 
 from calib.errors import UrdfError
 from calib.model.robot import Robot
-from calib.model.sources import find_urdf
-from calib.model.tips import farthest_link
+from calib.model.sources import farthest_link, find_urdf
 from calib.model.urdf import Urdf
 
 # What a tip below the base is, is tested in test_robot.py.
