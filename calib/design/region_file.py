@@ -15,17 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.design.region import Region, checked_box
+import calib
+from calib.design.region import Region
 from calib.errors import CalibError, FileError, choices
 from calib.model.files import json_bytes, read_json, write_atomically
 from calib.model.robot import Robot, read_only
-from calib.version import __version__
 
 SCHEMA = "region 1"
-
-
-#: The most voxels of a file's grid; a region that calib makes has fewer.
-_MOST_VOXELS = 20_000_000
 
 Array = NDArray[np.float64]
 
@@ -97,25 +93,18 @@ class RegionFile:
         for name, (low, high) in zip(self.joints, self.ranges.tolist(), strict=True):
             unit = "m" if name in self.prismatic else "rad"
             joints.append({"name": name, f"low_{unit}": low, f"high_{unit}": high})
-        box = region.box.tolist() if np.isfinite(region.box).any() else None
-        if box is not None:  # a box may be open at some sides
-            box = [[v if math.isfinite(v) else None for v in corner] for corner in box]
+        box = [[v if math.isfinite(v) else None for v in corner] for corner in region.box.tolist()]
         return {
             "schema": SCHEMA,
-            "calib": __version__,
-            "robot": {
-                "name": self.robot,
-                "base": self.base,
-                "tip": self.tip,
-                "joints": joints,
-            },
+            "calib": calib.__version__,
+            "robot": {"name": self.robot, "base": self.base, "tip": self.tip, "joints": joints},
             "target_xyz_m": self.target.tolist(),
             "samples": self.samples,
             "seed": self.seed,
             "share": region.share,
             "held": region.held,
             "volume_m3": region.volume,
-            "box_m": box,
+            "box_m": box if np.isfinite(region.box).any() else None,
             "voxel_m": region.voxel,
             "origin_m": region.origin.tolist(),
             "shape": list(region.cells.shape),
@@ -130,15 +119,16 @@ class RegionFile:
             FileError: The file cannot be read, is no JSON, no region of calib, of another schema, or damaged.
         """
         expected = (
-            f"a region of calib {__version__} has '{SCHEMA}'. Give the file that 'calib workspace -o' wrote, by "
+            f"a region of calib {calib.__version__} has '{SCHEMA}'. Give the file that 'calib workspace -o' wrote, by "
             "the same version."
         )
         table = read_json(path, "region", SCHEMA, expected)
         try:
             return _parsed(table)
-        except (CalibError, _DamagedError) as error:
+        except (CalibError, KeyError, TypeError, ValueError, OverflowError) as error:
+            what = f"{error} is missing." if isinstance(error, KeyError) else f"{error}"
             message = (
-                f"{path}: the region is damaged: {error} Write it again with 'calib workspace -o'."
+                f"{path}: the region is damaged: {what} Write it again with 'calib workspace -o'."
             )
             raise FileError(message) from error
 
@@ -185,10 +175,6 @@ class RegionFile:
         return tuple(notes)
 
 
-class _DamagedError(Exception):
-    """Something in the file is missing or of another kind; the text says what."""
-
-
 def _runs(cells: NDArray[np.bool_]) -> list[int]:
     """Voxels in the order of the last index first, as lengths of runs: outside, inside, outside, ..."""
     flat = cells.ravel()
@@ -201,143 +187,34 @@ def _parsed(table: Mapping[str, Any]) -> RegionFile:
     """The region of a file's tables.
 
     Raises:
-        _DamagedError: A key is missing or its value is of another kind.
+        KeyError, TypeError, ValueError: A key is missing or its value is of another kind.
         CalibError: The values do not make a region.
     """
-    robot = _get(table, "robot", dict)
-    joints = [_joint(one, i) for i, one in enumerate(_get(robot, "joints", list, "robot."), 1)]
-    names = tuple(name for name, *_ in joints)
-    if not names or len(set(names)) < len(names):
-        message = (
-            f"'robot.joints' has the names {choices(names)}; at least one is wanted, and each once."
-        )
-        raise _DamagedError(message)
-    region = Region(
-        origin=_numbers(table, "origin_m", 3),
-        voxel=_number(table, "voxel_m"),
-        cells=_cells(table),
-        share=_number(table, "share"),
-        held=_number(table, "held"),
-        box=_box(table),
-    )
-    volume = _number(table, "volume_m3")
-    if not math.isclose(volume, region.volume, rel_tol=1e-6):
-        message = f"'volume_m3' is {volume:g}, and its voxels have {region.volume:g}."
-        raise _DamagedError(message)
-    samples, seed = (_whole(table, key, least) for key, least in (("samples", 1), ("seed", 0)))
-    return RegionFile(
-        region=region,
-        robot=_get(robot, "name", str, "robot."),
-        base=_get(robot, "base", str, "robot."),
-        tip=_get(robot, "tip", str, "robot."),
-        joints=names,
-        ranges=read_only([ends for _, ends, _ in joints]),
-        prismatic=tuple(name for name, _, slides in joints if slides),
-        target=read_only(_numbers(table, "target_xyz_m", 3)),
-        samples=samples,
-        seed=seed,
-    )
-
-
-def _get(table: Mapping[str, Any], key: str, kind: type, above: str = "") -> Any:  # noqa: ANN401
-    """An entry of a kind."""
-    if key not in table:
-        message = f"'{above}{key}' is missing."
-        raise _DamagedError(message)
-    value = table[key]
-    if not isinstance(value, kind):
-        word = "a table" if kind is dict else "a list" if kind is list else "a text"
-        message = f"'{above}{key}' is {_short(value)}; {word} is wanted."
-        raise _DamagedError(message)
-    return value
-
-
-def _number(table: Mapping[str, Any], key: str, above: str = "") -> float:
-    """A finite number."""
-    if key not in table:
-        message = f"'{above}{key}' is missing."
-        raise _DamagedError(message)
-    value = table[key]
-    # A whole number beyond 1e300 is no float either.
-    known = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not known or not -1e300 < value < 1e300:
-        message = f"'{above}{key}' is {_short(value)}; a finite number is wanted."
-        raise _DamagedError(message)
-    return float(value)
-
-
-def _whole(table: Mapping[str, Any], key: str, least: int) -> int:
-    """A whole number that is not below another."""
-    value = _number(table, key)
-    if value != int(value) or value < least:
-        message = f"'{key}' is {_short(table[key])}; a whole number of at least {least} is wanted."
-        raise _DamagedError(message)
-    return int(value)
-
-
-def _numbers(table: Mapping[str, Any], key: str, count: int) -> Array:
-    """Some finite numbers."""
-    values = _get(table, key, list)
-    if len(values) != count:
-        message = f"'{key}' has {len(values)} entries; {count} numbers are wanted."
-        raise _DamagedError(message)
-    return np.array([_number({str(i): v}, str(i), f"{key}.") for i, v in enumerate(values)])
-
-
-def _joint(entry: Any, number: int) -> tuple[str, tuple[float, float], bool]:  # noqa: ANN401
-    """A joint's name, its range and whether it slides."""
-    above = f"robot.joints[{number}]."
-    if not isinstance(entry, dict):
-        message = f"'{above[:-1]}' is {_short(entry)}; a table is wanted."
-        raise _DamagedError(message)
-    unit = "m" if "low_m" in entry else "rad"
-    ends = _number(entry, f"low_{unit}", above), _number(entry, f"high_{unit}", above)
-    if not ends[0] <= ends[1]:
-        message = f"'{above[:-1]}' goes from {ends[0]:g} to {ends[1]:g}; the lower end comes first."
-        raise _DamagedError(message)
-    return _get(entry, "name", str, above), ends, unit == "m"
-
-
-def _box(table: Mapping[str, Any]) -> Array:
-    """The box that the region ends at; null is a side without an end."""
-    if "box_m" not in table:
-        message = "'box_m' is missing."
-        raise _DamagedError(message)
-    corners = [[None] * 3] * 2 if table["box_m"] is None else _get(table, "box_m", list)
-    if len(corners) != 2 or not all(isinstance(c, list) and len(c) == 3 for c in corners):
-        message = (
-            f"'box_m' is {_short(corners)}; two corners of three numbers, or null, are wanted."
-        )
-        raise _DamagedError(message)
-    filled = [
-        [end if v is None else _number({"v": v}, "v", f"box_m[{i}].") for v in corner]
-        for i, (corner, end) in enumerate(zip(corners, (-math.inf, math.inf), strict=True))
+    robot, runs = table["robot"], np.asarray(table["runs"], dtype=np.int64)
+    units = ["m" if "low_m" in joint else "rad" for joint in robot["joints"]]
+    ends = [
+        [joint[f"low_{unit}"], joint[f"high_{unit}"]]
+        for joint, unit in zip(robot["joints"], units, strict=True)
     ]
-    return checked_box(filled)
-
-
-def _cells(table: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """The voxels from the lengths of their runs."""
-    sides = _get(table, "shape", list)
-    whole = all(isinstance(n, int) and not isinstance(n, bool) and n > 0 for n in sides)
-    if len(sides) != 3 or not whole or math.prod(sides) > _MOST_VOXELS:
-        message = f"'shape' is {_short(sides)}; three whole numbers greater than 0 are wanted."
-        raise _DamagedError(message)
-    runs = _get(table, "runs", list)
-    if not all(isinstance(n, int) and not isinstance(n, bool) and n >= 0 for n in runs):
-        message = "'runs' holds something that is no whole number of at least 0."
-        raise _DamagedError(message)
-    if sum(runs) != math.prod(sides):
-        message = (
-            f"'runs' make {sum(runs):,} voxels; the grid of {' x '.join(map(str, sides))} has "
-            f"{math.prod(sides):,}."
-        )
-        raise _DamagedError(message)
-    cells: NDArray[np.bool_] = np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(sides)
-    return cells
-
-
-def _short(value: object) -> str:
-    """A value as text that does not fill the screen."""
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    # null is a side without an end.
+    box = np.asarray(table["box_m"] or [[None] * 3] * 2, dtype=np.float64)
+    names = tuple(str(joint["name"]) for joint in robot["joints"])
+    return RegionFile(
+        region=Region(
+            origin=np.asarray(table["origin_m"], dtype=np.float64),
+            voxel=float(table["voxel_m"]),
+            cells=np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(table["shape"]),
+            share=float(table["share"]),
+            held=float(table["held"]),
+            box=np.where(np.isnan(box), [[-np.inf], [np.inf]], box),
+        ),
+        robot=str(robot["name"]),
+        base=str(robot["base"]),
+        tip=str(robot["tip"]),
+        joints=names,
+        ranges=read_only(np.asarray(ends, dtype=np.float64).reshape(len(names), 2)),
+        prismatic=tuple(name for name, unit in zip(names, units, strict=True) if unit == "m"),
+        target=read_only(np.asarray(table["target_xyz_m"], dtype=np.float64).reshape(3)),
+        samples=int(table["samples"]),
+        seed=int(table["seed"]),
+    )

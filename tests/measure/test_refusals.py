@@ -8,9 +8,6 @@ import re
 import numpy as np
 import pytest
 
-from calib import data
-from calib.design.region import Region
-from calib.design.region_file import RegionFile
 from calib.errors import CalibError, FileError, ModelError
 from calib.measure.cell import Cell
 from calib.measure.cell_parts import GroupDistance
@@ -20,7 +17,6 @@ from calib.measure.ranges import joint_ranges
 from calib.measure.simulation import VirtualCell
 from calib.measure.truth import draw_truth
 from calib.measure.truth_file import read_truth, write_truth
-from calib.model.robot import Robot
 
 
 def refused(kind: type[CalibError], text: str):
@@ -81,59 +77,6 @@ def test_ranges_of_joints(ur3):
         "180 deg. Give a range inside.",
     ):
         joint_ranges(ur3, {"elbow_joint": (-4.0, 2.0)})
-
-
-def test_regions_of_no_size():
-    cells = np.ones((1, 1, 1), dtype=bool)
-    with refused(CalibError, "A region's voxel is 0.0 m; it must be greater than 0."):
-        Region(np.zeros(3), 0.0, cells, 0.5, 0.5)
-    with refused(
-        CalibError, "A region's shares are 0.5 and 1.5; they are greater than 0, at most 1."
-    ):
-        Region(np.zeros(3), 0.1, cells, 0.5, 1.5)
-
-
-@pytest.fixture(scope="module")
-def region(ur3) -> RegionFile:
-    cells = np.ones((2, 2, 2), dtype=bool)
-    ranges = joint_ranges(ur3)
-    return RegionFile.of(Region(np.zeros(3), 0.1, cells, 0.5, 0.5), ur3, np.zeros(3), ranges, 9, 0)
-
-
-def test_a_region_of_another_base_or_of_other_joints(region):
-    with refused(
-        CalibError,
-        "The region was made for the base 'base' of 'ur3', and the base is 'base_link' now. Give "
-        "--base base, or make the region again with 'calib workspace'.",
-    ):
-        region.check_fits(Robot.load(data.paper_urdf(), base="base_link", tip="tool0"))
-    held = Robot.load(data.paper_urdf(), base="base", tip="tool0", held={"wrist_3_joint": 0.0})
-    with refused(
-        CalibError,
-        "The region was made for the joints 'shoulder_pan_joint', 'shoulder_lift_joint', "
-        "'elbow_joint', 'wrist_1_joint', 'wrist_2_joint', 'wrist_3_joint' of 'ur3'; the chain 'base' "
-        "to 'tool0' of 'ur3' has 'shoulder_pan_joint', 'shoulder_lift_joint', 'elbow_joint', "
-        "'wrist_1_joint', 'wrist_2_joint'. Give the same --hold, or make the region again with 'calib workspace'.",
-    ):
-        region.check_fits(held)
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"samples": 2.5}, "'samples' is 2.5; a whole number of at least 1 is wanted."),
-        ({"box_m": ...}, "'box_m' is missing."),
-    ],
-)
-def test_a_damaged_region(region, tmp_path, change, said):
-    path = region.write(tmp_path / "r.json")
-    table = {**json.loads(path.read_text()), **change}
-    path.write_text(json.dumps({k: v for k, v in table.items() if v is not ...}))
-    with refused(
-        FileError,
-        f"{path}: the region is damaged: {said} Write it again with 'calib workspace -o'.",
-    ):
-        RegionFile.read(path)
 
 
 def test_words_for_sets_that_are_not_one_for_each_pose(ur3):
