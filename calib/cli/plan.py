@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,13 +23,17 @@ from calib.cli.options import (
     RobotFile,
     reporting,
 )
+from calib.errors import CalibError
 
 if TYPE_CHECKING:
     from calib.design.plan import Plan
     from calib.design.plan_file import Taken
+    from calib.design.region import Region
+    from calib.measure.cell import Cell
+    from calib.model.robot import Robot
 
-#: Of a line of the command to type next.
-_WIDTH = 88
+#: Of a larger distance between meshes coal takes half a second a pose, where 0.1 m take 6 ms [m].
+_LARGEST_CLEARANCE = 0.1
 
 _HELP = """Plan the poses of a calibration: which to measure, in which order, and how accurate the robot will be.
 
@@ -163,12 +167,6 @@ def plan(
             help="Direction in the tip that the reflector faces. Default: it is turned by hand.",
         ),
     ] = None,
-    acceptance: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ANGLE", help='Half angle in which the reflector is seen. Default: "30 deg".'
-        ),
-    ] = None,
     taken: Annotated[
         Path | None,
         typer.Option(
@@ -215,18 +213,25 @@ def plan(
 ) -> None:
     """See `_HELP`."""
     with reporting(debug=debug):
-        from calib.cli import plan_words as words
+        from calib.cli.plan_text import expected_text, next_text, plan_text, taken_text
+        from calib.cli.progress import stages_bar
         from calib.cli.setup import check_outputs, read_cell
-        from calib.cli.simulate_words import parse_angle
-        from calib.cli.surroundings_words import add_surroundings
+        from calib.cli.simulate_words import parse_angle, parse_size
+        from calib.cli.surroundings_words import add_surroundings, parse_start, with_noise
         from calib.cli.words import parse_columns
+        from calib.design.plan import plan as make_plan
         from calib.design.plan_file import read_taken
 
         inputs: list[str | Path] = [robot, *(path for path in (cell, region, taken) if path)]
         check_outputs([output, json, view], inputs, force=force)
-        rungs = words.parse_ladder(ladder)
-        gap, clear = parse_angle(margin, "--margin", "5 deg"), words.parse_clearance(clearance)
-        radius = words.parse_holder(holder)
+        rungs, gap = parse_ladder(ladder), parse_angle(margin, "--margin", "5 deg")
+        clear = parse_size(clearance, "--clearance")
+        if clear > _LARGEST_CLEARANCE:
+            message = (
+                f'--clearance was given as "{clearance}"; it must be {1e3 * _LARGEST_CLEARANCE:g} mm or less, for '
+                "links of an arm pass each other closer than that. To keep more distance to a box make the box larger."
+            )
+            raise CalibError(message)
         setup = read_cell(
             cell,
             base=base,
@@ -239,23 +244,14 @@ def plan(
             payload=payload,
         )
         setup = add_surroundings(
-            setup,
-            tracker=tracker,
-            reflector=reflector,
-            acceptance=acceptance,
-            boxes=boxes,
-            ranges=ranges,
+            setup, tracker=tracker, reflector=reflector, boxes=boxes, ranges=ranges
         )
-        setup = words.with_noise(setup, noise)
-        renamed = words.checked_columns(parse_columns(columns or []), taken)
-        arm = words.load_for_plan(robot, setup, taken, renamed)
-        place, remarks = words.read_region(region, arm, setup)
+        setup = with_noise(setup, noise)
+        renamed = parse_columns(columns or [])
+        arm = load_for_plan(robot, setup, taken, renamed)
+        place, remarks = read_region(region, arm, setup)
         before = None if taken is None else read_taken(taken, arm, renamed)
-        first = words.parse_start(start or [], arm)
-
-        from calib.cli.progress import stages_bar
-        from calib.design.plan import plan as make_plan
-
+        first = parse_start(start or [], arm)
         with stages_bar(quiet=quiet) as progress:
             made = make_plan(
                 arm,
@@ -270,7 +266,7 @@ def plan(
                 collisions=collisions,
                 clearance=clear,
                 floor=floor,
-                holder_radius=radius,
+                holder_radius=parse_size(holder, "--holder", "20 mm"),
                 package_dirs=package_dir or (),
                 ladder=rungs,
                 start=first,
@@ -280,8 +276,6 @@ def plan(
         _write(made, output, json, view, before, force=force)
         if quiet:
             return
-        from calib.cli.plan_text import expected_text, plan_text, taken_text
-
         said = (*taken_text(before, taken), *remarks, *expected_text(setup, arm.base))
         typer.echo(plan_text(made, setup.model, said) + "\n")
         for path in (output, json, view):
@@ -297,7 +291,59 @@ def plan(
             "--payload": payload,
             "--cell": None if cell is None else str(cell),
         }
-        typer.echo(_next(made, robot, output, taken, _options(options, hold or [])))
+        typer.echo(next_text(made, robot, output, taken, options, hold or []))
+
+
+def parse_ladder(text: str | None) -> list[int] | None:
+    """``--ladder``: numbers of poses such as ``10,15,20``; ``none`` is an empty list.
+
+    Raises:
+        CalibError: No whole numbers above 0.
+    """
+    if text is None:
+        return None
+    words = text.replace(",", " ").split()
+    if words == ["none"]:
+        return []
+    if not words or not all(re.fullmatch(r"[0-9]{1,9}", word) and int(word) for word in words):
+        message = f'--ladder was given as "{text}"; it must be numbers of poses such as "10,15,20,30", or \'none\'.'
+        raise CalibError(message)
+    return [int(word) for word in words]
+
+
+def load_for_plan(robot: str, cell: Cell, taken: Path | None, columns: dict[str, str]) -> Robot:
+    """The robot; a tip that was not named is chosen by the columns of the table taken, as ``calib fit`` does.
+
+    Raises:
+        CalibError: Names for the columns of a table that there is not.
+    """
+    from calib.measure.table import Table
+    from calib.model.robot import Robot
+    from calib.units import split_header
+
+    if columns and taken is None:
+        message = "--columns renames the columns of a table of poses taken; name it with --taken."
+        raise CalibError(message)
+    names = None
+    if taken is not None:
+        names = {split_header(label)[0] for label in Table.read(taken).header}
+        names |= {split_header(wanted)[0] for wanted in columns.values()}
+    return Robot.load(robot, cell.base, cell.tip, measured=names, held=cell.held)
+
+
+def read_region(path: Path | None, robot: Robot, cell: Cell) -> tuple[Region | None, list[str]]:
+    """The region of a file, and sentences on what of it does not quite fit the robot.
+
+    Raises:
+        CalibError: It cannot be read, or is another robot's.
+    """
+    from calib.design.region_file import RegionFile
+
+    if path is None:
+        return None, []
+    file = RegionFile.read(path)
+    target = next(iter(cell.targets.values()), cell.target)
+    return file.region, list(file.check_fits(robot, target))
 
 
 def _write(
@@ -323,50 +369,6 @@ def _write(
         from calib.show.plan_view import write_plan_view
 
         write_plan_view(made, view, overwrite=force)
-
-
-def _options(said: dict[str, str | None], held: list[str]) -> list[str]:
-    """The options of the call that the fit needs too, quoted for a shell."""
-    parts = [shlex.join([option, value]) for option, value in said.items() if value is not None]
-    return [*parts, *(shlex.join(["--hold", value]) for value in held)]
-
-
-def _next(
-    made: Plan, robot: str, output: Path | None, taken: Path | None, options: list[str]
-) -> str:
-    """What a person does next."""
-    from calib.cli.plan_text import fill
-
-    if output is None:
-        return "No table was written; add -o plan.csv to write it."
-    table = output if taken is None else taken
-    fit = [shlex.join(["calib", "fit", robot, str(table)]), *options, "-o corrected.urdf"]
-    listed = [*fit[:1], "--points tracker.txt", *fit[1:]]
-    first = (
-        f"Drive the {len(made.joints)} poses of {output} from top to bottom, and measure at each."
-    )
-    empty = {"distance": "distance", "pose": "x, y, z, qx, qy, qz, qw"}.get(made.kind, "x, y, z")
-    second = f"Write what was measured into the empty columns {empty}"
-    if made.kind == "point" and taken is None:
-        second += ", or keep the tracker's list, its points called as in the column 'point'"
-    steps = [first, f"{second}."]
-    if taken is not None:
-        steps.append(f"Add the rows to {taken}, column for column.")
-    lines = ["Next:", *(fill(f"  {k}. {step}", "     ") for k, step in enumerate(steps, 1))]
-    lines.append(f"  {len(lines)}. {_command(fit)}")
-    if made.kind == "point" and taken is None:
-        lines.append(f"     or {_command(listed)}")
-    return "\n".join(lines)
-
-
-def _command(parts: list[str]) -> str:
-    """A command in lines that a shell joins again."""
-    lines = [""]
-    for part in parts:
-        if lines[-1] and len(lines[-1]) + len(part) > _WIDTH:
-            lines.append("")
-        lines[-1] += f" {part}" if lines[-1] else part
-    return " \\\n           ".join(lines)
 
 
 plan.__doc__ = _HELP

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import textwrap
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
     from calib.design.plan_file import Taken
     from calib.measure.cell import Cell
 
-_WIDTH = 100
+#: Of the text, and of a line of the command to type next.
+_WIDTH, _COMMAND = 100, 87
 
 #: Five more poses that gain less than this part of the error hardly pay.
 _PAYS, _FIVE = 0.05, 5
@@ -83,6 +85,64 @@ def expected_text(cell: Cell, base: str) -> Iterator[str]:
         yield (
             f"The columns 'expected ...' are in the frame of '{base}', for where the instrument stands is not known."
         )
+
+
+def next_text(
+    made: Plan,
+    robot: str,
+    output: Path | None,
+    taken: Path | None,
+    options: dict[str, str | None],
+    held: list[str],
+) -> str:
+    """What a person does next.
+
+    Args:
+        made: The plan.
+        robot: The robot as it was named.
+        output: The table of the plan.
+        taken: The table of poses taken.
+        options: Of the call, those that the fit needs too.
+        held: Each ``--hold``.
+    """
+    if output is None:
+        return "No table was written; add -o plan.csv to write it."
+    table = output if taken is None else taken
+    said = [(option, value) for option, value in options.items() if value is not None]
+    said += [("--hold", value) for value in held]
+    fit = [shlex.join(["calib", "fit", robot, str(table)]), *map(shlex.join, said)]
+    fit.append("-o corrected.urdf")
+    listed = [*fit[:1], "--points tracker.txt", *fit[1:]]
+    first = (
+        f"Drive the {len(made.joints)} poses of {output} from top to bottom, and measure at each."
+    )
+    empty = {"distance": "distance", "pose": "x, y, z, qx, qy, qz, qw"}.get(made.kind, "x, y, z")
+    second = f"Write what was measured into the empty columns {empty}"
+    if made.kind == "point" and taken is None:
+        second += ", or keep the tracker's list, its points called as in the column 'point'"
+    steps = [first, f"{second}."]
+    if taken is not None:
+        steps.append(f"Add the rows to {taken}, column for column.")
+    lines = ["Next:", *(fill(f"  {k}. {step}", "     ") for k, step in enumerate(steps, 1))]
+    lines.append(f"  {len(lines)}. {command_text(fit, 11)}")
+    if made.kind == "point" and taken is None:
+        lines.append(f"     or {command_text(listed, 11)}")
+    return "\n".join(lines)
+
+
+def command_text(parts: Iterable[str], indent: int) -> str:
+    """A command in lines that a shell joins again.
+
+    Args:
+        parts: What is not to be broken.
+        indent: Of the lines after the first.
+    """
+    lines = [""]
+    for part in parts:
+        if lines[-1] and len(lines[-1]) + len(part) > _COMMAND:
+            lines.append("")
+        lines[-1] += f" {part}" if lines[-1] else part
+    return (" \\\n" + " " * indent).join(lines)
 
 
 def fill(text: str, indent: str = "") -> str:

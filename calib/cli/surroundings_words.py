@@ -1,4 +1,4 @@
-"""From the words of a command line to what stands around the robot: tracker, reflector, boxes, ranges of joints."""
+"""From the words of a command line to the cell about a robot: tracker and noise, reflector, boxes, ranges, start."""
 
 from __future__ import annotations
 
@@ -11,8 +11,15 @@ from calib.cli.words import parse_point
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from calib.measure.cell import Cell
     from calib.measure.surroundings import Box, Reflector, Tracker
+    from calib.model.robot import Robot
+
+#: A joint may stand beyond a limit by this, for rounding [rad or m].
+_ROUNDING = 1e-4
 
 _NUMBER = r"[+-]?[\d.]+(?:[eE][+-]?\d+)?"
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*([A-Za-z]*)\s*\.\.\s*({_NUMBER})\s*([A-Za-z]+)\s*")
@@ -23,7 +30,6 @@ def add_surroundings(
     *,
     tracker: str | None = None,
     reflector: str | None = None,
-    acceptance: str | None = None,
     boxes: Iterable[str] | None = None,
     ranges: Iterable[str] | None = None,
 ) -> Cell:
@@ -33,39 +39,24 @@ def add_surroundings(
     added to the cell's, and win where a name is given in both.
 
     Raises:
-        CalibError: Words that cannot be read, or an acceptance without a reflector.
+        CalibError: Words that cannot be read.
     """
     from dataclasses import replace
 
-    named = {box.name: box for box in cell.boxes}
-    for box in parse_boxes(boxes or ()):
-        named[box.name] = box
-    facing = cell.reflector
-    if reflector is not None:
-        facing = parse_reflector(reflector, facing)
-    if acceptance is not None:
-        if facing is None:
-            message = (
-                "--acceptance was given without a reflector that has a direction; say where it faces in the tip, "
-                'such as --reflector "0 0 1".'
-            )
-            raise CalibError(message)
-        facing = replace(facing, acceptance=parse_acceptance(acceptance))
+    named = {box.name: box for box in (*cell.boxes, *parse_boxes(boxes or ()))}
     return replace(
         cell,
         tracker=cell.tracker if tracker is None else parse_tracker(tracker, cell.tracker),
-        reflector=facing,
+        reflector=cell.reflector
+        if reflector is None
+        else parse_reflector(reflector, cell.reflector),
         boxes=tuple(named.values()),
         ranges={**cell.ranges, **parse_ranges(ranges or ())},
     )
 
 
 def parse_tracker(text: str, given: Tracker | None = None) -> Tracker:
-    """``--tracker``: a position in the robot's base, such as ``2500 0 500 mm``.
-
-    Args:
-        text: The words.
-        given: A tracker whose range and noise are kept.
+    """``--tracker``: a position in the robot's base, such as ``2500 0 500 mm``; the rest is the given one's.
 
     Raises:
         CalibError: No three numbers and a unit of length.
@@ -79,11 +70,7 @@ def parse_tracker(text: str, given: Tracker | None = None) -> Tracker:
 
 
 def parse_reflector(text: str, given: Reflector | None = None) -> Reflector:
-    """``--reflector``: the direction in the tip that the reflector faces, such as ``0 0 1``.
-
-    Args:
-        text: The words.
-        given: A reflector whose acceptance is kept.
+    """``--reflector``: the direction in the tip that it faces, such as ``0 0 1``; the rest is the given one's.
 
     Raises:
         CalibError: No three numbers, or all of them zero.
@@ -104,27 +91,6 @@ def parse_reflector(text: str, given: Reflector | None = None) -> Reflector:
     return Reflector(normal) if given is None else replace(given, normal=normal)
 
 
-def parse_acceptance(text: str) -> float:
-    """``--acceptance``: the half angle of the cone that the reflector is seen in, such as ``30 deg`` [rad].
-
-    Raises:
-        CalibError: No angle above 0 and up to 180 deg with its unit.
-    """
-    from calib.measure.quantities import ANGLE, parse_quantity
-
-    try:
-        angle, kind = parse_quantity(text)
-    except CalibError:
-        angle, kind = math.nan, ""
-    if kind != ANGLE or not 0.0 < angle <= math.pi:
-        message = (
-            f'--acceptance was given as "{text}"; it must be a half angle above 0 and at most 180 deg with its unit, '
-            'such as "30 deg".'
-        )
-        raise CalibError(message)
-    return angle
-
-
 def parse_boxes(texts: Iterable[str]) -> tuple[Box, ...]:
     """Each ``--box``: ``NAME: X Y Z SX SY SZ UNIT``, centre in the robot's base and edges along its axes.
 
@@ -141,17 +107,12 @@ def parse_boxes(texts: Iterable[str]) -> tuple[Box, ...]:
         name, _, rest = (part.strip() for part in text.rpartition(":"))
         # "40mm" is as clear as "40 mm".
         words = re.sub(r"(?<=[\d.])(?=[a-z]+\s*$)", " ", rest.replace(",", " ")).split()
-        numbers = _floats(words[:6])
-        if not name or len(words) != 7 or len(numbers) != 6 or min(numbers[3:]) <= 0.0:
+        numbers, units = _floats(words[:6]), symbols("length")
+        known = len(words) == 7 and words[6] in units
+        if not name or not known or len(numbers) != 6 or min(numbers[3:]) <= 0.0:
             message = (
                 f'--box was given as "{text}"; it must be a name, the centre x y z in the base, three edges above '
-                '0, and a unit: "table: 0 0 -20 1200 800 40 mm".'
-            )
-            raise CalibError(message)
-        if words[6] not in symbols("length"):
-            message = (
-                f"--box was given as \"{text}\"; '{words[6]}' is no unit of length. Choose one of "
-                f"{choices(symbols('length'))}."
+                f'0, and a unit of length: "table: 0 0 -20 1200 800 40 mm". The units are {choices(units)}.'
             )
             raise CalibError(message)
         metres = UNITS[words[6]].to_si * np.array(numbers)
@@ -189,6 +150,56 @@ def parse_ranges(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
             raise CalibError(message)
         ranges[name] = pair
     return ranges
+
+
+def parse_start(texts: Iterable[str], robot: Robot) -> NDArray[np.float64] | None:
+    """``--start``: ``home`` (all joints at zero), or ``JOINT=VALUE UNIT`` for those that are not at zero, shape (m,).
+
+    Raises:
+        CalibError: Other words, an unknown joint, or a value in a unit that does not fit it or beyond its limits.
+    """
+    from calib.cli.compensate_words import parse_start as parse_joints
+    from calib.measure.ranges import column_limits, range_text
+    from calib.model.robot import read_only
+
+    said = list(texts)
+    if not said:
+        return None
+    values = parse_joints([text for text in said if text.strip() != "home"], robot)
+    start = [values.get(name, 0.0) for name in robot.joint_names]
+    for name, value, limits in zip(robot.joint_names, start, column_limits(robot), strict=True):
+        if not limits[0] - _ROUNDING <= value <= limits[1] + _ROUNDING:
+            message = (
+                f"--start: '{name}' would stand beyond its limits in the URDF, {range_text(robot, name, limits)}. Say "
+                f'where it stands, --start "{name}=VALUE UNIT", or leave --start out.'
+            )
+            raise CalibError(message)
+    return read_only(start)
+
+
+def with_noise(cell: Cell, text: str | None) -> Cell:
+    """The cell with ``--noise``: a tracker's by its distance, or one length for every pose.
+
+    Raises:
+        CalibError: Words that cannot be read, or a noise by distance without a tracker.
+    """
+    from dataclasses import replace
+
+    from calib.measure.noise import parse_noise
+
+    if text is None:
+        return cell
+    noise = parse_noise(text, "--noise")
+    if cell.tracker is not None:
+        own = replace(noise, repeatability=cell.tracker.noise.repeatability)
+        return replace(cell, sigma=None, tracker=replace(cell.tracker, noise=own))
+    if noise.per_length:
+        message = (
+            f'--noise was given as "{text}", which grows with the distance, and nothing says where the tracker stands; '
+            'add --tracker "X Y Z UNIT", or give one length such as "0.05 mm".'
+        )
+        raise CalibError(message)
+    return replace(cell, sigma=noise.constant)
 
 
 def _floats(words: Iterable[str]) -> list[float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -30,9 +32,6 @@ if TYPE_CHECKING:
     from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
-
-#: Columns of the command printed at the end.
-_WIDTH = 86
 
 _HELP = """Show where the target comes to lie, and find the region to measure in.
 
@@ -134,9 +133,9 @@ def workspace(
     with reporting(debug=debug):
         from calib.cli.progress import progress_bar
         from calib.cli.setup import check_outputs, read_cell
+        from calib.cli.simulate_words import parse_size
         from calib.cli.surroundings_words import add_surroundings
         from calib.cli.workspace_text import Found, text
-        from calib.cli.workspace_words import parse_margins, parse_voxel, parse_within
         from calib.design.workspace import Density, sample_workspace
         from calib.measure.ranges import joint_ranges
         from calib.show.figure_region import check_ending
@@ -152,7 +151,7 @@ def workspace(
             message = f"--share was given as {share:g}; it must be greater than 0 and at most 1, such as 0.95."
             raise CalibError(message)
         box = None if within is None else parse_within(within)
-        edge = None if voxel is None else parse_voxel(voxel)
+        edge = None if voxel is None else parse_size(voxel, "--voxel", "20 mm")
         setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, hold=hold)
         setup = add_surroundings(setup, ranges=range_)
         arm, tables = _load(robot, setup, columns, [like, check])
@@ -184,6 +183,56 @@ def workspace(
         for path in written:
             typer.echo(f"Written: {path}")
         typer.echo(_next(robot, found, output, cell, {"--hold": hold, "--range": range_}))
+
+
+def parse_within(text: str) -> NDArray[np.float64]:
+    """``--within``: ``X Y Z to X Y Z UNIT``, two corners of a box, as shape (2, 3), [m].
+
+    Raises:
+        CalibError: Words of another form, or a second corner that is not greater along each axis.
+    """
+    from calib.cli.words import parse_point
+    from calib.design.region import checked_box
+
+    first, _, second = text.partition(" to ")
+    unit = re.search(r"[A-Za-zµμ]+\s*$", second)
+    if unit is None:
+        message = (
+            f'--within was given as "{text}"; it must be two corners in the base frame, the one with the smaller '
+            'numbers first, and a unit, such as "-600 -600 0 to 600 0 900 mm".'
+        )
+        raise CalibError(message)
+    if not re.search(r"[A-Za-zµμ]+\s*$", first):
+        first = f"{first} {unit[0]}"
+    return checked_box([parse_point(corner, "--within") for corner in (first, second)])
+
+
+def parse_margins(texts: list[str], robot: Robot) -> NDArray[np.float64]:
+    """``--margin``: an angle for joints that turn, a length for those that slide; shape (m,), [rad] or [m].
+
+    Raises:
+        CalibError: Another quantity, one below 0, or the same quantity twice.
+    """
+    import numpy as np
+
+    from calib.measure.quantities import ANGLE, LENGTH, parse_quantity
+
+    slides = [robot.joint_types[name] == "prismatic" for name in robot.joint_names]
+    wanted = [kind for kind, used in ((ANGLE, not all(slides)), (LENGTH, any(slides))) if used]
+    found: dict[str, float] = {}
+    for text in texts:
+        try:
+            value, kind = parse_quantity(text)
+        except CalibError:
+            value, kind = 0.0, ""
+        if kind not in wanted or value < 0.0 or kind in found:
+            message = (
+                f'--margin was given as "{text}"; of these joints it must be {" or ".join(wanted)}, not below 0, and '
+                'each once: "5 deg" for joints that turn, "10 mm" for those that slide.'
+            )
+            raise CalibError(message)
+        found[kind] = value
+    return np.where(slides, found.get(LENGTH, 0.0), found.get(ANGLE, 0.0))
 
 
 def _load(
@@ -303,7 +352,7 @@ def _next(
     repeated: dict[str, list[str] | None],
 ) -> str:
     """What to do with the region: a command that can be copied, in lines that fit the screen."""
-    import shlex
+    from calib.cli.plan_text import command_text
 
     if output is None:
         return "Next:  add -o region.json; 'calib plan --region region.json' chooses poses in the region."
@@ -315,12 +364,8 @@ def _next(
         options["--cell"] = str(cell)
     parts += [shlex.join(pair) for pair in options.items()]
     parts += [shlex.join([o, value]) for o, values in repeated.items() for value in values or []]
-    lines = [""]
-    for part in [*parts, shlex.join(["--region", str(output)]), "-o plan.csv"]:
-        if lines[-1] and len(lines[-1]) + len(part) > _WIDTH:
-            lines.append("")
-        lines[-1] += f" {part}" if lines[-1] else part
-    return "Next:  " + " \\\n         ".join(lines)
+    parts += [shlex.join(["--region", str(output)]), "-o plan.csv"]
+    return f"Next:  {command_text(parts, 9)}"
 
 
 workspace.__doc__ = _HELP

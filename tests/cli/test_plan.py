@@ -173,9 +173,10 @@ def test_the_same_seed_makes_the_same_plan(call, shop: Path):
 
 
 def test_what_stands_around_the_robot(call, shop: Path):
+    (shop / "cone.toml").write_text("[reflector]\nnormal = [1, 0, 0]\nacceptance_deg = 40\n")
     done = call(
         shop, "plan", "robot.urdf", "--base", "base", "--tip", "tool0", "--model", "dh", "--target", "30 0 60 mm",
-        "--candidates", "300", "--tracker", "2500 500 600 mm", "--reflector", "0 0 1", "--acceptance", "40 deg",
+        "--candidates", "300", "--tracker", "2500 500 600 mm", "--reflector", "0 0 1", "--cell", "cone.toml",
         "--box", "table: 0 0 -45 1200 800 50 mm", "--clearance", "10 mm", "--range", "elbow_joint=-120..120 deg",
         "--margin", "10 deg", "--noise", "20 um + 5 um/m", "--start", "shoulder_lift_joint=-90 deg",
         "-o", "plan.csv", "--json", "plan.json",
@@ -249,8 +250,9 @@ BOX = ("--box", "shell: 0 0 200 3000 3000 3000 mm")
         (("--margin=-5 deg",), '--margin was given as "-5 deg"; it must not be below 0.'),
         (("--margin", "400 deg"), "The margin of 400 deg to the URDF's limits leaves nothing of the range of 'sh"),
         (("--clearance", "5"), '--clearance "5": "5" is a number, a length is wanted'),
+        (("--clearance", "0.3 m"), '--clearance was given as "0.3 m"; it must be 100 mm or less'),
         (("--range", "elbow=0..1 deg"), "A range is given for the joint 'elbow', which does not move the chain"),
-        (("--start", "elbow=1 deg"), "no joint 'elbow' is planned for"),
+        (("--start", "elbow=1 deg"), "the chain has no joint 'elbow'"),
         (("--noise", "5 um + 1 um/m"), "nothing says where the tracker stands"),
         (("--columns", "a=b"), "name it with --taken."),
         (("--taken", "cell.toml"), "cell.toml: no column for the joints"),
@@ -259,7 +261,7 @@ BOX = ("--box", "shell: 0 0 200 3000 3000 3000 mm")
         (("--region", "data.csv"), "data.csv: this is not a JSON file"),
         (("--kind", "plane"), "Poses cannot be planned for the kind 'plane'"),
         (("--model", "best"), "--model: there is no model 'best'."),
-        (("--acceptance", "3 deg"), "--acceptance was given without a reflector"),
+        (("--collisions", "--holder", "0 mm"), "The holder's radius is 0.0 m; it must be a number above 0."),
         (("--box", "table"), '--box was given as "table"; it must be a name'),
         (("--reflector", "up"), '--reflector was given as "up"; it must be a direction'),
         (("--tracker", "1 2 m"), '--tracker was given as "1 2 m"; it must be three numbers and a unit'),

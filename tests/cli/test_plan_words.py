@@ -6,16 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.cli.plan_words import (
-    checked_columns,
-    load_for_plan,
-    parse_clearance,
-    parse_ladder,
-    parse_start,
-    read_region,
-    with_noise,
-)
+from calib.cli.plan import load_for_plan, parse_ladder, read_region
 from calib.cli.setup import row_ranges
+from calib.cli.surroundings_words import parse_start, with_noise
 from calib.design.region import Region
 from calib.design.region_file import RegionFile
 from calib.errors import CalibError
@@ -51,8 +44,8 @@ def test_starts(ur3):
         (["elbow"], "--start was given 'elbow'; it must be 'joint=value' with a unit"),
         (["elbow_joint=1"], "--start 'elbow_joint=1' is '1'; a joint's value needs a unit"),
         (["elbow_joint=1 deg"] * 2, "--start was given 'elbow_joint=1 deg'; it must be"),
-        (["elbow=1 deg"], "--start was given 'elbow=1 deg', and no joint 'elbow' is planned for. These are: 'shoulder"),
-        (["elbow_joint=1 mm"], "--start was given 'elbow_joint=1 mm'; the value of 'elbow_joint' is an angle, such"),
+        (["elbow=1 deg"], "--start: the chain has no joint 'elbow'"),
+        (["elbow_joint=1 mm"], "--start: the value of 'elbow_joint' is a length, and the joint turns"),
     ],
 )  # fmt: skip
 def test_starts_that_mean_nothing(ur3, texts, said):
@@ -61,36 +54,22 @@ def test_starts_that_mean_nothing(ur3, texts, said):
 
 
 def test_no_robot_starts_beyond_its_limits(ur3, panda):
-    with pytest.raises(
-        CalibError, match=r"'elbow_joint' would stand at 400 deg; .* -180 to 180 deg\. Say where"
-    ):
+    with pytest.raises(CalibError, match=r"'elbow_joint' .* -180 to 180 deg"):
         parse_start(["elbow_joint=400 deg"], ur3)
     # The zero of a Panda's fourth joint is one that it cannot reach.
     for texts in (["home"], ["panda_joint1=10 deg"]):
         with pytest.raises(
-            CalibError, match=r"--start: 'panda_joint4' would stand at 0 deg; its limits"
+            CalibError, match=r"--start: 'panda_joint4' would stand beyond its limits"
         ):
             parse_start(texts, panda)
     assert parse_start(["home", "panda_joint4=-90 deg"], panda)[3] == pytest.approx(-np.pi / 2)
-
-
-def test_clearances():
-    assert parse_clearance("5 mm") == 0.005
-    assert parse_clearance("100 mm") == 0.1
-    for text, said in (
-        ("0.3 m", '--clearance was given as "0.3 m"; it must be 100 mm or less'),
-        ("-1 mm", '--clearance was given as "-1 mm"'),
-        ("1 deg", "a length is wanted"),
-    ):
-        with pytest.raises(CalibError, match=re.escape(said)):
-            parse_clearance(text)
 
 
 def test_a_start_of_a_joint_that_slides(serial_urdf):
     joints = [("prismatic", (0, 0, 0.1), (0, 0, 0), (0, 0, 1))]
     robot = Robot.from_urdf(serial_urdf(joints))
     assert parse_start(["j1=20 mm"], robot).tolist() == [0.02]
-    with pytest.raises(CalibError, match=r"the value of 'j1' is a length, such as \"0\.3 m\""):
+    with pytest.raises(CalibError, match=r"the value of 'j1' is an angle, and the joint slides"):
         parse_start(["j1=20 deg"], robot)
 
 
@@ -111,13 +90,6 @@ def test_noise():
         with_noise(Cell(), "3")
 
 
-def test_columns_are_of_a_table(tmp_path: Path):
-    assert checked_columns({}, None) == {}
-    assert checked_columns({"J": "j1"}, tmp_path) == {"J": "j1"}
-    with pytest.raises(CalibError, match=r"name it with --taken\."):
-        checked_columns({"J": "j1"}, None)
-
-
 def test_the_tip_is_that_of_the_table(tmp_path: Path):
     table = tmp_path / "taken.csv"
     table.write_text("panda_joint1 [deg],panda_joint2 [deg],J [deg]\n1,2,3\n", encoding="utf-8")
@@ -125,6 +97,8 @@ def test_the_tip_is_that_of_the_table(tmp_path: Path):
     assert len(load_for_plan("panda", Cell(), table, {"J": "panda_joint3"}).joint_names) == 3
     assert len(load_for_plan("panda", Cell(), None, {}).joint_names) > 6
     assert load_for_plan("panda", Cell(tip="panda_link4"), table, {}).tip == "panda_link4"
+    with pytest.raises(CalibError, match=r"name it with --taken\."):
+        load_for_plan("panda", Cell(), None, {"J": "j1"})
 
 
 def test_a_region_of_this_robot_and_of_another(ur3, tmp_path: Path):

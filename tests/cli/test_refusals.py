@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from calib.cli import compensate_words, plan_words, simulate_words
+from calib.cli import compensate_words, simulate_words
 from calib.errors import CalibError
 
 
@@ -21,11 +21,6 @@ def test_starts_in_another_joints_unit(ur3):
         'as "30 deg".'
     ):
         compensate_words.parse_start(["elbow_joint=3 mm"], ur3)
-    with refused(
-        "--start was given 'elbow_joint=3 mm'; the value of 'elbow_joint' is an angle, such as \"30 "
-        'deg".'
-    ):
-        plan_words.parse_start(["elbow_joint=3 mm"], ur3)
 
 
 def test_steps_of_encoders_and_sizes_that_are_none():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from calib.cli.workspace_words import parse_margins, parse_voxel, parse_within
+from calib.cli.workspace import parse_margins, parse_within
 from calib.design.region_file import RegionFile
 from calib.errors import CalibError
 from calib.model.robot import Robot
@@ -194,25 +194,22 @@ OUT = ("-o", "r.json", "--picture", "r.png", "--view", "r.html")
         (("--share", "95"), "--share was given as 95; it must be"),
         (("--share", "nan"), "--share was given as nan"),
         (("--share", "0.00001"), "The share is 1e-05, and the densest voxel of 200 mm alone holds 0.0"),
-        (("--voxel", "20"), '--voxel was given as "20"; it must be a length greater than 0'),
-        (("--voxel", "-20 mm"), '--voxel was given as "-20 mm"; it must be'),
-        (("--voxel", "5 deg"), '--voxel was given as "5 deg"; it must be'),
-        (("--voxel", "wide"), "--voxel: 'wide' is no number with a unit"),
+        (("--voxel", "20"), '--voxel "20": "20" is a number, a length is wanted'),
+        (("--voxel", "0 mm"), "The voxel is 0 mm; it must be a length greater than 0"),
+        (("--voxel", "wide"), "'wide' is no number with a unit"),
         (("--voxel", "1 mm"), "at most 4,000,000 are made. Give voxels of "),
         (("--range", "elbow=0..90 deg"), "for the joint 'elbow', which does not move the chain 'base' to 'tool0'. Its"),
         (("--range", "elbow_joint=90..0 deg"), "90 deg is not less than 0 deg. Give the least value first"),
         (("--range", "elbow_joint=0..200 deg"), "of 'elbow_joint' is 0 to 200 deg; its limits in the URDF are -180 to"),
         (("--range", "elbow_joint"), '--range was given as "elbow_joint"; it must be a joint'),
         (("--within", "2000 0 0 to 3000 1 1 mm"), "The region is empty: none of 4,096 samples lies in the box from"),
-        (("--within", "0 0 0 to 0 1 1 mm"), "whose x goes from 0 to 0 mm; give the corner with the smaller"),
-        (("--within", "0 0 0, 1 1 1 mm"), "it must be two corners in the base frame and a unit, such as"),
-        (("--within", "0 0 0 to 1 1 1"), "it must be two corners in the base frame and a unit"),
-        (("--within", "0 0 to 1 1 1 mm"), 'the first corner of --within was given as "0 0 mm"; it must be three'),
+        (("--within", "0 0 0 to 0 1 1 mm"), "the second greater than the first along x, y and z"),
+        (("--within", "0 0 0, 1 1 1 mm"), "it must be two corners in the base frame"),
+        (("--within", "0 0 to 1 1 1 mm"), '--within was given as "0 0 mm"; it must be three'),
         (("--margin", "5 deg"), "--margin widens the ranges of a table; name the table with --like"),
-        (("--like", "data.csv", "--margin", "-5 deg"), '--margin was given as "-5 deg"; it must be an angle'),
-        (("--like", "data.csv", "--margin", "5"), '--margin was given as "5"; it must be an angle'),
-        (("--like", "data.csv", "--margin", "x"), "--margin: 'x' is no number with a unit"),
-        (("--like", "data.csv", "--margin", "5 mm"), "--margin was given as a length, and none of the joints"),
+        (("--like", "data.csv", "--margin", "-5 deg"), '--margin was given as "-5 deg"; of these joints it must be an angle'),
+        (("--like", "data.csv", "--margin", "x"), '--margin was given as "x"'),
+        (("--like", "data.csv", "--margin", "5 mm"), '--margin was given as "5 mm"; of these joints it must be an angle'),
         (("--like", "none.csv"), "none.csv' does not exist"),
         (("--check", "robot.urdf"), "robot.urdf"),
         (("--picture", "r.gif"), "r.gif: the ending says what kind of picture is written; choose one of"),
@@ -255,7 +252,6 @@ def test_words():
     )
     np.testing.assert_allclose(parse_within("0,0,0 to 0.1,0.2,0.3m"), [[0, 0, 0], [0.1, 0.2, 0.3]])
     np.testing.assert_allclose(parse_within("0 0 0 mm to 1 1 1 m"), [[0, 0, 0], [1, 1, 1]])
-    assert parse_voxel("2.5 cm") == pytest.approx(0.025)
     robot = Robot.load("tiago", tip="arm_7_link")
     margins = parse_margins(["5 deg", "10 mm"], robot)
     slides = [kind == "prismatic" for kind in robot.joint_types.values()]
