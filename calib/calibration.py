@@ -8,7 +8,8 @@ from typing import Any
 
 from calib.identify import calibration, comparison, result_file, result_urdf
 from calib.identify.comparison import Comparison as ComparisonValues
-from calib.identify.comparison_text import comparison_table, comparison_text
+from calib.identify.comparison_file import comparison_table
+from calib.identify.comparison_text import comparison_text
 from calib.identify.crossvalidation import Progress
 from calib.identify.result import Calibration as Values
 from calib.identify.summary import summary

@@ -53,7 +53,8 @@ def compare(
     with reporting(debug=debug):
         from calib.cli.setup import check_outputs
         from calib.identify.comparison import compare as compare_results
-        from calib.identify.comparison_text import comparison_table, comparison_text
+        from calib.identify.comparison_file import comparison_table
+        from calib.identify.comparison_text import comparison_text
         from calib.identify.result_file import write_table
 
         check_outputs([json, view], [a, b, *([robot] if robot else [])], force=force)

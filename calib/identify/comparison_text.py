@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
@@ -22,14 +21,10 @@ from calib.identify.comparison import (
 from calib.identify.displacement import unknown_frame
 from calib.identify.drift import LEVEL, own_names
 from calib.identify.result import Calibration
-from calib.identify.result_tables import versions
 from calib.identify.statements import lengths_of_kinds, title_of_errors
 from calib.identify.statistics import Errors
 from calib.identify.words import three, wrap
 from calib.version import __version__
-
-#: The layout of what `comparison_table` gives; a word, so that it is not taken for a result.
-COMPARISON_SCHEMA = "comparison 2"
 
 #: A parameter with a longer name gets a line for its name alone.
 _LONGEST_NAME = 28
@@ -192,7 +187,7 @@ def _notes(c: Comparison) -> str:
     return "\n".join(wrap(f"Note: {note}") for note in notes(c))
 
 
-def _sets(one: Calibration) -> list[tuple[str, Errors]]:
+def error_sets(one: Calibration) -> list[tuple[str, Errors]]:
     """Errors of the calibrated robot: estimation rows, validation rows, left-out rows."""
     sets = [(f"{name} rows", errors) for name, errors in one.errors["calibrated"].items()]
     if one.cross_validation is not None:
@@ -206,7 +201,7 @@ def _errors(c: Comparison) -> str:
     head = f"{title_of_errors(measured)} [mm]"
     lines = [_ERRORS.format("", head, "rows", "max", "mean", "rms")]
     for letter, one in (("a", c.a), ("b", c.b)):
-        for rows, e in _sets(one):
+        for rows, e in error_sets(one):
             values = [f"{1e3 * v:.3f}" for v in (e.max, e.mean, e.rms)]
             lines.append(_ERRORS.format(letter, rows, e.n, *values))
     noise = [
@@ -326,83 +321,3 @@ def _moved(places: tuple[PlaceDifference, ...], what: str, where: str) -> list[s
 def _odds(p: float) -> str:
     """A probability in words."""
     return f"p = {p:.2g}" if p > 1e-12 else "p < 1e-12"
-
-
-def comparison_table(c: Comparison) -> dict[str, Any]:
-    """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
-    t = c.test
-    return {
-        "schema": COMPARISON_SCHEMA,
-        "robot": {"name": c.a.nominal.name, "base": c.a.nominal.base, "tip": c.a.nominal.tip},
-        "outcome": c.outcome,
-        "sentence": sentence(c),
-        "test": {
-            "combinations": t.combinations,
-            "chi_square": t.chi_square,
-            "freedom": t.freedom,
-            "p": t.p,
-            "sigma": t.sigma,
-            "level": LEVEL,
-        },
-        "moves": [
-            {
-                "where": m.where,
-                "rms_m": m.rms,
-                "max_m": m.max,
-                "noise_rms_m": m.noise,
-                "moved_rms_m": m.moved,
-                "moved_std_m": m.std,
-                "rms_rad": m.rms_angle,
-            }
-            for m in c.moves
-        ],
-        "parameters": [
-            {
-                "name": p.name,
-                "unit": p.unit,
-                "a": p.a,
-                "b": p.b,
-                "difference": p.difference,
-                "std": p.std,
-                "sigmas": p.sigmas,
-                "alone": p.alone,
-            }
-            for p in c.parameters
-        ],
-        "untold": list(c.untold),
-        "only_a": list(c.only_a),
-        "only_b": list(c.only_b),
-        "frames": [_place(one, "group") for one in c.frames],
-        "targets": [_place(one, "target") for one in c.targets],
-        "results": [_result(name, one) for name, one in zip(c.names, (c.a, c.b), strict=True)],
-        "notes": list(notes(c)),
-        "versions": versions(),
-    }
-
-
-def _place(one: PlaceDifference, key: str) -> dict[str, Any]:
-    """How one frame or target moved."""
-    return {key: one.name, "found": one.found, "shift_m": one.shift, "turn_rad": one.turn}
-
-
-def _result(name: str, one: Calibration) -> dict[str, Any]:
-    """What was compared."""
-    urdf = one.nominal.urdf
-    return {
-        "name": name,
-        "set": one.model.name,
-        "verdict": None if one.verdict is None else one.verdict.use,
-        "sigma_m": one.sigma,
-        "errors": [
-            {"rows": rows, "n": e.n, "max_m": e.max, "mean_m": e.mean, "rms_m": e.rms}
-            for rows, e in _sets(one)
-        ],
-        "inputs": {
-            "urdf": {"name": urdf.source, "sha256": urdf.sha256},
-            "measurements": {
-                "name": one.source.name or "memory",
-                "sha256": one.source.sha256,
-                "rows": len(one.rows),
-            },
-        },
-    }
