@@ -248,9 +248,8 @@ def _elsewhere(
     if len(found) == 1 and not target.startswith(_FOREIGN):
         kind = "obj" if node["reftype"] == "obj" else domain.objects[found[0]].objtype
         return domain.resolve_xref(env, node["refdoc"], app.builder, kind, found[0], node, shown)
-    # What users are given has its types on these pages; what that is made of in turn need not.
-    inner = node["reftype"] == "obj" or node["refdoc"] == "api-parts"
-    known = target.startswith(("calib ", *_FOREIGN)) or (inner and last in _names())
+    # What these values are made of in turn is shown by name: it has no page of its own.
+    known = target.startswith(("calib ", *_FOREIGN)) or last in _names()
     return shown if known else None
 
 

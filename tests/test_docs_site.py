@@ -109,7 +109,7 @@ def test_what_the_api_pages_describe_exists_and_has_its_fields_described(page: s
     entries = re.findall(
         r"^\.\. auto\w+:: ([\w.]+)$", (DOCS / page).read_text("utf-8"), re.MULTILINE
     )
-    assert len(entries) > 30
+    assert len(entries) > 10
     for entry in entries:
         module, _, last = entry.rpartition(".")
         thing = getattr(importlib.import_module(module), last)

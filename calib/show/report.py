@@ -1,6 +1,6 @@
 """The report of a calibration: verdict first, then errors before and after, figures, parameters, and how it came about.
 
-One HTML page, `report.html.j2` filled in: figures inside, no script, nothing from the network; it prints on A4.
+One HTML page, ``report.html.j2`` filled in: figures inside, no script, nothing from the network; it prints on A4.
 """
 
 from __future__ import annotations
