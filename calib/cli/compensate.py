@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from calib.cli.compensate_words import BASE, Given, Match, Orientation, Send, TableUnits
 from calib.cli.options import (
     Debug,
     Force,
@@ -69,16 +68,16 @@ def compensate(
             help="Frame that poses are given and sent in: the base, or the one that the result's points, or those of a "
             "set-up, were measured in.",
         ),
-    ] = BASE,
+    ] = "base",
     given: Annotated[
-        Given | None,
+        Literal["joints", "poses"] | None,
         typer.Option(
             "--given",
             help="What is wanted where PROGRAM has joint values and poses. Default: poses.",
         ),
     ] = None,
     match: Annotated[
-        Match | None,
+        Literal["pose", "position", "axis", "weighted"] | None,
         typer.Option(
             "--match",
             help="pose; position, orientation left free; axis: position and direction of the tool's z; weighted: as "
@@ -122,18 +121,20 @@ def compensate(
         bool, typer.Option("--skip", help="Rows without a command stay in the table, empty.")
     ] = False,
     send: Annotated[
-        Send, typer.Option("--send", help="What is written: joint values, poses, or both.")
-    ] = Send.both,
+        Literal["both", "joints", "poses"],
+        typer.Option("--send", help="What is written: joint values, poses, or both."),
+    ] = "both",
     orientation: Annotated[
-        Orientation, typer.Option("--orientation", help="How orientations are written.")
-    ] = Orientation.vector,
+        Literal["rotation-vector", "quaternion", "rpy"],
+        typer.Option("--orientation", help="How orientations are written."),
+    ] = "rotation-vector",
     units: Annotated[
-        TableUnits,
+        Literal["deg mm", "rad m"],
         typer.Option(
             "--units",
             help="Units of the table: 'deg mm', or 'rad m' as ROS and URScript have them. A rotation vector is in rad.",
         ),
-    ] = TableUnits.deg_mm,
+    ] = "deg mm",
     geometry: Annotated[
         bool,
         typer.Option("--geometry", help="Use the joint origins, not the result's larger model."),
@@ -174,17 +175,9 @@ def compensate(
 ) -> None:
     """See `_HELP`."""
     with reporting(debug=debug):
+        from calib.cli import compensate_setup as setup
         from calib.cli.compensate_notes import no_commands
-        from calib.cli.compensate_setup import (
-            column_names,
-            frame_of,
-            of_result,
-            of_robots,
-            payload_of,
-            tool_of,
-        )
         from calib.cli.compensate_text import text
-        from calib.cli.compensate_words import parse_accept, parse_lever, parse_limit, parse_start
         from calib.cli.progress import progress_bar
         from calib.cli.setup import check_outputs
         from calib.cli.terminal import say
@@ -193,74 +186,53 @@ def compensate(
         from calib.compensate.commands_file import write_commands
         from calib.compensate.program_file import read_program
 
-        if (calibration is None) == (corrected is None):
-            message = (
-                "What is true of the robot comes from --calibration result.json or from --corrected corrected.urdf: "
-                f"give one of them{'' if calibration is None else ', not both'}."
-            )
-            raise CalibError(message)
         inputs = [robot, program, *(name for name in (calibration, corrected) if name)]
         check_outputs([output], inputs, force=force)
         renamed = parse_columns(columns or [])
-        truth = (
-            of_result(robot, calibration, base, tip, hold)
-            if calibration is not None
-            else of_robots(robot, str(corrected), column_names(program, renamed), base, tip, hold)
-        )
-        asked = read_program(
-            program, truth.nominal, columns=renamed, given=None if given is None else given.value
-        )
-        weighs = parse_lever(lever) if lever is not None else None
+        robots = setup.robots_of(robot, calibration, corrected, program, renamed, (base, tip), hold)
+        asked = read_program(program, robots.nominal, columns=renamed, given=given)
+        weighs = setup.parse_lever(lever, match)
         with progress_bar("Rows", quiet=quiet) as progress:
             found = commands(
-                truth.true,
+                robots.actual,
                 asked,
-                nominal=truth.nominal,
-                tool=tool_of(tool, truth),
-                frame=frame_of(poses_in, truth),
-                match=None if match is None else match.value,
-                start=parse_start(start, truth.nominal) if start else None,
-                limit=parse_limit(limit),
-                accept=parse_accept(accept),
+                nominal=robots.nominal,
+                tool=setup.tool_of(tool, robots),
+                frame=setup.frame_of(poses_in, robots),
+                match=match,
+                start=setup.parse_start(start, robots.nominal) if start else None,
+                limit=setup.parse_limit(limit),
+                accept=setup.parse_accept(accept),
                 larger=not geometry,
-                payload=None if payload is None else payload_of(payload, truth, geometry=geometry),
+                payload=setup.payload_of(payload, robots, geometry=geometry),
                 progress=progress,
                 **({} if weighs is None else {"lever": weighs}),
             )
-        if weighs is not None and found.match != Match.weighted.value:
-            message = (
-                "--lever says what an angle counts as where it is weighed against a position, and here "
-                f"'{found.match}' is matched. Leave it out, or add --match weighted."
-            )
-            raise CalibError(message)
+        setup.parse_lever(lever, found.match)  # what is matched may have been left to the program
         if not found.reached.all() and (not skip or not found.reached.any()):
             raise CalibError(no_commands(found, skip=skip))
         written = None
         if output is not None:
             written = write_commands(
-                found,
-                output,
-                send=send.value,
-                orientation=orientation.value,
-                units=units.value,
-                overwrite=force,
+                found, output, send=send, orientation=orientation, units=units, overwrite=force
             )
-        if quiet:
-            verdict = None if found.result is None else found.result.verdict
-            if verdict is not None and verdict.use == "do not use":
-                typer.echo(f"calib: the verdict of {truth.name} is 'do not use'.", err=True)
+        if not quiet:
+            larger = robots.result is not None and robots.result.larger is not None and not geometry
+            say(
+                text(
+                    found,
+                    robots,
+                    tool=tool,
+                    larger=larger,
+                    send=send,
+                    poses_in=poses_in,
+                    written=written,
+                )
+            )
             return
-        larger = truth.result is not None and truth.result.larger is not None and not geometry
-        said = text(
-            found,
-            truth,
-            tool=tool,
-            larger=larger,
-            send=send.value,
-            poses_in=poses_in,
-            written=written,
-        )
-        say(said)
+        verdict = None if found.result is None else found.result.verdict
+        if verdict is not None and verdict.use == "do not use":
+            typer.echo(f"calib: the verdict of {robots.name} is 'do not use'.", err=True)
 
 
 compensate.__doc__ = _HELP

@@ -11,22 +11,42 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.cli.compensate_columns import unread_orientation
 from calib.cli.setup import row_ranges
 from calib.model.robot import rigid_inverse
+from calib.units import split_header
 
 if TYPE_CHECKING:
-    from calib.cli.compensate_setup import Truth
+    from calib.cli.compensate_setup import Robots
     from calib.compensate.commands import Commands
+    from calib.compensate.program import Program
     from calib.model.robot import Robot
+
+_RPY = ("roll", "pitch", "yaw")
+
+#: Names of orientations on controllers, in small letters; whose they are, and what calib calls each.
+_MEANT = (
+    (("a", "b", "c"), "KUKA", ("yaw", "pitch", "roll")),
+    (("w", "p", "r"), "FANUC", _RPY),
+    (("q1", "q2", "q3", "q4"), "ABB", ("qw", "qx", "qy", "qz")),
+    (("q0", "q1", "q2", "q3"), "a quaternion that begins with w", ("qw", "qx", "qy", "qz")),
+    (("o", "a", "t"), "Kawasaki", ()),
+    (("alpha", "beta", "gamma"), "", ()),
+    (("phi", "theta", "psi"), "", ()),
+)
+
+
+_CONVERT = (
+    "If they are one, convert them to quaternions, qx, qy, qz, qw, or to roll, pitch and yaw: "
+    "docs/compensation.md."
+)
 
 #: One metre and one radian in the units that are printed.
 MM, DEG = 1e3, float(np.degrees(1.0))
 
 _WIDTH = 100
 
-#: Rows that are named behind a warning.
-_NAMED = 8
+#: Rows that are named behind a warning, and columns at most.
+_NAMED, _COLUMNS = 8, 12
 
 #: Joint values of a program further from its poses than this ask for a second look [m]: no calibration moves a tool so.
 _ELSEWHERE = 0.02
@@ -99,13 +119,13 @@ def _few_joints(found: Commands) -> str:
 
 
 def notes(
-    found: Commands, truth: Truth, *, larger: bool, of_target: bool, poses: bool, in_base: bool
+    found: Commands, robots: Robots, *, larger: bool, of_target: bool, poses: bool, in_base: bool
 ) -> list[str]:
     """What to look at before the commands go to the robot.
 
     Args:
         found: The commands.
-        truth: What they were made with.
+        robots: What they were made with.
         larger: Whether the larger model of the result was used.
         of_target: Whether the tool is the calibrated target.
         poses: Whether poses are sent.
@@ -116,21 +136,22 @@ def notes(
         _elsewhere(found),
         _orientation_unsure(found, of_target=of_target),
     ]
-    if in_base and truth.frame_estimated and np.isfinite(found.std[found.reached, 0]).any():
+    estimated = robots.result is not None and robots.result.frame_estimated
+    if in_base and estimated and np.isfinite(found.std[found.reached, 0]).any():
         unsure = MM * float(found.std[found.reached, 0].mean())
         notes.append(
             "The frame of the measurements was estimated with the robot: where the base stands in it follows from the "
             f"robot alone, so that places in the base are known to {unsure:.2f} mm (standard deviation). Places in the "
             "frame that was measured in are known better: --poses-in measured."
         )
-    if truth.was_corrected:
+    if robots.was_corrected:
         notes.append(
             "ROBOT has the corrected joint origins already; what the controller has was taken from the result."
         )
-    if of_target and truth.result is not None:
+    if of_target and robots.result is not None:
         notes.append(_believed(found, poses=poses))
     if in_base and (poses or found.program.T_wanted is not None):
-        notes.append(_another_base(found.nominal, fitted=truth.result is not None))
+        notes.append(_another_base(found.nominal, fitted=robots.result is not None))
     if poses and not in_base:
         notes.append(
             "The poses to send are in the frame that was measured in: set the controller's work object to "
@@ -307,3 +328,41 @@ def fill(sentence: str, indent: str = "") -> str:
         break_on_hyphens=False,
         break_long_words=False,
     )
+
+
+def passed_through(program: Program) -> str:
+    """The columns that go into the commands unread; nothing where there are none."""
+    labels = [label for label, _ in program.kept if label]
+    if not labels:
+        return ""
+    more = f" and {len(labels) - _COLUMNS} more" if len(labels) > _COLUMNS else ""
+    return f"Passed through unread: {', '.join(labels[:_COLUMNS])}{more}."
+
+
+def unread_orientation(program: Program) -> str:
+    """What to do about columns that look like an orientation, where positions alone were read."""
+    if program.T_wanted is None or program.oriented:
+        return ""
+    named = {}
+    for label, _ in program.kept:
+        name, _ = split_header(label)
+        named[name.casefold()] = name
+    for names, whose, meaning in _MEANT:
+        if not all(name in named for name in names):
+            continue
+        there = [named[name] for name in names]
+        return (
+            f"The columns {', '.join(there)} look like an orientation and were not read: positions alone are matched, "
+            "and beside the new orientation in the table the old one is wrong. "
+            + (_mapping(there, whose, meaning) if meaning else _CONVERT)
+        )
+    return ""
+
+
+def _mapping(there: list[str], whose: str, meaning: tuple[str, ...]) -> str:
+    """The options that read them."""
+    unit = "" if "qw" in meaning else " [deg]"
+    options = " ".join(
+        f'--columns "{column}={name}{unit}"' for column, name in zip(there, meaning, strict=True)
+    )
+    return f"If they are one ({whose}): {options}. Otherwise they mean nothing here."

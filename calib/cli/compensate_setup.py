@@ -1,182 +1,220 @@
-"""What ``calib compensate`` begins with: the robot as its controller has it, the true one, the tool, the frame."""
+"""From the words of ``calib compensate`` to values: the two robots, the tool, the frame, what is accepted."""
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.cli.compensate_words import BASE, MEASURED, TARGET
-from calib.errors import CalibError, choices
+import numpy as np
+
+from calib.cli.known import check_chain, with_target_link
+from calib.cli.words import parse_held, parse_pair, parse_payload, parse_point
+from calib.errors import CalibError, choices, did_you_mean
+from calib.identify.result import Calibration
+from calib.identify.result_file import read_result
+from calib.measure.cell import Cell
+from calib.measure.table import Table
+from calib.model.robot import Robot, read_only
+from calib.units import UNITS, split_header, symbols, unit_fault
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
-    from calib.identify.result import Calibration
-    from calib.model.robot import Robot
     from calib.model.torques import Payload
+
+#: The words for the tool that is the calibrated target, for poses in the robot's base, and for poses in the frame that
+#: the points were measured in, where there is one.
+TARGET, BASE, MEASURED = "target", "base", "measured"
+
+#: What may be left of an error where nothing else is said: position [m], angle [rad].
+_ACCEPT = (1e-8, 1e-8)
+
+#: What no correction of a pose can pass: a length that no arm has [m], and more than half a turn [rad].
+_UNLIMITED = (1e6, math.tau)
 
 #: Origins of one robot differ by rounding [m; rotation matrices: 1].
 _SAME = 1e-9
 
+_TOOL = (
+    'three numbers and a unit of length, such as "0 0 150 mm", and behind them a rotation vector, "0 0 150 mm 0 0 90 '
+    'deg", or roll, pitch and yaw, "0 0 150 mm rpy 0 0 90 deg"; or the calibrated target, "target", or "target:NAME"'
+)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
-    """What is known of the true robot.
+class Robots:
+    """The robot as its controller has it, and what is known of the actual one.
 
     Attributes:
-        nominal: The robot as its controller has it.
-        true: A result, or a corrected robot.
-        name: What the text calls it.
+        nominal: As its controller has it.
+        actual: A result, or a corrected robot.
+        name: What the text calls that.
         was_corrected: Whether ROBOT has the result's joint origins already.
     """
 
     nominal: Robot
-    true: Calibration | Robot
+    actual: Calibration | Robot
     name: str
     was_corrected: bool = False
 
     @property
-    def frame_estimated(self) -> bool:
-        """Whether the frame of the result's points was estimated with the robot."""
-        return self.result is not None and self.result.frame_estimated
-
-    @property
     def result(self) -> Calibration | None:
         """The result, where there is one."""
-        from calib.model.robot import Robot
-
-        return None if isinstance(self.true, Robot) else self.true
+        return None if isinstance(self.actual, Robot) else self.actual
 
 
-def of_result(
-    robot: str, path: Path, base: str | None, tip: str | None, hold: list[str] | None
-) -> Truth:
-    """The robot of a result.
-
-    Raises:
-        CalibError: The result cannot be read, is of another chain, or began with another robot.
-    """
-    from calib.cli.known import check_chain
-    from calib.cli.words import parse_held
-    from calib.identify.result_file import read_result
-    from calib.measure.cell import Cell
-    from calib.model.robot import Robot
-
-    result = read_result(path)
-    check_chain(Cell(base=base, tip=tip), result, str(path))
-    held = {**result.nominal.held, **parse_held(hold or [])}
-    nominal = Robot.load(robot, result.nominal.base, result.nominal.tip, held=held)
-    was_corrected = _differ(nominal, result.corrected(nominal)) is None
-    if not was_corrected:
-        _check_nominal(nominal, result, path)
-    return Truth(nominal, result, path.name, was_corrected)
-
-
-def _check_nominal(robot: Robot, result: Calibration, path: Path) -> None:
-    """Refuse a robot that is not the one that the result began with: what its controller has is not known then.
-
-    Raises:
-        CalibError: It has other joint origins.
-    """
-    joint = _differ(robot, result.uncorrected(robot))
-    if joint is None:
-        return
-    message = (
-        f"{robot.urdf.source}: the origin of '{joint}' is neither the one that {path.name} began with nor its "
-        "corrected one. Give the URDF that the result was made with. If the controller has a model of its own, such as "
-        "a factory calibration, give that as ROBOT and the corrected URDF with --corrected."
-    )
-    raise CalibError(message)
-
-
-def _differ(a: Robot, b: Robot) -> str | None:
-    """A joint whose origin is not the same in both; None where there is none."""
-    import numpy as np
-
-    others = b.origins()
-    for name, T in a.origins().items():
-        if np.abs(T - others[name]).max() > _SAME:
-            return name
-    return None
-
-
-def of_robots(
+def robots_of(
     robot: str,
-    corrected: str,
-    names: set[str],
-    base: str | None,
-    tip: str | None,
+    calibration: Path | None,
+    corrected: str | None,
+    program: Path,
+    renamed: dict[str, str],
+    links: tuple[str | None, str | None],
     hold: list[str] | None,
-) -> Truth:
-    """The robots of two URDFs.
+) -> Robots:
+    """The two robots of a call.
 
     Args:
-        robot: As the controller has it.
-        corrected: As it is.
-        names: Columns of the program: a tip that is not named is the end of the longest chain with these joints.
-        base: Link.
-        tip: Link.
+        robot: ROBOT, as the controller has it.
+        calibration: The result's file.
+        corrected: In place of it, the corrected URDF: a tip that is not named is then the end of the longest chain
+            whose joints are columns of the program.
+        program: The program's table.
+        renamed: How its columns are renamed.
+        links: Base and tip.
         hold: Values of joints.
 
     Raises:
-        CalibError: A URDF cannot be read, or both are the same.
+        CalibError: Neither a result nor a URDF or both, a file cannot be read, or the robots are not one.
     """
-    from calib.cli.words import parse_held
-    from calib.model.robot import Robot
-
     held = parse_held(hold or [])
-    nominal = Robot.load(robot, base, tip, measured=names, held=held)
-    true = Robot.load(corrected, nominal.base, nominal.tip, held=held)
-    if true.joint_names == nominal.joint_names and _differ(nominal, true) is None:
+    if calibration is not None and corrected is None:
+        return _of_result(robot, calibration, links, held)
+    if corrected is None or calibration is not None:
+        both = "" if calibration is None else ", not both"
+        message = (
+            "What is true of the robot comes from --calibration result.json or from --corrected corrected.urdf: give "
+            f"one of them{both}."
+        )
+        raise CalibError(message)
+    columns = {split_header(label)[0] for label in Table.read(program).header}
+    columns |= {split_header(wanted)[0] for wanted in renamed.values()}
+    nominal = Robot.load(robot, *links, measured=columns, held=held)
+    actual = Robot.load(corrected, nominal.base, nominal.tip, held=held)
+    if actual.joint_names == nominal.joint_names and _differ(nominal, actual) is None:
         message = (
             f"{robot} and {corrected} have the same joint origins from '{nominal.base}' to '{nominal.tip}': there is "
             "nothing to correct. ROBOT is the robot as its controller has it, --corrected as it truly is."
         )
         raise CalibError(message)
-    return Truth(nominal, true, Path(corrected).name)
+    return Robots(nominal, actual, Path(corrected).name)
 
 
-def column_names(program: Path, renamed: dict[str, str]) -> set[str]:
-    """The names of a program's columns, those that they are mapped to among them."""
-    from calib.measure.table import Table
-    from calib.units import split_header
+def _of_result(
+    robot: str, path: Path, links: tuple[str | None, str | None], held: dict[str, float]
+) -> Robots:
+    """The robots of a result, which must have begun with the one that was given."""
+    result = read_result(path)
+    check_chain(Cell(base=links[0], tip=links[1]), result, str(path))
+    chain = result.nominal
+    nominal = Robot.load(robot, chain.base, chain.tip, held={**chain.held, **held})
+    was_corrected = _differ(nominal, result.corrected(nominal)) is None
+    joint = None if was_corrected else _differ(nominal, result.uncorrected(nominal))
+    if joint is not None:
+        message = (
+            f"{nominal.urdf.source}: the origin of '{joint}' is neither the one that {path.name} began with nor its "
+            "corrected one. Give the URDF that the result was made with. If the controller has a model of its own, "
+            "such as a factory calibration, give that as ROBOT and the corrected URDF with --corrected."
+        )
+        raise CalibError(message)
+    return Robots(nominal, result, path.name, was_corrected)
 
-    names = {split_header(label)[0] for label in Table.read(program).header}
-    return names | {split_header(wanted)[0] for wanted in renamed.values()}
+
+def _differ(a: Robot, b: Robot) -> str | None:
+    """A joint whose origin is not the same in both; None where there is none."""
+    others = b.origins()
+    far = (name for name, T in a.origins().items() if np.abs(T - others[name]).max() > _SAME)
+    return next(far, None)
 
 
-def tool_of(text: str | None, truth: Truth) -> NDArray[np.float64] | str | None:
+def tool_of(text: str | None, robots: Robots) -> NDArray[np.float64] | str | None:
     """What is to arrive: a pose in the tip, the name of a target, or the tip.
 
     Raises:
         CalibError: The words mean nothing, or a corrected URDF carries no target.
     """
-    from calib.cli.compensate_words import parse_tool
-    from calib.cli.known import with_target_link
-    from calib.measure.cell import Cell
-    from calib.model.robot import Robot
-
     tool = None if text is None else parse_tool(text)
-    if not isinstance(tool, str) or not isinstance(truth.true, Robot):
+    if not isinstance(tool, str) or not isinstance(robots.actual, Robot):
         return tool
-    target = with_target_link(truth.true, Cell()).target
-    if tool or target is None:
+    target = with_target_link(robots.actual, Cell()).target
+    if tool:
         message = (
-            f"--tool was given as '{text}', and {truth.name} has no link calib_target, which 'calib fit --target-link' "
-            'adds. Give the tool\'s place, such as "0 0 150 mm", or --calibration.'
+            f"--tool was given as '{text}'; a URDF knows one target, without a name. Write --tool {TARGET}, or give "
+            "--calibration."
         )
-        if tool:
-            message = (
-                f"--tool was given as '{text}'; a URDF knows one target, without a name. Write --tool {TARGET}, or "
-                "give --calibration."
-            )
+        raise CalibError(message)
+    if target is None:
+        message = (
+            f"--tool was given as '{text}', and {robots.name} has no link calib_target, which 'calib fit "
+            "--target-link' adds. Give the tool's place, such as \"0 0 150 mm\", or --calibration."
+        )
         raise CalibError(message)
     return target
 
 
-def frame_of(text: str, truth: Truth) -> str | None:
+def parse_tool(text: str) -> NDArray[np.float64] | str:
+    """``--tool``: a pose in the tip, shape (4, 4) [m]; or the name of a target, empty for the only one.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    from scipy.spatial.transform import Rotation
+
+    word, colon, name = text.strip().partition(":")
+    if word == TARGET:
+        if colon and not name.strip():
+            message = (
+                f'--tool was given as "{text}"; the name of a target is missing behind the colon.'
+            )
+            raise CalibError(message)
+        return name.strip()
+    parts = re.findall(r"[^\s,]+", re.sub(r"(?<=[\d.])(?=[a-z]+(?:\s|$))", " ", text))
+    angles = parts[4:]
+    by_axes = angles[:1] == ["rpy"]
+    angles = angles[by_axes:]
+    try:
+        turn = [float(angle) for angle in angles[:3]]
+    except ValueError:
+        turn = []
+    if len(parts) < 4 or (parts[4:] and (len(angles) != 4 or len(turn) != 3)):
+        message = f'--tool was given as "{text}"; it must be {_TOOL}.'
+        raise CalibError(message)
+    T = np.eye(4)
+    T[:3, 3] = parse_point(" ".join(parts[:4]), "--tool")
+    if angles:
+        if angles[3] not in symbols("angle") or not np.isfinite(turn).all():
+            message = (
+                f"--tool was given as \"{text}\"; '{angles[3]}' is no unit of angle, or an angle no finite number. "
+                f"Choose one of {choices(symbols('angle'))}."
+            )
+            raise CalibError(message)
+        values = np.multiply(turn, UNITS[angles[3]].to_si)
+        if np.abs(values).max() > 2.0 * np.pi + 1e-6:
+            message = (
+                f'--tool was given as "{text}": that is more than a whole turn. Mostly degrees are meant: '
+                f'"{" ".join(parts[:4])} {" ".join(angles[:3])} deg".'
+            )
+            raise CalibError(message)
+        rotation = Rotation.from_euler("xyz", values) if by_axes else Rotation.from_rotvec(values)
+        T[:3, :3] = rotation.as_matrix()
+    return read_only(T)
+
+
+def frame_of(text: str, robots: Robots) -> str | None:
     """The set-up whose frame poses are given in; None for the base.
 
     Raises:
@@ -184,44 +222,105 @@ def frame_of(text: str, truth: Truth) -> str | None:
     """
     if text == BASE:
         return None
-    if truth.result is None:
+    if robots.result is None:
         message = (
             f"--poses-in was given as '{text}', and two URDFs know no measurement frames. Leave it out, or give the "
             "result with --calibration."
         )
         raise CalibError(message)
-    if text != MEASURED and text not in truth.result.setup.groups:
-        names = [name for name in truth.result.setup.groups if name]
+    groups = robots.result.setup.groups
+    if text != MEASURED and text not in groups:
+        names = [name for name in groups if name]
+        others = f", or one of its set-ups {choices(names)}" if names else ""
         message = (
             f"--poses-in was given as '{text}'; choose '{BASE}', '{MEASURED}' (the frame of the result's points)"
-            + (
-                f", or one of its set-ups {choices(names)}."
-                if names
-                else ". The result has no named set-ups."
-            )
+            f"{others}."
         )
         raise CalibError(message)
     return "" if text == MEASURED else text
 
 
-def payload_of(text: str, truth: Truth, *, geometry: bool) -> Payload:
+def payload_of(text: str | None, robots: Robots, *, geometry: bool) -> Payload | None:
     """What the tip carries; its centre of mass is that of the payload in the result.
 
     Raises:
         CalibError: No mass, or the result has no compliances that it could matter for.
     """
-    from calib.cli.words import parse_payload
-
-    larger = None if truth.result is None else truth.result.larger
+    if text is None:
+        return None
+    larger = None if robots.result is None else robots.result.larger
     if larger is None or geometry or "compliance" not in larger.name:
+        hint = "; 'calib fit --model dh+compliance' estimates them"
         message = (
             f'--payload was given as "{text}", and the model in use knows no compliances: a payload changes nothing. '
-            "Leave it out"
-            + (
-                ", or --geometry."
-                if geometry and larger is not None
-                else "; 'calib fit --model dh+compliance' estimates them."
-            )
+            f"Leave it out{', or --geometry' if geometry and larger is not None else hint}."
         )
         raise CalibError(message)
     return parse_payload(text, larger.payload)
+
+
+def parse_lever(text: str | None, match: str | None) -> float | None:
+    """``--lever``: a length above zero [m], where a weighted match may be asked for.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    if text is None:
+        return None
+    value, angle = parse_pair(text, "--lever", "10 mm")
+    if value is None or angle is not None or value == 0.0:
+        message = (
+            f'--lever was given as "{text}"; it must be a length above 0, such as "10 mm": what an angle of one radian '
+            "counts as."
+        )
+        raise CalibError(message)
+    if match not in (None, "weighted"):
+        message = (
+            "--lever says what an angle counts as where it is weighed against a position, and here "
+            f"'{match}' is matched. Leave it out, or add --match weighted."
+        )
+        raise CalibError(message)
+    return value
+
+
+def parse_limit(text: str) -> tuple[float, float]:
+    """``--limit``: a length [m] and an angle [rad]; what is not named is larger than any correction.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    length, angle = parse_pair(text, "--limit", "10 mm 2 deg")
+    return _UNLIMITED[0] if length is None else length, _UNLIMITED[1] if angle is None else angle
+
+
+def parse_accept(text: str | None) -> tuple[float, float]:
+    """``--accept``: a length [m] and an angle [rad]; what is not named is as without it.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    if text is None:
+        return _ACCEPT
+    length, angle = parse_pair(text, "--accept", "0.01 mm 0.001 deg")
+    return _ACCEPT[0] if length is None else length, _ACCEPT[1] if angle is None else angle
+
+
+def parse_start(pairs: Iterable[str], robot: Robot) -> dict[str, float]:
+    """``--start`` as values of the robot's joints by name [rad or m].
+
+    Raises:
+        CalibError: No pair, a name that the chain does not have, or a unit that is not the joint's.
+    """
+    start = parse_held(pairs, "--start")
+    for name, value in start.items():
+        if name not in robot.joint_names:
+            message = (
+                f"--start: the chain has no joint '{name}'{did_you_mean(name, robot.joint_names)}. It has "
+                f"{choices(robot.joint_names)}."
+            )
+            raise CalibError(message)
+        fault = unit_fault(value, slides=robot.joint_types[name] == "prismatic")
+        if fault:
+            message = f"--start: the value of '{name}' {fault}."
+            raise CalibError(message)
+    return start

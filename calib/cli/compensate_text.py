@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.cli.compensate_columns import passed_through
-from calib.cli.compensate_notes import DEG, MM, counted, fill, notes
-from calib.cli.compensate_words import BASE, MEASURED, TARGET
+from calib.cli.compensate_notes import DEG, MM, counted, fill, notes, passed_through
+from calib.cli.compensate_setup import BASE, MEASURED, TARGET
 
 if TYPE_CHECKING:
-    from calib.cli.compensate_setup import Truth
+    from calib.cli.compensate_setup import Robots
     from calib.compensate.commands import Commands
     from calib.identify.result import Calibration
 
@@ -39,7 +38,7 @@ _WORSE = "Commands made with this result may be worse than none. Calibrate anew 
 
 def text(
     found: Commands,
-    truth: Truth,
+    robots: Robots,
     *,
     tool: str | None,
     larger: bool,
@@ -51,7 +50,7 @@ def text(
 
     Args:
         found: The commands.
-        truth: What they were made with.
+        robots: What they were made with.
         tool: What was given as the tool.
         larger: Whether the larger model of the result was used.
         send: What is written.
@@ -63,7 +62,7 @@ def text(
     of_target = tool is not None and tool.startswith(TARGET)
     parts = [
         _expected(
-            truth,
+            robots,
             larger=larger,
             of_target=of_target,
             spread=spread,
@@ -74,7 +73,7 @@ def text(
         _largest(found),
         *notes(
             found,
-            truth,
+            robots,
             larger=larger,
             of_target=of_target,
             poses=send != "joints",
@@ -85,27 +84,30 @@ def text(
     return "\n\n".join(part for part in parts if part)
 
 
-def _expected(truth: Truth, *, larger: bool, of_target: bool, spread: bool) -> str:
+def _expected(robots: Robots, *, larger: bool, of_target: bool, spread: bool) -> str:
     """The verdict of the result and its error on rows that it had not seen: what to expect on the robot.
 
     Args:
-        truth: What the commands were made with.
+        robots: What the commands were made with.
         larger: Whether the larger model of the result was used.
         of_target: Whether the tool is the calibrated target.
         spread: Whether standard deviations are printed below.
     """
-    if truth.result is None:
+    if robots.result is None:
         return fill(
-            f"The true robot is {truth.name}. How far it can be relied on is not in a URDF: with --calibration "
+            f"The true robot is {robots.name}. How far it can be relied on is not in a URDF: with --calibration "
             "result.json this says what to expect."
         )
-    sure, used = truth.result.verdict, f"  of {truth.name}, {_model(truth.result, larger=larger)}."
+    sure, used = (
+        robots.result.verdict,
+        f"  of {robots.name}, {_model(robots.result, larger=larger)}.",
+    )
     if sure is None:
         return "\n".join(["Verdict: none", used, fill(_UNKNOWN, "  ")])
     if larger:
         used = fill(
-            f"of {truth.name}, its joint origins: the verdict{_why(sure.use)} of these. The commands are made with "
-            f"{_model(truth.result, larger=True)}, which has no verdict of its own; the errors are its.",
+            f"of {robots.name}, its joint origins: the verdict{_why(sure.use)} of these. The commands are made with "
+            f"{_model(robots.result, larger=True)}, which has no verdict of its own; the errors are its.",
             "  ",
         )
     lines = [f"Verdict: {sure.use}", used]
@@ -113,7 +115,7 @@ def _expected(truth: Truth, *, larger: bool, of_target: bool, spread: bool) -> s
         lines += [fill(reason, "  ") for reason in sure.reasons]
     if sure.use == "do not use":
         lines.append(fill(_WORSE, "  "))
-    rows = _unseen(truth.result, larger=larger)
+    rows = _unseen(robots.result, larger=larger)
     if rows:
         lines += [
             "",

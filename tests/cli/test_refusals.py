@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from calib.cli import compensate_words, simulate_words
+from calib.cli import compensate_setup, simulate_words
 from calib.errors import CalibError
 
 
@@ -20,7 +20,7 @@ def test_starts_in_another_joints_unit(ur3):
         "--start: the value of 'elbow_joint' is a length, and the joint turns; give an angle, such "
         'as "30 deg".'
     ):
-        compensate_words.parse_start(["elbow_joint=3 mm"], ur3)
+        compensate_setup.parse_start(["elbow_joint=3 mm"], ur3)
 
 
 def test_steps_of_encoders_and_sizes_that_are_none():

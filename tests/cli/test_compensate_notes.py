@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.cli.compensate_columns import passed_through, unread_orientation
+from calib.cli.compensate_notes import passed_through, unread_orientation
 from calib.cli.words import parse_columns
 from calib.compensate.program import Program
 from calib.compensate.program_file import read_program

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.cli import compensate_words
-from calib.cli.compensate_words import (
+from calib.cli.compensate import compensate
+from calib.cli.compensate_setup import (
     parse_accept,
     parse_lever,
     parse_limit,
     parse_start,
     parse_tool,
 )
-from calib.compensate.commands_file import ORIENTATIONS, SEND
+from calib.compensate.commands_file import ORIENTATIONS, SEND, UNITS
 from calib.compensate.inverse import MATCHES
 from calib.compensate.program_columns import GIVEN
 from calib.errors import CalibError
@@ -100,9 +101,11 @@ def test_no_limit(function, option: str, text: str):
 
 
 def test_lever():
-    assert parse_lever("10 mm") == pytest.approx(0.01)
+    assert parse_lever("10 mm", None) == pytest.approx(0.01)
+    assert parse_lever(None, "pose") is None
+    assert "here 'pose' is matched" in refused(parse_lever, "10 mm", "pose")
     for text in ("0 mm", "3 deg", "10 mm 3 deg"):
-        said = refused(parse_lever, text)
+        said = refused(parse_lever, text, None)
         assert said.startswith(f'--lever was given as "{text}"; it must be a length above 0')
 
 
@@ -126,11 +129,14 @@ def test_start(ur3: Robot):
 
 
 def test_the_words_are_those_of_the_library():
-    words = compensate_words
-    for enum, allowed in (
-        (words.Match, MATCHES),
-        (words.Given, GIVEN),
-        (words.Send, SEND),
-        (words.Orientation, ORIENTATIONS),
+    hints = get_type_hints(compensate)
+    for option, allowed in (
+        ("match", MATCHES),
+        ("given", GIVEN),
+        ("send", SEND),
+        ("orientation", ORIENTATIONS),
+        ("units", UNITS),
     ):
-        assert tuple(member.value for member in enum) == allowed
+        hint = hints[option]
+        words = [get_args(one) for one in (hint, *get_args(hint)) if get_origin(one) is Literal]
+        assert words == [allowed], option
