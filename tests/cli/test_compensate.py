@@ -9,7 +9,6 @@ import json
 import re
 import shlex
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -248,20 +247,6 @@ def test_rows_that_cannot_be_reached(call, folder: Path):
     )
 
 
-def test_little_that_is_left_is_named_with_what_accepts_it(call, folder: Path):
-    # The elbow is nearly straight: the nominal robot just reaches so far.
-    write(folder / "straight.csv", HEADER, "-40,-85,2.25,-120,2,0")
-    words = ("compensate", "robot.urdf", "straight.csv", *RESULT)
-    message = refused(call(folder, *words))
-    assert message.startswith(
-        "calib: the row has no command, and nothing was written: row 1: the true robot"
-    )
-    assert message.endswith(
-        'Of 1 row less than 0.1 mm and 0.2 deg would be left: --accept "0.1 mm 0.2 deg" takes it.'
-    )
-    assert call(folder, *words, "--accept", "0.1 mm 0.2 deg").code == 0
-
-
 def test_fewer_joints(call, folder: Path):
     write(
         folder / "five.csv", HEADER.rpartition(",")[0], "-40,-85,75,-120,-45", "-20,-75,85,-140,-45"
@@ -295,16 +280,6 @@ def test_joint_values_that_do_not_belong_to_the_poses(call, folder: Path):
         folder, "compensate", "robot.urdf", "data.csv", *RESULT, "--tool", "target", "--skip"
     )
     assert "from the program's positions" not in said(done)
-
-
-def test_warnings_are_grouped_by_what_they_say(call, folder: Path):
-    done = call(folder, "compensate", "robot.urdf", "data.csv", *RESULT, "--tool", "target", "--skip", "--limit",
-                "1 um")  # fmt: skip
-    text = said(done)
-    assert "35 of 35 rows have a warning: row 1: the pose moves by" in text
-    assert re.search(r"more than 0\.001 mm; and 34 rows more: 2 to 35", text)
-    assert "row 34: outside the joint range that was measured: 'shoulder_pan_joint' 118 deg" in text
-    assert "The result was not tested outside of the measured range." in text
 
 
 def test_positions_alone_leave_the_orientation_open(call, folder: Path):
@@ -416,15 +391,6 @@ def test_frames_that_were_estimated(call, large: Path):
     assert "The calibration has 2 set-ups: 'left', 'right'. Name one of them." in message
 
 
-def test_a_tool_that_is_turned_is_printed_so(call, large: Path):
-    done = call(
-        large, "compensate", "robot.urdf", "program.csv", *RESULT, "--tool", "0 0 50 mm 0 0 90 deg"
-    )
-    assert "the point (0.000, 0.000, 50.000) mm in 'tool0', turned by the rotation vector" in said(
-        done
-    )
-
-
 def test_a_result_not_to_be_used_says_so_even_when_quiet(call, folder: Path, tmp_path: Path):
     table = json.loads((folder / "result.json").read_text())
     table["verdict"]["use"] = "do not use"
@@ -457,15 +423,6 @@ def test_poses_in_the_frame_that_was_measured_in(call, large: Path, tmp_path: Pa
         assert call(large, *words).code == 0
         sent.append([float(table(path)[0][f"{joint}_joint [deg]"]) for joint in JOINTS])
     assert np.abs(np.subtract(*sent)).max() < 0.1
-
-
-def test_a_target_that_is_turned_is_said_with_its_rotation(call, large: Path):
-    words = ("compensate", "robot.urdf", "program.csv", *RESULT, "--tool", "target")
-    text = said(call(large, *words))
-    assert re.search(
-        r"a tool at \(50\.\d+, 50\.\d+, 50\.\d+\) mm, rotation vector \(.*, 90\.0+\) deg in",
-        text,
-    )
 
 
 def test_with_which_target_the_wanted_poses_were_computed(call, examples, folder: Path):
@@ -537,20 +494,6 @@ def test_of_which_model_the_verdict_is(call, large: Path, tmp_path: Path):
     assert "no verdict of its own" not in said(call(tmp_path, *words, "--geometry"))
 
 
-def test_the_errors_of_the_result_are_those_of_its_target(call, folder: Path):
-    words = ("compensate", "robot.urdf", "program.csv", *RESULT)
-    own = "Expect errors of this size on the robot."
-    other = "errors of the target that was measured, not of this tool: expect at least the standard deviation below"
-    text = said(call(folder, *words, "--tool", "target"))
-    assert own in text
-    assert other not in text
-    for tool in ((), ("--tool", "0 0 150 mm")):
-        text = said(call(folder, *words, *tool))
-        assert other in text
-        assert own not in text
-        assert text.index("standard deviation below") < text.index("standard deviation of where")
-
-
 def test_the_rows_with_the_largest_corrections_are_shown(call, folder: Path):
     # Row 7 is near a straight wrist, where corrections are large; 1 to 6 are the same but for rounding.
     plain, near = "-40,-85,75,-120,-45,0", "-40,-85,75,-120,5,0"
@@ -567,30 +510,6 @@ def test_the_rows_with_the_largest_corrections_are_shown(call, folder: Path):
     assert sum(line.endswith("row 1") for line in lines[:at]) == 6
 
 
-def test_of_corrections_that_are_equal_but_for_rounding_the_first_row_is_named(ur3):
-    from calib.cli.compensate_text import _joints
-    from calib.compensate.commands import commands
-    from calib.compensate.program import Program
-    from calib.model.robot import Robot
-
-    true = Robot.load(Path(__file__).parents[2] / "urdf" / "ur3_calibrated.urdf", "base", "tool0")
-    program = Program.of_joints(np.radians([[-40, -85, 75, -120, -45, 0]] * 3))
-    found = commands(true, program, nominal=ur3)
-    moved = found.q + np.array([[0.0], [1e-13], [2e-13]]) * np.sign(found.joint_corrections)
-    lines = _joints(replace(found, q=moved)).splitlines()
-    assert [line.split()[-1] for line in lines[1:]] == ["1"] * 6
-
-
-def test_a_table_in_radians_and_metres(call, folder: Path):
-    words = ("compensate", "robot.urdf", "program.csv", *RESULT, "--send", "joints", "-o")
-    assert call(folder, *words, "deg.csv").code == 0
-    assert call(folder, *words, "rad.csv", "--units", "rad m").code == 0
-    degrees, radians = table(folder / "deg.csv")[0], table(folder / "rad.csv")[0]
-    assert float(radians["elbow_joint [rad]"]) == pytest.approx(
-        np.radians(float(degrees["elbow_joint [deg]"])), abs=1e-11
-    )
-
-
 def test_columns_that_were_not_read_are_named(call, folder: Path):
     write(
         folder / "kuka.csv",
@@ -603,14 +522,6 @@ def test_columns_that_were_not_read_are_named(call, folder: Path):
         '(KUKA): --columns "A=yaw [deg]" --columns "B=pitch [deg]" --columns "C=roll [deg]".'
         in text
     )
-
-
-def test_corrected_poses_are_not_for_a_corrected_controller(call, folder: Path):
-    words = ("compensate", "robot.urdf", "program.csv", *RESULT, "--force", "-o", "c.csv")
-    never = "Do not send corrected poses to a controller that was given the corrected model."
-    assert never in said(call(folder, *words))
-    assert never in said(call(folder, *words, "--send", "poses"))
-    assert never not in said(call(folder, *words, "--send", "joints"))
 
 
 @pytest.mark.parametrize(
@@ -647,14 +558,6 @@ def test_what_is_refused(call, folder: Path, words: tuple[str, ...], message: st
     text = refused(call(folder, "compensate", "robot.urdf", "program.csv", *words))
     assert message in text
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-
-
-def test_nothing_is_printed_when_quiet(call, folder: Path):
-    done = call(
-        folder, "compensate", "robot.urdf", "program.csv", *RESULT, "--quiet", "-o", "c.csv"
-    )
-    assert (done.code, done.out, done.err) == (0, "", "")
-    assert (folder / "c.csv").is_file()
 
 
 def test_without_a_file_nothing_is_written(call, folder: Path):

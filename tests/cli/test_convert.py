@@ -104,13 +104,6 @@ def test_origins_and_back(call, folder):
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12)
 
 
-def test_deltas_of_a_conf(call, folder):
-    done = call(folder, "convert", "result.json", "--update", "calibration.conf", "-o", "new.conf")
-    assert (done.code, done.err) == (0, "")
-    assert "Written: new.conf, DH deltas of a Universal Robots controller." in said(done.out)
-    assert "ask Universal Robots" in said(done.out)
-
-
 def test_robots_of_which_no_nominal_one_is_known(call, folder):
     done = call(
         folder, "convert", "panda", "--tip", "panda_link8", "--to", "dh", "-o", "panda.json"
@@ -137,47 +130,12 @@ def test_an_arm_without_a_name_has_no_type_to_launch(call, folder, tmp_path):
     assert " ur_type:=TYPE robot_ip:=ADDRESS " in done.out
 
 
-def test_nothing_is_said_twice(call, folder, tmp_path):
-    arm = tmp_path / "arm.urdf"
-    assert call(folder, "convert", "calibration.conf", "--ur-model", "UR3", "-o", arm).code == 0
-    words = ("--robot", arm, "--base", "base", "--tip", "tool0", "-o", tmp_path / "k.yaml")
-    done = call(folder, "convert", "calibration.conf", *words)
-    assert (done.code, done.err) == (0, "")
-    assert said(done.out).count("is not the nominal UR3: its flange lies up to") == 1
-
-
-def test_an_absolute_path_in_the_launch_command(call, folder, tmp_path):
-    path = tmp_path / "my arm.yaml"
-    done = call(folder, "convert", "kinematics.yaml", "--to", "ur-yaml", "-o", path)
-    assert done.lines[-1] == f"    kinematics_params_file:='{path}'"
-
-
-def test_a_file_of_another_arm_is_refused(call, folder, tmp_path):
-    words = ("calibration.conf", "--ur-model", "UR5", "-o", tmp_path / "o.urdf")
-    done = call(folder, "convert", *words)
-    assert done.code == 1
-    assert "moves the flange of a UR5 by up to 36 mm, and that of 'UR3', 'UR3e' by 3" in done.err
-    assert not (tmp_path / "o.urdf").exists()
-
-
 def test_another_robot_as_the_nominal_one_is_doubted(call, folder, tmp_path):
     chain = ("--base", "base", "--tip", "tool0", "--to", "dh", "-o")
     done = call(folder, "convert", "corrected.urdf", "--robot", "ur5", *chain, tmp_path / "o.csv")
     assert "check that both are one robot, between the same links." in said(done.out)
     done = call(folder, "convert", "corrected.urdf", "--robot", "ur3", *chain, tmp_path / "p.csv")
     assert "check" not in done.out
-
-
-def test_a_xacro_becomes_a_urdf(call, folder, tmp_path):
-    xacro = URDFS / "ur3_from_origins.urdf.xacro"
-    done = call(folder, "convert", str(xacro), "-o", tmp_path / "flat.urdf")
-    assert (done.code, done.err) == (0, "")
-    q = np.random.default_rng(1).uniform(-2, 2, (5, 6))
-    flat, wanted = (
-        Robot.load(path, "base", "tool0").poses(q)
-        for path in (tmp_path / "flat.urdf", URDFS / "ur3_calibrated.urdf")
-    )
-    np.testing.assert_allclose(flat, wanted, rtol=0, atol=1e-9)
 
 
 def test_a_held_joint(call, folder, tmp_path):

@@ -209,12 +209,14 @@ def test_the_document_has_every_option_and_no_other():
     assert set(re.findall(r"`[^`\n]*?(--[a-z-]+)", text)) == options
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away(program, shop: Path):
     assert closed_pipe(program, shop, "inspect", "robot.urdf") == (0, "")
     _, said = closed_pipe(program, shop, "fit", "--help")
     assert said == ""
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_does_not_cost_the_files(program, shop: Path):
     words = ("fit", "robot.urdf", "data.csv", "--no-validate", "-o", "c.urdf", "--json", "r.json")
     assert closed_pipe(program, shop, *words) == (0, "")
@@ -222,6 +224,7 @@ def test_a_reader_that_goes_away_does_not_cost_the_files(program, shop: Path):
     assert (shop / "r.json").is_file()
 
 
+@pytest.mark.slow
 def test_a_program_that_is_started_without_stdout_and_stderr(program, shop: Path):
     call = ["sh", "-c", 'exec "$@" >&- 2>&-', "sh", *program]
     words = ("fit", "robot.urdf", "data.csv", "--no-validate", "-o", "c.urdf")
@@ -257,6 +260,7 @@ def long_work(shop: Path) -> list[str]:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_no_file(program, shop: Path, long_work: list[str]):
     before = set(shop.iterdir())
     process = subprocess.Popen(
@@ -271,16 +275,7 @@ def test_ctrl_c_leaves_no_file(program, shop: Path, long_work: list[str]):
     assert set(shop.iterdir()) == before
 
 
-def test_names_that_the_terminal_cannot_show(program, shop: Path):
-    (shop / "data.csv").rename(shop / "測量.csv")
-    done = subprocess.run(
-        [*program, "evaluate", "robot.urdf", "測量.csv", "--json", "誤差.json"],
-        cwd=shop, capture_output=True, check=False, env={**os.environ, "PYTHONIOENCODING": "latin-1"},
-    )  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert done.stdout.endswith(b"Written: \\u8aa4\\u5dee.json\n")
-
-
+@pytest.mark.slow
 def test_a_terminal_sees_progress_and_a_pipe_does_not(program, shop: Path):
     terminal, theirs = pty.openpty()
     process = subprocess.Popen(
@@ -308,18 +303,6 @@ def test_a_terminal_sees_progress_and_a_pipe_does_not(program, shop: Path):
     assert b"bootstrap" in seen
     assert "\x1b" not in out
     assert "Verdict: use" in out
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a system without /dev/full")
-@pytest.mark.parametrize("words", [["--help"], ["--version"], ["fit", "--help"]])
-def test_help_onto_a_full_disk(program, tmp_path: Path, words: list[str]):
-    with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [*program, *words],
-            cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, encoding="utf-8", check=False,
-        )  # fmt: skip
-    said = "calib: the printed text cannot be read or written: No space left on device.\n"
-    assert (done.returncode, done.stderr) == (1, said)
 
 
 def test_ctrl_c_while_the_verbs_are_imported(tmp_path: Path):

@@ -16,7 +16,7 @@ from calib.compensate.commands import Commands, commands
 from calib.compensate.commands_file import write_commands
 from calib.compensate.program import Program
 from calib.compensate.program_file import read_program
-from calib.errors import FileError, ModelError
+from calib.errors import ModelError
 from calib.model.robot import Robot
 
 JOINTS = [
@@ -133,13 +133,6 @@ def test_radians_and_metres(made: Commands, tmp_path: Path, ur3: Robot, form: st
     assert np.abs(program.q - made.q[:3]).max() < 1e-11
 
 
-def test_units_that_there_are_not(made: Commands, tmp_path: Path):
-    with pytest.raises(
-        ModelError, match=r"cannot be written in 'inch'; choose one of 'deg mm', 'rad m'\."
-    ):
-        write_commands(made, tmp_path / "c.csv", units="inch")
-
-
 @settings(
     max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
@@ -202,25 +195,6 @@ def test_a_robot_that_is_right_has_corrections_of_zero_without_a_sign(ur3: Robot
     assert row["correction position [mm]"] == "0.000000"
 
 
-def test_a_joint_that_slides_is_in_millimetres(serial_urdf, tmp_path: Path):
-    def arm(length: float) -> Robot:
-        still = (0.0, 0.0, 0.0)
-        joints = [
-            ("revolute", (0.3, 0.0, 0.1), still, (0, 0, 1)),
-            ("prismatic", (0.4, 0.0, 0.0), still, (1, 0, 0)),
-        ]
-        return Robot.from_urdf(serial_urdf(joints, tip=((length, 0.0, 0.0), still)), tip="tip")
-
-    nominal = arm(0.2)
-    name = nominal.joint_names[1]
-    program = Program.of_points(nominal.poses([[0.2, 0.05]])[:, :3, 3], [[0.2, 0.05]])
-    row = rows(write_commands(commands(arm(0.201), program, nominal=nominal), tmp_path / "c.csv"))[
-        0
-    ]
-    assert float(row[f"{name} [mm]"]) == pytest.approx(49.0, abs=1e-6)
-    assert float(row[f"correction {name} [mm]"]) == pytest.approx(-1.0, abs=1e-6)
-
-
 def test_what_cannot_be_asked_for(made: Commands, tmp_path: Path):
     path = tmp_path / "c.csv"
     with pytest.raises(
@@ -232,13 +206,3 @@ def test_what_cannot_be_asked_for(made: Commands, tmp_path: Path):
     ):
         write_commands(made, path, orientation="euler")
     assert not path.exists()
-
-
-def test_a_file_that_exists_is_kept(made: Commands, tmp_path: Path):
-    path = tmp_path / "c.csv"
-    path.write_text("mine", encoding="utf-8")
-    with pytest.raises(FileError, match="exists already"):
-        write_commands(made, path)
-    assert path.read_text(encoding="utf-8") == "mine"
-    write_commands(made, path, overwrite=True)
-    assert path.read_text(encoding="utf-8").startswith("name,speed [mm/s],")

@@ -199,13 +199,3 @@ def test_a_slow_row_does_not_hold_up_the_others(ur3):
     )
     assert np.array_equal(together.q[:3], alone.q)
     assert POSE.misses(together.T_base_tool, np.concatenate([wanted, hopeless]))[3, 0] > 1.0
-
-
-def test_few_steps_stop_early(ur3):
-    arm = Arm.of(ur3, np.eye(4))
-    q = well(arm, 3, POSE)
-    wanted = Arm.of(off(ur3, size=5.0), np.eye(4)).poses(q)
-    once = POSE.misses(solve(arm, wanted, q, POSE, None, steps=1).T_base_tool, wanted)
-    often = POSE.misses(solve(arm, wanted, q, POSE, None).T_base_tool, wanted)
-    assert (once[:, 0] > 1e-6).all()
-    assert (often < 1e-12).all()

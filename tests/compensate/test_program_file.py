@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -157,11 +156,6 @@ def test_rows_have_their_own_names_if_these_tell_them_apart(read):
     assert read(f"row,{XYZ}", "a,300,200,100", ",300,200,100").labels == ("row 1", "row 2")
 
 
-def test_separators_at_the_end_of_each_line_are_no_column_and_a_column_without_a_name_is(read):
-    assert read(f"{XYZ},", "300,200,100,").kept == ()
-    assert read(f"{XYZ},", "300,200,100,fast").kept == (("", ("fast",)),)
-
-
 def test_a_column_that_is_left_out_does_not_go_along(read):
     program = read(f"{XYZ},speed,rx [rad]", "300,200,100,5,1", columns={"speed": "-", "rx": "-"})
     assert program.kept == ()
@@ -178,11 +172,6 @@ def test_commands_are_not_compensated_twice_unawares(read):
     text = refused(read, f"{IN_DEG},correction position [mm],status", f"{VALUES},0.5,ok")
     assert text.startswith("program.csv: these are commands that calib compensate wrote")
     assert "--given joints or --given poses" in text
-
-
-def test_a_word_that_given_cannot_be(read):
-    text = refused(read, XYZ, "300,200,100", given="angles")
-    assert text == "A program cannot be given as 'angles'; it is one of 'joints', 'poses'."
 
 
 @pytest.mark.parametrize(
@@ -290,23 +279,3 @@ def test_a_joint_with_the_name_of_another_column(read, one_joint):
 def test_a_joint_called_roll_is_a_joint(read, one_joint):
     program = read("roll [deg]", "30", robot=one_joint("roll", "revolute"))
     assert program.q == pytest.approx(np.radians([[30.0]]))
-
-
-def test_no_file(ur3: Robot, tmp_path: Path):
-    with pytest.raises(MeasurementError, match=re.escape("does not exist; check the name")):
-        read_program(tmp_path / "none.csv", ur3)
-
-
-def test_a_column_that_only_begins_like_a_correction_goes_along(tmp_path, ur3):
-    names = ",".join(f"{name} [deg]" for name in ur3.joint_names)
-    path = tmp_path / "p.csv"
-    path.write_text(f"{names},correction factor\n1,2,3,4,5,6,0.5\n")
-    assert read_program(path, ur3).kept == (("correction factor", ("0.5",)),)
-
-
-@pytest.mark.filterwarnings("error")
-def test_huge_numbers_are_refused_without_a_warning(read):
-    text = refused(read, f"{XYZ},qx,qy,qz,qw", "100,200,300,1e300,0,0,1e300")
-    assert "the length inf; that of an orientation is 1" in text
-    text = refused(read, f"{XYZ},rx [rad],ry [rad],rz [rad]", "100,200,300,1e200,1e200,0")
-    assert "look like degrees" in text

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import configparser
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +17,6 @@ import calib.data
 from calib.cli.words import parse_held
 from calib.errors import CalibError, FileError, ModelError, UrdfError
 from calib.formats.convert import (
-    FORMATS,
     Wanted,
     check_options,
     chosen_format,
@@ -247,31 +245,6 @@ UR5E = ur_model("UR5e").nominal
 HELD = np.array([[1] * 6, [1, 1, 1, 1, 1, 0]])[[0, 1, 0, 1]]
 
 
-def write_urcontrol(path: Path, nominal: FullDH) -> Path:
-    lines = [f"{key} = {getattr(nominal, key).tolist()}" for key in ("theta", "a", "d", "alpha")]
-    path.write_text("\n".join(["[DH]", *lines, ""]))
-    return path
-
-
-@pytest.mark.parametrize(
-    ("key", "joint", "change"), [("d", 0, 0.012), ("d", 5, 0.0204), ("theta", 5, 0.02)]
-)
-def test_an_arm_near_to_a_known_one_is_not_taken_for_it(key, joint, change, tmp_path):
-    columns = {name: getattr(UR5E, name).copy() for name in ("theta", "a", "d", "alpha")}
-    columns[key][joint] += change
-    nominal, deltas = FullDH(**columns), FullDH(*np.full((4, 6), 1e-4) * HELD)
-    conf = write_deltas(tmp_path / "c.conf", deltas)
-    urcontrol = write_urcontrol(tmp_path / "u.conf", nominal)
-    source = read_source(str(conf), Asked(urcontrol=urcontrol))
-    assert source.text.startswith("calibration of an arm of u.conf, calib_")
-    wanted = (nominal + deltas).poses(Q)
-    assert write_target(source, Wanted(tmp_path / "o.yaml", "ur-yaml")) == ()
-    np.testing.assert_allclose(poses_of_yaml(tmp_path / "o.yaml", Q), wanted, rtol=0, atol=1e-11)
-    assert write_target(source, Wanted(tmp_path / "o.conf", "ur-conf")) == ()
-    found = (nominal + rows(deltas_of_conf(tmp_path / "o.conf"))).poses(Q)
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-11)
-
-
 ENDS = FullDH([0.01, 0, 0, 0, 0, 0.02], [0] * 6, [1e-3, 0, 0, 0, 0, 2e-3], [0] * 6)
 
 
@@ -357,29 +330,6 @@ def test_the_kind_of_a_source(shop, name, kind):
     assert kind in KINDS
 
 
-def test_a_kinematics_yaml_with_angles_in_degrees(shop, tmp_path):
-    path = tmp_path / "k.yaml"
-    text = (shop / "kinematics.yaml").read_text()
-    path.write_text(text)
-    q = np.random.default_rng(1).uniform(-1, 1, (3, 6))
-    wanted = read_source(str(path), Asked(ur_model="UR3")).robot.poses(q)
-    degrees = re.sub(
-        "(roll|pitch|yaw): (.*)",
-        lambda found: f"{found[1]}: !degrees {float(np.degrees(float(found[2])))!r}",
-        text,
-    )
-    path.write_text(degrees)
-    assert degrees.count("!degrees") == 18
-    assert source_kind(str(path)) == "ur-yaml"
-    found = read_source(str(path), Asked(ur_model="UR3")).robot.poses(q)
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12)
-
-
-def test_names_and_xacros_are_robots():
-    assert source_kind("ur3") == "robot"
-    assert source_kind("arm.urdf.xacro prefix:=left_") == "robot"
-
-
 def test_other_files_are_no_sources(tmp_path):
     with pytest.raises(
         FileError, match=r"data\.csv: 'calib convert' does not know the ending '\.c"
@@ -435,18 +385,6 @@ def test_another_robot_than_the_result_s(shop):
         read_source(result, Asked(robot="panda"))
 
 
-def test_a_robot_whose_chain_has_other_origins(shop, tmp_path):
-    # The fixed joint to the tip, which carries a placement, has another name.
-    text = (shop / "robot.urdf").read_text()
-    arm = Robot.load(shop / "robot.urdf", "base", "tool0")
-    path = tmp_path / "other.urdf"
-    path.write_text(text.replace(f'"{arm.carriers[-1]}"', '"flange"'))
-    with pytest.raises(
-        ModelError, match=r"has origins of the joints .* of other.urdf, has .*'flange'"
-    ):
-        read_source(str(shop / "result.json"), Asked(robot=str(path)))
-
-
 def test_a_larger_model_is_said(tmp_path):
     path = write_result(made("larger"), tmp_path / "result.json")
     (remark,) = read_source(str(path), Asked()).remarks
@@ -466,21 +404,6 @@ def test_a_conf_needs_its_arm(shop):
     q = np.random.default_rng(1).uniform(-1, 1, (3, 6))
     np.testing.assert_allclose(on_ours.robot.poses(q), bare.robot.poses(q), atol=1e-9)
     assert on_ours.model.name == bare.model.name == "UR3"
-
-
-def test_other_links_of_a_bare_arm(shop):
-    conf = str(shop / "calibration.conf")
-    source = read_source(conf, Asked(ur_model="UR3", base="base_link", tip="flange"))
-    assert (source.robot.base, source.robot.tip) == ("base_link", "flange")
-    with pytest.raises(UrdfError, match="gripper"):
-        read_source(conf, Asked(ur_model="UR3", tip="gripper"))
-
-
-def test_origins_need_their_robot(shop):
-    with pytest.raises(
-        CalibError, match=r"has the origins of joints alone; give the URDF .* --robot"
-    ):
-        read_source(str(shop / "origins.yaml"), Asked())
 
 
 def test_origins_of_some_of_the_joints(shop, tmp_path):
@@ -521,20 +444,6 @@ def test_an_arm_of_another_name(shop):
             read_source(str(shop / name), links)
     with pytest.raises(ModelError, match="not named as in Universal Robots' description"):
         read_source(str(shop / "corrected.urdf"), Asked(ur_model="UR3"))
-
-
-def test_a_corrected_bare_arm_and_its_name_are_enough(shop, tmp_path):
-    conf = read_source(str(shop / "calibration.conf"), Asked(ur_model="UR3"))
-    write_target(conf, Wanted(tmp_path / "arm.urdf", "urdf"))
-    source = read_source(
-        str(tmp_path / "arm.urdf"), Asked(ur_model="UR3", base="base", tip="tool0")
-    )
-    own = shop / "kinematics.yaml"
-    assert write_target(source, Wanted(tmp_path / "k.yaml", "ur-yaml", hash_from=own)) == ()
-    q = np.random.default_rng(1).uniform(-1, 1, (3, 6))
-    np.testing.assert_allclose(
-        poses_of_yaml(tmp_path / "k.yaml", q), conf.robot.poses(q), atol=1e-9
-    )
 
 
 # Formats
@@ -607,13 +516,6 @@ def test_options_that_nothing_needs(given, kind, message):
         check_options(Wanted(Path("o"), **given), kind)
 
 
-def test_options_that_something_needs():
-    check_options(Wanted(Path("o"), "urdf", urcontrol=Path("c.conf")), "ur-conf")
-    needs = {"hash_from": Path("own.conf"), "urcontrol": Path("c.conf")}
-    check_options(Wanted(Path("o"), "ur-yaml", **needs), "result")
-    check_options(Wanted(Path("o"), "ur-conf", update=Path("u.conf")), "result")
-
-
 def test_a_kinematics_yaml_keeps_the_robot_s_own_hash(shop, tmp_path):
     source = read_source(str(shop / "result.json"), Asked())
     with pytest.raises(
@@ -663,14 +565,3 @@ def test_a_urdf_on_another_that_differs_in_more_than_origins(shop, tmp_path):
     with pytest.raises(ModelError, match="differ in more than the origins of their joints"):
         write_target(source, Wanted(tmp_path / "o.urdf", "urdf"))
     assert not (tmp_path / "o.urdf").exists()
-
-
-def test_files_that_exist_stay(source, shop, tmp_path):
-    for name in FORMATS:
-        path = tmp_path / f"{name}{Path(NAMES.get(name, 'o.csv')).suffix}"
-        path.write_text("mine")
-        hash_from = shop / "kinematics.yaml" if name == "ur-yaml" else None
-        with pytest.raises(FileError, match="exists already"):
-            write_target(source, Wanted(path, name, hash_from))
-        assert path.read_text() == "mine"
-    assert len(list(tmp_path.iterdir())) == len(FORMATS)

@@ -166,24 +166,9 @@ def test_what_is_refused(text: str, message: str, tmp_path: Path):
     assert str(error.value).startswith(str(path))
 
 
-def test_no_file(tmp_path: Path):
-    with pytest.raises(FileError, match=r"origins file .*o\.yaml' does not exist"):
-        read_origins(tmp_path / "o.yaml")
-
-
 def test_another_robot(corrected: Robot, panda: Robot):
     with pytest.raises(UrdfError, match=r"is no joint of panda.*Give the robot that the file was"):
         origins_of(corrected).applied_to(panda)
     misspelt = Origins((("elbow_jiont", origins_of(corrected).joints[0][1]),), "o.yaml")
     with pytest.raises(UrdfError, match=r"o.yaml: 'elbow_jiont' .*did you mean 'elbow_joint'"):
         misspelt.applied_to(corrected)
-
-
-def test_a_joint_whose_name_has_a_character_that_ends_a_line(nominal: Robot, tmp_path: Path):
-    for name in ("a\u2028b", "a\u0085b", "a\ufeffb", "a\tb", "\U0001f600 \u00e9"):
-        quoted = name.replace("\t", "&#9;")
-        data = nominal.urdf.data.replace(b'"elbow_joint"', f'"{quoted}"'.encode())
-        robot = Robot.from_urdf(Urdf.from_bytes(data, "odd.urdf"), "base", "tool0")
-        path = write_origins(robot, tmp_path / "o.yaml", overwrite=True)
-        assert name in dict(read_origins(path).joints)
-        assert name in yaml.safe_load(path.read_bytes())["origins"]

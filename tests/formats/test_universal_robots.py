@@ -18,9 +18,9 @@ from calib.formats.universal_robots import (
     write_ur_conf,
     write_ur_yaml,
 )
-from calib.formats.ur_conf import read_deltas, write_deltas
-from calib.formats.ur_dh import COLUMNS, FullDH
-from calib.formats.ur_models import LINKS, ur_model, ur_robot
+from calib.formats.ur_conf import write_deltas
+from calib.formats.ur_dh import FullDH
+from calib.formats.ur_models import LINKS, ur_robot
 from calib.model.readback import check_written
 from calib.model.robot import Robot
 from tests.formats.ur_cases import WITH_DELTAS, rows
@@ -117,15 +117,6 @@ def test_the_nominal_rows_may_come_from_urcontrol(conf_of, tmp_path):
     assert read_ur_conf(conf, urcontrol=urcontrol, model="ur3").hash == case["driver_hash"]
 
 
-def test_an_arm_that_calib_does_not_know(conf_of, tmp_path):
-    case = case_of("ur3_a")
-    table = {**case["nominal"], "a": [0, -0.3, -0.25, 0, 0, 0]}
-    source = read_ur_conf(conf_of(case), urcontrol=urcontrol_of(table, tmp_path / "new.conf"))
-    assert source.model.name == "arm of new.conf"
-    expected = (rows(table) + rows(case["delta"])).poses(Q)
-    np.testing.assert_allclose(source.robot.poses(Q), expected, rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("base", "tip"), [("base", "tool0"), ("base_link", "ee_link"), ("world", "wrist_3_link")]
 )
@@ -169,22 +160,6 @@ def test_the_round_trip_of_a_conf(conf_of, tmp_path):
         # Updated, the file is what it was, the hash with it.
         assert path.read_bytes() == conf.read_bytes()
         assert again.hash == case["driver_hash"]
-
-
-def test_the_round_trip_of_a_yaml(conf_of, tmp_path):
-    for case in WITH_DELTAS:
-        source = read_ur_conf(conf_of(case), model=case["robot"])
-        first = write_ur_yaml(
-            source.robot, source.nominal, tmp_path / "1.yaml", hash="calib_1", overwrite=True
-        )
-        one = read_ur_yaml(first.path)
-        second = write_ur_yaml(
-            one.robot, one.nominal, tmp_path / "2.yaml", hash=one.hash, overwrite=True
-        )
-        two = read_ur_yaml(second.path)
-        np.testing.assert_allclose(two.robot.poses(Q), one.robot.poses(Q), rtol=0, atol=1e-12)
-        np.testing.assert_allclose(one.robot.poses(Q), source.robot.poses(Q), rtol=0, atol=1e-12)
-        assert two.hash == "calib_1"
 
 
 # A calibration of calib's own
@@ -267,19 +242,6 @@ def test_a_displacement_says_in_which_frame_it_is(tmp_path):
     assert "along and about the axes of the controller's flange (link 'tool0')" in remark
 
 
-def test_a_displacement_of_rounding_is_not_worth_a_word(tmp_path):
-    nominal = ur_robot("UR5e")
-    for shift, said in ((4e-10, False), (6e-10, True)):
-        placements = np.array(nominal.placements)
-        placements[6, 0, 3] += shift
-        robot = nominal.with_placements(placements)
-        path = tmp_path / "k.yaml"
-        written = write_ur_yaml(robot, nominal, path, hash=HASH, overwrite=True)
-        assert ("(0.000001, 0.000000, 0.000000) mm" in "".join(written.remarks)) is said
-        assert bool(written.remarks) is said
-        assert written.T_tool[0, 3] == pytest.approx(shift, rel=1e-3)
-
-
 def T_tool0_flange() -> np.ndarray:
     """The link 'flange' in tool0, of the bare URDF."""
     return np.linalg.inv(ur_robot("UR5e").urdf.joint("flange-tool0").T_parent_joint)
@@ -292,22 +254,6 @@ def test_a_calibration_that_the_controller_does_not_use_is_said(conf_of):
         remarks = " ".join(read_ur_conf(conf, model="UR3").remarks)
         assert ("which is not 2, linearised" in remarks) is said
         assert (f"calibration_status = {status}" in remarks) is said
-
-
-def test_nothing_to_say_of_a_robot_that_the_files_hold(tmp_path):
-    # A length, a height, a zero and a flange further out along the last axis.
-    nominal = ur_robot("UR5e")
-    deltas = FullDH(
-        [0, 0.01, 0, 0, 0, 0.02], [0, 1e-3, 0, 0, 0, 0], [1e-3, 0, 0, 0, 0, 2e-3], [0] * 6
-    )
-    conf = write_deltas(tmp_path / "c.conf", deltas)
-    source = read_ur_conf(conf, robot=nominal)
-    assert write_ur_yaml(source.robot, nominal, tmp_path / "k.yaml", hash=HASH).remarks == ()
-    written = write_ur_conf(source.robot, nominal, tmp_path / "d.conf")
-    assert written.remarks == ()
-    back = read_deltas(written.path)
-    for name in COLUMNS:
-        np.testing.assert_allclose(getattr(back, name), getattr(deltas, name), rtol=0, atol=1e-14)
 
 
 def test_rows_lose_digits_where_axes_are_almost_parallel(tmp_path):
@@ -346,19 +292,6 @@ def test_a_yaml_says_of_which_arm_it_may_be(tmp_path):
     assert read_ur_yaml(path, robot=source).remarks == ()
 
 
-def test_a_yaml_of_no_particular_robot(tmp_path):
-    model = ur_model("UR30")
-    robot = ur_robot(model)
-    path = write_ur_yaml(robot, robot, tmp_path / "k.yaml", hash=model.default_hash).path
-    source = read_ur_yaml(path, model="UR30")
-    assert "hash of the nominal UR30" in source.remarks[0]
-    np.testing.assert_allclose(source.robot.poses(Q), robot.poses(Q), rtol=0, atol=1e-14)
-    path.write_text(path.read_text().replace("hash:", "# hash:"))
-    source = read_ur_yaml(path, model="UR30")
-    assert source.hash is None
-    assert "no hash" in source.remarks[0]
-
-
 # Hashes
 
 
@@ -378,30 +311,6 @@ def test_the_hash_of_a_robot_s_own_files(conf_of, tmp_path):
 # What is refused
 
 
-def test_a_conf_alone_is_not_enough(conf_of):
-    with pytest.raises(
-        ModelError, match=r"only what is added .* \('UR3', .* urcontrol.conf or its"
-    ):
-        read_ur_conf(conf_of(case_of("ur3_a")))
-
-
-def test_a_conf_of_another_arm(conf_of, tmp_path):
-    conf = conf_of(case_of("ur10e"))
-    said = (
-        r"flange of a UR3 by up to \d{3} mm, and that of 'UR10', 'UR10e', 'UR12e' by 3\.\d mm only"
-    )
-    with pytest.raises(FileError, match=said):
-        read_ur_conf(conf, model="UR3")
-    with pytest.raises(FileError, match=r"mm only.*Give the file of this robot's own controller"):
-        read_ur_hash(conf, model="UR3")
-    robot = ur_robot("UR10e")
-    path = write_ur_yaml(robot, robot, tmp_path / "k.yaml", hash=HASH).path
-    with pytest.raises(FileError, match=r"of a UR5 by up to .* of 'UR10e', 'UR12e' by 0.0 mm only"):
-        read_ur_yaml(path, model="UR5")
-    with pytest.raises(FileError, match="Give the URDF of the right one; the nominal UR3 is anoth"):
-        read_ur_yaml(path, robot=ur_robot("UR3"))
-
-
 @pytest.mark.parametrize("model", ["UR5", "UR10", "UR16e", "UR20"])
 def test_a_conf_of_an_arm_of_another_size(conf_of, model):
     # Centimetres, no more: nearly parallel axes cancel for the right upper arm only.
@@ -413,12 +322,6 @@ def test_a_file_that_is_of_no_arm(tmp_path):
     deltas = FullDH([0.5, 0, 0, 0, 0, 0], [0] * 6, [0] * 6, [0] * 6)
     with pytest.raises(FileError, match=r"up to 0\.\d\d m from where that of a nominal UR3 is"):
         read_ur_conf(write_deltas(tmp_path / "c.conf", deltas), model="UR3")
-
-
-def test_a_calibration_that_moves_the_arm_far_is_said(tmp_path):
-    deltas = FullDH([0] * 6, [0, 0.05, 0, 0, 0, 0], [0] * 6, [0] * 6)
-    source = read_ur_conf(write_deltas(tmp_path / "c.conf", deltas), model="UR10")
-    assert "by up to 50 mm from the nominal UR10, more than" in source.remarks[0]
 
 
 def test_names_that_do_not_agree(conf_of, tmp_path, ur3):
@@ -460,18 +363,6 @@ def test_a_robot_that_is_no_such_arm(panda, ur3, tmp_path):
     with pytest.raises(FileError, match="is none of a calibration"):
         write_ur_yaml(ur3, ur3, path, hash="none of them")
     assert not path.exists()
-
-
-def test_a_file_that_is_there_stays(ur3, tmp_path):
-    path = tmp_path / "out"
-    path.write_text("mine")
-    with pytest.raises(FileError, match="exists already"):
-        write_ur_yaml(ur3, ur3, path, hash=HASH)
-    with pytest.raises(FileError, match="exists already"):
-        write_ur_conf(ur3, ur3, path)
-    with pytest.raises(FileError, match=r"no \[mounting\]"):
-        write_ur_conf(ur3, ur3, path, update=path, overwrite=True)
-    assert path.read_text() == "mine"
 
 
 def test_the_python_of_the_page_runs(conf_of, tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from calib.errors import FileError, ModelError
+from calib.errors import FileError
 from calib.formats.universal_robots import (
     read_ur_conf,
     read_ur_hash,
@@ -67,13 +67,6 @@ def test_the_controller_s_own_rows_say_which_arm_it_is(conf_of, tmp_path):
     assert read_ur_conf(conf_of("UR3"), urcontrol=urcontrol).remarks == ()
 
 
-def test_arms_of_the_same_rows_need_no_telling_apart(tmp_path):
-    # A UR30 is so much like no other arm that a change of its reach fits it alone.
-    deltas = FullDH([0] * 6, [0, 5e-4, 0, 0, 0, 0], [0, -800.0, 800.0, 0, 0, 0], [0] * 6)
-    conf = write_deltas(tmp_path / "c.conf", deltas)
-    assert "alike" in read_ur_conf(conf, model="UR30").remarks[0]
-
-
 # Files of another arm
 
 
@@ -98,12 +91,6 @@ def test_a_hash_of_another_form_is_said(yaml_of):
     (remark,) = read_ur_hash(yaml_of("UR3", "my_robot"), model="UR3").remarks
     assert "'my_robot' in" in remark
     assert "not of the driver's form" in remark
-
-
-def test_a_conf_of_zeros_has_the_nominal_hash(tmp_path):
-    conf = write_deltas(tmp_path / "c.conf", FullDH(*[[0.0] * 6] * 4))
-    assert "hash of the nominal UR16e" in read_ur_hash(conf, model="UR16e").remarks[0]
-    assert "hash of the nominal UR16e" in read_ur_conf(conf, model="UR16e").remarks[-1]
 
 
 def test_a_calibration_that_is_far_off_is_said_of_its_hash(tmp_path):
@@ -150,15 +137,6 @@ def near(**changes) -> FullDH:
     )
 
 
-def test_an_arm_without_a_name_is_worded_so(conf_of, tmp_path):
-    unknown = urcontrol_of(near(a=(1, -0.3)), tmp_path / "u.conf")
-    with pytest.raises(FileError, match=r"flange of an arm of u\.conf by up to"):
-        read_ur_conf(conf_of("UR3"), urcontrol=unknown)
-    assert ur_model("UR5e").said == "a UR5e"
-    with pytest.raises(ModelError, match="are no arm's that is known, not those of the UR3"):
-        read_ur_conf(conf_of("UR3"), urcontrol=unknown, model="UR3")
-
-
 ARMS = {
     "d1": near(d=(0, 0.012)),
     "d6": near(d=(5, 0.0204)),
@@ -193,11 +171,3 @@ def test_the_writers_count_from_the_arm_of_the_source(nominal, tmp_path):
     found = read_ur_yaml(written.path, model=source.model).robot
     q = [0.3, -1.0, 1.2, 0.4, 0.5, -0.6]
     assert abs(found.poses(q) - (nominal + SMALL).poses(q)).max() < 1e-12
-
-
-def test_a_yaml_names_the_arm_that_was_given(tmp_path):
-    robot = ur_robot("UR7e")
-    path = write_ur_yaml(
-        robot, robot, tmp_path / "k.yaml", hash="calib_1", model=ur_model("UR7e")
-    ).path
-    assert path.read_text().startswith("# Kinematics of one Universal Robots UR7e: ")

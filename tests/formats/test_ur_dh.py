@@ -4,7 +4,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.errors import ModelError
 from calib.formats.ur_dh import (
     COLUMNS,
     FullDH,
@@ -135,17 +134,6 @@ def test_the_sixth_frame_goes_to_the_flange():
     np.testing.assert_allclose(moved[6, :3, :3], np.eye(3), atol=1e-15)
     assert abs(moved[6, 2, 3]) < 1e-15
     assert np.abs(moved[6, :2, 3]).max() > 1e-4
-
-
-@pytest.mark.parametrize("column", [np.zeros(5), np.zeros((6, 1)), [0, 0, np.nan, 0, 0, 0]])
-def test_six_finite_numbers_are_wanted(column):
-    with pytest.raises(ModelError, match=r"'d' of DH rows is \[.* six finite"):
-        FullDH(theta=np.zeros(6), a=np.zeros(6), d=column, alpha=np.zeros(6))
-
-
-def test_rows_cannot_be_written_to():
-    with pytest.raises(ValueError, match="read-only"):
-        ur_model("UR3").nominal.a[0] = 1.0
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.errors import UrdfError
 from calib.formats.universal_robots import read_ur_conf, read_ur_yaml, write_ur_yaml
 from calib.formats.ur_conf import write_deltas
 from calib.formats.ur_models import LINKS
@@ -138,11 +137,3 @@ def test_calibrated_and_nominal_are_one_xacro_with_two_files(description: Path, 
     write_ur_yaml(corrected, nominal, ours, hash=str(source.hash))
     again = Robot.load(f"{words} kinematics_params:={ours}", "left_base", "left_tool0")
     np.testing.assert_allclose(again.poses(case["fk"]["q"]), case["fk"]["T"], rtol=0, atol=1e-9)
-
-
-def test_arguments_that_the_description_cannot_do_without(description: Path):
-    """Its <robot name="$(arg name)"> stands before the argument's default; and its default arm there is not."""
-    with pytest.raises(UrdfError, match="Undefined substitution argument name"):
-        Robot.load(description)
-    with pytest.raises(UrdfError, match=r"config/ur5x/default_kinematics\.yaml"):
-        Robot.load(f"{description} name:=ur")

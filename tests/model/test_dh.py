@@ -256,19 +256,6 @@ def test_nearly_parallel_axes_put_nothing_far_away(serial_urdf, joints, xyz):
     assert max(abs(row.a) for row in table.rows[:-1]) <= 1.1 * reach(robot)
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e-14, 1e-12, 1e-10, 2e-9, 1e-6])
-def test_axes_that_almost_coincide(serial_urdf, offset):
-    axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14)
-    across = np.cross(axis, [0.3, -0.8, 0.1])
-    joints = [
-        ("revolute", (0.1, 0.2, 0.3), (0, 0, 0), axis),
-        ("revolute", 0.4 * axis + offset * across, (0, 0, 0), axis),
-        ("prismatic", -0.7 * axis + offset * across, (0, 0, 0), axis),
-        ("revolute", (0.3, 0, 0.1), (0, 0, 0), (0, 0, 1)),
-    ]
-    assert_rows_equal_kinematics(Robot.from_urdf(serial_urdf(joints)), 1e-12)
-
-
 # Two branches, mimic joints
 
 
@@ -288,29 +275,6 @@ def test_rows_of_two_branches_and_of_mimic_joints(name, base, tip):
     robot = Robot.load(name, base, tip)
     table = assert_rows_equal_kinematics(robot)
     assert [row.joint for row in table.rows] == [joint.name for joint in robot.joints]
-
-
-def test_the_ur3_turned_round_has_the_same_lengths():
-    there = columns(dh_table(Robot.load("ur3", base="base", tip="tool0")))
-    back = columns(dh_table(Robot.load("ur3", base="tool0", tip="base")))
-    lengths = [sorted(np.round(np.abs(table["a"] + table["d"]), 9)) for table in (there, back)]
-    assert lengths[0] == lengths[1]
-
-
-@pytest.mark.parametrize(
-    "path",
-    [path for path in FILES if path.name not in REFUSED],
-    ids=lambda p: f"{p.parents[1].name}/{p.name}",
-)
-def test_rows_between_any_two_links(path):
-    urdf = Urdf.read(path)
-    pairs = np.random.default_rng(len(urdf.data)).choice(urdf.links, (4, 2))
-    for base, tip in pairs:
-        try:
-            robot = Robot.from_urdf(urdf, str(base), str(tip))
-        except CalibError:  # nothing moves between them; what is refused is tested in test_chain.py
-            continue
-        assert_rows_equal_kinematics(robot)
 
 
 # The frames
@@ -333,12 +297,6 @@ def test_zero_poses_are_the_poses_at_zero(panda):
     np.testing.assert_allclose(tip, panda.poses(np.zeros(7))[0], atol=1e-15)
     link = Robot.load("panda", base="panda_link0", tip="panda_link4")
     np.testing.assert_allclose(joint_poses[3], link.poses(np.zeros(4))[0], atol=1e-15)
-
-
-def test_the_table_is_read_only(ur3):
-    table = dh_table(ur3)
-    with pytest.raises(ValueError, match="read-only"):
-        table.T_base_0[0, 0] = 0
 
 
 # The makers' tables
@@ -372,20 +330,6 @@ def test_the_panda_as_its_maker_prints_it(panda):
         np.testing.assert_allclose(column(rows, key), values, atol=1e-9, err_msg=key)
     np.testing.assert_allclose(rows.T_base_0, np.eye(4), atol=1e-9)
     np.testing.assert_allclose(rows.T_n_tip, np.eye(4), atol=1e-9)
-
-
-def test_half_a_turn_is_said_as_180_deg(serial_urdf):
-    flipped = serial_urdf(
-        [
-            ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1)),
-            ("revolute", (-0.3, 0, 0), (np.pi, 0, 0), (0, 0, 1)),
-        ],
-        tip=((0, 0, 0.1), (0, 0, -np.pi)),
-    )
-    rows = dh_table(Robot.from_urdf(flipped), "standard")
-    angles = [*column(rows, "theta"), *column(rows, "alpha")]
-    assert any(abs(angle - np.pi) < 1e-9 for angle in angles)
-    assert min(angles) > -3.0
 
 
 # Before and after
@@ -469,52 +413,6 @@ def test_no_angle_jumps_by_a_turn(serial_urdf, convention, turn, key, row):
     np.testing.assert_allclose(found, np.pi, atol=0.05)
 
 
-def test_a_parallel_axis_beside_the_last_x_keeps_its_side(serial_urdf):
-    # The offset to the next axis lies across x, so that either sign of x is as near.
-    robot = Robot.from_urdf(
-        serial_urdf(
-            [
-                ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1)),
-                ("revolute", (0, 0.3, 0), (0, 0, 0), (0, 0, 1)),
-                ("revolute", (0.2, 0, 0), (np.pi / 2, 0, 0), (0, 0, 1)),
-            ]
-        )
-    )
-    before = dh_table(robot, "hayati")
-    for seed in range(6):
-        after = dh_table(displaced(robot, seed), "hayati", like=robot)
-        for key in KEYS:
-            change = np.subtract(column(after, key), column(before, key))
-            assert np.abs(change).max() < 0.05, key
-
-
-def test_a_tip_a_little_beside_the_last_axis_has_no_direction_of_its_own(ur3):
-    placements = ur3.placements.copy()
-    placements[-1, :3, 3] += [1e-4, 2e-4, 3e-4]
-    corrected = ur3.with_placements(placements)
-    for convention in ("standard", "modified"):
-        rows = dh_table(corrected, convention)
-        assert abs(rows.rows[-1].theta) < 1e-6
-        assert_same_poses(rows, corrected)
-    placements[-1, :3, 3] *= 100.0
-    assert abs(dh_table(ur3.with_placements(placements), "standard").rows[-1].theta) > 0.1
-
-
-def test_a_first_axis_along_base_x_keeps_frame_0(serial_urdf):
-    robot = Robot.from_urdf(
-        serial_urdf(
-            [
-                ("revolute", (0.1, 0, 0.2), (0, 0, 0), (1, 0, 0)),
-                ("revolute", (0, 0.3, 0), (0, 0, 0), (0, 1, 0)),
-            ]
-        )
-    )
-    before = dh_table(robot, "standard")
-    for seed in range(4):
-        after = dh_table(displaced(robot, seed), "standard", like=robot)
-        np.testing.assert_allclose(after.T_base_0, before.T_base_0, atol=0.02)
-
-
 def test_what_lies_behind_the_last_axis_is_the_tip_s_matter(ur3):
     # A tool flange that was moved by 0.1 mm would else turn theta_6 by up to half a turn.
     placements = ur3.placements.copy()
@@ -580,20 +478,6 @@ def test_parallel_but_for_rounding_behind_axes_that_are_nearly_so(serial_urdf, s
     assert len(near_parallel(moved)) == 3
 
 
-@pytest.mark.parametrize("tilt", [1e-2, 1e-3, 1e-5, 1e-6])
-@pytest.mark.parametrize("small", [4e-7, 1e-8])
-@pytest.mark.parametrize("first", [True, False])
-def test_two_nearly_parallel_pairs_hold_what_is_said(ur3, tilt, small, first):
-    placements = ur3.placements.copy()
-    for i, angle in zip((2, 3), (tilt, small) if first else (small, tilt), strict=True):
-        R = Rotation.from_rotvec([angle, 0.3 * angle, 0]).as_matrix()
-        placements[i, :3, :3] = placements[i, :3, :3] @ R
-        placements[i, :3, 3] += 1e-3
-    robot = ur3.with_placements(placements)
-    rows = dh_table(robot, "standard", like=ur3)
-    assert_same_poses(rows, robot, 5e-9 + 4.0 * taken_as_parallel(robot))
-
-
 # Any chain
 
 
@@ -618,14 +502,6 @@ def test_sliding_and_mimicking_joints_and_chains_from_tip_to_base(convention, ba
     assert_same_poses(rows, robot)
     corrected = displaced(robot)
     assert_same_poses(dh_table(corrected, convention, like=robot), corrected)
-
-
-@pytest.mark.parametrize("convention", CONVENTIONS)
-def test_two_branches(convention):
-    talos = Robot.load("talos_reduced", base="rgbd_rgb_optical_frame", tip="gripper_left_base_link")
-    assert_same_poses(dh_table(talos, convention), talos)
-    corrected = displaced(talos)
-    assert_same_poses(dh_table(corrected, convention, like=talos), corrected)
 
 
 few_directions = st.sampled_from(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors import ModelError
-from calib.model.dh_table import CONVENTIONS, EQUATIONS, DHRow, DHTable, screw
+from calib.model.dh_table import CONVENTIONS, EQUATIONS, DHRow, DHTable
 
 QUARTER = np.pi / 2
 
@@ -47,14 +47,6 @@ def test_every_convention_has_its_equation():
             ["Rx", "Tx", "Rz", "Tz"] if convention == "modified" else ["Rz", "Tz", "Tx", "Rx"]
         )
         assert factors[4:] == (["Ry"] if convention == "hayati" else [])
-
-
-def test_elementary_screws():
-    np.testing.assert_allclose(screw(2, QUARTER, 0.2)[:3, 0], [0.0, 1.0, 0.0], atol=1e-15)
-    np.testing.assert_allclose(screw(0, QUARTER, 0.2)[:3, 3], [0.2, 0.0, 0.0], atol=1e-15)
-    row = DHRow("j", False, 0.1, 0.2, 0.3, 0.4)
-    wanted = screw(2, 0.1, 0.2) @ screw(0, 0.4, 0.3)
-    np.testing.assert_allclose(row.matrix(), wanted, atol=1e-15)
 
 
 def test_each_row_needs_a_value():
