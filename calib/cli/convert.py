@@ -60,7 +60,7 @@ def convert(
         typer.Option(
             "--robot",
             metavar="ROBOT",
-            help="Nominal robot: URDF, xacro or name. Default: the one that a result names; a bare arm for --ur-model.",
+            help="Nominal robot: URDF, xacro or name. Default: the one that a result holds; a bare arm for --ur-model.",
         ),
     ] = None,
     ur_model: Annotated[
