@@ -231,7 +231,9 @@ def frame_of(text: str, robots: Robots) -> str | None:
     groups = robots.result.setup.groups
     if text != MEASURED and text not in groups:
         names = [name for name in groups if name]
-        others = f", or one of its set-ups {choices(names)}" if names else ""
+        others = ". The result has no named set-ups"
+        if names:
+            others = f", or one of its set-ups {choices(names)}"
         message = (
             f"--poses-in was given as '{text}'; choose '{BASE}', '{MEASURED}' (the frame of the result's points)"
             f"{others}."

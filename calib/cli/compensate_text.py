@@ -280,7 +280,7 @@ def _largest(found: Commands) -> str:
     for i in shown:
         cells = [f"{MM * found.pose_corrections[i, 0]:>9.4f}"]
         cells += [
-            f"{value:>9.4f}" if np.isfinite(value) else f"{'-':>9}"
+            f"{round(value, 4) + 0.0:>9.4f}" if np.isfinite(value) else f"{'-':>9}"
             for value in changes[i, :columns]
         ]
         label = textwrap.shorten(found.program.labels[i], 26, placeholder="...")
