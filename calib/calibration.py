@@ -12,6 +12,7 @@ from calib.identify.comparison_file import comparison_table
 from calib.identify.comparison_text import comparison_text
 from calib.identify.crossvalidation import Progress
 from calib.identify.result import Calibration as Values
+from calib.identify.solvers import Solver
 from calib.identify.summary import summary
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
@@ -99,7 +100,7 @@ def calibrate(
     *,
     cell: Cell | None = None,
     model: str | None = None,
-    solver: str = "lm",
+    solver: str | Solver = "lm",
     robust: bool = True,
     validate: bool = True,
     progress: Progress | None = None,

@@ -32,6 +32,7 @@ from calib.identify.robustness import compare
 from calib.identify.rows import Rows
 from calib.identify.selection import Candidate, select
 from calib.identify.setup_check import better_setup
+from calib.identify.solvers import Solver
 from calib.identify.statistics import CrossValidation
 from calib.identify.table_rows import known_distances, rows_of
 from calib.identify.verdict import NO, Verdict, verdict
@@ -56,7 +57,7 @@ def calibrate(
     *,
     cell: Cell | None = None,
     model: str | None = None,
-    solver: str = "lm",
+    solver: str | Solver = "lm",
     robust: bool = True,
     validate: bool = True,
     progress: Progress | None = None,
@@ -72,7 +73,7 @@ def calibrate(
             ``"hayati"``, ``"placement"``, ``"zeros"`` or ``"frames"``, such as ``"dh+compliance"``; default the
             cell's. See docs/parameters.md.
         solver: ``"lm"`` (default), ``"scipy"`` (the same problem by SciPy), or ``"paper"`` (the paper's algorithm,
-            without priors and robust weights).
+            without priors and robust weights); or a function like those of `calib.identify.solvers.SOLVERS`.
         robust: Whether outliers lose their weight; they are named either way.
         validate: Whether to cross-validate; one fold a row up to 60 rows, ten folds above.
         progress: Called after each fit of the cross-validation.
@@ -126,7 +127,12 @@ class Fits:
 
 @one_blas_thread()
 def fit_table(
-    robot: Robot, measurements: Measurements, cell: Cell, *, solver: str = "lm", robust: bool = True
+    robot: Robot,
+    measurements: Measurements,
+    cell: Cell,
+    *,
+    solver: str | Solver = "lm",
+    robust: bool = True,
 ) -> Fits:
     """The fits alone, without what a result says of them; arguments and errors are those of `calibrate`."""
     every, setup = rows_of(robot, measurements, cell)
@@ -278,7 +284,7 @@ def _assemble(
         nominal_setup=placed,
         setup=fitted.placed(),
         kinematics=fitted.kinematics,
-        solver=task.solver,
+        solver=task.solver if isinstance(task.solver, str) else task.solver.__name__,
         solution=replace(estimated.solution, x=estimated.x),
         seconds=seconds,
         x=estimated.x,

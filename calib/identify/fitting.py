@@ -19,7 +19,7 @@ from calib.identify.registration import register, register_poses, register_seen
 from calib.identify.robust import scores
 from calib.identify.rows import Rows, evenly
 from calib.identify.setup import Setup, along_own_axes, targets_along_tip
-from calib.identify.solvers import SOLVERS, Solution, paper_levenberg_marquardt
+from calib.identify.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.measure.cell import Cell
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
@@ -51,7 +51,7 @@ class Task:
         setup: Frames and targets as given.
         model: Name of the parameter set and families.
         distances: Known distances between set-ups.
-        solver: A name of `calib.identify.solvers.SOLVERS`, or `PAPER`.
+        solver: A name of `calib.identify.solvers.SOLVERS`, `PAPER`, or a solver itself.
         robust: Whether outliers lose their weight.
         lenient: Whether the cell may name parameters that this model lacks, because it is one of several.
     """
@@ -61,7 +61,7 @@ class Task:
     setup: Setup
     model: str
     distances: tuple[KnownDistance, ...] = ()
-    solver: str = "lm"
+    solver: str | Solver = "lm"
     robust: bool = True
     lenient: bool = False
 
@@ -136,7 +136,7 @@ def fit(
         MeasurementError: Too few rows.
         SolverError: The residual at the start is not finite.
     """
-    if task.solver not in (*SOLVERS, PAPER):
+    if not callable(task.solver) and task.solver not in (*SOLVERS, PAPER):
         message = f"There is no solver '{task.solver}'. Choose one of {choices((*SOLVERS, PAPER))}."
         raise ModelError(message)
     model = model_of(task)
@@ -212,11 +212,12 @@ def _between_seen(distances: tuple[KnownDistance, ...], rows: Rows) -> tuple[Kno
     return tuple(d for d in distances if d.first in seen and d.second in seen)
 
 
-def _solver(name: str, size: Array) -> Solve:
-    """A solver by its name, with each parameter's step."""
+def _solver(asked: str | Solver, size: Array) -> Solve:
+    """A solver, by its name or as it is, with each parameter's step."""
+    solver = asked if callable(asked) else SOLVERS[asked]
 
     def solve(problem: Problem, x: Array, tolerance: float) -> Solution:
-        return SOLVERS[name](problem.system, x, size, tolerance)
+        return solver(problem.system, x, size, tolerance)
 
     return solve
 
