@@ -158,7 +158,7 @@ def parse_start(texts: Iterable[str], robot: Robot) -> NDArray[np.float64] | Non
     Raises:
         CalibError: Other words, an unknown joint, or a value in a unit that does not fit it or beyond its limits.
     """
-    from calib.cli.compensate_words import parse_start as parse_joints
+    from calib.cli.compensate_setup import parse_start as parse_joints
     from calib.measure.ranges import column_limits, range_text
     from calib.model.robot import read_only
 
