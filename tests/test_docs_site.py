@@ -213,6 +213,7 @@ ELSEWHERE = {
     "compensation.md": "tests/cli/test_compensate.py",
     "universal-robots.md": "tests/compensate/test_universal_robots.py",
     "view.md": "tests/show/test_viewer.py",
+    "extending.md": "tests/test_extending.py",
 }
 
 #: Run here, in this order: what one makes, the next may use.
