@@ -1,12 +1,16 @@
-"""Write urdf/ur3_calibrated.urdf, the corrected robot of the demo, and the origins of its joints anew.
+"""Make anew what ships with the demo: the corrected UR3, the origins of its joints, and the pictures of the docs.
 
-    .venv/bin/python scripts/update_demo.py
+    .venv/bin/python scripts/update_demo.py [--no-pictures] [--browser chromium]
 
-Tests compare the files with what the demo computes.
+Tests compare the robots' files with what the demo computes. The pictures are taken by a headless Chromium.
 """
 
 from __future__ import annotations
 
+import argparse
+import shutil
+import subprocess
+import tempfile
 from pathlib import Path
 
 from calib.calibration import calibrate
@@ -15,23 +19,56 @@ from calib.formats.origins import write_origins
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only
+from calib.show.pictures import write_page
+from calib.show.report import write_report
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+#: The pictures: the file below docs/, the page and what its address asks for, and the window's size [px].
+PICTURES = (
+    ("view.png", "view.html", (1600, 900)),
+    ("overlaid.png", "view.html#mode=over&robots=50", (1600, 900)),
+    ("report.png", "report.html", (1000, 1320)),
+)
+
+_FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--hide-scrollbars",
+    "--virtual-time-budget=8000",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+)
 
 
 def main() -> None:
-    """Calibrate as the demo does and write the files beside the nominal URDF."""
+    """Calibrate as the demo does, write the files beside the nominal URDF, and photograph the pages."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--no-pictures", action="store_true")
+    parser.add_argument("--browser", default=shutil.which("chromium"), help="Chromium to use")
+    arguments = parser.parse_args()
     robot = Robot.load(paper_urdf(), base="base", tip="tool0")
     table = Measurements.read(paper_measurements(), robot.joint_names, robot.joint_types)
     cell = Cell(target=read_only(PAPER_TARGET), model="paper")
-    result = calibrate(robot, table, cell=cell, validate=False)
+    result = calibrate(robot, table, cell=cell)
     folder = paper_urdf().parent
-    for path in (
-        result.write_urdf(folder / "ur3_calibrated.urdf", overwrite=True),
-        write_origins(result.robot, folder / "ur3_origins.yaml", overwrite=True),
-        write_origins(robot, folder / "ur3_nominal_origins.yaml", overwrite=True),
-    ):
-        print(
-            f"Written: {path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path}"
-        )
+    result.write_urdf(folder / "ur3_calibrated.urdf", overwrite=True)
+    write_origins(result.robot, folder / "ur3_origins.yaml", overwrite=True)
+    write_origins(robot, folder / "ur3_nominal_origins.yaml", overwrite=True)
+    if arguments.no_pictures:
+        return
+    if arguments.browser is None:
+        parser.error("no chromium found; install it or give --browser")
+    with tempfile.TemporaryDirectory() as pages:
+        write_page(result, Path(pages) / "view.html")
+        write_report(result, Path(pages) / "report.html", command="calib demo")
+        for name, page, (width, height) in PICTURES:
+            command = [arguments.browser, *_FLAGS, f"--user-data-dir={pages}/profile"]
+            command += [f"--window-size={width},{height}", f"--screenshot={DOCS / name}"]
+            address = (Path(pages) / page.split("#")[0]).as_uri() + page[len(page.split("#")[0]) :]
+            subprocess.run([*command, address], check=True, capture_output=True, timeout=120)
+            print(f"Written: {DOCS / name}")
 
 
 if __name__ == "__main__":

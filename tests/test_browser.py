@@ -9,6 +9,8 @@ import pytest
 
 from tests.browser import CHROMIUM, Browser, BrowserError, Tab
 
+pytestmark = pytest.mark.slow
+
 STRICT = "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; script-src 'sha256-AAAA'\">"
 
 

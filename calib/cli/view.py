@@ -165,7 +165,8 @@ def _write(shown: View, output: Path, *, force: bool, quiet: bool) -> None:
 
 def _serve(viewer: Viewer, *, browser: bool, quiet: bool) -> None:
     """Show the page until Ctrl-C, or until the process is asked to end."""
-    before = _stop_once()
+    # Whoever ends the process means what Ctrl-C means.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         if not quiet:
             _say_warnings(viewer.warnings)
@@ -182,29 +183,9 @@ def _serve(viewer: Viewer, *, browser: bool, quiet: bool) -> None:
         pass
     finally:
         viewer.close()
-        for number, handler in before.items():
-            # Once interrupted, the program ends, and is not interrupted at that.
-            if signal.getsignal(number) != signal.SIG_IGN:
-                signal.signal(number, handler)
+        signal.signal(signal.SIGTERM, before)
     if not quiet:
         typer.echo("Stopped.")
-
-
-def _stop_once() -> dict[int, Any]:
-    """Let Ctrl-C and SIGTERM interrupt once: a second must not interrupt the end. Returns what was before."""
-
-    def stop(*_: object) -> None:
-        """The first of them."""
-        for number in before:
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    # A job in the background may have been started so that Ctrl-C does not reach it.
-    numbers = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) != signal.SIG_IGN]
-    before: dict[int, Any] = {}
-    for number in numbers:
-        before[number] = signal.signal(number, stop)
-    return before
 
 
 def _opened(url: str) -> bool:

@@ -1,7 +1,6 @@
 """Calibrations of every kind that pictures and reports must cope with; each is computed once, when it is asked for.
 
-`CASES` names them, `made` makes one. A module of its own, without fixtures, so that `scripts/show_sizes.py` takes the
-same ones.
+`CASES` names them, `made` makes one.
 """
 
 from __future__ import annotations
