@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from calib.measure.cell import Cell, GroupDistance, Priors
     from calib.measure.measurements import Measurements
     from calib.measure.noise import TrackerNoise
-    from calib.measure.scenario import Scenario
     from calib.measure.surroundings import Box, Reflector, Tracker
     from calib.model.robot import Robot
     from calib.model.torques import Payload
     from calib.show.opening import show
+    from calib.simulate.scenario import Scenario
     from calib.simulate.study import Study, Trials, study
 
 from calib.version import __version__ as __version__
@@ -111,7 +111,7 @@ _MODULES = {
     "Reflector": "calib.measure.surroundings",
     "Region": "calib.design.region",
     "Robot": "calib.model.robot",
-    "Scenario": "calib.measure.scenario",
+    "Scenario": "calib.simulate.scenario",
     "Study": "calib.simulate.study",
     "Survey": "calib.base_frame.survey",
     "Sweeps": "calib.base_frame.sweeps",

@@ -39,10 +39,10 @@ from calib.identify.rows import Rows
 from calib.identify.table_rows import rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.measure.scenario import Scenario
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.robot import Robot
+from calib.simulate.scenario import Scenario
 from calib.simulate.study import Trials, study
 
 ROOT = Path(__file__).resolve().parents[1]

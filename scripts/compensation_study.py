@@ -25,9 +25,9 @@ from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.ranges import column_limits
-from calib.measure.scenario import Scenario
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, read_only
+from calib.simulate.scenario import Scenario
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,6 @@ from calib.design.solids import read_solids
 from calib.errors import CalibError
 from calib.formats.sources import Asked, read_source
 from calib.measure.points_file import read_points
-from calib.measure.truth_file import read_truth
 
 ROOT = Path(__file__).resolve().parents[1]
 ARM, DATA = str(ROOT / "urdf" / "ur3.urdf"), paper_measurements()
@@ -66,7 +65,6 @@ def made(words: str) -> list[bytes]:
 
 FIT = f"fit {ARM} {DATA} --base base --tip tool0 --model dh --json r.json"
 WORKSPACE = f"workspace {ARM} --base base --tip tool0 --samples 5000 -o w.json"
-SIMULATE = f"simulate {ARM} --base base --tip tool0 --count 5 -o s.csv --truth s.json"
 LIST = b"# Units: mm\nP1 100.5 200 300\nP2 -1 2e2 3.5\nP3 7 8 9\n"
 
 #: Name of a file, what reads it, and what makes files that can be read.
@@ -79,7 +77,6 @@ READERS: dict[str, tuple[str, Callable[[Path], object], Callable[[], Sequence[by
     "result": ("r.json", convert, lambda: made(FIT)),
     "origins": ("o.yaml", convert, lambda: [p.read_bytes() for p in ROOT.glob("urdf/*.yaml")]),
     "region": ("w.json", RegionFile.read, lambda: made(WORKSPACE)),
-    "truth": ("s.json", lambda path: read_truth(path, UR3), lambda: made(SIMULATE)),
 }
 
 

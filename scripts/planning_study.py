@@ -27,9 +27,9 @@ from calib.design.plan import plan
 from calib.design.sensitivity import Sensitivity
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.measure.scenario import Scenario
 from calib.measure.surroundings import Box, Reflector, Tracker
 from calib.model.robot import Robot
+from calib.simulate.scenario import Scenario
 from calib.simulate.study import Study, Trials, study
 
 ROOT = Path(__file__).resolve().parents[1]

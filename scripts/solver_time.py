@@ -22,8 +22,8 @@ from calib.identify.fitting import Task, fit
 from calib.identify.table_rows import rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.measure.scenario import Scenario
 from calib.model.robot import Robot, read_only
+from calib.simulate.scenario import Scenario
 from calib.simulate.study import Trials, one_trial
 
 _RUNS, _FEW_RUNS = 200, 20

@@ -216,7 +216,7 @@ def plan(
         from calib.cli.plan_text import expected_text, next_text, plan_text, taken_text
         from calib.cli.progress import stages_bar
         from calib.cli.setup import check_outputs, read_cell
-        from calib.cli.simulate_words import parse_angle, parse_size
+        from calib.cli.simulate_options import parse_angle, parse_size
         from calib.cli.surroundings_words import add_surroundings, parse_start, with_noise
         from calib.cli.words import parse_columns
         from calib.design.plan import plan as make_plan

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,13 +21,22 @@ from calib.cli.options import (
     Tip,
     reporting,
 )
-from calib.errors import CalibError, choices
+from calib.errors import CalibError
 
 if TYPE_CHECKING:
-    from calib.cli.simulate_setup import Prepared
+    from concurrent.futures import Executor
 
-#: Of a line of the command to type next.
-_WIDTH = 88
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from calib.simulate.scenario import Scenario
+    from calib.simulate.study import Trials
+
+#: Poses, and poses to validate with, where nothing says how many.
+_COUNT, _VALIDATION = 30, 10
+
+#: How far a target sits from where it is said to, where nothing says so.
+_TARGET_ERROR = "1 mm"
 
 _HELP = """Simulate measurements of a robot whose errors are known.
 
@@ -104,9 +112,8 @@ def simulate(
     model: Annotated[
         str | None,
         typer.Option(
-            "--model",
             metavar="SET[+FAMILY...]",
-            help="In which errors the robot is wrong, such as dh or placement+gain+compliance. Default: placement.",
+            help="Error model of the simulated robot, such as dh or placement+gain+compliance. Default: placement.",
         ),
     ] = None,
     sizes: Annotated[
@@ -124,13 +131,10 @@ def simulate(
             help='One error by name, such as "elbow_joint.rx=2 mrad". Can be repeated.',
         ),
     ] = None,
-    truth_robot: Annotated[
-        Path | None, typer.Option("--truth-robot", help="URDF of the true robot.")
-    ] = None,
+    truth_robot: Annotated[Path | None, typer.Option(help="URDF of the true robot.")] = None,
     target_error: Annotated[
         str | None,
         typer.Option(
-            "--target-error",
             metavar="LENGTH",
             help='How far the target sits from where it is said to, standard deviation. Default: "1 mm".',
         ),
@@ -153,7 +157,6 @@ def simulate(
     angle_noise: Annotated[
         str | None,
         typer.Option(
-            "--angle-noise",
             metavar="ANGLE",
             help='Noise of orientations about each axis. Default: "0.01 deg", or the cell\'s.',
         ),
@@ -169,7 +172,7 @@ def simulate(
         list[str] | None,
         typer.Option(
             metavar="STEP",
-            help='Joint values are read in steps, such as "0.001 deg". Once more for joints that slide: "0.01 mm".',
+            help='Encoder resolution, such as "0.001 deg"; repeat the option for prismatic joints: "0.01 mm".',
         ),
     ] = None,
     outliers: Annotated[
@@ -178,14 +181,11 @@ def simulate(
     ] = None,
     outlier_size: Annotated[
         str | None,
-        typer.Option(
-            "--outlier-size", metavar="LENGTH", help='How far they are off. Default: "5 mm".'
-        ),
+        typer.Option(metavar="LENGTH", help='How far they are off. Default: "5 mm".'),
     ] = None,
     moved_target: Annotated[
         str | None,
         typer.Option(
-            "--moved-target",
             metavar='"ROW: X Y Z UNIT"',
             help='The target is knocked before a row, such as "25: 0 0 0.5 mm", along the tip\'s axes.',
         ),
@@ -202,12 +202,10 @@ def simulate(
     ] = None,
     truth: Annotated[
         Path | None,
-        typer.Option(
-            "--truth", help="Write the truth, as JSON. Default: TABLE_truth.json beside the table."
-        ),
+        typer.Option(help="Write the truth, as JSON. Default: TABLE_truth.json beside the table."),
     ] = None,
     truth_urdf: Annotated[
-        Path | None, typer.Option("--truth-urdf", help="Write the URDF of the true robot.")
+        Path | None, typer.Option(help="Write the URDF of the true robot.")
     ] = None,
     study: Annotated[
         int | None,
@@ -225,7 +223,6 @@ def simulate(
     fit_model: Annotated[
         str | None,
         typer.Option(
-            "--fit-model",
             metavar="SET[+FAMILY...]",
             help="Of a study: which errors are estimated. Default: auto.",
         ),
@@ -233,7 +230,7 @@ def simulate(
     workers: Workers = None,
     dask: Dask = None,
     json: Annotated[
-        Path | None, typer.Option("--json", help="Of a study: write every trial as JSON.")
+        Path | None, typer.Option(help="Of a study: write every trial as JSON.")
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -242,9 +239,43 @@ def simulate(
     """See `_HELP`."""
     # Workers begin first: they import what they need while robot and scenario are prepared here.
     with reporting(debug=debug), executor_of(workers, dask, study) as executor:
-        from calib.cli.setup import check_outputs, load, read_cell
-        from calib.cli.simulate_setup import Asked, checked_model, prepare, with_tracker
+        from dataclasses import replace
 
+        from calib.cli.setup import check_outputs, load, read_cell
+        from calib.cli.simulate_options import (
+            angle_noise_of,
+            check_poses,
+            check_together,
+            definite,
+            noise_of,
+            parse_encoder,
+            parse_errors,
+            parse_moved,
+            parse_outliers,
+            parse_size,
+            sizes_of,
+        )
+        from calib.cli.surroundings_words import parse_tracker
+        from calib.cli.words import AUTO, check_model, parse_point
+        from calib.measure.pose_list import read_pose_list
+        from calib.model.error_model import error_model
+        from calib.model.robot import Robot
+        from calib.simulate.scenario import DEFAULT_MODEL, Scenario
+
+        check_together(
+            study,
+            {"-o": output, "--truth": truth, "--truth-urdf": truth_urdf},
+            {
+                "--planned": planned or None,
+                "--fit-model": fit_model,
+                "--workers": workers,
+                "--dask": dask,
+                "--json": json,
+            },
+        )
+        check_poses(poses, count, planned=planned)
+        if output is not None and truth is None:
+            truth = output.with_name(f"{output.stem}_truth.json")
         inputs = [robot, *(str(path) for path in (poses, cell, truth_robot) if path)]
         check_outputs([output, truth, truth_urdf, json], inputs, force=force)
         setup = read_cell(
@@ -253,63 +284,57 @@ def simulate(
             tip=tip,
             target=target,
             frame=frame,
-            model=checked_model(model),
+            model=definite(model),
             kind=kind,
             hold=hold,
             payload=payload,
         )
-        setup = with_tracker(setup, tracker)
-        asked = Asked(
-            poses=poses,
-            count=count,
-            validation=validation,
+        check_model(fit_model or AUTO, "--fit-model")
+        if tracker is not None:
+            setup = replace(setup, tracker=parse_tracker(tracker, setup.tracker))
+        arm = load(robot, setup)
+        wrong = DEFAULT_MODEL if setup.model == AUTO else setup.model
+        errors = parse_errors(error or (), error_model(arm, wrong, target=False).parameters)
+        noises = noise_of(setup, noise, repeatability)
+        true_robot = None
+        if truth_robot is not None:
+            true_robot = Robot.load(truth_robot, arm.base, arm.tip, held=arm.held)
+        scenario = Scenario(
+            robot=arm,
+            cell=setup,
+            model=wrong,
+            sizes=sizes_of(setup, sizes, named=bool(errors)),
+            errors=errors,
+            true_robot=true_robot,
+            target_error=parse_size(target_error or _TARGET_ERROR, "--target-error"),
+            noise=noises,
+            sigma_angle=angle_noise_of(setup, angle_noise, any_noise=noises is not None),
+            encoder=parse_encoder(encoder or ()),
+            outliers=parse_outliers(outliers, outlier_size),
+            moved=parse_moved(moved_target),
+            drift=parse_point(drift or "0 0 0 mm", "--drift"),
             visits=visits,
-            seed=seed,
-            sizes=sizes,
-            errors=tuple(error or ()),
-            truth_robot=truth_robot,
-            target_error=target_error,
-            noise=noise,
-            repeatability=repeatability,
-            angle_noise=angle_noise,
-            encoder=tuple(encoder or ()),
-            outliers=outliers,
-            outlier_size=outlier_size,
-            moved_target=moved_target,
-            drift=drift,
         )
-        prepared = prepare(load(robot, setup), setup, asked)
+        given, sets = (None, ()) if poses is None else read_pose_list(poses, arm)
+        number = count or _COUNT
+        extra = (_VALIDATION if given is None else 0) if validation is None else validation
         if study is not None:
-            from calib.cli.study import check_alone, print_study
+            from calib.simulate.study import Trials
 
-            check_alone({"-o": output, "--truth": truth, "--truth-urdf": truth_urdf})
-            print_study(
-                prepared,
-                study,
-                fit_model,
-                executor,
-                json,
-                planned=planned,
-                force=force,
-                quiet=quiet,
-            )
+            # The fit knows what a person would tell it, and not what the robot is wrong in.
+            told = replace(setup, model=fit_model or AUTO)
+            trials = Trials(scenario, told, given, sets, number, extra, planned)
+            _study(trials, study, seed, executor, json, force=force, quiet=quiet)
             return
-        of_study: dict[str, object] = {
-            "--fit-model": fit_model,
-            "--workers": workers,
-            "--dask": dask,
-            "--json": json,
-        }
-        _check_no_study(planned, of_study)
-        table, beside = _outputs(
-            output, truth, [*inputs, *([str(truth_urdf)] if truth_urdf else [])], force=force
-        )
-        written, text = _simulate(prepared, table, beside, truth_urdf, force=force)
+        if output is None or truth is None:
+            message = "Name the table to write: -o table.csv."
+            raise CalibError(message)
+        from calib.cli.simulate_text import next_command
+
+        chosen = scenario.poses(seed, number, extra, given, sets)
+        text = _simulate(scenario, chosen, seed, output, truth, truth_urdf, force=force)
         if not quiet:
-            typer.echo(text + "\n")
-            for path in written:
-                typer.echo(f"Written: {path}")
-            words = {
+            options = {
                 "--base": base,
                 "--tip": tip,
                 "--target": target,
@@ -318,72 +343,56 @@ def simulate(
                 "--payload": payload,
                 "--cell": None if cell is None else str(cell),
             }
-            typer.echo(f"\nNext:  {_next(robot, table, words, hold or [])}")
-
-
-def _check_no_study(planned: bool, given: dict[str, object]) -> None:
-    """Refuse what only a study takes.
-
-    Raises:
-        CalibError: Something was given.
-    """
-    names = [*(["--planned"] if planned else []), *(n for n, v in given.items() if v is not None)]
-    if names:
-        message = (
-            f"{choices(names)} is for a study of many robots; add --study 200, or leave it out."
-        )
-        raise CalibError(message)
-
-
-def _outputs(
-    output: Path | None, truth: Path | None, others: list[str], *, force: bool
-) -> tuple[Path, Path]:
-    """The table's path and the truth's, which stands beside it if not named.
-
-    Raises:
-        CalibError: No table was named.
-        FileError: One of them cannot be written.
-    """
-    from calib.cli.setup import check_outputs
-
-    if output is None:
-        message = "Name the table to write: -o table.csv."
-        raise CalibError(message)
-    beside = output.with_name(f"{output.stem}_truth.json") if truth is None else truth
-    check_outputs([output, beside], others, force=force)
-    return output, beside
+            typer.echo(f"{text}\n\nNext:  {next_command(robot, output, options, hold or [])}")
 
 
 def _simulate(
-    prepared: Prepared, output: Path, truth: Path, truth_urdf: Path | None, *, force: bool
-) -> tuple[list[Path], str]:
-    """Simulate, and write; what was written, and what is to be said."""
+    scenario: Scenario,
+    chosen: tuple[NDArray[np.float64], tuple[str, ...]],
+    seed: int,
+    output: Path,
+    truth: Path,
+    truth_urdf: Path | None,
+    *,
+    force: bool,
+) -> str:
+    """Simulate once, write table and truth; what is to be said."""
     from calib.cli.simulate_text import simulated_text
-    from calib.measure.scenario import outside_limits
-    from calib.measure.truth_file import write_true_urdf, write_truth
+    from calib.simulate.poses import outside_limits
+    from calib.simulate.truth_file import write_true_urdf, write_truth
 
-    cell = prepared.scenario.draw(prepared.seed)
-    q, sets = prepared.all_poses(prepared.seed)
-    made = cell.measure(q, prepared.seed, sets)
-    text = simulated_text(cell, made, outside_limits(cell.robot, q))
+    q, sets = chosen
+    made = scenario.draw(seed).measure(q, seed, sets)
+    text = simulated_text(scenario, made, outside_limits(scenario.robot, q))
+    written = [output, write_truth(scenario, made, truth, overwrite=force)]
     made.measurements.write(output, overwrite=force)
-    written = [output, write_truth(cell, made, truth, overwrite=force)]
     if truth_urdf is not None:
-        written.append(write_true_urdf(cell.truth, truth_urdf, overwrite=force))
-    return written, text
+        written.append(write_true_urdf(made.truth, truth_urdf, overwrite=force))
+    return "\n".join([f"{text}\n", *(f"Written: {path}" for path in written)])
 
 
-def _next(robot: str, table: Path, words: dict[str, str | None], held: list[str]) -> str:
-    """The command that fits what was simulated, in lines that a shell joins again."""
-    parts = [shlex.join(["calib", "fit", robot, str(table)])]
-    parts += [shlex.join([o, value]) for o, value in words.items() if value is not None]
-    parts += [shlex.join(["--hold", value]) for value in held]
-    lines = [""]
-    for part in [*parts, "-o corrected.urdf"]:
-        if lines[-1] and len(lines[-1]) + len(part) > _WIDTH:
-            lines.append("")
-        lines[-1] += f" {part}" if lines[-1] else part
-    return " \\\n         ".join(lines)
+def _study(
+    trials: Trials,
+    count: int,
+    seed: int,
+    executor: Executor | None,
+    json: Path | None,
+    *,
+    force: bool,
+    quiet: bool,
+) -> None:
+    """Do a study, write it and print it."""
+    from calib.cli.progress import progress_bar
+    from calib.cli.simulate_text import study_text
+    from calib.identify.result_file import write_table
+    from calib.simulate.study import study, study_table
+
+    with progress_bar("trials", quiet=quiet) as progress:
+        found = study(trials, count, seed, executor, progress)
+    if json is not None:
+        write_table(study_table(found, trials, seed), json, overwrite=force)
+    if not quiet:
+        typer.echo(study_text(found, trials) + (f"\n\nWritten: {json}" if json else ""))
 
 
 simulate.__doc__ = _HELP

@@ -1,1 +1,1 @@
-"""Studies on virtual robots: what a way of calibrating reaches, by many trials."""
+"""Virtual cells, whose errors are known, and studies of what a way of calibrating reaches on many of them."""

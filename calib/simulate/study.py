@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,9 @@ from calib.design.forecast import Forecast, Workspace
 from calib.design.sensitivity import Sensitivity
 from calib.errors import CalibError, ModelError
 from calib.identify.jobs import batch_size, run
-from calib.measure.scenario import DEFAULT_TRACKER, Scenario
 from calib.measure.surroundings import Tracker
 from calib.model.robot import rigid_inverse
+from calib.simulate.scenario import DEFAULT_TRACKER, Scenario
 from calib.simulate.trial import (
     VERIFIED,
     Trial,
@@ -35,6 +36,12 @@ __all__ = ["VERIFIED", "Study", "Trial", "Trials", "one_trial", "study", "verifi
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
+
+#: The result file's kind and version.
+SCHEMA = "study 1"
+
+#: The units of a trial's figures, as suffixes of their keys.
+_UNITS = dict.fromkeys(("nominal_rms", "rms", "max", "stated_rms", "sigma"), "_m")
 
 #: So many trials' random poses are forecast: 15 of them are worth up to a tenth more or less than others.
 _FORECASTS = 9
@@ -127,6 +134,27 @@ def study(
         )
         raise CalibError(message)
     return Study(found, failures, _forecast(trials, seed, count))
+
+
+def study_table(found: Study, trials: Trials, seed: int) -> dict[str, Any]:
+    """The study as a table for a JSON file, SI units, the unit in the keys; what there is not is NaN."""
+    forecast = found.forecast
+    return {
+        "schema": SCHEMA,
+        "seed": seed,
+        "poses": {"count": trials.fitted, "planned": trials.planned},
+        "fit_model": trials.cell.model,
+        "true_model": trials.scenario.model,
+        "nominal_rms_m": found.nominal_rms,
+        "rms_m": found.rms,
+        "rms_standard_error_m": found.rms_error,
+        "forecast_rms_m": None if forecast is None else forecast.rms,
+        "failures": [{"seed": one, "reason": reason} for one, reason in found.failures],
+        "trials": [
+            {name + _UNITS.get(name, ""): value for name, value in asdict(trial).items()}
+            for trial in found.trials
+        ],
+    }
 
 
 def _forecast(trials: Trials, seed: int, count: int) -> Forecast | None:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
-import calib.kinds as registry
 from calib.design.candidates import draw, planning_ranges
 from calib.design.choice import choose_poses
 from calib.design.sensitivity import Sensitivity
@@ -23,11 +22,11 @@ from calib.identify.fitting import Fitted
 from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.verdict import NO
 from calib.measure.cell import Cell
-from calib.measure.scenario import Scenario
-from calib.measure.simulation import Simulated, VirtualCell
 from calib.model.kinematics import Samples
 from calib.model.robot import read_only, rigid_inverse
 from calib.model.torques import gravity_load
+from calib.simulate.scenario import Scenario, Simulated
+from calib.simulate.truth import Truth
 
 Array = NDArray[np.float64]
 
@@ -69,6 +68,11 @@ class Trials:
     criterion: str = "V"
     validate: bool = True
     solver: str = "lm"
+
+    @property
+    def fitted(self) -> int:
+        """Number of poses that are fitted each time."""
+        return self.count if self.poses is None else self.sets.count("estimate")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,39 +122,37 @@ def one_trial(trials: Trials, seed: int) -> Trial:
     virtual = trials.scenario.draw(seed)
     q, sets = trial_poses(trials, seed)
     simulated = virtual.measure(q, seed, sets)
-    return _verified(trials, virtual, simulated, _calibrated(trials, simulated), seed)
+    fitted, verdict, named = _calibrated(trials, simulated)
+    outliers = set(simulated.outlier_rows)
+    return Trial(
+        seed=seed,
+        **_verified(trials, simulated.truth, fitted),
+        sigma=_sigma(fitted),
+        model=fitted.kinematics.model.name,
+        verdict=verdict,
+        outliers=len(outliers),
+        flagged=len(outliers & named),
+        false_alarms=len(named - outliers),
+    )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Calibrated:
-    """What a trial asks of its calibration.
+def _calibrated(trials: Trials, simulated: Simulated) -> tuple[Fitted, str, frozenset[int]]:
+    """The last fit of a calibration, of the larger model where there is one; the verdict's word; the rows it flags.
 
-    Attributes:
-        fitted: The last fit: of the larger model where there is one.
-        verdict: Its word; "" without one.
-        named: The table's rows that are flagged.
+    Without validation the fits alone are made, not all that is said of them, and the word is "".
     """
-
-    fitted: Fitted
-    verdict: str
-    named: frozenset[int]
-
-
-def _calibrated(trials: Trials, simulated: Simulated) -> _Calibrated:
-    """Calibrate from the simulated measurements; without validation only the fits are made, not all that is said."""
     robot, table = trials.scenario.robot, simulated.measurements
     if trials.validate:
         result = calibrate(robot, table, cell=trials.cell, solver=trials.solver)
         assert result.verdict is not None
         assert result.fit is not None
         fitted = result.fit.larger or result.fit.geometry
-        named = frozenset(outlier.row for outlier in result.outliers)
-        return _Calibrated(fitted, result.verdict.use, named)
+        return fitted, result.verdict.use, frozenset(outlier.row for outlier in result.outliers)
     fits = fit_table(robot, table, trials.cell, solver=trials.solver)
     fitted = fits.fitted if fits.larger is None else fits.larger
     rows = np.array(table.rows)[table.estimation]
     flagged = frozenset(rows[fits.fitted.estimate.outliers].tolist())
-    return _Calibrated(fitted, NO if fits.hint else "", flagged)
+    return fitted, NO if fits.hint else "", flagged
 
 
 @lru_cache(maxsize=4)
@@ -159,53 +161,47 @@ def verification_poses(scenario: Scenario) -> Array:
     return read_only(scenario.random_poses(VERIFIED, _VERIFY_SEED))
 
 
-def _verified(
-    trials: Trials, virtual: VirtualCell, simulated: Simulated, found: _Calibrated, seed: int
-) -> Trial:
-    """A calibration against the truth, at poses that it has not seen."""
-    q, truth = verification_poses(trials.scenario), virtual.truth
-    T_base_tip = truth.tip_poses(q)
-    T_base_target = T_base_tip @ truth.T_tip_target[0]
-    predicted, J = _predicted(trials, found.fitted, q)
-    if not registry.get(trials.scenario.kind).position:
-        # Lengths do not tell where the base stands: only the shape of all positions counts.
-        true = T_base_target[:, :3, 3]
-        error = without_rigid_motion(predicted, (predicted - true)[:, :, None])[:, :, 0]
-        J = without_rigid_motion(predicted, J)
-    else:
+@lru_cache(maxsize=4)
+def _nominal_there(scenario: Scenario) -> Array:
+    """Where the nominal robot puts its tip at these, shape (500, 4, 4), [m]."""
+    return read_only(scenario.robot.poses(verification_poses(scenario)))
+
+
+def _verified(trials: Trials, truth: Truth, fitted: Fitted) -> dict[str, float]:
+    """A calibration against the truth at poses that it has not seen: fields of `Trial`."""
+    scenario = trials.scenario
+    q = verification_poses(scenario)
+    T_base_tip, T_tip_target = truth.tip_poses(q), truth.T_tip_target[0]
+    T_base_target = T_base_tip @ T_tip_target
+    nominal = ((T_base_tip - _nominal_there(scenario)) @ T_tip_target)[:, :3, 3]
+    predicted, J = _predicted(trials, fitted, q)
+    if scenario.kind.position:
         error = predicted - (truth.T_frame_base[0] @ T_base_target)[:, :3, 3]
+    else:  # lengths do not tell where the base stands: only the shape of all positions counts
+        moved = (predicted - T_base_target[:, :3, 3])[:, :, None]
+        error = without_rigid_motion(predicted, moved)[:, :, 0]
+        J = without_rigid_motion(predicted, J)
     length = np.linalg.norm(error, axis=1)
-    estimate = found.fitted.estimate
-    wide = (J.reshape(-1, J.shape[2]) @ estimate.covariance).reshape(J.shape)
-    stated = wide @ J.transpose(0, 2, 1)
-    outliers = set(simulated.outlier_rows)
-    return Trial(
-        seed=seed,
-        nominal_rms=float(np.sqrt(np.mean(truth.nominal_errors(q, T_base_tip) ** 2))),
-        rms=float(np.sqrt(np.mean(length**2))),
-        max=float(np.max(length)),
-        stated_rms=float(np.sqrt(np.mean(np.trace(stated, axis1=1, axis2=2)))),
-        covered=_covered(estimate.freedom, stated, error),
-        sigma=_sigma(found.fitted),
-        model=found.fitted.kinematics.model.name,
-        verdict=found.verdict,
-        outliers=len(outliers),
-        flagged=len(outliers & found.named),
-        false_alarms=len(found.named - outliers),
-    )
+    estimate = fitted.estimate
+    stated = (J.reshape(-1, J.shape[2]) @ estimate.covariance).reshape(J.shape)
+    stated = stated @ J.transpose(0, 2, 1)
+    return {
+        "nominal_rms": _rms(np.linalg.norm(nominal, axis=1)),
+        "rms": _rms(length),
+        "max": float(np.max(length)),
+        "stated_rms": float(np.sqrt(np.mean(np.trace(stated, axis1=1, axis2=2)))),
+        "covered": _covered(estimate.freedom, stated, error),
+    }
 
 
 def _predicted(trials: Trials, fitted: Fitted, q: Array) -> tuple[Array, Array]:
-    """Predicted positions, in the base where lengths were measured, and their derivative, shapes (N, 3) and (N, 3, p).
-
-    By the compiled kernel, however few poses there are: a study asks at the same ones again and again.
-    """
+    """Predicted positions, in the base where lengths were measured, and their derivative, (N, 3) and (N, 3, p)."""
     robot, cell = trials.scenario.robot, trials.cell
     load = None
     if any(term.factor and term.factor.loaded for term in fitted.kinematics.model.terms):
         load = gravity_load(robot, q, cell.payload, cell.gravity)
     poses, twists = fitted.kinematics.twists(fitted.estimate.x, Samples.at(q, load), rotation=False)
-    if not registry.get(trials.scenario.kind).position:
+    if not trials.scenario.kind.position:
         poses = rigid_inverse(fitted.placed().T_frame_base[0]) @ poses
     return poses[:, :3, 3], twists
 
@@ -217,6 +213,11 @@ def _covered(freedom: float, stated: Array, error: Array) -> float:
     return float(np.mean(square <= limit))
 
 
+def _rms(lengths: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(lengths**2)))
+
+
 def _sigma(fitted: Fitted) -> float:
     """The noise of one length that the fit found [m]; NaN without lengths."""
     problem = fitted.estimate.problem
@@ -225,17 +226,11 @@ def _sigma(fitted: Fitted) -> float:
 
 
 def trial_poses(trials: Trials, seed: int) -> tuple[Array, tuple[str, ...]]:
-    """The poses of one trial, and the set of each."""
-    q, sets = trials.poses, trials.sets
-    if q is None:
-        q = (
-            _planned(trials, seed)
-            if trials.planned
-            else trials.scenario.random_poses(trials.count, seed)
-        )
-        sets = ("estimate",) * len(q)
-    extra = trials.scenario.random_poses(trials.validation, seed, validation=True)
-    return np.concatenate([q, extra]), (*sets, *("validate",) * len(extra))
+    """The poses of one trial, and the set of each: given, planned, or random by the seed; and to validate with."""
+    given = trials.poses
+    if given is None and trials.planned:
+        given = _planned(trials, seed)
+    return trials.scenario.poses(seed, trials.count, trials.validation, given, trials.sets)
 
 
 def _planned(trials: Trials, seed: int) -> Array:

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from calib.cli import compensate_setup, simulate_words
+from calib.cli import compensate_setup, simulate_options
 from calib.errors import CalibError
 
 
@@ -28,13 +28,13 @@ def test_steps_of_encoders_and_sizes_that_are_none():
         '--encoder: \'fine\' is no number with a unit, such as "0.5 mm". Write "0.001 deg", or "0.01 '
         'mm" for joints that slide.'
     ):
-        simulate_words.parse_encoder(["fine"])
+        simulate_options.parse_encoder(["fine"])
     with refused('--outlier-size "1 mrad": "1 mrad" is an angle, a length is wanted: "1 mm".'):
-        simulate_words.parse_size("1 mrad", "--outlier-size")
+        simulate_options.parse_size("1 mrad", "--outlier-size")
     with refused(
         '--outlier-size "much": \'much\' is no number with a unit, such as "0.5 mm". Write "1 mm".'
     ):
-        simulate_words.parse_size("much", "--outlier-size")
+        simulate_options.parse_size("much", "--outlier-size")
 
 
 def test_an_offset_of_the_plane_that_is_no_length(call, tmp_path):

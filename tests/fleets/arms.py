@@ -9,8 +9,8 @@ from pathlib import Path
 import calib.data
 from calib.fleets.robots import FleetRobot
 from calib.measure.cell import Cell
-from calib.measure.scenario import Scenario
 from calib.model.robot import Robot
+from calib.simulate.scenario import Scenario
 
 TARGET = (-0.07, 0.07, 0.0225)
 

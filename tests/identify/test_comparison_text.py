@@ -8,11 +8,10 @@ from calib.calibration import Calibration, calibrate, compare
 from calib.data import paper_urdf
 from calib.identify.comparison_text import notes, sentence
 from calib.measure.cell import Cell
-from calib.measure.simulation import VirtualCell
-from calib.measure.truth import draw_truth
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
+from calib.simulate.scenario import Scenario
 
 PLACES = {"upper": (0.1, 0.0, 0.05), "lower": (0.0, 0.1, 0.05), "third": (-0.1, 0.0, 0.0)}
 
@@ -25,8 +24,8 @@ def measured(
     data = paper_urdf().read_bytes().replace(b'name="ur3"', f'name="{name}"'.encode(), 1)
     robot = Robot.from_urdf(Urdf.from_bytes(data, "ur3.urdf"), "base", "tool0")
     cell = Cell(targets={t: PLACES[t] for t in targets}, model="zeros", **options)
-    truth = draw_truth(robot, "zeros", seed=7, cell=cell)
-    table = VirtualCell(truth).measure(random_joint_values(robot, poses, seed=seed), seed)
+    virtual = Scenario(robot, cell, "zeros").draw(7)
+    table = virtual.measure(random_joint_values(robot, poses, seed=seed), seed)
     return calibrate(robot, table.measurements, cell=cell, validate=False)
 
 

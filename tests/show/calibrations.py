@@ -16,12 +16,12 @@ from calib.calibration import calibrate
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.identify.result import Calibration, RowNames
 from calib.measure.cell import Cell
-from calib.measure.disturbances import Outliers
 from calib.measure.measurements import Measurements
-from calib.measure.scenario import Scenario
 from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload
 from calib.model.urdf import Urdf
+from calib.simulate.disturbances import Outliers
+from calib.simulate.scenario import Scenario
 
 #: Names that break what does not escape them: HTML, mathtext, Markdown, quotes, lines, width, letters and direction.
 HOSTILE = (

@@ -16,8 +16,6 @@ from calib.data import paper_urdf
 from calib.errors import FileError
 from calib.identify.statements import errorless
 from calib.measure.cell import Cell
-from calib.measure.simulation import VirtualCell
-from calib.measure.truth import draw_truth
 from calib.model.dh import dh_table
 from calib.model.error_model import error_model
 from calib.model.readback import random_joint_values
@@ -25,6 +23,7 @@ from calib.model.robot import Robot
 from calib.show import report, report_tables
 from calib.show.figures import drawings
 from calib.show.report import report_bytes, write_report
+from calib.simulate.scenario import Scenario
 
 CASES = [
     "paper",
@@ -342,9 +341,9 @@ def test_how_it_was_measured(page, calibrations):
 def test_stated_noise_repeats_and_a_joint_held(page):
     robot = Robot.load(paper_urdf(), "base", "tool0", held={"wrist_3_joint": 0.3})
     cell = Cell(model="zeros", sigma=2e-5)
-    truth = draw_truth(robot, "zeros", seed=3, cell=cell)
     q = random_joint_values(robot, 15, seed=4)
-    found = VirtualCell(truth, visits=3).measure(q, 5).measurements
+    virtual = Scenario(robot, cell, "zeros", visits=3).draw(3)
+    found = virtual.measure(q, 5).measurements
     made = calibrate(robot, found, cell=cell, validate=False)
     text = page(made).text
     scatter = 1e3 * made.repeats.within[0]

@@ -10,10 +10,10 @@ import pytest
 from calib.errors import CalibError
 from calib.identify.calibration import calibrate
 from calib.measure.cell import Cell
-from calib.measure.disturbances import Outliers
 from calib.measure.noise import TrackerNoise
-from calib.measure.scenario import Scenario
 from calib.model.robot import Robot
+from calib.simulate.disturbances import Outliers
+from calib.simulate.scenario import Scenario
 from calib.simulate.study import (
     VERIFIED,
     Trials,

@@ -5,8 +5,8 @@ from dataclasses import asdict, replace
 import pytest
 
 from calib.measure.cell import Cell
-from calib.measure.disturbances import Outliers
-from calib.measure.scenario import Scenario
+from calib.simulate.disturbances import Outliers
+from calib.simulate.scenario import Scenario
 from calib.simulate.trial import Trials, one_trial, verification_poses
 
 

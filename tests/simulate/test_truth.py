@@ -1,7 +1,5 @@
 """Truth: drawn, given by name, or as a URDF; where it puts the target."""
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -11,12 +9,12 @@ from calib.errors import CalibError, ModelError
 from calib.families import FAMILIES
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Tracker
-from calib.measure.truth import TARGET_ERROR, draw_truth, tracker_pose
 from calib.model.error_model import MODELS, error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, rigid_inverse
 from calib.model.torques import Payload, gravity_load
+from calib.simulate.truth import TARGET_ERROR, draw_truth, tracker_pose
 
 MANY = "placement+gain+eccentricity+compliance"
 
@@ -331,4 +329,3 @@ def test_a_truth_cannot_be_changed(ur3):
     for name in ("x", "T_frame_base", "T_tip_target", "said_T_tip_target"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(truth, name)[...] = 0.0
-    assert replace(truth, x=truth.x).robot is truth.robot

@@ -1,19 +1,78 @@
-"""From the words of ``calib simulate`` to values: sizes of errors, single errors, noise, steps, events."""
+"""The options of ``calib simulate``: which go together, and from words to sizes, errors, noise, steps and events."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
+from calib.cli.words import parse_point
 from calib.errors import CalibError, choices, did_you_mean
 
 if TYPE_CHECKING:
-    from calib.measure.disturbances import Encoder, MovedTarget, Outliers
+    from pathlib import Path
+
+    from calib.measure.cell import Cell
     from calib.measure.noise import TrackerNoise
     from calib.model.parameters import Parameter
+    from calib.simulate.disturbances import Encoder, MovedTarget, Outliers
 
 _NONE = "none"
+
+#: Noise of an orientation about each axis, of a tracker's 6D probe [deg].
+_PROBE_DEG = 0.01
+
+#: How far outliers are off.
+_OUTLIER = "5 mm"
+
+
+def definite(model: str | None) -> str | None:
+    """Refuse ``auto``: a robot is wrong in something definite.
+
+    Raises:
+        CalibError: It is that.
+    """
+    if model == "auto":
+        message = (
+            "--model auto is for calib fit; say in which errors the simulated robot is wrong, such as placement or "
+            "dh+gain."
+        )
+        raise CalibError(message)
+    return model
+
+
+def check_together(
+    study: int | None, single: Mapping[str, object], of_study: Mapping[str, object]
+) -> None:
+    """Refuse the files of a single simulation in a study, and what only a study takes in a single one.
+
+    Raises:
+        CalibError: One of them was given.
+    """
+    given = [name for name, value in (of_study if study is None else single).items() if value]
+    if given and study is None:
+        message = (
+            f"{choices(given)} is for a study of many robots; add --study 200, or leave it out."
+        )
+        raise CalibError(message)
+    if given:
+        message = f"A study writes no table and no truth; leave {choices(given)} out. --json keeps every trial."
+        raise CalibError(message)
+
+
+def check_poses(poses: Path | None, count: int | None, *, planned: bool) -> None:
+    """Refuse two ways to say which poses.
+
+    Raises:
+        CalibError: Poses were given, and others asked for.
+    """
+    if poses is not None and count is not None:
+        message = "--poses gives the poses, --count says how many are random; choose one."
+        raise CalibError(message)
+    if poses is not None and planned:
+        message = "--planned makes poses; leave --poses out, or leave --planned out to measure at those of the file."
+        raise CalibError(message)
 
 
 def _quantity(text: str, wanted: str, example: str, where: str) -> float:
@@ -36,17 +95,26 @@ def _quantity(text: str, wanted: str, example: str, where: str) -> float:
     return value
 
 
+def _size(text: str, wanted: str, example: str, where: str) -> float:
+    """The same of a value that is not below 0.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    value = _quantity(text, wanted, example, where)
+    if value < 0.0:
+        message = f'{where}: "{text.strip()}" must not be below 0.'
+        raise CalibError(message)
+    return value
+
+
 def parse_size(text: str, option: str, example: str = "1 mm") -> float:
     """A length that is not below 0 [m].
 
     Raises:
         CalibError: Anything else.
     """
-    value = _quantity(text, "a length", example, f'{option} "{text}"')
-    if value < 0.0:
-        message = f'{option} was given as "{text}"; it must not be below 0.'
-        raise CalibError(message)
-    return value
+    return _size(text, "a length", example, f'{option} "{text}"')
 
 
 def parse_angle(text: str, option: str, example: str = "0.01 deg") -> float:
@@ -55,11 +123,7 @@ def parse_angle(text: str, option: str, example: str = "0.01 deg") -> float:
     Raises:
         CalibError: Anything else.
     """
-    value = _quantity(text, "an angle", example, f'{option} "{text}"')
-    if value < 0.0:
-        message = f'{option} was given as "{text}"; it must not be below 0.'
-        raise CalibError(message)
-    return value
+    return _size(text, "an angle", example, f'{option} "{text}"')
 
 
 def parse_sizes(text: str) -> dict[str, float] | None:
@@ -82,12 +146,19 @@ def parse_sizes(text: str) -> dict[str, float] | None:
             )
             raise CalibError(message)
         unit = FAMILIES[words[0]].unit
-        value = _quantity(words[1], unit.quantity, unit.example, f"--sizes, {words[0]}")
-        if value < 0.0:
-            message = f'--sizes was given as "{text}"; the size of {words[0]} must not be below 0.'
-            raise CalibError(message)
-        found[words[0]] = value
+        found[words[0]] = _size(words[1], unit.quantity, unit.example, f"--sizes, {words[0]}")
     return found
+
+
+def sizes_of(cell: Cell, sizes: str | None, *, named: bool) -> Mapping[str, float] | None:
+    """The sizes of errors that are drawn: as said, none beside errors that are named, the cell's, a typical arm's."""
+    from calib.families import FAMILIES
+
+    if sizes is not None:
+        return parse_sizes(sizes)
+    if named:
+        return None
+    return {f: cell.priors.of(f) for f in FAMILIES} if cell.priors.sizes == "given" else {}
 
 
 def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tuple[str, float], ...]:
@@ -145,14 +216,50 @@ def parse_instrument(text: str, repeatability: float) -> TrackerNoise | None:
     return TrackerNoise(read.constant, read.per_length, repeatability)
 
 
+def noise_of(cell: Cell, noise: str | None, repeatability: str | None) -> TrackerNoise | None:
+    """The noise that the command line says, else the cell's."""
+    from calib.measure.noise import TrackerNoise
+    from calib.simulate.disturbances import cell_noise
+
+    own = None if repeatability is None else parse_size(repeatability, "--repeatability", "0.02 mm")
+    if noise is not None:
+        return parse_instrument(noise, own or 0.0)
+    found = cell_noise(cell)
+    if own is None:
+        return found
+    if not (own or found.constant or found.per_length):
+        return None
+    return TrackerNoise(found.constant, found.per_length, own)
+
+
+def angle_noise_of(cell: Cell, said: str | None, *, any_noise: bool) -> float:
+    """The noise of an orientation: as said, the cell's, or a tracker's 6D probe's; none where there is no noise.
+
+    Raises:
+        CalibError: No angle, or no kind that measures one.
+    """
+    from calib import kinds
+
+    if said is not None:
+        if not kinds.get(cell.kind or "point").angles:
+            message = (
+                "--angle-noise is the noise of orientations; they are measured with --kind pose."
+            )
+            raise CalibError(message)
+        return parse_angle(said, "--angle-noise")
+    if not any_noise:
+        return 0.0
+    return math.radians(_PROBE_DEG) if cell.sigma_angle is None else cell.sigma_angle
+
+
 def parse_encoder(texts: Iterable[str]) -> Encoder:
     """``--encoder``: the step of joints that turn, ``0.001 deg``, and of those that slide, ``0.01 mm``.
 
     Raises:
         CalibError: No length or angle, one below 0, or two of one kind.
     """
-    from calib.measure.disturbances import Encoder
     from calib.measure.quantities import ANGLE, LENGTH, parse_quantity
+    from calib.simulate.disturbances import Encoder
 
     steps: dict[str, float] = {}
     for text in texts:
@@ -171,14 +278,20 @@ def parse_encoder(texts: Iterable[str]) -> Encoder:
     return Encoder(angle=steps.get(ANGLE, 0.0), length=steps.get(LENGTH, 0.0))
 
 
-def parse_outliers(text: str, size: float) -> Outliers:
-    """``--outliers``: a number of rows, ``3``, or a share of them, ``5 %``.
+def parse_outliers(text: str | None, size: str | None) -> Outliers | None:
+    """``--outliers``: a number of rows, ``3``, or a share of them, ``5 %``; and ``--outlier-size``.
 
     Raises:
-        CalibError: Neither, a share above 100 %, or a size of 0.
+        CalibError: Neither, a share above 100 %, or a size of 0, or one without outliers.
     """
-    from calib.measure.disturbances import Outliers
+    from calib.simulate.disturbances import Outliers
 
+    if text is None:
+        if size is not None:
+            message = "--outlier-size says how far outliers are off; say how many there are, such as --outliers 3."
+            raise CalibError(message)
+        return None
+    off = parse_size(size or _OUTLIER, "--outlier-size", _OUTLIER)
     number = re.fullmatch(r"\s*(\d{1,9})\s*", text)
     share = re.fullmatch(r"\s*(\d+(?:\.\d+)?|\.\d+)\s*%\s*", text)
     if number is None and (share is None or float(share[1]) > 100.0):
@@ -187,23 +300,24 @@ def parse_outliers(text: str, size: float) -> Outliers:
             'estimate from, such as "5 %", 100 % at most.'
         )
         raise CalibError(message)
-    if not size > 0.0:
+    if not off > 0.0:
         message = "--outlier-size must be above 0; to have no outliers, leave --outliers out."
         raise CalibError(message)
     if number is not None:
-        return Outliers(count=int(number[1]), size=size)
-    return Outliers(share=float(text.replace("%", "")) / 100.0, size=size)
+        return Outliers(count=int(number[1]), size=off)
+    return Outliers(share=float(text.replace("%", "")) / 100.0, size=off)
 
 
-def parse_moved(text: str) -> MovedTarget:
+def parse_moved(text: str | None) -> MovedTarget | None:
     """``--moved-target``: ``25: 0 0 0.5 mm``, or with the target's name, ``25 upper: 0 0 0.5 mm``.
 
     Raises:
         CalibError: Anything else.
     """
-    from calib.cli.words import parse_point
-    from calib.measure.disturbances import MovedTarget
+    from calib.simulate.disturbances import MovedTarget
 
+    if text is None:
+        return None
     match = re.fullmatch(r"\s*(\d{1,9})(?:\s+(\S.*?))?\s*:\s*(\S.*)", text)
     if match is None:
         message = (

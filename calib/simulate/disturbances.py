@@ -1,4 +1,8 @@
-"""What goes wrong while a robot is measured: rows that are far off, a target that was knocked, encoders with steps."""
+"""What disturbs a virtual measurement: outliers, a knocked target, encoders with steps; and random numbers for each.
+
+Each purpose has random numbers of its own, all from one seed. So one thing can be changed about a virtual cell and the
+rest stays: outliers leave the noise of other rows as it was.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +13,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, choices
-from calib.measure.cell_parts import is_number, is_positive, vector
-from calib.measure.random_streams import stream
+from calib.measure.cell import Cell
+from calib.measure.cell_parts import vector
+from calib.measure.noise import TrackerNoise
 
 Array = NDArray[np.float64]
+
+#: The purposes of random numbers. A new one goes to the end: the numbers of the others then stay.
+STREAMS = (
+    "errors",
+    "targets",
+    "frames",
+    "tracker noise",
+    "robot noise",
+    "angle noise",
+    "encoder",
+    "outlier rows",
+    "outlier directions",
+    "poses",
+    "validation poses",
+)
+
+
+def stream(seed: int, purpose: str) -> np.random.Generator:
+    """The random numbers of one of `STREAMS`.
+
+    Raises:
+        CalibError: The seed is negative.
+    """
+    if seed < 0:
+        message = f"The seed is {seed}; it must be a whole number, 0 or more."
+        raise CalibError(message)
+    sequence = np.random.SeedSequence(int(seed), spawn_key=(STREAMS.index(purpose),))
+    return np.random.default_rng(sequence)
+
+
+def cell_noise(cell: Cell) -> TrackerNoise:
+    """The noise that a cell states: its sigma, or its tracker's; a Leica AT901's and a robot's where it states none."""
+    if cell.sigma is not None:
+        return TrackerNoise(cell.sigma, 0.0, 0.0)
+    return TrackerNoise() if cell.tracker is None else cell.tracker.noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,39 +71,31 @@ class Outliers:
 
     def __post_init__(self) -> None:
         """Refuse what is no share, number or length."""
-        if not is_number(self.share) or not 0.0 <= self.share <= 1.0:
-            message = f"The share of outliers is {self.share!r}; it must be a number from 0 to 1."
-            raise CalibError(message)
-        whole = isinstance(self.count, (int, np.integer)) and not isinstance(self.count, bool)
-        if self.count is not None and not (whole and self.count >= 0):
+        if not (0.0 <= self.share <= 1.0 and (self.count or 0) >= 0 and 0.0 < self.size < np.inf):
             message = (
-                f"The number of outliers is {self.count!r}; it must be a whole number, 0 or more."
+                f"Outliers: a share of {self.share}, a number of {self.count}, a size of {self.size} m; the share is "
+                "from 0 to 1, the number 0 or more, the size above 0."
             )
             raise CalibError(message)
-        if not is_positive(self.size):
-            message = f"Outliers are displaced by {self.size!r} m; it must be a positive number."
-            raise CalibError(message)
 
-    def number(self, among: int) -> int:
-        """How many of some rows are outliers.
+    def choose(self, candidates: Sequence[int], seed: int) -> list[int]:
+        """Which of some rows are outliers, in order; more of them are those of fewer and others.
 
         Raises:
-            CalibError: More than there are.
+            CalibError: More than there are rows.
         """
-        if self.count is None:
-            return max(round(self.share * among), 1) if self.share > 0.0 and among else 0
-        if self.count > among:
+        among = len(candidates)
+        number = self.count
+        if number is None:
+            number = max(round(self.share * among), 1) if self.share > 0.0 and among else 0
+        if number > among:
             message = (
-                f"{self.count} outliers were asked for among {among} measurements to estimate from. Ask for fewer, or "
+                f"{number} outliers were asked for among {among} measurements to estimate from. Ask for fewer, or "
                 "measure at more poses."
             )
             raise CalibError(message)
-        return self.count
-
-    def choose(self, candidates: Sequence[int], seed: int) -> list[int]:
-        """Which of some rows are outliers, in order; more of them are those of fewer and others."""
-        order = stream(seed, "outlier rows").permutation(len(candidates))
-        return sorted(candidates[i] for i in order[: self.number(len(candidates))])
+        order = stream(seed, "outlier rows").permutation(among)
+        return sorted(candidates[i] for i in order[:number])
 
 
 def outlier_directions(count: int, seed: int) -> Array:
@@ -87,11 +119,7 @@ class MovedTarget:
     target: str | None = None
 
     def __post_init__(self) -> None:
-        """Keep a read-only copy; refuse what is no row number or vector."""
-        whole = isinstance(self.row, (int, np.integer)) and not isinstance(self.row, bool)
-        if not (whole and self.row >= 1):
-            message = f"The target moves before row {self.row!r}; rows are counted from 1."
-            raise CalibError(message)
+        """Keep a read-only copy of the displacement."""
         object.__setattr__(self, "by", vector(self.by, "displacement of the moved target"))
 
     def rows(self, targets: Sequence[str]) -> NDArray[np.bool_]:
@@ -101,11 +129,11 @@ class MovedTarget:
             targets: Name of each row's target.
 
         Raises:
-            CalibError: The table has fewer rows, or no such target.
+            CalibError: The table has no such row, or no such target.
         """
-        if self.row > len(targets):
+        if not 1 <= self.row <= len(targets):
             message = (
-                f"The target is to move before row {self.row}; the table has {len(targets)} rows. Name one of "
+                f"The target is to move before row {self.row}; the table has the rows 1 to {len(targets)}. Name one of "
                 "these."
             )
             raise CalibError(message)
@@ -136,24 +164,21 @@ class Encoder:
 
     def __post_init__(self) -> None:
         """Refuse what is no step."""
-        for value, unit in ((self.angle, "rad"), (self.length, "m")):
-            if not is_number(value) or value < 0.0:
-                message = (
-                    f"The encoder's step is {value!r} {unit}; it must be a number, not below 0."
-                )
-                raise CalibError(message)
-
-    def steps(self, sliding: Sequence[bool]) -> Array:
-        """The step of each column of joint values, shape (m,), [rad] or [m]."""
-        return np.array([self.length if slides else self.angle for slides in sliding])
+        if not (0.0 <= self.angle < np.inf and 0.0 <= self.length < np.inf):
+            message = f"The encoder's steps are {self.angle} rad and {self.length} m; they must be 0 or above."
+            raise CalibError(message)
 
     def stood(self, q: Array, sliding: Sequence[bool], seed: int) -> Array:
         """Where the robot stops when it is sent to q, shape (N, m), [rad] or [m]."""
         within = stream(seed, "encoder").uniform(-0.5, 0.5, q.shape)
-        return np.asarray(q + within * self.steps(sliding))
+        return np.asarray(q + within * self._steps(sliding))
 
     def read(self, stood: Array, sliding: Sequence[bool]) -> Array:
         """What is read where the robot stands, shape (N, m), [rad] or [m]."""
-        step = self.steps(sliding)
+        step = self._steps(sliding)
         safe = np.where(step > 0.0, step, 1.0)
         return np.where(step > 0.0, np.round(stood / safe) * step, stood)
+
+    def _steps(self, sliding: Sequence[bool]) -> Array:
+        """The step of each column of joint values, shape (m,), [rad] or [m]."""
+        return np.array([self.length if slides else self.angle for slides in sliding])

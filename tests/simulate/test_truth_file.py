@@ -9,15 +9,15 @@ import pinocchio as pin
 import pytest
 
 import calib
-from calib.errors import CalibError, FileError
+from calib.errors import FileError
 from calib.measure.cell import Cell
-from calib.measure.disturbances import Encoder, MovedTarget, Outliers
-from calib.measure.simulation import VirtualCell
-from calib.measure.truth import draw_truth, tracker_pose
-from calib.measure.truth_file import SCHEMA, read_truth, write_true_urdf, write_truth
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
 from calib.model.torques import Payload, gravity_load
+from calib.simulate.disturbances import Encoder, MovedTarget, Outliers
+from calib.simulate.scenario import Scenario
+from calib.simulate.truth import tracker_pose
+from calib.simulate.truth_file import SCHEMA, write_true_urdf, write_truth
 
 MANY = "placement+gain+eccentricity+compliance"
 FRAMES = {n: tracker_pose((2, y, 0), np.random.default_rng(1)) for n, y in (("a", 1), ("b", -1))}
@@ -31,9 +31,11 @@ CELL = Cell(
 
 
 @pytest.fixture(scope="module")
-def cell(ur3):
-    return VirtualCell(
-        draw_truth(ur3, MANY, seed=8, cell=CELL),
+def scenario(ur3):
+    return Scenario(
+        ur3,
+        CELL,
+        MANY,
         outliers=Outliers(count=2),
         moved=MovedTarget(30, (0, 0, 1e-3), "lower"),
         drift=(0, 0, 1e-4),
@@ -43,13 +45,13 @@ def cell(ur3):
 
 
 @pytest.fixture(scope="module")
-def made(ur3, cell):
-    return cell.measure(random_joint_values(ur3, 10, seed=1), 4)
+def made(ur3, scenario):
+    return scenario.draw(8).measure(random_joint_values(ur3, 10, seed=1), 4)
 
 
 @pytest.fixture
-def path(cell, made, tmp_path):
-    return write_truth(cell, made, tmp_path / "truth.json")
+def path(scenario, made, tmp_path):
+    return write_truth(scenario, made, tmp_path / "truth.json")
 
 
 def chain(path, nominal: bytes) -> pin.Model:
@@ -89,10 +91,10 @@ def test_another_reader_finds_every_true_position(ur3, path, made):
         for one in said["displacements"]:
             if one["times"]:
                 number = {
-                    "value": value[one["place"]],
+                    "gain": value[one["place"]],
                     "sin": np.sin(value[one["place"]]),
                     "cos": np.cos(value[one["place"]]),
-                    "load": load[one["place"]],
+                    "compliance": load[one["place"]],
                 }[one["times"]]
                 true[one["place"]] += one["value"] * number
         configuration = pin.neutral(model)
@@ -147,92 +149,20 @@ def test_events_and_instrument(path, made):
     assert sigma == made.sigma.tolist()
 
 
-@pytest.mark.parametrize("model", [MANY, "dh", "zeros", "frames"])
-def test_what_is_written_is_read_back(ur3, tmp_path, model):
-    truth = draw_truth(ur3, model, seed=3, cell=CELL)
-    cell = VirtualCell(truth, noise=None)
-    q = random_joint_values(ur3, 10)
-    path = write_truth(cell, cell.measure(q), tmp_path / "t.json")
-    again = read_truth(path, ur3)
-    assert again.model.names == truth.model.names
-    assert (again.x == truth.x).all()
-    assert again.targets == ("upper", "lower")
-    for name in ("upper", "lower"):
-        for group in ("a", "b"):
-            assert again.points(q, name, group) == pytest.approx(
-                truth.points(q, name, group), abs=1e-13
-            )
-    assert again.said_T_tip_target == pytest.approx(truth.said_T_tip_target, abs=1e-15)
-
-
-def test_the_truth_of_a_true_urdf_and_of_mimic_joints_is_read_back(ur3, tmp_path):
-    made = draw_truth(ur3, "dh", seed=1)
-    tiago = Robot.load("tiago", tip="arm_7_link", held={"torso_lift_joint": 0.2})
-    hand = Robot.load("panda", tip="panda_leftfinger")
-    cases = (
-        draw_truth(ur3, "placement+gain", seed=2, true_robot=made.robot),
-        draw_truth(tiago, MANY, seed=2),
-        draw_truth(hand, "zeros+gain", seed=2),
-    )
-    for k, truth in enumerate(cases):
-        cell = VirtualCell(truth, noise=None)
-        q = random_joint_values(truth.nominal, 6)
-        path = write_truth(cell, cell.measure(q), tmp_path / f"{k}.json")
-        assert read_truth(path, truth.nominal).points(q) == pytest.approx(
-            truth.points(q), abs=1e-13
-        )
-
-
-def test_another_robot_s_truth(ur3, panda, path):
-    with pytest.raises(CalibError, match="the truth of another robot: its joints is"):
-        read_truth(path, panda)
-    tip = ur3.rebuilt(tip="flange") if "flange" in ur3.urdf.links else ur3.rebuilt(tip="ee_link")
-    with pytest.raises(CalibError, match="its tip is 'tool0'"):
-        read_truth(path, tip)
-    moved = draw_truth(ur3).robot
-    with pytest.raises(CalibError, match="its URDF's SHA-256 is"):
-        read_truth(path, moved)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("{", "not a JSON file"),
-        ("[]", "its 'schema' is None; the truth of a simulated table has 'truth 1'"),
-        ('{"schema": "calib-result/1"}', "its 'schema' is 'calib-result/1'"),
-        ('{"schema": "truth 1"}', "incomplete or damaged .*Simulate it again"),
-    ],
-)
-def test_what_is_no_truth(ur3, tmp_path, text, said):
-    path = tmp_path / "truth.json"
-    path.write_text(text)
-    with pytest.raises(FileError, match=said):
-        read_truth(path, ur3)
-
-
-@pytest.mark.parametrize("key", ["parameters", "origins", "targets", "set_ups", "gravity_m_s2"])
-def test_a_damaged_truth(ur3, path, key):
-    table = json.loads(path.read_text())
-    for value in (None, [{"name": 1}], "x", [{"name": "a", "value": 10**400}], 10**400):
-        path.write_text(json.dumps({**table, key: value}))
-        with pytest.raises(CalibError, match="incomplete or damaged"):
-            read_truth(path, ur3)
-
-
-def test_files_are_not_overwritten_unless_asked(cell, made, path):
+def test_files_are_not_overwritten_unless_asked(scenario, made, path):
     before = path.read_bytes()
     with pytest.raises(FileError, match="exists already"):
-        write_truth(cell, made, path)
-    assert write_truth(cell, made, path, overwrite=True).read_bytes() == before
+        write_truth(scenario, made, path)
+    assert write_truth(scenario, made, path, overwrite=True).read_bytes() == before
 
 
-def test_the_true_urdf(ur3, cell, tmp_path):
-    path = write_true_urdf(cell.truth, tmp_path / "true.urdf")
+def test_the_true_urdf(ur3, made, tmp_path):
+    path = write_true_urdf(made.truth, tmp_path / "true.urdf")
     q = random_joint_values(ur3, 10)
     again = Robot.load(path, "base", "tool0").poses(q)
-    assert again == pytest.approx(cell.truth.robot.poses(q), abs=1e-12)
+    assert again == pytest.approx(made.truth.robot.poses(q), abs=1e-12)
     with pytest.raises(FileError, match="exists already"):
-        write_true_urdf(cell.truth, path)
+        write_true_urdf(made.truth, path)
 
 
 DOC = Path(__file__).parents[2] / "docs" / "simulation.md"

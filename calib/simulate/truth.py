@@ -17,17 +17,17 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from calib import kinds
 from calib.errors import CalibError, ModelError, choices, did_you_mean
 from calib.families import FAMILIES, family_of, unit_of
 from calib.measure.cell import Cell
-from calib.measure.cell_parts import is_number
 from calib.measure.columns import DEFAULT_TARGET
-from calib.measure.random_streams import stream
 from calib.model.error_model import error_model, split_name
 from calib.model.kinematics import Kinematics, Samples
-from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
+from calib.model.parameters import ErrorModel
 from calib.model.robot import Robot, read_only, rigid_inverse
 from calib.model.torques import Payload, gravity_load
+from calib.simulate.disturbances import stream
 
 Array = NDArray[np.float64]
 
@@ -50,10 +50,10 @@ class Truth:
 
     Attributes:
         nominal: The robot as its URDF says it is.
-        robot: The same with its true placements; `calib.model.urdf.Urdf.write` of ``robot.urdf`` writes it.
         model: The errors by name, the robot's own.
         x: shape (p,), their values, in the units of ``model``. Of a robot that was given as a URDF, what of it the
             model can say.
+        given: The true geometry, where it was given as a URDF.
         groups: Names of the set-ups; ``("",)`` for the only one.
         T_frame_base: shape (F, 4, 4), true pose of the base in each measurement frame [m].
         targets: Names of the targets.
@@ -64,9 +64,9 @@ class Truth:
     """
 
     nominal: Robot
-    robot: Robot
     model: ErrorModel
     x: Array
+    given: Robot | None
     groups: tuple[str, ...]
     T_frame_base: Array
     targets: tuple[str, ...]
@@ -74,6 +74,15 @@ class Truth:
     said_T_tip_target: Array
     payload: Payload | None
     gravity: Array
+
+    @property
+    def robot(self) -> Robot:
+        """The robot with its true placements, made anew each time; errors of the joints' state are no part of it.
+
+        Raises:
+            UrdfError: No ``<origin>`` of the URDF can hold one of the errors.
+        """
+        return self.model.apply(self.nominal, self.x) if self.given is None else self.given
 
     def value(self, name: str) -> float:
         """The value of one error, in its unit.
@@ -85,13 +94,14 @@ class Truth:
 
     def tip_poses(self, q: ArrayLike) -> Array:
         """T_base_tip, shape (N, 4, 4), [m], at joint values that are read, shape (N, m) or (m,), [rad] or [m]."""
-        samples = Samples.at(q, self.load(q))
-        state, x = self._state()
-        return Kinematics(self.robot, state, np.eye(4), np.eye(4)).poses(x, samples)
-
-    def nominal_tip_poses(self, q: ArrayLike) -> Array:
-        """The same of the nominal robot."""
-        return self.nominal.poses(q)
+        robot, x, load = self.nominal, self.x, None
+        if self.given is not None:
+            robot = self.given
+            x = np.where([p.factor is not None for p in self.model.parameters], x, 0.0)
+        if any(term.factor and term.factor.loaded for term in self.model.terms):
+            load = gravity_load(self.nominal, q, self.payload, self.gravity)
+        kinematics = Kinematics(robot, self.model, np.eye(4), np.eye(4))
+        return kinematics.poses(x, Samples.at(q, load))
 
     def poses(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
         """T_frame_target at joint values that are read.
@@ -116,12 +126,6 @@ class Truth:
         """The true positions of a target, shape (N, 3), [m]; arguments as for `poses`."""
         return self.poses(q, target, group)[:, :3, 3]
 
-    def load(self, q: ArrayLike) -> Array | None:
-        """The load on each joint of the chain, shape (N, n), [Nm] or [N]; None without compliances."""
-        if not any(term.factor and term.factor.loaded for term in self.model.terms):
-            return None
-        return gravity_load(self.nominal, q, self.payload, self.gravity)
-
     def nominal_errors(self, q: ArrayLike, T_base_tip: Array | None = None) -> Array:
         """How far the nominal robot puts the first target from its true place, shape (N,), [m].
 
@@ -136,13 +140,6 @@ class Truth:
         apart = (true @ tip - self.nominal.poses(q) @ tip)[:, :3, 3]
         return np.asarray(np.linalg.norm(apart, axis=1))
 
-    def _state(self) -> tuple[ErrorModel, Array]:
-        """The errors of the joints' state alone, and their values."""
-        chosen = list(self.model.joint_terms)
-        places = (FRAME, *(joint.name for joint in self.robot.joints), TIP, TARGET)
-        terms = tuple(self.model.terms[t] for t in chosen)
-        return ErrorModel("joint errors", places, terms), self.model.values(self.x)[chosen]
-
 
 def draw_truth(
     robot: Robot,
@@ -154,7 +151,6 @@ def draw_truth(
     errors: Mapping[str, float] | None = None,
     true_robot: Robot | None = None,
     target_error: float = TARGET_ERROR,
-    draw_frame: bool | None = None,
 ) -> Truth:
     """Draw what is true of a virtual cell.
 
@@ -164,13 +160,12 @@ def draw_truth(
         sizes: Standard deviations of the errors by family, in its unit; a family that is missing is wrong by what is
             typical of it. None: no errors are drawn.
         seed: Of the random numbers.
-        cell: Targets, frames, payload, gravity, and what is frozen, tied, bounded or has a prior of its own.
+        cell: Targets, frames, payload, gravity, kind, and what is frozen, tied, bounded or has a prior of its own.
+            Frames whose poses it does not give are drawn where it estimates them, or its kind has a frame of its own.
         errors: Values of single errors by name, in their units [m], [rad]...; they win over what is drawn.
         true_robot: The true geometry; then only errors of the joints' state are drawn.
         target_error: Standard deviation of a target's place about where it is said to be [m]; none if the cell says
             that the targets are known.
-        draw_frame: Whether measurement frames whose poses the cell does not give are drawn, those of a tracker that
-            stands 3 m away; default: if the cell estimates the frame.
 
     Raises:
         ModelError: No such model or error, or a true robot with other joints.
@@ -188,13 +183,13 @@ def draw_truth(
         true_robot = _as_nominal(robot, true_robot)
         given |= _geometry_of(robot, true_robot)
     x = _with_given(whole, _drawn(whole, sizes, seed, cell), given)
-    groups, frames = _frames(cell, seed, draw_frame=draw_frame)
+    groups, frames = _frames(cell, seed)
     targets, said, placed = _targets(cell, seed, target_error)
     return Truth(
         nominal=robot,
-        robot=whole.apply(robot, x) if true_robot is None else true_robot,
         model=whole,
         x=read_only(x),
+        given=true_robot,
         groups=groups,
         T_frame_base=frames,
         targets=targets,
@@ -243,8 +238,8 @@ def _drawn(model: ErrorModel, sizes: Mapping[str, float] | None, seed: int, cell
     if sizes is None:
         return np.zeros(len(model))
     for name, size in sizes.items():
-        if not is_number(size) or size < 0.0:
-            message = f"The size of errors in {family_of(name).name} is {size!r}; it must be a number, not below 0."
+        if not 0.0 <= size < np.inf:
+            message = f"The size of errors in {family_of(name).name} is {size}; it must be a number, not below 0."
             raise CalibError(message)
     x = np.empty(len(model))
     for k, parameter in enumerate(model.parameters):
@@ -340,10 +335,10 @@ def _geometry_of(nominal: Robot, true: Robot) -> dict[str, float]:
     return found
 
 
-def _frames(cell: Cell, seed: int, *, draw_frame: bool | None) -> tuple[tuple[str, ...], Array]:
-    """The set-ups by name, and the true pose of the base in each."""
+def _frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
+    """The set-ups by name, and the true pose of the base in each: as given, drawn, or the base itself."""
     groups = tuple(cell.frames) or ("",)
-    drawn = cell.estimate_frame if draw_frame is None else draw_frame
+    drawn = cell.estimate_frame or (cell.kind is not None and kinds.get(cell.kind).own_frame)
     rng = stream(seed, "frames")
     frames = []
     for group in groups:

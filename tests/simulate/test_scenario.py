@@ -8,16 +8,15 @@ import pytest
 from calib.errors import CalibError
 from calib.measure.cell import Cell
 from calib.measure.noise import TrackerNoise
-from calib.measure.scenario import (
-    DEFAULT_TRACKER,
-    Scenario,
-    cell_noise,
-    outside_limits,
-    random_poses,
-)
 from calib.measure.surroundings import Tracker
 from calib.model.readback import column_ranges
 from calib.model.robot import Robot, rigid_inverse
+from calib.simulate.disturbances import cell_noise
+from calib.simulate.poses import outside_limits, random_poses
+from calib.simulate.scenario import (
+    DEFAULT_TRACKER,
+    Scenario,
+)
 
 TRACKER = Tracker(np.array([2.0, 1.0, 0.5]), noise=TrackerNoise(1e-5, 1e-6, 0.0))
 
@@ -27,12 +26,12 @@ def test_each_seed_makes_another_robot_and_the_same_seed_the_same(ur3):
     cells = [scenario.draw(seed) for seed in (1, 1, 2)]
     assert (cells[0].truth.x == cells[1].truth.x).all()
     assert not np.allclose(cells[0].truth.x, cells[2].truth.x)
-    assert cells[0].robot is ur3
+    assert cells[0].truth.nominal is ur3
 
 
 def test_the_tracker_stands_where_the_cell_says_or_at_its_frame_or_3_m_away(ur3):
     def of(cell: Cell):
-        return Scenario(ur3, cell).draw(1).tracker
+        return Scenario(ur3, cell).tracker
 
     assert (of(Cell()) == DEFAULT_TRACKER).all()
     assert (of(Cell(tracker=TRACKER)) == TRACKER.position).all()

@@ -1,0 +1,397 @@
+"""A virtual cell: a robot whose errors are known is measured, and everything that disturbs a measurement is known too.
+
+    measured = T_frame_target(q) + drift + robot's repeatability + instrument's noise + outliers
+
+A `Scenario` says what cells are to be like; a seed draws a `VirtualCell`, with errors of its own, out of it; and
+`VirtualCell.measure` is a function of poses and a seed. Each disturbance has random numbers of its own, so that one can
+be changed and the others stay. See docs/simulation.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from calib import kinds
+from calib.errors import CalibError, ModelError, choices
+from calib.kinds import Kind
+from calib.measure.cell import Cell
+from calib.measure.cell_parts import vector
+from calib.measure.columns import SETS
+from calib.measure.measurements import Measurements
+from calib.measure.noise import TrackerNoise
+from calib.model.robot import Robot, read_only
+from calib.simulate.disturbances import Encoder, MovedTarget, Outliers, outlier_directions, stream
+from calib.simulate.poses import Tour, random_poses
+from calib.simulate.truth import TARGET_ERROR, Truth, draw_truth
+
+Array = NDArray[np.float64]
+
+#: Where the tracker stands if nothing says so, in the base [m].
+DEFAULT_TRACKER = read_only((3.0, 0.0, 0.0))
+
+#: The set of errors where the cell leaves the choice to the data.
+DEFAULT_MODEL = "placement"
+
+#: No target is measured farther away [m].
+FARTHEST = 1e4
+
+_NOWHERE = read_only(np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scenario:
+    """What virtual cells are to be like, before anything is drawn.
+
+    Attributes:
+        robot: The nominal robot.
+        cell: Targets, frames, tracker, payload, gravity, kind, and limits of single errors.
+        model: In which errors the robot is wrong, see `draw_truth`.
+        sizes: Standard deviations of the errors that are drawn; None: none is.
+        errors: Names and values of single errors.
+        true_robot: The true geometry, if it is given.
+        target_error: How far targets sit from where they are said to, standard deviation [m].
+        noise: Of one coordinate, by the distance from the tracker; None: none. The repeatability in it displaces all
+            targets of one stop alike; of the kind ``distance`` the distance is that from the anchor.
+        sigma_angle: Standard deviation of a measured orientation about one axis [rad].
+        encoder: Steps of the joint values.
+        outliers: Rows that are far off; None: none.
+        moved: A target that moves; None: none.
+        drift: shape (3,), how far the instrument, or the base, drifts from the first row to the last, along the
+            measurement frame's axes, evenly [m].
+        visits: How often the tour of all poses is made.
+    """
+
+    robot: Robot
+    cell: Cell = field(default_factory=Cell)
+    model: str = DEFAULT_MODEL
+    sizes: Mapping[str, float] | None = field(default_factory=dict)
+    errors: tuple[tuple[str, float], ...] = ()
+    true_robot: Robot | None = None
+    target_error: float = TARGET_ERROR
+    noise: TrackerNoise | None = field(default_factory=TrackerNoise)
+    sigma_angle: float = 0.0
+    encoder: Encoder = field(default_factory=Encoder)
+    outliers: Outliers | None = None
+    moved: MovedTarget | None = None
+    drift: Array = field(default_factory=lambda: _NOWHERE)
+    visits: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse a kind that cannot be simulated, and numbers that are none."""
+        if self.kind.measure is None:
+            free = [name for name in kinds.names() if kinds.get(name).measure is not None]
+            message = (
+                f"Measurements of the kind '{self.kind.name}' cannot be simulated: their poses would have to hold the "
+                f"target in a socket or on a plane. Choose one of {choices(free)}."
+            )
+            raise CalibError(message)
+        if not (0.0 <= self.sigma_angle < np.inf and self.visits >= 1):
+            message = (
+                f"The noise of an angle is {self.sigma_angle} rad, and each pose is visited {self.visits} times; the "
+                "noise must not be below 0, and the visits 1 or more."
+            )
+            raise CalibError(message)
+        object.__setattr__(self, "drift", vector(self.drift, "drift"))
+
+    @property
+    def kind(self) -> Kind:
+        """What is measured: the cell's kind, or points."""
+        return kinds.get(self.cell.kind or "point")
+
+    @property
+    def tracker(self) -> Array | None:
+        """Where the tracker stands in the base, shape (3,), [m]; None: at the origin of its frame.
+
+        That is the cell's tracker; or where measurements are in the base frame, 3 m away along its x axis.
+        """
+        cell = self.cell
+        if cell.tracker is not None:
+            return cell.tracker.position
+        elsewhere = cell.frames or cell.T_frame_base is not None or cell.estimate_frame
+        return None if elsewhere else DEFAULT_TRACKER
+
+    def draw(self, seed: int) -> VirtualCell:
+        """A virtual cell with the errors of this seed.
+
+        Raises:
+            CalibError: What the scenario says does not fit the robot.
+        """
+        truth = draw_truth(
+            self.robot,
+            self.model,
+            self.sizes,
+            seed,
+            cell=self.cell,
+            errors=dict(self.errors),
+            true_robot=self.true_robot,
+            target_error=self.target_error,
+        )
+        return VirtualCell(self, truth)
+
+    def random_poses(self, count: int, seed: int, *, validation: bool = False) -> Array:
+        """Joint values anywhere inside the limits, or the cell's ranges; see `calib.simulate.poses.random_poses`."""
+        return random_poses(self.robot, count, seed, self.cell.ranges, validation=validation)
+
+    def poses(
+        self,
+        seed: int,
+        count: int = 30,
+        validation: int = 0,
+        given: Array | None = None,
+        sets: tuple[str, ...] = (),
+    ) -> tuple[Array, tuple[str, ...]]:
+        """Where the robot is measured, shape (N, m), [rad] or [m], and the set of each pose.
+
+        Args:
+            seed: Of random poses.
+            count: How many of them, where none are given.
+            validation: How many random ones besides, to validate with.
+            given: shape (n, m), poses in place of random ones.
+            sets: Of these, ``"estimate"`` or ``"validate"``; () for all to estimate from.
+        """
+        q = self.random_poses(count, seed) if given is None else given
+        extra = self.random_poses(validation, seed, validation=True)
+        words = (sets or (SETS[0],) * len(q)) + (SETS[1],) * len(extra)
+        return np.concatenate([q, extra]), words
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """What a virtual cell measured, and what was true of it.
+
+    Attributes:
+        measurements: The table, as `calib fit` reads it.
+        truth: The robot, the targets and the frames.
+        q: shape (R, m), where the joints really stood in each row, before their own errors [rad] or [m].
+        T_frame_target: shape (R, 4, 4), true poses of the targets, the moved one's included [m].
+        sigma: shape (R,), standard deviation of the noise of one coordinate or length [m].
+        drift: shape (R, 3), how far the instrument had drifted [m].
+        outliers: shape (R, 3), how far outliers are displaced [m]; zero in other rows. Of lengths the first
+            column says how much longer they are.
+        moved: shape (R,), which rows found the target moved.
+        seed: Of the random numbers.
+    """
+
+    measurements: Measurements
+    truth: Truth
+    q: Array
+    T_frame_target: Array
+    sigma: Array
+    drift: Array
+    outliers: Array
+    moved: NDArray[np.bool_]
+    seed: int
+
+    @property
+    def points(self) -> Array:
+        """True positions of the targets in the measurement frame, shape (R, 3), [m]."""
+        return self.T_frame_target[:, :3, 3]
+
+    @property
+    def outlier_rows(self) -> tuple[int, ...]:
+        """The row numbers of the outliers."""
+        return self._numbers(np.any(self.outliers != 0.0, axis=1))
+
+    @property
+    def moved_rows(self) -> tuple[int, ...]:
+        """The row numbers that found the target moved."""
+        return self._numbers(self.moved)
+
+    def _numbers(self, mask: NDArray[np.bool_]) -> tuple[int, ...]:
+        """Row numbers of a mask."""
+        return tuple(self.measurements.rows[i] for i in np.flatnonzero(mask))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VirtualCell:
+    """A robot with known errors, and an instrument that measures it.
+
+    Attributes:
+        scenario: What is measured, and what disturbs it.
+        truth: The robot, the targets and the frames.
+    """
+
+    scenario: Scenario
+    truth: Truth
+
+    def measure(self, q: ArrayLike, seed: int = 0, sets: Sequence[str] | None = None) -> Simulated:
+        """Measure every target at every pose.
+
+        The poses are dealt out among the set-ups in turn; with several visits the whole tour is made again.
+
+        Args:
+            q: shape (N, m), joint values that the robot is sent to [rad] or [m], in the order of its ``joint_names``.
+            seed: Of the random numbers.
+            sets: For each pose ``"estimate"`` or ``"validate"``; default all to estimate from.
+
+        Raises:
+            ModelError: q has another number of columns, or a number that is not finite.
+            CalibError: No poses, or what does not fit them: a row, a number of outliers, an odd pose of pairs.
+        """
+        scenario, truth, robot = self.scenario, self.truth, self.truth.nominal
+        q = _checked_poses(robot, q)
+        sets = (SETS[0],) * len(q) if sets is None else tuple(sets)
+        if len(sets) != len(q):
+            message = (
+                f"There are {len(q)} poses and {len(sets)} words that say their sets; give one of {choices(SETS)} for "
+                "each pose."
+            )
+            raise CalibError(message)
+        tour = Tour.of(len(q), scenario.visits, len(truth.targets), len(truth.groups))
+        words = tuple(sets[i] for i in tour.pose)
+        names = tuple(truth.targets[t] for t in tour.target)
+        kind = scenario.kind
+        partner = tour.partners(sets) if kind.paired else None
+
+        sliding = [joint.type == "prismatic" for joint in robot.inputs]
+        stood = scenario.encoder.stood(q[tour.route], sliding, seed)
+        placed, moved = truth.T_tip_target[tour.target].copy(), np.zeros(len(names), dtype=bool)
+        if scenario.moved is not None:
+            moved = scenario.moved.rows(names)
+            placed[moved, :3, 3] += scenario.moved.by
+        moved.setflags(write=False)
+        T = truth.T_frame_base[tour.group] @ truth.tip_poses(stood)[tour.stop] @ placed
+        drift = np.linspace(0.0, 1.0, len(tour.stop))[:, None] * scenario.drift
+        repeatability = 0.0 if scenario.noise is None else scenario.noise.repeatability
+        stops = repeatability * stream(seed, "robot noise").standard_normal((len(tour.route), 3))
+        instrument = self._instrument(T, tour, partner)
+        outliers = self._outliers(words, partner, seed)
+        noise = stream(seed, "tracker noise").standard_normal((len(T), 3)) * instrument[:, None]
+        seen, apart = T.copy(), noise + outliers
+        seen[:, :3, 3] += drift + stops[tour.stop]
+        _check_near(seen[:, :3, 3] + apart)
+        table = Measurements(
+            joint_names=robot.joint_names,
+            joints=scenario.encoder.read(stood, sliding)[tour.stop],
+            sets=words,
+            targets=names,
+            groups=tuple(truth.groups[g] for g in tour.group),
+            kinds=(kind.name,) * len(words),
+            prismatic=tuple(n for n, s in zip(robot.joint_names, sliding, strict=True) if s),
+            pairs=_pair_words(partner, len(words)),
+            **Measurements.columns_of(kind, self._read(T, seen, apart, partner, seed)),
+        )
+        return Simulated(
+            measurements=table,
+            truth=truth,
+            q=read_only(stood[tour.stop]),
+            T_frame_target=read_only(T),
+            sigma=read_only(np.hypot(instrument, np.sqrt(1.0 + kind.paired) * repeatability)),
+            drift=read_only(drift),
+            outliers=read_only(outliers),
+            moved=moved,
+            seed=int(seed),
+        )
+
+    def _instrument(self, T: Array, tour: Tour, partner: NDArray[np.int_] | None) -> Array:
+        """Standard deviation of the instrument alone, shape (R,), [m]."""
+        noise, kind, tracker = self.scenario.noise, self.scenario.kind, self.scenario.tracker
+        if noise is None:
+            return np.zeros(len(T))
+        distance = np.linalg.norm(T[:, :3, 3], axis=1)
+        lengths = [i for i, one in enumerate(kind.readings) if one.quantity == "length"]
+        if lengths and not kind.position:  # the instrument is what the length is measured from
+            assert kind.measure is not None
+            distance = np.abs(kind.measure(_seen(T, partner))[:, lengths[0]])
+        elif tracker is not None:
+            T_frame_base = self.truth.T_frame_base[tour.group]
+            place = T_frame_base[:, :3, :3] @ tracker + T_frame_base[:, :3, 3]
+            distance = np.linalg.norm(T[:, :3, 3] - place, axis=1)
+        return np.asarray(noise.constant + noise.per_length * distance)
+
+    def _outliers(self, sets: Sequence[str], partner: NDArray[np.int_] | None, seed: int) -> Array:
+        """How far each row's measurement is displaced, shape (R, 3), [m]; of a pair that of its first row."""
+        result = np.zeros((len(sets), 3))
+        if self.scenario.outliers is None:
+            return result
+        first = [i for i in range(len(sets)) if partner is None or i < partner[i]]
+        chosen = self.scenario.outliers.choose([i for i in first if sets[i] == SETS[0]], seed)
+        directions = outlier_directions(len(sets), seed)
+        if not self.scenario.kind.position:
+            directions = np.sign(directions) * (1.0, 0.0, 0.0)
+        result[chosen] = self.scenario.outliers.size * directions[chosen]
+        return result
+
+    def _read(
+        self, T: Array, seen: Array, apart: Array, partner: NDArray[np.int_] | None, seed: int
+    ) -> Array:
+        """What the instrument reads in each row, as `calib.kinds.Kind` says, shape (R, k).
+
+        Args:
+            T: shape (R, 4, 4), true poses of the targets [m].
+            seen: The same with drift and the robot's own noise [m].
+            apart: shape (R, 3), noise and outliers of the instrument [m]; of lengths the first columns count.
+            partner: The other row of each row's pair.
+            seed: Of the random numbers.
+        """
+        kind = self.scenario.kind
+        assert kind.measure is not None
+        result = np.array(kind.measure(_seen(seen, partner)))
+        if kind.position:
+            result[:, :3] += apart
+        turn = stream(seed, "angle noise").standard_normal((len(T), 3)) * self.scenario.sigma_angle
+        if kind.orientation:
+            R = Rotation.from_rotvec(turn).as_matrix() @ T[:, :3, :3]
+            result[:, 3:12] = R.reshape(-1, 9)
+        if partner is not None:  # both rows of a pair hold the one reading
+            apart = apart[np.minimum(np.arange(len(apart)), partner)]
+        for k, one in enumerate(kind.readings, start=kind.size - len(kind.readings)):
+            result[:, k] += (apart if one.quantity == "length" else turn)[:, k % 3]
+            if one.positive:  # what noise would make negative is seen from the other side
+                result[:, k] = np.abs(result[:, k])
+        return result
+
+
+def _checked_poses(robot: Robot, q: ArrayLike) -> Array:
+    """Joint values, shape (N, m); the robot refuses those that are not finite.
+
+    Raises:
+        ModelError: Another number of columns.
+        CalibError: No poses.
+    """
+    values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+    if not values.size:
+        message = "There are no poses to measure at; give one or more."
+        raise CalibError(message)
+    if values.ndim != 2 or values.shape[1] != len(robot.joint_names):
+        message = (
+            f"Joint values of shape {values.shape} were given; the robot takes (N, {len(robot.joint_names)}), for "
+            f"{choices(robot.joint_names)}."
+        )
+        raise ModelError(message)
+    robot.chain_values(values)
+    return values
+
+
+def _check_near(points: Array) -> None:
+    """Refuse places that no instrument reaches: a unit or a power of ten is wrong.
+
+    Raises:
+        CalibError: A coordinate that is not finite, or beyond `FARTHEST`.
+    """
+    if not np.all(np.abs(points) < FARTHEST):
+        message = (
+            f"The target would be measured more than {FARTHEST:g} m away. Check the sizes of errors and noise, the "
+            "target's and the tracker's place, drift and outliers: a unit may be wrong."
+        )
+        raise CalibError(message)
+
+
+def _seen(T: Array, partner: NDArray[np.int_] | None) -> Array:
+    """Poses as a kind looks at them, shape (R, 4, 4), of a paired kind (R, 2, 4, 4)."""
+    return T if partner is None else np.stack([T, T[partner]], axis=1)
+
+
+def _pair_words(partner: NDArray[np.int_] | None, count: int) -> tuple[str, ...]:
+    """The word of each row's pair; "" where there are none."""
+    words = [""] * count
+    if partner is not None:
+        first = [i for i in range(count) if i < partner[i]]
+        for number, i in enumerate(first, start=1):
+            words[i] = words[partner[i]] = f"pair {number}"
+    return tuple(words)
