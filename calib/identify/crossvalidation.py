@@ -10,17 +10,14 @@ from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
 from calib.identify.fitting import (
-    ENOUGH,
     Fitted,
     Task,
     fit,
-    nominal_setup,
-    seen_from,
     task_options,
-    without_outliers,
 )
 from calib.identify.fold_fits import fold_fits, fold_means
 from calib.identify.linear import Linear
+from calib.identify.nominal import ENOUGH, nominal_setup, seen_from, without_outliers
 from calib.identify.registration import register_poses
 from calib.identify.rows import Rows, evenly
 from calib.identify.setup import Setup

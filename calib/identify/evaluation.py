@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, ModelError, choices
-from calib.identify.fitting import nominal_setup, seen_from
+from calib.identify.nominal import nominal_setup, seen_from
 from calib.identify.prediction import tip_poses
 from calib.identify.registration import register_poses
 from calib.identify.result import Calibration

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from calib.identify.coverage import coverage, outside_sentence
 from calib.identify.crossvalidation import only_there
-from calib.identify.fitting import ENOUGH, Fitted, fit
+from calib.identify.fitting import Fitted, fit
+from calib.identify.nominal import ENOUGH
 from calib.identify.patterns import drift, joint_patterns
 from calib.identify.problem import Problem
 from calib.identify.repeats import pose_means

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError
-from calib.identify.fitting import Task, model_of, seen_from
+from calib.identify.fitting import Task, model_of
+from calib.identify.nominal import seen_from
 from calib.identify.problem import Problem
 from calib.identify.registration import register
 from calib.identify.setup import along_own_axes, targets_along_tip

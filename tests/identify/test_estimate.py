@@ -116,6 +116,7 @@ def test_intervals_and_predicted_uncertainty_hold_what_they_say(virtual, paper_c
     assert np.mean(noise) == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 def test_error_on_unseen_poses_is_near_the_bound(virtual, paper_cell):
     """Against Cramer and Rao for the 21 identifiable parameters: no estimator without priors is better."""
     rng = np.random.default_rng(12)
@@ -155,6 +156,7 @@ def test_a_fifth_of_gross_rows_is_flagged_and_does_no_harm(virtual, paper_cell, 
     assert rms(error_at(virtual, spoilt, x, q)) < 1.2 * rms(error_at(virtual, clean, x, q))
 
 
+@pytest.mark.slow
 def test_clean_tables_are_not_flagged(virtual, paper_cell):
     rng = np.random.default_rng(13)
     flagged = 0
@@ -177,6 +179,7 @@ def test_without_robust_weights_rows_are_named_but_keep_their_weight(virtual, pa
     assert result.estimate.outliers[5]
 
 
+@pytest.mark.slow
 def test_sizes_of_errors_and_noise_are_found(virtual, paper_cell):
     rng = np.random.default_rng(15)
     found = []

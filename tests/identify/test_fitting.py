@@ -150,6 +150,7 @@ def test_a_wall_is_as_good_as_a_floor(make_scene, join, kind):
         np.testing.assert_allclose(placed[2, :3], n, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_the_noise_of_every_instrument_is_found(make_scene, join):
     found = []
     for seed in range(12):
@@ -270,6 +271,7 @@ def test_a_change_from_nowhere_is_refused(make_scene, options):
         fitted(scene, scene.points(20), Cell(**options))
 
 
+@pytest.mark.slow
 def test_bounds_hold_and_let_go_of_what_they_no_longer_hold(make_scene):
     """At the end no bounded parameter could lower the cost by moving inwards (Karush, Kuhn, Tucker)."""
     sizes = {"length": 3e-3, "angle": 15e-3, "zero": 15e-3}
@@ -354,7 +356,7 @@ def test_set_ups_that_were_not_seen_are_registered_to_their_rows(make_scene, joi
     new, outliers = rows.select(last), np.arange(20) == 4
     points = new.points.copy()
     points[4] += 0.02
-    residual = found.unseen(replace(new, points=points), rows.select(~last), outliers)
+    residual = found.unseen(replace(new, measured=points), rows.select(~last), outliers)
     assert np.sqrt(np.mean(residual[~outliers] ** 2)) < 1e-4
     np.testing.assert_allclose(residual[4], 0.02, atol=5e-4)
 
