@@ -10,7 +10,7 @@ wholly inside another mesh is not found.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -20,16 +20,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from pinocchio import hppfcl
 
-from calib.design.collision_pairs import (
-    Ignored,
-    Kind,
-    Part,
-    Scene,
-    choose_pairs,
-    mounting_plane,
-    room_for,
-)
-from calib.design.solids import read_solids
+from calib.design.collision_pairs import Ignored, Scene, choose_pairs, mounting_plane, room_for
+from calib.design.solids import Kind, Solid, read_solids, rods
 from calib.errors import CalibError, choices
 from calib.measure.cell_parts import is_number
 from calib.measure.surroundings import Box, checked_boxes
@@ -38,16 +30,12 @@ from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Progress = Callable[[int, int], None]
 
-#: Largest step of a prismatic joint along a path [m]; that of turning joints is given.
-SLIDE_STEP = 5e-3
+#: Largest step of a joint along a path, of one that turns [rad] and one that slides [m].
+TURN_STEP, SLIDE_STEP = math.radians(2.0), 5e-3
 
 #: Radius of a target and of what holds it, if nothing is said: a 1.5 inch reflector has 19 mm [m].
 HOLDER_RADIUS = 0.020
-
-#: Poses between two calls of ``progress``.
-_CHUNK = 500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,10 +112,10 @@ class CollisionModel:
             raise CalibError(message)
         solids = read_solids(robot.urdf, folders)
         places = {name: read_only(place) for name, place in (targets or {}).items()}
-        parts = [Part(s.link, Kind.LINK, s.link, s.T_link_shape, s.geometry) for s in solids.solids]
+        parts = list(solids.solids)
         parts += [_holder(robot, name, at, holder_radius) for name, at in places.items()]
         parts += [
-            Part(box.name, Kind.BOX, robot.base, box.T_base_box, hppfcl.Box(*box.size))
+            Solid(box.name, Kind.BOX, robot.base, box.T_base_box, hppfcl.Box(*box.size))
             for box in boxes
         ]
         if floor:
@@ -173,26 +161,17 @@ class CollisionModel:
             said.append(f"Not checked against each other: {'; '.join(touching)}.")
         return tuple(said)
 
-    def free(self, q: ArrayLike, progress: Progress | None = None) -> Mask:
+    def free(self, q: ArrayLike) -> Mask:
         """Where the robot touches neither itself nor a box, and keeps its clearance, shape (N,).
 
         Args:
             q: shape (N, m) or (m,), [rad] or [m], in the order of ``robot.joint_names``.
-            progress: Called now and then with the number of poses done and of all.
 
         Raises:
             ModelError: ``q`` has not one column for each joint, or a value is not finite.
         """
-        scene, configurations = self._scene, self._configurations(q)
-        data, found = scene.scratch()
-        result = np.empty(len(configurations), dtype=np.bool_)
-        for i, configuration in enumerate(configurations):
-            result[i] = not pin.computeCollisions(
-                scene.model, data, scene.shapes, found, configuration, True
-            )
-            if progress is not None and ((i + 1) % _CHUNK == 0 or i + 1 == len(result)):
-                progress(i + 1, len(result))
-        return result
+        touches = self._scene.touches()
+        return np.array([not touches(one) for one in self._configurations(q)], dtype=np.bool_)
 
     def first_contact(self, q: ArrayLike) -> tuple[str, str] | None:
         """The names of two links, or of a link and a box, that touch at joint values, shape (m,); None if none do."""
@@ -204,51 +183,36 @@ class CollisionModel:
                 return scene.owners((pair.first, pair.second))
         return None
 
-    def path_free(
-        self, q_from: ArrayLike, q_to: ArrayLike, step: float = math.radians(2.0)
-    ) -> bool:
+    def path_free(self, q_from: ArrayLike, q_to: ArrayLike) -> bool:
         """Whether the straight way in joint space from one pose to another is free, both ends among it.
 
-        It is checked at equal steps in which no joint of the robot turns by more than ``step`` or slides by more than
-        `SLIDE_STEP`; the middle first, then the quarters, and so on.
+        It is checked at equal steps in which no joint of the robot turns by more than `TURN_STEP` or slides by more
+        than `SLIDE_STEP`; the middle first, then the quarters, and so on.
 
         Args:
             q_from: shape (m,), [rad] or [m].
             q_to: shape (m,).
-            step: [rad].
 
         Raises:
             ModelError: A pose has not one value for each joint, or one that is not finite.
-            CalibError: A step that is not above 0.
         """
-        if not is_number(step) or not step > 0.0:
-            message = f"The step of a path is {step!r} rad; it must be a number above 0."
-            raise CalibError(message)
         ends = np.array([np.ravel(q_from), np.ravel(q_to)], dtype=np.float64)
         sliding = {joint.name for joint in self.robot.urdf.joints if joint.type == "prismatic"}
         count = 1 + max(
-            math.ceil(abs(float(value[1] - value[0])) / (SLIDE_STEP if name in sliding else step))
+            math.ceil(
+                abs(float(value[1] - value[0])) / (SLIDE_STEP if name in sliding else TURN_STEP)
+            )
             for name, value in self.robot.urdf_values(ends).items()
         )
         index = np.arange(max(count, 2))
         # The lowest bit of an index says how coarse a division it belongs to; index 0 is in the coarsest.
         order = np.argsort(-np.where(index == 0, len(index), index & -index), kind="stable")
         share = (index[order] / (len(index) - 1))[:, None]
-        scene = self._scene
-        data, found = scene.scratch()
-        return not any(
-            pin.computeCollisions(scene.model, data, scene.shapes, found, configuration, True)
-            for configuration in self._configurations((1.0 - share) * ends[0] + share * ends[1])
-        )
+        touches = self._scene.touches()
+        way = self._configurations((1.0 - share) * ends[0] + share * ends[1])
+        return not any(touches(one) for one in way)
 
-    def crossed(
-        self,
-        q: ArrayLike,
-        start: ArrayLike,
-        end: ArrayLike,
-        radius: float,
-        progress: Progress | None = None,
-    ) -> Mask:
+    def crossed(self, q: ArrayLike, start: ArrayLike, end: ArrayLike, radius: float) -> Mask:
         """Whether a link or a box stands in the way of a rod with round ends, shape (N,).
 
         Every link with geometry and every box counts, those that never move among them; targets and the mounting
@@ -259,12 +223,11 @@ class CollisionModel:
             start: shape (N, 3) or (3,), centre of one end in the robot's base [m].
             end: shape (N, 3) or (3,), centre of the other [m].
             radius: [m].
-            progress: Called now and then with the number of poses done and of all.
         """
         configurations = self._configurations(q)
         count = len(configurations)
         ends = np.stack([np.broadcast_to(np.asarray(p), (count, 3)) for p in (start, end)])
-        T_base_rods, halves = _rods(ends[0], ends[1])
+        T_base_rods, halves = rods(ends[0], ends[1])
         scene = self._scene
         rod = hppfcl.Capsule(radius, 1.0)
         shapes = scene.with_shape(rod)
@@ -277,8 +240,6 @@ class CollisionModel:
             T_base_rod = pin.SE3(T_base_rods[i, :3, :3], T_base_rods[i, :3, 3])
             found.oMg[len(scene.parts)] = data.oMi[base.parentJoint] * base.placement * T_base_rod
             result[i] = pin.computeCollisions(shapes, found, True)
-            if progress is not None and ((i + 1) % _CHUNK == 0 or i + 1 == count):
-                progress(i + 1, count)
         return result
 
     def _configurations(self, q: ArrayLike) -> Array:
@@ -286,33 +247,8 @@ class CollisionModel:
         return full_configurations(self._scene.model, self.robot.urdf_values(q))
 
 
-def _holder(robot: Robot, name: str, place: Array, radius: float) -> Part:
+def _holder(robot: Robot, name: str, place: Array, radius: float) -> Solid:
     """A target and what holds it: a rod with round ends from the tip's origin to the target."""
-    T_tip_rod, half = _rods(np.zeros((1, 3)), place[None])
+    T_tip_rod, half = rods(np.zeros((1, 3)), place[None])
     rod = hppfcl.Capsule(radius, 2.0 * float(half[0]))
-    return Part(f"{name} and its holder", Kind.TARGET, robot.tip, T_tip_rod[0], rod)
-
-
-def _rods(start: Array, end: Array) -> tuple[Array, Array]:
-    """Poses whose z axis runs from one end of each rod to the other, centred between them, and the half lengths.
-
-    Args:
-        start: shape (N, 3), [m].
-        end: shape (N, 3), [m].
-
-    Returns:
-        Shapes (N, 4, 4) and (N,), [m]; a rod without length points along z.
-    """
-    along = end - start
-    length = np.linalg.norm(along, axis=1)
-    z = np.where(
-        length[:, None] > 0.0, along / np.maximum(length, 1e-300)[:, None], [0.0, 0.0, 1.0]
-    )
-    # Any direction across will do: the coordinate axis that is least along the rod, made orthogonal.
-    x = np.eye(3)[np.argmin(np.abs(z), axis=1)]
-    x = x - np.einsum("ni,ni->n", x, z)[:, None] * z
-    x /= np.linalg.norm(x, axis=1)[:, None]
-    T = np.tile(np.eye(4), (len(z), 1, 1))
-    T[:, :3, :3] = np.stack([x, np.cross(z, x), z], axis=2)
-    T[:, :3, 3] = 0.5 * (start + end)
-    return T, 0.5 * length
+    return Solid(f"{name} and its holder", Kind.TARGET, robot.tip, T_tip_rod[0], rod)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from enum import Enum
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pinocchio import hppfcl
 
+from calib.design.solids import Kind, Solid
 from calib.errors import CalibError, choices
 from calib.model.chain import full_configurations, full_model, link_frame
 from calib.model.readback import spread_poses
@@ -28,9 +28,6 @@ SAMPLES = 256
 #: A pair that touches in this share of them touches by its construction.
 ALWAYS = 0.95
 
-#: A mesh whose thickness is less than this part of its length is flat.
-_FLAT = 1e-6
-
 
 @dataclass(frozen=True, slots=True)
 class Ignored:
@@ -43,40 +40,6 @@ class Ignored:
     def __str__(self) -> str:
         """In words."""
         return f"'{self.first}' and '{self.second}': {self.reason}"
-
-
-class Kind(Enum):
-    """What a shape is part of; the convex hull of a link's mesh stands for it where a plane is concerned."""
-
-    LINK = "link"
-    HULL = "hull"
-    TARGET = "target"
-    BOX = "box"
-    PLANE = "plane"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """One shape.
-
-    Attributes:
-        owner: The name of its link, target or box.
-        kind: What it is part of.
-        link: The link that it is fixed to.
-        T_link_shape: shape (4, 4), its pose there [m].
-        geometry: The shape, of coal.
-    """
-
-    owner: str
-    kind: Kind
-    link: str
-    T_link_shape: Array
-    geometry: Any
-
-    @property
-    def around(self) -> bool:
-        """Whether it stands around the robot and is no part of it."""
-        return self.kind in (Kind.BOX, Kind.PLANE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,11 +55,11 @@ class Scene:
 
     model: pin.Model
     shapes: pin.GeometryModel
-    parts: tuple[Part, ...]
+    parts: tuple[Solid, ...]
     margins: tuple[float, ...]
 
     @classmethod
-    def of(cls, urdf: Urdf, parts: Sequence[Part]) -> Scene:
+    def of(cls, urdf: Urdf, parts: Sequence[Solid]) -> Scene:
         """All shapes, without pairs."""
         model, shapes = full_model(urdf), pin.GeometryModel()
         for k, part in enumerate(parts):
@@ -131,6 +94,13 @@ class Scene:
             if part.kind in (Kind.LINK, Kind.BOX):
                 shapes.addCollisionPair(pin.CollisionPair(k, count))
         return shapes
+
+    def touches(self) -> Callable[[Array], bool]:
+        """Whether any pair is closer than its margin at a configuration of the model, shape (nq,)."""
+        data, found = self.scratch()
+        return lambda one: bool(
+            pin.computeCollisions(self.model, data, self.shapes, found, one, True)
+        )
 
     def scratch(self) -> tuple[pin.Data, pin.GeometryData]:
         """Room for the results of one caller, the margins set."""
@@ -252,11 +222,11 @@ def _candidates(
     return candidates, list(ignored.values())
 
 
-def _comparable(first: Part, second: Part) -> bool:
+def _comparable(first: Solid, second: Solid) -> bool:
     """Whether two shapes have to do with each other; one that stands around comes behind the other."""
     if second.kind is Kind.PLANE:
-        return first.kind is not Kind.BOX and not isinstance(first.geometry, hppfcl.BVHModelBase)
-    return Kind.HULL not in (first.kind, second.kind) and not first.around
+        return first.kind is not Kind.BOX and not first.is_mesh
+    return Kind.HULL not in (first.kind, second.kind) and first.kind is not Kind.BOX
 
 
 def _touched(
@@ -304,10 +274,7 @@ def _check_base(robot: Robot, scene: Scene, rigid: Mapping[str, str], configurat
             continue
         T_box_root = rigid_inverse(found.oMg[own].homogeneous)
         half = part.geometry.halfSide
-        corners = [
-            T_box_root @ found.oMg[k].homogeneous @ _corners(scene.parts[k].geometry)
-            for k in standing
-        ]
+        corners = [T_box_root @ found.oMg[k].homogeneous @ scene.parts[k].corners for k in standing]
         if all((np.abs(c[:3]) <= half[:, None]).all() for c in corners):
             links = choices(dict.fromkeys(scene.parts[k].owner for k in standing))
             message = (
@@ -348,14 +315,7 @@ def _check_touched(
             raise CalibError(message)
 
 
-def _corners(geometry: Any) -> Array:  # noqa: ANN401  coal has no types
-    """The corners of the box about a shape, homogeneous, shape (4, 8), [m]."""
-    geometry.computeLocalAABB()
-    ends = zip(np.ravel(geometry.aabb_local.min_), np.ravel(geometry.aabb_local.max_), strict=True)
-    return np.asarray(np.array([(*corner, 1.0) for corner in itertools.product(*ends)]).T)
-
-
-def mounting_plane(robot: Robot, links: Sequence[Part]) -> list[Part]:
+def mounting_plane(robot: Robot, links: Sequence[Solid]) -> list[Solid]:
     """What the robot stands on: all below z = 0 of its base, or below the lowest link that stands with the base.
 
     Where joints of the chain move the base, it is the plane of the URDF's root. Before the plane come the hulls of the
@@ -369,9 +329,9 @@ def mounting_plane(robot: Robot, links: Sequence[Part]) -> list[Part]:
     values = robot.urdf_values(spread_poses(robot, 2))
     moving = [name for name, value in values.items() if np.ptp(value) > 0.0]
     rigid = _clusters(robot.urdf, [j for j in robot.urdf.joints if j.name not in moving])
-    hulls = [_hull(part) for part in links if isinstance(part.geometry, hppfcl.BVHModelBase)]
-    solid = [part for part in links if not isinstance(part.geometry, hppfcl.BVHModelBase)]
-    standing = [part for part in [*hulls, *solid] if rigid[part.link] == rigid[base]]
+    hulls = [part.hull() for part in links if part.is_mesh]
+    convex = [*hulls, *(part for part in links if not part.is_mesh)]
+    standing = [part for part in convex if rigid[part.link] == rigid[base]]
     scene = Scene.of(robot.urdf, standing)
     data, found = scene.model.createData(), scene.shapes.createData()
     configuration = full_configurations(scene.model, values)[0]
@@ -389,25 +349,10 @@ def mounting_plane(robot: Robot, links: Sequence[Part]) -> list[Part]:
     T_base_plane = np.eye(4)
     T_base_plane[2, 3] = height
     name = f"the mounting plane (z = {1e3 * height + 0.0:.4g} mm of '{base}')"
-    return [*hulls, Part(name, Kind.PLANE, base, T_base_plane, plane)]
+    return [*hulls, Solid(name, Kind.PLANE, base, T_base_plane, plane)]
 
 
-def _hull(part: Part) -> Part:
-    """The convex hull of a mesh; of one that is flat the box about it, for it has no hull."""
-    mesh = part.geometry
-    points = mesh.vertices()
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if len(points) > 3 and spread[2] > _FLAT * spread[0]:
-        mesh.buildConvexHull(True, "Qt")
-        return replace(part, kind=Kind.HULL, geometry=mesh.convex)
-    low, high = points.min(axis=0), points.max(axis=0)
-    T = np.eye(4)
-    T[:3, 3] = 0.5 * (low + high)
-    box = hppfcl.Box(*np.maximum(high - low, 1e-6))
-    return Part(part.owner, Kind.HULL, part.link, part.T_link_shape @ T, box)
-
-
-def _where(robot: Robot, part: Part) -> str:
+def _where(robot: Robot, part: Solid) -> str:
     """Where a box stands and how large it is, and what to do."""
     size = " x ".join(f"{2e3 * v:g}" for v in part.geometry.halfSide)
     x, y, z = (f"{1e3 * v:g}" for v in part.T_link_shape[:3, 3])

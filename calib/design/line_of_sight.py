@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,7 +55,6 @@ def in_sight(
     tracker: Tracker,
     reflector: Reflector | None = None,
     collision: CollisionModel | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Sight:
     """At which poses a tracker sees the target on the tip.
 
@@ -71,7 +69,6 @@ def in_sight(
         tracker: In the robot's base.
         reflector: In the tip; None: it is turned by hand, and seen from everywhere.
         collision: The same robot's geometry, and boxes; None: the beam is not looked at.
-        progress: Called now and then with the number of beams looked at and of all.
 
     Raises:
         CalibError: A target that is neither; another robot's geometry.
@@ -104,7 +101,7 @@ def in_sight(
         start = tracker.position - 0.5 * BEAM * away
         end = points[asked] + (NEST + 0.5 * BEAM) * away
         rows = np.reshape(np.asarray(q, dtype=np.float64), (len(points), -1))[asked]
-        clear[asked] = ~collision.crossed(rows, start, end, 0.5 * BEAM, progress)
+        clear[asked] = ~collision.crossed(rows, start, end, 0.5 * BEAM)
     return Sight(within, faces, clear)
 
 

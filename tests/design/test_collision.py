@@ -315,15 +315,7 @@ def test_a_thin_post_is_not_stepped_over_by_a_sliding_joint():
     post = Box("post", (0.001, 0.001, 1.0), at(0.3, 0.0, 0.0))
     model = CollisionModel.of(robot_of(text), [post])
     assert model.free([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]).all()
-    assert not model.path_free([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], step=10.0)
-
-
-@pytest.mark.parametrize("step", [0.0, -1.0, math.inf, "2 deg"])
-def test_a_step_that_is_none(step):
-    with pytest.raises(
-        CalibError, match=r"^The step of a path is .* rad; it must be a number above"
-    ):
-        ball_model().path_free([0.0] * 3, [1.0] * 3, step)
+    assert not model.path_free([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0])
 
 
 # --- Targets and what holds them, and the mounting plane ------------------------------------------------------------
@@ -456,14 +448,6 @@ def test_links_that_never_leave_the_plane_are_left_out_and_a_tip_that_never_does
 def test_a_radius_that_is_none(radius):
     with pytest.raises(CalibError, match="holder's radius"):
         CollisionModel.of(robot_of(balls()), holder_radius=radius)
-
-
-def test_progress_is_told_and_changes_nothing():
-    q = spread_poses(ball_model().robot, 1200)
-    calls: list[tuple[int, int]] = []
-    with_progress = ball_model().free(q, lambda *said: calls.append(said))
-    assert calls == [(500, 1200), (1000, 1200), (1200, 1200)]
-    np.testing.assert_array_equal(with_progress, ball_model().free(q))
 
 
 def test_a_robot_without_geometry():

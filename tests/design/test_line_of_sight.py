@@ -198,21 +198,6 @@ def test_joint_values_and_robots_that_do_not_fit():
         in_sight(turntable(0.1), [0.0], ORIGIN, Tracker((4, 0, 0)), None, turntable_alone())
 
 
-def test_progress_counts_the_beams():
-    calls: list[tuple[int, int]] = []
-    q = np.linspace(-3.0, 3.0, 1100)[:, None]
-    in_sight(
-        turntable(0.2),
-        q,
-        ORIGIN,
-        Tracker((4.0, 0, 0)),
-        None,
-        turntable_alone(),
-        lambda *said: calls.append(said),
-    )
-    assert calls == [(500, 1100), (1000, 1100), (1100, 1100)]
-
-
 # --- A real robot, against rays and FCL ----------------------------------------------------------------------------
 
 TARGET = np.array(data.PAPER_TARGET)
