@@ -203,17 +203,6 @@ def test_expected_values_in_a_frame_that_is_not_measured_in(call, shop: Path):
     assert "expected ..." not in call(shop, *SMALL, "--ladder", "none").out
 
 
-def test_one_pose_and_a_single_rung(call, shop: Path):
-    words = ("--model", "frames", "--count", "1", "--validation", "0", "--ladder", "1")
-    done = call(shop, *FREE, "--candidates", "50", *words, "-o", "one.csv")
-    assert (done.code, done.err) == (0, "")
-    assert "1 pose to calibrate with" in done.out
-    done = call(
-        shop, "simulate", "robot.urdf", "--poses", "one.csv", "--base", "base", "-o", "sim.csv"
-    )
-    assert (done.code, done.err) == (0, "")
-
-
 def test_a_joint_that_slides_and_one_that_is_held(call, shop: Path):
     done = call(
         shop, "plan", "tiago", "--tip", "arm_7_link", "--no-collisions", "--candidates", "300", "--model", "zeros",
@@ -281,49 +270,3 @@ def test_what_cannot_be_planned(call, shop: Path, words: tuple[str, ...], said: 
     assert said in done.err
     assert done.err.count("\n") == 1
     assert set(shop.iterdir()) == before
-
-
-def test_a_plan_that_is_there_is_kept(call, shop: Path):
-    (shop / "plan.csv").write_text("mine", encoding="utf-8")
-    done = call(shop, *SMALL, "-o", "plan.csv")
-    assert (done.code, done.out) == (1, "")
-    assert done.err == "calib: plan.csv exists already; add --force or choose another name.\n"
-    assert (shop / "plan.csv").read_text(encoding="utf-8") == "mine"
-    done = call(shop, *SMALL, "-o", "plan.csv", "--force", "--quiet")
-    assert (done.code, done.out, done.err) == (0, "", "")
-    assert (shop / "plan.csv").read_text(encoding="utf-8").startswith("row,set,point,")
-
-
-def test_a_target_on_the_last_axis(call, shop: Path):
-    # What it does not tell must not stop the choice.
-    axis = (
-        "--target",
-        "0 0 60 mm",
-        "--tracker",
-        "2500 500 600 mm",
-        "--range",
-        "elbow_joint=-120..120 deg",
-    )
-    done = call(shop, *SMALL, *axis, "--ladder", "none")
-    assert (done.code, done.err) == (0, "")
-    assert "27 parameters, of which these poses tell 19 apart." in done.out
-
-
-def test_every_parameter_that_is_known_by_itself_is_told(call, shop: Path):
-    done = call(shop, *SMALL, "--ladder", "none", "--json", "told.json")
-    assert (done.code, done.err) == (0, "")
-    found = re.search(
-        r"Expected standard deviation of the parameters (.*?)\. The other (\d+) are known in comb",
-        " ".join(done.out.split()),
-    )
-    assert found
-    parameters = json.loads((shop / "told.json").read_text())["forecast"]["parameters"]
-    alone = [p for p in parameters if p["identifiable"]]
-    assert int(found[2]) == len(parameters) - len(alone)
-    told = dict(
-        re.findall(
-            r"([\w.]+) ([\d.e-]+)(?:[,;]|$)",
-            found[1].replace("in mm: ", "").replace("in mrad: ", ""),
-        )
-    )
-    assert told == {p["name"]: f"{1e3 * p['std']:.2g}" for p in alone}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 
@@ -60,14 +59,6 @@ def test_the_command_printed_at_the_end(call, shop):
     ]  # fmt: skip
     done = call(shop, "workspace", *PAPER, *FEW)
     assert done.lines[-1].startswith("Next:  add -o region.json")
-
-
-def test_the_same_seed_is_the_same_file_and_another_is_not(call, shop):
-    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
-        call(shop, "workspace", *PAPER, *FEW, "--seed", seed, "-o", f"{name}.json")
-    files = [json.loads((shop / f"{name}.json").read_text()) for name in "abc"]
-    assert files[0] == files[1]
-    assert files[0]["runs"] != files[2]["runs"]
 
 
 def test_figure_and_page(examples):
@@ -171,19 +162,6 @@ def test_robots_of_other_kinds(call, shop, words):
     assert ("With fewer than three joints" in done.out) == (words[0] == "panda")
 
 
-def test_voxels_with_few_samples_are_told(call, shop):
-    said = "so few samples that other samples (--seed) would make another"
-    done = call(shop, "workspace", *PAPER, *FEW, "--voxel", "30 mm")
-    assert said in done.out.replace("\n  ", " ")
-    assert said not in call(shop, "workspace", *PAPER, *FEW).out
-
-
-def test_quiet_says_nothing(call, shop):
-    done = call(shop, "workspace", *PAPER, *FEW, "--quiet", "-o", "r.json")
-    assert (done.code, done.out, done.err) == (0, "", "")
-    assert (shop / "r.json").is_file()
-
-
 OUT = ("-o", "r.json", "--picture", "r.png", "--view", "r.html")
 
 
@@ -227,23 +205,6 @@ def test_errors_are_one_line_and_nothing_is_written(call, shop, words, said):
     assert said in done.err
     assert done.err.count("\n") == 1
     assert {path.name for path in shop.iterdir()} == before
-
-
-@pytest.mark.parametrize("words", [("--samples", "10"), ("--seed", "-1"), ("--share", "most"), ()])
-def test_wrong_calls(call, shop, words):
-    robot = ("robot.urdf",) if words else ()
-    assert call(shop, "workspace", *robot, *words).code == 2
-
-
-def test_files_that_exist_are_kept(call, shop):
-    (shop / "r.json").write_text("mine")
-    done = call(shop, "workspace", *PAPER, *FEW, "-o", "r.json", "--picture", "r.png")
-    assert done.code == 1
-    assert "r.json exists already; add --force" in done.err
-    assert not (shop / "r.png").exists()
-    assert call(shop, "workspace", *PAPER, *FEW, "-o", "r.json", "--force").code == 0
-    done = call(shop, "workspace", *PAPER, *FEW, "-o", "data.csv", "--force")
-    assert "data.csv is also an input of this command" in done.err
 
 
 def test_words():

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from calib.design.candidates import Condition, draw, planning_ranges, rounded, turn_limits
+from calib.design.candidates import Condition, draw, planning_ranges, turn_limits
 from calib.errors import CalibError, ModelError
 from calib.measure.measurements import Measurements
 from calib.measure.ranges import column_limits
@@ -128,13 +128,6 @@ def test_the_same_seed_draws_the_same_and_another_does_not(ur3):
     assert not one.flags.writeable
 
 
-def test_more_candidates_begin_with_the_same(ur3):
-    ranges = planning_ranges(ur3, {}, 5 * DEG)
-    few, many = (draw(ur3, ranges, [], count, 0).q for count in (200, 9000))
-    assert np.array_equal(many[:200], few)
-    assert len(np.unique(many, axis=0)) == 9000
-
-
 def test_a_table_has_the_candidates_to_the_last_bit(mixed, tmp_path):
     q = draw(mixed, planning_ranges(mixed, {}, 5 * DEG), [], 20_000, 0).q
     table = Measurements(mixed.joint_names, q, np.ones((len(q), 3)), prismatic=("j2",))
@@ -148,18 +141,6 @@ def test_a_table_has_the_candidates_to_the_last_bit(mixed, tmp_path):
     (tmp_path / "short.csv").write_text("\n".join([header, *lines, ""]))
     again = Measurements.read(tmp_path / "short.csv", mixed.joint_names, mixed.joint_types)
     assert np.array_equal(again.joints, q)
-
-
-def test_rounded_values_are_the_nearest_whole_steps(mixed):
-    q = np.array([[0.1234567, 0.1234567, -2.0], [-0.1234567, -0.0000004, 0.0]])
-    found = rounded(mixed, q)
-    np.testing.assert_allclose(
-        found / [DEG, 1e-3, DEG], [[7.074, 123.457, -114.592], [-7.074, 0.0, 0.0]], atol=1e-9
-    )
-    assert np.array_equal(rounded(mixed, found), found)
-    inside = rounded(mixed, q, np.array([[-1.0, 0.1234565], [0.0, 0.1234565], [-1.9999, 1.0]]))
-    assert (inside[0] / [DEG, 1e-3, DEG])[:2] == pytest.approx([7.073, 123.456])
-    assert inside[0, 2] >= -1.9999
 
 
 # Conditions
@@ -201,14 +182,6 @@ def test_conditions_are_asked_in_order_and_count_what_they_refuse(ur3):
     assert pool.refused["low"] == pytest.approx(pool.drawn / 2, rel=0.01)
 
 
-def test_every_pose_drawn_is_counted_where_fewer_are_left_than_wanted(ur3):
-    tests = [Condition("rare", beyond(0, 3.13)), Condition("rarer", beyond(1, 0.0))]
-    pool = draw(ur3, planning_ranges(ur3, {}, 0.0), tests, 5000, 0)
-    assert 100 < len(pool.q) < 5000
-    assert pool.drawn == len(pool.q) + sum(pool.refused.values())
-    assert pool.drawn >= 40 * 5000
-
-
 def test_the_workspace_has_what_passed_the_tests_of_where(ur3):
     tests = [
         Condition("region", beyond(0, 0.0), where=True),
@@ -244,21 +217,6 @@ def test_nothing_left_says_what_refused_how_many(ur3):
     # Given up early: geometry that refuses everything would be asked for an hour.
     assert 40_960 <= numbers[0] < 42_000
     assert "never" not in str(caught.value)
-
-
-def test_progress_tells_what_is_kept_and_wanted(ur3):
-    told = []
-    tests = [Condition("half", beyond(0, 0.0))]
-    draw(ur3, planning_ranges(ur3, {}, 0.0), tests, 5000, 0, lambda a, b: told.append((a, b)))
-    assert [b for _, b in told] == [5000] * len(told)
-    assert [a for a, _ in told] == sorted(a for a, _ in told)
-    assert told[-1] == (5000, 5000)
-    assert len(told) == 3
-
-
-def test_a_single_candidate_can_be_asked_for(ur3):
-    pool = draw(ur3, planning_ranges(ur3, {}, 0.0), [], 1, 0)
-    assert pool.q.shape == pool.workspace.shape == (1, 6)
 
 
 def test_a_range_of_a_few_steps_gives_each_pose_once(mixed):

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from calib import data
 from calib.design.collision import CollisionModel
-from calib.errors import CalibError, ModelError, UrdfError
+from calib.errors import CalibError, UrdfError
 from calib.measure.surroundings import Box
 from calib.model.meshes import find_mesh, link_shapes, mesh_folders
 from calib.model.readback import spread_poses
@@ -95,18 +95,6 @@ def test_what_is_left_out_and_why():
     ]
     assert (model.unchecked, model.from_visuals, model.close, model.notes) == ((), (), (), ())
     assert repr(model) == "CollisionModel(Robot('balls', base to hand, 3 joints), 0 boxes, 3 pairs)"
-
-
-def test_a_fixed_joint_beside_the_moving_one_does_not_part_neighbours():
-    more = (
-        LINK.format(name="tool", x=0.35, kind="collision")
-        + '<joint name="f" type="fixed"><parent link="hand"/><child link="tool"/></joint>'
-    )
-    model = CollisionModel.of(robot_of(balls(more=more)))
-    assert "'fore' and 'tool': a joint joins them" in map(str, model.ignored)
-    # 'hand' and 'tool' never move against each other.
-    assert not [pair for pair in model.pairs if set(pair) == {"hand", "tool"}]
-    assert {("base", "tool"), ("upper", "tool")} <= set(model.pairs)
 
 
 def test_links_that_always_touch_are_left_out_and_named():
@@ -266,19 +254,6 @@ def test_boxes_that_cannot_be_meant(box, said):
 def test_a_clearance_that_is_none(clearance):
     with pytest.raises(CalibError, match=r"^The clearance is .*; it must be a number, 0 or more\."):
         CollisionModel.of(robot_of(balls()), clearance=clearance)
-
-
-def test_two_boxes_of_one_name():
-    box = Box("a", (1, 1, 1), at(5, 5, 5))
-    with pytest.raises(CalibError, match="Each box needs a name of its own"):
-        CollisionModel.of(robot_of(balls()), [box, box])
-
-
-def test_joint_values_that_do_not_fit():
-    with pytest.raises(ModelError):
-        ball_model().free([[0.0, 0.0]])
-    with pytest.raises(ModelError):
-        ball_model().free([0.0, 0.0, math.nan])
 
 
 def test_a_path_is_checked_between_its_ends():
@@ -569,6 +544,7 @@ def test_the_ur3_agrees_with_fcl(boxed):
     np.testing.assert_array_equal(free, expected)
 
 
+@pytest.mark.slow
 def test_the_ur3_s_clearance_agrees_with_fcl():
     boxes = surroundings()
     near, touching = (CollisionModel.of(ur3(), boxes, c) for c in (0.01, 0.0))
@@ -578,17 +554,6 @@ def test_the_ur3_s_clearance_agrees_with_fcl():
     expected = np.array([fcl_distance(fcl_objects(row, boxes), near.pairs) for row in q])
     assert 5 < np.count_nonzero(expected > 0.01) < 35
     np.testing.assert_array_equal(near.free(q), expected > 0.01)
-
-
-def test_a_contact_of_the_ur3_is_one_for_fcl():
-    boxes = surroundings()
-    model = CollisionModel.of(ur3(), boxes)
-    q = np.random.default_rng(6).uniform(-np.pi, np.pi, (60, 6))
-    for row, free in zip(q, model.free(q), strict=True):
-        pair = model.first_contact(row)
-        assert (pair is None) == free
-        if pair is not None:
-            assert fcl_touches(fcl_objects(row, boxes), [pair])
 
 
 def test_a_robot_in_memory_and_a_corrected_one_find_their_meshes():

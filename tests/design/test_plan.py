@@ -13,14 +13,12 @@ import trimesh
 
 import calib
 from calib.data import PAPER_TARGET
-from calib.design.forecast import forecast
 from calib.design.plan import Plan, plan
 from calib.design.region import Region
 from calib.errors import CalibError, ModelError
 from calib.measure.cell import Cell, Priors
 from calib.measure.surroundings import Box, Reflector, Tracker
 from calib.model.meshes import find_mesh, link_shapes, mesh_folders
-from calib.model.readback import random_joint_values
 
 TARGET = np.array(PAPER_TARGET)
 DEG = np.pi / 180.0
@@ -207,37 +205,6 @@ def test_sets_targets_and_places(ur3, full):
     assert full.forecast.poses == 15
 
 
-def test_the_forecast_is_that_of_the_poses_to_fit(ur3, full, bare):
-    again = forecast(ur3, BARE, bare.estimation)
-    np.testing.assert_allclose(bare.forecast.parameter_std, again.parameter_std)
-    assert bare.forecast.rms == pytest.approx(again.rms, rel=0.1)
-    assert full.forecast.rank == bare.forecast.rank == 23
-    assert full.forecast.rms < full.at_random.rms
-    numbers = [number for number, _ in full.ladder]
-    assert numbers == sorted(numbers)
-    assert dict(full.ladder)[15] is full.forecast
-
-
-def test_the_same_seed_makes_the_same_plan(ur3, full):
-    again = plan(ur3, FULL, count=15, validation=4, candidates=800, region=REGION, seed=1)
-    assert np.array_equal(again.joints, full.joints)
-    assert again.sets == full.sets
-    other = plan(ur3, BARE, count=15, candidates=800, collisions=False, seed=2, ladder=())
-    assert not np.array_equal(other.joints[:15], full.joints[:15])
-
-
-def test_the_order_begins_where_the_robot_stands(ur3, bare):
-    """The poses are the same, in another order, and each keeps its set."""
-    start = bare.joints[-1]
-    there = plan(
-        ur3, BARE, count=15, validation=4, candidates=800, collisions=False, start=start, ladder=()
-    )
-    assert np.array_equal(there.joints[0], start)
-    assert np.array_equal(np.unique(there.joints, axis=0), np.unique(bare.joints, axis=0))
-    pairs = dict(zip(map(bytes, bare.joints), bare.sets, strict=True))
-    assert all(pairs[bytes(q)] == s for q, s in zip(there.joints, there.sets, strict=True))
-
-
 def test_poses_are_added_to_those_taken(ur3, bare):
     more = plan(
         ur3,
@@ -289,24 +256,6 @@ def test_several_targets_are_all_in_sight(ur3):
     assert (distance <= 2.5).all()
 
 
-def test_progress_tells_of_candidates_and_choice(ur3):
-    told = []
-    plan(
-        ur3,
-        BARE,
-        count=10,
-        candidates=200,
-        collisions=False,
-        ladder=(),
-        progress=lambda what, done, every: told.append((what, done, every)),
-    )
-    for what in ("candidates", "choice"):
-        parts = [(done, every) for name, done, every in told if name == what]
-        assert parts
-        assert parts[-1][0] == parts[-1][1]
-        assert [done for done, _ in parts] == sorted(done for done, _ in parts)
-
-
 # Refusals
 
 
@@ -354,10 +303,3 @@ def test_a_reflector_that_is_not_looked_at_is_said(ur3, full, bare):
     said = "The reflector's direction was not looked at: nothing says where the tracker stands (--tracker)."
     assert said in aimless.notes
     assert said not in (*full.notes, *bare.notes)
-
-
-def test_taken_poses_that_are_none_are_refused(ur3):
-    taken = random_joint_values(ur3, 3)
-    taken[1, 2] = np.nan
-    with pytest.raises(ModelError, match="that of 'elbow_joint' in row 2 is nan"):
-        plan(ur3, BARE, count=12, candidates=300, collisions=False, taken=taken)

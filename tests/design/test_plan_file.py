@@ -17,7 +17,7 @@ from calib.design.plan_file import (
     write_plan,
 )
 from calib.design.route import Blocked
-from calib.errors import FileError, MeasurementError
+from calib.errors import MeasurementError
 from calib.identify.result_file import write_table
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
@@ -70,23 +70,6 @@ def test_a_plan_is_a_table_to_fill_in(planned, ur3, tmp_path):
     np.testing.assert_allclose(table.joints, planned.joints, rtol=1e-15, atol=1e-16)
     np.testing.assert_allclose(table.points, planned.expected[:, 0] + 1e-5, rtol=1e-12)
     assert (table.sets, table.ignored, table.unmeasured) == (planned.sets, (), ())
-
-
-def test_joint_values_have_three_digits(planned, ur3, tmp_path):
-    _, rows = cells(write_plan(planned, tmp_path / "plan.csv"))
-    assert all(re.fullmatch(r"-?\d+\.\d{3}", cell) for row in rows for cell in row[3:9])
-    expected = np.array([[float(cell) for cell in row[12:]] for row in rows])
-    seen = ur3.poses(planned.joints) @ np.array([0.05, 0.07, 0.03, 1.0])
-    np.testing.assert_allclose(expected, 1e3 * seen[:, :3], atol=5.1e-4)
-    # Values of other origin keep all of their digits.
-    odd = replace(planned, joints=planned.joints + 1e-7)
-    path = write_plan(odd, tmp_path / "odd.csv")
-    np.testing.assert_allclose(
-        read_taken(path, ur3).joints,
-        odd.joints[np.array(odd.sets) == "estimate"],
-        rtol=1e-14,
-        atol=1e-16,
-    )
 
 
 def test_half_a_plan_and_a_list_of_points(planned, ur3, tmp_path):
@@ -172,16 +155,6 @@ def test_a_joint_that_slides_is_in_mm(tmp_path, serial_urdf):
     np.testing.assert_allclose(read_taken(path, robot).joints, made.joints, rtol=1e-14, atol=1e-16)
 
 
-def test_a_plan_that_is_there_is_kept(planned, tmp_path):
-    path = tmp_path / "plan.csv"
-    path.write_text("mine", encoding="utf-8")
-    with pytest.raises(FileError, match="exists already"):
-        write_plan(planned, path)
-    assert path.read_text(encoding="utf-8") == "mine"
-    write_plan(planned, path, overwrite=True)
-    assert len(cells(path)[1]) == 18
-
-
 # Poses that were taken
 
 
@@ -236,12 +209,6 @@ def test_tables_of_every_kind_count(table, arm):
     mapped = table("J [deg],X", "1,", "2,300")
     columns = {"J": "j1", "X": "x [mm]"}
     assert degrees(read_taken(mapped, arm, columns)) == [2.0]
-
-
-def test_a_pose_with_several_targets_counts_once_and_one_that_is_repeated_again(table, arm):
-    rows = ("a,1,1,2,300", "b,1,1,2,300", "a,2,1,2,300", "a,2,1,2,300", "b,1,1,2,300")
-    taken = read_taken(table("target,j1 [deg],x [mm],y [mm],z [mm]", *rows), arm)
-    assert degrees(taken) == [1.0, 2.0, 2.0, 1.0]
 
 
 @pytest.mark.parametrize(

@@ -83,24 +83,6 @@ def test_depth_agrees_with_every_voxel_asked(seed, boxed):
     np.testing.assert_array_equal(region.contains(points)[sure], expected[sure] > 0)
 
 
-def test_many_points_are_asked_in_pieces(monkeypatch):
-    points = np.random.default_rng(0).uniform(0.5, 3.5, (500, 3))
-    whole = ELL.depth(points)
-    monkeypatch.setattr("calib.design.region._CHUNK", 50)
-    np.testing.assert_array_equal(ELL.depth(points), whole)
-
-
-def test_a_region_cannot_be_written_to():
-    with pytest.raises(ValueError, match="read-only"):
-        ELL.cells[0, 0, 0] = False
-    with pytest.raises(ValueError, match="read-only"):
-        ELL.origin[0] = 0.0
-    mine = CELLS.copy()
-    region = Region(np.zeros(3), 0.1, mine, 0.5, 0.6)
-    mine[:] = False
-    assert region.cells.sum() == 4
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -137,10 +119,3 @@ def test_boxes_that_leave_nothing_are_refused(box, said):
     if "empty" in said:
         with pytest.raises(CalibError, match="The region is empty"):
             ELL.within([[0, 0, 0], [1.2, 9, 9]]).within([[1.25, 0, 0], [9, 9, 9]])
-
-
-@pytest.mark.parametrize("points", [[0, 0, 0], [[0, 0]], [[0, 0, np.nan]]])
-def test_points_of_another_shape_are_refused(points):
-    for ask in (ELL.contains, ELL.depth):
-        with pytest.raises(CalibError, match=r"finite numbers of shape \(N, 3\) are wanted"):
-            ask(points)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 
 import numpy as np
 import pytest
@@ -67,21 +66,6 @@ def test_runs_begin_with_those_outside(tmp_path, first):
     again = RegionFile.read(path)
     np.testing.assert_array_equal(again.region.cells, cells)
     assert again.prismatic == ("j",)
-
-
-def test_the_file_is_read_by_hand_in_four_lines(stored, path):
-    """As docs/workspace.md says."""
-    file = json.loads(path.read_text(encoding="utf-8"))
-    runs = file["runs"]
-    cells = np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(file["shape"])
-    np.testing.assert_array_equal(cells, stored.region.cells)
-
-
-def test_a_file_that_exists_is_kept(stored, path):
-    before = path.read_bytes()
-    with pytest.raises(FileError, match="exists already"):
-        stored.write(path)
-    assert path.read_bytes() == before
 
 
 # Whose region it is.
@@ -183,18 +167,3 @@ def test_each_key_is_checked(path, key, value, said):
     assert str(error.value).startswith(f"{path}: the region is damaged: ")
     assert str(error.value).endswith("Write it again with 'calib workspace -o'.")
     assert "\n" not in str(error.value)
-
-
-def test_a_number_that_is_none_is_no_json(path):
-    table = json.loads(path.read_text()) | {"volume_m3": math.nan}
-    path.write_text(json.dumps(table))
-    with pytest.raises(FileError, match="it holds NaN; write the number, or null"):
-        RegionFile.read(path)
-
-
-def test_all_voxels_outside_is_refused(path):
-    table = json.loads(path.read_text())
-    table["runs"] = [sum(table["runs"])]
-    path.write_text(json.dumps(table))
-    with pytest.raises(FileError, match="The region is empty: no voxel"):
-        RegionFile.read(path)

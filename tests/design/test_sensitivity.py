@@ -21,7 +21,6 @@ from calib.measure.noise import TrackerNoise
 from calib.measure.surroundings import Tracker
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.readback import random_joint_values, spread_poses
-from calib.model.robot import Robot
 from calib.model.torques import Payload, gravity_load
 
 TARGET = np.array([0.05, -0.06, 0.04])
@@ -243,15 +242,6 @@ def test_precision_is_that_of_each_parameters_prior(ur3):
     assert not s.precision.flags.writeable
 
 
-def test_priors_that_are_off_leave_those_of_single_parameters(ur3):
-    cell = Cell(
-        target=TARGET, model="dh", priors=Priors(sizes="off"), parameter_priors={"a2": 1e-4}
-    )
-    s = Sensitivity.of(ur3, cell)
-    assert s.precision[s.names.index("a2")] == pytest.approx(1e8)
-    assert np.count_nonzero(s.precision) == 1
-
-
 # Ranks
 
 
@@ -264,33 +254,6 @@ def test_the_rank_over_the_joint_limits_is_that_of_inspect(ur3, name):
     assert found.workspace_rank == expected.rank
     for index, value in expected.indices.items():
         assert found.indices[index] == pytest.approx(value, rel=1e-6)
-
-
-@pytest.mark.parametrize("name", ["two targets", "two targets' distances"])
-def test_the_rank_of_two_targets_is_that_of_inspect_with_a_table(ur3, name):
-    cell, q = CELLS[name], spread_poses(ur3)
-    sensitivity = Sensitivity.of(ur3, cell)
-    points = sensitivity.expected(q).reshape(-1, 3)
-    table = Measurements(
-        ur3.joint_names,
-        np.repeat(q, 2, axis=0),
-        points,
-        kinds=(sensitivity.kind,) * len(points),
-        targets=("one", "two") * len(q),
-        groups=sensitivity.setup.groups * len(points),
-        distances=np.linalg.norm(points, axis=1),
-    )
-    found, expected = forecast(ur3, cell, q), inspect(ur3, cell, table).observability
-    assert (found.rank, found.columns) == (expected.rank, expected.columns)
-    assert found.workspace_rank == expected.rank
-    for index, value in expected.indices.items():
-        assert found.indices[index] == pytest.approx(value, rel=1e-4)
-
-
-def test_the_noise_of_orientations_is_told_where_it_was_assumed(ur3):
-    (note,) = Sensitivity.of(ur3, Cell(target=TARGET, kind="pose")).notes
-    assert note.startswith("The noise of an orientation was taken to be 1 mrad about each axis.")
-    assert Sensitivity.of(ur3, Cell(target=TARGET, kind="pose", sigma_angle=1e-4)).notes == ()
 
 
 def test_targets_of_one_stop_share_the_robots_repeatability(ur3):
@@ -380,6 +343,7 @@ def test_the_forecast_is_what_a_calibration_then_says_of_itself(ur3, name):
     assert f.sigma == pytest.approx(SIGMA)
 
 
+@pytest.mark.slow
 def test_the_error_that_calibrations_leave_is_the_one_foreseen(ur3):
     """Twenty tables of a robot, fitted with the noise that they have: rms over unseen poses."""
     cell = Cell(target=TARGET, model="hayati", sigma=SIGMA, priors=Priors(sizes="off"))
@@ -400,20 +364,6 @@ def test_the_error_that_calibrations_leave_is_the_one_foreseen(ur3):
     assert f.rms == pytest.approx(np.sqrt(np.mean(np.square(left))), rel=0.12)
     # Of 20 with a chance of 90 % each: fewer than 15 in one case of 50.
     assert np.sum((np.array(left) > f.rms_low) & (np.array(left) < f.rms_high)) >= 15
-
-
-def test_accuracy_is_foreseen_over_the_ranges_given(ur3):
-    cell = Cell(target=TARGET, model="dh", sigma=SIGMA, priors=Priors(sizes="off"))
-    here = np.clip(random_joint_values(ur3, 40, 5), -0.5, 0.5)
-    near = replace(cell, ranges=dict.fromkeys(ur3.joint_names, (-0.5, 0.5)))
-    assert forecast(ur3, near, here).rms < 0.7 * forecast(ur3, cell, here).rms
-    # A margin to the limits takes a little of the workspace.
-    assert forecast(ur3, cell, here, margin=1.5).rms != forecast(ur3, cell, here).rms
-
-
-def test_a_single_pose_can_be_foreseen(ur3):
-    f = forecast(ur3, CELLS["a known frame"], np.zeros(6))
-    assert (f.poses, f.rank) == (1, 3)
 
 
 # Refusals
@@ -454,13 +404,3 @@ def test_no_poses_are_refused(ur3):
 def test_joint_values_that_are_none_are_refused(ur3, joints, words):
     with pytest.raises(ModelError, match=words):
         forecast(ur3, Cell(), joints)
-
-
-def test_the_joints_of_a_prismatic_robot_are_foreseen_too(serial_urdf):
-    kinds = ("revolute", "prismatic", "revolute")
-    axes = ((0, 0, 1), (1, 0, 0), (0, 1, 0))
-    joints = [(k, (0, 0.1, 0.3), (0.2, 0, 0), a) for k, a in zip(kinds, axes, strict=True)]
-    robot = Robot.from_urdf(serial_urdf(joints))
-    f = forecast(robot, Cell(target=TARGET, model="zeros", sigma=SIGMA), random_joint_values(robot))
-    assert f.rank >= 5
-    assert 0.0 < f.rms < SIGMA * 2.0
