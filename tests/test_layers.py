@@ -63,6 +63,8 @@ def imports(tree: ast.Module) -> Iterator[str]:
                 for alias in node.names:
                     inner = f"{node.module}.{alias.name}"
                     yield inner if inner in TREES else str(node.module)
+                    if node.module == "calib":
+                        yield "calib"  # and with it, by name, everything that it hands out
 
 
 GRAPH = {name: set(imports(tree)) for name, tree in TREES.items()}

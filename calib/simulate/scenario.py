@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from calib import kinds
+import calib.kinds as registry
 from calib.errors import CalibError, ModelError, choices
 from calib.kinds import Kind
 from calib.measure.cell import Cell
@@ -84,7 +84,7 @@ class Scenario:
     def __post_init__(self) -> None:
         """Refuse a kind that cannot be simulated, and numbers that are none."""
         if self.kind.measure is None:
-            free = [name for name in kinds.names() if kinds.get(name).measure is not None]
+            free = [name for name in registry.names() if registry.get(name).measure is not None]
             message = (
                 f"Measurements of the kind '{self.kind.name}' cannot be simulated: their poses would have to hold the "
                 f"target in a socket or on a plane. Choose one of {choices(free)}."
@@ -101,7 +101,7 @@ class Scenario:
     @property
     def kind(self) -> Kind:
         """What is measured: the cell's kind, or points."""
-        return kinds.get(self.cell.kind or "point")
+        return registry.get(self.cell.kind or "point")
 
     @property
     def tracker(self) -> Array | None:

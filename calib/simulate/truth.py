@@ -17,7 +17,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from calib import kinds
+import calib.kinds as registry
 from calib.errors import CalibError, ModelError, choices, did_you_mean
 from calib.families import FAMILIES, family_of, unit_of
 from calib.measure.cell import Cell
@@ -338,7 +338,7 @@ def _geometry_of(nominal: Robot, true: Robot) -> dict[str, float]:
 def _frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
     """The set-ups by name, and the true pose of the base in each: as given, drawn, or the base itself."""
     groups = tuple(cell.frames) or ("",)
-    drawn = cell.estimate_frame or (cell.kind is not None and kinds.get(cell.kind).own_frame)
+    drawn = cell.estimate_frame or (cell.kind is not None and registry.get(cell.kind).own_frame)
     rng = stream(seed, "frames")
     frames = []
     for group in groups:
