@@ -128,7 +128,7 @@ def parse_ranges(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
     Raises:
         CalibError: Words of another form, a joint twice, or a low end that is not below the high one.
     """
-    from calib.measure.surroundings_file import checked_range
+    from calib.measure.quantities import parse_joint_range
 
     ranges: dict[str, tuple[float, float]] = {}
     for text in texts:
@@ -141,7 +141,7 @@ def parse_ranges(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
             )
             raise CalibError(message)
         low, high = f"{match[1]} {match[2] or match[4]}", f"{match[3]} {match[4]}"
-        pair = checked_range(low, high, f'--range "{text}"')
+        pair = parse_joint_range((low, high), f'--range "{text}"')
         if not pair[0] < pair[1]:
             message = (
                 f'--range was given as "{text}", where {low} is not less than {high}. Give the least value first; hold '

@@ -7,7 +7,7 @@ docs/cell.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -119,29 +119,32 @@ class Cell:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=_none)
 
     def __post_init__(self) -> None:
-        """Check kinds, shapes and numbers; keep read-only copies."""
-        for name, kind in (
-            ("estimate_target", bool),
-            ("estimate_frame", bool),
-            ("priors", Priors),
-            ("model", str),
-            ("payload", (Payload, type(None))),
-            ("kind", (str, type(None))),
-            ("base", (str, type(None))),
-            ("tip", (str, type(None))),
-            ("tracker", (Tracker, type(None))),
-            ("reflector", (Reflector, type(None))),
-        ):
-            if not isinstance(getattr(self, name), kind):
-                wanted = kind[0] if isinstance(kind, tuple) else kind
-                message = f"A cell's {name} must be of type {wanted.__name__}; {getattr(self, name)!r} was given."
+        """Check each value, and what belongs together; keep read-only copies."""
+        for name, kind in _TYPES.items():
+            value = getattr(self, name)
+            if not isinstance(value, kind) and (value is not None or name not in _OPTIONAL):
+                message = f"A cell's {name} must be of type {kind.__name__}; {value!r} was given."
                 raise CalibError(message)
-        for name, value in (
-            *_places(self).items(),
-            *_numbers(self).items(),
-            *_parameters(self).items(),
-        ):
-            object.__setattr__(self, name, value)
+        for name, check in _CHECKS.items():
+            value = getattr(self, name)
+            if value is not None or name not in _OPTIONAL:
+                object.__setattr__(self, name, check(value))
+        if self.target is None and not self.targets and not self.estimate_target:
+            message = (
+                'The target is said to be known but is not given. Give it (--target "x y z mm", or target_mm in the '
+                "cell file) or let it be estimated."
+            )
+            raise CalibError(message)
+        for name, (other, _) in self.ties.items():
+            if name in self.frozen:
+                message = f"'{name}' is both frozen and tied to '{other}'; choose one."
+                raise CalibError(message)
+            for what, given in (("bounds", self.bounds), ("a prior", self.parameter_priors)):
+                if name in given:
+                    message = (
+                        f"'{name}' has {what} and is tied to '{other}'; give {what} to that one."
+                    )
+                    raise CalibError(message)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process and back: read-only mappings travel as dicts, and are checked again there."""
@@ -174,104 +177,98 @@ def _cell(values: dict[str, Any]) -> Cell:
     return Cell(**values)
 
 
-def _places(cell: Cell) -> dict[str, Any]:
-    """Targets and frames, checked."""
-    target, frame, turned = cell.target, cell.T_frame_base, cell.target_rotation
-    targets, frames = parts.by_name(cell.targets, "targets"), parts.by_name(cell.frames, "frames")
-    if target is None and not targets and not cell.estimate_target:
+def _sigma(value: Any, what: str, unit: str) -> float:  # noqa: ANN401
+    """A standard deviation that some instrument has."""
+    if not parts.is_positive(value) or not SIGMAS[0] <= value <= SIGMAS[1]:
         message = (
-            'The target is said to be known but is not given. Give it (--target "x y z mm", or target_mm in the '
-            "cell file) or let it be estimated."
+            f"The noise {what} is {value!r} {unit}; it must be a positive number, from {SIGMAS[0]:g} to {SIGMAS[1]:g} "
+            f"{unit}. Leave it out: it is found from the data."
         )
         raise CalibError(message)
-    directions = parts.words(cell.frame_directions, "frame's directions")
-    wrong = [d for d in directions if d not in DIRECTIONS or directions.count(d) > 1]
-    if wrong or not directions:
-        given = f"{choices(dict.fromkeys(wrong))} was given" if wrong else "none was given"
-        message = f"The frame's directions are some of {choices(DIRECTIONS)}, each once; {given}."
+    return float(value)
+
+
+def _directions(value: Any) -> tuple[str, ...]:  # noqa: ANN401
+    """Some of the directions of a frame, in their order."""
+    given = parts.words(value, "frame's directions")
+    wrong = [d for d in given if d not in DIRECTIONS or given.count(d) > 1]
+    if wrong or not given:
+        said = f"{choices(dict.fromkeys(wrong))} was given" if wrong else "none was given"
+        message = f"The frame's directions are some of {choices(DIRECTIONS)}, each once; {said}."
         raise CalibError(message)
-    return {
-        "target": None if target is None else parts.vector(target, "target"),
-        "T_frame_base": None if frame is None else parts.pose(frame, "T_frame_base"),
-        "target_rotation": (
-            None if turned is None else parts.rotation(turned, "target's orientation")
-        ),
-        "targets": MappingProxyType(
-            {k: parts.vector(v, f"target '{k}'") for k, v in targets.items()}
-        ),
-        "frames": MappingProxyType(
-            {k: parts.pose(v, f"The frame of '{k}'") for k, v in frames.items()}
-        ),
-        "frame_directions": tuple(d for d in DIRECTIONS if d in directions),
-    }
+    return tuple(d for d in DIRECTIONS if d in given)
 
 
-def _as_float(value: float) -> float:
-    """A float; one that knows its unit keeps it."""
+def _repeats(value: Any) -> str:  # noqa: ANN401
+    """One of `REPEATS`."""
+    if value not in REPEATS:
+        message = f"Repeats were asked for as {value!r}; choose one of {choices(REPEATS)}."
+        raise CalibError(message)
+    return str(value)
+
+
+def _distances(value: Any) -> tuple[GroupDistance, ...]:  # noqa: ANN401
+    """Known distances."""
+    if not isinstance(value, (tuple, list)) or not all(isinstance(d, GroupDistance) for d in value):
+        message = f"The distances are a tuple of GroupDistance; {value!r} was given."
+        raise CalibError(message)
+    return tuple(value)
+
+
+def _held(value: Any, what: str) -> float:  # noqa: ANN401
+    """The value of a joint; one that knows its unit keeps it."""
+    if not parts.is_number(value) or abs(value) > FARTHEST:
+        message = f"{what} is {value!r}; it must be a number [rad] or [m], not beyond {FARTHEST:g}."
+        raise CalibError(message)
     return value if isinstance(value, float) else float(value)
 
 
-def _numbers(cell: Cell) -> dict[str, Any]:
-    """Noise, kind, gravity, distances, repeats, held joints, boxes and ranges, checked."""
-    for name, what, unit in (("sigma", "sigma", "m"), ("sigma_angle", "sigma of angles", "rad")):
-        value = getattr(cell, name)
-        if value is not None and not parts.is_positive(value):
-            message = f"The noise {what} is {value} {unit}; it must be a positive number."
-            raise CalibError(message)
-        if value is not None and not SIGMAS[0] <= value <= SIGMAS[1]:
-            message = (
-                f"The noise {what} is {value:g} {unit}; no instrument has one below {SIGMAS[0]:g} or above "
-                f"{SIGMAS[1]:g} {unit}. Leave it out: it is found from the data."
-            )
-            raise CalibError(message)
-    if cell.kind is not None:
-        registry.get(cell.kind)
-    if cell.repeats not in REPEATS:
-        message = f"Repeats were asked for as {cell.repeats!r}; choose one of {choices(REPEATS)}."
+def _prior(value: Any, what: str) -> float:  # noqa: ANN401
+    """The standard deviation of a parameter."""
+    if not parts.is_positive(value):
+        message = f"{what} is {value!r}; it must be a positive number. Freeze it to keep it."
         raise CalibError(message)
-    distances = cell.distances
-    if not isinstance(distances, (tuple, list)) or not all(
-        isinstance(d, GroupDistance) for d in distances
-    ):
-        message = f"The distances are a tuple of GroupDistance; {distances!r} was given."
-        raise CalibError(message)
-    held = parts.by_name(cell.held, "held joints")
-    for name, value in held.items():
-        if not parts.is_number(value):
-            message = (
-                f"The joint '{name}' is held at {value!r}; it must be a finite number, in rad or m."
-            )
-            raise CalibError(message)
-        if abs(value) > FARTHEST:
-            message = f"The joint '{name}' is held at {value:g} rad or m; no robot gets beyond {FARTHEST:g}."
-            raise CalibError(message)
-    return {
-        "gravity": parts.vector(cell.gravity, "gravity", "m/s^2"),
-        "distances": tuple(distances),
-        "held": MappingProxyType({name: _as_float(value) for name, value in held.items()}),
-        "boxes": checked_boxes(cell.boxes),
-        "ranges": checked_ranges(cell.ranges),
-    }
+    parts.check_prior(value, what)
+    return float(value)
 
 
-def _parameters(cell: Cell) -> dict[str, Any]:
-    """What is said of single parameters, checked."""
-    frozen = parts.words(cell.frozen, "frozen parameters")
-    ties, bounds = parts.ties(cell.ties, frozen), parts.bounds(cell.bounds)
-    priors = parts.by_name(cell.parameter_priors, "priors of single parameters")
-    for name, value in priors.items():
-        if not parts.is_positive(value):
-            message = f"The prior of '{name}' is {value!r}; it must be a positive number. Freeze it to keep it."
-            raise CalibError(message)
-        parts.check_prior(value, f"The prior of '{name}'")
-    for name in ties:
-        for what, given in (("bounds", bounds), ("a prior", priors)):
-            if name in given:
-                message = f"'{name}' has {what} and is tied to '{ties[name][0]}'; give {what} to that one."
-                raise CalibError(message)
-    return {
-        "frozen": frozen,
-        "ties": ties,
-        "bounds": bounds,
-        "parameter_priors": MappingProxyType({k: float(v) for k, v in priors.items()}),
-    }
+#: What may be left out.
+_OPTIONAL = (
+    *("target", "T_frame_base", "sigma", "target_rotation", "sigma_angle", "payload", "tracker"),
+    *("reflector", "kind", "base", "tip"),
+)
+
+#: The types of the attributes that need no other check.
+_TYPES: Mapping[str, type] = {
+    **dict.fromkeys(("model", "kind", "base", "tip"), str),
+    **dict.fromkeys(("estimate_target", "estimate_frame"), bool),
+    "priors": Priors,
+    "payload": Payload,
+    "tracker": Tracker,
+    "reflector": Reflector,
+}
+
+#: The check of each other attribute, which gives the value that is kept.
+_CHECKS: Mapping[str, Callable[[Any], Any]] = {
+    "target": lambda v: parts.vector(v, "target"),
+    "T_frame_base": lambda v: parts.pose(v, "T_frame_base"),
+    "sigma": lambda v: _sigma(v, "sigma", "m"),
+    "frozen": lambda v: parts.words(v, "frozen parameters"),
+    "targets": lambda v: parts.each(v, "targets", parts.vector, "target '{}'"),
+    "target_rotation": lambda v: parts.rotation(v, "target's orientation"),
+    "frames": lambda v: parts.each(v, "frames", parts.pose, "The frame of '{}'"),
+    "frame_directions": _directions,
+    "sigma_angle": lambda v: _sigma(v, "sigma of angles", "rad"),
+    "kind": lambda v: registry.get(v).name,
+    "ties": parts.ties,
+    "bounds": parts.bounds,
+    "parameter_priors": lambda v: parts.each(
+        v, "priors of single parameters", _prior, "The prior of '{}'"
+    ),
+    "gravity": lambda v: parts.vector(v, "gravity", "m/s^2"),
+    "distances": _distances,
+    "repeats": _repeats,
+    "held": lambda v: parts.each(v, "held joints", _held, "The value of the held joint '{}'"),
+    "boxes": checked_boxes,
+    "ranges": checked_ranges,
+}

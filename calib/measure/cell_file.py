@@ -2,39 +2,45 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from calib.errors import CalibError, FileError, choices
-from calib.families import FAMILIES, Unit
-from calib.measure import surroundings_file
+from calib.errors import CalibError, FileError
+from calib.families import FAMILIES
 from calib.measure.cell_parts import GroupDistance, Priors, is_number
-from calib.measure.cell_values import (
-    NAME,
-    POSITIVE,
-    TABLE,
-    TABLES,
-    THREE,
-    fits,
-    metres,
+from calib.measure.forms import (
+    DEGREES,
+    NAMES,
+    ROLL_PITCH_YAW,
+    TEXT,
+    Field,
+    Form,
+    form,
+    is_names,
+    named,
+    number,
+    one_of,
     pose,
-    rotation,
+    read_fields,
+    table,
+    tables,
+    three,
 )
+from calib.measure.noise import TrackerNoise, parse_noise
 from calib.measure.quantities import (
     ANGLE,
     COMPLIANCE,
     LENGTH,
     NUMBER,
+    parse_joint_range,
     parse_joint_value,
     parse_quantity,
 )
+from calib.measure.surroundings import Box, Reflector, Tracker
 from calib.model.files import read_bytes
 from calib.model.torques import Payload
 
@@ -42,57 +48,6 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
-
-# Dots in a line; the time that keys with dots take grows with the square of their number.
-_MOST_DOTS = 1000
-
-#: The keys of a cell file, each with what its value must be.
-KEYS: dict[str, str] = {
-    "base": NAME,
-    "tip": NAME,
-    "model": NAME,
-    "kind": NAME,
-    "repeats": "'weighted', 'average' or 'independent'",
-    "freeze": "a list of names",
-    "target": "'known' or 'estimate'",
-    "target_mm": THREE,
-    "target_rpy_deg": THREE,
-    "frame": '\'known\', \'estimate\' or a list of directions such as ["x", "y", "rz"]',
-    "frame_xyz_mm": THREE,
-    "frame_rpy_deg": THREE,
-    "sigma_mm": POSITIVE,
-    "sigma_angle_deg": POSITIVE,
-    "priors": "'data', 'given' or 'off'",
-    "gravity_m_per_s2": THREE,
-    "targets_mm": TABLE,
-    "frames": TABLE,
-    "ties": TABLE,
-    "bounds": TABLE,
-    "parameter_priors": TABLE,
-    "payload": TABLE,
-    "held": TABLE,
-    "distances": f"{TABLES}[[distances]]",
-    "tracker": TABLE,
-    "reflector": TABLE,
-    "boxes": f"{TABLES}[[boxes]]",
-    "ranges": TABLE,
-}
-
-#: The keys of the tables whose keys are not names that the user chose; those marked with True must be there.
-_INNER: dict[str, dict[str, tuple[str, bool]]] = {
-    "frames": {"xyz_mm": (THREE, False), "rpy_deg": (THREE, False)},
-    "payload": {"mass_kg": ("a number", True), "com_mm": (THREE, False)},
-    "distances": {
-        "first": (NAME, True),
-        "second": (NAME, True),
-        "length_mm": (POSITIVE, True),
-        "sigma_mm": (POSITIVE, True),
-    },
-    **surroundings_file.INNER,
-}
-
-#: The tables with keys of their own, and lists of such tables.
-_SINGLE, _LISTED = ("payload", "tracker", "reflector"), ("distances", "boxes")
 
 _EXAMPLES = {LENGTH: '"0.5 mm"', ANGLE: '"1 mrad"', NUMBER: "1e-3", COMPLIANCE: '"1e-5 rad/Nm"'}
 
@@ -104,27 +59,202 @@ _PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 
 
-def keys() -> dict[str, str]:
-    """Every key of a cell file and what its value must be: `KEYS`, and the size of the prior of each family."""
-    return KEYS | dict.fromkeys(_prior_keys(), POSITIVE)
+def _change(value: Any, where: str) -> float:  # noqa: ANN401  TOML values are of any kind
+    """The change of a parameter in SI units; its name, which ``where`` begins with, tells what it can be."""
+    name = where[1 : where.rindex("' in [")]
+    allowed = next((kinds for pattern, kinds in _PARAMETERS if re.fullmatch(pattern, name)), ())
+    suffix = name.rpartition(".")[2]
+    allowed = allowed or tuple(
+        {
+            unit.quantity: None
+            for row in FAMILIES.values()
+            for unit in (row.unit, row.sliding)
+            if unit is not None and suffix in [factor.name for factor in row.factors]
+        }
+    )
+    examples = " or ".join(_EXAMPLES[kind] for kind in (allowed or _EXAMPLES))
+    try:
+        change, kind = parse_quantity(value)
+    except CalibError as error:
+        message = f"{where}: {error}. Write {examples}."
+        raise CalibError(message) from error
+    if kind not in (allowed or _EXAMPLES):
+        message = f"{where} is {value!r}, which is {kind}; write {examples}."
+        raise CalibError(message)
+    return change
 
 
-def _prior_keys() -> dict[str, tuple[str, float]]:
-    """The keys of the sizes of priors, such as ``prior_length_mm``: the family, and one of the key's unit in SI."""
-    return {
-        f"prior_{name}{row.unit.cell[0]}": (name, row.unit.cell[1])
-        for name, row in FAMILIES.items()
-    }
+def _bounds(value: Any, where: str) -> tuple[float, float]:  # noqa: ANN401
+    """The least and the largest change of a parameter; one value is both ways."""
+    if not isinstance(value, list):
+        high = _change(value, where)
+        return -high, high
+    if len(value) != 2:
+        message = f"{where} is {value!r}; it must be one value, or the least and the largest."
+        raise CalibError(message)
+    return _change(value[0], where), _change(value[1], where)
 
 
-def _units_of_joint_error(suffix: str) -> list[Unit]:
-    """The units that ``<joint>.<suffix>`` may have, at a joint that turns and one that slides; none if no family's."""
-    return [
-        unit
-        for row in FAMILIES.values()
-        for unit in (row.unit, row.sliding)
-        if unit is not None and suffix in [factor.name for factor in row.factors]
-    ]
+def _is_tie(value: object) -> bool:
+    """Whether a value says which parameter another one follows."""
+    if isinstance(value, str):
+        return True
+    pair = value if isinstance(value, list) and len(value) == 2 else (None, None)
+    return isinstance(pair[0], str) and is_number(pair[1])
+
+
+_TIE = form(
+    'another parameter\'s name, or that and a factor, ["a2", -1]',
+    _is_tie,
+    lambda value: (value, 1.0) if isinstance(value, str) else (value[0], float(value[1])),
+)
+
+_FRAME = form(
+    '\'known\', \'estimate\' or a list of directions such as ["x", "y", "rz"]',
+    lambda value: value in ("known", "estimate") or is_names(value),
+)
+
+
+def _payload(mass: float, com: Any = (0.0, 0.0, 0.0)) -> Payload:  # noqa: ANN401
+    """What the tip carries."""
+    return Payload(mass=float(mass), com=com)
+
+
+def _noise(value: Any, where: str) -> TrackerNoise:  # noqa: ANN401
+    """The noise of a tracker, with the usual repeatability of a robot."""
+    return parse_noise(_NOISE.read(value, where), where, TrackerNoise().repeatability)
+
+
+_NOISE = form('a text such as "15 um + 6 um/m"', lambda value: isinstance(value, str))
+
+
+def _tracker(
+    noise: TrackerNoise | None = None,
+    repeatability: float | None = None,
+    **given: Any,  # noqa: ANN401
+) -> Tracker:
+    """Where the instrument stands, how far it sees and how well it measures."""
+    found = noise or TrackerNoise()
+    if repeatability is not None:
+        found = replace(found, repeatability=repeatability)
+    return Tracker(noise=found, **given)
+
+
+def _box(name: str, size: Any, xyz: Any, rotation: Any = None) -> Box:  # noqa: ANN401
+    """A box that the robot must not touch."""
+    return Box(name, size, pose(xyz, rotation))
+
+
+_POSE = {"xyz_mm": Field("xyz", three(1e3)), "rpy_deg": Field("rotation", ROLL_PITCH_YAW)}
+_MM, _POINT = number(1e3), three(1e3)
+
+
+def _named_frame(value: Any, where: str) -> Any:  # noqa: ANN401
+    """The pose of the base in the frame of a group, a table ``[frames.name]``."""
+    name = where[1 : where.rindex("' in [")]
+    if not isinstance(value, dict):
+        message = f"{where} is {value!r}; write a table [frames.{name}] with xyz_mm and rpy_deg."
+        raise CalibError(message)
+    return pose(**read_fields(value, _POSE, f"[frames.{name}]"))
+
+
+#: The keys of a cell file: the attribute of a cell that each gives, what its value must be, and how it is read.
+FIELDS: dict[str, Field] = {
+    "base": Field("base", TEXT),
+    "tip": Field("tip", TEXT),
+    "model": Field("model", TEXT),
+    "kind": Field("kind", TEXT),
+    "repeats": Field("repeats", one_of("weighted", "average", "independent")),
+    "freeze": Field("frozen", NAMES),
+    "target": Field("estimate_target", one_of("known", "estimate")),
+    "target_mm": Field("target", _POINT),
+    "target_rpy_deg": Field("target_rotation", ROLL_PITCH_YAW),
+    "frame": Field("frame", _FRAME),
+    "frame_xyz_mm": Field("xyz", _POINT),
+    "frame_rpy_deg": Field("rotation", ROLL_PITCH_YAW),
+    "sigma_mm": Field("sigma", _MM),
+    "sigma_angle_deg": Field("sigma_angle", DEGREES),
+    "priors": Field("sizes", one_of("data", "given", "off")),
+    "gravity_m_per_s2": Field("gravity", three()),
+    "targets_mm": Field("targets", named(_POINT.read, "targets_mm")),
+    "frames": Field("frames", named(_named_frame, "frames")),
+    "ties": Field("ties", named(_TIE.read, "ties")),
+    "bounds": Field("bounds", named(_bounds, "bounds")),
+    "parameter_priors": Field("parameter_priors", named(_change, "parameter_priors")),
+    "payload": Field(
+        "payload",
+        table(
+            "payload",
+            {"mass_kg": Field("mass", number(), needed=True), "com_mm": Field("com", _POINT)},
+            _payload,
+        ),
+    ),
+    "held": Field("held", named(parse_joint_value, "held")),
+    "distances": Field(
+        "distances",
+        tables(
+            "distances",
+            {
+                "first": Field("first", TEXT, needed=True),
+                "second": Field("second", TEXT, needed=True),
+                "length_mm": Field("length", _MM, needed=True),
+                "sigma_mm": Field("sigma", _MM, needed=True),
+            },
+            GroupDistance,
+        ),
+    ),
+    "tracker": Field(
+        "tracker",
+        table(
+            "tracker",
+            {
+                "xyz_mm": Field("position", _POINT, needed=True),
+                "nearest_mm": Field("nearest", _MM),
+                "farthest_mm": Field("farthest", _MM),
+                "noise": Field("noise", Form(_NOISE.words, _noise)),
+                "repeatability_mm": Field("repeatability", _MM),
+            },
+            _tracker,
+        ),
+    ),
+    "reflector": Field(
+        "reflector",
+        table(
+            "reflector",
+            {
+                "normal": Field("normal", three(), needed=True),
+                "acceptance_deg": Field("acceptance", DEGREES),
+            },
+            Reflector,
+        ),
+    ),
+    "boxes": Field(
+        "boxes",
+        tables(
+            "boxes",
+            {
+                "name": Field("name", TEXT, needed=True),
+                "size_mm": Field("size", _POINT, needed=True),
+                "xyz_mm": Field("xyz", _POINT, needed=True),
+                "rpy_deg": Field("rotation", ROLL_PITCH_YAW),
+            },
+            _box,
+        ),
+    ),
+    "ranges": Field("ranges", named(parse_joint_range, "ranges")),
+}
+
+#: The keys whose tables have names that the user chose.
+_NAMED = ("targets_mm", "frames", "ties", "bounds", "parameter_priors", "held", "ranges")
+
+
+def fields() -> dict[str, Field]:
+    """Every key of a cell file: `FIELDS`, and the size of the prior of each family, such as ``prior_length_mm``."""
+    priors = {}
+    for name, row in FAMILIES.items():
+        suffix, to_si = row.unit.cell
+        priors[f"prior_{name}{suffix}"] = Field(f"prior_{name}", number(1.0 / to_si))
+    return FIELDS | priors
 
 
 def read_cell_file(path: str | Path) -> dict[str, Any]:
@@ -136,248 +266,42 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
     """
     data = read_bytes(Path(path), "cell file")
     try:
-        text = data.decode("utf-8-sig")
-        _check_lines(text)
-        table = tomllib.loads(text)
-        _check_whole_numbers(table)
-    except (
-        ValueError,
-        RecursionError,
-    ) as error:  # TOMLDecodeError is one, and numbers of too many digits
+        given = tomllib.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is one
         message = f"{path}: this is not a TOML file: {error}"
         raise FileError(message) from error
     try:
-        _check_keys(table)
-        return _values(table)
+        return _values(given)
     except CalibError as error:
         message = f"{path}: {error}"
         raise CalibError(message) from error
 
 
-def _check_lines(text: str) -> None:
-    """Refuse lines with so many dots that the parser would take minutes for them.
-
-    Raises:
-        ValueError: There is one.
-    """
-    for number, line in enumerate(text.split("\n"), 1):
-        if line.count(".") > _MOST_DOTS:
-            message = f"line {number} has {line.count('.'):,} dots; at most {_MOST_DOTS} are read"
-            raise ValueError(message)
-
-
-def _check_whole_numbers(value: object) -> None:
-    """Refuse whole numbers larger than TOML allows, anywhere.
-
-    Raises:
-        ValueError: There is one.
-    """
-    if isinstance(value, (dict, list)):
-        for one in value.values() if isinstance(value, dict) else value:
-            _check_whole_numbers(one)
-    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-        message = "a whole number is beyond 64 bits"
-        raise ValueError(message)
-
-
-def _check_keys(table: Mapping[str, Any]) -> None:
-    """Refuse unknown keys and values of the wrong kind."""
-    allowed = keys()
-    for key, value in table.items():
-        if key not in allowed:
-            message = f"unknown key '{key}'.{_close(key, allowed)} A cell file may have {choices(allowed, limit=40)}."
-            raise CalibError(message)
-        if not fits(value, allowed[key]):
-            message = f"'{key}' is {value!r}; it must be {allowed[key]}."
-            raise CalibError(message)
-        if allowed[key] == TABLE and key not in _SINGLE:
-            # TOML's own trap: what stands below a [table] belongs to it.
-            strayed = [name for name in value if name in allowed]
-            if strayed:
-                message = (
-                    f"'{strayed[0]}' stands in the table [{key}]; the cell's own keys must stand above the first line "
-                    "in brackets."
-                )
-                raise CalibError(message)
-    _check_tables(table)
-
-
-def _check_tables(table: Mapping[str, Any]) -> None:
-    """The same for the tables in the file that have keys of their own."""
-    for key in _SINGLE:
-        _check_inner(f"[{key}]", table.get(key), key)
-    for group, frame in table.get("frames", {}).items():
-        if not isinstance(frame, dict):
-            message = f"'{group}' in [frames] is {frame!r}; write a table [frames.{group}] with xyz_mm and rpy_deg."
-            raise CalibError(message)
-        _check_inner(f"[frames.{group}]", frame, "frames")
-    for key in _LISTED:
-        for k, one in enumerate(table.get(key, [])):
-            _check_inner(f"[[{key}]] number {k + 1}", one, key)
-
-
-def _check_inner(where: str, table: Mapping[str, Any] | None, kind: str) -> None:
-    """The same for one table inside the file."""
-    if table is None:
-        return
-    allowed = _INNER[kind]
-    for key, value in table.items():
-        if key not in allowed:
-            above = (
-                " The cell's own keys must stand above the first line in brackets."
-                if key in keys()
-                else _close(key, allowed)
+def _values(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The cell's values that a file gives; what it leaves out is left out here."""
+    allowed = fields()
+    for key in _NAMED:
+        # TOML's own trap: what stands below a [table] belongs to it.
+        strayed = (
+            [name for name in given[key] if name in allowed]
+            if isinstance(given.get(key), dict)
+            else []
+        )
+        if strayed:
+            message = (
+                f"'{strayed[0]}' stands in the table [{key}]; the cell's own keys must stand above the first line in "
+                "brackets."
             )
-            message = f"{where} has an unknown key '{key}'.{above} It may have {choices(allowed)}."
             raise CalibError(message)
-        if not fits(value, allowed[key][0]):
-            message = f"'{key}' in {where} is {value!r}; it must be {allowed[key][0]}."
-            raise CalibError(message)
-    missing = [key for key, (_, needed) in allowed.items() if needed and key not in table]
-    if missing:
-        message = f"{where} lacks {choices(missing)}."
-        raise CalibError(message)
-
-
-def _close(key: str, allowed: Mapping[str, Any]) -> str:
-    """The allowed key that is spelt most like an unknown one, as a question."""
-    close = difflib.get_close_matches(key, allowed, n=1)
-    return f" Did you mean '{close[0]}'?" if close else ""
-
-
-def _values(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The cell's values that a checked table gives; what it leaves out is left out here."""
-    frame = table.get("frame", "known")
-    values: dict[str, Any] = {
-        "estimate_target": table.get("target", "estimate") == "estimate",
-        "estimate_frame": frame != "known",
-        "priors": _priors(table),
-    }
+    values = read_fields(given, allowed)
+    frame = values.pop("frame", "known")
+    values["estimate_target"] = values.get("estimate_target", "estimate") == "estimate"
+    values["estimate_frame"] = frame != "known"
     if isinstance(frame, list):
         values["frame_directions"] = tuple(frame)
-    if "frame_xyz_mm" in table or "frame_rpy_deg" in table:
-        values["T_frame_base"] = pose(table.get("frame_xyz_mm"), table.get("frame_rpy_deg"))
-    for key in ("base", "tip", "model", "kind", "repeats"):
-        if key in table:
-            values[key] = table[key]
-    convert: dict[str, tuple[str, Callable[[Any], Any]]] = {
-        "freeze": ("frozen", tuple),
-        "target_mm": ("target", metres),
-        "target_rpy_deg": ("target_rotation", rotation),
-        "sigma_mm": ("sigma", lambda v: v / 1e3),
-        "sigma_angle_deg": ("sigma_angle", lambda v: float(np.radians(v))),
-        "gravity_m_per_s2": ("gravity", np.asarray),
-        "targets_mm": ("targets", _targets),
-        "frames": ("frames", _frames),
-        "ties": ("ties", _ties),
-        "bounds": ("bounds", _bounds),
-        "parameter_priors": ("parameter_priors", _parameter_priors),
-        "held": ("held", _held),
-        "payload": ("payload", _payload),
-        "distances": ("distances", _distances),
-        "tracker": ("tracker", surroundings_file.read_tracker),
-        "reflector": ("reflector", surroundings_file.read_reflector),
-        "boxes": ("boxes", surroundings_file.read_boxes),
-        "ranges": ("ranges", surroundings_file.read_ranges),
-    }
-    for key, (name, function) in convert.items():
-        if key in table:
-            values[name] = function(table[key])
+    placed = {name: values.pop(name) for name in ("xyz", "rotation") if name in values}
+    if placed:
+        values["T_frame_base"] = pose(**placed)
+    sizes = {name: values.pop(f"prior_{name}") for name in FAMILIES if f"prior_{name}" in values}
+    values["priors"] = Priors(values.pop("sizes", "data"), **sizes)
     return values
-
-
-def _priors(table: Mapping[str, Any]) -> Priors:
-    """The sizes of priors."""
-    sizes = {f: table[key] * unit for key, (f, unit) in _prior_keys().items() if key in table}
-    return Priors(sizes=table.get("priors", "data"), **sizes)
-
-
-def _targets(table: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
-    """Positions of targets by name, shape (3,) each [m]."""
-    for name, value in table.items():
-        if not fits(value, THREE):
-            message = f"the target '{name}' in [targets_mm] is {value!r}; it must be {THREE} [mm]."
-            raise CalibError(message)
-    return {name: metres(value) for name, value in table.items()}
-
-
-def _frames(table: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
-    """Poses of the base by group, shape (4, 4) each [m]."""
-    return {name: pose(value.get("xyz_mm"), value.get("rpy_deg")) for name, value in table.items()}
-
-
-def _ties(table: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
-    """Parameters that follow others; a name alone has the factor 1."""
-    result = {}
-    for name, value in table.items():
-        pair = (value, 1.0) if isinstance(value, str) else value
-        if not (
-            isinstance(pair, (list, tuple))
-            and len(pair) == 2
-            and isinstance(pair[0], str)
-            and is_number(pair[1])
-        ):
-            message = (
-                f"the tie of '{name}' in [ties] is {value!r}; it must be another parameter's name, or that and a "
-                'factor, ["a2", -1].'
-            )
-            raise CalibError(message)
-        result[name] = (pair[0], float(pair[1]))
-    return result
-
-
-def _change(name: str, value: object, where: str) -> float:
-    """The change of a parameter in SI units; its name tells what it can be."""
-    allowed = next((kinds for pattern, kinds in _PARAMETERS if re.fullmatch(pattern, name)), ())
-    allowed = allowed or tuple(
-        {unit.quantity: None for unit in _units_of_joint_error(name.rpartition(".")[2])}
-    )
-    examples = " or ".join(_EXAMPLES[kind] for kind in (allowed or _EXAMPLES))
-    try:
-        number, kind = parse_quantity(value)
-    except CalibError as error:
-        message = f"'{name}' in {where}: {error}. Write {examples}."
-        raise CalibError(message) from error
-    if kind not in (allowed or _EXAMPLES):
-        message = f"'{name}' in {where} is {value!r}, which is {kind}; write {examples}."
-        raise CalibError(message)
-    return number
-
-
-def _bounds(table: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """The least and the largest change of parameters; one value is both ways."""
-    result = {}
-    for name, value in table.items():
-        if isinstance(value, list):
-            if len(value) != 2:
-                message = f"'{name}' in [bounds] is {value!r}; it must be one value, or the least and the largest."
-                raise CalibError(message)
-            low, high = (_change(name, one, "[bounds]") for one in value)
-        else:
-            high = _change(name, value, "[bounds]")
-            low = -high
-        result[name] = (low, high)
-    return result
-
-
-def _parameter_priors(table: Mapping[str, Any]) -> dict[str, float]:
-    """Standard deviations of single parameters."""
-    return {name: _change(name, value, "[parameter_priors]") for name, value in table.items()}
-
-
-def _held(table: Mapping[str, Any]) -> dict[str, float]:
-    """Values of held joints [rad] or [m]."""
-    return {name: parse_joint_value(value, f"'{name}' in [held]") for name, value in table.items()}
-
-
-def _payload(table: Mapping[str, Any]) -> Payload:
-    """What the tip carries."""
-    return Payload(mass=float(table["mass_kg"]), com=metres(table.get("com_mm", [0, 0, 0])))
-
-
-def _distances(tables: list[Mapping[str, Any]]) -> tuple[GroupDistance, ...]:
-    """Known distances between groups."""
-    return tuple(
-        GroupDistance(t["first"], t["second"], t["length_mm"] / 1e3, t["sigma_mm"] / 1e3)
-        for t in tables
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -245,6 +245,14 @@ def by_name(value: object, what: str) -> Mapping[str, Any]:
     return MappingProxyType(dict(value))
 
 
+def each(
+    value: object, what: str, check: Callable[[Any, str], Any], named: str
+) -> Mapping[str, Any]:
+    """A read-only mapping from names, with each value checked under its name."""
+    given = by_name(value, what)
+    return MappingProxyType({name: check(one, named.format(name)) for name, one in given.items()})
+
+
 def words(value: object, what: str) -> tuple[str, ...]:
     """A tuple of texts.
 
@@ -257,15 +265,11 @@ def words(value: object, what: str) -> tuple[str, ...]:
     return tuple(value)
 
 
-def ties(value: object, frozen: tuple[str, ...]) -> Mapping[str, tuple[str, float]]:
-    """Parameters that follow others: ``x_name = factor * x_other``.
-
-    Args:
-        value: For each name the other's name and the factor.
-        frozen: Parameters that stay at their nominal values.
+def ties(value: object) -> Mapping[str, tuple[str, float]]:
+    """Parameters that follow others, ``x_name = factor * x_other``: for each name the other's and the factor.
 
     Raises:
-        CalibError: Not that; a tie to itself or to a parameter that is tied; a frozen parameter.
+        CalibError: Not that; a tie to itself or to a parameter that is tied.
     """
     given = by_name(value, "ties")
     result = {}
@@ -282,9 +286,6 @@ def ties(value: object, frozen: tuple[str, ...]) -> Mapping[str, tuple[str, floa
             raise CalibError(message)
         if pair[0] in given:
             message = f"'{name}' is tied to '{pair[0]}', which is tied itself; tie both to one that is not."
-            raise CalibError(message)
-        if name in frozen:
-            message = f"'{name}' is both frozen and tied to '{pair[0]}'; choose one."
             raise CalibError(message)
         result[name] = (pair[0], float(pair[1]))
     return MappingProxyType(result)

@@ -74,3 +74,26 @@ def parse_joint_value(value: object, where: str) -> float:
         message = f'{where} is {value!r}; a joint\'s value needs a unit of angle or length: "30 deg" or "0.3 m".'
         raise CalibError(message)
     return Length(number) if kind == LENGTH else Angle(number)
+
+
+def parse_joint_range(value: object, where: str) -> tuple[float, float]:
+    """The least and the largest value of a joint, each with its unit beside it, [rad] or [m].
+
+    Args:
+        value: Such as ``["-90 deg", "90 deg"]``.
+        where: Where they were given, for the message.
+
+    Raises:
+        CalibError: Not two values of a joint, or an angle and a length.
+    """
+    if not isinstance(value, (list, tuple)) or len(value) != 2:
+        message = (
+            f'{where} is {value!r}; it must be the least and the largest value, such as ["-90 deg", "90 deg"] or '
+            '["0 mm", "300 mm"].'
+        )
+        raise CalibError(message)
+    low, high = (parse_joint_value(one, where) for one in value)
+    if type(low) is not type(high):
+        message = f"{where} is from {value[0]!r} to {value[1]!r}; one is an angle and one a length."
+        raise CalibError(message)
+    return low, high

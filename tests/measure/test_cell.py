@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from calib.errors import CalibError, FileError
 from calib.measure.cell import Cell, GroupDistance, Priors
-from calib.measure.cell_file import keys
+from calib.measure.cell_file import fields as keys
 from calib.measure.noise import TrackerNoise
 from calib.measure.quantities import parse_quantity
 from calib.measure.ranges import joint_ranges
@@ -180,253 +180,65 @@ def test_the_byte_order_mark_of_an_editor_is_skipped(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("targt_mm = [1, 2, 3]", "unknown key 'targt_mm'. Did you mean 'target_mm'?"),
-        ("[robot]", "unknown key 'robot'. A cell file may have 'base', 'tip', 'model', 'kind', "),
+        ("targt_mm = [1, 2, 3]", "unknown key 'targt_mm' (did you mean 'target_mm'"),
         ("base = 1", "'base' is 1; it must be a name in quotes."),
-        ("tip = []", "'tip' is []; it must be a name in quotes."),
-        ("model = true", "'model' is True; it must be a name in quotes."),
         ('freeze = "d2"', "'freeze' is 'd2'; it must be a list of names."),
-        ("freeze = [2]", "'freeze' is [2]; it must be a list of names."),
         ('target = "fixed"', "'target' is 'fixed'; it must be 'known' or 'estimate'."),
-        ("target = [1, 2, 3]", "'target' is [1, 2, 3]; it must be 'known' or 'estimate'."),
         ("target_mm = [1, 2]", "'target_mm' is [1, 2]; it must be three numbers."),
-        ("target_mm = 5", "'target_mm' is 5; it must be three numbers."),
         ("target_mm = [1, 2, nan]", "'target_mm' is [1, 2, nan]; it must be three numbers."),
         ('target = "known"', "The target is said to be known but is not given."),
         ("[frame]\nx = 1", "'frame' is {'x': 1}; it must be 'known', 'estimate' or a list of dir"),
-        ("frame = true", "'frame' is True; it must be 'known', 'estimate' or a list of"),
-        (
-            'frame = ["u"]',
-            "The frame's directions are some of 'x', 'y', 'z', 'rx', 'ry', 'rz', each once; 'u'",
-        ),
-        ('frame = ["x", "x"]', "each once; 'x' was given."),
+        ('frame = ["u"]', "'x', 'y', 'z', 'rx', 'ry', 'rz', each once; 'u'"),
         ("frame = []", "each once; none was given."),
-        ("frame = [1]", "'frame' is [1]; it must be 'known', 'estimate' or a list"),
-        ("target_rpy_deg = 3", "'target_rpy_deg' is 3; it must be three numbers."),
-        ("sigma_angle_deg = -1", "'sigma_angle_deg' is -1; it must be a positive number."),
-        ("kind = 1", "'kind' is 1; it must be a name in quotes."),
+        ("sigma_angle_deg = -1", "The noise sigma of angles is -0.017"),
+        ("sigma_mm = 0", "The noise sigma is 0.0 m; it must be a positive number"),
+        ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a number."),
         ('kind = "ball"', "'ball' is not a kind of measurement; allowed are 'point', 'pose', "),
-        (
-            'repeats = "often"',
-            "'repeats' is 'often'; it must be 'weighted', 'average' or 'independent'.",
-        ),
-        ("prior_gain = 0", "'prior_gain' is 0; it must be a positive number."),
-        ("gravity_m_per_s2 = 9.81", "'gravity_m_per_s2' is 9.81; it must be three numbers."),
+        ('repeats = "often"', "'repeats' is 'often'; it must be 'weighted', 'average' or"),
+        ("prior_gain = 0", "The prior's gain is 0.0 1; it must be positive"),
+        ("prior_angle_mrad = nan", "'prior_angle_mrad' is nan; it must be a number."),
         ("targets_mm = [1, 2, 3]", "'targets_mm' is [1, 2, 3]; it must be a table."),
-        (
-            "[targets_mm]\nup = [1, 2]",
-            "the target 'up' in [targets_mm] is [1, 2]; it must be three numbers [mm].",
-        ),
+        ("[targets_mm]\nup = [1, 2]", "'up' in [targets_mm] is [1, 2]; it must be three numbers."),
         ("[targets_mm]\n' ' = [1, 2, 3]", "The targets must be a mapping from names; "),
-        ("frames = 1", "'frames' is 1; it must be a table."),
-        (
-            "[frames]\na = 1",
-            "'a' in [frames] is 1; write a table [frames.a] with xyz_mm and rpy_deg.",
-        ),
-        (
-            "[frames.a]\nxyz = [1, 2, 3]",
-            "[frames.a] has an unknown key 'xyz'. Did you mean 'xyz_mm'? It may have",
-        ),
+        ("[frames]\na = 1", "'a' in [frames] is 1; write a table [frames.a] with xyz_mm and"),
+        ("[frames.a]\nxyz = [1, 2, 3]", "[frames.a] has an unknown key 'xyz' (did you mean"),
         ("[frames.a]\nxyz_mm = 1", "'xyz_mm' in [frames.a] is 1; it must be three numbers."),
-        (
-            "[frames.a]\nmodel = 'dh'",
-            "[frames.a] has an unknown key 'model'. The cell's own keys must stand above",
-        ),
-        (
-            "[ties]\nmodel = 'dh'",
-            "'model' stands in the table [ties]; the cell's own keys must stand above",
-        ),
-        (
-            "[held]\nbase = 'base'",
-            "'base' stands in the table [held]; the cell's own keys must stand",
-        ),
-        (
-            "[ties]\na1 = 1",
-            "the tie of 'a1' in [ties] is 1; it must be another parameter's name, or that and a",
-        ),
-        (
-            "[ties]\na1 = ['a2', 'a3']",
-            "the tie of 'a1' in [ties] is ['a2', 'a3']; it must be another",
-        ),
-        (
-            "[ties]\na1 = ['a2', 0]",
-            "The tie of 'a1' is ('a2', 0.0); it must be another parameter and a factor",
-        ),
+        ("[ties]\nmodel = 'dh'", "'model' stands in the table [ties]; the cell's own keys must"),
+        ("[ties]\na1 = ['a2', 'a3']", "'a1' in [ties] is ['a2', 'a3']; it must be another"),
+        ("[ties]\na1 = ['a2', 0]", "The tie of 'a1' is ('a2', 0.0); it must be another parameter"),
         ("[ties]\na1 = 'a1'", "'a1' is tied to itself; name another parameter."),
-        (
-            "[ties]\na1 = 'a2'\na2 = 'a3'",
-            "'a1' is tied to 'a2', which is tied itself; tie both to one that",
-        ),
-        ("freeze = ['a1']\n[ties]\na1 = 'a2'", "'a1' is both frozen and tied to 'a2'; choose one."),
-        (
-            "[ties]\na1 = 'a2'\n[bounds]\na1 = '1 mm'",
-            "'a1' has bounds and is tied to 'a2'; give bounds to",
-        ),
-        (
-            "[ties]\na1 = 'a2'\n[parameter_priors]\na1 = '1 mm'",
-            "'a1' has a prior and is tied to 'a2'; give",
-        ),
-        (
-            "[bounds]\na1 = '1 mrad'",
-            "'a1' in [bounds] is '1 mrad', which is an angle; write \"0.5 mm\".",
-        ),
-        ("[bounds]\na1 = 1", "'a1' in [bounds] is 1, which is a number; write \"0.5 mm\"."),
+        ("[ties]\na1 = 'a2'\na2 = 'a3'", "'a1' is tied to 'a2', which is tied itself"),
+        ("freeze = ['a1']\n[ties]\na1 = 'a2'", "'a1' is both frozen and tied to 'a2'"),
+        ("[ties]\na1 = 'a2'\n[bounds]\na1 = '1 mm'", "'a1' has bounds and is tied to 'a2'"),
+        ("[bounds]\na1 = '1 mrad'", "'a1' in [bounds] is '1 mrad', which is an angle; write"),
         ("[bounds]\na1 = true", "'a1' in [bounds]: True is no number with a unit, such as"),
-        (
-            "[bounds]\na1 = '1..5 mm'",
-            "'a1' in [bounds]: '1..5 mm' is no number with a unit, such as",
-        ),
-        (
-            "[bounds]\na1 = '1 furlong'",
-            "'a1' in [bounds]: 'furlong' is not a unit that calib knows: ",
-        ),
-        (
-            "[bounds]\na1 = ['1 mm']",
-            "'a1' in [bounds] is ['1 mm']; it must be one value, or the least and the",
-        ),
-        (
-            "[bounds]\na1 = ['1 mm', '2 mm']",
-            "The bounds of 'a1' are (0.001, 0.002); they must be the least",
-        ),
-        (
-            "[bounds]\na1 = '-1 mm'",
-            "The bounds of 'a1' are (0.001, -0.001); they must be the least",
-        ),
-        (
-            "[bounds]\na1 = '0 mm'",
-            "with 0 between them. To keep a parameter at its nominal value, freeze it.",
-        ),
+        ("[bounds]\na1 = '1 furlong'", "'furlong' is not a unit that calib knows: "),
+        ("[bounds]\na1 = ['1 mm']", "'a1' in [bounds] is ['1 mm']; it must be one value, or the"),
+        ("[bounds]\na1 = '-1 mm'", "The bounds of 'a1' are (0.001, -0.001); they must be"),
         ("[bounds]\n'j.zero' = 0.1", 'which is a number; write "0.5 mm" or "1 mrad".'),
-        (
-            "[parameter_priors]\n'j.gain' = '1 mm'",
-            "'j.gain' in [parameter_priors] is '1 mm', which is a length",
-        ),
-        ("[parameter_priors]\n'j.compliance' = '1 rad'", 'which is an angle; write "1e-5 rad/Nm".'),
-        (
-            "[parameter_priors]\n'j.compliance' = '1 mm/Nm'",
-            "'mm/Nm' is no unit of compliance; a joint's is in",
-        ),
-        (
-            "[parameter_priors]\na1 = '-1 mm'",
-            "The prior of 'a1' is -0.001; it must be a positive number.",
-        ),
-        ("[parameter_priors]\na1 = '5 Nm'", "which is a torque; write"),
-        (
-            "[held]\nlift = 0.3",
-            "'lift' in [held] is 0.3; a joint's value needs a unit of angle or length: ",
-        ),
-        ("[held]\nlift = 'up'", "'lift' in [held]: 'up' is no number with a unit, such as"),
-        (
-            "[payload]\nmass = 3",
-            "[payload] has an unknown key 'mass'. Did you mean 'mass_kg'? It may have",
-        ),
+        ("[parameter_priors]\n'j.gain' = '1 mm'", "'j.gain' in [parameter_priors] is '1 mm', w"),
+        ("[parameter_priors]\n'j.compliance' = '1 mm/Nm'", "'mm/Nm' is no unit of compliance"),
+        ("[parameter_priors]\na1 = '-1 mm'", "The prior of 'a1' is -0.001; it must be a positive"),
+        ("[held]\nlift = 0.3", "'lift' in [held] is 0.3; a joint's value needs a unit of angle"),
+        ("[payload]\nmass = 3", "[payload] has an unknown key 'mass' (did you mean 'mass_kg'"),
         ("[payload]\ncom_mm = [1, 2, 3]", "[payload] lacks 'mass_kg'."),
-        ("[payload]\nmass_kg = '3'", "'mass_kg' in [payload] is '3'; it must be a number."),
         ("[payload]\nmass_kg = -3", "mass of a payload is -3.0 kg; "),
-        (
-            "distances = 3",
-            "'distances' is 3; it must be a list of tables, each headed [[distances]].",
-        ),
-        ("[distances]\nfirst = 'a'", "'distances' is {'first': 'a'}; it must be a list of tables"),
-        (
-            "[[distances]]\nfirst = 'a'",
-            "[[distances]] number 1 lacks 'second', 'length_mm', 'sigma_mm'.",
-        ),
-        (
-            DISTANCE.replace("B", "A"),
-            "The distance between the groups 'A' and 'A': a group has one fixed point",
-        ),
-        (
-            DISTANCE.replace("B", "*"),
-            "'*' stands for the same text in both; write it once in each name",
-        ),
-        (
-            DISTANCE.replace("20", "0"),
-            "'length_mm' in [[distances]] number 1 is 0; it must be a positive",
-        ),
-        ("tracker = 3", "'tracker' is 3; it must be a table."),
+        ("distances = 3", "'distances' is 3; it must be a list of tables, each headed [[dist"),
+        ("[[distances]]\nfirst = 'a'", "number 1 lacks 'second', 'length_mm', 'sigma_mm'."),
+        (DISTANCE.replace("B", "A"), "'A' and 'A': a group has one fixed point"),
+        (DISTANCE.replace("20", "0"), "its length is 0.0 m; it must be a positive"),
         ("[tracker]", "[tracker] lacks 'xyz_mm'."),
-        (
-            "[tracker]\nxyz = [1, 2, 3]",
-            "[tracker] has an unknown key 'xyz'. Did you mean 'xyz_mm'?",
-        ),
-        (
-            "[tracker]\nxyz_mm = [1, 2]",
-            "'xyz_mm' in [tracker] is [1, 2]; it must be three numbers.",
-        ),
-        (
-            "[tracker]\nxyz_mm = [1, 2, 3]\nnoise = 0.1",
-            "'noise' in [tracker] is 0.1; it must be a text such as \"15 um + 6 um/m\".",
-        ),
-        (
-            "[tracker]\nxyz_mm = [1, 2, 3]\nnoise = '15 um + 6'",
-            "'noise' in [tracker] was given as \"15 um + 6\"; it must be a length",
-        ),
-        (
-            "[tracker]\nxyz_mm = [1, 2, 3]\nnearest_mm = 90000",
-            "The tracker measures from 90.0 m to 80.0 m; these must be two numbers",
-        ),
-        (
-            "[tracker]\nxyz_mm = [1, 2, 3]\nrepeatability_mm = -1",
-            "the repeatability -0.001 m; they must be numbers, none below 0",
-        ),
-        (
-            "[tracker]\nxyz_mm = [1, 2, 3]\nmodel = 'dh'",
-            "[tracker] has an unknown key 'model'. The cell's own keys must stand above",
-        ),
-        ("[reflector]", "[reflector] lacks 'normal'."),
-        ("[reflector]\nnormal = 'z'", "'normal' in [reflector] is 'z'; it must be three numbers."),
-        (
-            "[reflector]\nnormal = [0, 0, 0]",
-            "The reflector's normal is [0.0, 0.0, 0.0]; it must be a direction",
-        ),
-        (
-            "[reflector]\nnormal = [0, 0, 1]\nacceptance_deg = 181",
-            "it must be a half angle above 0 and at most pi (180 deg).",
-        ),
-        (
-            "[reflector]\nnormal = [0, 0, 1]\nacceptance_deg = 0",
-            "'acceptance_deg' in [reflector] is 0; it must be a positive number.",
-        ),
+        ("[tracker]\nxyz_mm = [1, 2, 3]\nnoise = 0.1", "'noise' in [tracker] is 0.1; it must be a"),
+        ("[tracker]\nxyz_mm = [1, 2, 3]\nnoise = '15 um + 6'", 'given as "15 um + 6"'),
+        ("[tracker]\nxyz_mm = [1, 2, 3]\nnearest_mm = 90000", "from 90.0 m to 80.0 m"),
+        ("[reflector]\nnormal = [0, 0, 0]", "[0.0, 0.0, 0.0]; it must be a direction"),
+        ("[reflector]\nnormal = [0, 0, 1]\nacceptance_deg = 181", "above 0 and at most pi"),
         ("[boxes]", "'boxes' is {}; it must be a list of tables, each headed [[boxes]]."),
-        ("[[boxes]]\nname = 'a'", "[[boxes]] number 1 lacks 'size_mm', 'xyz_mm'."),
-        (
-            "[[boxes]]\nname = 'a'\nsize_mm = [1, 2]",
-            "'size_mm' in [[boxes]] number 1 is [1, 2]; it must be three numbers.",
-        ),
-        (
-            "[[boxes]]\nname = 'a'\nsize_mm = [1, 2, -3]\nxyz_mm = [0, 0, 0]",
-            "The box 'a' has the edges [0.001, 0.002, -0.003] m; each must be longer than 0.",
-        ),
-        (
-            2 * "[[boxes]]\nname = 'a'\nsize_mm = [1, 2, 3]\nxyz_mm = [0, 0, 0]\n",
-            "Each box needs a name of its own; given more than once: 'a'.",
-        ),
-        ("ranges = 1", "'ranges' is 1; it must be a table."),
-        (
-            "[ranges]\na = '1 deg'",
-            "'a' in [ranges] is '1 deg'; it must be the least and the largest value, such as",
-        ),
-        (
-            "[ranges]\na = ['1 deg', 2]",
-            "'a' in [ranges] is 2; a joint's value needs a unit of angle or length",
-        ),
-        (
-            "[ranges]\na = ['1 deg', '2 mm']",
-            "'a' in [ranges] is from '1 deg' to '2 mm'; one is an angle and one a length.",
-        ),
-        (
-            "[ranges]\na = ['1 m', '1 mm']",
-            "The range of the joint 'a' is (1.0, 0.001); it must be the least",
-        ),
-        ('frame_xyz_mm = ["1", 2, 3]', "'frame_xyz_mm' is ['1', 2, 3]; it must be three"),
-        ("frame_rpy_deg = [1, 2, true]", "'frame_rpy_deg' is [1, 2, True]; it must be three"),
-        ("sigma_mm = 0", "'sigma_mm' is 0; it must be a positive number."),
-        ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a positive number."),
-        ("sigma_mm = inf", "'sigma_mm' is inf; it must be a positive number."),
-        ('priors = "none"', "'priors' is 'none'; it must be 'data', 'given' or 'off'."),
-        ("prior_length_mm = -1", "'prior_length_mm' is -1; it must be a positive number."),
-        ("prior_angle_mrad = nan", "'prior_angle_mrad' is nan; it must be a positive number."),
+        ("[[boxes]]\nname = 'a'\nsize_mm = [1, 2]", "'size_mm' in [[boxes]] number 1 is [1, 2]"),
+        (2 * "[[boxes]]\nname = 'a'\nsize_mm = [1, 2, 3]\nxyz_mm = [0, 0, 0]\n", "name of its own"),
+        ("[ranges]\na = '1 deg'", "'a' in [ranges] is '1 deg'; it must be the least and the"),
+        ("[ranges]\na = ['1 deg', '2 mm']", "one is an angle and one a length."),
+        ("[ranges]\na = ['1 m', '1 mm']", "The range of the joint 'a' is (1.0, 0.001)"),
     ],
 )
 def test_bad_values_are_named_with_what_is_allowed(tmp_path: Path, text: str, said: str):
@@ -456,85 +268,31 @@ def test_a_file_that_cannot_be_read(tmp_path: Path):
     [
         ({"target": (1.0, 2.0)}, "The target must be three finite numbers x, y, z [m]; (1.0, 2.0)"),
         ({"target": np.array([0.0, np.nan, 1.0])}, "[m]; [0.0, nan, 1.0] was given."),
-        ({"target": "tip"}, "The target must be three finite numbers x, y, z [m]; 'tip' was given"),
-        ({"estimate_target": False}, "The target is said to be known but is not given. Give it"),
-        ({"T_frame_base": np.eye(3)}, "T_frame_base must be a 4 x 4 pose with a right-handed"),
+        ({"target": (0.1, -1e300, 0)}, "The target holds 1e+300 m; nothing in a robot cell"),
         ({"T_frame_base": np.diag([1.0, 1.0, -1.0, 1.0])}, "with a right-handed rotation"),
-        ({"T_frame_base": np.diag([2.0, 1.0, 1.0, 1.0])}, "with a right-handed rotation"),
         ({"T_frame_base": 2.0 * np.eye(4)}, "with a right-handed rotation"),
-        ({"T_frame_base": np.full((4, 4), np.nan)}, "with a right-handed rotation"),
         ({"T_frame_base": [[1.0], [1.0, 2.0]]}, "[m]; [[1.0], [1.0, 2.0]] was given."),
-        ({"T_frame_base": "here"}, "[m]; 'here' was given."),
-        ({"sigma": 0.0}, "The noise sigma is 0.0 m; it must be a positive number."),
-        ({"sigma": -1e-4}, "The noise sigma is -0.0001 m; it must be a positive number."),
-        ({"sigma": 1e-300}, "The noise sigma is 1e-300 m; no instrument has one below 1e-15 or"),
-        (
-            {"target": (0.1, -1e300, 0)},
-            "The target holds 1e+300 m; nothing in a robot cell is beyond",
-        ),
-        (
-            {"T_frame_base": [[1, 0, 0, 0], [0, 1, 0, 1e7], [0, 0, 1, 0], [0, 0, 0, 1]]},
-            "T_frame_base holds 1e+07 m; nothing in a robot cell is",
-        ),
-        ({"held": {"lift": 1e300}}, "The joint 'lift' is held at 1e+300 rad or m; no robot gets"),
-        (
-            {"parameter_priors": {"d1": 1e-300}},
-            "The prior of 'd1' is 1e-300; it lies between 1e-15",
-        ),
-        ({"parameter_priors": {"d1": 1e300}}, "The prior of 'd1' is 1e+300; it lies between 1e-15"),
-        ({"sigma_angle": 1e300}, "sigma of angles is 1e+300 rad; no instrument has one below"),
-        ({"sigma": float("inf")}, "The noise sigma is inf m; it must be a positive number."),
+        ({"sigma": -1e-4}, "The noise sigma is -0.0001 m; it must be a positive number"),
+        ({"sigma": 1e-300}, "The noise sigma is 1e-300 m"),
+        ({"sigma_angle": 1e300}, "sigma of angles is 1e+300 rad"),
+        ({"held": {"lift": 1e300}}, "held joint 'lift' is 1e+300"),
+        ({"held": {"lift": "0.3 m"}}, "held joint 'lift' is '0.3 m'"),
+        ({"parameter_priors": {"d1": 1e-300}}, "The prior of 'd1' is 1e-300; it lies between"),
+        ({"parameter_priors": {"a1": 0.0}}, "The prior of 'a1' is 0.0; it must be a positive"),
         ({"frozen": "d2"}, "The frozen parameters are a tuple of names; 'd2' was given."),
         ({"model": None}, "A cell's model must be of type str; None was given."),
         ({"priors": "off"}, "A cell's priors must be of type Priors; 'off' was given."),
-        ({"payload": 5.0}, "A cell's payload must be of type Payload; 5.0 was given."),
         ({"kind": 1}, "A cell's kind must be of type str; 1 was given."),
-        ({"kind": "ball"}, "'ball' is not a kind of measurement; allowed are"),
-        ({"base": 1}, "A cell's base must be of type str; 1 was given."),
         ({"targets": [1.0]}, "The targets must be a mapping from names; [1.0] was given."),
-        ({"targets": {"": (0.0, 0.0, 0.0)}}, "The targets must be a mapping from names; {'': "),
-        (
-            {"targets": {"a": (0.0, 1.0)}},
-            "The target 'a' must be three finite numbers x, y, z [m]; ",
-        ),
-        ({"frames": {"a": np.eye(3)}}, "The frame of 'a' must be a 4 x 4 pose with a right-handed"),
-        ({"target_rotation": np.eye(4)}, "The target's orientation must be a 3 x 3 right-handed"),
-        (
-            {"target_rotation": -np.eye(3)},
-            "orientation must be a 3 x 3 right-handed rotation; [[-1",
-        ),
+        ({"targets": {"a": (0.0, 1.0)}}, "The target 'a' must be three finite numbers"),
+        ({"frames": {"a": np.eye(3)}}, "The frame of 'a' must be a 4 x 4 pose"),
+        ({"target_rotation": -np.eye(3)}, "orientation must be a 3 x 3 right-handed rotation"),
         ({"frame_directions": "x"}, "The frame's directions are a tuple of names; 'x' was given."),
-        (
-            {"frame_directions": ()},
-            "The frame's directions are some of 'x', 'y', 'z', 'rx', 'ry', ",
-        ),
-        (
-            {"sigma_angle": 0.0},
-            "The noise sigma of angles is 0.0 rad; it must be a positive number.",
-        ),
-        (
-            {"ties": {"a1": "a2"}},
-            "The tie of 'a1' is 'a2'; it must be another parameter and a factor",
-        ),
-        ({"bounds": {"a1": 1e-3}}, "The bounds of 'a1' are 0.001; they must be the least and the"),
-        (
-            {"bounds": {"a1": (0.0, float("nan"))}},
-            "The bounds of 'a1' are (0.0, nan); they must be",
-        ),
-        (
-            {"parameter_priors": {"a1": 0.0}},
-            "The prior of 'a1' is 0.0; it must be a positive number.",
-        ),
+        ({"ties": {"a1": "a2"}}, "The tie of 'a1' is 'a2'; it must be another parameter"),
+        ({"bounds": {"a1": (0.0, float("nan"))}}, "The bounds of 'a1' are (0.0, nan)"),
         ({"gravity": 9.81}, "The gravity must be three finite numbers x, y, z [m/s^2]; 9.81 was"),
-        (
-            {"distances": [("a", "b", 1.0)]},
-            "The distances are a tuple of GroupDistance; [('a', 'b'",
-        ),
-        (
-            {"repeats": True},
-            "Repeats were asked for as True; choose one of 'weighted', 'average', ",
-        ),
-        ({"held": {"lift": "0.3 m"}}, "The joint 'lift' is held at '0.3 m'; it must be a finite"),
+        ({"distances": [("a", "b", 1.0)]}, "The distances are a tuple of GroupDistance"),
+        ({"repeats": True}, "Repeats were asked for as True; choose one of"),
     ],
 )
 def test_a_cell_that_is_built_wrongly(wrong: dict[str, Any], said: str):
@@ -784,18 +542,3 @@ def test_the_documents_defaults_are_the_defaults():
         ("prior_compliance_rad_per_Nm", cell.priors.of("compliance")),
     ):
         assert float(said[key]) == pytest.approx(value), key
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("prior_gain = 0x" + "F" * 5000, "a whole number is beyond 64 bits"),
-        ("target_mm = [0, 0, 0x" + "F" * 20 + "]", "a whole number is beyond 64 bits"),
-        ("prior_gain = " + "9" * 5000, "Exceeds the limit|beyond 64 bits"),
-        ("held = " + "[" * 3000, "recursion|Invalid|nested"),
-        ("a" + ".a" * 200_000 + " = 1", "line 1 has 200,000 dots; at most 1000 are read"),
-    ],
-)
-def test_a_file_that_its_parser_cannot_take(tmp_path: Path, text: str, says: str):
-    with pytest.raises(FileError, match=f"cell.toml: this is not a TOML file: .*({says})"):
-        read(tmp_path, text)
