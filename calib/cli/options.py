@@ -17,10 +17,10 @@ from calib.errors import CalibError, choices
 
 def parse_kind(name: str) -> str:
     """The name of a kind of measurement, for ``--kind``."""
-    from calib import kinds
+    import calib.kinds as registry
 
-    if name not in kinds.names():
-        message = f"{name!r} is not one of {choices(kinds.names())}."
+    if name not in registry.names():
+        message = f"{name!r} is not one of {choices(registry.names())}."
         raise typer.BadParameter(message)
     return name
 

@@ -30,6 +30,9 @@ IGNORE = "-"
 #: What stands before the name of a column that says what to expect there, for a person to compare: see plan_file.
 EXPECTED = "expected "
 
+# Signs that people write for "no unit" in the header of a quaternion.
+_NO_UNIT = (None, "", "-", "1")
+
 #: Names of which the closest is looked for.
 _MOST_COMPARED = 500
 
@@ -198,6 +201,22 @@ def with_unit(
         )
     message = f"{where}: {what_is}. {fix}; allowed are {choices(symbols(quantity))}."
     raise MeasurementError(message)
+
+
+def without_unit(table: Table, column: Column) -> Column:
+    """The column of a quaternion's number, which has no unit.
+
+    Raises:
+        MeasurementError: it has one.
+    """
+    unit = column.unit.symbol if column.unit else split_header(column.label)[1]
+    if unit not in _NO_UNIT:
+        message = (
+            f"{table.source}, column '{column.label}': '{unit}' cannot be; a quaternion has no "
+            f"unit. Correct the header to '{column.name}'; for angles, to 'rx [deg]' and so on."
+        )
+        raise MeasurementError(message)
+    return replace(column, unit=None)
 
 
 def list_columns(table: Table) -> str:

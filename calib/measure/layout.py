@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import calib.kinds as registry
 from calib.errors import MeasurementError, choices
@@ -24,12 +24,10 @@ from calib.measure.columns import (
     place,
     reserved,
     with_unit,
+    without_unit,
 )
 from calib.measure.table import Table, distinct
 from calib.units import Quantity, split_header
-
-# Signs that people write for "no unit" in the header of a quaternion.
-_NO_UNIT = (None, "", "-", "1")
 
 # A table of commands has these two columns; the second says so where a row has none, and its cells are empty.
 _COMMANDS = ("correction position", "status")
@@ -205,10 +203,7 @@ def _measured(kind: Kind) -> tuple[str, ...]:
 def _of_a_plan(table: Table, named: Mapping[str, Column], *, empty: bool) -> set[int]:
     """Columns that a plan has and that need no word when they are not used, by their index.
 
-    Args:
-        table: the table.
-        named: its columns.
-        empty: whether those for the measurement may have been left empty; the rows are then looked at.
+    With ``empty`` those for the measurement may have been left empty; the rows are then looked at.
     """
     found = {c.index for name, c in named.items() if name.startswith(EXPECTED) or name == "point"}
     if empty:
@@ -320,16 +315,7 @@ def _orientation(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...
     if there[0] == ROTATION_VECTOR:
         what = "a rotation vector; --kind point leaves the orientation out"
         return tuple(with_unit(table, named[n], "angle", what, "rad") for n in ROTATION_VECTOR)
-    columns = tuple(named[name] for name in QUATERNION)
-    for column in columns:
-        unit = column.unit.symbol if column.unit else split_header(column.label)[1]
-        if unit not in _NO_UNIT:
-            message = (
-                f"{table.source}, column '{column.label}': '{unit}' cannot be; a quaternion has no "
-                f"unit. Correct the header to '{column.name}'; for angles, to 'rx [deg]' and so on."
-            )
-            raise MeasurementError(message)
-    return tuple(replace(column, unit=None) for column in columns)
+    return tuple(without_unit(table, named[name]) for name in QUATERNION)
 
 
 def _optional(
@@ -387,9 +373,6 @@ def _pick_joints(
             f"{table.source}: a joint cannot be called {choices(clash)}, which is the name of "
             "another column of the table. Rename the joint in the URDF."
         )
-        raise MeasurementError(message)
-    if not joint_names:
-        message = f"{table.source}: no names of joints were given, not even one"
         raise MeasurementError(message)
     missing = [name for name in joint_names if name not in named]
     if not missing:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import compress
 from pathlib import Path
 from types import MappingProxyType
@@ -122,7 +122,7 @@ class Measurements:
         every = np.ones(len(self.rows), dtype=np.bool_)
         own = {name: self.where(_reads(one)) for name, one in read.items()}
         own["rotations"] = self.where(lambda kind: kind.orientation)
-        fields: dict[str, tuple[Any, ...]] = {
+        specs: dict[str, tuple[Any, ...]] = {
             "joints": ((n,), every, checks.REACH, self.joint_names),
             "points": ((3,), self.positions, checks.REACH, "xyz"),
             "rotations": ((3, 3), own["rotations"]),
@@ -131,7 +131,7 @@ class Measurements:
         }
         for name, one in read.items():
             least = checks.SIGMAS[0] if one.positive else -checks.FARTHEST
-            fields[name] = ((), own[name], (least, checks.FARTHEST))
+            specs[name] = ((), own[name], (least, checks.FARTHEST))
         given = {"distance": self.distances, **self.readings}
         strange = [name for name in given if name not in read]
         if strange:
@@ -139,7 +139,7 @@ class Measurements:
             raise MeasurementError(message)
         pairs = where.pairs(self.pairs)
         found: dict[str, Any] = {}
-        for name, spec in fields.items():
+        for name, spec in specs.items():
             values = given.get(name) if name in read else getattr(self, name)
             if name in read and values is not None and pairs:
                 values = checks.shared(where, values, pairs)
@@ -214,27 +214,16 @@ class Measurements:
         if elsewhere is not None:
             values = values.with_points(elsewhere, table.source, named="point" in layout.words)
             source, sha256 = f"{source} + {elsewhere.source}", f"{sha256} + {elsewhere.sha256}"
+        given = {f.name: getattr(values, f.name) for f in fields(values) if f.name != "names"}
+        given["readings"] = {n: v for n, v in values.readings.items() if n != "distance"}
         measurements = cls(
+            **given,
             joint_names=layout.joint_names,
-            joints=values.joints,
-            points=values.points,
-            sets=values.sets,
-            sigma=values.sigma,
-            targets=values.targets,
-            groups=values.groups,
-            rows=values.rows,
+            distances=values.readings.get("distance"),
             source=source,
             sha256=sha256,
             ignored=layout.ignored,
             prismatic=layout.prismatic,
-            kinds=values.kinds,
-            rotations=values.rotations,
-            distances=values.readings.get("distance"),
-            readings={n: v for n, v in values.readings.items() if n != "distance"},
-            sigma_angle=values.sigma_angle,
-            pairs=values.pairs,
-            torques=values.torques,
-            unmeasured=values.unmeasured,
         )
         words = {name: getattr(measurements, name) for name in _WORDS}
         checks.check_whole(measurements._where, words)
@@ -288,12 +277,7 @@ class Measurements:
 
     @staticmethod
     def columns_of(kind: Kind, measured: Array) -> dict[str, Any]:
-        """The arguments of `Measurements` that hold what n rows of one kind measure.
-
-        Args:
-            kind: Of all rows.
-            measured: shape (n, k), as `calib.kinds.Kind` says.
-        """
+        """The arguments of `Measurements` that hold what rows of one kind measure, shape (n, k), see `Kind`."""
         found: dict[str, Any] = {"points": np.full((len(measured), 3), np.nan)}
         if kind.position:
             found["points"] = measured[:, :3]
@@ -319,32 +303,14 @@ class Measurements:
             )
             raise MeasurementError(message)
         here = chosen.tolist()
-
-        def words(values: Sequence[str]) -> tuple[str, ...]:
-            """The chosen of some words."""
-            return tuple(compress(values, here))
-
-        def numbers(values: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-            """The chosen of some numbers."""
-            return None if values is None else values[chosen]
-
-        return replace(
-            self,
-            joints=self.joints[chosen],
-            points=self.points[chosen],
-            sets=words(self.sets),
-            sigma=numbers(self.sigma),
-            targets=words(self.targets),
-            groups=words(self.groups),
-            rows=tuple(compress(self.rows, here)),
-            kinds=words(self.kinds),
-            rotations=numbers(self.rotations),
-            distances=numbers(self.distances),
-            sigma_angle=numbers(self.sigma_angle),
-            pairs=words(self.pairs),
-            torques=numbers(self.torques),
-            readings={name: values[chosen] for name, values in self.readings.items()},
-        )
+        left: dict[str, Any] = {
+            name: tuple(compress(getattr(self, name), here)) for name in (*_WORDS, "rows")
+        }
+        for name in _ARRAYS:
+            values = getattr(self, name)
+            left[name] = None if values is None else values[chosen]
+        left["readings"] = {name: values[chosen] for name, values in self.readings.items()}
+        return replace(self, **left)
 
     def joints_for(self, names: Sequence[str]) -> NDArray[np.float64]:
         """The values of these joints in this order, shape (N, len(names)), [rad] or [m], read-only.
@@ -372,9 +338,9 @@ class Measurements:
         Raises:
             FileError: the file exists and ``overwrite`` is False, or it cannot be written.
         """
-        kinds = set(self.kinds)
+        kinds = [registry.get(kind) for kind in sorted(set(self.kinds))]
         words: dict[str, Sequence[object]] = {"row": self.rows, "set": self.sets}
-        if len(kinds) > 1 or any(not _is_plain(registry.get(kind)) for kind in kinds):
+        if len(kinds) > 1 or any(not k.size or (k.position and k.readings) for k in kinds):
             words["kind"] = self.kinds
         if set(self.targets) - {DEFAULT_TARGET}:
             words["target"] = self.targets
@@ -407,9 +373,8 @@ def _reads(one: registry.Reading) -> Callable[[Kind], bool]:
     return lambda kind: one in kind.readings
 
 
-def _is_plain(kind: Kind) -> bool:
-    """Whether the columns of a table tell that its rows are of this kind."""
-    return bool(kind.size) and not (kind.position and kind.readings)
+#: The arrays with an entry a row.
+_ARRAYS = ("joints", "points", "sigma", "rotations", "distances", "sigma_angle", "torques")
 
 
 def _measurements(values: dict[str, Any]) -> Measurements:

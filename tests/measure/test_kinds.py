@@ -250,7 +250,6 @@ def test_what_is_missing_is_asked_for(table):
     refused(path, "'socket' is not a kind of measurement; allowed are 'point', ", kind="socket")
     path = table("a [deg],distance [mm]", "1,500")
     refused(path, ["need a column 'pair'", "'distance [mm]'"], kind="pair")
-    refused(path, "no names of joints were given", joint_names=[], kind="fixed")
 
 
 # A column for the kind

@@ -7,9 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from calib.errors import CalibError, FileError
-from calib.measure.cell import Cell
-from calib.measure.cell_parts import GroupDistance
+from calib.errors import CalibError
 from calib.measure.quantities import parse_joint_value
 from calib.measure.ranges import joint_ranges
 
