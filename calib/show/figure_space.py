@@ -42,7 +42,7 @@ _HIGHEST, _LEAST = 7.4, 2.2
 VIEWS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 
 #: More rows than this are thinned.
-MOST_ROWS = 3000
+MOST_ROWS = 2000
 
 #: Up to so many points stand on lines down to the floor, and so many are drawn over the uncertainty.
 _MOST_STILTS, _MOST_RINGS = 100, 150
