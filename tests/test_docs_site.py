@@ -24,7 +24,7 @@ from markdown_it.token import Token
 from typer.main import get_command
 
 import calib
-from calib.cli import app
+from calib.cli.program import app
 from calib.data import paper_measurements, paper_urdf
 from tests.cli.conftest import calib_here
 

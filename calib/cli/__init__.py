@@ -9,26 +9,8 @@ from __future__ import annotations
 import io
 import os
 import sys
-from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from calib.cli.program import app
-
-__all__ = ["app", "main"]
-
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401  any attribute
-    """``app``, imported when it is first asked for.
-
-    Raises:
-        AttributeError: Another name, which there is not.
-    """
-    if name == "app":
-        from calib.cli.program import app
-
-        return app
-    message = f"module '{__name__}' has no attribute '{name}'"
-    raise AttributeError(message)
+__all__ = ["main"]
 
 
 def main() -> None:

@@ -10,18 +10,18 @@ import typer
 from calib.cli.options import (
     Base,
     Columns,
-    Debug,
     Force,
     PointsUnit,
     Quiet,
     Tip,
-    reporting,
+    verb,
 )
 
 if TYPE_CHECKING:
     from calib.model.robot import Robot
 
-_HELP = """Find the robot's base frame in the tracker's from points on its mounting plane and sweeps of joints 1 and 2.
+
+@verb("""Find the robot's base frame in the tracker's from points on its mounting plane and sweeps of joints 1 and 2.
 
 \b
 Examples:
@@ -30,9 +30,7 @@ Examples:
 
 The table has a column 'sweep' with 'plane', 'joint 1', 'joint 2' and so on, and x, y, z with their unit. Without joint
 values the rows of a sweep are in the order of increasing joint angle. See docs/base-frame.md.
-"""
-
-
+""")
 def base_frame(
     data: Annotated[
         Path | None,
@@ -102,44 +100,42 @@ def base_frame(
     ] = True,
     force: Force = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
-    """See `_HELP`."""
-    with reporting(debug=debug):
-        from calib.base_frame.files import carried, cell_text, survey_table
-        from calib.base_frame.survey import survey
-        from calib.base_frame.sweeps import read_sweeps
-        from calib.base_frame.text import carried_text, survey_text
-        from calib.cli.setup import check_outputs
-        from calib.cli.words import parse_columns, parse_sweeps
-        from calib.identify.result_file import write_table
-        from calib.measure.measurements import Measurements
-        from calib.model.files import write_atomically
+    """See the text of `verb`."""
+    from calib.base_frame.files import carried, cell_text, survey_table
+    from calib.base_frame.survey import survey
+    from calib.base_frame.sweeps import read_sweeps
+    from calib.base_frame.text import carried_text, survey_text
+    from calib.cli.setup import check_outputs
+    from calib.cli.words import parse_columns, parse_sweeps
+    from calib.identify.result_file import write_table
+    from calib.measure.measurements import Measurements
+    from calib.model.files import write_atomically
 
-        _check_call(carry, carry_points, output)
-        inputs = [p for p in (data, points, carry, carry_points, robot) if p is not None]
-        check_outputs([output, cell_out, json], inputs, force=force)
-        arm = _load(robot, base, tip)
-        names, types = (None, None) if arm is None else (arm.joint_names, arm.joint_types)
-        called, renamed = parse_sweeps(sweep or []), parse_columns(columns or [])
-        sweeps = read_sweeps(data, names, renamed, points, points_unit, called)
-        found = survey(sweeps, arm, plane_offset=_length(plane_offset), robust=robust)
-        lines, written = survey_text(found, sweeps.source, arm), []
-        if carry is not None and output is not None:
-            unit = points_unit if carry_points is not None else None
-            read = Measurements.read(carry, names, types, points=carry_points, points_unit=unit)
-            moved = carried(read, found.frame)
-            lines += carried_text(moved, found.frame)
-            moved.write(output, overwrite=force)
-            written.append(output)
-        if cell_out is not None:
-            text = cell_text(found, sweeps.source, None if arm is None else arm.base, tip)
-            written.append(write_atomically(cell_out, text.encode(), overwrite=force))
-        if json is not None:
-            written.append(write_table(survey_table(found), json, overwrite=force))
-        if not quiet:
-            for line in (*lines, *(f"Written: {path}" for path in written)):
-                typer.echo(line)
+    _check_call(carry, carry_points, output)
+    inputs = [p for p in (data, points, carry, carry_points, robot) if p is not None]
+    check_outputs([output, cell_out, json], inputs, force=force)
+    arm = _load(robot, base, tip)
+    names, types = (None, None) if arm is None else (arm.joint_names, arm.joint_types)
+    called, renamed = parse_sweeps(sweep or []), parse_columns(columns or [])
+    sweeps = read_sweeps(data, names, renamed, points, points_unit, called)
+    found = survey(sweeps, arm, plane_offset=_length(plane_offset), robust=robust)
+    lines, written = survey_text(found, sweeps.source, arm), []
+    if carry is not None and output is not None:
+        unit = points_unit if carry_points is not None else None
+        read = Measurements.read(carry, names, types, points=carry_points, points_unit=unit)
+        moved = carried(read, found.frame)
+        lines += carried_text(moved, found.frame)
+        moved.write(output, overwrite=force)
+        written.append(output)
+    if cell_out is not None:
+        text = cell_text(found, sweeps.source, None if arm is None else arm.base, tip)
+        written.append(write_atomically(cell_out, text.encode(), overwrite=force))
+    if json is not None:
+        written.append(write_table(survey_table(found), json, overwrite=force))
+    if not quiet:
+        for line in (*lines, *(f"Written: {path}" for path in written)):
+            typer.echo(line)
 
 
 def _check_call(carry: Path | None, carry_points: Path | None, output: Path | None) -> None:
@@ -183,6 +179,3 @@ def _length(text: str | None) -> float:
         message = f'--plane-offset was given as "{text}"; it must be a length, such as "19.05 mm".'
         raise CalibError(message)
     return value
-
-
-base_frame.__doc__ = _HELP

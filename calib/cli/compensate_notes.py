@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.cli.setup import row_ranges
+from calib.cli.terminal import row_ranges
 from calib.model.robot import rigid_inverse
 from calib.units import split_header
 

@@ -113,8 +113,14 @@ def evaluate(
 
         from calib.cli.evaluate_data import Fitted, check_measured
         from calib.cli.evaluate_text import evaluation_text, names_of, own_urdf
-        from calib.cli.known import check_chain, with_target_link
-        from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
+        from calib.cli.setup import (
+            check_chain,
+            check_outputs,
+            load_with_data,
+            read_cell,
+            say_ignored,
+            with_target_link,
+        )
         from calib.cli.terminal import say
         from calib.identify.acceptance_tables import acceptance_table, accuracy_table
         from calib.identify.accuracy import accuracy

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,37 +12,37 @@ import typer
 
 from calib.cli.executors import Dask, SampleWorkers, executor_of
 from calib.cli.options import (
-    Base,
-    CellFile,
-    Columns,
     DataFile,
-    Debug,
+    FitOptions,
     Force,
-    Frame,
-    Hold,
-    MeasuredKind,
-    ModelName,
-    PayloadMass,
-    PointsFile,
-    PointsUnit,
-    PriorSizes,
     Quiet,
-    Repeats,
     RobotFile,
-    Solver,
-    Target,
-    Tip,
-    reporting,
+    Robust,
+    SolverName,
+    TableOptions,
+    TargetLink,
+    Validate,
+    one_of,
+    verb,
 )
-from calib.cli.report_files import FigureFolder, FigureKind, ReportFile
-from calib.errors import CalibError
+from calib.errors import CalibError, FileError
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from calib.calibration import Calibration
+    from calib.measure.measurements import Measurements
+    from calib.model.robot import Robot
 
-_HELP = """Calibrate a robot from measurements.
+
+def parse_figure_format(name: str) -> str:
+    """The ending of a picture's file, for ``--figure-format``."""
+    from calib.show.figure_base import KINDS
+
+    return one_of(name, KINDS)
+
+
+@verb("""Calibrate a robot from measurements.
 
 \b
 Examples:
@@ -57,53 +58,13 @@ The table holds one row a pose: a column for each joint, such as "joint_1 [deg]"
 "y [mm]", "z [mm]". Orientations, distances, balls in sockets and touched planes can be measured too; see
 docs/data-format.md. An optional column "set" says which rows are for estimation ("estimate") and which for validation
 ("validate").
-"""
-
-
+""")
 def fit(
     robot: RobotFile,
     data: DataFile,
-    base: Base = None,
-    tip: Tip = None,
-    target: Target = None,
-    fix_target: Annotated[
-        bool, typer.Option("--fix-target", help="Keep the target where --target says it is.")
-    ] = False,
-    frame: Frame = None,
-    model: ModelName = None,
-    solver: Annotated[
-        Solver,
-        typer.Option(
-            help="lm: the default. scipy: the same problem by SciPy. paper: the paper's algorithm."
-        ),
-    ] = Solver.lm,
-    priors: Annotated[
-        PriorSizes | None,
-        typer.Option(
-            help="Sizes of the robot's errors: found from the data (data, default), as the cell file or calib's own "
-            "3 mm and 15 mrad say (given), or no priors (off)."
-        ),
-    ] = None,
-    freeze: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PARAMETER", help="Keep a parameter at its nominal value. Can be repeated."
-        ),
-    ] = None,
-    payload: PayloadMass = None,
-    repeats: Annotated[
-        Repeats | None,
-        typer.Option(
-            help="How rows of one pose count: as their own scatter and what they share say (weighted, default), as "
-            "one row (average), or each for itself (independent)."
-        ),
-    ] = None,
-    kind: MeasuredKind = None,
-    points: PointsFile = None,
-    points_unit: PointsUnit = None,
-    hold: Hold = None,
-    columns: Columns = None,
-    cell: CellFile = None,
+    setup: FitOptions,
+    table: TableOptions,
+    solver: SolverName = "lm",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Write the corrected URDF.")
     ] = None,
@@ -114,15 +75,32 @@ def fit(
         Path | None,
         typer.Option("--view", help="Write a page that shows both robots, to open in a browser."),
     ] = None,
-    report: ReportFile = None,
-    figures: FigureFolder = None,
-    figure_format: FigureKind = None,
-    target_link: Annotated[
-        bool,
+    report: Annotated[
+        Path | None,
         typer.Option(
-            "--target-link", help="Add a link 'calib_target' at the target to the corrected URDF."
+            "--report",
+            metavar="FILE",
+            help="Write a report with figures to print and sign: a page, .html.",
         ),
-    ] = False,
+    ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(
+            "--figures",
+            metavar="FOLDER",
+            help="Write every figure into a folder, and their captions as captions.md; it is made if missing.",
+        ),
+    ] = None,
+    figure_format: Annotated[
+        str | None,
+        typer.Option(
+            "--figure-format",
+            parser=parse_figure_format,
+            metavar="png|svg|pdf",
+            help="The kind of file of --figures. Default: png.",
+        ),
+    ] = None,
+    target_link: TargetLink = False,
     bootstrap: Annotated[
         int | None,
         typer.Option(
@@ -145,57 +123,31 @@ def fit(
             help="Print the interval of a parameter by the profile of the cost. Can be repeated.",
         ),
     ] = None,
-    robust: Annotated[bool, typer.Option(help="Give outliers no weight.")] = True,
-    validate: Annotated[
-        bool, typer.Option(help="Cross-validate; without it there is no verdict.")
-    ] = True,
+    robust: Robust = True,
+    validate: Validate = True,
     force: Force = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
-    """See `_HELP`."""
-    with reporting(debug=debug), executor_of(workers, dask, bootstrap, default=1) as executor:
-        from calib.cli.progress import progress_bar
-        from calib.cli.report_files import (
-            check_figures,
-            check_report,
-            write_report_files,
-        )
-        from calib.cli.setup import check_outputs, load_with_data, read_cell, say_ignored
-        from calib.cli.terminal import say
+    """See the text of `verb`."""
+    from calib.cli.setup import check_outputs, load_with_data, read_cell
+    from calib.cli.terminal import command_line, progress_bar
 
-        _check_bootstrap(bootstrap, {"--seed": seed, "--workers": workers, "--dask": dask})
-        inputs: list[str | Path] = [robot, data, *(path for path in (cell, points) if path)]
-        check_report(report, figures, figure_format, [output, json, view])
-        check_outputs([output, json, view, report], inputs, force=force)
-        setup = read_cell(
-            cell,
-            base=base,
-            tip=tip,
-            target=target,
-            frame=frame,
-            model=model,
-            kind=kind,
-            hold=hold,
-            payload=payload,
-        )
-        setup = replace(
-            setup,
-            estimate_target=setup.estimate_target and not fix_target,
-            frozen=(*setup.frozen, *(freeze or ())),
-            priors=setup.priors if priors is None else setup.priors.with_sizes(priors.value),
-            repeats=setup.repeats if repeats is None else repeats.value,
-        )
-        arm, table = load_with_data(robot, setup, data, columns, points, points_unit)
+    _check_bootstrap(bootstrap, {"--seed": seed, "--workers": workers, "--dask": dask})
+    _check_report(report, figures, figure_format, [output, json, view])
+    inputs: list[str | Path] = [robot, data, *(path for path in (setup.cell, table.points) if path)]
+    check_outputs([output, json, view, report], inputs, force=force)
+    with executor_of(workers, dask, bootstrap, default=1) as executor:
+        cell = read_cell(**asdict(setup))
+        arm, rows = load_with_data(robot, cell, data, **asdict(table))
 
         from calib.calibration import calibrate
 
         with progress_bar("cross-validation", quiet=quiet) as progress:
             result = calibrate(
                 arm,
-                table,
-                cell=setup,
-                solver=solver.value,
+                rows,
+                cell=cell,
+                solver=solver,
                 robust=robust,
                 validate=validate,
                 progress=progress,
@@ -203,24 +155,127 @@ def fit(
         texts, tables = _intervals(
             result, bootstrap, seed or 0, profile or [], executor, quiet=quiet
         )
-        check_figures(result, figures, figure_format, force=force)
-        # Files first: a reader of the text that goes away (head, less) must not cost the results.
-        written = [
-            *_write(result, output, json, view, tables, target_link=target_link, force=force),
-            *write_report_files(result, report, figures, figure_format, force=force, quiet=quiet),
-        ]
-        if not quiet:
-            say_ignored(table, arm)
-            say("\n\n".join([result.summary(), *texts]) + "\n")
-            for path in written:
-                typer.echo(f"Written: {path}")
-            if output is None:
-                typer.echo("No URDF was written; add -o corrected.urdf to write it.")
-        if output is not None and result.verdict is not None and result.verdict.use == "do not use":
-            typer.echo(
-                f"calib: the verdict on {output} is 'do not use': {result.verdict.reasons[0]}",
-                err=True,
+    kind = figure_format or "png"
+    if figures is not None and not force:
+        from calib.show.figures import check_free, drawings, figure_files
+
+        check_free(figure_files(drawings(result), figures, kind))
+    # Files first: a reader of the text that goes away (head, less) must not cost the results.
+    written: list[object] = [
+        *_write(result, output, json, view, tables, target_link=target_link, force=force)
+    ]
+    if report is not None:
+        from calib.show.report import write_report
+
+        written.append(write_report(result, report, command=command_line(), overwrite=force))
+    if figures is not None:
+        from calib.show.figures import write_figures
+
+        with progress_bar("figures", quiet=quiet) as progress:
+            made = write_figures(result, figures, kind=kind, overwrite=force, progress=progress)
+        written.append(f"{figures} ({len(made)} figures)")
+    if not quiet:
+        _say(result, arm, rows, texts, written, urdf=output is not None)
+    if output is not None and result.verdict is not None and result.verdict.use == "do not use":
+        typer.echo(
+            f"calib: the verdict on {output} is 'do not use': {result.verdict.reasons[0]}", err=True
+        )
+
+
+def _write(
+    result: Calibration,
+    output: Path | None,
+    json: Path | None,
+    view: Path | None,
+    tables: dict[str, Any],
+    *,
+    target_link: bool,
+    force: bool,
+) -> Iterator[Path]:
+    """Write robot, result and page as far as they are asked for, one after the other."""
+    if output is not None:
+        yield result.write_urdf(output, overwrite=force, target_link=target_link)
+    if json is not None:
+        from calib.identify.result_file import write_result
+
+        yield write_result(result, json, overwrite=force, extra=tables)
+    if view is not None:
+        from calib.show.pictures import write_page
+
+        yield write_page(result, view, overwrite=force)
+
+
+def _say(
+    result: Calibration,
+    robot: Robot,
+    rows: Measurements,
+    texts: Iterable[str],
+    written: Iterable[object],
+    *,
+    urdf: bool,
+) -> None:
+    """Print what was left out, the summary, the intervals asked for, and what was written."""
+    from calib.cli.setup import say_ignored
+    from calib.cli.terminal import say
+
+    say_ignored(rows, robot)
+    say("\n\n".join([result.summary(), *texts]) + "\n")
+    for path in written:
+        typer.echo(f"Written: {path}")
+    if not urdf:
+        typer.echo("No URDF was written; add -o corrected.urdf to write it.")
+
+
+def _check_report(
+    report: Path | None,
+    figures: Path | None,
+    kind: str | None,
+    others: Iterable[Path | None],
+) -> None:
+    """Refuse before the work what cannot be written after it.
+
+    Args:
+        report: The report's file.
+        figures: The figures' folder.
+        kind: Their kind.
+        others: What else the command reads and writes.
+
+    Raises:
+        FileError: The report's name has an ending that no report has, or a file stands where the folder should,
+            or will.
+        CalibError: A kind of figures, and no folder for them.
+    """
+    if kind is not None and figures is None:
+        message = f"--figure-format {kind} is for figures; name their folder with --figures FOLDER."
+        raise CalibError(message)
+    if figures is not None and figures.exists() and not figures.is_dir():
+        message = f"{figures} is a file; --figures names a folder, choose another name."
+        raise FileError(message)
+    if figures is not None:
+        _check_folder(figures, (report, *others))
+    if report is not None:
+        from calib.show.report import check_ending
+
+        check_ending(report)
+
+
+def _check_folder(folder: Path, files: Iterable[Path | None]) -> None:
+    """Refuse a folder whose name a file is to have, or in whose path one stands.
+
+    Raises:
+        FileError: It has.
+    """
+    real = Path(os.path.realpath(folder))
+    for file in files:
+        if file is None:
+            continue
+        taken = Path(os.path.realpath(file))
+        if taken == real or taken in real.parents:
+            message = (
+                f"{folder} is the folder of --figures, and {file} is a file of this command: both cannot have the "
+                "name; choose another for one of them."
             )
+            raise FileError(message)
 
 
 def _check_bootstrap(bootstrap: int | None, given: dict[str, object]) -> None:
@@ -243,8 +298,14 @@ def _intervals(
     """Bootstrap and profiles, as far as they are asked for: texts to print, and tables for the result file."""
     if count is None and not names:
         return [], {}
-    from calib.cli import intervals
-    from calib.cli.progress import progress_bar
+    from calib.cli.intervals import (
+        LEVEL,
+        bootstrap_table,
+        bootstrap_text,
+        profile_table,
+        profile_text,
+    )
+    from calib.cli.terminal import progress_bar
     from calib.identify.uncertainty import bootstrap, profile_interval
 
     texts: list[str] = []
@@ -252,39 +313,12 @@ def _intervals(
     if count is not None:
         with progress_bar("bootstrap", quiet=quiet) as progress:
             found = bootstrap(result, count, seed, progress, executor)
-        texts.append(intervals.bootstrap_text(result, found))
-        tables["bootstrap"] = intervals.bootstrap_table(found)
+        texts.append(bootstrap_text(result, found))
+        tables["bootstrap"] = bootstrap_table(found)
     if names:
         profiles = [
-            (result.parameter(name), profile_interval(result, name, intervals.LEVEL))
-            for name in names
+            (result.parameter(name), profile_interval(result, name, LEVEL)) for name in names
         ]
-        texts.append(intervals.profile_text(profiles))
-        tables["profiles"] = intervals.profile_table(profiles)
+        texts.append(profile_text(profiles))
+        tables["profiles"] = profile_table(profiles)
     return texts, tables
-
-
-def _write(
-    result: Calibration,
-    output: Path | None,
-    json: Path | None,
-    view: Path | None,
-    tables: dict[str, Any],
-    *,
-    target_link: bool,
-    force: bool,
-) -> Iterator[Path]:
-    """Write the files asked for, one after the other."""
-    if output is not None:
-        yield result.write_urdf(output, overwrite=force, target_link=target_link)
-    if json is not None:
-        from calib.identify.result_file import write_result
-
-        yield write_result(result, json, overwrite=force, extra=tables)
-    if view is not None:
-        from calib.show.pictures import write_page
-
-        yield write_page(result, view, overwrite=force)
-
-
-fit.__doc__ = _HELP

@@ -2,33 +2,48 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib.cli.executors import Dask, Workers, executor_of
 from calib.cli.options import (
-    Base,
-    CellFile,
     Columns,
-    Debug,
-    Frame,
-    Hold,
-    MeasuredKind,
-    ModelName,
-    PayloadMass,
+    FitOptions,
     PointsUnit,
-    PriorSizes,
     Quiet,
-    Repeats,
-    Solver,
-    Target,
-    Tip,
-    reporting,
+    Robust,
+    SolverName,
+    TargetLink,
+    Validate,
+    verb,
 )
+from calib.cli.terminal import VERDICTS, fill
 
-_HELP = """Calibrate many robots and say which of them are odd.
+if TYPE_CHECKING:
+    from calib.fleets.fleet import Fleet
+    from calib.fleets.record import FleetRow
+
+#: More robots than this are counted, and those are listed that need somebody to look at them.
+LISTED = 40
+
+#: Reasons that are told of one robot, and robots of one reason that are named; fleet.json has them all.
+_REASONS, _NAMES = 4, 5
+
+#: What `Odd.figure` says of data that are another robot's too.
+DATA = "data"
+
+#: Columns of the table; the first three hold words.
+_HEADS = ("robot", "verdict", "model", "nominal", "calibrated", "unseen", "noise", "rows", "out")
+_WORDS = 3
+
+
+@verb("""Calibrate many robots and say which of them are odd.
 
 \b
 Examples:
@@ -41,9 +56,7 @@ cell, points, points_unit, base, tip, target, frame, model, kind, payload, hold 
 'calib fit' do. Options on the line are for all robots; what a row says wins. Each robot gets a folder with
 corrected.urdf, result.json, report.html and summary.txt; fleet.csv and fleet.json compare them. Given again, the same
 command keeps what is finished and unchanged. The exit code is 1 if a robot failed. See docs/fleet.md.
-"""
-
-
+""")
 def fleet(
     manifest: Annotated[
         Path, typer.Argument(metavar="MANIFEST", help="CSV table of the robots, one a row.")
@@ -54,39 +67,13 @@ def fleet(
             "--out", metavar="FOLDER", help="The folder for the results; made if missing."
         ),
     ],
-    base: Base = None,
-    tip: Tip = None,
-    target: Target = None,
-    fix_target: Annotated[
-        bool, typer.Option("--fix-target", help="Keep targets where they are said to be.")
-    ] = False,
-    frame: Frame = None,
-    model: ModelName = None,
-    solver: Annotated[Solver, typer.Option(help="As of 'calib fit'.")] = Solver.lm,
-    priors: Annotated[PriorSizes | None, typer.Option(help="As of 'calib fit'.")] = None,
-    freeze: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PARAMETER", help="Keep a parameter at its nominal value. Can be repeated."
-        ),
-    ] = None,
-    payload: PayloadMass = None,
-    repeats: Annotated[Repeats | None, typer.Option(help="As of 'calib fit'.")] = None,
-    kind: MeasuredKind = None,
+    setup: FitOptions,
+    solver: SolverName = "lm",
     points_unit: PointsUnit = None,
-    hold: Hold = None,
     columns: Columns = None,
-    cell: CellFile = None,
-    target_link: Annotated[
-        bool,
-        typer.Option(
-            "--target-link", help="Add a link 'calib_target' at the target to the corrected URDFs."
-        ),
-    ] = False,
-    robust: Annotated[bool, typer.Option(help="Give outliers no weight.")] = True,
-    validate: Annotated[
-        bool, typer.Option(help="Cross-validate; without it there is no verdict.")
-    ] = True,
+    target_link: TargetLink = False,
+    robust: Robust = True,
+    validate: Validate = True,
     reports: Annotated[
         bool,
         typer.Option(
@@ -99,74 +86,51 @@ def fleet(
         bool, typer.Option("--force", help="Calibrate all robots anew, finished ones too.")
     ] = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
-    """See `_HELP`."""
-    with reporting(debug=debug):
-        from calib.cli.fleet_manifest import Said, check_out, read_manifest
-        from calib.cli.fleet_text import print_fleet
-        from calib.cli.progress import progress_bar
-        from calib.fleets.fleet import fleet as calibrate_fleet
-        from calib.fleets.robots import FleetOptions
+    """See the text of `verb`."""
+    from calib.cli.fleet_manifest import check_out, read_manifest
+    from calib.cli.terminal import progress_bar
+    from calib.fleets.fleet import fleet as calibrate_fleet
+    from calib.fleets.robots import FleetOptions
 
-        said = Said(
-            cell=cell,
-            points_unit=points_unit,
-            base=base,
-            tip=tip,
-            target=target,
-            frame=frame,
-            model=model,
-            kind=kind,
-            payload=payload,
-            hold=tuple(hold or ()),
-            columns=tuple(columns or ()),
-            fix_target=fix_target,
-            freeze=tuple(freeze or ()),
-            priors=priors,
-            repeats=repeats,
-        )
-        check_out(manifest, out)
-        robots = read_manifest(manifest, said)
-        options = FleetOptions(
-            solver=solver.value,
-            robust=robust,
-            validate=validate,
-            reports=reports,
-            target_link=target_link,
-            command=_command(),
-        )
-        try:
-            with (
-                executor_of(workers, dask, len(robots)) as executor,
-                progress_bar("robots", quiet=quiet) as progress,
-            ):
-                found = calibrate_fleet(
-                    robots, out, options, executor=executor, progress=progress, force=force
-                )
-        except KeyboardInterrupt as error:
-            message = (
-                f"Finished robots are kept in {out}: the same command goes on with the others."
+    check_out(manifest, out)
+    robots = read_manifest(manifest, setup, columns or (), points_unit)
+    options = FleetOptions(
+        solver=solver,
+        robust=robust,
+        validate=validate,
+        reports=reports,
+        target_link=target_link,
+        command=_command(),
+    )
+    try:
+        with (
+            executor_of(workers, dask, len(robots)) as executor,
+            progress_bar("robots", quiet=quiet) as progress,
+        ):
+            found = calibrate_fleet(
+                robots, out, options, executor=executor, progress=progress, force=force
             )
-            raise KeyboardInterrupt(message) from error
-        if not quiet:
-            print_fleet(found)
-            for name in ("fleet.csv", "fleet.json"):
-                typer.echo(f"Written: {out / name}")
-        if found.failed:
-            text = f"calib: {len(found.failed)} of {len(found.rows)} robots failed"
-            # What was printed above has the reasons.
-            first = found.failed[0]
-            text += f"; '{first.name}': {' '.join(first.message.split())}" if quiet else "."
-            typer.echo(text, err=True)
-            raise typer.Exit(1)
+    except KeyboardInterrupt as error:
+        message = f"Finished robots are kept in {out}: the same command goes on with the others."
+        raise KeyboardInterrupt(message) from error
+    if not quiet:
+        _print_table(found)
+        for paragraph in _paragraphs(found):
+            typer.echo(paragraph)
+        for name in ("fleet.csv", "fleet.json"):
+            typer.echo(f"Written: {out / name}")
+    if found.failed:
+        text = f"calib: {len(found.failed)} of {len(found.rows)} robots failed"
+        # What was printed above has the reasons.
+        first = found.failed[0]
+        text += f"; '{first.name}': {' '.join(first.message.split())}" if quiet else "."
+        typer.echo(text, err=True)
+        raise typer.Exit(1)
 
 
 def _command() -> str:
     """The command for the reports, without where and how loudly it ran: that makes no difference to them."""
-    import shlex
-    import sys
-
     words, kept = iter(sys.argv[1:]), ["calib"]
     for word in words:
         name = word.partition("=")[0]
@@ -178,4 +142,113 @@ def _command() -> str:
     return shlex.join(kept)
 
 
-fleet.__doc__ = _HELP
+def _print_table(found: Fleet) -> None:
+    """The robots, or of a large fleet those that are odd or not to be used, one a line.
+
+    On a terminal long names are folded and the verdicts coloured; elsewhere it is plain text.
+    """
+    done = [row for row in found.rows if row not in found.failed]
+    odd = {one.name for one in found.odd}
+    shown, which = done, ":"
+    if len(done) > LISTED:
+        shown = [row for row in done if row.name in odd or row.verdict not in ("use", "")]
+        which = (
+            f", of the {len(shown)} of {len(done)} robots that are odd or not simply to be used:"
+        )
+    if not shown:
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    # Behind "unseen" where that is of validation rows: what robots are compared by.
+    cross = any(r.unseen == "validation" and r.left_out_rms == r.left_out_rms for r in shown)
+    heads = [*_HEADS[:6], *["cross-val."] * cross, *_HEADS[6:]]
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for k, head in enumerate(heads):
+        table.add_column(head, justify="left" if k < _WORDS else "right", overflow="fold")
+    for row in shown:
+        cells = [Text(cell) for cell in _cells(row, cross=cross)]
+        cells[1].stylize(VERDICTS.get(row.verdict, ""))
+        table.add_row(*cells)
+    typer.echo(f"Errors and noise, rms [mm]{which}")
+    # A file is as wide as its longest name.
+    console = Console(
+        width=None if sys.stdout.isatty() else 10_000, highlight=False, markup=False, emoji=False
+    )
+    with console.capture() as printed:
+        console.print(table)
+    for line in printed.get().splitlines():
+        typer.echo(line.rstrip())
+    typer.echo("")
+
+
+def _cells(row: FleetRow, *, cross: bool) -> tuple[str, ...]:
+    """A robot's cells."""
+    model = f"{row.model} ({row.larger})" if row.larger else row.model
+    left_out = (row.left_out_rms,) * cross
+    numbers = (row.nominal_rms, row.calibrated_rms, row.unseen_rms, *left_out, row.sigma)
+    shown = ("" if value != value else f"{1e3 * value:.3f}" for value in numbers)
+    return (row.name, row.verdict or "-", model, *shown, str(row.rows), str(row.outliers))
+
+
+def _paragraphs(found: Fleet) -> Iterator[str]:
+    """The odd ones, the failed ones, what could not be said, and how many there were."""
+    reasons: dict[str, list[str]] = {}
+    for one in found.odd:
+        if one.figure != DATA:
+            reasons.setdefault(one.name, []).append(one.text)
+    twice = [f"{one.name}: {one.text}" for one in found.odd if one.figure == DATA]
+    odd = [
+        f"{name}: {'; '.join(texts[:_REASONS])}"
+        + f"; and {len(texts) - _REASONS} more in fleet.json" * (len(texts) > _REASONS)
+        for name, texts in reasons.items()
+    ]
+    for head, lines in (
+        ("Odd ones out:", odd),
+        ("Data given twice, which count once in what is usual:", twice),
+        ("Failed:", [*_failed(found.failed)]),
+    ):
+        if lines:
+            yield "\n".join([head, *(fill(line, "  ", "  ") for line in lines), ""])
+    for note in found.notes:
+        yield fill(note)
+    yield _counts(found, odd=len(odd), twice=len(twice))
+
+
+def _counts(found: Fleet, *, odd: int, twice: int) -> str:
+    """How many robots, with which verdicts."""
+    from calib.fleets.record import DONE, STALE
+
+    done = [row for row in found.rows if row.status == DONE]
+    verdicts = Counter(row.verdict or "no verdict" for row in done)
+    words = ", ".join(f"{count} {word}" for word, count in verdicts.most_common())
+    stale = sum(row.status == STALE for row in found.failed)
+    return (
+        f"{len(done)} of {len(found.rows)} robots calibrated"
+        + f" ({words})" * bool(words)
+        + f", {found.kept} of them by an earlier run" * bool(found.kept)
+        + f"; {odd} odd"
+        + f", {twice} with the data of another" * bool(twice)
+        + f", {len(found.failed)} failed"
+        + f" ({stale} of them with a result of earlier inputs in the folder)" * bool(stale)
+        + "."
+    )
+
+
+def _failed(rows: Sequence[FleetRow]) -> Iterator[str]:
+    """Each reason once, with the robots that it is of."""
+    from calib.fleets.record import STALE
+
+    groups: dict[tuple[str, bool], list[str]] = {}
+    for row in rows:
+        groups.setdefault((row.message, row.status == STALE), []).append(row.name)
+    for (message, stale), names in groups.items():
+        more = f" and {len(names) - _NAMES} more" if len(names) > _NAMES else ""
+        text = f"{', '.join(names[:_NAMES])}{more}: {message}"
+        if stale:
+            whose = "Its folder holds the result"
+            if len(names) > 1:
+                whose = "Their folders hold the results"
+            text = f"{text.removesuffix('.')}. {whose} of earlier inputs."
+        yield text

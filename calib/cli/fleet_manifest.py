@@ -1,89 +1,28 @@
-"""The manifest of ``calib fleet``: a robot a row, and how its cells and the command line come to a set-up."""
+"""The manifest of ``calib fleet``: a robot a row, whose cells are options of that robot."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from calib.cli.options import PriorSizes, Repeats
+from calib.cli.options import FitOptions, ModelOptions
 from calib.cli.setup import read_cell
 from calib.cli.words import parse_columns
 from calib.errors import CalibError, FileError, choices, did_you_mean
 
 if TYPE_CHECKING:
     from calib.fleets.robots import FleetInputs, FleetRobot
-    from calib.measure.cell import Cell
     from calib.model.urdf import Urdf
 
 NEEDED = ("name", "robot", "data")
-OPTIONAL = (
-    "cell",
-    "points",
-    "points_unit",
-    "base",
-    "tip",
-    "target",
-    "frame",
-    "model",
-    "kind",
-    "payload",
-    "hold",
-    "columns",
-)
 
-
-@dataclass(frozen=True, slots=True)
-class Said:
-    """What the command line says of all robots; a row's own cell wins.
-
-    Attributes:
-        cell, points_unit, base, tip, target, frame, model, payload: As the options of the same names.
-        kind: Likewise.
-        hold, columns: Likewise; each given any number of times.
-        fix_target: Whether targets stay where they are said to be.
-        freeze: Parameters that stay at their nominal values.
-        priors: Where the sizes of the priors come from.
-        repeats: How rows of one pose count.
-    """
-
-    cell: Path | None = None
-    points_unit: str | None = None
-    base: str | None = None
-    tip: str | None = None
-    target: str | None = None
-    frame: str | None = None
-    model: str | None = None
-    kind: str | None = None
-    payload: str | None = None
-    hold: tuple[str, ...] = ()
-    columns: tuple[str, ...] = ()
-    fix_target: bool = False
-    freeze: tuple[str, ...] = ()
-    priors: PriorSizes | None = None
-    repeats: Repeats | None = None
-
-    def check(self) -> Cell:
-        """Refuse what can be said of no robot; the set-up of those whose row says nothing.
-
-        Raises:
-            CalibError: An option that is none, or a cell file that cannot be read.
-        """
-        parse_columns(self.columns)
-        return read_cell(
-            self.cell,
-            base=self.base,
-            tip=self.tip,
-            target=self.target,
-            frame=self.frame,
-            model=self.model,
-            kind=self.kind,
-            hold=self.hold,
-            payload=self.payload,
-        )
+#: Columns that are options of the set-up, and those that say how the data are read.
+_SETUP = tuple(f.name for f in fields(ModelOptions))
+OPTIONAL = (*_SETUP, "points", "points_unit", "columns")
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +33,17 @@ class _Entry:
         where: File and line, for messages.
         cells: Its cells that are not empty, by column.
         folder: The manifest's, which relative paths begin at.
-        said: What the command line says.
+        setup: What the command line says of all robots; the row's own cells win.
+        columns: Likewise.
+        points_unit: Likewise.
     """
 
     where: str
     cells: dict[str, str]
     folder: Path
-    said: Said
+    setup: FitOptions
+    columns: Iterable[str]
+    points_unit: str | None
 
     def load(self, urdf_of: Callable[[str], Urdf]) -> FleetInputs:
         """Read the robot.
@@ -110,15 +53,23 @@ class _Entry:
         """
         from calib.fleets.robots import FleetRobot
 
+        cells = self.cells
         try:
+            own: dict[str, Any] = {name: cells[name] for name in _SETUP if name in cells}
+            own |= {"hold": self._listed("hold")} if "hold" in cells else {}
+            own |= {"cell": self.folder / cells["cell"]} if "cell" in cells else {}
+            points = self.folder / cells["points"] if "points" in cells else None
+            if points is None and "points_unit" in cells:
+                message = "points_unit is the unit of a list of points; name the list in the column 'points'."
+                raise CalibError(message)  # noqa: TRY301  told with the row
             robot = FleetRobot.of_files(
-                self.cells["name"],
+                cells["name"],
                 self.source(),
-                self.folder / self.cells["data"],
-                self._setup(),
-                columns=parse_columns(self._listed("columns") or self.said.columns),
-                points=self._path("points"),
-                points_unit=self._points_unit(),
+                self.folder / cells["data"],
+                read_cell(**asdict(replace(self.setup, **own))),
+                columns=parse_columns(self._listed("columns") or self.columns),
+                points=points,
+                points_unit=cells.get("points_unit", self.points_unit) if points else None,
             )
             return robot.load(urdf_of)
         except CalibError as error:
@@ -136,46 +87,6 @@ class _Entry:
         """Whether the row has a word of its own on this, or a cell file that may."""
         return column in self.cells or "cell" in self.cells
 
-    def _told(self, text: str) -> str:
-        """A message with the row's columns in the place of options that are not on the line."""
-        for column in OPTIONAL:
-            if column in self.cells:
-                option = re.escape(f"--{column.replace('_', '-')}")
-                text = re.sub(rf"{option}(?![\w-])", f"column '{column}'", text)
-        return text
-
-    def _setup(self) -> Cell:
-        """The cell file with what the command line says on top of it, and what the row says on top of that."""
-        from calib import kinds
-
-        said, own = self.said, self.cells
-        kind = said.kind
-        if "kind" in own:
-            kind = own["kind"]
-            if kind not in kinds.names():
-                message = f"column 'kind': '{kind}' is no kind of measurement; choose one of {choices(kinds.names())}."
-                raise CalibError(message)
-        setup = read_cell(
-            self._path("cell") or said.cell,
-            base=own.get("base", said.base),
-            tip=own.get("tip", said.tip),
-            target=own.get("target", said.target),
-            frame=own.get("frame", said.frame),
-            model=own.get("model", said.model),
-            kind=kind,
-            hold=self._listed("hold") or said.hold,
-            payload=own.get("payload", said.payload),
-        )
-        return replace(
-            setup,
-            estimate_target=setup.estimate_target and not said.fix_target,
-            frozen=(*setup.frozen, *said.freeze),
-            priors=setup.priors
-            if said.priors is None
-            else setup.priors.with_sizes(said.priors.value),
-            repeats=setup.repeats if said.repeats is None else said.repeats.value,
-        )
-
     def source(self) -> str:
         """The robot's file, with what stands behind a xacro, or its name in example-robot-data where it is no file."""
         from calib.model.xacro_file import is_xacro
@@ -187,36 +98,29 @@ class _Entry:
         # As text: what stands behind a xacro is no path.
         return f"{self.folder}{os.sep}{source}"
 
-    def _path(self, column: str) -> Path | None:
-        """A file that the row names."""
-        return self.folder / self.cells[column] if column in self.cells else None
+    def _told(self, text: str) -> str:
+        """A message with the row's columns in the place of options that are not on the line."""
+        for column in OPTIONAL:
+            if column in self.cells:
+                option = re.escape(f"--{column.replace('_', '-')}")
+                text = re.sub(rf"{option}(?![\w-])", f"column '{column}'", text)
+        return text
 
-    def _points_unit(self) -> str | None:
-        """The unit of the row's list of points.
-
-        Raises:
-            CalibError: A unit, and no list.
-        """
-        if "points_unit" in self.cells and "points" not in self.cells:
-            message = (
-                "points_unit is the unit of a list of points; name the list in the column 'points'."
-            )
-            raise CalibError(message)
-        if "points" not in self.cells:
-            return None
-        return self.cells.get("points_unit", self.said.points_unit)
-
-    def _listed(self, column: str) -> tuple[str, ...]:
+    def _listed(self, column: str) -> list[str]:
         """The parts of a cell, with semicolons between."""
-        return tuple(part.strip() for part in self.cells.get(column, "").split(";") if part.strip())
+        return [part.strip() for part in self.cells.get(column, "").split(";") if part.strip()]
 
 
-def read_manifest(path: Path, said: Said) -> tuple[FleetRobot, ...]:
+def read_manifest(
+    path: Path, setup: FitOptions, columns: Sequence[str], points_unit: str | None
+) -> tuple[FleetRobot, ...]:
     """The robots of a manifest, none of them read yet.
 
     Args:
         path: The manifest.
-        said: What the command line says of all of them.
+        setup: What the command line says of all of them.
+        columns: Likewise, as ``--columns`` has it.
+        points_unit: Likewise.
 
     Raises:
         CalibError: It cannot be read, a column is missing, unknown or there twice, a row has no name, robot or data, or
@@ -226,7 +130,9 @@ def read_manifest(path: Path, said: Said) -> tuple[FleetRobot, ...]:
     from calib.fleets.robots import FleetRobot
     from calib.measure.table import Table
 
-    setup = said.check()
+    # What can be said of no robot is refused before any is read.
+    parse_columns(columns)
+    cell = read_cell(**asdict(setup))
     table = Table.read(path)
     header = [label.strip().lower() for label in table.header]
     _check_header(header, path)
@@ -244,18 +150,18 @@ def read_manifest(path: Path, said: Said) -> tuple[FleetRobot, ...]:
         if lacking:
             message = f"{where}: {choices(lacking)} is empty; each robot has {choices(NEEDED)}."
             raise CalibError(message)
-        entries.append(_Entry(where, cells, path.parent, said))
+        entries.append(_Entry(where, cells, path.parent, setup, columns, points_unit))
     if not entries:
         message = f"{path.name}: there are no robots in it, only a header."
         raise CalibError(message)
     check_names((entry.cells["name"], entry.where) for entry in entries)
     for column, what, names in (
-        ("base", "link", [setup.base]),
-        ("tip", "link", [setup.tip]),
-        ("hold", "joint", setup.held),
+        ("base", "link", [cell.base]),
+        ("tip", "link", [cell.tip]),
+        ("hold", "joint", cell.held),
     ):
         # What the line does not say stands in its cell file.
-        where = f"--{column}" if getattr(said, column) else f"{said.cell}: {column}"
+        where = f"--{column}" if getattr(setup, column) else f"{setup.cell}: {column}"
         for name in names:
             silent = [entry for entry in entries if not entry.says(column)]
             _check_known(where, what, name, silent)

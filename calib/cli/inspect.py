@@ -3,56 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import (
-    Base,
-    CellFile,
-    Columns,
-    Debug,
-    Frame,
-    Hold,
-    MeasuredKind,
-    ModelName,
-    PayloadMass,
-    PointsFile,
-    PointsUnit,
-    RobotFile,
-    reporting,
-)
+from calib.cli.options import ModelOptions, RobotFile, TableOptions, verb
+from calib.cli.terminal import fill
 
 if TYPE_CHECKING:
     from calib.design.forecast import Forecast
     from calib.identify.inspection import Inspection
     from calib.model.robot import Robot
 
-_HELP = """Show a robot's chain, its DH rows, the parameters of a model and which of them can be identified.
 
-\b
-Examples:
-  calib inspect ur3 --base base --tip tool0
-  calib inspect robot.urdf data.csv --model hayati
+@dataclass(frozen=True, slots=True)
+class _Options(ModelOptions):
+    """The set-up; what is said of tip and target holds without a table too."""
 
-With a table, identifiability is that of its poses; without one, of 200 poses spread over the joint limits.
-"""
-
-
-def inspect(
-    robot: RobotFile,
-    data: Annotated[
-        Path | None, typer.Argument(metavar="[DATA]", help="CSV table, to judge its poses.")
-    ] = None,
-    base: Base = None,
     tip: Annotated[
         str | None,
         typer.Option(
             help="Link that the target is mounted on. Default: the end of the longest chain, with DATA of joints that "
             "are in it."
         ),
-    ] = None,
+    ] = None
     target: Annotated[
         str | None,
         typer.Option(
@@ -60,51 +36,45 @@ def inspect(
             help='Target in the tip, such as "70 -70 22.5 mm". Default: found from DATA; without it 50, 70, 30 mm off '
             "the tip.",
         ),
+    ] = None
+
+
+@verb("""Show a robot's chain, its DH rows, the parameters of a model and which of them can be identified.
+
+\b
+Examples:
+  calib inspect ur3 --base base --tip tool0
+  calib inspect robot.urdf data.csv --model hayati
+
+With a table, identifiability is that of its poses; without one, of 200 poses spread over the joint limits.
+""")
+def inspect(
+    robot: RobotFile,
+    said: _Options,
+    read: TableOptions,
+    data: Annotated[
+        Path | None, typer.Argument(metavar="[DATA]", help="CSV table, to judge its poses.")
     ] = None,
-    frame: Frame = None,
-    model: ModelName = None,
-    payload: PayloadMass = None,
-    kind: MeasuredKind = None,
-    points: PointsFile = None,
-    points_unit: PointsUnit = None,
-    hold: Hold = None,
-    columns: Columns = None,
-    cell: CellFile = None,
-    debug: Debug = False,
 ) -> None:
-    """See `_HELP`."""
-    with reporting(debug=debug):
-        from calib.cli.setup import load, load_with_data, read_cell, say_ignored
-        from calib.identify.inspection import inspect as inspect_robot
+    """See the text of `verb`."""
+    from calib.cli.setup import load, load_with_data, read_cell, say_ignored
+    from calib.identify.inspection import inspect as inspect_robot
 
-        setup = read_cell(
-            cell,
-            base=base,
-            tip=tip,
-            target=target,
-            frame=frame,
-            model=model,
-            kind=kind,
-            hold=hold,
-            payload=payload,
-        )
-        if data is None:
-            arm, table = load(robot, setup), None
-        else:
-            arm, table = load_with_data(robot, setup, data, columns, points, points_unit)
-            say_ignored(table, arm)
-        typer.echo(_chain_text(arm))
-        typer.echo("")
-        typer.echo(_dh_text(arm))
-        typer.echo("")
-        typer.echo(_parameters_text(inspect_robot(arm, setup, table)))
-        if table is not None:
-            from calib.design.forecast import forecast_of_table
-            from calib.design.sensitivity import planned_model
+    setup = read_cell(**asdict(said))
+    if data is None:
+        arm, table = load(robot, setup), None
+    else:
+        arm, table = load_with_data(robot, setup, data, **asdict(read))
+        say_ignored(table, arm)
+    found = inspect_robot(arm, setup, table)
+    typer.echo("\n\n".join([_chain_text(arm), _dh_text(arm), _parameters_text(found)]))
+    if table is not None:
+        from calib.design.forecast import forecast_of_table
+        from calib.design.sensitivity import planned_model
 
-            foreseen = forecast_of_table(arm, setup, table)
-            if foreseen is not None:
-                typer.echo(f"\n{_forecast_text(foreseen, planned_model(setup))}")
+        foreseen = forecast_of_table(arm, setup, table)
+        if foreseen is not None:
+            typer.echo(f"\n{_forecast_text(foreseen, planned_model(setup))}")
 
 
 def _chain_text(robot: Robot) -> str:
@@ -124,7 +94,7 @@ def _chain_text(robot: Robot) -> str:
             else f"{scale * joint.lower:.1f} to {scale * joint.upper:.1f} {unit}"
         )
         lines += _row(joint.name, f"{joint.type:<12}{axis:<24}{limits}")
-    return "\n".join([*lines, *(_wrap(text, "  ") for text in _coupling_texts(robot))])
+    return "\n".join([*lines, *(fill(text, "  ") for text in _coupling_texts(robot))])
 
 
 def _coupling_texts(robot: Robot) -> Iterator[str]:
@@ -212,42 +182,28 @@ def _parameters_text(inspection: Inspection) -> str:
     indices = ", ".join(f"{name} {value:.3g}" for name, value in o.indices.items())
     lines = [
         f"Parameters of the model '{inspection.model.name}' ({len(inspection.model)}{marked}):",
-        _wrap(", ".join(names), "  "),
+        fill(", ".join(names), "  "),
         "",
-        _wrap(
-            f"Identifiable from {inspection.poses}: rank {o.rank} of {o.columns}, condition {o.condition:.1f}"
+        fill(
+            f"Identifiable from {inspection.poses}: rank {o.rank} of {o.columns}, condition {o.condition:.1f}",
+            hang="  ",
         ),
-        _wrap(f"Observability indices: {indices} (in steps of 1 mm, 1 mrad)"),
+        fill(f"Observability indices: {indices} (in steps of 1 mm, 1 mrad)", hang="  "),
     ]
     if o.unidentifiable:
         lines.append("These changes move nothing that is measured:")
-        lines += [_wrap(str(combination), "  ") for combination in o.unidentifiable]
+        lines += [fill(str(combination), "  ") for combination in o.unidentifiable]
     return "\n".join(lines)
 
 
 def _forecast_text(foreseen: Forecast, model: str) -> str:
     """What a fit of these poses can reach, and what the best poses could."""
     bound = foreseen.sigma * (foreseen.workspace_rank / foreseen.poses) ** 0.5
-    return _wrap(
+    return fill(
         f"Forecast for a fit of these {foreseen.poses} poses, with the model '{model}' and a noise of "
         f"{1e3 * foreseen.sigma:.3f} mm a coordinate: position error {1e3 * foreseen.rms:.3f} mm rms over the joint "
         f"limits (90 % of calibrations: {1e3 * foreseen.rms_low:.3f} to {1e3 * foreseen.rms_high:.3f}), "
         f"{1e3 * foreseen.max:.3f} mm where it is worst. The best {foreseen.poses} poses would give about "
-        f"{1e3 * bound:.3f} mm rms; calib plan finds such."
+        f"{1e3 * bound:.3f} mm rms; calib plan finds such.",
+        hang="  ",
     )
-
-
-def _wrap(text: str, indent: str = "") -> str:
-    """Text broken at 100 columns."""
-    import textwrap
-
-    return textwrap.fill(
-        text,
-        100,
-        initial_indent=indent,
-        subsequent_indent=indent or "  ",
-        break_on_hyphens=False,
-    )
-
-
-inspect.__doc__ = _HELP

@@ -1,52 +1,63 @@
-"""Options and arguments that several verbs share, and how errors leave the program."""
+"""Options and arguments that several verbs share, what a verb is, and how errors leave the program."""
 
 from __future__ import annotations
 
+import inspect
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from enum import Enum
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from calib.errors import CalibError, choices
+
+# What can be chosen stands in calib's core, which is imported when a word is read: not for --help.
+
+
+def one_of(word: str, names: Iterable[str]) -> str:
+    """The word, which is one of some names.
+
+    Raises:
+        typer.BadParameter: It is none of them.
+    """
+    known = tuple(names)
+    if word not in known:
+        message = f"{word!r} is not one of {choices(known)}."
+        raise typer.BadParameter(message)
+    return word
 
 
 def parse_kind(name: str) -> str:
     """The name of a kind of measurement, for ``--kind``."""
     import calib.kinds as registry
 
-    if name not in registry.names():
-        message = f"{name!r} is not one of {choices(registry.names())}."
-        raise typer.BadParameter(message)
-    return name
+    return one_of(name, registry.names())
 
 
-class Repeats(str, Enum):
-    """How rows of one pose count."""
+def parse_solver(name: str) -> str:
+    """The name of a solver, for ``--solver``."""
+    from calib.identify.fitting import PAPER
+    from calib.identify.solvers import SOLVERS
 
-    weighted = "weighted"
-    average = "average"
-    independent = "independent"
-
-
-class Solver(str, Enum):
-    """The solvers."""
-
-    lm = "lm"
-    paper = "paper"
-    scipy = "scipy"
+    return one_of(name, (*SOLVERS, PAPER))
 
 
-class PriorSizes(str, Enum):
-    """Where the sizes of the priors come from."""
+def parse_sizes(name: str) -> str:
+    """Where the sizes of the priors come from, for ``--priors``."""
+    from calib.measure.cell import PRIOR_SIZES
 
-    data = "data"
-    given = "given"
-    off = "off"
+    return one_of(name, PRIOR_SIZES)
+
+
+def parse_repeats(name: str) -> str:
+    """How rows of one pose count, for ``--repeats``."""
+    from calib.measure.cell import REPEATS
+
+    return one_of(name, REPEATS)
 
 
 RobotFile = Annotated[
@@ -146,9 +157,132 @@ CellFile = Annotated[
         "--cell", help="TOML file with frames, target, noise, priors; options on the line win."
     ),
 ]
+SolverName = Annotated[
+    str,
+    typer.Option(
+        parser=parse_solver,
+        metavar="lm|scipy|paper",
+        help="lm: the default. scipy: the same problem by SciPy. paper: the paper's algorithm.",
+    ),
+]
+PriorSizes = Annotated[
+    str | None,
+    typer.Option(
+        parser=parse_sizes,
+        metavar="data|given|off",
+        help="Sizes of the robot's errors: found from the data (data, default), as the cell file or calib's own "
+        "3 mm and 15 mrad say (given), or no priors (off).",
+    ),
+]
+Repeats = Annotated[
+    str | None,
+    typer.Option(
+        parser=parse_repeats,
+        metavar="weighted|average|independent",
+        help="How rows of one pose count: as their own scatter and what they share say (weighted, default), as "
+        "one row (average), or each for itself (independent).",
+    ),
+]
+FixTarget = Annotated[
+    bool, typer.Option("--fix-target", help="Keep the target where --target says it is.")
+]
+Freeze = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="PARAMETER", help="Keep a parameter at its nominal value. Can be repeated."
+    ),
+]
+TargetLink = Annotated[
+    bool,
+    typer.Option(
+        "--target-link", help="Add a link 'calib_target' at the target to the corrected URDF."
+    ),
+]
+Robust = Annotated[bool, typer.Option(help="Give outliers no weight.")]
+Validate = Annotated[bool, typer.Option(help="Cross-validate; without it there is no verdict.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the trace of an error.")]
+
+
+@dataclass(frozen=True, slots=True)
+class CellOptions:
+    """The set-up as the line has it; `calib.cli.setup.read_cell` takes the fields by name."""
+
+    base: Base = None
+    tip: Tip = None
+    target: Target = None
+    frame: Frame = None
+    kind: MeasuredKind = None
+    hold: Hold = None
+    cell: CellFile = None
+
+
+@dataclass(frozen=True, slots=True)
+class ModelOptions(CellOptions):
+    """The same with the errors that are estimated."""
+
+    model: ModelName = None
+    payload: PayloadMass = None
+
+
+@dataclass(frozen=True, slots=True)
+class FitOptions(ModelOptions):
+    """The same with how they are estimated, for `fit` and `fleet`."""
+
+    fix_target: FixTarget = False
+    freeze: Freeze = None
+    priors: PriorSizes = None
+    repeats: Repeats = None
+
+
+@dataclass(frozen=True, slots=True)
+class TableOptions:
+    """How a table is read; `calib.cli.setup.load_with_data` takes the fields by name."""
+
+    points: PointsFile = None
+    points_unit: PointsUnit = None
+    columns: Columns = None
+
+
+def verb(text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """A function as a verb of the command line, with ``--debug``, and with errors as `reporting` puts them.
+
+    A parameter that is one of the classes above stands for its fields, an option each.
+
+    Args:
+        text: What ``--help`` says of it.
+    """
+
+    def made(function: Callable[..., None]) -> Callable[..., None]:
+        types = get_type_hints(function, include_extras=True)
+        groups: dict[str, Any] = {k: kind for k, kind in types.items() if is_dataclass(kind)}
+        options: dict[str, inspect.Parameter] = {}
+        for p in inspect.signature(function).parameters.values():
+            own = {p.name: (types[p.name], p.default)}
+            if p.name in groups:
+                inner = get_type_hints(groups[p.name], include_extras=True)
+                own = {f.name: (inner[f.name], f.default) for f in fields(groups[p.name])}
+            for name, (kind, default) in own.items():
+                options[name] = inspect.Parameter(
+                    name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind
+                )
+        options["debug"] = inspect.Parameter(
+            "debug", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Debug
+        )
+
+        def called(**given: Any) -> None:  # noqa: ANN401
+            with reporting(debug=given.pop("debug")):
+                for name, kind in groups.items():
+                    given[name] = kind(**{f.name: given.pop(f.name) for f in fields(kind)})
+                function(**given)
+
+        called.__name__, called.__doc__ = function.__name__, text
+        called.__annotations__ = {}
+        called.__signature__ = inspect.Signature([*options.values()])  # type: ignore[attr-defined]
+        return called
+
+    return made
 
 
 @contextmanager

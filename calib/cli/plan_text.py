@@ -64,7 +64,7 @@ def plan_text(plan: Plan, asked_model: str, remarks: Iterable[str] = ()) -> str:
 
 def taken_text(taken: Taken | None, path: Path | None) -> Iterator[str]:
     """What of the table of poses taken does not count."""
-    from calib.cli.setup import row_ranges
+    from calib.cli.terminal import row_ranges
 
     if taken is None or path is None:
         return

@@ -27,19 +27,22 @@ app = typer.Typer(
     help="Kinematic calibration of robot arms: URDF in, corrected URDF out.",
     epilog="Start with:  calib demo     then:  calib fit robot.urdf data.csv -o corrected.urdf",
 )
-app.command()(demo)
-app.command()(fit)
-app.command()(fleet)
-app.command()(evaluate)
-app.command()(compare)
-app.command()(compensate)
-app.command()(inspect)
-app.command()(base_frame)
-app.command()(plan)
-app.command()(simulate)
-app.command()(convert)
-app.command()(view)
-app.command()(workspace)
+for verb in (
+    demo,
+    fit,
+    fleet,
+    evaluate,
+    compare,
+    compensate,
+    inspect,
+    base_frame,
+    plan,
+    simulate,
+    convert,
+    view,
+    workspace,
+):
+    app.command()(verb)
 
 
 def _print_version(wanted: bool) -> None:

@@ -1,9 +1,8 @@
-"""What the verbs begin with: cell, robot and table of a call, and whether its outputs can be written."""
+"""What verbs begin with: cell, robot and table of a call, and whether its outputs can be written."""
 
 from __future__ import annotations
 
 import os
-import textwrap
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from calib.cli.terminal import fill, row_ranges
 from calib.cli.words import (
     check_model,
     parse_columns,
@@ -22,13 +22,14 @@ from calib.cli.words import (
 from calib.errors import CalibError, FileError, choices
 
 if TYPE_CHECKING:
+    from calib.identify.result import Calibration
     from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
 
 
 def read_cell(
-    path: Path | None,
+    cell: Path | None,
     *,
     base: str | None = None,
     tip: str | None = None,
@@ -38,23 +39,42 @@ def read_cell(
     kind: str | None = None,
     hold: Iterable[str] | None = None,
     payload: str | None = None,
+    fix_target: bool = False,
+    freeze: Iterable[str] | None = None,
+    priors: str | None = None,
+    repeats: str | None = None,
 ) -> Cell:
-    """The cell file, if there is one, with what the command line says on top of it."""
+    """The cell file, if there is one, with what the command line says on top of it.
+
+    The arguments are options as they are written; ``asdict`` of `calib.cli.options.CellOptions` has them.
+    """
     from calib.measure.cell import Cell
 
-    cell = Cell() if path is None else Cell.read(path)
-    said: dict[str, Any] = {"base": base, "tip": tip, "model": model, "kind": kind}
+    found = Cell() if cell is None else Cell.read(cell)
+    said: dict[str, Any] = {
+        "base": base,
+        "tip": tip,
+        "model": model,
+        "kind": kind,
+        "repeats": repeats,
+    }
     if target is not None:
         said["target"] = parse_point(target, "--target")
     if frame is not None:
         said["estimate_frame"], said["frame_directions"] = parse_frame(frame)
     if hold:
-        said["held"] = {**cell.held, **parse_held(hold)}
+        said["held"] = {**found.held, **parse_held(hold)}
     if payload is not None:
-        said["payload"] = parse_payload(payload, cell.payload)
-    cell = replace(cell, **{name: value for name, value in said.items() if value is not None})
-    check_model(cell.model, "--model" if model is not None else str(path))
-    return cell
+        said["payload"] = parse_payload(payload, found.payload)
+    if fix_target:
+        said["estimate_target"] = False
+    if freeze:
+        said["frozen"] = (*found.frozen, *freeze)
+    if priors is not None:
+        said["priors"] = found.priors.with_sizes(priors)
+    found = replace(found, **{name: value for name, value in said.items() if value is not None})
+    check_model(found.model, "--model" if model is not None else str(cell))
+    return found
 
 
 def load(robot: str, cell: Cell) -> Robot:
@@ -68,7 +88,7 @@ def load_with_data(
     robot: str,
     cell: Cell,
     data: Path,
-    columns: Iterable[str] | None,
+    columns: Iterable[str] | None = None,
     points: Path | None = None,
     points_unit: str | None = None,
 ) -> tuple[Robot, Measurements]:
@@ -138,19 +158,46 @@ def check_outputs(
         check_writable(path)
 
 
-def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
-    """Row numbers in words, runs of them as one: ``4, 7 to 9``; at most ``limit`` of these, then how many rows more."""
-    runs: list[list[int]] = []
-    for row in sorted(rows):
-        if runs and row == runs[-1][1] + 1:
-            runs[-1][1] = row
-        else:
-            runs.append([row, row])
-    said = [
-        str(a) if a == b else f"{a}{', ' if b == a + 1 else ' to '}{b}" for a, b in runs[:limit]
-    ]
-    rest = sum(b - a + 1 for a, b in runs[limit:])
-    return ", ".join(said) + (f" and {rest} more" if rest else "")
+def check_chain(cell: Cell, result: Calibration, name: str) -> None:
+    """Refuse another base or tip than the result's: its frame and its target would mean something else.
+
+    Args:
+        cell: What was asked for.
+        result: The result.
+        name: Name of its file.
+
+    Raises:
+        CalibError: They differ.
+    """
+    own = result.nominal
+    for option, given, wanted in (("base", cell.base, own.base), ("tip", cell.tip, own.tip)):
+        if given is not None and given != wanted:
+            message = (
+                f"{name} is the result for --{option} {wanted}, and '{given}' was given; leave out --{option}, or "
+                f"--calibration."
+            )
+            raise CalibError(message)
+
+
+def with_target_link(robot: Robot, cell: Cell) -> Cell:
+    """The cell with the target that the URDF's link ``calib_target`` carries, if it has one at this tip.
+
+    Args:
+        robot: The robot.
+        cell: The set-up.
+    """
+    from calib.identify.result_urdf import TARGET_LINK
+
+    if robot.tip == TARGET_LINK:
+        return cell.with_target((0.0, 0.0, 0.0), estimate=cell.estimate_target)
+    if TARGET_LINK not in robot.urdf.links:
+        return cell
+    with_link = robot.rebuilt(tip=TARGET_LINK)
+    if with_link.joint_names != robot.joint_names:
+        return cell
+    T_last_target, T_last_tip = with_link.placements[-1], robot.placements[-1]
+    point = T_last_tip[:3, :3].T @ (T_last_target[:3, 3] - T_last_tip[:3, 3])
+    return cell.with_target(point, estimate=cell.estimate_target)
 
 
 def say_ignored(measurements: Measurements, robot: Robot) -> None:
@@ -163,7 +210,7 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
             f"{len(left_out)} of {len(measurements) + len(left_out)} rows {'are' if many else 'is'} not measured, and "
             f"{'are' if many else 'is'} left out: {'rows' if many else 'row'} {row_ranges(left_out)}."
         )
-        typer.echo(textwrap.fill(text, 100) + "\n")
+        typer.echo(fill(text) + "\n")
     if not measurements.ignored:
         return
     text = f"Columns not used: {choices(measurements.ignored)}."
@@ -178,4 +225,4 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
             f"{'is' if len(outside) == 1 else 'are'} not between '{robot.base}' and '{robot.tip}' "
             "(--base, --tip)."
         )
-    typer.echo(textwrap.fill(text, 100, break_on_hyphens=False, break_long_words=False) + "\n")
+    typer.echo(fill(text) + "\n")

@@ -382,8 +382,8 @@ def _study(
     quiet: bool,
 ) -> None:
     """Do a study, write it and print it."""
-    from calib.cli.progress import progress_bar
     from calib.cli.simulate_text import study_text
+    from calib.cli.terminal import progress_bar
     from calib.identify.result_file import write_table
     from calib.simulate.study import study, study_table
 

@@ -1,13 +1,22 @@
-"""Text for whoever reads it: with sober colours on a terminal, and without a single escape code anywhere else."""
+"""What a person reads: lines of 100 columns, sober colours and progress on a terminal, no escape code elsewhere."""
 
 from __future__ import annotations
 
 import re
 import shlex
 import sys
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING
 
 import typer
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
+WIDTH = 100
 
 #: How a verdict is coloured; the word says it too.
 VERDICTS = {
@@ -74,3 +83,72 @@ def command_line() -> str:
 def _written_out(control: re.Match[str]) -> str:
     r"""A control character as Python would print it, such as ``\x1b``."""
     return control[0].encode("unicode_escape").decode("ascii")
+
+
+def fill(text: str, indent: str = "", hang: str = "") -> str:
+    """Text broken at 100 columns, and nowhere within a name.
+
+    Args:
+        text: One paragraph.
+        indent: Before every line.
+        hang: Before every line but the first, behind that.
+    """
+    return textwrap.fill(
+        text,
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + hang,
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
+
+
+def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
+    """Row numbers in words, runs of them as one: ``4, 7 to 9``; at most ``limit`` of these, then how many rows more."""
+    runs: list[list[int]] = []
+    for row in sorted(rows):
+        if runs and row == runs[-1][1] + 1:
+            runs[-1][1] = row
+        else:
+            runs.append([row, row])
+    said = [
+        str(a) if a == b else f"{a}{', ' if b == a + 1 else ' to '}{b}" for a, b in runs[:limit]
+    ]
+    rest = sum(b - a + 1 for a, b in runs[limit:])
+    return ", ".join(said) + (f" and {rest} more" if rest else "")
+
+
+@contextmanager
+def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
+    """A bar on stderr for each stage of the work in the block; None where nobody is watching.
+
+    Args:
+        quiet: Whether the user wants none.
+    """
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def advance(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=total)
+            bar.update(tasks[what], completed=done, total=total)
+
+        yield advance
+
+
+@contextmanager
+def progress_bar(label: str, *, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """The same for work in one stage.
+
+    Args:
+        label: What is counted.
+        quiet: Whether the user wants none.
+    """
+    with stages_bar(quiet=quiet) as advance:
+        yield None if advance is None else partial(advance, label)

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.cli.known import check_chain, with_target_link
-from calib.cli.setup import load, load_with_data, say_ignored
+from calib.cli.setup import check_chain, load, load_with_data, say_ignored, with_target_link
 
 if TYPE_CHECKING:
     from calib.identify.evaluation import Evaluation

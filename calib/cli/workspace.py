@@ -131,10 +131,10 @@ def workspace(
 ) -> None:
     """See `_HELP`."""
     with reporting(debug=debug):
-        from calib.cli.progress import progress_bar
         from calib.cli.setup import check_outputs, read_cell
         from calib.cli.simulate_options import parse_size
         from calib.cli.surroundings_words import add_surroundings
+        from calib.cli.terminal import progress_bar
         from calib.cli.workspace_text import Found, text
         from calib.design.workspace import Density, sample_workspace
         from calib.measure.ranges import joint_ranges

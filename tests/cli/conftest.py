@@ -20,7 +20,8 @@ import numpy as np
 import pytest
 from typer.main import get_command
 
-from calib.cli import app, main
+from calib.cli import main
+from calib.cli.program import app
 from calib.data import paper_measurements, paper_urdf
 from calib.model.robot import Robot
 from tests.base_frame.virtual_sweeps import virtual_sweeps, write_sweeps

@@ -213,7 +213,7 @@ def test_a_manifest_that_is_none_is_refused(call, tmp_path: Path, header, rows, 
 @pytest.mark.parametrize(
     ("column", "cell", "said"),
     [
-        ("kind", "points", "m.csv, line 2: column 'kind': 'points' is no kind of measurement; choose one of 'point'"),
+        ("kind", "points", "m.csv, line 2: 'points' is not a kind of measurement; allowed are 'point'"),
         ("points_unit", "mm", "m.csv, line 2: points_unit is the unit of a list of points; name the list in the "),
         ("cell", "no.toml", "m.csv, line 2: "),
         ("target", "7 mm", "m.csv, line 2: column 'target' was given as "),

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from calib.cli.plan import load_for_plan, parse_ladder, read_region
-from calib.cli.setup import row_ranges
 from calib.cli.surroundings_words import parse_start, with_noise
+from calib.cli.terminal import row_ranges
 from calib.design.region import Region
 from calib.design.region_file import RegionFile
 from calib.errors import CalibError

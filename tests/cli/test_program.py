@@ -16,7 +16,7 @@ import pytest
 import typer
 
 import calib
-from calib.cli import app
+from calib.cli.program import app
 from calib.measure.measurements import Measurements
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
@@ -321,8 +321,3 @@ def test_ctrl_c_while_the_verbs_are_imported(tmp_path: Path):
     )  # fmt: skip
     said = "calib: interrupted; no file was left half written.\n"
     assert (done.returncode, done.stdout, done.stderr) == (130, "", said)
-
-
-def test_the_package_has_no_other_names():
-    with pytest.raises(AttributeError, match=r"module 'calib\.cli' has no attribute 'nothing'"):
-        _ = calib.cli.nothing

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from calib.cli.terminal import command_line, say, styled
+from calib.cli.terminal import command_line, fill, progress_bar, say, stages_bar, styled
 
 TEXT = """Verdict: use with care
   Few rows.
@@ -29,17 +29,13 @@ rows  max
 Outliers: none. [bold]no mark-up[/bold] :smile: 'x'"""
 
 
-def on_a_terminal(text: str, **surroundings: str) -> str:
-    """What a terminal gets of a text."""
+def on_a_terminal(code: str, *words: str, **surroundings: str) -> str:
+    """What a terminal gets of a program's stdout and stderr."""
     terminal, theirs = pty.openpty()
     process = subprocess.Popen(
-        [
-            sys.executable,
-            "-c",
-            "import sys; from calib.cli.terminal import say; say(sys.argv[1])",
-            text,
-        ],
+        [sys.executable, "-c", code, *words],
         stdout=theirs,
+        stderr=theirs,
         env={
             **{k: v for k, v in os.environ.items() if k != "NO_COLOR"},
             "TERM": "xterm",
@@ -59,6 +55,19 @@ def on_a_terminal(text: str, **surroundings: str) -> str:
     os.close(terminal)
     assert process.wait(30) == 0
     return seen.decode().replace("\r\n", "\n")
+
+
+SAY = "import sys; from calib.cli.terminal import say; say(sys.argv[1])"
+
+PROGRESS = """
+from calib.cli.terminal import progress_bar, stages_bar
+with progress_bar("Fitting", quiet=QUIET) as advance:
+    if advance:
+        [advance(k, 3) for k in range(4)]
+with stages_bar(quiet=QUIET) as advance:
+    if advance:
+        [advance(what, k, 2) for what in ("Choosing poses", "Forecasting") for k in range(3)]
+"""
 
 
 def test_verdict_and_headings_stand_out():
@@ -91,13 +100,13 @@ def test_the_colour_of_a_verdict(use, style):
 
 
 def test_a_terminal_gets_colours_and_the_same_text():
-    seen = on_a_terminal(TEXT, COLUMNS="30")  # narrower than the text: nothing is broken
+    seen = on_a_terminal(SAY, TEXT, COLUMNS="30")  # narrower than the text: nothing is broken
     assert "\x1b[1;33mVerdict: use with care\x1b[0m" in seen
     assert "\x1b[1m1  Accuracy\x1b[0m" in seen
     assert re.sub(r"\x1b\[[0-9;]*m", "", seen) == TEXT + "\n"
     # no_color leaves bold, and a dumb terminal gets nothing.
-    assert "33m" not in on_a_terminal(TEXT, NO_COLOR="1")
-    assert on_a_terminal(TEXT, TERM="dumb") == TEXT + "\n"
+    assert "33m" not in on_a_terminal(SAY, TEXT, NO_COLOR="1")
+    assert on_a_terminal(SAY, TEXT, TERM="dumb") == TEXT + "\n"
 
 
 def test_codes_in_names_do_not_reach_a_terminal():
@@ -114,3 +123,29 @@ def test_the_command_can_be_typed_again(monkeypatch):
         sys, "argv", ["/usr/bin/calib", "fit", "my robot.urdf", "--target", "1 2 3 mm"]
     )
     assert command_line() == "calib fit 'my robot.urdf' --target '1 2 3 mm'"
+
+
+@pytest.mark.slow
+def test_a_bar_for_each_stage():
+    seen = on_a_terminal(PROGRESS.replace("QUIET", "False"))
+    for what in ("Fitting", "Choosing poses", "Forecasting"):
+        assert what in seen
+    assert "100%" in seen
+    assert on_a_terminal(PROGRESS.replace("QUIET", "True")) == ""
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_nothing_is_drawn_where_there_is_no_terminal(capsys, quiet):
+    with progress_bar("Fitting", quiet=quiet) as advance:
+        assert advance is None
+    with stages_bar(quiet=quiet) as advance:
+        assert advance is None
+    assert capsys.readouterr().err == ""
+
+
+def test_lines_break_at_100_columns_and_not_within_names():
+    name = "a-name-" * 20
+    lines = fill(f"{'word ' * 30}{name}", "  ", "  ").splitlines()
+    assert lines[-1] == f"    {name}"
+    assert lines[0].startswith("  word")
+    assert max(map(len, lines[:-1])) <= 100
