@@ -257,7 +257,7 @@ def simulate(
         )
         from calib.cli.surroundings_words import parse_tracker
         from calib.cli.words import AUTO, check_model, parse_point
-        from calib.measure.pose_list import read_pose_list
+        from calib.design.plan_file import read_pose_list
         from calib.model.error_model import error_model
         from calib.model.robot import Robot
         from calib.simulate.scenario import DEFAULT_MODEL, Scenario

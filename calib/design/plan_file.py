@@ -145,9 +145,7 @@ def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None
         MeasurementError: The table cannot be read, or lacks a joint.
     """
     table = Table.read(path)
-    # A row of this kind measures nothing but its joint values.
-    layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
-    values = Values.read(table, layout)
+    values = _joint_values(table, robot, columns)
     measured = _measured_rows(table, robot, columns or {})
     if not any(measured):
         measured = [True] * len(measured)
@@ -195,6 +193,36 @@ def _poses(values: Values, rows: list[int]) -> list[int]:
             most[pose] += 1
             kept.append(i)
     return kept
+
+
+def read_pose_list(
+    path: str | Path, robot: Robot, columns: Mapping[str, str] | None = None
+) -> tuple[Array, tuple[str, ...]]:
+    """The poses of a table, and the set of each; what was measured there is not read, and may be missing.
+
+    Rows that measure several targets at one pose are one pose.
+
+    Args:
+        path: CSV with a column for each of ``robot.joint_names``, and a column ``set`` if there is one.
+        robot: The robot.
+        columns: Names of the table to names of calib, see `Measurements.read`.
+
+    Returns:
+        shape (N, m), [rad] or [m], read-only; and N words, ``"estimate"`` or ``"validate"``.
+
+    Raises:
+        MeasurementError: The table cannot be read, or lacks a joint.
+    """
+    values = _joint_values(Table.read(path), robot, columns)
+    kept = _poses(values, list(range(len(values.joints))))
+    return read_only(values.joints[kept]), tuple(values.sets[i] for i in kept)
+
+
+def _joint_values(table: Table, robot: Robot, columns: Mapping[str, str] | None) -> Values:
+    """What a table says but for what was measured."""
+    # A row of this kind measures nothing but its joint values.
+    layout = Layout.find(table, robot.joint_names, robot.joint_types, columns, "fixed")
+    return Values.read(table, layout)
 
 
 def plan_table(plan: Plan) -> dict[str, Any]:

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import calib
 from calib.design.region import Region
 from calib.errors import CalibError, FileError, choices
 from calib.model.files import json_bytes, read_json, write_atomically
 from calib.model.robot import Robot, read_only
+from calib.version import __version__
 
 SCHEMA = "region 1"
 
@@ -96,7 +96,7 @@ class RegionFile:
         box = [[v if math.isfinite(v) else None for v in corner] for corner in region.box.tolist()]
         return {
             "schema": SCHEMA,
-            "calib": calib.__version__,
+            "calib": __version__,
             "robot": {"name": self.robot, "base": self.base, "tip": self.tip, "joints": joints},
             "target_xyz_m": self.target.tolist(),
             "samples": self.samples,
@@ -119,7 +119,7 @@ class RegionFile:
             FileError: The file cannot be read, is no JSON, no region of calib, of another schema, or damaged.
         """
         expected = (
-            f"a region of calib {calib.__version__} has '{SCHEMA}'. Give the file that 'calib workspace -o' wrote, by "
+            f"a region of calib {__version__} has '{SCHEMA}'. Give the file that 'calib workspace -o' wrote, by "
             "the same version."
         )
         table = read_json(path, "region", SCHEMA, expected)

@@ -108,10 +108,7 @@ def read_solids(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> Solids:
         UrdfError: A mesh cannot be found or read, or no link has geometry.
     """
     folders = mesh_folders(urdf, package_dirs)
-    shapes: dict[str, dict[str, list[LinkShape]]] = {"collision": {}, "visual": {}}
-    for kind, by_link in shapes.items():
-        for shape in link_shapes(urdf, kind):
-            by_link.setdefault(shape.link, []).append(shape)
+    collision, visual = (_by_link(link_shapes(urdf, kind)) for kind in ("collision", "visual"))
     # Pinocchio keeps the inertias of joints, not of links.
     bodies = {
         link.get("name", "")
@@ -121,14 +118,14 @@ def read_solids(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> Solids:
     meshes: dict[tuple[str, tuple[float, ...]], Any] = {}
     solids, from_visuals, unchecked = [], [], []
     for link in urdf.links:
-        own = shapes["collision"].get(link) or shapes["visual"].get(link, [])
+        own = collision.get(link) or visual.get(link, [])
         found = [_geometry(urdf, shape, folders, meshes) for shape in own]
         usable = [
             Solid(link, Kind.LINK, link, shape.T_link_shape, geometry)
             for shape, geometry in zip(own, found, strict=True)
             if geometry is not None
         ]
-        if usable and link not in shapes["collision"]:
+        if usable and link not in collision:
             from_visuals.append(link)
         if len(usable) < len(found) or (not found and link in bodies):
             unchecked.append(link)
@@ -140,6 +137,14 @@ def read_solids(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> Solids:
         )
         raise UrdfError(message)
     return Solids(tuple(solids), tuple(from_visuals), tuple(unchecked))
+
+
+def _by_link(shapes: Iterable[LinkShape]) -> dict[str, list[LinkShape]]:
+    """Shapes by their link."""
+    result: dict[str, list[LinkShape]] = {}
+    for shape in shapes:
+        result.setdefault(shape.link, []).append(shape)
+    return result
 
 
 def rods(start: Array, end: Array) -> tuple[Array, Array]:
