@@ -211,8 +211,8 @@ ELSEWHERE = {
     "planning.md": "tests/test_readme.py",
     "simulation.md": "tests/test_readme.py",
     "compensation.md": "tests/cli/test_compensate.py",
-    "universal-robots.md": "tests/compensate/test_universal_robots.py",
-    "view.md": "tests/show/test_viewer.py",
+    "universal-robots.md": "tests/formats/test_universal_robots.py",
+    "view.md": "tests/show/test_live.py",
     "extending.md": "tests/test_extending.py",
 }
 
