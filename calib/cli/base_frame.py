@@ -13,7 +13,7 @@ from calib.cli.options import (
     Force,
     PointsUnit,
     Quiet,
-    Tip,
+    RobotTip,
     verb,
 )
 
@@ -48,7 +48,7 @@ def base_frame(
         ),
     ] = None,
     base: Base = None,
-    tip: Tip = None,
+    tip: RobotTip = None,
     points: Annotated[
         Path | None,
         typer.Option(

@@ -23,8 +23,8 @@ from calib.cli.options import (
     PointsFile,
     PointsUnit,
     Quiet,
+    ResultTarget,
     RobotFile,
-    Target,
     Tip,
     reporting,
 )
@@ -94,7 +94,7 @@ def evaluate(
     ] = None,
     base: Base = None,
     tip: Tip = None,
-    target: Target = None,
+    target: ResultTarget = None,
     frame: Frame = None,
     kind: MeasuredKind = None,
     points: PointsFile = None,

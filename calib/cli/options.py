@@ -80,7 +80,13 @@ Base = Annotated[
 Tip = Annotated[
     str | None,
     typer.Option(
-        help="Link that the target sits on. Default: the end of the longest chain whose joints are in the table."
+        help="Link that the target is mounted on. Default: the end of the longest chain whose joints are in the table."
+    ),
+]
+RobotTip = Annotated[
+    str | None,
+    typer.Option(
+        "--tip", help="Link that the target is mounted on. Default: the end of the longest chain."
     ),
 ]
 Target = Annotated[
@@ -88,6 +94,15 @@ Target = Annotated[
     typer.Option(
         metavar='"X Y Z UNIT"',
         help='Target in the tip, such as "70 -70 22.5 mm"; a start, unless --fix-target. Default: found from the data.',
+    ),
+]
+ResultTarget = Annotated[
+    str | None,
+    typer.Option(
+        "--target",
+        metavar='"X Y Z UNIT"',
+        help='Target in the tip, such as "70 -70 22.5 mm". Default: that of --calibration, or of the URDF\'s link '
+        "calib_target; else registered to the rows.",
     ),
 ]
 Frame = Annotated[

@@ -18,7 +18,7 @@ from calib.cli.options import (
     PayloadMass,
     Quiet,
     RobotFile,
-    Tip,
+    RobotTip,
     reporting,
 )
 from calib.errors import CalibError
@@ -89,7 +89,7 @@ def simulate(
         int, typer.Option(min=0, metavar="S", help="The same S gives the same files.")
     ] = 0,
     base: Base = None,
-    tip: Tip = None,
+    tip: RobotTip = None,
     target: Annotated[
         str | None,
         typer.Option(

@@ -24,8 +24,8 @@ from calib.cli.options import (
     PointsFile,
     PointsUnit,
     Quiet,
+    ResultTarget,
     RobotFile,
-    Target,
     Tip,
     reporting,
 )
@@ -73,7 +73,7 @@ def view(
     ] = None,
     base: Base = None,
     tip: Tip = None,
-    target: Target = None,
+    target: ResultTarget = None,
     frame: Frame = None,
     kind: MeasuredKind = None,
     points: PointsFile = None,

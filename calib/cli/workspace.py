@@ -19,7 +19,7 @@ from calib.cli.options import (
     Hold,
     Quiet,
     RobotFile,
-    Tip,
+    RobotTip,
     reporting,
 )
 from calib.errors import CalibError
@@ -50,7 +50,7 @@ chooses poses inside it. Collisions are not looked at here.
 def workspace(
     robot: RobotFile,
     base: Base = None,
-    tip: Tip = None,
+    tip: RobotTip = None,
     target: Annotated[
         str | None,
         typer.Option(
