@@ -30,7 +30,8 @@ from calib.measure.columns import (
     with_unit,
 )
 from calib.measure.layout import Layout
-from calib.measure.points_file import PARTS, Points, match_points, read_points
+from calib.measure.points_file import Points, match_points, read_points
+from calib.measure.points_text import PARTS
 from calib.measure.table import Row, Table
 from calib.measure.wrong_units import WrongUnits
 from calib.model.robot import read_only

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,25 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import CalibError, FileError, MeasurementError, choices
+from calib.errors import FileError, MeasurementError, choices
 from calib.measure.columns import close_names
-from calib.measure.points_text import Line, PointsText, decode, has_point, is_number, split
-from calib.measure.wrong_units import FAR_M, NEAR_M, better_unit, farthest
+from calib.measure.points_text import PARTS, parse_points
 from calib.model.files import read_bytes
-from calib.units import Unit, find_unit, symbols
-
-#: Between collection, group and point.
-PARTS = "::"
-
-# Behind the name of a column.
-_UNIT = re.compile(r"\s*[\[(].*")
-
-# What the column of names is called in a header; the first two stand before the point's own.
-_NAMES = (
-    ("collection", "coll"),
-    ("group", "pointgroup", "point group", "group name"),
-    ("point", "name", "pointname", "point name", "point id", "pointid", "id", "label", "target"),
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,13 +86,8 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
         data = read_bytes(path, "The list of points")
     except FileError as error:
         raise MeasurementError(str(error)) from error
-    text = PointsText.parse(decode(data, source), source)
-    names, places = _find_columns(text, source)
-    points = _numbers(text, places, source)
-    metres = _in_metres(text, points, _find_unit(text, unit, source), source)
-    metres.setflags(write=False)
-    lines = tuple(line.number for line in text.lines)
-    return Points(names, metres, lines, source, hashlib.sha256(data).hexdigest())
+    names, points, lines = parse_points(data, unit, source)
+    return Points(names, points, lines, source, hashlib.sha256(data).hexdigest())
 
 
 def match_points(
@@ -177,160 +156,3 @@ def unmeasured_points(points: Points, names: Sequence[str]) -> tuple[int, ...]:
 def _last(name: str) -> str:
     """The point's own name, without collection and group."""
     return name.rpartition(PARTS)[2].strip()
-
-
-def _find_columns(text: PointsText, source: str) -> tuple[tuple[str, ...], tuple[int, int, int]]:
-    """The names of all points, none when there are none, and where x, y, z stand."""
-    heading = _heading(text)
-    if heading:
-        by_header = (heading.index("x"), heading.index("y"), heading.index("z"))
-        named = [heading.index(n) for part in _NAMES for n in part if heading.count(n) == 1]
-        if not named and min(by_header) > 0:
-            named = list(range(min(by_header)))
-        _check_width(text, [*named, *by_header], source)
-        return _join(text, named), by_header
-    start = _first_number(text, source)
-    names = _join(text, list(range(start)))
-    if len(set(names)) < len(text.lines) and _is_count(text, start, source):
-        return _join(text, list(range(start + 1))), (start + 1, start + 2, start + 3)
-    return names, (start, start + 1, start + 2)
-
-
-def _heading(text: PointsText) -> list[str]:
-    """The names of the columns, small, from the last header with x, y and z; none without one."""
-    for remark in reversed(text.headings):
-        cells = [_UNIT.sub("", cell).casefold() for cell in split(remark, text.separator)]
-        # Between blanks a column's name may be of two words: then the header says nothing of places.
-        widths = [len(line.cells) for line in text.lines]
-        fits = max(widths) <= len(cells) and (text.separator != " " or min(widths) == len(cells))
-        if fits and all(cells.count(axis) == 1 for axis in "xyz"):
-            return cells
-    return []
-
-
-def _first_number(text: PointsText, source: str) -> int:
-    """The first column from which on every line has three numbers."""
-    narrowest = min(len(line.cells) for line in text.lines)
-    for start in range(narrowest - 2):
-        if all(has_point(line.cells, start) for line in text.lines):
-            return start
-    cells = text.lines[0].cells
-    start = next(i for i in range(len(cells)) if has_point(cells, i))
-    bad = next((line for line in text.lines if not has_point(line.cells, start)), text.lines[-1])
-    raise MeasurementError(_no_point(bad, source))
-
-
-def _no_point(line: Line, source: str) -> str:
-    """What to say of a line that does not fit the others."""
-    return (
-        f"{source}, line {line.number}: '{' '.join(line.cells)[:80]}' has not its three numbers where "
-        "the other lines have theirs. Correct or remove the line, or make it a comment with #."
-    )
-
-
-def _is_count(text: PointsText, start: int, source: str) -> bool:
-    """Whether the first column of numbers names the points: whole numbers, each once, and three more behind."""
-    if not all(has_point(line.cells, start + 1) for line in text.lines):
-        return False
-    counts = [line.cells[start].isdigit() for line in text.lines]
-    rest = [line.cells[start + 1 : start + 4] for line in text.lines]
-    if not all(counts):
-        return False
-    if all(cell.lstrip("+-").isdigit() for cells in rest for cell in cells):
-        message = (
-            f"{source}, line {text.lines[0].number}: all are whole numbers, so the point's number "
-            "cannot be told from x. Write a header line above the points, 'name x y z'."
-        )
-        raise MeasurementError(message)
-    return True
-
-
-def _join(text: PointsText, columns: Sequence[int]) -> tuple[str, ...]:
-    """The names that stand in these columns, none without a column."""
-    sign = " " if text.separator == " " else PARTS
-    if not columns:
-        return ()
-    return tuple(sign.join(line.cells[i] for i in columns) for line in text.lines)
-
-
-def _check_width(text: PointsText, columns: Sequence[int], source: str) -> None:
-    """Refuse a line that ends before these columns."""
-    short = next((line for line in text.lines if len(line.cells) <= max(columns)), None)
-    if short is not None:
-        raise MeasurementError(_no_point(short, source))
-
-
-def _numbers(text: PointsText, places: tuple[int, int, int], source: str) -> NDArray[np.float64]:
-    """The coordinates as written, shape (N, 3)."""
-    signs: dict[str, int] = {}  # decimal sign: the first line that has it
-    values = np.empty((len(text.lines), 3))
-    for i, line in enumerate(text.lines):
-        cells = [line.cells[j] if j < len(line.cells) else "" for j in places]
-        if not all(map(is_number, cells)):
-            raise MeasurementError(_no_point(line, source))
-        for sign in ".,":
-            if any(sign in cell for cell in cells):
-                signs.setdefault(sign, line.number)
-        values[i] = [float(cell.replace(",", ".")) for cell in cells]
-    if len(signs) == 2:
-        message = (
-            f"{source}: numbers have a decimal point in line {signs['.']} and a decimal comma in line "
-            f"{signs[',']}. Write all in one way, without a sign between thousands."
-        )
-        raise MeasurementError(message)
-    return values
-
-
-def _find_unit(text: PointsText, given: str | None, source: str) -> Unit:
-    """The unit of the coordinates, from the file or as given; both agree."""
-    named = text.units()
-    if len(named) > 1:
-        message = (
-            f"{source}: its remarks name several units of length, {choices(named)}. Leave one, as in "
-            "'# Units: mm'."
-        )
-        raise MeasurementError(message)
-    if given is None and not named:
-        message = (
-            f"{source}: the unit of the points is not in it. Write a first line '# Units: mm', or give it "
-            f"(--points-unit mm); allowed are {choices(symbols('length'))}."
-        )
-        raise MeasurementError(message)
-    try:
-        unit = find_unit(named[0] if given is None else given)
-    except CalibError as error:
-        message = f"{source}: {error}"
-        raise MeasurementError(message) from error
-    if unit.quantity != "length":
-        message = f"{source}: '{unit.symbol}' is not a unit of length; allowed are {choices(symbols('length'))}"
-        raise MeasurementError(message)
-    if named and unit.symbol != named[0]:
-        message = (
-            f"{source}: the file says that its points are in {named[0]}, and {unit.symbol} was given. "
-            "Leave the unit out, or correct the file."
-        )
-        raise MeasurementError(message)
-    return unit
-
-
-def _in_metres(
-    text: PointsText, values: NDArray[np.float64], unit: Unit, source: str
-) -> NDArray[np.float64]:
-    """The coordinates in metres; refused when they cannot be in this unit."""
-    metres = values * unit.to_si
-    row, distance = farthest(metres)
-    what = ""
-    if not distance <= FAR_M:
-        what = f"further from the origin than {FAR_M:g} m"
-    elif distance < NEAR_M and unit.symbol != "m":
-        what = f"and no point is further from the origin than {NEAR_M * 1e3:g} mm"
-    if what:
-        value = float(values[row][np.argmax(np.abs(values[row]))])
-        better = better_unit(value, unit)
-        fix = f"If it is in {better}, say so: '# Units: {better}'." if better else "Correct it."
-        message = (
-            f"{source}, line {text.lines[row].number}: {value:.10g} was read as "
-            f"{value * unit.to_si:.6g} m, {what}. {fix}"
-        )
-        raise MeasurementError(message)
-    return metres

@@ -5,20 +5,36 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import chain
+from collections.abc import Sequence
+from typing import NamedTuple
 
-from calib.errors import MeasurementError
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import CalibError, MeasurementError, choices
+from calib.measure.wrong_units import FAR_M, NEAR_M, better_unit, farthest
+from calib.units import Unit, find_unit, symbols
+
+#: Between collection, group and point.
+PARTS = "::"
 
 #: In the order in which they are tried; the last one stands for any number of blanks.
-SEPARATORS = (";", "\t", ",", " ")
+_SEPARATORS = (";", "\t", ",", " ")
 
 _COMMENT = ("#", "//", "!", "%", ";")
 _RULE = re.compile(r"[-=_*+\s]+")
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
-_DIGITS = re.compile(r"\d+")
 _WORDS = re.compile(r"[^\W\d_]+")
+
+# Behind the name of a column.
+_UNIT = re.compile(r"\s*[\[(].*")
+
+# What the column of names is called in a header; the first two stand before the point's own.
+_NAMES = (
+    ("collection", "coll"),
+    ("group", "pointgroup", "point group", "group name"),
+    ("point", "name", "pointname", "point name", "point id", "pointid", "id", "label", "target"),
+)
 
 # "in" is also a word, so it only counts where no other unit stands.
 _UNIT_WORDS = {
@@ -31,75 +47,41 @@ _UNIT_WORDS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
+class _Line(NamedTuple):
     """A line of points: its number in the file and its stripped cells."""
 
     number: int
     cells: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class PointsText:
-    """The parts of such a file.
+def parse_points(
+    data: bytes, unit: str | None, source: str
+) -> tuple[tuple[str, ...], NDArray[np.float64], tuple[int, ...]]:
+    """The points of a file's bytes.
 
-    Attributes:
-        separator: one of `SEPARATORS`.
-        lines: those with points.
-        remarks: comment lines and header lines, without the sign of a comment.
-        headings: those of them above the first point.
-    """
+    Args:
+        data: The bytes.
+        unit: A unit of length, where the file names none.
+        source: The file's name, for messages.
 
-    separator: str
-    lines: tuple[Line, ...]
-    remarks: tuple[str, ...]
-    headings: tuple[str, ...]
-
-    @classmethod
-    def parse(cls, text: str, source: str) -> PointsText:
-        """Take a text apart.
-
-        Raises:
-            MeasurementError: there are no points in it.
-        """
-        remarks: list[str] = []
-        above, separator = 0, ""
-        lines: list[Line] = []
-        for number, line in enumerate(text.splitlines(), 1):
-            remark = _remark(line)
-            if remark is None and not lines:
-                separator = _separator(line)
-                if not separator:
-                    remark = line.strip()
-            if remark is None:
-                lines.append(Line(number, split(line, separator)))
-                continue
-            if remark:
-                remarks.append(remark)
-                above += not lines
-        if not lines:
-            message = (
-                f"{source}: no line of it holds three numbers. A list of points has lines such as "
-                "'P1 100.0 200.0 300.0', separated by blanks, tabs, commas or semicolons."
-            )
-            raise MeasurementError(message)
-        return cls(separator, tuple(lines), tuple(remarks), tuple(remarks[:above]))
-
-    def units(self) -> tuple[str, ...]:
-        """The different units of length that the remarks name, as symbols; ``"ft"`` for what calib does not know."""
-        found: dict[str, None] = {}
-        for remark in self.remarks:
-            for symbol in _units_of(remark):
-                found.setdefault(symbol)
-        return tuple(found)
-
-
-def decode(data: bytes, source: str) -> str:
-    """Text of bytes as measuring programs write them: UTF-8, UTF-16 with its mark, else Windows' own.
+    Returns:
+        Their names, none where there are none; shape (N, 3), [m], read-only; and the lines that they stand in.
 
     Raises:
-        MeasurementError: it is no text.
+        MeasurementError: No points, no unit or two; the text names the file and the line.
     """
+    remarks, headings, separator, lines = _take_apart(_decode(data, source), source)
+    named, at = _columns(headings, separator, lines, source)
+    values = _numbers(lines, at, source)
+    metres = _in_metres(lines, values, _find_unit(remarks, unit, source), source)
+    metres.setflags(write=False)
+    sign = " " if separator == " " else PARTS
+    names = tuple(sign.join(line.cells[i] for i in named) for line in lines) if named else ()
+    return names, metres, tuple(line.number for line in lines)
+
+
+def _decode(data: bytes, source: str) -> str:
+    """Text of bytes as measuring programs write them: UTF-8, UTF-16 with its mark, else Windows' own."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         text = data.decode("utf-16", errors="replace")
     else:
@@ -113,28 +95,29 @@ def decode(data: bytes, source: str) -> str:
     return text
 
 
-def split(line: str, separator: str) -> tuple[str, ...]:
-    """The stripped cells of a line, without the empty ones at its end."""
-    plain = line.replace("\t", " ") if separator == " " else line
-    reader = csv.reader([plain.strip(" \r\n")], delimiter=separator, skipinitialspace=True)
-    try:
-        cells = [cell.strip() for cell in chain.from_iterable(reader)]
-    except csv.Error:  # a cell longer than the csv module reads: no number in any case
-        return ()
-    while cells and not cells[-1]:
-        cells.pop()
-    return tuple(cells)
-
-
-def is_number(cell: str) -> bool:
-    """Whether a cell is a number, with a decimal point or comma."""
-    return _NUMBER.fullmatch(cell) is not None
-
-
-def has_point(cells: Sequence[str], start: int) -> bool:
-    """Whether three numbers stand there."""
-    three = cells[start : start + 3]
-    return len(three) == 3 and all(is_number(cell) for cell in three)
+def _take_apart(text: str, source: str) -> tuple[list[str], list[str], str, list[_Line]]:
+    """Remarks and headers without the sign of a comment, those above the first point, the separator, and the points."""
+    remarks: list[str] = []
+    headings: list[str] = []
+    separator = ""
+    lines: list[_Line] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        remark = _remark(line)
+        if remark is None and not lines:
+            separator = _separator(line)
+            remark = None if separator else line.strip()
+        if remark is None:
+            lines.append(_Line(number, _split(line, separator)))
+        elif remark:
+            remarks.append(remark)
+            headings += [] if lines else [remark]
+    if not lines:
+        message = (
+            f"{source}: no line of it holds three numbers. A list of points has lines such as "
+            "'P1 100.0 200.0 300.0', separated by blanks, tabs, commas or semicolons."
+        )
+        raise MeasurementError(message)
+    return remarks, headings, separator, lines
 
 
 def _remark(line: str) -> str | None:
@@ -142,25 +125,129 @@ def _remark(line: str) -> str | None:
     plain = line.strip().strip('"').strip()
     if _RULE.fullmatch(plain) or not plain.strip(",;"):
         return ""
-    for sign in _COMMENT:
-        if plain.startswith(sign):
-            return plain.lstrip("".join(_COMMENT)).strip()
-    return None
+    return plain.lstrip("".join(_COMMENT)).strip() if plain.startswith(_COMMENT) else None
 
 
 def _separator(line: str) -> str:
     """The sign that leaves three numbers side by side; "" when none does."""
-    if len(_DIGITS.findall(line)) < 3:  # most lines above the points
+    if len(re.findall(r"\d+", line)) < 3:  # most lines above the points
         return ""
-    for separator in SEPARATORS:
-        cells = split(line, separator)
-        if any(has_point(cells, i) for i in range(len(cells) - 2)):
+    for separator in _SEPARATORS:
+        cells = _split(line, separator)
+        if any(_has_point(cells, i) for i in range(len(cells) - 2)):
             return separator
     return ""
 
 
-def _units_of(remark: str) -> Iterator[str]:
-    """The unit of length that a remark names: behind the word unit, behind x, or alone."""
+def _split(line: str, separator: str) -> tuple[str, ...]:
+    """The stripped cells of a line, without the empty ones at its end."""
+    plain = line.replace("\t", " ") if separator == " " else line
+    reader = csv.reader([plain.strip(" \r\n")], delimiter=separator, skipinitialspace=True)
+    try:
+        cells = [cell.strip() for row in reader for cell in row]
+    except csv.Error:  # a cell longer than the csv module reads: no number in any case
+        return ()
+    while cells and not cells[-1]:
+        cells.pop()
+    return tuple(cells)
+
+
+def _has_point(cells: Sequence[str], start: int) -> bool:
+    """Whether three numbers stand there, with a decimal point or comma."""
+    three = cells[start : start + 3]
+    return len(three) == 3 and all(map(_NUMBER.fullmatch, three))
+
+
+def _columns(
+    headings: Sequence[str], separator: str, lines: Sequence[_Line], source: str
+) -> tuple[list[int], list[int]]:
+    """The columns of the names, none when there are none, and those of x, y, z."""
+    heading = _heading(headings, separator, lines)
+    if heading:
+        at = [heading.index(axis) for axis in "xyz"]
+        named = [heading.index(n) for part in _NAMES for n in part if heading.count(n) == 1]
+        named = named or list(range(min(at)))
+        short = next((line for line in lines if len(line.cells) <= max(*named, *at)), None)
+        if short is not None:
+            raise MeasurementError(_no_point(short, source))
+        return named, at
+    start = _first_number(lines, source)
+    names = {line.cells[:start] for line in lines}
+    if len(names) < len(lines) and _is_count(lines, start, source):
+        start += 1
+    return list(range(start)), [start, start + 1, start + 2]
+
+
+def _heading(headings: Sequence[str], separator: str, lines: Sequence[_Line]) -> list[str]:
+    """The names of the columns, small, from the last header with x, y and z; none without one."""
+    widths = [len(line.cells) for line in lines]
+    for remark in reversed(headings):
+        cells = [_UNIT.sub("", cell).casefold() for cell in _split(remark, separator)]
+        # Between blanks a column's name may be of two words: then the header says nothing of places.
+        fits = max(widths) <= len(cells) and (separator != " " or min(widths) == len(cells))
+        if fits and all(cells.count(axis) == 1 for axis in "xyz"):
+            return cells
+    return []
+
+
+def _first_number(lines: Sequence[_Line], source: str) -> int:
+    """The first column from which on every line has three numbers."""
+    for start in range(min(len(line.cells) for line in lines) - 2):
+        if all(_has_point(line.cells, start) for line in lines):
+            return start
+    cells = lines[0].cells
+    start = next(i for i in range(len(cells)) if _has_point(cells, i))
+    bad = next((line for line in lines if not _has_point(line.cells, start)), lines[-1])
+    raise MeasurementError(_no_point(bad, source))
+
+
+def _is_count(lines: Sequence[_Line], start: int, source: str) -> bool:
+    """Whether the first column of numbers names the points: whole numbers, and three more behind."""
+    if not all(_has_point(line.cells, start + 1) for line in lines):
+        return False
+    if not all(line.cells[start].isdigit() for line in lines):
+        return False
+    rest = [cell for line in lines for cell in line.cells[start + 1 : start + 4]]
+    if all(cell.lstrip("+-").isdigit() for cell in rest):
+        message = (
+            f"{source}, line {lines[0].number}: all are whole numbers, so the point's number "
+            "cannot be told from x. Write a header line above the points, 'name x y z'."
+        )
+        raise MeasurementError(message)
+    return True
+
+
+def _no_point(line: _Line, source: str) -> str:
+    """What to say of a line that does not fit the others."""
+    return (
+        f"{source}, line {line.number}: '{' '.join(line.cells)[:80]}' has not its three numbers where "
+        "the other lines have theirs. Correct or remove the line, or make it a comment with #."
+    )
+
+
+def _numbers(lines: Sequence[_Line], at: Sequence[int], source: str) -> NDArray[np.float64]:
+    """The coordinates as written, shape (N, 3)."""
+    signs: dict[str, int] = {}  # decimal sign: the first line that has it
+    values = np.empty((len(lines), 3))
+    for i, line in enumerate(lines):
+        cells = [line.cells[j] if j < len(line.cells) else "" for j in at]
+        if not _has_point(cells, 0):
+            raise MeasurementError(_no_point(line, source))
+        for sign in ".,":
+            if any(sign in cell for cell in cells):
+                signs.setdefault(sign, line.number)
+        values[i] = [float(cell.replace(",", ".")) for cell in cells]
+    if len(signs) == 2:
+        message = (
+            f"{source}: numbers have a decimal point in line {signs['.']} and a decimal comma in line "
+            f"{signs[',']}. Write all in one way, without a sign between thousands."
+        )
+        raise MeasurementError(message)
+    return values
+
+
+def _unit_of(remark: str) -> str:
+    """The unit of length that a remark names: behind the word unit, behind x, or alone; ``"ft"`` for a strange one."""
     plain = remark.casefold()
     behind = re.search(r"\bunits?\b(.*)", plain) or re.search(r"\bunit[^\W\d_]*\b(.*)", plain)
     bracket = re.search(r"\bx\s*[\[(]\s*([^\W\d_]+)\s*[\])]", plain)
@@ -170,7 +257,58 @@ def _units_of(remark: str) -> Iterator[str]:
     elif not behind and len(_WORDS.findall(plain)) == 1:
         words = _WORDS.findall(plain)
     known = [_UNIT_WORDS[word] for word in words if word in _UNIT_WORDS]
-    if known:
-        yield known[0]
-    elif words in (["in"], ["in", "deg"], ["in", "in"]):
-        yield "in"
+    return known[0] if known else "in" if words[:1] == ["in"] else ""
+
+
+def _find_unit(remarks: Sequence[str], given: str | None, source: str) -> Unit:
+    """The unit of the coordinates, from the file or as given; both agree."""
+    named = list(dict.fromkeys(filter(None, map(_unit_of, remarks))))
+    message = ""
+    if len(named) > 1:
+        message = f"its remarks name several units of length, {choices(named)}. Leave one, as in '# Units: mm'."
+    elif given is None and not named:
+        message = (
+            "the unit of the points is not in it. Write a first line '# Units: mm', or give it "
+            f"(--points-unit mm); allowed are {choices(symbols('length'))}."
+        )
+    if message:
+        message = f"{source}: {message}"
+        raise MeasurementError(message)
+    try:
+        unit = find_unit(named[0] if given is None else given)
+    except CalibError as error:
+        message = f"{source}: {error}"
+        raise MeasurementError(message) from error
+    if unit.quantity != "length":
+        message = f"{source}: '{unit.symbol}' is not a unit of length; allowed are {choices(symbols('length'))}"
+        raise MeasurementError(message)
+    if named and unit.symbol != named[0]:
+        message = (
+            f"{source}: the file says that its points are in {named[0]}, and {unit.symbol} was given. "
+            "Leave the unit out, or correct the file."
+        )
+        raise MeasurementError(message)
+    return unit
+
+
+def _in_metres(
+    lines: Sequence[_Line], values: NDArray[np.float64], unit: Unit, source: str
+) -> NDArray[np.float64]:
+    """The coordinates in metres; refused when they cannot be in this unit."""
+    metres = values * unit.to_si
+    row, distance = farthest(metres)
+    what = ""
+    if not distance <= FAR_M:
+        what = f"further from the origin than {FAR_M:g} m"
+    elif distance < NEAR_M and unit.symbol != "m":
+        what = f"and no point is further from the origin than {NEAR_M * 1e3:g} mm"
+    if what:
+        value = float(values[row][np.argmax(np.abs(values[row]))])
+        better = better_unit(value, unit)
+        fix = f"If it is in {better}, say so: '# Units: {better}'." if better else "Correct it."
+        message = (
+            f"{source}, line {lines[row].number}: {value:.10g} was read as "
+            f"{value * unit.to_si:.6g} m, {what}. {fix}"
+        )
+        raise MeasurementError(message)
+    return metres

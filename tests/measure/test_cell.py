@@ -155,12 +155,6 @@ def test_every_new_key_and_table(tmp_path: Path):
     assert cell.distances == (GroupDistance("*/left", "*/right", 0.2, 1e-5),)
 
 
-def test_a_payload_without_a_centre_hangs_at_the_tip(tmp_path: Path):
-    payload = read(tmp_path, "[payload]\nmass_kg = 2.5").payload
-    assert payload is not None
-    np.testing.assert_array_equal(payload.com, np.zeros(3))
-
-
 def test_half_a_frame_and_half_the_priors(tmp_path: Path):
     moved = read(tmp_path, "frame_xyz_mm = [1, 2, 3]").T_frame_base
     assert moved is not None
@@ -317,20 +311,6 @@ def test_priors_that_are_built_wrongly(wrong: dict[str, Any], said: str):
         Priors(**wrong)
 
 
-def test_arrays_are_copies_that_cannot_be_written_to():
-    target, T = np.array([1.0, 2.0, 3.0]), np.eye(4)
-    cell = Cell(target=target, T_frame_base=T)
-    target[0] = T[0, 3] = 9.0
-    assert cell.target is not None
-    assert cell.T_frame_base is not None
-    assert cell.target[0] == 1.0
-    assert cell.T_frame_base[0, 3] == 0.0
-    with pytest.raises(ValueError, match="read-only"):
-        cell.target[0] = 0.0
-    with pytest.raises(ValueError, match="read-only"):
-        cell.T_frame_base[0, 3] = 0.0
-
-
 def test_mappings_are_copies_that_cannot_be_written_to():
     held, targets = {"lift": 0.3}, {"up": np.zeros(3)}
     cell = Cell(held=held, targets=targets, bounds={"a1": (-1.0, float("inf"))})
@@ -344,10 +324,6 @@ def test_mappings_are_copies_that_cannot_be_written_to():
         cell.targets["up"][0] = 1.0
     with pytest.raises(ValueError, match="read-only"):
         cell.gravity[0] = 1.0
-
-
-def test_targets_by_name_are_targets_that_are_known():
-    assert Cell(targets={"up": np.zeros(3)}, estimate_target=False).target is None
 
 
 def test_a_cell_can_be_sent_to_another_process():
@@ -412,35 +388,6 @@ def test_every_number_with_a_unit_is_read(number: float, unit: str):
     )
 
 
-def test_with_target():
-    cell = Cell(model="zeros").with_target([0.1, 0.2, 0.3], estimate=False)
-    assert cell.target is not None
-    np.testing.assert_array_equal(cell.target, [0.1, 0.2, 0.3])
-    assert not cell.estimate_target
-    assert cell.model == "zeros"
-    assert cell.with_target((0, 0, 0)).estimate_target
-
-
-@given(
-    angles=st.tuples(*[st.floats(-720.0, 720.0)] * 3),
-    place=st.tuples(*[st.floats(-1e5, 1e5)] * 3),
-)
-def test_every_frame_of_numbers_is_a_pose(
-    tmp_path_factory: pytest.TempPathFactory,
-    angles: tuple[float, ...],
-    place: tuple[float, ...],
-):
-    folder = tmp_path_factory.getbasetemp()
-    T = read(
-        folder, f"frame_rpy_deg = {list(angles)!r}\nframe_xyz_mm = {list(place)!r}"
-    ).T_frame_base
-    assert T is not None
-    np.testing.assert_allclose(
-        T[:3, :3], pin.rpy.rpyToMatrix(*np.radians(np.array(angles))), atol=1e-12
-    )
-    np.testing.assert_allclose(1e3 * T[:3, 3], place, rtol=1e-12, atol=1e-300)
-
-
 EXAMPLES = re.findall(r"```toml\n(.*?)```", DOC.read_text(encoding="utf-8"), re.DOTALL)
 
 
@@ -497,18 +444,6 @@ def test_the_documents_surroundings(tmp_path: Path):
     assert cell.tracker.noise.std(3.0) == pytest.approx(least.tracker.noise.std(3.0), rel=1e-12)
     assert least.reflector.acceptance == cell.reflector.acceptance == pytest.approx(np.radians(30))
     np.testing.assert_array_equal(least.boxes[1].T_base_box[:3, :3], np.eye(3))
-
-
-def test_parts_of_a_tracker_s_noise(tmp_path: Path):
-    trackers = [
-        read(tmp_path, f"[tracker]\nxyz_mm = [1, 2, 3]\n{text}").tracker
-        for text in ('noise = "0.05 mm"', "repeatability_mm = 0", "")
-    ]
-    assert [None if t is None else t.noise for t in trackers] == [
-        TrackerNoise(5e-5, 0.0, 20e-6),
-        TrackerNoise(15e-6, 6e-6, 0.0),
-        TrackerNoise(),
-    ]
 
 
 def test_joint_values_in_another_s_unit_are_refused_by_the_robot(tmp_path: Path, ur3):

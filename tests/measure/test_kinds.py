@@ -1,7 +1,5 @@
 """Tables of every kind: read, refused, selected, written."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -89,8 +87,6 @@ POSE = "a [deg],x [mm],y [mm],z [mm],"
     [
         ("qx,qy,qz,qw", "0,0,0,0.9", ["line 2 (row 1)", "length 0.9", "is 1", "--kind point"]),
         ("qx,qy,qz,qw [rad]", "0,0,0,1", ["column 'qw [rad]'", "'rad' cannot be", "'rx [deg]'"]),
-        ("qx,qy,qz,qw [foo]", "0,0,0,1", ["'foo' cannot be"]),
-        ("qx,qy,qz,qw", "0,0,,1", ["line 2 (row 1), column 'qz'", "the cell is empty"]),
         ("rx,ry,rz,b", "0,0,1,1", ["column 'rx' (a rotation vector", "no unit", "'rx [rad]'"]),
         ("rx [mm],ry [rad],rz [rad],b", "0,0,1,1", ["'mm' is not a unit of angle"]),
         ("rx [rad],ry [rad],rz [rad],b", "0,0,90,1", ["'rx [rad]'", "look like degrees"]),
@@ -101,20 +97,10 @@ POSE = "a [deg],x [mm],y [mm],z [mm],"
         ),
         ("qx,qy,qz,qw,sigma_angle [rad]", "0,0,0,1,0.0", ["sigma_angle is '0'"]),
         ("qx,qy,qz,qw,sigma_angle [rad]", "0,0,0,1,1.5", ["1.5 was read as 1.5 rad", "[deg]'"]),
-        ("qx,qy,qz,qw,sigma_angle", "0,0,0,1,1.5", ["column 'sigma_angle'", "no unit"]),
     ],
 )
 def test_orientations_that_are_refused(table, header, row, says):
     refused(table(POSE + header, "1,100,200,300," + row), says)
-
-
-def test_the_remedy_for_an_orientation_there_twice(table):
-    header = POSE + "qx,qy,qz,qw,rx [rad],ry [rad],rz [rad]"
-    path = table(header, "1,100,200,300,0,0,0,1,0,0,1")
-    assert np.array_equal(Measurements.read(path, columns={"rx": "-"}).rotations, [np.eye(3)])
-    m = Measurements.read(path, columns={"qx": "-"})
-    np.testing.assert_allclose(m.rotations[0, 2, 2], 1.0)
-    np.testing.assert_allclose(m.rotations[0, 0, 0], np.cos(1))
 
 
 def test_radians_read_as_degrees(table):
@@ -178,12 +164,6 @@ def test_pairs(table):
 )
 def test_pairs_that_are_refused(table, lines, says):
     refused(table("a [deg],pair,distance [mm]", *lines), says)
-
-
-def test_a_pair_is_in_one_set(table):
-    header = "set,a [deg],pair,distance [mm]"
-    path = table(header, "estimate,1,p,500", "validate,2,p,")
-    refused(path, ["the pair 'p' stands in rows 1, 2", "Put both into one set"])
 
 
 @pytest.mark.parametrize(
@@ -336,13 +316,6 @@ def test_torques(table):
     assert m.select(np.array([False, True])).torques.tolist() == [[6, 7]]
 
 
-def test_a_torque_in_the_wrong_unit(table):
-    path = table("a [deg],a.torque [N],x [mm],y [mm],z [mm]", "1,2,100,200,300")
-    refused(path, ["'a.torque [N]'", "'N' is not a unit of torque", "'a.torque [Nm]'"])
-    path = table("a [mm],a.torque [Nm],x [mm],y [mm],z [mm]", "1,2,100,200,300")
-    refused(path, ["prismatic joint 'a'", "'Nm' is not a unit of force"], joint_names=["a"])
-
-
 def test_joints_without_a_torque(table):
     path = table("a [deg],b [deg],b.torque [Nm],x [mm],y [mm],z [mm]", "1,2,3,100,200,300")
     m = Measurements.read(path)
@@ -421,15 +394,6 @@ def test_what_does_not_fit_together_is_refused(change, says):
     with pytest.raises(MeasurementError) as caught:
         Measurements(**(GOOD | change))
     assert says in str(caught.value)
-
-
-def test_a_selection_may_hold_half_a_pair_and_single_rows():
-    m = Measurements(
-        **GOOD, kinds=("pair", "pair"), distances=[np.nan, 0.5], pairs=("p", "p"), groups=("A", "B")
-    )
-    half = m.select(np.array([True, False]))
-    np.testing.assert_array_equal(half.distances, [0.5])
-    assert replace(half, kinds=("fixed",)).distances is None
 
 
 # Writing

@@ -1,11 +1,8 @@
 import hashlib
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from calib.errors import MeasurementError
 from calib.measure.measurements import Measurements
@@ -207,23 +204,6 @@ def test_lists_that_are_refused(listed, lines, says):
     refused(listed(*lines), "tracker.txt", says, unit="m")
 
 
-def test_a_file_that_is_not_there(tmp_path):
-    refused(tmp_path / "none.txt", "none.txt", "does not exist")
-
-
-@given(
-    st.binary(max_size=60) | st.text(alphabet='aP:12.,;\t\n\r"#/x -', max_size=60).map(str.encode)
-)
-def test_any_other_file_is_read_or_refused(tmp_path_factory, data):
-    path = tmp_path_factory.mktemp("any") / "tracker.txt"
-    path.write_bytes(data)
-    try:
-        points, text = read_points(path, "m"), ""
-    except MeasurementError as error:
-        points, text = None, str(error)
-    assert "tracker.txt" in text if points is None else np.isfinite(points.points).all()
-
-
 # With a table of joint values
 
 
@@ -301,20 +281,3 @@ def test_names_in_the_table_only(listed, table):
 def test_a_line_that_ends_before_the_names_is_named(listed):
     path = listed("x [mm],y [mm],z [mm],point", "1,2,300,P1", "4,5,600")
     refused(path, "tracker.txt, line 3: '4 5 600' has not its three numbers where the other lines")
-
-
-def test_many_lines_without_points_are_passed_over_quickly(listed):
-    path = listed("# Units: mm", *(['a b"', "b"] * 50_000), "P1 100 200 300")
-    start = time.process_time()
-    assert len(read_points(path)) == 1
-    assert time.process_time() - start < 2.0
-
-
-def test_many_points_are_found_by_their_names_quickly(listed, table):
-    names = [f"P{i}" for i in range(20_000)]
-    points = listed("# Units: mm", *(f"{name} {i} 200 300" for i, name in enumerate(names)))
-    rows = table("a [deg],point", *(f"{i % 90},{name}" for i, name in enumerate(names[::-1])))
-    start = time.process_time()
-    m = Measurements.read(rows, points=points)
-    assert m.points[:2, 0] == pytest.approx([19.999, 19.998])
-    assert time.process_time() - start < 4.0
