@@ -175,7 +175,7 @@ def compensate(
 ) -> None:
     """See `_HELP`."""
     with reporting(debug=debug):
-        from calib.cli import compensate_setup as setup
+        import calib.cli.compensate_setup as setup
         from calib.cli.compensate_notes import no_commands
         from calib.cli.compensate_text import text
         from calib.cli.setup import check_outputs

@@ -238,10 +238,10 @@ def angle_noise_of(cell: Cell, said: str | None, *, any_noise: bool) -> float:
     Raises:
         CalibError: No angle, or no kind that measures one.
     """
-    from calib import kinds
+    from calib.kinds import get as kind_of
 
     if said is not None:
-        if not kinds.get(cell.kind or "point").angles:
+        if not kind_of(cell.kind or "point").angles:
             message = (
                 "--angle-noise is the noise of orientations; they are measured with --kind pose."
             )
