@@ -203,7 +203,7 @@ def check_out(path: Path, out: Path) -> None:
     Raises:
         FileError: It would.
     """
-    from calib.fleets.tables import CSV
+    from calib.fleets.fleet import CSV
 
     if path.resolve() == (out / CSV).resolve():
         message = f"{path} is the manifest, and the table of results would have its name; choose another --out."

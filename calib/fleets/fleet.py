@@ -16,7 +16,7 @@ from pathlib import Path
 
 from calib.errors import CalibError, FileError
 from calib.fleets.outliers import Odd, odd_ones
-from calib.fleets.record import DONE, FAILED, STALE, FleetRow
+from calib.fleets.record import DONE, FAILED, STALE, FleetRow, csv_bytes, fleet_table
 from calib.fleets.robots import (
     FleetInputs,
     FleetOptions,
@@ -27,9 +27,11 @@ from calib.fleets.robots import (
     inputs_fingerprint,
     urdf_reader,
 )
-from calib.fleets.tables import write_tables
 from calib.identify.jobs import run
 from calib.model.files import json_bytes, make_folder, write_atomically
+
+#: The tables of a fleet: for a spreadsheet, and for a program; see docs/fleet.md.
+CSV, JSON = "fleet.csv", "fleet.json"
 
 Progress = Callable[[int, int], None]
 
@@ -102,7 +104,9 @@ def fleet(
         work.finish(number, result)
     rows = tuple(work.rows[robot.name] for robot in robots)
     odd, notes = odd_ones(rows)
-    write_tables(path, rows, odd, notes)
+    # First the one that says whose the other is.
+    write_atomically(path / JSON, json_bytes(fleet_table(rows, odd, notes)), overwrite=True)
+    write_atomically(path / CSV, csv_bytes(rows, odd), overwrite=True)
     return Fleet(rows, odd, notes, work.kept)
 
 

@@ -1,10 +1,12 @@
-"""FleetRow: what a fleet's table keeps of one robot, small enough to hold ten thousand of them."""
+"""What a fleet keeps of one robot, small enough to hold ten thousand of them, and its line in the fleet's tables."""
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,6 +16,8 @@ from calib.identify.result import Calibration
 from calib.measure.measurements import Measurements
 from calib.model.files import plain
 from calib.model.parameters import FRAME, TARGET
+
+SCHEMA = "fleet 1"
 
 #: How it went.
 DONE, FAILED = "done", "failed"
@@ -133,7 +137,98 @@ class FleetRow:
         return found
 
 
-_NUMBERS = ("nominal_rms", "calibrated_rms", "unseen_rms", "left_out_rms", "sigma", "sigma_angle")
+#: Numbers, with their units as keys of a file have them.
+_NUMBERS = {
+    "nominal_rms": "_m",
+    "calibrated_rms": "_m",
+    "unseen_rms": "_m",
+    "left_out_rms": "_m",
+    "sigma": "_m",
+    "sigma_angle": "_rad",
+}
+_HEADER = (
+    "name",
+    "status",
+    "verdict",
+    "nominal rms [mm]",
+    "calibrated rms [mm]",
+    "unseen rms [mm]",
+    "unseen by",
+    "cross-validated rms [mm]",
+    "noise [mm]",
+    "noise [mrad]",
+    "model",
+    "larger model",
+    "rows",
+    "outliers",
+    "odd",
+    "message",
+)
+
+
+def fleet_table(
+    rows: Sequence[FleetRow], odd: Sequence[Any], notes: Sequence[str]
+) -> dict[str, Any]:
+    """A fleet as nested tables of plain values, SI units, the unit in the keys.
+
+    Args:
+        rows: The robots.
+        odd: What is odd about which of them; dataclasses of plain values.
+        notes: What else a person should know.
+    """
+    found: dict[str, Any] = plain(
+        {
+            "schema": SCHEMA,
+            "robots": [
+                {key + _NUMBERS.get(key, ""): value for key, value in asdict(row).items()}
+                for row in rows
+            ],
+            "odd": [asdict(one) for one in odd],
+            "notes": list(notes),
+        }
+    )
+    return found
+
+
+def csv_bytes(rows: Sequence[FleetRow], odd: Sequence[Any]) -> bytes:
+    """The same for a spreadsheet, UTF-8, one line a robot.
+
+    Args:
+        rows: The robots.
+        odd: What is odd about which of them: names with texts.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_HEADER)
+    reasons: dict[str, list[str]] = {}
+    for one in odd:
+        reasons.setdefault(one.name, []).append(one.text)
+    for r in rows:
+        errors = (r.nominal_rms, r.calibrated_rms, r.unseen_rms)
+        noise = (r.sigma, r.sigma_angle)
+        writer.writerow(
+            (
+                r.name,
+                r.status,
+                r.verdict,
+                *map(_thousandths, errors),
+                r.unseen,
+                _thousandths(r.left_out_rms),
+                *map(_thousandths, noise),
+                r.model,
+                r.larger,
+                r.rows or "",
+                r.outliers if r.rows else "",
+                "; ".join(reasons.get(r.name, ())),
+                " ".join(r.message.split()),
+            )
+        )
+    return text.getvalue().encode("utf-8", "backslashreplace")
+
+
+def _thousandths(value: float) -> str:
+    """A number in mm or mrad, empty where there is none."""
+    return f"{1e3 * value:.6g}" if value == value else ""
 
 
 def measured_hash(measurements: Measurements) -> str:

@@ -5,15 +5,18 @@ The process that reads the inputs writes the files too: workers on other machine
 
 from __future__ import annotations
 
+import hashlib
+import json
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from calib.calibration import calibrate
 from calib.errors import CalibError
-from calib.fleets.fingerprint import fingerprint
 from calib.fleets.record import FleetRow
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
@@ -79,42 +82,25 @@ class FleetRobot:
             points: The measured points, where they stand in a list of their own.
             points_unit: The unit of that list, if it names none.
         """
-        files = _Files(str(robot), Path(data), cell or Cell(), columns, points, points_unit)
-        return cls(name, files.read)
+        cell, renamed = cell or Cell(), dict(columns or {})
 
+        def load(urdf_of: Callable[[str], Urdf]) -> FleetInputs:
+            names = {split_header(label)[0] for label in Table.read(data).header}
+            names |= {split_header(wanted)[0] for wanted in renamed.values()}
+            urdf = urdf_of(str(robot))
+            arm = Robot.from_urdf(urdf, cell.base, cell.tip, measured=names, held=cell.held)
+            rows = Measurements.read(
+                data,
+                joint_names=arm.joint_names,
+                joint_types=arm.joint_types,
+                columns=renamed,
+                kind=cell.kind,
+                points=points,
+                points_unit=points_unit,
+            )
+            return FleetInputs(arm, rows, cell)
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Files:
-    """Where a robot's inputs are."""
-
-    robot: str
-    data: Path
-    cell: Cell
-    columns: Mapping[str, str] | None
-    points: str | Path | None
-    points_unit: str | None
-
-    def read(self, urdf_of: Callable[[str], Urdf]) -> FleetInputs:
-        """Read them.
-
-        Raises:
-            CalibError: A file cannot be read, or does not fit the other.
-        """
-        cell, renamed = self.cell, dict(self.columns or {})
-        names = {split_header(label)[0] for label in Table.read(self.data).header}
-        names |= {split_header(wanted)[0] for wanted in renamed.values()}
-        urdf = urdf_of(self.robot)
-        robot = Robot.from_urdf(urdf, cell.base, cell.tip, measured=names, held=cell.held)
-        measurements = Measurements.read(
-            self.data,
-            joint_names=robot.joint_names,
-            joint_types=robot.joint_types,
-            columns=renamed,
-            kind=cell.kind,
-            points=self.points,
-            points_unit=self.points_unit,
-        )
-        return FleetInputs(robot, measurements, cell)
+        return cls(name, load)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,8 +146,36 @@ def inputs_fingerprint(name: str, inputs: FleetInputs, options: FleetOptions) ->
     )
 
 
+def fingerprint(*values: object) -> str:
+    """The SHA-256 of some values: of dataclasses by the fields that count in a comparison, of arrays by every bit.
+
+    Raises:
+        TypeError: A value is of a kind that has none.
+
+    Example:
+        >>> fingerprint("a", 1.0) == fingerprint("a", 1.0), fingerprint("a", 1.0) == fingerprint("a1.0")
+        (True, False)
+    """
+    return hashlib.sha256(json.dumps(values, default=_parts).encode()).hexdigest()
+
+
+def _parts(value: object) -> object:
+    """What JSON has no word for, by its kind and what it consists of."""
+    kind = type(value).__name__
+    if is_dataclass(value) and not isinstance(value, type):
+        return [kind, *((f.name, getattr(value, f.name)) for f in fields(value) if f.compare)]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return [kind, value.dtype.str, value.shape, value.tobytes().hex()]
+    if isinstance(value, Mapping):
+        return [kind, *value.items()]
+    if isinstance(value, (bytes, Path)):
+        return [kind, str(value)]
+    message = f"a value of type {kind} has no fingerprint"
+    raise TypeError(message)
+
+
 #: Counted up when the files of a robot change.
-_LAYOUT = 2
+_LAYOUT = 3
 
 
 def calibrate_one(options: FleetOptions, job: tuple[str, FleetInputs]) -> Made | str:

@@ -15,9 +15,8 @@ import pytest
 
 from calib.errors import CalibError
 from calib.fleets.fleet import fleet
-from calib.fleets.record import DONE, FAILED, STALE, FleetRow
+from calib.fleets.record import DONE, FAILED, STALE, FleetRow, csv_bytes
 from calib.fleets.robots import FleetOptions, FleetRobot, urdf_reader
-from calib.fleets.tables import csv_bytes
 from tests.fleets.arms import CELL, arms, files
 
 QUICK = FleetOptions(validate=False, reports=False)
