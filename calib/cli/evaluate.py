@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from calib.cli.evaluate_words import Criterion, Judge, judged_robot, wanted_of
 from calib.cli.options import (
     Base,
     CellFile,
@@ -28,6 +28,8 @@ from calib.cli.options import (
     Tip,
     reporting,
 )
+from calib.cli.words import parse_pair
+from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
     from calib.identify.evaluation import Evaluation
@@ -53,8 +55,32 @@ With --tolerance the pose accuracy of ISO 9283 is judged: the exit code is 0 if 
 and 3 if not. Judge on rows that the calibration was not fitted to.
 """
 
+
+class Judge(str, Enum):
+    """Which robot is judged."""
+
+    nominal = "nominal"
+    urdf = "urdf"
+    calibration = "calibration"
+    larger = "larger"
+
+
+class Criterion(str, Enum):
+    """What is held against the tolerance."""
+
+    max = "max"
+    mean = "mean"
+    single = "single"
+
+
 #: The robots that a calibration answers for.
 _FITTED = ("calibration", "larger")
+
+#: A tolerance that could be typed.
+_TOLERANCE = "0.5 mm 0.1 deg"
+
+#: A length [m] and an angle [rad]; None for what is not named.
+Pair: TypeAlias = tuple[float | None, float | None]
 
 #: The exit code where a tolerance was not shown to be kept.
 NOT_PASSED = 3
@@ -111,8 +137,9 @@ def evaluate(
     with reporting(debug=debug):
         from dataclasses import replace
 
-        from calib.cli.evaluate_data import Fitted, check_measured
-        from calib.cli.evaluate_text import evaluation_text, names_of, own_urdf
+        import numpy as np
+
+        from calib.cli.evaluate_text import evaluation_text, names_of, own_urdf, unseen_text
         from calib.cli.setup import (
             check_chain,
             check_outputs,
@@ -122,9 +149,15 @@ def evaluate(
             with_target_link,
         )
         from calib.cli.terminal import say
-        from calib.identify.acceptance_tables import acceptance_table, accuracy_table
+        from calib.identify.acceptance import acceptance
+        from calib.identify.acceptance_rows import fitted_rows
         from calib.identify.accuracy import accuracy
-        from calib.identify.evaluation_file import evaluation_table
+        from calib.identify.evaluation import check_measured
+        from calib.identify.evaluation_file import (
+            acceptance_table,
+            accuracy_table,
+            evaluation_table,
+        )
         from calib.identify.result_file import read_result, write_table
 
         inputs: list[str | Path] = [
@@ -133,7 +166,7 @@ def evaluate(
             *(path for path in (cell, calibration, points) if path),
         ]
         check_outputs([json], inputs, force=force)
-        wanted = wanted_of(tolerance, uncertainty, criterion, judge=judge)
+        limits, sure = _limits(tolerance, uncertainty, criterion, judge)
         setup = read_cell(
             cell, base=base, tip=tip, target=target, frame=frame, kind=kind, hold=hold
         )
@@ -159,15 +192,27 @@ def evaluate(
             what for what, given in (("frame", frame), ("target", target)) if given is None
         )
         found = _evaluations(arm, table, setup, stored, which)
-        fitted = Fitted(stored)
-        seen = fitted.among(arm, table, setup)
+        seen = np.zeros(len(table), dtype=bool)
+        if stored is not None:
+            seen = fitted_rows(stored, arm, table, setup)
         name = None if calibration is None else calibration.name
-        judged = judged_robot(judge, found, name)
+        judged = _judged(judge, found, name)
         figures = {who: accuracy(one, seen=seen) for who, one in found.items()}
-        accepted = None if wanted is None else wanted.of(found[judged], seen=seen)
+        accepted = None
+        if tolerance is not None:
+            accepted = acceptance(
+                found[judged],
+                *limits,
+                uncertainty=sure[0] or 0.0,
+                uncertainty_angle=sure[1] or 0.0,
+                criterion=(criterion or Criterion.max).value,
+                seen=seen,
+            )
         advice = _advice(found, setup, stored, anew=frame is not None or target is not None)
         notes = [
-            fitted.outside(found[judged], figures[judged]) if judged in _FITTED else "",
+            unseen_text(stored, found[judged], figures[judged])
+            if stored is not None and judged in _FITTED
+            else "",
             own_urdf(found, judged),
             advice,
         ]
@@ -203,6 +248,64 @@ def evaluate(
                 typer.echo(f"\nWritten: {written}")
     if accepted is not None and not accepted.passed:
         raise typer.Exit(NOT_PASSED)
+
+
+def _limits(
+    tolerance: str | None,
+    uncertainty: str | None,
+    criterion: Criterion | None,
+    judge: Judge | None,
+) -> tuple[Pair, Pair]:
+    """Tolerances and expanded uncertainties, each of lengths [m] and angles [rad]; None for what is not named.
+
+    Raises:
+        CalibError: A text is none of its kind, or there is no tolerance that something could count for.
+    """
+    given = {"uncertainty": uncertainty, "criterion": criterion, "judge": judge}
+    useless = [f"--{name}" for name, value in given.items() if value is not None]
+    if tolerance is None and useless:
+        message = (
+            f"{' and '.join(useless)} without --tolerance: nothing is judged without one. State it, such as "
+            f'--tolerance "{_TOLERANCE}".'
+        )
+        raise CalibError(message)
+    limits: Pair = (None, None)
+    sure: Pair = (None, None)
+    if tolerance is not None:
+        limits = parse_pair(tolerance, "--tolerance", _TOLERANCE)
+    if uncertainty is not None:
+        sure = parse_pair(uncertainty, "--uncertainty", "0.05 mm 0.01 deg")
+    for limit, stated, what in zip(limits, sure, ("length", "angle"), strict=True):
+        if limit is None and stated is not None:
+            message = (
+                f'--uncertainty was given as "{uncertainty}", and --tolerance as "{tolerance}", which has no {what}; '
+                "state a tolerance for each uncertainty."
+            )
+            raise CalibError(message)
+    return limits, sure
+
+
+def _judged(judge: Judge | None, found: Iterable[str], name: str | None) -> str:
+    """The key of the robot that is judged.
+
+    Args:
+        judge: What was asked for.
+        found: The robots that there are.
+        name: Name of the result's file.
+
+    Raises:
+        CalibError: There is none such.
+    """
+    who = ("urdf" if name is None else "calibration") if judge is None else judge.value
+    if who not in found:
+        reason = (
+            "takes --calibration"
+            if name is None
+            else f"is none of {name}, which has no larger model"
+        )
+        message = f"--judge {who} {reason}; choose one of {choices(found)}."
+        raise CalibError(message)
+    return who
 
 
 def _evaluations(

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from calib.identify.acceptance import Acceptance
     from calib.identify.accuracy import Accuracy
     from calib.identify.evaluation import Evaluation
+    from calib.identify.result import Calibration
     from calib.identify.statistics import Errors
 
 #: What the robots are called in the table of accuracies.
@@ -82,6 +83,35 @@ def own_urdf(found: Mapping[str, Evaluation], judged: str) -> str:
     if len(found) == 1 or judged == "urdf" or _twin(found, "urdf", judged):
         return ""
     return "The URDF as it is, is another robot than the nominal and the calibrated one; --judge urdf judges it."
+
+
+def unseen_text(c: Calibration, evaluation: Evaluation, judged: Accuracy) -> str:
+    """A sentence that names the judged rows with joint values that the fit did not see, or nothing.
+
+    Args:
+        c: The result.
+        evaluation: Of the robot that is judged.
+        judged: Its accuracy.
+    """
+    import numpy as np
+
+    from calib.identify.coverage import outside, outside_sentence
+
+    robot, m = evaluation.robot, evaluation.measurements
+    ranges = dict(zip(c.nominal.joint_names, c.ranges, strict=True))
+    # A joint that turns without end has no range to be outside of.
+    known = [
+        k
+        for k, joint in enumerate(robot.inputs)
+        if joint.type != "continuous" and np.isfinite(ranges.get(joint.name, np.nan)).all()
+    ]
+    names = [robot.joint_names[k] for k in known]
+    ends = np.array([ranges[name] for name in names]).reshape(-1, 2).T
+    types = [robot.inputs[k].type for k in known]
+    chosen = np.isin(m.rows, [row for pose in judged.poses for row in pose.rows[:1]])
+    q = m.joints_for(robot.joint_names)[chosen][:, known]
+    said = outside_sentence(outside(ends, q, names, types), np.array(m.rows)[chosen])
+    return f"The calibration did not see such joint values: {said}." if said else ""
 
 
 def _places_text(first: Evaluation, source: str) -> str:

@@ -7,19 +7,19 @@ in any order, and under any number.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import contextlib
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from calib.identify.evaluation import Evaluation
+from calib.errors import CalibError
+from calib.identify.evaluation import Evaluation, evaluate
 from calib.identify.result import Calibration
+from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.model.robot import read_only
+from calib.model.robot import Robot
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: Residuals that differ by less are those of one row [m]: far above rounding, far below what repeats differ by.
@@ -29,46 +29,49 @@ _SAME = 1e-7
 FEWEST_APART = 5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedRows:
-    """The rows that a result was fitted to, by what is left over in them.
+def fitted_rows(c: Calibration, robot: Robot, measurements: Measurements, cell: Cell) -> Mask:
+    """Which rows of a table a result was fitted to, shape (N,): by its own frames and targets, whatever is judged.
 
-    Attributes:
-        residuals: By the number k of lengths that a row measures, shape (R, 2, k): of the nominal and of the
-            calibrated robot [m].
+    In the very file these are the estimation rows where none is known again.
+
+    Args:
+        c: The result.
+        robot: The robot, nominal or corrected.
+        measurements: The rows.
+        cell: The set-up.
     """
+    both = ((c.uncorrected(robot), c.nominal_setup), (c.corrected(robot), c.setup))
+    found = np.zeros(len(measurements), dtype=bool)
+    # A set-up that the result does not know has none of its rows.
+    with contextlib.suppress(CalibError):
+        found = known_again(
+            c, *(evaluate(one, measurements, cell, known=known) for one, known in both)
+        )
+    same = bool(c.source.sha256) and c.source.sha256 == measurements.sha256
+    return measurements.estimation if same and not np.any(found) else found
 
-    residuals: Mapping[int, Array]
 
-    @classmethod
-    def of(cls, c: Calibration) -> FittedRows:
-        """From a result."""
-        found: dict[int, list[Array]] = {}
-        for i in np.flatnonzero(c.rows.estimation):
-            used = c.used[i, :3]
-            both = (c.residual_nominal[i, :3][used], c.residual_calibrated[i, :3][used])
-            if np.any(used):
-                found.setdefault(int(used.sum()), []).append(np.array(both))
-        return cls({k: read_only(np.array(values)) for k, values in found.items()})
+def known_again(c: Calibration, nominal: Evaluation, calibrated: Evaluation) -> Mask:
+    """Which rows of a table are some of those that a result was fitted to, shape (N,), by what is left over in them.
 
-    def among(self, nominal: Evaluation, calibrated: Evaluation) -> Mask:
-        """Which rows of a table are some of these, shape (N,).
-
-        Args:
-            nominal: The errors of the nominal robot, with the result's own target and frame for it.
-            calibrated: The errors of the robot with the result's joint origins, target and frame.
-        """
-        used = calibrated.used[:, :3]
-        fitted = np.zeros(len(used), dtype=bool)
-        both = [one.residual[:, :3] for one in (nominal, calibrated)]
-        for k, stored in self.residuals.items():
-            at = np.flatnonzero(used.sum(axis=1) == k)
-            if not len(at):
-                continue
-            own = np.hstack([residual[at][used[at]].reshape(-1, k) for residual in both])
-            tree = KDTree(stored.reshape(len(stored), -1))
-            fitted[at] = tree.query(own, p=np.inf, distance_upper_bound=_SAME)[0] <= _SAME
-        return fitted
+    Args:
+        c: The result.
+        nominal: The errors of its nominal robot in the table, with the result's own target and frame for it.
+        calibrated: The errors of the robot with the result's joint origins, target and frame.
+    """
+    fitted = np.zeros(len(calibrated.used), dtype=bool)
+    residuals = [one.residual[:, :3] for one in (nominal, calibrated)]
+    stored = [c.residual_nominal[:, :3], c.residual_calibrated[:, :3]]
+    ours, theirs = calibrated.used[:, :3], c.used[:, :3]
+    for k in range(1, 4):  # by the number of lengths that a row measures
+        at = np.flatnonzero(ours.sum(axis=1) == k)
+        seen = np.flatnonzero(c.rows.estimation & (theirs.sum(axis=1) == k))
+        if not (len(at) and len(seen)):
+            continue
+        tree = KDTree(np.hstack([one[seen][theirs[seen]].reshape(-1, k) for one in stored]))
+        own = np.hstack([one[at][ours[at]].reshape(-1, k) for one in residuals])
+        fitted[at] = tree.query(own, p=np.inf, distance_upper_bound=_SAME)[0] <= _SAME
+    return fitted
 
 
 def fitted_of(m: Measurements, told: Mask, seen: bool | Mask) -> Mask:

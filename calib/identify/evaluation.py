@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import CalibError, ModelError, choices
+from calib.errors import CalibError, MeasurementError, ModelError, choices
 from calib.identify.nominal import nominal_setup, seen_from
 from calib.identify.prediction import tip_poses
 from calib.identify.registration import register_poses
@@ -22,6 +22,7 @@ from calib.measure.measurements import Measurements
 from calib.model.kinematics import Samples
 from calib.model.robot import Robot, read_only
 from calib.model.threads import one_blas_thread
+from calib.units import split_header
 
 Array = NDArray[np.float64]
 
@@ -33,6 +34,9 @@ _BETTER, _NUMBERS = 3.0, 3
 
 #: Errors below this need no explanation [m].
 _SMALL = 1e-4
+
+#: A column that every table of commands has, and how exactly the poses to send are those of the nominal robot [m].
+_COMMANDS, _EXACT = "correction position", 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,3 +290,32 @@ def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) ->
         f"The rms is {1e3 * rms:.3g} mm with frame and target of the result, and only {1e3 * found[best]:.3g} mm if "
         f"the {advice}"
     )
+
+
+def check_measured(nominal: Robot, measurements: Measurements) -> None:
+    """Refuse a table of commands whose poses to send would be taken for measured ones.
+
+    They are what the nominal robot predicts, and any tolerance would seem to be kept.
+
+    Args:
+        nominal: The nominal robot.
+        measurements: What was read from the table.
+
+    Raises:
+        MeasurementError: The points are those of the nominal robot, with a tool and in a frame of any kind.
+    """
+    m = measurements
+    if _COMMANDS not in {split_header(label)[0] for label in m.ignored}:
+        return
+    for cell in (Cell(), Cell(estimate_frame=True)):
+        try:
+            found = evaluate(nominal, m, cell)
+        except CalibError:
+            return  # too few rows to tell
+        if found.used.sum() > found.setup.count and found.errors["all"].max < _EXACT:
+            message = (
+                f"{m.source}: these are commands that 'calib compensate' wrote, and x, y, z are the poses to send, "
+                "which the nominal robot predicts; nothing was measured. Put what was measured in their place, or give "
+                "it as a list of its own with --points."
+            )
+            raise MeasurementError(message)

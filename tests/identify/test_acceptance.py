@@ -13,7 +13,6 @@ from scipy.stats import binom
 
 from calib.errors import CalibError, MeasurementError
 from calib.identify.acceptance import FAIL, PASS, UNDECIDED, Acceptance, Check, acceptance
-from calib.identify.acceptance_tables import acceptance_table, accuracy_table
 from calib.identify.acceptance_text import (
     acceptance_reasons,
     acceptance_text,
@@ -23,6 +22,7 @@ from calib.identify.acceptance_text import (
 )
 from calib.identify.accuracy import accuracy
 from calib.identify.evaluation import Evaluation, evaluate
+from calib.identify.evaluation_file import acceptance_table, accuracy_table
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.files import plain

@@ -17,10 +17,9 @@ from calib.calibration import Calibration, calibrate
 from calib.data import paper_measurements, paper_urdf
 from calib.errors import FileError, ModelError, UrdfError
 from calib.identify.acceptance import acceptance
-from calib.identify.acceptance_tables import acceptance_table, accuracy_table
 from calib.identify.accuracy import accuracy
 from calib.identify.evaluation import evaluate, evaluate_larger
-from calib.identify.evaluation_file import evaluation_table
+from calib.identify.evaluation_file import acceptance_table, accuracy_table, evaluation_table
 from calib.identify.result import Calibration as Values
 from calib.identify.result_file import read_result, write_result, write_table
 from calib.identify.summary import summary
