@@ -12,11 +12,9 @@ import pytest
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 sys.path.insert(0, str(SCRIPTS))
 
-from study_models import ALLOWED  # noqa: E402
-from study_robots import ROBOTS, JointErrors, Truth, example_files, joints_of  # noqa: E402
-from study_runs import points_run, touching_run  # noqa: E402
-from study_table import ratio  # noqa: E402
-from verification_study import STUDIES, markdown, run_one, run_study  # noqa: E402
+from verification_runs import points_run, touching_run  # noqa: E402
+from verification_study import ALLOWED, STUDIES, markdown, ratio, run_one, run_study  # noqa: E402
+from verification_truth import ROBOTS, JointErrors, Truth, example_files, joints_of  # noqa: E402
 
 #: A small version of each study still takes its minutes.
 pytestmark = pytest.mark.slow

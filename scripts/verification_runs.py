@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from study_robots import Truth, frame, joints_of
+from verification_truth import Truth, frame, joints_of
 
 from calib.calibration import Calibration
 from calib.measure.cell import Cell, GroupDistance
