@@ -6,8 +6,9 @@ import errno
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
-from calib.cli.options import reporting
+from calib.cli.options import FitOptions, Robust, TableOptions, reporting, verb
 from calib.errors import FileError
 
 FAULT = (
@@ -66,3 +67,50 @@ def test_an_ending_passes_through():
     with pytest.raises(typer.Exit) as ended, reporting(debug=False):
         raise typer.Exit(3)
     assert ended.value.exit_code == 3
+
+
+@verb("What it does.")
+def shown(robot: str, setup: FitOptions, table: TableOptions, robust: Robust = True) -> None:
+    typer.echo(
+        (robot, setup.tip, setup.hold, setup.fix_target, setup.repeats, table.points_unit, robust)
+    )
+    if robot == "none":
+        raise FileError("none is not there.")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["a"], 0, "('a', None, None, False, None, None, True)"),
+        (
+            [
+                "b",
+                "--tip",
+                "t",
+                "--hold",
+                "j=1 m",
+                "--hold",
+                "k=2 m",
+                "--fix-target",
+                "--no-robust",
+            ],
+            0,
+            "('b', 't', ['j=1 m', 'k=2 m'], True, None, None, False)",
+        ),
+        (["c", "--points-unit", "mm", "--repeats", "average"], 0, "'average', 'mm', True)"),
+        (["none"], 1, "calib: none is not there."),
+        (
+            ["a", "--repeats", "best"],
+            2,
+            "'best' is not one of 'weighted', 'average', 'independent'.",
+        ),
+        (["a", "--priors", "best"], 2, "'best' is not one of 'data', 'given', 'off'."),
+        (["--help"], 0, "What it does."),
+    ],
+)
+def test_classes_of_options_stand_for_their_fields(words, code, said):
+    app = typer.Typer(add_completion=False, rich_markup_mode=None)
+    app.command()(shown)
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == code
+    assert said in " ".join(done.output.split())
