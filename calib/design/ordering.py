@@ -1,8 +1,8 @@
 """The order in which poses are driven: a short way through all of them, without moves that collide.
 
-A move takes as long as its slowest joint,
+A move takes as long as the joint that moves farthest,
 
-    c(a, b) = max_k |q_bk - q_ak| / speed_k,
+    c(a, b) = max_k |q_bk - q_ak|,
 
 and the order is an open path through all poses, from where the robot stands if that is said. It is found by nearest
 neighbours, improved by turning pieces round (2-opt) and by putting short pieces elsewhere (or-opt), then by kicks from
@@ -12,9 +12,8 @@ are not are made dear, and the path is improved again.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -52,7 +51,7 @@ class Tour:
 
     Attributes:
         indices: shape (N,), the poses in the order to drive; read-only.
-        cost: The sum of the moves, in [s] for speeds in [rad/s] and [m/s]; the way from the start included.
+        cost: The sum of the moves [rad] or [m]; the way from the start included.
         blocked: Pairs of poses (from, to) whose straight move in joint space is not free, in the order driven;
             `START` is where the robot begins.
     """
@@ -64,7 +63,6 @@ class Tour:
 
 def order(
     q: ArrayLike,
-    speed: ArrayLike | None = None,
     start: ArrayLike | None = None,
     free_path: FreePath | None = None,
 ) -> Tour:
@@ -75,18 +73,17 @@ def order(
 
     Args:
         q: shape (N, m), [rad] or [m].
-        speed: shape (m,), or one for all, [rad/s] or [m/s]; default 1.
         start: shape (m,), where the robot stands before; None: it begins at any of the poses.
         free_path: Whether a straight move between two poses is free, both shape (m,), the same there and back.
 
     Raises:
         CalibError: Shapes do not fit, a value is not finite, or a speed not positive.
     """
-    poses, scaled = _checked(q, speed, start)
+    poses = _checked(q, start)
     count = len(poses) - (start is not None)
     if count == 0:
         return Tour(_whole(np.arange(0)), 0.0)
-    costs = _costs(scaled, count)
+    costs = _costs(poses, count)
     path = _shortest(costs, count)
     refused: set[tuple[int, int]] = set()
     if free_path is not None:
@@ -97,44 +94,33 @@ def order(
     return Tour(_whole(path[1:-1]), total, blocked)
 
 
-def _checked(q: ArrayLike, speed: ArrayLike | None, start: ArrayLike | None) -> tuple[Array, Array]:
-    """The poses, with the start behind them, and the same in times of each joint."""
+def _checked(q: ArrayLike, start: ArrayLike | None) -> Array:
+    """The poses, with the start behind them."""
     poses = np.asarray(q, dtype=np.float64)
-    if poses.ndim != 2 or not np.isfinite(poses).all():
+    if poses.ndim == 2 and start is not None and np.shape(start) == poses.shape[1:]:
+        poses = np.vstack([poses, np.asarray(start, dtype=np.float64)])
+        start = None
+    if poses.ndim != 2 or start is not None or not np.isfinite(poses).all():
         message = (
-            f"Poses to order are finite numbers of shape (N, m); given was shape {poses.shape}."
+            f"Poses to order are finite numbers of shape (N, m), the start of shape (m,); given was {np.shape(q)} and "
+            f"{start!r}."
         )
         raise CalibError(message)
-    width = poses.shape[1]
-    speeds = np.asarray(1.0 if speed is None else speed, dtype=np.float64)
-    if speeds.shape not in ((), (width,)) or not (np.isfinite(speeds) & (speeds > 0.0)).all():
-        message = f"Joint speeds are positive, one for all or one for each of {width} joints; given was {speed!r}."
-        raise CalibError(message)
-    if start is not None:
-        first = np.asarray(start, dtype=np.float64)
-        if first.shape != (width,) or not np.isfinite(first).all():
-            message = (
-                f"The start has one finite value for each of {width} joints; given was {start!r}."
-            )
-            raise CalibError(message)
-        poses = np.vstack([poses, first])
-    return read_only(poses), poses / speeds
+    return read_only(poses)
 
 
-def _costs(scaled: Array, count: int) -> Array:
+def _costs(poses: Array, count: int) -> Array:
     """Costs between the poses and, at the end, the two ends of the path: begin and finish, shape (N + 2, N + 2).
 
     Beginning costs the way from the start, nothing without one; finishing costs nothing.
     """
     costs = np.zeros((count + 2, count + 2))
     for k in range(
-        scaled.shape[1]
+        poses.shape[1]
     ):  # one joint after the other: the differences of all at once are many
-        column = scaled[:, k]
+        column = poses[:, k]
         apart = np.abs(column[:, None] - column[None, :])
-        np.maximum(
-            costs[: len(scaled), : len(scaled)], apart, out=costs[: len(scaled), : len(scaled)]
-        )
+        np.maximum(costs[: len(poses), : len(poses)], apart, out=costs[: len(poses), : len(poses)])
     return costs
 
 
@@ -169,99 +155,50 @@ def _length(path: Path, costs: Array) -> float:
 
 
 def _improved(path: Path, costs: Array) -> Path:
-    """The path after 2-opt and or-opt until neither gains; ends stay where they are.
-
-    Each move rearranges one stretch of the path. Those of one round that do not touch each other are done together,
-    the best first.
-    """
+    """The path after 2-opt and or-opt, the best move first, until none gains; ends stay where they are."""
     least = _ROUNDING * max(float(costs.max()), 1e-300)
-    size = len(path)
     while True:
         near = costs[np.ix_(path, path)]
-        found = [*_reversals(near), *(m for n in range(1, _PIECE + 1) for m in _shifts(near, n))]
-        gains = np.concatenate([gain for gain, *_ in found])
-        ranked = np.argsort(gains, kind="stable")
-        ranked = ranked[gains[ranked] < -least]
-        if not ranked.size:
+        moves = [_reversal(near), *(m for n in range(1, _PIECE + 1) for m in _shifts(near, n))]
+        gain, first, length, place, turned = min(moves, key=lambda move: move[0])
+        if gain > -least:
             return path
-        firsts = np.concatenate([first for _, first, *_ in found])
-        lasts = np.concatenate([last for _, _, last, *_ in found])
-        which = np.repeat(np.arange(len(found)), [len(gain) for gain, *_ in found])
-        taken = np.zeros(size, dtype=np.bool_)
-        path = path.copy()
-        for k in ranked.tolist():
-            a, b = int(firsts[k]), int(lasts[k])
-            if taken[a - 1 : b + 2].any():
-                continue
-            taken[a - 1 : b + 2] = True
-            path[a : b + 1] = _rearranged(path[a : b + 1], *found[which[k]][3:])
+        piece = path[first : first + length]
+        rest = np.delete(path, slice(first, first + length))
+        path = np.insert(rest, place, piece[::-1] if turned else piece)
 
 
-_Moves = tuple[Array, Path, Path, str, int]
+#: How much longer the path becomes (negative is better); the first place and the length of the piece that is taken out;
+#: where it is put into the rest; whether it is turned round.
+_Move = tuple[float, int, int, int, bool]
 
 
-def _reversals(near: Array) -> list[_Moves]:
-    """For each first place the best last one to turn the stretch between round: gain (negative is better), places."""
+def _reversal(near: Array) -> _Move:
+    """The best stretch to turn round where it is."""
     step = np.diagonal(near, 1)  # from place i to i + 1
-    i, rows, below = _pairs_of_places(len(near))
     gain = near[:-2, 1:-1] + near[1:-1, 2:] - step[:-1, None] - step[None, 1:]
-    gain[below] = 0.0
-    best = gain.argmin(axis=1)
-    return [(gain[rows, best], i, i[best], "turn", 0)]
+    gain[np.tri(len(gain), dtype=np.bool_)] = 0.0
+    i, j = np.unravel_index(np.argmin(gain), gain.shape)
+    return float(gain[i, j]), int(i) + 1, int(j - i) + 1, int(i) + 1, True
 
 
-@lru_cache(maxsize=8)
-def _pairs_of_places(size: int) -> tuple[Path, Path, NDArray[np.bool_]]:
-    """First places of a stretch, their numbers, and the pairs whose last place is not behind the first."""
-    i = np.arange(1, size - 1)
-    return _whole(i), _whole(i - 1), i[:, None] >= i[None, :]
-
-
-def _shifts(near: Array, length: int) -> list[_Moves]:
-    """For each piece of a length the best place further on, and further back, as it is and turned round."""
+def _shifts(near: Array, length: int) -> Iterator[_Move]:
+    """The best piece of a length to put between two other places, as it is and turned round."""
     size = len(near)
     if size - 2 <= length:
-        return []
-    i, last, rows, on, back = _pieces(size, length)
+        return
     step = np.diagonal(near, 1)
+    i, j = np.arange(1, size - length), np.arange(size - 1)
+    last = i + length - 1
     closed = near[i - 1, last + 1] - step[i - 1] - step[last]
-    ahead, behind = near[1 : size - length, :-1], near[length : size - 1, :-1]
-    ahead_next, behind_next = near[1 : size - length, 1:], near[length : size - 1, 1:]
-    base = closed[:, None] - step[None, :]
-    found: list[_Moves] = []
-    for turned, gain in (
-        ("", base + ahead + behind_next),
-        (" turned", base + behind + ahead_next),
-    ):
-        for how, allowed in (("on", on), ("back", back)):
-            free = np.where(allowed, gain, 0.0)
-            best = free.argmin(axis=1)  # put between this place and the next
-            first = i if how == "on" else np.minimum(best + 1, i)
-            end = np.maximum(best, last) if how == "on" else last
-            found.append((free[rows, best], first, end, how + turned, length))
-    return found
-
-
-@lru_cache(maxsize=24)
-def _pieces(
-    size: int, length: int
-) -> tuple[Path, Path, Path, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Of every piece of a length: its first and last place, its number, and which places are on and back from it."""
-    i = np.arange(1, size - 1 - length + 1)
-    last, j = i + length - 1, np.arange(size - 1)
-    on, back = j[None, :] > last[:, None], j[None, :] < i[:, None] - 1
-    return _whole(i), _whole(last), _whole(i - 1), on, back
-
-
-def _rearranged(stretch: Path, how: str, length: int) -> Path:
-    """A stretch of a path turned round, or with the piece at one of its ends put at the other."""
-    if how == "turn":
-        return stretch[::-1]
-    forward = how.startswith("on")
-    piece = stretch[:length] if forward else stretch[-length:]
-    rest = stretch[length:] if forward else stretch[:-length]
-    piece = piece[::-1] if how.endswith("turned") else piece
-    return np.concatenate([rest, piece] if forward else [piece, rest])
+    within = (j >= i[:, None] - 1) & (j <= last[:, None])
+    for turned in (False, True):
+        head, tail = (last, i) if turned else (i, last)
+        opened = near[j[None, :], head[:, None]] + near[tail[:, None], j[None, :] + 1]
+        gain = np.where(within, 0.0, closed[:, None] + opened - step[None, :])
+        a, b = np.unravel_index(np.argmin(gain), gain.shape)
+        place = int(b) + 1 if b < i[a] else int(b) + 1 - length
+        yield float(gain[a, b]), int(i[a]), length, place, turned
 
 
 def _kicked(path: Path, costs: Array) -> Path:
