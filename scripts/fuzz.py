@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import calib
-from calib.compensate.program_file import read_program
+from calib.compensate.program import read_program
 from calib.data import paper_measurements
 from calib.design.region_file import RegionFile
 from calib.design.solids import read_solids

@@ -183,7 +183,7 @@ def compensate(
         from calib.cli.words import parse_columns
         from calib.compensate.commands import commands
         from calib.compensate.commands_file import write_commands
-        from calib.compensate.program_file import read_program
+        from calib.compensate.program import read_program
 
         inputs = [robot, program, *(name for name in (calibration, corrected) if name)]
         check_outputs([output], inputs, force=force)

@@ -63,15 +63,16 @@ def write_commands(
         ModelError: No such way to send, no such form of an orientation, or no such units.
         FileError: The file exists and ``overwrite`` is False, or it cannot be written.
     """
-    if send not in SEND:
-        message = f"Commands cannot be sent as '{send}'; choose one of {choices(SEND)}."
-        raise ModelError(message)
-    if orientation not in ORIENTATIONS:
-        message = f"An orientation cannot be written as '{orientation}'; choose one of {choices(ORIENTATIONS)}."
-        raise ModelError(message)
-    if units not in UNITS:
-        message = f"Commands cannot be written in '{units}'; choose one of {choices(UNITS)}."
-        raise ModelError(message)
+    for what, given, known in (
+        ("send", send, SEND),
+        ("orientation", orientation, ORIENTATIONS),
+        ("units", units, UNITS),
+    ):
+        if given not in known:
+            message = (
+                f"Commands cannot be written with {what} '{given}'; choose one of {choices(known)}."
+            )
+            raise ModelError(message)
     blocks = list(_blocks(commands, send, orientation, *_UNITS[units]))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -254,16 +254,15 @@ def _check_wanted(
             'is mapped by --columns "name in the table=x [mm]".'
         )
         raise MeasurementError(message)
-    if given == "joints" and not joints:
-        message = (
-            f"{table.source}: --given joints, and there are no columns of joint values, such as {first}. "
-            f"{list_columns(table)} Leave out --given, or map the columns with --columns."
+    if (given == "joints" and not joints) or (given == "poses" and not points):
+        wanted = (
+            f"joint values, such as {first}"
+            if given == "joints"
+            else "positions, 'x [mm]', 'y [mm]', 'z [mm]'"
         )
-        raise MeasurementError(message)
-    if given == "poses" and not points:
         message = (
-            f"{table.source}: --given poses, and there are no positions: no columns 'x [mm]', 'y [mm]', 'z [mm]', or "
-            f"all their cells are empty. {list_columns(table)} Leave out --given, or map the columns with --columns."
+            f"{table.source}: --given {given}, and there are no columns of {wanted}, or all their cells are empty. "
+            f"{list_columns(table)} Leave out --given, or map the columns with --columns."
         )
         raise MeasurementError(message)
 

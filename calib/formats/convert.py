@@ -26,11 +26,10 @@ from calib.formats.universal_robots import (
     write_ur_conf,
     write_ur_yaml,
 )
-from calib.formats.ur_conf import other_keys, read_deltas
 from calib.formats.ur_dh import chain_poses
+from calib.formats.ur_files import other_keys, read_deltas, read_yaml
 from calib.formats.ur_models import UrModel
 from calib.formats.ur_mount import the_mount
-from calib.formats.ur_yaml import read_yaml
 from calib.model.dh_table import HAYATI, MODIFIED, STANDARD
 from calib.model.readback import TOLERANCE, check_written, random_joint_values
 from calib.model.robot import Robot

@@ -19,13 +19,6 @@ from numpy.typing import NDArray
 
 from calib.errors import FileError, ModelError
 from calib.formats.ur_check import Given, checked_distance, fits_others, hash_remarks, nearest, odd
-from calib.formats.ur_conf import (
-    not_linearised,
-    other_keys,
-    read_deltas,
-    update_deltas,
-    write_deltas,
-)
 from calib.formats.ur_dh import (
     ROUNDING,
     FullDH,
@@ -34,9 +27,17 @@ from calib.formats.ur_dh import (
     fitted_rows,
     kinematics_hash,
 )
+from calib.formats.ur_files import (
+    not_linearised,
+    other_keys,
+    read_deltas,
+    read_yaml,
+    update_deltas,
+    write_deltas,
+    write_yaml,
+)
 from calib.formats.ur_models import MODELS, UrModel, ur_model, ur_robot
 from calib.formats.ur_mount import FARTHEST, SPREAD, Mount, distance_from, the_mount
-from calib.formats.ur_yaml import check_hash, read_yaml, write_yaml
 from calib.model.anchoring import anchored_placements, check_same_joints
 from calib.model.robot import Robot, read_only
 
@@ -224,7 +225,6 @@ def write_ur_yaml(
         ModelError: The nominal robot is not a Universal Robots arm, or the robot is no correction of it.
         FileError: The file cannot be written, or the hash is none.
     """
-    check_hash(hash)
     arm, mounted, chain = _chain_of(robot, nominal, model)
     chain = at_flange(chain)
     T_tool = np.eye(4) if np.abs(chain[6] - np.eye(4)).max() < ROUNDING else chain[6]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import FileError, ModelError, choices
-from calib.formats.ur_conf import read_nominal
+from calib.formats.ur_files import read_nominal
 from calib.formats.ur_models import MODELS, NAMES, TOLERANCE, UrModel, ur_model
 from calib.formats.ur_mount import FARTHEST, distance_from, the_mount
 from calib.model.robot import Robot

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import ModelError
 from calib.model.dh_table import screw
 from calib.model.robot import read_only, rigid_inverse
 
@@ -49,9 +48,6 @@ class FullDH:
         a: shape (6,), [m].
         d: shape (6,), [m].
         alpha: shape (6,), [rad].
-
-    Raises:
-        ModelError: A column has not six finite numbers.
     """
 
     theta: Array
@@ -60,16 +56,9 @@ class FullDH:
     alpha: Array
 
     def __post_init__(self) -> None:
-        """Make the columns read-only and check their shape."""
+        """Make the columns read-only."""
         for name in COLUMNS:
-            column = read_only(getattr(self, name))
-            if column.shape != (6,) or not np.isfinite(column).all():
-                message = (
-                    f"The column '{name}' of DH rows is {column.tolist()}; a Universal Robots arm has six joints, "
-                    "six finite numbers are wanted."
-                )
-                raise ModelError(message)
-            object.__setattr__(self, name, column)
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def __add__(self, deltas: FullDH) -> FullDH:
         """Nominal plus deltas, column by column."""

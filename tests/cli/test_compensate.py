@@ -111,7 +111,7 @@ def test_the_document_s_examples_print_what_it_says(call, examples, tmp_path: Pa
 
 
 def test_both_forms_of_a_command_are_the_same(call, folder: Path, ur3):
-    from calib.compensate.program_file import read_program
+    from calib.compensate.program import read_program
 
     done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT, "-o", "c.csv")
     assert (done.code, done.err) == (0, "")
@@ -159,13 +159,6 @@ def test_the_frame_of_the_poses_is_always_said(call, folder: Path):
     assert "Poses are in 'base'." in text
     text = said(call(folder, *words[:3], *RESULT, "--poses-in", "measured"))
     assert "Poses are in the frame that was measured in." in text
-
-
-def test_the_base_of_a_fit_is_changed_by_another_fit(call, folder: Path):
-    words = ("--base", "base_link", "--tip", "tool0", "--no-validate", "--json", "root.json")
-    assert call(folder, "fit", "robot.urdf", "data.csv", *words, "--frame", "estimate").code == 0
-    root = ("compensate", "robot.urdf", "program.csv", "--calibration", "root.json")
-    assert "Fit with --base base where it is." in said(call(folder, *root))
 
 
 def test_the_target_of_a_corrected_urdf_is_the_tool(call, folder: Path):
@@ -280,18 +273,6 @@ def test_joint_values_that_do_not_belong_to_the_poses(call, folder: Path):
         folder, "compensate", "robot.urdf", "data.csv", *RESULT, "--tool", "target", "--skip"
     )
     assert "from the program's positions" not in said(done)
-
-
-def test_positions_alone_leave_the_orientation_open(call, folder: Path):
-    done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT)
-    assert "Positions alone were measured for the result: how the tip is turned follows" in said(
-        done
-    )
-    assert "known best: --tool target; or --match position." in said(done)
-    done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT, "--tool", "target")
-    assert "--match position corrects the position alone, and leaves the orientation" in said(done)
-    done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT, "--match", "position")
-    assert "Positions alone were measured" not in said(done)
 
 
 @pytest.fixture(scope="module")
@@ -476,24 +457,6 @@ def test_the_verdict_of_the_result_comes_first(call, folder: Path, verdict: obje
     assert said(call(folder, "compensate", "robot.urdf", "program.csv", *RESULT)).startswith(wanted)
 
 
-def test_of_which_model_the_verdict_is(call, large: Path, tmp_path: Path):
-    result = json.loads((large / "result.json").read_text(encoding="utf-8"))
-    shutil.copy(large / "robot.urdf", tmp_path)
-    shutil.copy(large / "program.csv", tmp_path)
-    words = ("compensate", "robot.urdf", "program.csv", *RESULT)
-    for use, whose, reasons in (
-        ("use with care", "the verdict and its reasons are of these", " Few poses."),
-        ("use", "the verdict is of these", ""),
-    ):
-        result["verdict"] = {"use": use, "reasons": ["Few poses."]}
-        (tmp_path / "result.json").write_text(json.dumps(result), encoding="utf-8")
-        assert said(call(tmp_path, *words)).startswith(
-            f"Verdict: {use} of result.json, its joint origins: {whose}. The commands are made with its larger model "
-            f"'dh+compliance', which has no verdict of its own; the errors are its.{reasons} Pro"
-        )
-    assert "no verdict of its own" not in said(call(tmp_path, *words, "--geometry"))
-
-
 def test_the_rows_with_the_largest_corrections_are_shown(call, folder: Path):
     # Row 7 is near a straight wrist, where corrections are large; 1 to 6 are the same but for rounding.
     plain, near = "-40,-85,75,-120,-45,0", "-40,-85,75,-120,5,0"
@@ -510,45 +473,18 @@ def test_the_rows_with_the_largest_corrections_are_shown(call, folder: Path):
     assert sum(line.endswith("row 1") for line in lines[:at]) == 6
 
 
-def test_columns_that_were_not_read_are_named(call, folder: Path):
-    write(
-        folder / "kuka.csv",
-        "step,x [mm],y [mm],z [mm],A [deg],B [deg],C [deg]",
-        "1,300,-200,300,10,20,30",
-    )
-    text = said(call(folder, "compensate", "robot.urdf", "kuka.csv", *RESULT))
-    assert "Passed through unread: step, A [deg], B [deg], C [deg]." in text
-    assert (
-        '(KUKA): --columns "A=yaw [deg]" --columns "B=pitch [deg]" --columns "C=roll [deg]".'
-        in text
-    )
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         ((), "give one of them."),
-        ((*RESULT, "--corrected", "corrected.urdf"), "give one of them, not both."),
-        (("--calibration", "none.json"), "'none.json' does not exist"),
-        (("--calibration", "data.csv"), "data.csv: this is not a JSON file"),
-        (("--corrected", "none.urdf"), "'none.urdf' does not exist"),
         (("--corrected", "robot.urdf"), "robot.urdf and robot.urdf have the same joint origins from '"),
         ((*RESULT, "--base", "base_link"), "is the result for --base base, and 'base_link' was given"),
-        ((*RESULT, "--tool", "0 0 150"), '--tool was given as "0 0 150"; it must be three numbers'),
         ((*RESULT, "--tool", "target:ball"), "has no target 'ball'; it has 'target'"),
         ((*RESULT, "--poses-in", "left"), "choose 'base', 'measured' (the frame of the result's points). The"),
         (("--corrected", "corrected.urdf", "--poses-in", "left"), "two URDFs know no measurement frames"),
         ((*RESULT, "--payload", "5 kg", "--geometry"), "--payload was given as \"5 kg\", and the model in use knows"),
-        (("--corrected", "corrected.urdf", "--payload", "5 kg"), "'calib fit --model dh+compliance' estimates them."),
         ((*RESULT, "--start", "elbow_joint=1 deg"), "a start for the first row has no use"),
-        ((*RESULT, "--start", "elbow=1 deg"), "--start: the chain has no joint 'elbow'"),
-        ((*RESULT, "--limit", "5"), '--limit was given as "5"'),
-        ((*RESULT, "--accept", "5"), '--accept was given as "5"'),
-        ((*RESULT, "--lever", "5"), '--lever was given as "5"'),
         ((*RESULT, "--lever", "5 mm"), "here 'pose' is matched. Leave it out, or add --match weighted"),
-        ((*RESULT, "--tool", "0 0 0 mm 0 0 90 rad"), "more than a whole turn. Mostly degrees are meant"),
-        ((*RESULT, "--given", "poses"), "program.csv: --given poses, and there are no positions"),
-        ((*RESULT, "--columns", "a=b"), "there is no column 'a', which --columns maps to 'b'"),
         ((*RESULT, "-o", "program.csv", "--force"), "program.csv is also an input of this command"),
         ((*RESULT, "-o", "data.csv"), "data.csv exists already; add --force"),
     ],

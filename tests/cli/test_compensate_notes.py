@@ -9,8 +9,7 @@ import pytest
 
 from calib.cli.compensate_notes import passed_through, unread_orientation
 from calib.cli.words import parse_columns
-from calib.compensate.program import Program
-from calib.compensate.program_file import read_program
+from calib.compensate.program import Program, read_program
 from calib.model.robot import Robot
 
 
@@ -48,14 +47,6 @@ def test_an_orientation_under_a_controller_s_names_is_asked_for(
     assert again.oriented
     assert unread_orientation(again) == ""
     assert passed_through(again) == "Passed through unread: step."
-
-
-@pytest.mark.parametrize(
-    "header", ["O [deg],A [deg],T [deg]", "alpha [deg],beta [deg],gamma [deg]"]
-)
-def test_one_that_cannot_be_mapped_is_to_be_converted(ur3: Robot, tmp_path: Path, header: str):
-    found = program(tmp_path / "p.csv", ur3, f"x [mm],y [mm],z [mm],{header}", "300,0,300,1,2,3")
-    assert "convert them to quaternions" in unread_orientation(found)
 
 
 def test_where_nothing_looks_like_one_nothing_is_asked(ur3: Robot, tmp_path: Path):

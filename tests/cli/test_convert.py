@@ -166,22 +166,13 @@ def test_quiet_says_nothing_and_force_overwrites(call, folder):
     ("words", "said"),
     [
         (("no.json", "-o", "o.urdf"), "calibration result 'no.json' does not exist"),
-        (("calibration.conf", "-o", "o.urdf"), "Say of which arm it is, as in --ur-model UR5e"),
-        (("calibration.conf", "--ur-model", "UR6", "-o", "o.urdf"), "'UR6' is not an arm of Univ"),
         (("result.json", "-o", "o.json"), "'.json' does not say which format is wanted"),
-        (("result.json", "-o", "o.xacro"), "xacro"),
-        (("result.json", "-o", "o.yaml", "--to", "ur-yaml"), "as --hash-from."),
         (("result.json", "-o", "result.json", "--to", "dh", "--force"), "is also an input"),
         (
             ("result.json", "-o", "o.urdf", "--hash-from", "kinematics.yaml"),
             "the format here is 'u",
         ),
         (("panda", "-o", "o.conf"), "'ur-conf' is for arms of Universal Robots"),
-        (("result.json", "-o", "none/o.urdf"), "folder 'none' does not exist"),
-        (
-            ("result.json", "--hold", "elbow_joint", "-o", "o.urdf"),
-            "--hold was given 'elbow_joint'",
-        ),
     ],
 )
 def test_what_is_refused(call, folder, words, said):

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.compensate.commands import Commands, commands
 from calib.compensate.commands_file import write_commands
-from calib.compensate.program import Program
-from calib.compensate.program_file import read_program
+from calib.compensate.program import Program, read_program
 from calib.errors import ModelError
 from calib.model.robot import Robot
 
@@ -195,14 +194,13 @@ def test_a_robot_that_is_right_has_corrections_of_zero_without_a_sign(ur3: Robot
     assert row["correction position [mm]"] == "0.000000"
 
 
-def test_what_cannot_be_asked_for(made: Commands, tmp_path: Path):
-    path = tmp_path / "c.csv"
-    with pytest.raises(
-        ModelError, match="cannot be sent as 'all'; choose one of 'both', 'joints', 'poses'"
-    ):
-        write_commands(made, path, send="all")
-    with pytest.raises(
-        ModelError, match="cannot be written as 'euler'; choose one of 'rotation-vector',"
-    ):
-        write_commands(made, path, orientation="euler")
-    assert not path.exists()
+@pytest.mark.parametrize(
+    "wrong",
+    [{"send": "all"}, {"orientation": "euler"}, {"units": "inch"}],
+    ids=lambda one: [*one][0],
+)
+def test_what_cannot_be_asked_for(made: Commands, tmp_path: Path, wrong: dict[str, str]):
+    ((what, given),) = wrong.items()
+    with pytest.raises(ModelError, match=f"{what} '{given}'; choose one of "):
+        write_commands(made, tmp_path / "c.csv", **wrong)
+    assert not (tmp_path / "c.csv").exists()

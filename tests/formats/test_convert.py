@@ -24,8 +24,8 @@ from calib.formats.convert import (
 )
 from calib.formats.sources import KINDS, Asked, Source, read_source, source_kind
 from calib.formats.universal_robots import write_ur_conf
-from calib.formats.ur_conf import write_deltas
 from calib.formats.ur_dh import FullDH
+from calib.formats.ur_files import write_deltas
 from calib.formats.ur_models import ur_model
 from calib.identify.result_file import write_result
 from calib.model.dh import dh_table
@@ -288,15 +288,6 @@ def test_a_conf_of_a_conf_has_the_same_numbers(case, tmp_path):
     assert (tmp_path / "p.conf").read_bytes() == conf.read_bytes()
 
 
-def test_what_there_is_to_say_of_a_hash_is_said(shop, tmp_path):
-    source = read_source(str(shop / "result.json"), Asked())
-    own = tmp_path / "own.yaml"
-    text = (shop / "kinematics.yaml").read_text()
-    own.write_text(text.replace(own_hash(shop / "kinematics.yaml"), ur_model("UR3").default_hash))
-    said = write_target(source, Wanted(tmp_path / "k.yaml", "ur-yaml", hash_from=own))
-    assert "has the hash of the nominal UR3: it is of no particular robot" in said[0]
-
-
 def test_how_far_a_source_is_from_its_nominal_robot(shop):
     source = read_source(str(shop / "result.json"), Asked())
     apart, turned = source.distances()
@@ -473,20 +464,8 @@ def test_the_format_of_a_file(name, asked, kind, format):
             None,
             r"o.yaml: '.yaml' does not say which format .*: --to ur-yaml \(kinem.*origins",
         ),
-        ("o.csv", None, r"--to dh \(DH rows, standard convention\), --to modified-dh"),
-        (
-            "o",
-            None,
-            r"o: '' does not say which format is wanted. Add one of: --to urdf \(the URDF\)",
-        ),
         ("o.urdf", "excel", "There is no format 'excel'; --to is one of 'urdf', 'ur-yaml'"),
-        (
-            "o.urdf",
-            "dh",
-            r"o.urdf: 'dh' .* into files that end in '.csv', '.json', '.md', not in '.ur",
-        ),
         ("o.txt", "dh", "not in '.txt'"),
-        ("o.csv", "urdf", r"o.csv: 'urdf' \(the URDF\) is written into files that end in '.urdf'"),
         ("o.urdf.xacro", None, "a xacro is not written: .*--to origins -o origins.yaml"),
     ],
 )

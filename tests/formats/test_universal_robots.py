@@ -18,8 +18,8 @@ from calib.formats.universal_robots import (
     write_ur_conf,
     write_ur_yaml,
 )
-from calib.formats.ur_conf import write_deltas
 from calib.formats.ur_dh import FullDH
+from calib.formats.ur_files import write_deltas
 from calib.formats.ur_models import LINKS, ur_robot
 from calib.model.readback import check_written
 from calib.model.robot import Robot

@@ -12,8 +12,8 @@ from calib.formats.universal_robots import (
     write_ur_conf,
     write_ur_yaml,
 )
-from calib.formats.ur_conf import write_deltas
 from calib.formats.ur_dh import FullDH
+from calib.formats.ur_files import write_deltas
 from calib.formats.ur_models import UrModel, ur_model, ur_robot
 from tests.formats.ur_cases import WITH_DELTAS, rows
 
@@ -87,12 +87,6 @@ def test_a_hash_that_is_of_no_particular_robot_is_said(yaml_of):
     assert any(remark in said for said in read_ur_yaml(path).remarks)
 
 
-def test_a_hash_of_another_form_is_said(yaml_of):
-    (remark,) = read_ur_hash(yaml_of("UR3", "my_robot"), model="UR3").remarks
-    assert "'my_robot' in" in remark
-    assert "not of the driver's form" in remark
-
-
 def test_a_calibration_that_is_far_off_is_said_of_its_hash(tmp_path):
     conf = write_deltas(
         tmp_path / "c.conf", FullDH([0] * 6, [0, 0.05, 0, 0, 0, 0], [0] * 6, [0] * 6)
@@ -106,21 +100,6 @@ def test_another_arm_s_conf_is_not_updated(conf_of, tmp_path):
         with pytest.raises(FileError, match=rf"{name}\.conf: .*Give the calibration\.conf of this"):
             write_ur_conf(robot, robot, tmp_path / "new.conf", update=conf_of(name), model="UR5e")
     assert not (tmp_path / "new.conf").exists()
-
-
-def test_what_to_do_is_said_by_what_was_given(conf_of, tmp_path):
-    conf = conf_of("UR3")
-    urcontrol = urcontrol_of(ur_model("UR5").nominal, tmp_path / "urcontrol.conf")
-    with pytest.raises(
-        FileError, match=r"urcontrol\.conf of the same controller; .* another one's"
-    ):
-        read_ur_conf(conf, urcontrol=urcontrol)
-    with pytest.raises(
-        FileError, match="Give the URDF of the right one; the nominal UR5 is another"
-    ):
-        read_ur_conf(conf, robot=ur_robot("UR5"))
-    with pytest.raises(FileError, match="Name the right one with --ur-model, or give its URDF"):
-        read_ur_conf(conf, model="UR5")
 
 
 # Arms that calib does not know

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calib.formats.universal_robots import read_ur_conf, read_ur_yaml, write_ur_yaml
-from calib.formats.ur_conf import write_deltas
+from calib.formats.ur_files import write_deltas
 from calib.formats.ur_models import LINKS
 from calib.formats.ur_mount import recognised
 from calib.model.robot import Robot

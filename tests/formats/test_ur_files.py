@@ -1,18 +1,25 @@
+"""The files of Universal Robots: what is written reads back, other bytes stay, damage is said."""
+
 from __future__ import annotations
 
 import numpy as np
 import pytest
+import yaml
+from scipy.spatial.transform import Rotation
 
 from calib.errors import FileError
-from calib.formats.ur_conf import (
+from calib.formats.ur_dh import COLUMNS, FullDH
+from calib.formats.ur_files import (
     not_linearised,
     other_keys,
     read_deltas,
     read_nominal,
+    read_yaml,
     update_deltas,
     write_deltas,
+    write_yaml,
 )
-from calib.formats.ur_dh import COLUMNS, FullDH
+from calib.formats.ur_models import LINKS, ur_model
 from tests.formats.ur_cases import WITH_DELTAS, rows
 
 DELTAS = rows(WITH_DELTAS[0]["delta"])
@@ -89,15 +96,6 @@ def test_written_deltas_read_back_exactly(tmp_path):
         write_deltas(path, DELTAS)
 
 
-def test_what_could_not_be_read_again_is_not_written(conf, tmp_path):
-    far = FullDH(DELTAS.theta, DELTAS.a, np.full(6, 2e9), DELTAS.alpha)
-    with pytest.raises(FileError, match=r"delta_d of joint 1 is 2e\+09, more than 1e\+09 m"):
-        write_deltas(tmp_path / "new.conf", far)
-    with pytest.raises(FileError, match=r"delta_d of joint 1 is 2e\+09, more than 1e\+09 m"):
-        update_deltas(conf, tmp_path / "new.conf", far)
-    assert not (tmp_path / "new.conf").exists()
-
-
 def test_a_list_over_several_lines_with_comments_between(conf):
     text = CONF.replace("203.39,\n", "203.39, # of ] joint 3\n # [ 1, 2 ]\n")
     conf.write_text(text)
@@ -133,39 +131,25 @@ def test_a_section_that_comes_again(conf):
 
 
 DAMAGED = {
-    "empty": ("", r"there is no \[mounting\] in it, it has no section"),
     "section": (CONF.replace("[mounting]", "[mount]"), r"no \[mounting\] .* 'mount'"),
     "key": (
         CONF.replace("delta_alpha", "delta_alfa"),
         r"has no delta_alpha \(did you mean 'delta_alfa'\?",
     ),
-    "equals": (CONF.replace("delta_a =", "delta_a"), r"has no delta_a"),
     "five": (
         CONF.replace("1.5e-06, 0]", "1.5e-06]"),
         r"line 4: delta_a is .* six numbers in brackets",
     ),
     "text": (CONF.replace("0.0111", "zero"), r"line 4: delta_a of joint 2 is 'zero'; .* \[m\]"),
     "nan": (CONF.replace("-0.25", "nan"), r"line 3: delta_theta of joint 2 is 'nan'; .* \[rad\]"),
-    "inf": (CONF.replace("0.0073", "inf"), r"delta_alpha of joint 3 is 'inf'"),
-    "huge": (CONF.replace("0.0111", "1e999"), r"delta_a of joint 2 is '1e999'; a finite"),
     "hole": (CONF.replace("0.0111,", ","), r"delta_a of joint 2 is ''"),
-    "no list": (
-        CONF.replace("[ 0.00014, 0.0111, -7.2e-05, 0.00019, 1.5e-06, 0]", "1"),
-        r"'1'; a l",
-    ),
     "open": (
         CONF.replace("1.5e-06, 0]", "1.5e-06, 0"),
         r"line 4: delta_a is '\[ 0.00014.*brackets",
     ),
-    "open, the first": (
-        CONF.replace("-7.0e-07] # rad", "-7.0e-07 # rad"),
-        r"line 3: delta_theta is '\[ 2.5e-08.*a list of six numbers in brackets, one",
-    ),
     "mm": (CONF.replace("0.0111", "11.1"), r"joint 2 is 11.1, more than 10 m: .* metres"),
-    "deg": (CONF.replace("0.0073", "0.73"), r"alpha of joint 3 is 0.73, more than 0.5 rad"),
     "twice": (CONF + "delta_a = [1, 0, 0, 0, 0, 0]\n", r"two values, in line 4 and in line 10"),
     "binary": (CONF + "\0", r"not a calibration.conf: it has bytes that no text has"),
-    "cut": (CONF[: CONF.index("-204")], r"\[mounting\] has no delta_alpha; a calibration"),
 }
 
 
@@ -193,3 +177,114 @@ def test_damaged_files(damage, conf, tmp_path):
 def test_whether_a_calibration_is_linearised(conf, line, status):
     conf.write_text(CONF.replace("calibration_status = 2 # 0", line))
     assert not_linearised(conf) == status
+
+
+# kinematics.yaml
+
+
+CHAIN = rows(WITH_DELTAS[1]["full_dh"]).chain()
+HASH = "calib_4455573973530731233"
+
+
+@pytest.fixture
+def written(tmp_path):
+    return write_yaml(tmp_path / "kinematics.yaml", CHAIN, HASH, ["One arm."])
+
+
+def test_what_is_written_reads_back(written):
+    back = read_yaml(written)
+    np.testing.assert_allclose(back.chain[:6], CHAIN[:6], rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(back.chain[6], np.eye(4))
+    assert back.hash == HASH
+    with pytest.raises(FileError, match="exists already"):
+        write_yaml(written, CHAIN, HASH)
+
+
+def test_another_reader_finds_the_same_placements_in_urdf_order(written):
+    table = yaml.safe_load(written.read_text())["kinematics"]
+    assert list(table) == [*LINKS, "hash"]
+    for link, T in zip(LINKS, CHAIN, strict=False):
+        values = table[link]
+        assert all(type(value) is float for value in values.values())
+        R = Rotation.from_euler("xyz", [values[k] for k in ("roll", "pitch", "yaw")]).as_matrix()
+        np.testing.assert_allclose(R, T[:3, :3], rtol=0, atol=1e-9)
+        np.testing.assert_array_equal([values[k] for k in "xyz"], T[:3, 3] + 0.0)
+
+
+def test_small_numbers_are_numbers_to_every_reader(tmp_path):
+    nominal = ur_model("UR3").nominal
+    small = FullDH([1e-5] * 6, [1e-5, *nominal.a[1:]], nominal.d, nominal.alpha)
+    path = write_yaml(tmp_path / "k.yaml", small.chain(), HASH)
+    assert "1.0e-05" in path.read_text()
+    assert yaml.safe_load(path.read_text())["kinematics"]["upper_arm"]["x"] == pytest.approx(1e-5)
+    # A file by another program may have them without the point, and is understood.
+    path.write_text(path.read_text().replace("1.0e-05", "1e-05"))
+    assert read_yaml(path).chain[1, 0, 3] == pytest.approx(1e-5)
+
+
+def test_universal_robots_own_spelling(tmp_path):
+    path = tmp_path / "default_kinematics.yaml"
+    text = "kinematics:\n"
+    values = {
+        "shoulder": (0, 0, "0.23630000000000001", "-0", 0, "-0"),
+        "upper_arm": (0, 0, 0, 1.570796327, 0, "-0"),
+        "forearm": (-0.637, 0, 0, "-0", 0, "-0"),
+        "wrist_1": (-0.5037, 0, "0.20100000000000001", "-0", 0, "-0"),
+        "wrist_2": (0, -0.1593, 0, 1.570796327, 0, "-0"),
+        "wrist_3": (0, 0.1543, "-3.1647459019915597e-11", *["3.1415926535897931"] * 3),
+    }
+    values["wrist_3"] = (*values["wrist_3"][:3], "1.5707963265897931", *values["wrist_3"][4:])
+    for link, numbers in values.items():
+        text += f"  {link}:\n"
+        for key, number in zip(("x", "y", "z", "roll", "pitch", "yaw"), numbers, strict=True):
+            text += f"    {key}: {number}\n"
+    path.write_text(text + "  hash: calib_12001109639981648826")
+    content = read_yaml(path)
+    np.testing.assert_allclose(content.chain, ur_model("UR30").nominal.chain(), rtol=0, atol=1e-9)
+    assert content.hash == ur_model("UR30").default_hash
+    turned = text.replace("roll: 1.570796327", "roll: !degrees 90")
+    path.write_text(turned.replace("roll: 1.5707963265897931", "roll: !radians 1.5707963265897931"))
+    assert "!radians" in path.read_text()
+    content = read_yaml(path)
+    np.testing.assert_allclose(content.chain, ur_model("UR30").nominal.chain(), rtol=0, atol=1e-9)
+    assert content.hash is None
+
+
+def damaged(old: str, new: str, count: int = -1):
+    return lambda text: text.replace(old, new, count)
+
+
+DAMAGED_YAML = {
+    "other": (lambda _: "kinematic: {}\n", r"no 'kinematics' in it \(did you mean 'kinematic'\?\)"),
+    "null": (lambda _: "kinematics:\n", r"kinematics has no keys with values"),
+    "link": (damaged("forearm", "fore_arm"), r"no 'forearm' \(did you mean 'fore_arm'\?\)"),
+    "number": (damaged("z: 0.152", "z: 0,152"), r"z of 'shoulder' is '0,152.*\[m\] is"),
+    "nan": (damaged("z: 0.152", "z: .nan #"), r"z of 'shoulder' is 'nan'; a finite number"),
+    "truth": (damaged("z: 0.152", "z: true #"), r"z of 'shoulder' is 'True'"),
+    "mm": (damaged("z: 0.152", "z: 152.2 #"), r"z of 'shoulder' is 152.2, more than 10 m"),
+    "deg": (damaged("roll: 1.57", "roll: 90 #", 1), r"roll of 'upper_arm' is 90, more than 12.57"),
+    "twice": (damaged("  forearm:", "  shoulder:"), r"line 17, .*'shoulder' stands twice"),
+    "hash": (damaged(HASH, "a b"), r"the hash is 'a b', not one word of text such as 'calib_"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGED_YAML)
+def test_damaged_yaml_files(damage, written):
+    change, message = DAMAGED_YAML[damage]
+    written.write_text(change(written.read_text()))
+    with pytest.raises(FileError, match=message) as error:
+        read_yaml(written)
+    assert str(written) in str(error.value)
+
+
+@pytest.mark.parametrize("hash", ["null", "~", "", "''"])
+def test_a_hash_that_is_nothing_is_none(hash, written):
+    written.write_text(written.read_text().replace(HASH, hash))
+    assert read_yaml(written).hash is None
+
+
+@pytest.mark.parametrize("hash_", ["", "a b", "x\ny", "calib_1 # 2", "null", "true", "-1", "1.5"])
+def test_a_hash_that_is_none(hash_, tmp_path):
+    with pytest.raises(FileError, match=r"is none of a calibration: one such as"):
+        write_yaml(tmp_path / "k.yaml", CHAIN, hash_)
+    assert not (tmp_path / "k.yaml").exists()
