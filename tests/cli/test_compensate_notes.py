@@ -49,6 +49,14 @@ def test_an_orientation_under_a_controller_s_names_is_asked_for(
     assert passed_through(again) == "Passed through unread: step."
 
 
+@pytest.mark.parametrize(
+    "header", ["O [deg],A [deg],T [deg]", "alpha [deg],beta [deg],gamma [deg]"]
+)
+def test_one_that_cannot_be_mapped_is_to_be_converted(ur3: Robot, tmp_path: Path, header: str):
+    found = program(tmp_path / "p.csv", ur3, f"x [mm],y [mm],z [mm],{header}", "300,0,300,1,2,3")
+    assert "convert them to quaternions" in unread_orientation(found)
+
+
 def test_where_nothing_looks_like_one_nothing_is_asked(ur3: Robot, tmp_path: Path):
     path = tmp_path / "p.csv"
     plain = program(path, ur3, "x [mm],y [mm],z [mm],A,speed [mm/s]", "300,0,300,1,250")

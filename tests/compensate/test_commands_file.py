@@ -197,7 +197,6 @@ def test_a_robot_that_is_right_has_corrections_of_zero_without_a_sign(ur3: Robot
 @pytest.mark.parametrize(
     "wrong",
     [{"send": "all"}, {"orientation": "euler"}, {"units": "inch"}],
-    ids=lambda one: [*one][0],
 )
 def test_what_cannot_be_asked_for(made: Commands, tmp_path: Path, wrong: dict[str, str]):
     ((what, given),) = wrong.items()
