@@ -155,7 +155,7 @@ def notes(
     if poses and not in_base:
         notes.append(
             "The poses to send are in the frame that was measured in: set the controller's work object to "
-            f"{_place(rigid_inverse(found.T_frame_base))} in '{found.nominal.base}'."
+            f"{place(rigid_inverse(found.T_frame_base))} in '{found.nominal.base}'."
         )
     empty = _named(found, found.reasons)
     if empty:
@@ -174,7 +174,7 @@ def _believed(found: Commands, *, poses: bool) -> str:
         found: The commands.
         poses: Whether poses are sent.
     """
-    place = f"{_place(found.T_tip_tool_nominal)} in '{found.nominal.tip}'"
+    where = f"{place(found.T_tip_tool_nominal)} in '{found.nominal.tip}'"
     same = np.array_equal(found.T_tip_tool, found.T_tip_tool_nominal)
     why = (
         "It is where the calibration found the target, whose place was not stated before"
@@ -182,13 +182,13 @@ def _believed(found: Commands, *, poses: bool) -> str:
         else "It is where the target was stated to be before the calibration, which found it elsewhere"
     )
     if poses:
-        text = f"The poses to send are those of a tool at {place}: set the controller's tool to that. {why}."
+        text = f"The poses to send are those of a tool at {where}: set the controller's tool to that. {why}."
         if found.program.T_wanted is None:
             text += " The poses wanted were computed from the joint values with the same tool."
         return text
     if found.program.T_wanted is not None:
         return ""
-    return f"The poses wanted were computed from the joint values with a tool at {place}. {why}."
+    return f"The poses wanted were computed from the joint values with a tool at {where}. {why}."
 
 
 def _another_base(robot: Robot, *, fitted: bool) -> str:
@@ -221,7 +221,7 @@ def _another_base(robot: Robot, *, fitted: bool) -> str:
     )
 
 
-def _place(T: NDArray[np.float64]) -> str:
+def place(T: NDArray[np.float64]) -> str:
     """A pose in words; its rotation vector where it is turned."""
     turn = DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
     place = ", ".join(f"{MM * v:.4f}" for v in T[:3, 3])

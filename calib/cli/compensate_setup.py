@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 TARGET, BASE, MEASURED = "target", "base", "measured"
 
 #: What may be left of an error where nothing else is said: position [m], angle [rad].
-_ACCEPT = (1e-8, 1e-8)
+ACCEPT = (1e-8, 1e-8)
 
 #: What no correction of a pose can pass: a length that no arm has [m], and more than half a turn [rad].
-_UNLIMITED = (1e6, math.tau)
+UNLIMITED = (1e6, math.tau)
 
 #: Origins of one robot differ by rounding [m; rotation matrices: 1].
 _SAME = 1e-9
@@ -285,26 +285,21 @@ def parse_lever(text: str | None, match: str | None) -> float | None:
     return value
 
 
-def parse_limit(text: str) -> tuple[float, float]:
-    """``--limit``: a length [m] and an angle [rad]; what is not named is larger than any correction.
+def parse_sizes(
+    text: str | None, option: str, otherwise: tuple[float, float]
+) -> tuple[float, float]:
+    """``--limit`` or ``--accept``: a length [m] and an angle [rad].
+
+    Args:
+        text: The words; None where nothing was said.
+        option: Which option, for messages.
+        otherwise: What holds for a size that is not named.
 
     Raises:
         CalibError: Anything else.
     """
-    length, angle = parse_pair(text, "--limit", "10 mm 2 deg")
-    return _UNLIMITED[0] if length is None else length, _UNLIMITED[1] if angle is None else angle
-
-
-def parse_accept(text: str | None) -> tuple[float, float]:
-    """``--accept``: a length [m] and an angle [rad]; what is not named is as without it.
-
-    Raises:
-        CalibError: Anything else.
-    """
-    if text is None:
-        return _ACCEPT
-    length, angle = parse_pair(text, "--accept", "0.01 mm 0.001 deg")
-    return _ACCEPT[0] if length is None else length, _ACCEPT[1] if angle is None else angle
+    length, angle = (None, None) if text is None else parse_pair(text, option, "10 mm 2 deg")
+    return otherwise[0] if length is None else length, otherwise[1] if angle is None else angle
 
 
 def parse_start(pairs: Iterable[str], robot: Robot) -> dict[str, float]:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from calib.cli.compensate_notes import DEG, MM, counted, fill, notes, passed_through
+from calib.cli.compensate_notes import DEG, MM, counted, fill, notes, passed_through, place
 from calib.cli.compensate_setup import BASE, MEASURED, TARGET
 
 if TYPE_CHECKING:
@@ -22,9 +21,6 @@ Array = NDArray[np.float64]
 
 #: What a controller misses by above this, sent as a pose and not as joint values, is worth a line [m], [rad].
 _ELSEWHERE = 1e-7
-
-#: A tool that is turned by less is not turned [deg].
-_UNTURNED = 1e-9
 
 #: Rows of the table of corrections.
 _ROWS = 5
@@ -106,7 +102,7 @@ def _expected(robots: Robots, *, larger: bool, of_target: bool, spread: bool) ->
         return "\n".join(["Verdict: none", used, fill(_UNKNOWN, "  ")])
     if larger:
         used = fill(
-            f"of {robots.name}, its joint origins: the verdict{_why(sure.use)} of these. The commands are made with "
+            f"of {robots.name}, its joint origins: the verdict is of these. The commands are made with "
             f"{_model(robots.result, larger=True)}, which has no verdict of its own; the errors are its.",
             "  ",
         )
@@ -127,11 +123,6 @@ def _expected(robots: Robots, *, larger: bool, of_target: bool, spread: bool) ->
         ]
         lines.append(fill(_expect(of_target=of_target, spread=spread)))
     return "\n".join(lines)
-
-
-def _why(use: str) -> str:
-    """What is said beside the verdict."""
-    return " is" if use == "use" else " and its reasons are"
 
 
 def _expect(*, of_target: bool, spread: bool) -> str:
@@ -180,8 +171,7 @@ def _asked(found: Commands, tool: str | None, poses_in: str) -> str:
         what += ", joint values to start at" if program.q is not None else ""
     arrives = f"the tip '{robot.tip}'"
     if tool is not None:
-        place = ", ".join(f"{MM * v:.3f}" for v in found.T_tip_tool[:3, 3])
-        arrives = f"the point ({place}) mm in '{robot.tip}'{_turned(found.T_tip_tool)}"
+        arrives = f"the point {place(found.T_tip_tool)} in '{robot.tip}'"
     matched = {
         "pose": "position and orientation",
         "position": "position; the orientation is left free",
@@ -196,14 +186,6 @@ def _asked(found: Commands, tool: str | None, poses_in: str) -> str:
         f"Program: {len(found)} row{'s' if len(found) > 1 else ''} of {what}. "
         f"What arrives: {arrives}. Matched: {matched}. Poses are in {frame}. {passed_through(program)}"
     )
-
-
-def _turned(T: NDArray[np.float64]) -> str:
-    """How a tool is turned in the tip, as a rotation vector, where it is."""
-    vector = DEG * Rotation.from_matrix(T[:3, :3]).as_rotvec()
-    if np.abs(vector).max() < _UNTURNED:
-        return ""
-    return f", turned by the rotation vector ({', '.join(f'{v:.4f}' for v in vector)}) deg"
 
 
 def _errors(found: Commands, *, poses: bool, spread: bool) -> str:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from calib.errors import FileError, choices
 from calib.formats.dh_tables import AFTER, BEFORE, CHANGE, DHTables
+from calib.formats.origins import one_line
 from calib.model.dh_table import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.model.files import json_bytes, write_atomically
 from calib.model.readback import TOLERANCE
@@ -75,7 +76,7 @@ def write_dh(tables: DHTables, path: str | os.PathLike[str], *, overwrite: bool 
 def _title(tables: DHTables) -> str:
     """What it is, in one line."""
     robot = tables.robot
-    name, base, tip = map(_one_line, (robot.name, robot.base, robot.tip))
+    name, base, tip = map(one_line, (robot.name, robot.base, robot.tip))
     return (
         f"DH rows of '{name}', '{base}' to '{tip}', in the convention '{tables.after.convention}'"
     )
@@ -92,12 +93,7 @@ def _legend(tables: DHTables) -> Iterator[str]:
     )
     if tables.before is not None:
         yield "change = after - before; of 'base' and 'tool' it is the pose before^-1 after."
-    yield from map(_one_line, tables.remarks)
-
-
-def _one_line(text: str) -> str:
-    """Text without what could end its line."""
-    return "".join(c if c.isprintable() else "?" for c in text)
+    yield from map(one_line, tables.remarks)
 
 
 # CSV and Markdown, out of the same records
@@ -134,9 +130,9 @@ def _records(tables: DHTables, decimals: int) -> list[Record]:
             record = {
                 "table": name,
                 "row": str(i),
-                "joint": _one_line(row.joint),
+                "joint": one_line(row.joint),
                 "added to": "d" if row.prismatic else "theta",
-                "value added": _one_line(joint.text),
+                "value added": one_line(joint.text),
             }
             values = {head: getattr(row, field) / _si(head) for head, field in heads.items()}
             records.append({**record, **numbers(values)})
@@ -237,7 +233,7 @@ def _grid(heads: list[str], records: list[Record], left: int) -> Iterator[str]:
 
 def _escaped(text: str) -> str:
     """Text that Markdown leaves as it is, on one line; an underscore inside a word means nothing to it."""
-    text = _one_line(text)
+    text = one_line(text)
     return re.sub(r"([\\|*`<\[\]#~&]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9]))", r"\\\1", text)
 
 

@@ -126,12 +126,12 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
     """
     origins = origins_of(robot)
     header = _HEADER.format(
-        name=_one_line(robot.name),
-        base=_one_line(robot.base),
-        tip=_one_line(robot.tip),
-        file=_one_line(Path(path).name),
+        name=one_line(robot.name),
+        base=one_line(robot.base),
+        tip=one_line(robot.tip),
+        file=one_line(Path(path).name),
         section=_SECTION,
-        joint=_one_line(origins.joints[0][0]),
+        joint=one_line(origins.joints[0][0]),
     )
     data = origins.to_yaml(header)
     if parse_origins(data, str(path)).joints != origins.joints:
@@ -210,6 +210,6 @@ def _quoted(name: str) -> str:
     return "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
 
 
-def _one_line(text: str) -> str:
-    """A name for a comment: what could end the line, or be no character of YAML, is left out."""
+def one_line(text: str) -> str:
+    """A name for a comment: what could end the line, or be no character of YAML, is a question mark."""
     return "".join(character if character.isprintable() else "?" for character in text)

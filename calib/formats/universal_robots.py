@@ -96,7 +96,6 @@ class UrWritten:
 
     Attributes:
         path: The file.
-        model: Which arm it is.
         T_base: shape (4, 4), [m]: a displacement of the base that the file cannot hold; the identity if there is none.
         T_tool: shape (4, 4), [m]: the same of the flange, behind the last joint.
         remarks: What to tell the user about these and about the file, sentence by sentence; none if it holds all.
@@ -104,7 +103,6 @@ class UrWritten:
     """
 
     path: Path
-    model: UrModel
     T_base: Array
     T_tool: Array
     remarks: tuple[str, ...]
@@ -234,7 +232,7 @@ def write_ur_yaml(
     )
     written = write_yaml(path, chain, hash, comments, overwrite=overwrite)
     remarks = _name_remark(nominal, arm, mounted) + _end_remarks(written, np.eye(4), T_tool)
-    return UrWritten(written, arm, read_only(np.eye(4)), read_only(T_tool), remarks)
+    return UrWritten(written, read_only(np.eye(4)), read_only(T_tool), remarks)
 
 
 def write_ur_conf(
@@ -297,7 +295,7 @@ def write_ur_conf(
     remarks += _end_remarks(written, fitted.T_base, fitted.T_tool)
     # Rows between almost parallel axes may hold less, which is said.
     exact = 1e-6 if missed > _EXACT else _EXACT
-    return UrWritten(written, arm, fitted.T_base, fitted.T_tool, tuple(remarks), exact)
+    return UrWritten(written, fitted.T_base, fitted.T_tool, tuple(remarks), exact)
 
 
 def read_ur_hash(
