@@ -262,7 +262,7 @@ def test_tables_that_are_refused(read, lines: list[str], said: str):
     ("header", "cells", "given", "said"),
     [
         (XYZ, "300,200,100", "joints", "--given joints, and there are no columns of joint values, such as 'shoulder_"),
-        (IN_DEG, VALUES, "poses", "--given poses, and there are no positions: no columns 'x [mm]'"),
+        (IN_DEG, VALUES, "poses", "--given poses, and there are no columns of positions, 'x [mm]'"),
     ],
 )  # fmt: skip
 def test_given_what_is_not_there(read, header: str, cells: str, given: str, said: str):
