@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from calib.base_frame.survey import Survey, survey
     from calib.base_frame.sweeps import Sweeps, read_sweeps
-    from calib.calibration import Calibration, Comparison, calibrate, compare
+    from calib.calibration import Calibration, calibrate
+    from calib.comparison import Comparison, compare
     from calib.compensate.commands import Commands, commands
     from calib.compensate.program import Program
     from calib.design.forecast import forecast
@@ -96,7 +97,7 @@ _MODULES = {
     "Calibration": "calib.calibration",
     "Cell": "calib.measure.cell",
     "Commands": "calib.compensate.commands",
-    "Comparison": "calib.calibration",
+    "Comparison": "calib.comparison",
     "Density": "calib.design.workspace",
     "Evaluation": "calib.identify.evaluation",
     "Fleet": "calib.fleets.fleet",
@@ -122,7 +123,7 @@ _MODULES = {
     "bootstrap": "calib.identify.uncertainty",
     "calibrate": "calib.calibration",
     "commands": "calib.compensate.commands",
-    "compare": "calib.calibration",
+    "compare": "calib.comparison",
     "evaluate": "calib.identify.evaluation",
     "fleet": "calib.fleets.fleet",
     "forecast": "calib.design.forecast",

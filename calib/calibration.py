@@ -1,25 +1,23 @@
-"""calibrate, and the result with what writes it: the topmost place, above reports and below the command line."""
+"""calibrate, and the result with what writes it: above reports and below the command line.
+
+What writes is imported when it is asked for: to calibrate takes none of it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
-from calib.identify import calibration, comparison, result_file, result_urdf
-from calib.identify.comparison import Comparison as ComparisonValues
-from calib.identify.comparison_file import comparison_table
-from calib.identify.comparison_text import comparison_text
+from calib.identify import calibration
 from calib.identify.crossvalidation import Progress
 from calib.identify.result import Calibration as Values
 from calib.identify.solvers import Solver
-from calib.identify.summary import summary
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 
-__all__ = ["Calibration", "Comparison", "calibrate", "compare"]
+__all__ = ["Calibration", "calibrate"]
 
 
 class Calibration(Values):
@@ -42,10 +40,14 @@ class Calibration(Values):
         Raises:
             FileError: It cannot be read, is no result of this version of calib, or damaged.
         """
-        return cls.of(result_file.read_result(path))
+        from calib.identify.result_file import read_result
+
+        return cls.of(read_result(path))
 
     def summary(self) -> str:
         """The result as text, without colours."""
+        from calib.identify.summary import summary
+
         return summary(self)
 
     def checked_urdf(self, *, target_link: bool = False) -> Urdf:
@@ -55,7 +57,9 @@ class Calibration(Values):
             UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad.
             ModelError: Several targets, which one link cannot stand for.
         """
-        return result_urdf.checked_urdf(self, target_link=target_link)
+        from calib.identify.result_urdf import checked_urdf
+
+        return checked_urdf(self, target_link=target_link)
 
     def write_urdf(
         self, path: str | Path, *, overwrite: bool = False, target_link: bool = False
@@ -80,7 +84,9 @@ class Calibration(Values):
         Raises:
             FileError: The file exists, or cannot be written.
         """
-        return result_file.write_result(self, path, overwrite=overwrite)
+        from calib.identify.result_file import write_result
+
+        return write_result(self, path, overwrite=overwrite)
 
     def write_report(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the report, a page with figures that prints on A4.
@@ -120,36 +126,3 @@ def calibrate(
 
 
 calibrate.__doc__ = calibration.calibrate.__doc__
-
-
-class Comparison(ComparisonValues):
-    """The result of `compare`: the values of `calib.identify.comparison.Comparison`, and what writes them."""
-
-    __slots__ = ()
-
-    def summary(self) -> str:
-        """The comparison as text, without colours, in 100 columns."""
-        return comparison_text(self)
-
-    def table(self) -> dict[str, Any]:
-        """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
-        return comparison_table(self)
-
-    def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the comparison as JSON.
-
-        Raises:
-            FileError: The file exists, or cannot be written.
-        """
-        return result_file.write_table(self.table(), path, overwrite=overwrite)
-
-
-def compare(
-    a: Values | str | Path, b: Values | str | Path, robot: Robot | str | Path | None = None
-) -> Comparison:
-    """See `calib.identify.comparison.compare`."""
-    found = comparison.compare(a, b, robot)
-    return Comparison(**{one.name: getattr(found, one.name) for one in fields(found)})
-
-
-compare.__doc__ = comparison.compare.__doc__

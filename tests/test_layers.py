@@ -30,6 +30,7 @@ ORDER = (
     "formats",
     "show",
     "calibration",
+    "comparison",
     "fleets",
     "cli",
 )

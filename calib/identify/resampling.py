@@ -105,7 +105,8 @@ def profile(
         >>> round(p.low, 3), round(p.high, 3)
         (0.02, 1.98)
     """
-    _check(value, std, level)
+    check_level(level)
+    _check_start(value, std)
     rise = _rise(level, freedom)
     for _ in range(_RESTARTS):
         least = cost_at(value)
@@ -154,13 +155,21 @@ def _rise(level: float, freedom: float) -> float:
     return float(fdtri(1.0, max(freedom, 1.0), level))
 
 
-def _check(value: float, std: float, level: float) -> None:
-    """Refuse what has no profile."""
+def check_level(level: float) -> None:
+    """Refuse a level of an interval that is no probability.
+
+    Raises:
+        CalibError: It is not between 0 and 1.
+    """
     if not 0.0 < level < 1.0:
         message = (
-            f"The level of an interval is {level:g}; it must lie between 0 and 1, such as 0.95"
+            f"The level of an interval is {level:g}; it must lie between 0 and 1, such as 0.95."
         )
         raise CalibError(message)
+
+
+def _check_start(value: float, std: float) -> None:
+    """Refuse a start that has no profile."""
     if not (np.isfinite(value) and np.isfinite(std) and std > 0.0):
         message = (
             f"A profile starts at an estimate with its standard deviation, not at {value:g} with {std:g}: the "

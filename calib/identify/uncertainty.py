@@ -42,7 +42,7 @@ from calib.identify.bootstrap_sample import fit_sample
 from calib.identify.findings import ParameterEstimate
 from calib.identify.fitting import Fitted
 from calib.identify.jobs import batch_size, run
-from calib.identify.resampling import Profile, bootstrap_indices, profile
+from calib.identify.resampling import Profile, bootstrap_indices, check_level, profile
 from calib.identify.result import Calibration
 from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.robustness import Robustness, compare
@@ -84,8 +84,6 @@ class Bootstrap:
         x: shape (count, p), the parameters of each sample, as offsets like ``fitted.estimate.x``.
         seed: The samples are the same for the same seed.
         stopped: Number of samples whose fit reached the solver's limit of iterations.
-        measured_rms: Standard deviation over the samples of the predicted position, rms over the measured poses [m].
-        everywhere_rms: The same over joint values spread over the limits [m].
     """
 
     fitted: Fitted
@@ -93,8 +91,16 @@ class Bootstrap:
     x: Array
     seed: int
     stopped: int
-    measured_rms: float
-    everywhere_rms: float
+
+    @property
+    def measured_rms(self) -> float:
+        """Standard deviation over the samples of the predicted position, rms over the measured poses [m]."""
+        return _rms(self.position_std(_some(self.fitted.estimate.problem.rows.samples)))
+
+    @property
+    def everywhere_rms(self) -> float:
+        """The same over joint values spread over the limits [m]."""
+        return _rms(self.position_std(Samples.at(spread_poses(self.fitted.task.robot, _POSES))))
 
     @property
     def std(self) -> Array:
@@ -107,7 +113,8 @@ class Bootstrap:
         Args:
             level: Probability that the interval holds the true value.
         """
-        tail = 0.5 * (1.0 - _checked(level))
+        check_level(level)
+        tail = 0.5 * (1.0 - level)
         ends = np.quantile(self.x, (tail, 1.0 - tail), axis=0).T
         values = np.array([p.value for p in self.parameters])
         return np.asarray(ends + (values - self.fitted.estimate.x)[:, None])
@@ -190,19 +197,7 @@ def bootstrap(
         x[k], stopped = found[0], stopped + (not found[1])
         if progress is not None:
             progress(done, count)
-    result = Bootstrap(
-        fitted, calibration.parameters, read_only(x), seed, stopped, float("nan"), float("nan")
-    )
-    everywhere = Samples.at(spread_poses(fitted.task.robot, _POSES))
-    return Bootstrap(
-        fitted,
-        calibration.parameters,
-        result.x,
-        seed,
-        stopped,
-        measured_rms=_rms(result.position_std(_some(rows.samples))),
-        everywhere_rms=_rms(result.position_std(everywhere)),
-    )
+    return Bootstrap(fitted, calibration.parameters, read_only(x), seed, stopped)
 
 
 @one_blas_thread()
@@ -354,17 +349,3 @@ def _some(samples: Samples) -> Samples:
 def _rms(values: Array) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _checked(level: float) -> float:
-    """A level of an interval.
-
-    Raises:
-        CalibError: It is not between 0 and 1.
-    """
-    if not 0.0 < level < 1.0:
-        message = (
-            f"The level of an interval is {level:g}; it must lie between 0 and 1, such as 0.95."
-        )
-        raise CalibError(message)
-    return level

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from functools import cache
 
-from calib.calibration import Calibration, calibrate, compare
+from calib.calibration import Calibration, calibrate
+from calib.comparison import compare
 from calib.data import paper_urdf
 from calib.identify.comparison_text import notes, sentence
 from calib.measure.cell import Cell
