@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
-from calib.cli.options import Debug, Force, Quiet, reporting
+from calib.cli.options import Force, Quiet, verb
 
-_HELP = """Compare two calibrations of one robot: did it drift?
+
+@verb("""Compare two calibrations of one robot: did it drift?
 
 \b
 Examples:
@@ -19,9 +20,7 @@ Examples:
 A and B are results that 'calib fit --json' wrote, of measurements taken at different times. The answer comes first:
 by how much the target moved, up to what frame and target absorb, and whether that is more than chance. A tracker that
 stands elsewhere and a target mounted anew are no drift.
-"""
-
-
+""")
 def compare(
     a: Annotated[
         Path, typer.Argument(metavar="A", help="Result that 'calib fit --json' wrote: the first.")
@@ -47,31 +46,26 @@ def compare(
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
-    """See `_HELP`."""
-    with reporting(debug=debug):
-        from calib.cli.setup import check_outputs
-        from calib.identify.comparison import compare as compare_results
-        from calib.identify.comparison_file import comparison_table
-        from calib.identify.comparison_text import comparison_text
-        from calib.identify.result_file import write_table
+    """See the text of `verb`."""
+    from calib.cli.setup import check_outputs
+    from calib.identify.comparison import compare as compare_results
+    from calib.identify.comparison_file import comparison_table
+    from calib.identify.comparison_text import comparison_text
+    from calib.identify.result_file import write_table
 
-        check_outputs([json, view], [a, b, *([robot] if robot else [])], force=force)
-        found = compare_results(a, b, robot)
-        written = []
-        if view is not None:
-            from calib.show.pictures import view_of_comparison
-            from calib.show.robots_page import write_view
+    check_outputs([json, view], [a, b, *([robot] if robot else [])], force=force)
+    found = compare_results(a, b, robot)
+    written = []
+    if view is not None:
+        from calib.show.pictures import view_of_comparison
+        from calib.show.robots_page import write_view
 
-            written.append(write_view(view_of_comparison(found), view, overwrite=force))
-        if json is not None:
-            written.append(write_table(comparison_table(found), json, overwrite=force))
-        if quiet:
-            return
-        typer.echo(comparison_text(found))
-        if written:
-            typer.echo("\n" + "\n".join(f"Written: {path}" for path in written))
-
-
-compare.__doc__ = _HELP
+        written.append(write_view(view_of_comparison(found), view, overwrite=force))
+    if json is not None:
+        written.append(write_table(comparison_table(found), json, overwrite=force))
+    if quiet:
+        return
+    typer.echo(comparison_text(found))
+    if written:
+        typer.echo("\n" + "\n".join(f"Written: {path}" for path in written))

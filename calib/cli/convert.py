@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import shlex
-import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Base, Debug, Force, Hold, Quiet, reporting
+from calib.cli.options import Base, Force, Hold, Quiet, one_of, verb
+from calib.cli.terminal import fill
 
 if TYPE_CHECKING:
     from calib.formats.convert import Wanted
     from calib.formats.sources import Source
 
-_HELP = """Write a calibrated robot in the formats that controllers and ROS take.
+
+#: A calibration that moves the tip further [mm] is most often the comparison of two robots.
+_FAR_MM = 50.0
+
+
+def parse_format(name: str) -> str:
+    """The name of a format, for ``--to``."""
+    from calib.formats.convert import FORMATS
+
+    return one_of(name, FORMATS)
+
+
+@verb("""Write a calibrated robot in the formats that controllers and ROS take.
 
 \b
 Examples:
@@ -29,13 +41,7 @@ Examples:
 SOURCE is a result of 'calib fit --json', a calibration.conf or kinematics.yaml of Universal Robots, an origins file, or
 a URDF, a xacro or the name of a robot. What is written is read back and compared with the robot before it appears; what
 a format cannot hold is said.
-"""
-
-
-#: A calibration that moves the tip further [mm] is most often the comparison of two robots.
-_FAR_MM = 50.0
-
-
+""")
 def convert(
     source: Annotated[
         str,
@@ -49,6 +55,7 @@ def convert(
     to: Annotated[
         str | None,
         typer.Option(
+            parser=parse_format,
             metavar="FORMAT",
             help="Format of FILE: urdf, ur-yaml, ur-conf, origins; dh: standard DH rows; modified-dh: Craig's; hayati: "
             "standard, with beta between near-parallel axes; each as .csv, .json or .md. Default: what its ending "
@@ -99,29 +106,27 @@ def convert(
     hold: Hold = None,
     force: Force = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
-    """See `_HELP`."""
-    with reporting(debug=debug):
-        from calib.cli.setup import check_outputs
-        from calib.cli.words import parse_held
-        from calib.formats.convert import Wanted, check_options, chosen_format, write_target
-        from calib.formats.sources import Asked, read_source, source_kind
+    """See the text of `verb`."""
+    from calib.cli.setup import check_outputs
+    from calib.cli.words import parse_held
+    from calib.formats.convert import Wanted, check_options, chosen_format, write_target
+    from calib.formats.sources import Asked, read_source, source_kind
 
-        check_outputs(
-            [output],
-            [source, *(path for path in (robot, urcontrol, hash_from, update) if path)],
-            force=force,
-        )
-        kind = source_kind(source)
-        chosen = chosen_format(output, to, kind)
-        wanted = Wanted(output, chosen, hash_from, update, urcontrol, overwrite=force)
-        check_options(wanted, kind)
-        asked = Asked(robot, ur_model, urcontrol, base, tip, parse_held(hold or []))
-        found = read_source(source, asked)
-        remarks = write_target(found, wanted)
-        if not quiet:
-            typer.echo(_text(source, found, wanted, remarks))
+    check_outputs(
+        [output],
+        [source, *(path for path in (robot, urcontrol, hash_from, update) if path)],
+        force=force,
+    )
+    kind = source_kind(source)
+    chosen = chosen_format(output, to, kind)
+    wanted = Wanted(output, chosen, hash_from, update, urcontrol, overwrite=force)
+    check_options(wanted, kind)
+    asked = Asked(robot, ur_model, urcontrol, base, tip, parse_held(hold or []))
+    found = read_source(source, asked)
+    remarks = write_target(found, wanted)
+    if not quiet:
+        typer.echo(_text(source, found, wanted, remarks))
 
 
 def _text(source: str, found: Source, wanted: Wanted, remarks: Iterable[str]) -> str:
@@ -137,7 +142,7 @@ def _text(source: str, found: Source, wanted: Wanted, remarks: Iterable[str]) ->
         f"Written: {wanted.path}, {what}. {_use(found, wanted)}",
     ]
     text = "\n\n".join(
-        textwrap.fill(paragraph, 100, break_long_words=False, break_on_hyphens=False)
+        fill(paragraph)
         for paragraph in dict.fromkeys(paragraphs)  # reader and writer may say the same
     )
     return text + (_launch(found, wanted) if wanted.format == "ur-yaml" else "")
@@ -199,6 +204,3 @@ def _launch(found: Source, wanted: Wanted) -> str:
         f"\n\n  ros2 launch ur_robot_driver ur_control.launch.py ur_type:={kind} robot_ip:=ADDRESS \\"
         f"\n    kinematics_params_file:={here}{shlex.quote(str(wanted.path))}"
     )
-
-
-convert.__doc__ = _HELP

@@ -7,24 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import Debug, Force, Quiet, reporting
+from calib.cli.options import Force, Quiet, verb
 
 if TYPE_CHECKING:
     from calib.calibration import Calibration
 
-_HELP = """Calibrate the paper's UR3 from its 35 laser-tracker points.
-
-\b
-Writes into --out:
-  ur3_calibrated.urdf   the corrected robot
-  calibration.json      the whole result
-  report.html           the report, to print and sign
-  view.html             nominal and calibrated robot, to open in a browser
-
-\b
-Example:
-  calib demo --out demo
-"""
 
 #: What is written into the folder.
 _FILES = ("ur3_calibrated.urdf", "calibration.json", "report.html", "view.html")
@@ -38,48 +25,59 @@ changed, is the standard UR DH (a2, a3 negative, all theta offsets 0) and the re
 this demo uses; see docs/paper.md."""
 
 
+@verb("""Calibrate the paper's UR3 from its 35 laser-tracker points.
+
+\b
+Writes into --out:
+  ur3_calibrated.urdf   the corrected robot
+  calibration.json      the whole result
+  report.html           the report, to print and sign
+  view.html             nominal and calibrated robot, to open in a browser
+
+\b
+Example:
+  calib demo --out demo
+""")
 def demo(
     out: Annotated[
         Path, typer.Option("--out", help="Folder for the results; it is made if missing.")
     ] = Path("demo"),
     force: Force = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
-    """See `_HELP`."""
-    with reporting(debug=debug):
-        from calib.calibration import calibrate
-        from calib.cli.setup import check_outputs
-        from calib.cli.terminal import command_line, say
-        from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
-        from calib.measure.cell import Cell
-        from calib.measure.measurements import Measurements
-        from calib.model.files import make_folder
-        from calib.model.robot import Robot, read_only
-        from calib.show.pictures import write_page
-        from calib.show.report import write_report
+    """See the text of `verb`."""
+    from calib.calibration import calibrate
+    from calib.cli.setup import check_outputs
+    from calib.cli.terminal import command_line, say
+    from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
+    from calib.measure.cell import Cell
+    from calib.measure.measurements import Measurements
+    from calib.model.files import make_folder
+    from calib.model.robot import Robot, read_only
+    from calib.show.pictures import write_page
+    from calib.show.report import write_report
 
-        make_folder(out)
-        paths = [out / name for name in _FILES]
-        check_outputs(paths, [], force=force)
-        robot = Robot.load(paper_urdf(), base="base", tip="tool0")
-        table = Measurements.read(
-            paper_measurements(), joint_names=robot.joint_names, joint_types=robot.joint_types
-        )
-        cell = Cell(target=read_only(PAPER_TARGET), model="paper")
-        result = calibrate(robot, table, cell=cell)
-        as_paper = calibrate(robot, table, cell=cell, solver="paper", validate=False)
-        result.write_urdf(paths[0], overwrite=force)
-        result.write_json(paths[1], overwrite=force)
-        write_report(result, paths[2], command=command_line(), overwrite=force)
-        write_page(result, paths[3], overwrite=force)
-        if quiet:
-            return
-        say("\n\n".join([result.summary(), _against_the_paper(result, as_paper), _NOTE]) + "\n")
-        for path in paths:
-            typer.echo(f"Written: {path}")
-        typer.echo(f"Open {paths[2]} and {paths[3]} in a browser.")
-        typer.echo("Your own robot: calib fit robot.urdf data.csv -o corrected.urdf")
+    make_folder(out)
+    paths = [out / name for name in _FILES]
+    check_outputs(paths, [], force=force)
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0")
+    table = Measurements.read(
+        paper_measurements(), joint_names=robot.joint_names, joint_types=robot.joint_types
+    )
+    cell = Cell(target=read_only(PAPER_TARGET), model="paper")
+    result = calibrate(robot, table, cell=cell)
+    as_paper = calibrate(robot, table, cell=cell, solver="paper", validate=False)
+    result.write_urdf(paths[0], overwrite=force)
+    result.write_json(paths[1], overwrite=force)
+    write_report(result, paths[2], command=command_line(), overwrite=force)
+    write_page(result, paths[3], overwrite=force)
+    if quiet:
+        return
+    say("\n\n".join([result.summary(), _against_the_paper(result, as_paper), _NOTE]) + "\n")
+    for path in paths:
+        typer.echo(f"Written: {path}")
+    typer.echo(f"Open {paths[2]} and {paths[3]} in a browser.")
+    typer.echo("Your own robot: calib fit robot.urdf data.csv -o corrected.urdf")
 
 
 def _against_the_paper(result: Calibration, as_paper: Calibration) -> str:
@@ -103,6 +101,3 @@ def _against_the_paper(result: Calibration, as_paper: Calibration) -> str:
             row("calibrated, calib", measured(result, "calibrated")),
         ]
     )
-
-
-demo.__doc__ = _HELP
