@@ -12,7 +12,6 @@ Without U this is the plain comparison of A with T. Rows that a calibration was 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -166,7 +165,8 @@ def acceptance(
         >>> acceptance(evaluate(robot, table, Cell(target=[-0.07, 0.07, 0.0225])), 0.5e-3).outcome
         'fail'
     """
-    _check_given(tolerance, tolerance_angle, uncertainty, uncertainty_angle, criterion)
+    limits, sure = (tolerance, tolerance_angle), (uncertainty, uncertainty_angle)
+    _check_given(limits, sure, criterion)
     found = accuracy(evaluation, seen=seen)
     if tolerance_angle is not None and not len(found.ap_angle):
         message = (
@@ -177,10 +177,7 @@ def acceptance(
         raise MeasurementError(message)
     fine = np.ones(len(found.poses), dtype=bool)
     checks: list[Check | None] = []
-    for limit, sure, is_angle in (
-        (tolerance, uncertainty, False),
-        (tolerance_angle, uncertainty_angle, True),
-    ):
+    for limit, one, is_angle in zip(limits, sure, (False, True), strict=True):
         values = np.array([size_of(p, criterion, angle=is_angle) for p in found.poses])
         if limit is None:
             checks.append(None)
@@ -191,7 +188,7 @@ def acceptance(
             Check(
                 figure=_figure(values[np.isfinite(values)], criterion),
                 tolerance=limit,
-                uncertainty=sure,
+                uncertainty=one,
                 factor=found.registered.factor,
                 random=_random(found.repeats[0], scatter),
                 seen=found.seen,
@@ -221,27 +218,19 @@ def _random(repeats: int, scatter: Scatter) -> float:
 
 
 def _check_given(
-    tolerance: float | None,
-    tolerance_angle: float | None,
-    uncertainty: float,
-    uncertainty_angle: float,
-    criterion: str,
+    limits: tuple[float | None, float | None], sure: tuple[float, float], criterion: str
 ) -> None:
     """Refuse what no acceptance can be told by."""
-    if tolerance is None and tolerance_angle is None:
+    if limits == (None, None):
         message = "State a tolerance: of positions in m, of orientations in rad, or of both."
         raise CalibError(message)
-    _check_numbers("tolerance", (tolerance, tolerance_angle), lowest=np.nextafter(0.0, 1.0))
-    _check_numbers("measuring uncertainty", (uncertainty, uncertainty_angle), lowest=0.0)
+    for limit, one, unit in zip(limits, sure, ("m", "rad"), strict=True):
+        if not 0.0 < (1.0 if limit is None else limit) < np.inf:
+            message = f"The tolerance is {limit} {unit}; it must be a number above 0."
+            raise CalibError(message)
+        if not 0.0 <= one < np.inf:
+            message = f"The measuring uncertainty is {one} {unit}; it must be 0 or larger."
+            raise CalibError(message)
     if criterion not in CRITERIA:
         message = f"The criterion is '{criterion}'; choose one of {choices(CRITERIA)}."
         raise CalibError(message)
-
-
-def _check_numbers(what: str, values: Sequence[float | None], lowest: float) -> None:
-    """Refuse what is below the lowest number allowed, or no number."""
-    for value, unit in zip(values, ("m", "rad"), strict=True):
-        if value is not None and not lowest <= value < np.inf:
-            allowed = "0 or larger" if lowest == 0.0 else "a number above 0"
-            message = f"The {what} is {value} {unit}; it must be {allowed}."
-            raise CalibError(message)

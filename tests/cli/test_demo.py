@@ -59,15 +59,6 @@ def test_the_files(examples, demo):
     assert report.count(b"<figure ") >= 10
 
 
-def test_an_existing_file_is_kept_without_force(call, tmp_path: Path):
-    (tmp_path / "view.html").write_text("mine", encoding="utf-8")
-    done = call(tmp_path, "demo", "--out", ".")
-    assert (done.code, done.out) == (1, "")
-    assert done.err == "calib: view.html exists already; add --force or choose another name.\n"
-    assert [path.name for path in tmp_path.iterdir()] == ["view.html"]
-    assert (tmp_path / "view.html").read_text(encoding="utf-8") == "mine"
-
-
 def test_force_folders_of_folders_and_quiet(call, tmp_path: Path):
     folder = tmp_path / "neuer ordner" / "démo"
     folder.mkdir(parents=True)
@@ -76,12 +67,3 @@ def test_force_folders_of_folders_and_quiet(call, tmp_path: Path):
     assert (done.code, done.out, done.err) == (0, "", "")
     assert sorted(path.name for path in folder.iterdir()) == FILES
     assert (folder / "view.html").stat().st_size > 100_000
-
-
-def test_a_file_where_the_folder_should_be(call, tmp_path: Path):
-    (tmp_path / "demo").write_text("a file", encoding="utf-8")
-    done = call(tmp_path, "demo")
-    assert done.code == 1
-    assert done.err == (
-        "calib: demo: this folder cannot be made: File exists. Choose another name.\n"
-    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 import shlex
 from pathlib import Path
 
@@ -74,16 +73,6 @@ def test_the_next_command_works_as_it_is_printed(simulate, call, shop: Path):
     assert (shop / "corrected.urdf").is_file()
 
 
-def test_long_commands_are_broken_where_a_shell_joins_them(simulate):
-    done = simulate(
-        "-o", "t.csv", "--cell", "cell.toml", "--frame", "estimate", "--target", "50 50 50 mm"
-    )
-    text = done.out.split("Next:")[1]
-    assert text.count("\\\n") == 1
-    assert shlex.split(text.replace("\\\n", " "))[-2:] == ["-o", "corrected.urdf"]
-    assert max(map(len, done.lines)) <= 100
-
-
 def test_the_same_seed_gives_the_same_files_and_another_others(simulate, shop: Path):
     words = (
         "--outliers",
@@ -100,16 +89,6 @@ def test_the_same_seed_gives_the_same_files_and_another_others(simulate, shop: P
     for suffix in (".csv", "_truth.json"):
         a, b, c = ((shop / f"{name}{suffix}").read_bytes() for name in "abc")
         assert a == b != c
-
-
-def test_without_noise_a_fit_finds_the_truth(simulate, call, shop: Path):
-    assert simulate("-o", "t.csv", "--noise", "none", "--frame", "estimate").code == 0
-    (shop / "free.toml").write_text('priors = "off"\nframe = "estimate"\n')
-    words = ("fit", "robot.urdf", "t.csv", *ARM, "--cell", "free.toml", "--model", "placement")
-    assert call(shop, *words, "--json", "r.json", "--no-validate").code == 0
-    errors = json.loads((shop / "r.json").read_text())["errors"]["calibrated"]
-    assert errors["estimation"]["max_m"] < 1e-9
-    assert errors["validation"]["max_m"] < 1e-9
 
 
 def test_poses_of_a_table_keep_their_sets(simulate, shop: Path, paper_table):
@@ -154,13 +133,6 @@ def test_no_errors_at_all(simulate, shop: Path):
     assert (shop / "true.urdf").read_bytes() == (shop / "robot.urdf").read_bytes()
 
 
-def test_a_true_urdf(simulate, shop: Path):
-    assert simulate("-o", "t.csv", "--seed", "2", "--truth-urdf", "true.urdf").code == 0
-    done = simulate("-o", "u.csv", "--seed", "2", "--truth-robot", "true.urdf", "--count", "30")
-    assert done.code == 0
-    assert table(shop).points == pytest.approx(table(shop, "u.csv").points, abs=1e-12)
-
-
 def test_everything_that_disturbs_is_said(simulate, shop: Path):
     (shop / "two.toml").write_text(
         "[targets_mm]\nupper = [0, 0, 120]\nlower = [80, 0, 20]\n"
@@ -193,50 +165,20 @@ def test_everything_that_disturbs_is_said(simulate, shop: Path):
     assert said["instrument"]["tracker_base_xyz_m"] == [2.0, 0.5, 0.0]
 
 
-@pytest.mark.parametrize("kind", ["distance", "pair"])
-def test_lengths(simulate, call, shop: Path, kind: str):
-    done = simulate("-o", "t.csv", "--kind", kind)
-    assert done.code == 0
-    assert "Noise of a length:" in done.out
-    fitted = call(shop, "fit", "robot.urdf", "t.csv", *ARM, "--no-validate", "--model", "frames")
-    assert fitted.code == 0
-
-
-def test_quiet_prints_nothing(simulate):
-    done = simulate("-o", "t.csv", "--quiet")
-    assert (done.code, done.out, done.err) == (0, "", "")
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--noise", "-1 mm"), '--noise was given as "-1 mm"; it must be a length'),
-        (("--noise", "much"), '--noise was given as "much"'),
         (("--repeatability", "-1 mm"), 'must not be below 0'),
         (("--angle-noise", "1 deg"), "--angle-noise is the noise of orientations"),
-        (("--outliers", "120 %"), '--outliers was given as "120 %"'),
         (("--outliers", "31"), "31 outliers were asked for among 30 measurements"),
         (("--outlier-size", "5 mm"), "say how many there are, such as --outliers 3"),
         (("--moved-target", "41: 0 0 1 mm"), "before row 41; the table has the rows 1 to 40"),
-        (("--moved-target", "4 left: 0 0 1 mm"), "The target 'left' is to move; there are 'target'"),
-        (("--drift", "1 mm"), '--drift was given as "1 mm"; it must be three numbers'),
-        (("--tracker", "1 m"), '--tracker was given as "1 m"; it must be three numbers'),
-        (("--encoder", "1 kg"), "--encoder: 'kg' is not a unit"),
         (("--kind", "fixed"), "Measurements of the kind 'fixed' cannot be simulated"),
         (("--kind", "pair", "--count", "3"), "even number of poses; 3 are to 'estimate'"),
         (("--model", "auto"), "--model auto is for calib fit"),
-        (("--model", "best"), "there is no model 'best'"),
-        (("--sizes", "mass 1 kg"), '--sizes was given as "mass 1 kg"'),
-        (("--error", "elbow.rx=1 mrad"), "the robot has no error 'elbow.rx' in this model (did you mean"),
-        (("--error", "elbow_joint.rx=1 mm"), '"1 mm" is a length, an angle is wanted: "2 mrad"'),
-        (("--target-error", "1 mrad"), "is an angle, a length is wanted"),
         (("--poses", "data.csv", "--count", "3"), "--poses gives the poses, --count says how many"),
         (("--poses", "nothing.csv"), "'nothing.csv' does not exist"),
         (("--truth-robot", "data.csv"), "is not XML"),
-        (("--truth", "t.csv"), "t.csv is also another output of this command"),
-        (("--truth", "nowhere/t.json"), "the folder 'nowhere' does not exist"),
-        (("--truth-urdf", "robot.urdf"), "robot.urdf is also an input of this command"),
-        (("--cell", "data.csv"), "this is not a TOML file"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_said_in_one_line_and_nothing_is_written(
@@ -251,10 +193,6 @@ def test_what_is_wrong_is_said_in_one_line_and_nothing_is_written(
     assert sorted(shop.iterdir()) == before
 
 
-def test_the_table_must_be_named(simulate):
-    assert simulate().err == "calib: Name the table to write: -o table.csv.\n"
-
-
 @pytest.mark.parametrize("taken", ["t.csv", "t_truth.json", "true.urdf"])
 def test_files_that_exist_are_not_overwritten_unless_asked(simulate, shop: Path, taken: str):
     (shop / taken).write_text("mine")
@@ -265,16 +203,3 @@ def test_files_that_exist_are_not_overwritten_unless_asked(simulate, shop: Path,
     assert sorted(shop.iterdir()) == before
     assert simulate("-o", "t.csv", "--truth-urdf", "true.urdf", "--force").code == 0
     assert (shop / taken).read_text() != "mine"
-
-
-def test_its_files_appear_all_or_none(simulate, shop: Path):
-    before = sorted(path.name for path in shop.iterdir())
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (8000, hard))  # the table fits, the truth does not
-    try:
-        done = simulate("-o", "t.csv", "--count", "8", "--validation", "0")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert done.code == 1
-    assert "t_truth.json' cannot be written: File too large; choose another folder" in done.err
-    assert sorted(path.name for path in shop.iterdir()) == before

@@ -108,18 +108,12 @@ def test_without_noise_there_is_no_forecast(simulate):
             ("--planned", "-o", "t.csv"),
             "'--planned' is for a study of many robots; add --study 200",
         ),
-        (("--workers", "2", "-o", "t.csv"), "'--workers' is for a study of many robots"),
-        (("--dask", "tcp://h:1", "-o", "t.csv"), "'--dask' is for a study of many robots"),
-        (("--fit-model", "dh", "-o", "t.csv"), "'--fit-model' is for a study of many robots"),
-        (("--json", "s.json", "-o", "t.csv"), "'--json' is for a study of many robots"),
         (("--study", "2", "-o", "t.csv"), "A study writes no table and no truth; leave '-o' out."),
-        (("--study", "2", "--truth", "t.json"), "leave '--truth' out"),
         (("--study", "2", "--fit-model", "dhh"), "--fit-model: there is no model 'dhh'"),
         (
             ("--study", "2", "--planned", "--poses", "data.csv"),
             "--planned makes poses; leave --poses out",
         ),
-        (("--study", "2", "--json", "data.csv"), "data.csv exists already; add --force"),
         (("--study", "2", "--planned", "--count", "4"), "None of the 2 trials came to an end."),
     ],
 )
@@ -130,7 +124,3 @@ def test_what_does_not_go_together_is_refused(simulate, shop: Path, words, said)
     assert said in done.err
     assert done.err.count("\n") == 1
     assert sorted(shop.iterdir()) == before
-
-
-def test_a_study_of_one_is_a_wrong_call(simulate):
-    assert simulate("--study", "1").code == 2

@@ -12,7 +12,6 @@ from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise
 from calib.model.readback import random_joint_values
-from calib.model.robot import rigid_inverse
 from calib.simulate.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulate.truth import draw_truth, tracker_pose
 from tests.simulate.cells import changed, virtual
@@ -131,15 +130,6 @@ def test_noise_grows_with_the_distance_from_the_tracker(truth, q, away):
     assert scaled.std() == pytest.approx(1.0, rel=4 / np.sqrt(2 * scaled.size))
 
 
-def test_a_tracker_in_its_own_frame_measures_from_its_origin(ur3, q):
-    T = tracker_pose((2.0, 1.0, 0.5), np.random.default_rng(1))
-    truth = draw_truth(ur3, cell=Cell(T_frame_base=T))
-    own = virtual(truth).measure(q)
-    said = virtual(truth, tracker=rigid_inverse(T)[:3, 3]).measure(q)
-    assert own.sigma == pytest.approx(said.sigma)
-    assert own.sigma == pytest.approx(TrackerNoise().std(np.linalg.norm(truth.points(q), axis=1)))
-
-
 def test_repeatability_is_the_robot_s_and_so_of_all_targets_of_a_stop(ur3, q):
     cell = Cell(targets={"a": (0.1, 0, 0), "b": (0, 0.1, 0)})
     truth = draw_truth(ur3, cell=cell)
@@ -234,12 +224,6 @@ def test_a_moved_target_is_an_exact_step(plain, truth, q):
     assert step[25:] == pytest.approx(R[25:] @ by, abs=1e-15)
     assert made.moved_rows == tuple(range(26, 41))
     assert (made.points == made.measurements.points).all()
-
-
-def test_one_of_several_targets_moves(ur3, q):
-    truth = draw_truth(ur3, cell=Cell(targets={"a": (0.1, 0, 0), "b": (0, 0.1, 0)}))
-    made = virtual(truth, moved=MovedTarget(11, (0, 0, 1e-3), "b")).measure(q)
-    assert made.moved_rows == tuple(range(12, 81, 2))
 
 
 def test_drift_is_linear_in_the_row(plain, q):

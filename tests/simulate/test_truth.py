@@ -9,29 +9,12 @@ from calib.errors import CalibError, ModelError
 from calib.families import FAMILIES
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Tracker
-from calib.model.error_model import MODELS, error_model
-from calib.model.kinematics import Kinematics, Samples
+from calib.model.error_model import error_model
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, rigid_inverse
-from calib.model.torques import Payload, gravity_load
 from calib.simulate.truth import TARGET_ERROR, draw_truth, tracker_pose
 
 MANY = "placement+gain+eccentricity+compliance"
-
-
-@pytest.mark.parametrize("model", [*MODELS, MANY, "dh+gain", "zeros+compliance"])
-def test_true_positions_are_those_of_the_error_model(ur3, model):
-    cell = Cell(
-        payload=Payload(2.0, np.array([0.0, 0.0, 0.1])), T_frame_base=tracker_pose((2, 1, 0), rng())
-    )
-    truth = draw_truth(ur3, model, seed=3, cell=cell)
-    q = random_joint_values(ur3, 20, seed=1)
-    whole = error_model(ur3, model, target=False)
-    kinematics = Kinematics(ur3, whole, cell.T_frame_base, truth.T_tip_target)
-    load = gravity_load(ur3, q, cell.payload)
-    expected = kinematics.poses(np.array(truth.x), Samples.at(q, load))
-    assert truth.poses(q) == pytest.approx(expected, abs=1e-12)
-    assert truth.points(q) == pytest.approx(expected[:, :3, 3], abs=1e-12)
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -159,11 +142,6 @@ def test_what_a_cell_says_of_single_errors_holds(ur3):
     assert {abs(t.value("d1")) for t in values} >= {1e-6}
 
 
-def test_the_cell_s_own_sizes(ur3):
-    truth = draw_truth(ur3, "placement", {"length": 1e-9, "angle": 1e-9, "zero": 1e-9}, seed=1)
-    assert 0.0 < np.abs(truth.x).max() < 1e-8
-
-
 def test_a_true_urdf_is_the_truth(ur3):
     made = draw_truth(ur3, "placement+gain", seed=4)
     truth = draw_truth(ur3, "zeros+gain", seed=4, true_robot=made.robot)
@@ -252,12 +230,6 @@ def test_a_known_target_and_one_without_an_error_are_where_they_are_said_to_be(u
     assert truth.points(q, "b") == pytest.approx((truth.tip_poses(q) @ (0, 0.1, 0, 1))[:, :3])
 
 
-@pytest.mark.parametrize("size", [-1e-3, np.nan, np.inf])
-def test_what_is_no_error_of_a_target(ur3, size):
-    with pytest.raises(CalibError, match="The error of the target is"):
-        draw_truth(ur3, target_error=size)
-
-
 def test_frames_are_the_cell_s_or_drawn_or_the_base(ur3):
     own = tracker_pose((1.0, 2.0, 3.0), rng())
     assert (draw_truth(ur3).T_frame_base[0] == np.eye(4)).all()
@@ -272,24 +244,6 @@ def test_frames_are_the_cell_s_or_drawn_or_the_base(ur3):
     assert rigid_inverse(placed)[:3, 3] == pytest.approx([2.0, 0.5, 0.3])
     # Levelled: the tracker's z is up to a few hundredths.
     assert placed[2, 2] > np.cos(0.06)
-
-
-def test_set_ups_by_name(ur3):
-    frames = {"morning": tracker_pose((2, 0, 0), rng()), "evening": tracker_pose((0, 3, 0), rng(2))}
-    truth = draw_truth(ur3, cell=Cell(frames=frames))
-    q = random_joint_values(ur3, 3)
-    assert truth.groups == ("morning", "evening")
-    for name, T in frames.items():
-        assert truth.poses(q, group=name) == pytest.approx(
-            T @ truth.tip_poses(q) @ truth.T_tip_target[0]
-        )
-
-
-@pytest.mark.parametrize("what", ["target", "group"])
-def test_an_unknown_target_or_set_up(ur3, what):
-    said = "no target 'x'; it has 'target'" if what == "target" else "no set-up 'x'; it has ''"
-    with pytest.raises(ModelError, match=said):
-        draw_truth(ur3).points(np.zeros(6), **{what: "x"})
 
 
 def test_the_nominal_robot_s_own_error(ur3):

@@ -111,20 +111,6 @@ def test_another_reader_finds_every_true_position(ur3, path, made):
         assert found == pytest.approx(made.points[i], abs=1e-9)
 
 
-def test_the_displacements_make_the_origins(ur3, path):
-    said = json.loads(path.read_text())
-    placements = dict(zip((j.name for j in ur3.joints), ur3.placements, strict=False))
-    for one in said["displacements"]:
-        if not one["times"]:
-            turn = pin.exp6(one["value"] * np.array(one["twist"])).homogeneous
-            placements[one["place"]] = placements[one["place"]] @ turn
-    true = ur3.with_placements(np.array([*placements.values(), ur3.placements[-1]]))
-    for one in said["origins"]:
-        T = true.origins()[one["joint"]]
-        assert T[:3, 3] == pytest.approx(one["xyz_m"], abs=1e-14)
-        assert T[:3, :3] == pytest.approx(pin.rpy.rpyToMatrix(*one["rpy_rad"]), abs=1e-14)
-
-
 def test_events_and_instrument(path, made):
     said = json.loads(path.read_text())
     assert said["schema"] == SCHEMA == "truth 1"
@@ -147,13 +133,6 @@ def test_events_and_instrument(path, made):
     ]
     sigma = [row["sigma_m"] for row in said["rows"]]
     assert sigma == made.sigma.tolist()
-
-
-def test_files_are_not_overwritten_unless_asked(scenario, made, path):
-    before = path.read_bytes()
-    with pytest.raises(FileError, match="exists already"):
-        write_truth(scenario, made, path)
-    assert write_truth(scenario, made, path, overwrite=True).read_bytes() == before
 
 
 def test_the_true_urdf(ur3, made, tmp_path):
