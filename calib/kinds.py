@@ -104,11 +104,7 @@ class Kind:
 
     def __post_init__(self) -> None:
         """Refuse a kind that does not say what is left over, or in what unit."""
-        if (
-            not self.units
-            or set(self.units) - {"m", "rad"}
-            or list(self.units) != sorted(self.units)
-        ):
+        if not self.units or self.units != ("m",) * self.lengths + ("rad",) * self.angles:
             message = (
                 f"The kind '{self.name}' has residuals in {self.units}; each is in 'm' or in 'rad', and lengths come "
                 "first."
@@ -134,6 +130,11 @@ class Kind:
         return self.position or (self.lengths == 3 and not self.readings)
 
     @property
+    def free(self) -> bool:
+        """Whether the target may be anywhere, and each row says something by itself: poses can be chosen for it."""
+        return self.measure is not None and not self.paired
+
+    @property
     def size(self) -> int:
         """How many numbers a row measures, k."""
         return 3 * self.position + 9 * self.orientation + len(self.readings)
@@ -154,8 +155,8 @@ class Kind:
 def register(kind: Kind) -> None:
     """Add a kind of measurement: tables, fits, simulations and files of this process know it from then on.
 
-    This is the one table of calib that a program adds to, on purpose: a name once in it means the same to all, and
-    nothing can be replaced or taken out again. Worker processes register what they need themselves, on import.
+    A table that a program adds to, on purpose: a name once in it means the same to all, and nothing can be replaced
+    or taken out again. Worker processes register what they need themselves, on import.
 
     Raises:
         CalibError: There is a kind, or a column, of this name.
@@ -199,8 +200,7 @@ def readings() -> dict[str, Reading]:
 
 def unit(v: Array) -> Array:
     """Unit vectors, shape (..., 3)."""
-    result: Array = v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), _TINY)
-    return result
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), _TINY))
 
 
 def _place(T: Array) -> Array:

@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib import kinds
+from calib.design.plan_file import write_plan
 from calib.errors import CalibError, MeasurementError
+from calib.identify.inspection import inspect
 from calib.kinds import Kind, Reading, get, names, register
 
 
@@ -198,3 +200,18 @@ def test_rows_of_angles_alone_stand_beside_points(ur3):
     result = calib.calibrate(ur3, data, cell=replace(scenario.cell, model="zeros"), validate=False)
     assert result.residual_calibrated[60:, 3:5].std() == pytest.approx(1e-4, rel=0.4)
     assert np.all(np.isfinite(result.residual_calibrated[result.used]))
+
+
+@pytest.mark.usefixtures("own")
+def test_poses_are_inspected_and_planned_for_a_kind_from_outside(ur3, tmp_path):
+    line = np.array([[0, 1, 0, 0.2], [0, 0, 1, 0.6], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+    cell = calib.Cell(target=[0.05, 0.05, 0.05], kind="line", T_frame_base=line, model="zeros")
+    observability = inspect(ur3, cell).observability
+    assert 0 < observability.rank < observability.columns
+    found = calib.plan(ur3, cell, count=12, candidates=200, validation=0)
+    written = write_plan(found, tmp_path / "plan.csv").read_text().splitlines()
+    assert "line_distance [mm],expected line_distance [mm]" in written[0]
+    T = np.tile(np.eye(4), (12, 1, 1))
+    T[:, :3, 3] = found.expected[:, 0]
+    expected = [float(row.split(",")[-1]) for row in written[1:]]
+    np.testing.assert_allclose(expected, 1e3 * line_distance(T)[:, 0], atol=1e-3)

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
+import calib.kinds as registry
 from calib.design.candidates import planning_ranges
 from calib.design.optimal import information
-from calib.design.sensitivity import KINDS, Sensitivity
+from calib.design.sensitivity import Sensitivity
 from calib.errors import MeasurementError
 from calib.identify.registration import register
 from calib.identify.table_rows import rows_of
@@ -212,7 +213,7 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
         len(kinds) > 1
         or len(set(seen.targets)) > 1
         or len(set(seen.groups)) > 1
-        or kinds - {*KINDS}
+        or not all(registry.get(kind).free for kind in kinds)
     ):
         return None
     rows, setup = rows_of(robot, measurements, cell)

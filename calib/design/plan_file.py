@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import calib.kinds as registry
 from calib.design.forecast import Forecast
 from calib.design.plan import Plan
 from calib.errors import MeasurementError
@@ -39,12 +40,8 @@ _DIGITS = 3
 #: Joint values of more digits than this are written with all that they have [deg] or [mm].
 _EXACT = 1e-9
 
-#: What is to be measured, by kind.
-_MEASURED = {
-    "point": tuple(f"{axis} [mm]" for axis in POINT),
-    "pose": (*(f"{axis} [mm]" for axis in POINT), *QUATERNION),
-    "distance": ("distance [mm]",),
-}
+#: The units that readings are written in, and how many of them are one in SI.
+_WRITTEN = {"length": ("mm", 1e3), "angle": ("deg", 180.0 / math.pi)}
 
 
 def write_plan(
@@ -80,7 +77,7 @@ def _header(plan: Plan) -> list[str]:
         for name in plan.robot.joint_names
     ]
     named = ["target"] if _names_targets(plan) else []
-    measured = _MEASURED[plan.kind]
+    measured = _measured(plan)
     expected = [EXPECTED + name for name in measured if name not in QUATERNION]
     return ["row", "set", "point", *named, *joints, *measured, *expected]
 
@@ -89,17 +86,31 @@ def _rows(plan: Plan, first_row: int) -> Iterator[list[str]]:
     """The cells of each target at each pose."""
     slides = [plan.robot.joint_types[name] == "prismatic" for name in plan.robot.joint_names]
     scale = np.where(slides, 1e3, 180.0 / math.pi)
-    empty = [""] * len(_MEASURED[plan.kind])
+    kind = registry.get(plan.kind)
+    empty = [""] * len(_measured(plan))
+    factors = [_WRITTEN[one.quantity][1] for one in kind.readings]
     number = first_row
     for q, word, places in zip(plan.joints, plan.sets, plan.expected, strict=True):
         joints = [_number(value) for value in (q * scale).tolist()]
         for target, place in zip(plan.targets, places, strict=True):
             named = [target] if _names_targets(plan) else []
-            # An anchor is the origin of the frame that distances are measured in.
-            seen = [np.linalg.norm(place)] if plan.kind == "distance" else place
-            expected = [f"{1e3 * value + 0.0:.{_DIGITS}f}" for value in seen]
+            seen = (1e3 * np.asarray(place)).tolist() if kind.position else []
+            if kind.readings and kind.measure is not None:
+                T = np.eye(4)
+                T[:3, 3] = place
+                read = kind.measure(T[None])[0, kind.size - len(kind.readings) :]
+                seen += (read * factors).tolist()
+            expected = [f"{value + 0.0:.{_DIGITS}f}" for value in seen]
             yield [str(number), word, f"P{number}", *named, *joints, *empty, *expected]
             number += 1
+
+
+def _measured(plan: Plan) -> list[str]:
+    """The columns of what is to be measured."""
+    kind = registry.get(plan.kind)
+    found = [f"{axis} [mm]" for axis in POINT] if kind.position else []
+    found += QUATERNION if kind.orientation else ()
+    return [*found, *(f"{one.name} [{_WRITTEN[one.quantity][0]}]" for one in kind.readings)]
 
 
 def _names_targets(plan: Plan) -> bool:

@@ -15,7 +15,7 @@ from calib.errors import ModelError, choices
 from calib.families import FAMILIES
 from calib.identify.estimate import FIRST_SIGMA_ANGLE
 from calib.identify.fitting import Task, model_of
-from calib.identify.inspection import GENERIC_TARGET
+from calib.identify.inspection import GENERIC_TARGET, any_measurement
 from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.rows import Rows
 from calib.identify.setup import Setup, along_own_axes, setup_of, targets_along_tip
@@ -31,9 +31,6 @@ Array = NDArray[np.float64]
 
 #: What `auto` is planned for: the largest geometry, so that every smaller one is covered.
 PLANNED_FOR_AUTO = "placement"
-
-#: Kinds that poses can be planned for.
-KINDS = ("point", "pose", "distance")
 
 #: The distance of an instrument of which nothing is said [m].
 _USUAL_DISTANCE = 3.0
@@ -198,7 +195,7 @@ class Sensitivity:
         pairs = [self.kinematics.points_jacobian(x, self._samples(chunk)) for chunk in _chunks(q)]
         points = np.concatenate([one for one, _ in pairs])
         slopes = np.concatenate([one for _, one in pairs])
-        if self.kind == "distance":
+        if not registry.get(self.kind).position:
             slopes = without_rigid_motion(points, slopes)
         return slopes.reshape(len(q), -1, len(x))
 
@@ -211,7 +208,7 @@ class Sensitivity:
         if self.cell.sigma is not None:
             return np.full(len(q), self.cell.sigma)
         tracker = self.cell.tracker
-        if self.kind == "distance":
+        if not registry.get(self.kind).position:
             return np.asarray(self._instrument.std(np.linalg.norm(self.expected(q)[:, 0], axis=1)))
         if tracker is None:
             return np.full(len(q), self._instrument.std(_USUAL_DISTANCE))
@@ -232,11 +229,12 @@ def _checked_kind(cell: Cell) -> str:
     Raises:
         ModelError: One whose poses cannot be chosen freely, or a cell of several set-ups.
     """
-    kind = cell.kind or KINDS[0]
-    if kind not in KINDS:
+    kind = cell.kind or "point"
+    if not registry.get(kind).free:
+        free = [name for name in registry.names() if registry.get(name).free]
         message = (
             f"Poses cannot be planned for the kind '{kind}': the target stays in its socket or plane, or two rows "
-            f"belong together. Choose one of {choices(KINDS)}."
+            f"belong together. Choose one of {choices(free)}."
         )
         raise ModelError(message)
     if len(cell.frames) > 1:
@@ -245,10 +243,11 @@ def _checked_kind(cell: Cell) -> str:
             "one frame as frame_xyz_mm and frame_rpy_deg."
         )
         raise ModelError(message)
-    if kind == "distance" and cell.T_frame_base is None and not cell.frames:
+    if registry.get(kind).own_frame and cell.T_frame_base is None and not cell.frames:
+        place = registry.get(kind).place.lower()
         message = (
-            "To plan for distances, calib must know roughly where the anchor is: give the base in a frame at the "
-            "anchor, frame_xyz_mm in the cell file."
+            f"To plan for rows of the kind '{kind}', calib must know roughly where the {place} is: give the base in a "
+            f"frame at the {place}, frame_xyz_mm in the cell file."
         )
         raise ModelError(message)
     return kind
@@ -261,10 +260,8 @@ def _one_pose(robot: Robot, cell: Cell, kind: str) -> Setup:
     table = Measurements(
         joint_names=robot.joint_names,
         joints=np.zeros((count, len(robot.inputs))),
-        points=np.zeros((count, 3)),
-        rotations=np.tile(np.eye(3), (count, 1, 1)),
-        distances=np.ones(count),
         kinds=(kind,) * count,
+        **any_measurement(kind, count),
         targets=names,
         groups=(next(iter(cell.frames), ""),) * count,
         prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import calib.kinds as registry
 from calib.errors import ModelError
 from calib.identify.fitting import Task, model_of
 from calib.identify.nominal import seen_from
@@ -29,13 +31,6 @@ GENERIC_TARGET = (0.05, 0.07, 0.03)
 
 #: An anchor where none is known: off the first axis, which its distance would not tell of [m].
 _GENERIC_ANCHOR = (0.7, -0.5, 0.3)
-
-#: Kinds whose rows are not at any poses, and why.
-_OF_A_TABLE = {
-    "pair": "which rows are a pair is for a table to say",
-    "fixed": "the joints turn about a target that stays in its socket",
-    "plane": "the joints move a target that stays in its plane",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +70,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
             T_tip_target[:, :3, 3] = GENERIC_TARGET
             setup = setup.placed(setup.T_frame_base, T_tip_target)
             words += ", target 50, 70, 30 mm off the tip"
-        if np.any(rows.where(lambda kind: kind.name == "distance")) and not np.all(
-            setup.frame_given
-        ):
+        if any(kind.name == "distance" for kind in rows.present) and not np.all(setup.frame_given):
             T_frame_base = setup.T_frame_base.copy()
             T_frame_base[:, :3, 3] = np.negative(_GENERIC_ANCHOR)
             setup = setup.placed(T_frame_base, setup.T_tip_target)
@@ -119,11 +112,16 @@ def _everywhere(robot: Robot, cell: Cell) -> Measurements:
     Raises:
         ModelError: The cell's kind says which poses can be, and only a table can tell them.
     """
-    kind = cell.kind or "point"
-    if kind in _OF_A_TABLE:
+    kind = registry.get(cell.kind or "point")
+    if not kind.free:
+        why = (
+            "the target stays where it is held"
+            if kind.measure is None
+            else "a table says which are a pair"
+        )
         message = (
-            f"Poses spread over the joint limits say nothing of kind '{kind}': {_OF_A_TABLE[kind]}. Give a table of "
-            "such rows to inspect."
+            f"Poses spread over the joint limits say nothing of kind '{kind.name}': {why}. Give a table of such "
+            "rows to inspect."
         )
         raise ModelError(message)
     joints = spread_poses(robot)
@@ -131,9 +129,20 @@ def _everywhere(robot: Robot, cell: Cell) -> Measurements:
     return Measurements(
         joint_names=robot.joint_names,
         joints=joints,
-        points=np.zeros((count, 3)),
-        kinds=(kind,) * count,
-        rotations=np.tile(np.eye(3), (count, 1, 1)),
-        distances=np.ones(count),
+        kinds=(kind.name,) * count,
+        **any_measurement(kind.name, count),
         prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
     )
+
+
+def any_measurement(name: str, count: int) -> dict[str, Any]:
+    """The arguments of `Measurements` for rows of a kind of which only the poses, frames and targets count.
+
+    Args:
+        name: Of a kind whose poses are free.
+        count: How many rows.
+    """
+    kind, somewhere = registry.get(name), np.tile(np.eye(4), (count, 1, 1))
+    somewhere[:, :3, 3] = 1.0
+    assert kind.measure is not None
+    return Measurements.columns_of(kind, kind.measure(somewhere))
