@@ -98,7 +98,7 @@ def draw(
     kept: list[Array] = []
     workspace: list[Array] = []
     refused = {test.reason: 0 for test in tests}
-    drawn = total = placed = 0
+    drawn = total = 0
     while total < count and drawn < (_MOST * max(count, _BATCH) if total else _NONE_YET):
         q = rounded(robot, low + engine.random(_BATCH) * (high - low), ranges)[: _MOST * count]
         drawn += len(q)
@@ -114,7 +114,6 @@ def draw(
             workspace.append(q)
         kept.append(q)
         total += len(q)
-        placed += len(workspace[-1])
         if progress is not None:
             progress(min(total, count), count)
     if total == 0:

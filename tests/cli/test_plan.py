@@ -236,7 +236,7 @@ BOX = ("--box", "shell: 0 0 200 3000 3000 3000 mm")
         (("--ladder", "3,30"), "A forecast for 3 poses was asked for; it takes at least 7"),
         (("--ladder", "a"), '--ladder was given as "a"; it must be numbers of poses'),
         (("--margin", "5"), '--margin "5": "5" is a number, an angle is wanted: "5 deg".'),
-        (("--margin=-5 deg",), '--margin was given as "-5 deg"; it must not be below 0.'),
+        (("--margin=-5 deg",), 'must not be below 0.'),
         (("--margin", "400 deg"), "The margin of 400 deg to the URDF's limits leaves nothing of the range of 'sh"),
         (("--clearance", "5"), '--clearance "5": "5" is a number, a length is wanted'),
         (("--clearance", "0.3 m"), '--clearance was given as "0.3 m"; it must be 100 mm or less'),
