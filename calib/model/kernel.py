@@ -22,9 +22,6 @@ from calib.model.threads import over_blocks
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int_]
 
-#: A z component below this has the axis point against z.
-_AGAINST = -1.0 + 1e-12
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
@@ -85,11 +82,12 @@ def turns_to(axes: Array) -> Array:
     """For each axis, shape (n, 3), a rotation that takes z there, shape (n, 3, 3)."""
     turns = np.empty((len(axes), 3, 3))
     for R, (x, y, z) in zip(turns, axes.tolist(), strict=True):
-        if z < _AGAINST:
-            R[:] = np.diag([1.0, -1.0, -1.0])
-        else:
-            c = 1.0 / (1.0 + z)
-            R[:] = [[1.0 - c * x * x, -c * x * y, x], [-c * x * y, 1.0 - c * y * y, y], [-x, -y, z]]
+        # From the nearer of z and -z, for the other one's formula divides by next to nothing.
+        side = 1.0 if z >= 0.0 else -1.0
+        y, z = side * y, side * z
+        c = 1.0 / (1.0 + z)
+        R[:] = [[1.0 - c * x * x, -c * x * y, x], [-c * x * y, 1.0 - c * y * y, y], [-x, -y, z]]
+        R[1:] *= side
     return turns
 
 

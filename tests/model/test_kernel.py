@@ -149,3 +149,18 @@ def test_a_compliance_needs_the_load(ur3):
     without = Samples(samples.q, samples.frame, samples.target)
     with pytest.raises(ModelError, match="needs the load on the joints"):
         kinematics.poses(np.zeros(len(kinematics.model)), without)
+
+
+def test_axes_next_to_minus_z_have_rotations_too():
+    rng = np.random.default_rng(1)
+    near = np.array([0.0, 0.0, -1.0]) + rng.normal(size=(40, 3)) * 10.0 ** rng.uniform(
+        -9, 0, (40, 1)
+    )
+    axes = np.concatenate([near, [[0, 0, -1], [0, 0, 1], [1, 0, 0]]])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    turns = kernel.turns_to(axes)
+    np.testing.assert_allclose(turns[:, :, 2], axes, atol=1e-15)
+    np.testing.assert_allclose(
+        turns @ turns.transpose(0, 2, 1), np.tile(np.eye(3), (43, 1, 1)), atol=1e-15
+    )
+    np.testing.assert_allclose(np.linalg.det(turns), 1.0, atol=1e-15)

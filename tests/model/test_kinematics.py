@@ -451,7 +451,7 @@ def test_compliances_need_the_load(ur3):
     model = error_model(ur3, "zeros+compliance")
     kinematics = seen(ur3, model)
     for method in (kinematics.poses, kinematics.twists):
-        with pytest.raises(ModelError, match=r"shoulder_pan_joint.compliance' needs the load"):
+        with pytest.raises(ModelError, match=r"shoulder_pan_joint' needs the load"):
             method(np.zeros(len(model)), some_q(ur3))
 
 
