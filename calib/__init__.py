@@ -144,8 +144,7 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401  any public name
     if name == "show":
         return importlib.import_module("calib.show")  # a folder that can be called
     if name not in _MODULES:
-        message = f"module 'calib' has no attribute '{name}'"
-        raise AttributeError(message)
+        raise AttributeError(f"module 'calib' has no attribute '{name}'")
     return getattr(importlib.import_module(_MODULES[name]), name)
 
 

@@ -97,8 +97,9 @@ class JointState:
             ModelError: It is not known.
         """
         if self.loads is None:
-            message = f"The compliance of '{self.joint}' needs the load on the joints. Give it with the joint values."
-            raise ModelError(message)
+            raise ModelError(
+                f"The compliance of '{self.joint}' needs the load on the joints. Give it with the joint values."
+            )
         return self.loads[:, self.chain.index(self.joint)]
 
 
@@ -203,17 +204,18 @@ def register(family: Family) -> None:
     """
     taken = [factor.name for row in FAMILIES.values() for factor in row.factors]
     if family.name in FAMILIES:
-        message = f"There is a family '{family.name}' already; they are {choices(FAMILIES)}. Choose another name."
-        raise ModelError(message)
+        raise ModelError(
+            f"There is a family '{family.name}' already; they are {choices(FAMILIES)}. Choose another name."
+        )
     if not family.factors:
-        message = (
+        raise ModelError(
             f"The family '{family.name}' has no factors; one of the joints' state has at least one."
         )
-        raise ModelError(message)
     doubled = [factor.name for factor in family.factors if factor.name in taken]
     if doubled:
-        message = f"Parameters called {choices(doubled)} belong to another family; those taken are {choices(taken)}."
-        raise ModelError(message)
+        raise ModelError(
+            f"Parameters called {choices(doubled)} belong to another family; those taken are {choices(taken)}."
+        )
     _REGISTRY[family.name] = family
 
 
@@ -224,11 +226,10 @@ def family_of(name: str) -> Family:
         ModelError: It is not registered.
     """
     if name not in FAMILIES:
-        message = (
+        raise ModelError(
             f"There is no family of errors '{name}'; there are {choices(FAMILIES)}. One of your own is added by "
             "calib.families.register, before anything that names it."
         )
-        raise ModelError(message)
     return FAMILIES[name]
 
 
@@ -247,6 +248,5 @@ def unit_of(symbol: str) -> Unit:
     for row in FAMILIES.values():
         units |= {unit.symbol: unit for unit in (row.unit, row.sliding) if unit is not None}
     if symbol not in units:
-        message = f"No parameter has the unit '{symbol}'; the units are {choices(units)}."
-        raise ModelError(message)
+        raise ModelError(f"No parameter has the unit '{symbol}'; the units are {choices(units)}.")
     return units[symbol]

@@ -105,14 +105,14 @@ class Kind:
     def __post_init__(self) -> None:
         """Refuse a kind that does not say what is left over, or in what unit."""
         if not self.units or self.units != ("m",) * self.lengths + ("rad",) * self.angles:
-            message = (
+            raise CalibError(
                 f"The kind '{self.name}' has residuals in {self.units}; each is in 'm' or in 'rad', and lengths come "
                 "first."
             )
-            raise CalibError(message)
         if self.residual is None and self.measure is None:
-            message = f"The kind '{self.name}' has neither 'residual' nor 'measure'; give one of them, or both."
-            raise CalibError(message)
+            raise CalibError(
+                f"The kind '{self.name}' has neither 'residual' nor 'measure'; give one of them, or both."
+            )
 
     @property
     def lengths(self) -> int:
@@ -162,12 +162,12 @@ def register(kind: Kind) -> None:
         CalibError: There is a kind, or a column, of this name.
     """
     if kind.name in _KINDS:
-        message = f"There is a kind '{kind.name}' already; give yours another name."
-        raise CalibError(message)
+        raise CalibError(f"There is a kind '{kind.name}' already; give yours another name.")
     for one in kind.readings:
         if readings().get(one.name, one) != one:
-            message = f"Another kind reads '{one.name}' otherwise than '{kind.name}' does; rename your column."
-            raise CalibError(message)
+            raise CalibError(
+                f"Another kind reads '{one.name}' otherwise than '{kind.name}' does; rename your column."
+            )
     _KINDS[kind.name] = kind
 
 
@@ -183,8 +183,9 @@ def get(name: str) -> Kind:
         MeasurementError: There is none; the text names those there are.
     """
     if name not in _KINDS:
-        message = f"'{name}' is not a kind of measurement; allowed are {choices(_KINDS)}"
-        raise MeasurementError(message)
+        raise MeasurementError(
+            f"'{name}' is not a kind of measurement; allowed are {choices(_KINDS)}"
+        )
     return _KINDS[name]
 
 

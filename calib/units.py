@@ -105,12 +105,11 @@ def find_unit(symbol: str) -> Unit:
     text = symbol.strip()
     unit = UNITS.get(_SPELLINGS.get(text, text))
     if unit is None:
-        message = (
+        raise CalibError(
             f"'{text}' is not a unit that calib knows: a length is in "
             f"{choices(symbols('length'))}, an angle in {choices(symbols('angle'))}, a torque in "
             f"{choices(symbols('torque'))}, a force in {choices(symbols('force'))}"
         )
-        raise CalibError(message)
     return unit
 
 

@@ -170,8 +170,7 @@ def comparison(count: int, candidates: int) -> list[str]:
             found = trials(count, model, made.estimation, number)
             foreseen = found.forecast
             if foreseen is None:
-                message = "A study with noise has a forecast."
-                raise RuntimeError(message)
+                raise RuntimeError("A study with noise has a forecast.")
             lines.append(
                 f"| {model}, {number} planned | {1e3 * found.rms:.4f} ± {1e3 * found.rms_error:.4f} | "
                 f"{found.rms / random.rms:.3f} | {foreseen.rms / found.rms:.3f} | "

@@ -595,8 +595,7 @@ def run_one(study: str, case: str, number: int) -> Found:
     try:
         return STUDIES[study].one(case, generator(study, case, number))
     except Exception as error:
-        message = f"study {study}, case {case}, run {number}: {error}"
-        raise RuntimeError(message) from error
+        raise RuntimeError(f"study {study}, case {case}, run {number}: {error}") from error
 
 
 def run_study(

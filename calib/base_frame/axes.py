@@ -62,11 +62,10 @@ def nominal_axes(robot: Robot) -> Nominal:
             if held
             else f"joints move the base '{robot.base}' itself, or follow each other"
         )
-        message = (
+        raise UrdfError(
             f"'{robot.name}' from '{robot.base}' to '{robot.tip}': {what}; a base frame needs a chain of joints that "
             "turn one by one. Choose --base and --tip so that only such joints lie between them."
         )
-        raise UrdfError(message)
     frames, _ = zero_poses(robot)
     lines = tuple(
         Line(T[:3, 3], T[:3, :3] @ np.asarray(j.axis))

@@ -49,11 +49,10 @@ def check_moves(sweep: Sweep) -> None:
     off = sweep.points - sweep.points.mean(axis=0)
     spread = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     if spread < STILL_M:
-        message = (
+        raise MeasurementError(
             f"{sweep.where}: the points stay within {1e3 * spread:.2g} mm of their mean: the joint did not turn, or "
             "the target sits on its axis. Turn the joint as far as it goes, with the target well off the axis."
         )
-        raise MeasurementError(message)
 
 
 def check_joint(sweep: Sweep, joint_names: tuple[str, ...]) -> None:
@@ -65,11 +64,10 @@ def check_joint(sweep: Sweep, joint_names: tuple[str, ...]) -> None:
     if sweep.joints is None or sweep.joint is None:
         return
     if sweep.joint >= sweep.joints.shape[1]:
-        message = (
+        raise MeasurementError(
             f"{sweep.where}: the table has columns for {sweep.joints.shape[1]} joints only, {choices(joint_names)}. "
             "Give a column for each joint of the chain, in their order, or none."
         )
-        raise MeasurementError(message)
     ranges = np.ptp(sweep.joints, axis=0)
     name, own = joint_names[sweep.joint], float(ranges[sweep.joint])
     ranges[sweep.joint] = 0.0
@@ -82,11 +80,10 @@ def check_joint(sweep: Sweep, joint_names: tuple[str, ...]) -> None:
             message += ". A sweep turns one joint, as far as it can."
         raise MeasurementError(message)
     if most > STILL_RAD:
-        message = (
+        raise MeasurementError(
             f"{sweep.where}: beside '{name}' the joint '{other}' moves by {np.degrees(most):.3g} deg. In a "
             "sweep one joint turns and all others stand still; name the joint that turns, or measure it again."
         )
-        raise MeasurementError(message)
 
 
 def check_side(sweep: Sweep, plane: Plane, first: Circle, robot: Robot | None) -> tuple[str, ...]:
@@ -109,12 +106,11 @@ def check_side(sweep: Sweep, plane: Plane, first: Circle, robot: Robot | None) -
     if height > 0.0:
         return ()
     if robot is not None and sweep.joints is None:
-        message = (
+        raise MeasurementError(
             f"{sweep.where}: seen from the plane the joint turns the other way than in the URDF. Without joint values "
             "the rows stand in the order of increasing joint angle: turn their order round, or give the joints' values "
             "in columns."
         )
-        raise MeasurementError(message)
     if robot is not None:
         return (
             f"{sweep.where}: the circle lies below the plane z = 0 of the base. If the robot stands on that plane, the "

@@ -33,18 +33,16 @@ def carried(measurements: Measurements, frame: BaseFrame) -> Measurements:
     """
     rows = measurements.positions
     if not rows.any():
-        message = (
+        raise MeasurementError(
             f"{measurements.source}: no row measures a position, they are of the kinds "
             f"{choices(dict.fromkeys(measurements.kinds))}. There is nothing to carry into the base frame."
         )
-        raise MeasurementError(message)
     groups = dict.fromkeys(g for g, there in zip(measurements.groups, rows, strict=True) if there)
     if len(groups) > 1:
-        message = (
+        raise MeasurementError(
             f"{measurements.source}: the rows are of the set-ups {choices(groups)} (column 'group'), and the sweeps "
             "tell the base frame of one. Carry each set-up with its own sweeps."
         )
-        raise MeasurementError(message)
     rotations = measurements.rotations
     return replace(
         measurements,

@@ -314,21 +314,19 @@ def _solve(points: Array, weights: Array) -> Ring:
 def _check_count(points: Array, what: str) -> None:
     """Refuse too few points."""
     if len(points) < FEWEST:
-        message = (
+        raise CalibError(
             f"there are {len(points)} points, {what} with its uncertainty needs {FEWEST} at least and "
             "should have 10 or more. Measure more"
         )
-        raise CalibError(message)
 
 
 def _check_spread(spread: Array, consequence: str) -> None:
     """Refuse points on a spot or on a line, as far as their noise tells."""
     if spread[1] <= max(_THIN * spread[0], _IN_NOISE * spread[2]):
-        message = (
+        raise CalibError(
             f"the points lie on a line (they spread over {1e3 * spread[0]:.3g} mm along it and {1e3 * spread[1]:.3g} "
             f"mm across): {consequence}"
         )
-        raise CalibError(message)
 
 
 def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array, Array]:

@@ -247,11 +247,10 @@ def mounting_plane(plane: Plane, first: Circle, offset: float) -> Line:
     """
     height = float(plane.normal @ (first.center - plane.point))
     if offset and abs(height) < 2.0 * abs(offset):
-        message = (
+        raise CalibError(
             f"the circle of joint 1 lies {1e3 * abs(height):.3g} mm from the measured plane: that is too near to tell "
             f"on which side the robot stands, as an offset of {1e3 * offset:.6g} mm needs it. Fix the target higher up"
         )
-        raise CalibError(message)
     return Line(plane.point - np.sign(height) * offset * plane.normal, plane.normal)
 
 
@@ -264,20 +263,18 @@ def axes_frame(plane: Line, first: Line, second: Line) -> Array:
     z, n2 = first.direction, second.direction
     slope = float(plane.direction @ z)
     if abs(slope) < np.sin(SLANT_RAD):
-        message = (
+        raise CalibError(
             f"axis 1 stands at {np.degrees(np.arcsin(abs(slope))):.3g} deg to the plane, it should stand upright on "
             "it: one of the two is not what its name says. Check which joint was turned and which surface was touched"
         )
-        raise CalibError(message)
     y = n2 - (n2 @ z) * z
     across = float(np.linalg.norm(y))
     if across < np.sin(PARALLEL_RAD):
-        message = (
+        raise CalibError(
             f"the axes of joints 1 and 2 are parallel within {np.degrees(np.arcsin(across)):.2f} deg, so that they do "
             "not say where y points. If the second sweep is of joint 1 again, sweep joint 2; a robot whose first axes "
             "are parallel needs another joint for it"
         )
-        raise CalibError(message)
     y = y / across
     T = np.eye(4)
     T[:3, :3] = np.stack([np.cross(y, z), y, z], axis=1)
@@ -294,8 +291,9 @@ def nominal_axes_frame(first: Line, second: Line) -> Array:
     try:
         return axes_frame(Line(np.zeros(3), np.array([0.0, 0.0, 1.0])), first, second)
     except CalibError as error:
-        message = f"In the URDF, with the plane z = 0 of the base, {error}. Choose another base link (--base)."
-        raise CalibError(message) from error
+        raise CalibError(
+            f"In the URDF, with the plane z = 0 of the base, {error}. Choose another base link (--base)."
+        ) from error
 
 
 def turned_about_z(angle: float) -> Array:

@@ -187,12 +187,11 @@ def _all_there(sweeps: Sweeps) -> tuple[Sweep, list[Sweep]]:
     missing = [sweeps.label(k) for k in (0, 1) if sweeps.find(k) is None]
     if plane is None or missing:
         wanted = [*([] if plane else ["plane"]), *missing]
-        message = (
+        raise MeasurementError(
             f"{sweeps.source}: there is no sweep {choices(wanted)}; there are "
             f"{choices(s.name for s in sweeps.sweeps)}. A base frame needs points on the mounting plane, "
             "a sweep of joint 1 and one of joint 2."
         )
-        raise MeasurementError(message)
     return plane, [sweep for sweep in sweeps.sweeps if sweep.joint is not None]
 
 
@@ -201,8 +200,7 @@ def _at(where: str, made: Callable[[], _T]) -> _T:
     try:
         return made()
     except CalibError as error:
-        message = f"{where}: {error}."
-        raise MeasurementError(message) from error
+        raise MeasurementError(f"{where}: {error}.") from error
 
 
 def _circle(sweep: Sweep, joint_names: tuple[str, ...], *, robust: bool) -> Circle:

@@ -134,8 +134,9 @@ def read_sweeps(
     if path is not None:
         return _from_table(Table.read(path), joint_names, columns or {}, listed, words or {})
     if listed is None:
-        message = "No file of sweeps was given. Give a table, or a list of points (--points)."
-        raise MeasurementError(message)
+        raise MeasurementError(
+            "No file of sweeps was given. Give a table, or a list of points (--points)."
+        )
     return _from_points(listed, tuple(joint_names or ()), words or {})
 
 
@@ -189,11 +190,10 @@ class _Names:
 def _from_points(points: Points, joint_names: tuple[str, ...], words: Mapping[str, str]) -> Sweeps:
     """The sweeps of a list of points by their names."""
     if not points.names:
-        message = (
+        raise MeasurementError(
             f"{points.source}: the points have no names, which would say what sweep they are of. Name them 'plane_1', "
             "'joint1_01' and so on, or give a table with a column 'sweep'."
         )
-        raise MeasurementError(message)
     names = _Names(joint_names, words)
     found = []
     for name, line in zip(points.names, points.lines, strict=True):
@@ -221,11 +221,10 @@ def _from_table(
     named, _ = name_columns(table, joint_names or (), columns)
     sweep = next((column for name, column in named.items() if name.casefold() == "sweep"), None)
     if sweep is None:
-        message = (
+        raise MeasurementError(
             f"{table.source}: no column 'sweep', which says for each row what was measured: 'plane', or the joint that "
             f'turned. {list_columns(table)} Another name is mapped by --columns "name in the table=sweep".'
         )
-        raise MeasurementError(message)
     joints = _joint_columns(table, named, joint_names)
     xyz = () if points is not None else _point_columns(table, named)
     sigma = (with_unit(table, named["sigma"], "length"),) if "sigma" in named else ()
@@ -248,8 +247,7 @@ def _from_table(
         rows.append(_row_number(row, numbers))
         labels.append(row.cells[named["point"].index] if "point" in named else "")
     if not grid:
-        message = f"{table.source}: the table has a header and no rows below it"
-        raise MeasurementError(message)
+        raise MeasurementError(f"{table.source}: the table has a header and no rows below it")
     values = np.array(grid, dtype=np.float64).reshape(len(grid), -1)
     WrongUnits(table.source, layout, values, tuple(lines), tuple(rows)).check()
     values = values * np.array([column.to_si for column in layout.numbers])
@@ -276,11 +274,10 @@ def _joint_columns(
     there = [name for name in joint_names if name in named]
     if there and len(there) < len(joint_names):
         missing = [name for name in joint_names if name not in named]
-        message = (
+        raise MeasurementError(
             f"{table.source}: there are columns for the joints {choices(there)} and none for {choices(missing)}. Give "
             'the values of all joints of the chain, or of none (--columns "name=-" leaves a column out).'
         )
-        raise MeasurementError(message)
     return tuple(with_unit(table, named[n], "angle", f"revolute joint '{n}'") for n in there)
 
 
@@ -288,12 +285,11 @@ def _point_columns(table: Table, named: Mapping[str, Column]) -> tuple[Column, .
     """The columns x, y, z."""
     missing = [name for name in POINT if name not in named]
     if missing:
-        message = (
+        raise MeasurementError(
             f"{table.source}: no column for the measured point's {choices(missing)}. {list_columns(table)} The header "
             f"of such a column is '{missing[0]} [mm]'; another name is mapped by --columns \"name in the "
             f'table={missing[0]}".'
         )
-        raise MeasurementError(message)
     return tuple(with_unit(table, named[name], "length") for name in POINT)
 
 
@@ -314,8 +310,9 @@ def _number(table: Table, row: Row, column: Column, numbers: Column | None, *, f
         value = math.nan
     if not math.isfinite(value) or "_" in text:
         said = "the cell is empty" if text == "" else f"'{text}' is not a finite number"
-        message = f"{place(table, row, numbers, column)}: {said}. Correct it, or remove the row."
-        raise MeasurementError(message)
+        raise MeasurementError(
+            f"{place(table, row, numbers, column)}: {said}. Correct it, or remove the row."
+        )
     return value
 
 

@@ -66,20 +66,18 @@ def positive(sweep: Sweep, circle: Circle) -> Circle:
         values = sweep.joints[circle.used, sweep.joint]
         rest = [_deviation(circle.angles[circle.used] - sign * values) for sign in (1.0, -1.0)]
         if min(rest) > _DISAGREE_RAD:
-            message = (
+            raise MeasurementError(
                 f"{sweep.where}: the points turn otherwise than the joint's column says, by {np.degrees(min(rest)):.3g}"
                 " deg rms. Check that joint values and points are of the same rows, and the column's unit."
             )
-            raise MeasurementError(message)
         return circle if rest[0] <= rest[1] else circle.turned()
     steps = _wrapped(np.diff(circle.angles[circle.used]))
     way, turned = float(np.abs(steps).sum()), float(steps.sum())
     if abs(turned) < _ONE_WAY * way:
-        message = (
+        raise MeasurementError(
             f"{sweep.where}: the points go round both ways, and without joint values their order must tell the sense "
             "of turning. Put the rows in the order of increasing joint angle, or give the joints' values in columns."
         )
-        raise MeasurementError(message)
     return circle if turned > 0.0 else circle.turned()
 
 

@@ -143,11 +143,10 @@ def _check_call(carry: Path | None, carry_points: Path | None, output: Path | No
     from calib.errors import CalibError
 
     if (carry is None) != (output is None) or (carry_points is not None and carry is None):
-        message = (
+        raise CalibError(
             "--carry names the table to carry into the base frame and -o the file to write it to: give both, or "
             "neither; --carry-points is the list of points of the first."
         )
-        raise CalibError(message)
 
 
 def _load(robot: str | None, base: str | None, tip: str | None) -> Robot | None:
@@ -158,8 +157,9 @@ def _load(robot: str | None, base: str | None, tip: str | None) -> Robot | None:
     if robot is not None:
         return Robot.load(robot, base, tip)
     if base is not None or tip is not None:
-        message = "--base and --tip are links of a robot; name it with --robot, or leave them out."
-        raise CalibError(message)
+        raise CalibError(
+            "--base and --tip are links of a robot; name it with --robot, or leave them out."
+        )
     return None
 
 
@@ -173,9 +173,9 @@ def _length(text: str | None) -> float:
     try:
         value, kind = parse_quantity(text)
     except CalibError as error:
-        message = f'--plane-offset: {error}. Write "19.05 mm".'
-        raise CalibError(message) from error
+        raise CalibError(f'--plane-offset: {error}. Write "19.05 mm".') from error
     if kind != LENGTH:
-        message = f'--plane-offset was given as "{text}"; it must be a length, such as "19.05 mm".'
-        raise CalibError(message)
+        raise CalibError(
+            f'--plane-offset was given as "{text}"; it must be a length, such as "19.05 mm".'
+        )
     return value

@@ -96,21 +96,19 @@ def robots_of(
         return _of_result(robot, calibration, links, held)
     if corrected is None or calibration is not None:
         both = "" if calibration is None else ", not both"
-        message = (
+        raise CalibError(
             "What is true of the robot comes from --calibration result.json or from --corrected corrected.urdf: give "
             f"one of them{both}."
         )
-        raise CalibError(message)
     columns = {split_header(label)[0] for label in Table.read(program).header}
     columns |= {split_header(wanted)[0] for wanted in renamed.values()}
     nominal = Robot.load(robot, *links, measured=columns, held=held)
     actual = Robot.load(corrected, nominal.base, nominal.tip, held=held)
     if actual.joint_names == nominal.joint_names and _differ(nominal, actual) is None:
-        message = (
+        raise CalibError(
             f"{robot} and {corrected} have the same joint origins from '{nominal.base}' to '{nominal.tip}': there is "
             "nothing to correct. ROBOT is the robot as its controller has it, --corrected as it truly is."
         )
-        raise CalibError(message)
     return Robots(nominal, actual, Path(corrected).name)
 
 
@@ -125,12 +123,11 @@ def _of_result(
     was_corrected = _differ(nominal, result.corrected(nominal)) is None
     joint = None if was_corrected else _differ(nominal, result.uncorrected(nominal))
     if joint is not None:
-        message = (
+        raise CalibError(
             f"{nominal.urdf.source}: the origin of '{joint}' is neither the one that {path.name} began with nor its "
             "corrected one. Give the URDF that the result was made with. If the controller has a model of its own, "
             "such as a factory calibration, give that as ROBOT and the corrected URDF with --corrected."
         )
-        raise CalibError(message)
     return Robots(nominal, result, path.name, was_corrected)
 
 
@@ -152,17 +149,15 @@ def tool_of(text: str | None, robots: Robots) -> NDArray[np.float64] | str | Non
         return tool
     target = with_target_link(robots.actual, Cell()).target
     if tool:
-        message = (
+        raise CalibError(
             f"--tool was given as '{text}'; a URDF knows one target, without a name. Write --tool {TARGET}, or give "
             "--calibration."
         )
-        raise CalibError(message)
     if target is None:
-        message = (
+        raise CalibError(
             f"--tool was given as '{text}', and {robots.name} has no link calib_target, which 'calib fit "
             "--target-link' adds. Give the tool's place, such as \"0 0 150 mm\", or --calibration."
         )
-        raise CalibError(message)
     return target
 
 
@@ -177,10 +172,9 @@ def parse_tool(text: str) -> NDArray[np.float64] | str:
     word, colon, name = text.strip().partition(":")
     if word == TARGET:
         if colon and not name.strip():
-            message = (
+            raise CalibError(
                 f'--tool was given as "{text}"; the name of a target is missing behind the colon.'
             )
-            raise CalibError(message)
         return name.strip()
     parts = re.findall(r"[^\s,]+", re.sub(r"(?<=[\d.])(?=[a-z]+(?:\s|$))", " ", text))
     angles = parts[4:]
@@ -191,24 +185,21 @@ def parse_tool(text: str) -> NDArray[np.float64] | str:
     except ValueError:
         turn = []
     if len(parts) < 4 or (parts[4:] and (len(angles) != 4 or len(turn) != 3)):
-        message = f'--tool was given as "{text}"; it must be {_TOOL}.'
-        raise CalibError(message)
+        raise CalibError(f'--tool was given as "{text}"; it must be {_TOOL}.')
     T = np.eye(4)
     T[:3, 3] = parse_point(" ".join(parts[:4]), "--tool")
     if angles:
         if angles[3] not in symbols("angle") or not np.isfinite(turn).all():
-            message = (
+            raise CalibError(
                 f"--tool was given as \"{text}\"; '{angles[3]}' is no unit of angle, or an angle no finite number. "
                 f"Choose one of {choices(symbols('angle'))}."
             )
-            raise CalibError(message)
         values = np.multiply(turn, UNITS[angles[3]].to_si)
         if np.abs(values).max() > 2.0 * np.pi + 1e-6:
-            message = (
+            raise CalibError(
                 f'--tool was given as "{text}": that is more than a whole turn. Mostly degrees are meant: '
                 f'"{" ".join(parts[:4])} {" ".join(angles[:3])} deg".'
             )
-            raise CalibError(message)
         rotation = Rotation.from_euler("xyz", values) if by_axes else Rotation.from_rotvec(values)
         T[:3, :3] = rotation.as_matrix()
     return read_only(T)
@@ -223,22 +214,20 @@ def frame_of(text: str, robots: Robots) -> str | None:
     if text == BASE:
         return None
     if robots.result is None:
-        message = (
+        raise CalibError(
             f"--poses-in was given as '{text}', and two URDFs know no measurement frames. Leave it out, or give the "
             "result with --calibration."
         )
-        raise CalibError(message)
     groups = robots.result.setup.groups
     if text != MEASURED and text not in groups:
         names = [name for name in groups if name]
         others = ". The result has no named set-ups"
         if names:
             others = f", or one of its set-ups {choices(names)}"
-        message = (
+        raise CalibError(
             f"--poses-in was given as '{text}'; choose '{BASE}', '{MEASURED}' (the frame of the result's points)"
             f"{others}."
         )
-        raise CalibError(message)
     return "" if text == MEASURED else text
 
 
@@ -253,11 +242,10 @@ def payload_of(text: str | None, robots: Robots, *, geometry: bool) -> Payload |
     larger = None if robots.result is None else robots.result.larger
     if larger is None or geometry or "compliance" not in larger.name:
         hint = "; 'calib fit --model dh+compliance' estimates them"
-        message = (
+        raise CalibError(
             f'--payload was given as "{text}", and the model in use knows no compliances: a payload changes nothing. '
             f"Leave it out{', or --geometry' if geometry and larger is not None else hint}."
         )
-        raise CalibError(message)
     return parse_payload(text, larger.payload)
 
 
@@ -271,17 +259,15 @@ def parse_lever(text: str | None, match: str | None) -> float | None:
         return None
     value, angle = parse_pair(text, "--lever", "10 mm")
     if value is None or angle is not None or value == 0.0:
-        message = (
+        raise CalibError(
             f'--lever was given as "{text}"; it must be a length above 0, such as "10 mm": what an angle of one radian '
             "counts as."
         )
-        raise CalibError(message)
     if match not in (None, "weighted"):
-        message = (
+        raise CalibError(
             "--lever says what an angle counts as where it is weighed against a position, and here "
             f"'{match}' is matched. Leave it out, or add --match weighted."
         )
-        raise CalibError(message)
     return value
 
 
@@ -311,13 +297,11 @@ def parse_start(pairs: Iterable[str], robot: Robot) -> dict[str, float]:
     start = parse_held(pairs, "--start")
     for name, value in start.items():
         if name not in robot.joint_names:
-            message = (
+            raise CalibError(
                 f"--start: the chain has no joint '{name}'{did_you_mean(name, robot.joint_names)}. It has "
                 f"{choices(robot.joint_names)}."
             )
-            raise CalibError(message)
         fault = unit_fault(value, slides=robot.joint_types[name] == "prismatic")
         if fault:
-            message = f"--start: the value of '{name}' {fault}."
-            raise CalibError(message)
+            raise CalibError(f"--start: the value of '{name}' {fault}.")
     return start

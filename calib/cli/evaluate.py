@@ -264,11 +264,10 @@ def _limits(
     given = {"uncertainty": uncertainty, "criterion": criterion, "judge": judge}
     useless = [f"--{name}" for name, value in given.items() if value is not None]
     if tolerance is None and useless:
-        message = (
+        raise CalibError(
             f"{' and '.join(useless)} without --tolerance: nothing is judged without one. State it, such as "
             f'--tolerance "{_TOLERANCE}".'
         )
-        raise CalibError(message)
     limits: Pair = (None, None)
     sure: Pair = (None, None)
     if tolerance is not None:
@@ -277,11 +276,10 @@ def _limits(
         sure = parse_pair(uncertainty, "--uncertainty", "0.05 mm 0.01 deg")
     for limit, stated, what in zip(limits, sure, ("length", "angle"), strict=True):
         if limit is None and stated is not None:
-            message = (
+            raise CalibError(
                 f'--uncertainty was given as "{uncertainty}", and --tolerance as "{tolerance}", which has no {what}; '
                 "state a tolerance for each uncertainty."
             )
-            raise CalibError(message)
     return limits, sure
 
 
@@ -303,8 +301,7 @@ def _judged(judge: Judge | None, found: Iterable[str], name: str | None) -> str:
             if name is None
             else f"is none of {name}, which has no larger model"
         )
-        message = f"--judge {who} {reason}; choose one of {choices(found)}."
-        raise CalibError(message)
+        raise CalibError(f"--judge {who} {reason}; choose one of {choices(found)}.")
     return who
 
 

@@ -55,8 +55,9 @@ def executor_of(
         return
     if dask is not None:
         if workers is not None:
-            message = "--workers are processes of this machine, and --dask has its own workers; leave one of them out."
-            raise CalibError(message)
+            raise CalibError(
+                "--workers are processes of this machine, and --dask has its own workers; leave one of them out."
+            )
         with _dask_executor(dask) as executor:
             yield executor
         return
@@ -85,15 +86,15 @@ def _dask_executor(address: str) -> Iterator[Executor]:
     try:
         from distributed import Client
     except ImportError as error:
-        message = (
+        raise CalibError(
             'Dask is not installed: run pip install ".[dask]" in calib\'s folder, or use --workers.'
-        )
-        raise CalibError(message) from error
+        ) from error
     try:
         client = Client(address, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
-        message = f'--dask "{address}": no Dask scheduler answers there: {error or "timed out"}.'
-        raise CalibError(message) from error
+        raise CalibError(
+            f'--dask "{address}": no Dask scheduler answers there: {error or "timed out"}.'
+        ) from error
     with client, client.get_executor() as executor:  # type: ignore[no-untyped-call]
         yield executor
 

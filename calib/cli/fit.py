@@ -246,11 +246,11 @@ def _check_report(
         CalibError: A kind of figures, and no folder for them.
     """
     if kind is not None and figures is None:
-        message = f"--figure-format {kind} is for figures; name their folder with --figures FOLDER."
-        raise CalibError(message)
+        raise CalibError(
+            f"--figure-format {kind} is for figures; name their folder with --figures FOLDER."
+        )
     if figures is not None and figures.exists() and not figures.is_dir():
-        message = f"{figures} is a file; --figures names a folder, choose another name."
-        raise FileError(message)
+        raise FileError(f"{figures} is a file; --figures names a folder, choose another name.")
     if figures is not None:
         _check_folder(figures, (report, *others))
     if report is not None:
@@ -271,19 +271,19 @@ def _check_folder(folder: Path, files: Iterable[Path | None]) -> None:
             continue
         taken = Path(os.path.realpath(file))
         if taken == real or taken in real.parents:
-            message = (
+            raise FileError(
                 f"{folder} is the folder of --figures, and {file} is a file of this command: both cannot have the "
                 "name; choose another for one of them."
             )
-            raise FileError(message)
 
 
 def _check_bootstrap(bootstrap: int | None, given: dict[str, object]) -> None:
     """Refuse what says how to draw or to fit samples that nobody asked for."""
     for option, value in given.items():
         if value is not None and bootstrap is None:
-            message = f"{option} is for the samples of --bootstrap; say how many, such as --bootstrap 1000."
-            raise CalibError(message)
+            raise CalibError(
+                f"{option} is for the samples of --bootstrap; say how many, such as --bootstrap 1000."
+            )
 
 
 def _intervals(

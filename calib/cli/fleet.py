@@ -112,8 +112,9 @@ def fleet(
                 robots, out, options, executor=executor, progress=progress, force=force
             )
     except KeyboardInterrupt as error:
-        message = f"Finished robots are kept in {out}: the same command goes on with the others."
-        raise KeyboardInterrupt(message) from error
+        raise KeyboardInterrupt(
+            f"Finished robots are kept in {out}: the same command goes on with the others."
+        ) from error
     if not quiet:
         _print_table(found)
         for paragraph in _paragraphs(found):

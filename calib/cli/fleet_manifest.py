@@ -60,8 +60,9 @@ class _Entry:
             own |= {"cell": self.folder / cells["cell"]} if "cell" in cells else {}
             points = self.folder / cells["points"] if "points" in cells else None
             if points is None and "points_unit" in cells:
-                message = "points_unit is the unit of a list of points; name the list in the column 'points'."
-                raise CalibError(message)  # noqa: TRY301  told with the row
+                raise CalibError(  # noqa: TRY301  told with the row
+                    "points_unit is the unit of a list of points; name the list in the column 'points'."
+                )
             robot = FleetRobot.of_files(
                 cells["name"],
                 self.source(),
@@ -73,8 +74,7 @@ class _Entry:
             )
             return robot.load(urdf_of)
         except CalibError as error:
-            message = f"{self.where}: {self._told(str(error))}"
-            raise CalibError(message) from error
+            raise CalibError(f"{self.where}: {self._told(str(error))}") from error
 
     def robot(self, urdf_of: Callable[[str], Urdf]) -> Urdf | None:
         """The robot; None where it cannot be read."""
@@ -140,20 +140,19 @@ def read_manifest(
     for row in table.rows():
         where = f"{path.name}, line {row.line}"
         if any(row.cells[len(header) :]):
-            message = (
+            raise CalibError(
                 f"{where}: {len(row.cells)} cells, and the header has {len(header)} columns. Put texts with the "
                 "separator in them in double quotes."
             )
-            raise CalibError(message)
         cells = {k: v for k, v in zip(header, row.cells, strict=False) if k and v}
         lacking = [name for name in NEEDED if name not in cells]
         if lacking:
-            message = f"{where}: {choices(lacking)} is empty; each robot has {choices(NEEDED)}."
-            raise CalibError(message)
+            raise CalibError(
+                f"{where}: {choices(lacking)} is empty; each robot has {choices(NEEDED)}."
+            )
         entries.append(_Entry(where, cells, path.parent, setup, columns, points_unit))
     if not entries:
-        message = f"{path.name}: there are no robots in it, only a header."
-        raise CalibError(message)
+        raise CalibError(f"{path.name}: there are no robots in it, only a header.")
     check_names((entry.cells["name"], entry.where) for entry in entries)
     for column, what, names in (
         ("base", "link", [cell.base]),
@@ -190,11 +189,10 @@ def _check_known(where: str, what: str, name: str | None, entries: Iterable[_Ent
             first = first or (urdf.source, names)
     if first is not None:
         source, names = first
-        message = (
+        raise CalibError(
             f"{where} '{name}': no robot of the manifest that it is for has such a {what}"
             f"{did_you_mean(name, names)}. The {what}s of {source}: {choices(names)}."
         )
-        raise CalibError(message)
 
 
 def check_out(path: Path, out: Path) -> None:
@@ -206,8 +204,9 @@ def check_out(path: Path, out: Path) -> None:
     from calib.fleets.fleet import CSV
 
     if path.resolve() == (out / CSV).resolve():
-        message = f"{path} is the manifest, and the table of results would have its name; choose another --out."
-        raise FileError(message)
+        raise FileError(
+            f"{path} is the manifest, and the table of results would have its name; choose another --out."
+        )
 
 
 def _check_header(header: list[str], path: Path) -> None:
@@ -225,8 +224,7 @@ def _check_header(header: list[str], path: Path) -> None:
         (twice, "is there more than once"),
     ):
         if names:
-            message = (
+            raise CalibError(
                 f"{path.name}: of its columns {choices(names)} {problem}. A manifest has {choices(NEEDED)}, and may "
                 f"have {choices(OPTIONAL)}."
             )
-            raise CalibError(message)

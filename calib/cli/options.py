@@ -26,8 +26,7 @@ def one_of(word: str, names: Iterable[str]) -> str:
     """
     known = tuple(names)
     if word not in known:
-        message = f"{word!r} is not one of {choices(known)}."
-        raise typer.BadParameter(message)
+        raise typer.BadParameter(f"{word!r} is not one of {choices(known)}.")
     return word
 
 

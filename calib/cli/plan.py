@@ -227,11 +227,10 @@ def plan(
         rungs, gap = parse_ladder(ladder), parse_angle(margin, "--margin", "5 deg")
         clear = parse_size(clearance, "--clearance")
         if clear > _LARGEST_CLEARANCE:
-            message = (
+            raise CalibError(
                 f'--clearance was given as "{clearance}"; it must be {1e3 * _LARGEST_CLEARANCE:g} mm or less, for '
                 "links of an arm pass each other closer than that. To keep more distance to a box make the box larger."
             )
-            raise CalibError(message)
         setup = read_cell(
             cell,
             base=base,
@@ -306,8 +305,9 @@ def parse_ladder(text: str | None) -> list[int] | None:
     if words == ["none"]:
         return []
     if not words or not all(re.fullmatch(r"[0-9]{1,9}", word) and int(word) for word in words):
-        message = f'--ladder was given as "{text}"; it must be numbers of poses such as "10,15,20,30", or \'none\'.'
-        raise CalibError(message)
+        raise CalibError(
+            f'--ladder was given as "{text}"; it must be numbers of poses such as "10,15,20,30", or \'none\'.'
+        )
     return [int(word) for word in words]
 
 
@@ -322,8 +322,9 @@ def load_for_plan(robot: str, cell: Cell, taken: Path | None, columns: dict[str,
     from calib.units import split_header
 
     if columns and taken is None:
-        message = "--columns renames the columns of a table of poses taken; name it with --taken."
-        raise CalibError(message)
+        raise CalibError(
+            "--columns renames the columns of a table of poses taken; name it with --taken."
+        )
     names = None
     if taken is not None:
         names = {split_header(label)[0] for label in Table.read(taken).header}

@@ -105,8 +105,9 @@ def load_with_data(
     from calib.units import split_header
 
     if points_unit is not None and points is None:
-        message = "--points-unit is the unit of a list of points; name the list with --points."
-        raise CalibError(message)
+        raise CalibError(
+            "--points-unit is the unit of a list of points; name the list with --points."
+        )
     renamed = parse_columns(columns or [])
     read = Table.read(data)
     names = {split_header(label)[0] for label in read.header}
@@ -139,22 +140,22 @@ def check_outputs(
     for path in wanted:
         resolved = Path(os.path.realpath(path))
         if resolved in taken:
-            message = f"{path} is also {taken[resolved]} of this command; choose another name."
-            raise FileError(message)
+            raise FileError(
+                f"{path} is also {taken[resolved]} of this command; choose another name."
+            )
         taken[resolved] = "another output"
         check_no_xacro(path)
         if os.path.isdir(path):  # noqa: PTH112  a name that is too long is no error here
-            message = f"{path} is a folder; name a file inside it."
-            raise FileError(message)
+            raise FileError(f"{path} is a folder; name a file inside it.")
         if os.path.exists(path) and not force:  # noqa: PTH110
-            message = f"{path} exists already; add --force or choose another name."
-            raise FileError(message)
+            raise FileError(f"{path} exists already; add --force or choose another name.")
         if not path.parent.is_dir():
             home = " Here '~' does not stand for your home folder; write it out." * (
                 path.parts[0].startswith("~")
             )
-            message = f"{path}: the folder '{path.parent}' does not exist; make it first.{home}"
-            raise FileError(message)
+            raise FileError(
+                f"{path}: the folder '{path.parent}' does not exist; make it first.{home}"
+            )
         check_writable(path)
 
 
@@ -172,11 +173,10 @@ def check_chain(cell: Cell, result: Calibration, name: str) -> None:
     own = result.nominal
     for option, given, wanted in (("base", cell.base, own.base), ("tip", cell.tip, own.tip)):
         if given is not None and given != wanted:
-            message = (
+            raise CalibError(
                 f"{name} is the result for --{option} {wanted}, and '{given}' was given; leave out --{option}, or "
                 f"--calibration."
             )
-            raise CalibError(message)
 
 
 def with_target_link(robot: Robot, cell: Cell) -> Cell:

@@ -327,8 +327,7 @@ def simulate(
             _study(trials, study, seed, executor, json, force=force, quiet=quiet)
             return
         if output is None or truth is None:
-            message = "Name the table to write: -o table.csv."
-            raise CalibError(message)
+            raise CalibError("Name the table to write: -o table.csv.")
         from calib.cli.simulate_text import next_command
 
         chosen = scenario.poses(seed, number, extra, given, sets)

@@ -34,11 +34,10 @@ def definite(model: str | None) -> str | None:
         CalibError: It is that.
     """
     if model == "auto":
-        message = (
+        raise CalibError(
             "--model auto is for calib fit; say in which errors the simulated robot is wrong, such as placement or "
             "dh+gain."
         )
-        raise CalibError(message)
     return model
 
 
@@ -52,13 +51,13 @@ def check_together(
     """
     given = [name for name, value in (of_study if study is None else single).items() if value]
     if given and study is None:
-        message = (
+        raise CalibError(
             f"{choices(given)} is for a study of many robots; add --study 200, or leave it out."
         )
-        raise CalibError(message)
     if given:
-        message = f"A study writes no table and no truth; leave {choices(given)} out. --json keeps every trial."
-        raise CalibError(message)
+        raise CalibError(
+            f"A study writes no table and no truth; leave {choices(given)} out. --json keeps every trial."
+        )
 
 
 def check_poses(poses: Path | None, count: int | None, *, planned: bool) -> None:
@@ -68,11 +67,11 @@ def check_poses(poses: Path | None, count: int | None, *, planned: bool) -> None
         CalibError: Poses were given, and others asked for.
     """
     if poses is not None and count is not None:
-        message = "--poses gives the poses, --count says how many are random; choose one."
-        raise CalibError(message)
+        raise CalibError("--poses gives the poses, --count says how many are random; choose one.")
     if poses is not None and planned:
-        message = "--planned makes poses; leave --poses out, or leave --planned out to measure at those of the file."
-        raise CalibError(message)
+        raise CalibError(
+            "--planned makes poses; leave --poses out, or leave --planned out to measure at those of the file."
+        )
 
 
 def _quantity(text: str, wanted: str, example: str, where: str) -> float:
@@ -86,12 +85,10 @@ def _quantity(text: str, wanted: str, example: str, where: str) -> float:
     try:
         value, kind = parse_quantity(text.strip())
     except CalibError as error:
-        message = f'{where}: {error}. Write "{example}".'
-        raise CalibError(message) from error
+        raise CalibError(f'{where}: {error}. Write "{example}".') from error
     # 0 needs no unit.
     if kind != wanted and not (value == 0.0 and kind == "a number"):
-        message = f'{where}: "{text.strip()}" is {kind}, {wanted} is wanted: "{example}".'
-        raise CalibError(message)
+        raise CalibError(f'{where}: "{text.strip()}" is {kind}, {wanted} is wanted: "{example}".')
     return value
 
 
@@ -103,8 +100,7 @@ def _size(text: str, wanted: str, example: str, where: str) -> float:
     """
     value = _quantity(text, wanted, example, where)
     if value < 0.0:
-        message = f'{where}: "{text.strip()}" must not be below 0.'
-        raise CalibError(message)
+        raise CalibError(f'{where}: "{text.strip()}" must not be below 0.')
     return value
 
 
@@ -140,11 +136,10 @@ def parse_sizes(text: str) -> dict[str, float] | None:
     for part in text.split(","):
         words = part.split(None, 1)
         if len(words) != 2 or words[0] not in FAMILIES or words[0] in found:
-            message = (
+            raise CalibError(
                 f"--sizes was given as \"{text}\"; it must be '{_NONE}', or sizes with commas between them such as "
                 f'"length 0.5 mm, angle 3 mrad", each once of {choices(FAMILIES)}.'
             )
-            raise CalibError(message)
         unit = FAMILIES[words[0]].unit
         found[words[0]] = _size(words[1], unit.quantity, unit.example, f"--sizes, {words[0]}")
     return found
@@ -178,18 +173,16 @@ def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tupl
     for pair in pairs:
         name, equals, value = (part.strip() for part in pair.rpartition("="))
         if not (name and equals and value) or name in found:
-            message = (
+            raise CalibError(
                 f"--error was given '{pair}'; it must be 'name=value' with a unit, such as 'elbow_joint.rx=2 mrad', "
                 "and each name once."
             )
-            raise CalibError(message)
         if name not in units:
-            message = (
+            raise CalibError(
                 f"--error '{pair}': the robot has no error '{name}' in this model"
                 f"{did_you_mean(name, units)}. It has {choices(units)}; calib inspect prints all, --model chooses "
                 "others."
             )
-            raise CalibError(message)
         unit = unit_of(units[name])
         found[name] = _quantity(value, unit.quantity, unit.example, f"--error '{pair}'")
     return tuple(found.items())
@@ -242,10 +235,9 @@ def angle_noise_of(cell: Cell, said: str | None, *, any_noise: bool) -> float:
 
     if said is not None:
         if not kind_of(cell.kind or "point").angles:
-            message = (
+            raise CalibError(
                 "--angle-noise is the noise of orientations; they are measured with --kind pose."
             )
-            raise CalibError(message)
         return parse_angle(said, "--angle-noise")
     if not any_noise:
         return 0.0
@@ -266,14 +258,14 @@ def parse_encoder(texts: Iterable[str]) -> Encoder:
         try:
             value, kind = parse_quantity(text)
         except CalibError as error:
-            message = f'--encoder: {error}. Write "0.001 deg", or "0.01 mm" for joints that slide.'
-            raise CalibError(message) from error
+            raise CalibError(
+                f'--encoder: {error}. Write "0.001 deg", or "0.01 mm" for joints that slide.'
+            ) from error
         if kind not in (ANGLE, LENGTH) or value < 0.0 or kind in steps:
-            message = (
+            raise CalibError(
                 f'--encoder was given "{text}"; it must be a step that is not below 0, "0.001 deg" for the joints that '
                 'turn, "0.01 mm" for those that slide, and one of each at most.'
             )
-            raise CalibError(message)
         steps[kind] = value
     return Encoder(angle=steps.get(ANGLE, 0.0), length=steps.get(LENGTH, 0.0))
 
@@ -288,21 +280,22 @@ def parse_outliers(text: str | None, size: str | None) -> Outliers | None:
 
     if text is None:
         if size is not None:
-            message = "--outlier-size says how far outliers are off; say how many there are, such as --outliers 3."
-            raise CalibError(message)
+            raise CalibError(
+                "--outlier-size says how far outliers are off; say how many there are, such as --outliers 3."
+            )
         return None
     off = parse_size(size or _OUTLIER, "--outlier-size", _OUTLIER)
     number = re.fullmatch(r"\s*(\d{1,9})\s*", text)
     share = re.fullmatch(r"\s*(\d+(?:\.\d+)?|\.\d+)\s*%\s*", text)
     if number is None and (share is None or float(share[1]) > 100.0):
-        message = (
+        raise CalibError(
             f'--outliers was given as "{text}"; it must be a number of rows, such as "3", or a share of those to '
             'estimate from, such as "5 %", 100 % at most.'
         )
-        raise CalibError(message)
     if not off > 0.0:
-        message = "--outlier-size must be above 0; to have no outliers, leave --outliers out."
-        raise CalibError(message)
+        raise CalibError(
+            "--outlier-size must be above 0; to have no outliers, leave --outliers out."
+        )
     if number is not None:
         return Outliers(count=int(number[1]), size=off)
     return Outliers(share=float(text.replace("%", "")) / 100.0, size=off)
@@ -320,11 +313,10 @@ def parse_moved(text: str | None) -> MovedTarget | None:
         return None
     match = re.fullmatch(r"\s*(\d{1,9})(?:\s+(\S.*?))?\s*:\s*(\S.*)", text)
     if match is None:
-        message = (
+        raise CalibError(
             f'--moved-target was given as "{text}"; it must be the first row that finds it moved, and by how much '
             'along the tip\'s axes, such as "25: 0 0 0.5 mm"; with the name of one of several targets "25 upper: 0 0 '
             '0.5 mm".'
         )
-        raise CalibError(message)
     by = parse_point(match[3], "--moved-target")
     return MovedTarget(int(match[1]), by, match[2])

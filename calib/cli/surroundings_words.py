@@ -82,11 +82,10 @@ def parse_reflector(text: str, given: Reflector | None = None) -> Reflector:
 
     numbers = _floats(text.replace(",", " ").split())
     if len(numbers) != 3 or not any(numbers):
-        message = (
+        raise CalibError(
             f'--reflector was given as "{text}"; it must be a direction in the tip, three numbers without a unit, such '
             'as "0 0 1".'
         )
-        raise CalibError(message)
     normal = read_only(numbers)
     return Reflector(normal) if given is None else replace(given, normal=normal)
 
@@ -110,11 +109,10 @@ def parse_boxes(texts: Iterable[str]) -> tuple[Box, ...]:
         numbers, units = _floats(words[:6]), symbols("length")
         known = len(words) == 7 and words[6] in units
         if not name or not known or len(numbers) != 6 or min(numbers[3:]) <= 0.0:
-            message = (
+            raise CalibError(
                 f'--box was given as "{text}"; it must be a name, the centre x y z in the base, three edges above '
                 f'0, and a unit of length: "table: 0 0 -20 1200 800 40 mm". The units are {choices(units)}.'
             )
-            raise CalibError(message)
         metres = UNITS[words[6]].to_si * np.array(numbers)
         T = np.eye(4)
         T[:3, 3] = metres[:3]
@@ -135,19 +133,17 @@ def parse_ranges(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
         name, _, rest = (part.strip() for part in text.rpartition("="))
         match = _RANGE.fullmatch(rest)
         if not name or match is None or name in ranges:
-            message = (
+            raise CalibError(
                 f'--range was given as "{text}"; it must be a joint, its least and its largest value and a unit, such '
                 'as "elbow_joint=-90..90 deg", and each joint once.'
             )
-            raise CalibError(message)
         low, high = f"{match[1]} {match[2] or match[4]}", f"{match[3]} {match[4]}"
         pair = parse_joint_range((low, high), f'--range "{text}"')
         if not pair[0] < pair[1]:
-            message = (
+            raise CalibError(
                 f'--range was given as "{text}", where {low} is not less than {high}. Give the least value first; hold '
                 "a joint that stays where it is (--hold)."
             )
-            raise CalibError(message)
         ranges[name] = pair
     return ranges
 
@@ -169,11 +165,10 @@ def parse_start(texts: Iterable[str], robot: Robot) -> NDArray[np.float64] | Non
     start = [values.get(name, 0.0) for name in robot.joint_names]
     for name, value, limits in zip(robot.joint_names, start, column_limits(robot), strict=True):
         if not limits[0] - _ROUNDING <= value <= limits[1] + _ROUNDING:
-            message = (
+            raise CalibError(
                 f"--start: '{name}' would stand beyond its limits in the URDF, {range_text(robot, name, limits)}. Say "
                 f'where it stands, --start "{name}=VALUE UNIT", or leave --start out.'
             )
-            raise CalibError(message)
     return read_only(start)
 
 
@@ -194,11 +189,10 @@ def with_noise(cell: Cell, text: str | None) -> Cell:
         own = replace(noise, repeatability=cell.tracker.noise.repeatability)
         return replace(cell, sigma=None, tracker=replace(cell.tracker, noise=own))
     if noise.per_length:
-        message = (
+        raise CalibError(
             f'--noise was given as "{text}", which grows with the distance, and nothing says where the tracker stands; '
             'add --tracker "X Y Z UNIT", or give one length such as "0.05 mm".'
         )
-        raise CalibError(message)
     return replace(cell, sigma=noise.constant)
 
 

@@ -105,8 +105,9 @@ def view(
         from calib.cli.view_setup import Sources, view_asked_for
 
         if output is not None and port is not None:
-            message = "--port is where the page is served, and -o writes it as a file; leave out one of them."
-            raise CalibError(message)
+            raise CalibError(
+                "--port is where the page is served, and -o writes it as a file; leave out one of them."
+            )
         inputs: list[str | Path] = [
             robot,
             *(path for path in (other, data, cell, calibration, points) if path),
@@ -148,8 +149,7 @@ def _check_table(data: Path | None, given: dict[str, Any]) -> None:
     """Refuse options that say how a table is read where there is none."""
     idle = [name for name, value in given.items() if value]
     if data is None and idle:
-        message = f"{idle[0]} says how a table is read; name the table with --data."
-        raise CalibError(message)
+        raise CalibError(f"{idle[0]} says how a table is read; name the table with --data.")
 
 
 def _write(shown: View, output: Path, *, force: bool, quiet: bool) -> None:

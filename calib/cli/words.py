@@ -37,14 +37,14 @@ def parse_point(text: str, option: str) -> NDArray[np.float64]:
     except ValueError:
         numbers = []
     if len(words) != 4 or len(numbers) != 3 or not all(map(math.isfinite, numbers)):
-        message = f'{option} was given as "{text}"; it must be three numbers and a unit, such as "70 -70 22.5 mm".'
-        raise CalibError(message)
+        raise CalibError(
+            f'{option} was given as "{text}"; it must be three numbers and a unit, such as "70 -70 22.5 mm".'
+        )
     if words[3] not in symbols("length"):
-        message = (
+        raise CalibError(
             f"{option} was given as \"{text}\"; '{words[3]}' is no unit of length. Choose one of "
             f"{choices(symbols('length'))}."
         )
-        raise CalibError(message)
     return read_only([UNITS[words[3]].to_si * number for number in numbers])
 
 
@@ -60,11 +60,10 @@ def parse_frame(text: str) -> tuple[bool, tuple[str, ...]]:
         return text == "estimate", DIRECTIONS
     words = tuple(text.replace(",", " ").split())
     if not words or not set(words) <= set(DIRECTIONS) or len(set(words)) < len(words):
-        message = (
+        raise CalibError(
             f"--frame was given as \"{text}\"; it must be 'known', 'estimate' or a list of what is estimated of the "
             f'frame, such as "x,y,rz", each once of {choices(DIRECTIONS)}.'
         )
-        raise CalibError(message)
     return True, words
 
 
@@ -90,17 +89,15 @@ def parse_pair(text: str, option: str, example: str) -> tuple[float | None, floa
     try:
         values = [parse_quantity(part) for part in parts] if whole else []
     except CalibError as error:
-        message = f'{option} was given as "{text}"; {error}. Write "{example}".'
-        raise CalibError(message) from error
+        raise CalibError(f'{option} was given as "{text}"; {error}. Write "{example}".') from error
     for value, kind in values:
         if kind in (LENGTH, ANGLE) and kind not in found and value >= 0.0:
             found[kind] = value
     if not values or len(found) != len(values):
-        message = (
+        raise CalibError(
             f'{option} was given as "{text}"; it must be a length, an angle, or one of each, not below 0 and with '
             f'units, such as "{example}".'
         )
-        raise CalibError(message)
     return found.get(LENGTH), found.get(ANGLE)
 
 
@@ -122,11 +119,10 @@ def check_model(text: str, source: str) -> None:
     base, *families = (part.strip() for part in text.split("+"))
     known = base in MODELS and set(families) <= set(joint_families())
     if not known or len(set(families)) < len(families):
-        message = (
+        raise CalibError(
             f"{source}: there is no model '{text}'. It is '{AUTO}', or one of {choices(MODELS)} and behind it, each "
             f"with a '+' and once, any of {choices(joint_families())}: 'dh+gain'."
         )
-        raise CalibError(message)
 
 
 def parse_held(pairs: Iterable[str], option: str = "--hold") -> dict[str, float]:
@@ -142,11 +138,10 @@ def parse_held(pairs: Iterable[str], option: str = "--hold") -> dict[str, float]
         name, equals, value = (part.strip() for part in pair.rpartition("="))
         # rpartition leaves all of a text without an equals sign in the last part.
         if not (name and equals and value) or name in held:
-            message = (
+            raise CalibError(
                 f"{option} was given '{pair}'; it must be 'joint=value' with a unit of angle or length, such as "
                 "'torso_lift_joint=0.3 m', and each joint once."
             )
-            raise CalibError(message)
         held[name] = parse_joint_value(value, f"{option} '{pair}'")
     return held
 
@@ -167,11 +162,10 @@ def parse_payload(text: str, given: Payload | None) -> Payload:
     except ValueError:
         mass = math.nan
     if not math.isfinite(mass):
-        message = (
+        raise CalibError(
             f'--payload was given as "{text}"; it must be a mass in kg or g, such as "5 kg". Its centre of mass stands '
             "in the cell file."
         )
-        raise CalibError(message)
     return PayloadClass(mass) if given is None else replace(given, mass=mass)
 
 
@@ -208,7 +202,6 @@ def _mapping(pairs: Iterable[str], option: str, wanted: str) -> dict[str, str]:
     for pair in pairs:
         name, equals, value = (part.strip() for part in pair.partition("="))
         if not (name and equals and value) or name in mapping:
-            message = f"{option} was given '{pair}'; it must be {wanted}."
-            raise CalibError(message)
+            raise CalibError(f"{option} was given '{pair}'; it must be {wanted}.")
         mapping[name] = value
     return mapping

@@ -145,11 +145,11 @@ def workspace(
         if picture is not None:
             check_ending(picture)
         if margin and like is None:
-            message = "--margin widens the ranges of a table; name the table with --like."
-            raise CalibError(message)
+            raise CalibError("--margin widens the ranges of a table; name the table with --like.")
         if not 0.0 < share <= 1.0:
-            message = f"--share was given as {share:g}; it must be greater than 0 and at most 1, such as 0.95."
-            raise CalibError(message)
+            raise CalibError(
+                f"--share was given as {share:g}; it must be greater than 0 and at most 1, such as 0.95."
+            )
         box = None if within is None else parse_within(within)
         edge = None if voxel is None else parse_size(voxel, "--voxel", "20 mm")
         setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, hold=hold)
@@ -197,11 +197,10 @@ def parse_within(text: str) -> NDArray[np.float64]:
     first, _, second = text.partition(" to ")
     unit = re.search(r"[A-Za-zµμ]+\s*$", second)
     if unit is None:
-        message = (
+        raise CalibError(
             f'--within was given as "{text}"; it must be two corners in the base frame, the one with the smaller '
             'numbers first, and a unit, such as "-600 -600 0 to 600 0 900 mm".'
         )
-        raise CalibError(message)
     if not re.search(r"[A-Za-zµμ]+\s*$", first):
         first = f"{first} {unit[0]}"
     return checked_box([parse_point(corner, "--within") for corner in (first, second)])
@@ -226,11 +225,10 @@ def parse_margins(texts: list[str], robot: Robot) -> NDArray[np.float64]:
         except CalibError:
             value, kind = 0.0, ""
         if kind not in wanted or value < 0.0 or kind in found:
-            message = (
+            raise CalibError(
                 f'--margin was given as "{text}"; of these joints it must be {" or ".join(wanted)}, not below 0, and '
                 'each once: "5 deg" for joints that turn, "10 mm" for those that slide.'
             )
-            raise CalibError(message)
         found[kind] = value
     return np.where(slides, found.get(LENGTH, 0.0), found.get(ANGLE, 0.0))
 

@@ -215,8 +215,9 @@ def _check_bounds(accept: tuple[float, float], limit: tuple[float, float]) -> No
     """
     for what, sizes in (("be left", accept), ("be corrected without a warning", limit)):
         if not all(size >= 0.0 for size in sizes):  # NaN is not, infinity is
-            message = f"What may {what} is {sizes[0]} m and {sizes[1]} rad; both must be 0 or more."
-            raise ModelError(message)
+            raise ModelError(
+                f"What may {what} is {sizes[0]} m and {sizes[1]} rad; both must be 0 or more."
+            )
 
 
 def _check(
@@ -229,23 +230,20 @@ def _check(
             joint values.
     """
     if program.q is not None and program.q.shape[1] != len(robot.joint_names):
-        message = (
+        raise ModelError(
             f"The program has {program.q.shape[1]} joint values in each row; '{robot.name}' has "
             f"{len(robot.joint_names)} joints from '{robot.base}' to '{robot.tip}': {choices(robot.joint_names)}."
         )
-        raise ModelError(message)
     if not program.oriented and matching.name != POSITION:
-        message = (
+        raise ModelError(
             f"The program says where the tool is to be and not how it is turned, so that '{matching.name}' cannot be "
             f"matched. Match '{POSITION}', or give orientations."
         )
-        raise ModelError(message)
     if start and program.q is not None:
-        message = (
+        raise ModelError(
             "The program has joint values to start at in each row, so that a start for the first row has no use. "
             "Leave it out."
         )
-        raise ModelError(message)
 
 
 def _nominal(

@@ -69,10 +69,9 @@ def write_commands(
         ("units", units, UNITS),
     ):
         if given not in known:
-            message = (
+            raise ModelError(
                 f"Commands cannot be written with {what} '{given}'; choose one of {choices(known)}."
             )
-            raise ModelError(message)
     blocks = list(_blocks(commands, send, orientation, *_UNITS[units]))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

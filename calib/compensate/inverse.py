@@ -84,11 +84,11 @@ class Matching:
     def __post_init__(self) -> None:
         """Check both."""
         if self.name not in MATCHES:
-            message = f"Poses cannot be matched by '{self.name}'; choose one of {choices(MATCHES)}."
-            raise ModelError(message)
+            raise ModelError(
+                f"Poses cannot be matched by '{self.name}'; choose one of {choices(MATCHES)}."
+            )
         if not (np.isfinite(self.lever) and self.lever > 0.0):
-            message = f"The lever is {self.lever} m; it must be a length greater than 0."
-            raise ModelError(message)
+            raise ModelError(f"The lever is {self.lever} m; it must be a length greater than 0.")
 
     @property
     def rows(self) -> int:

@@ -191,12 +191,11 @@ class Pair:
         away = (self.actual.poses(q) - self.nominal.poses(q))[:, :3, 3]
         typical = float(np.median(np.linalg.norm(away, axis=1)))
         if typical > _NO_CALIBRATION * self.reach:
-            message = (
+            raise ModelError(
                 f"The calibrated robot has the tool {1e3 * typical:.0f} mm away from where the nominal robot "
                 f"'{robot.name}' ({robot.urdf.source}) has it; a calibration moves it by millimetres. Give the nominal "
                 "and the calibrated model of one robot, with zero positions that agree."
             )
-            raise ModelError(message)
 
     @property
     def reach(self) -> float:
@@ -235,8 +234,9 @@ def pair_of(
     if isinstance(calibration, Calibration):
         nominal = calibration.nominal if nominal is None else nominal
     if nominal is None:
-        message = "Commands need the robot as its controller has it, beside the calibrated one. Give it too."
-        raise ModelError(message)
+        raise ModelError(
+            "Commands need the robot as its controller has it, beside the calibrated one. Give it too."
+        )
     if isinstance(calibration, Robot):
         return _of_robots(nominal, calibration, tool, frame)
     return _of_result(nominal, calibration, tool, frame, payload, larger=larger)
@@ -251,19 +251,17 @@ def _of_robots(
     """Of two robots; they know no targets and no set-ups."""
     for name, what in ((tool, "tool"), (frame, "frame")):
         if isinstance(name, str):
-            message = (
+            raise ModelError(
                 f"The {what} is to be '{name}' of a calibration, but two robots were given and no result. Give the "
                 f"{what}'s pose, or the result."
             )
-            raise ModelError(message)
     actual = corrected.rebuilt(base=nominal.base, tip=nominal.tip)
     if actual.joint_names != nominal.joint_names:
-        message = (
+        raise ModelError(
             f"The corrected robot '{actual.name}' has the joints {choices(actual.joint_names)} from '{actual.base}' to "
             f"'{actual.tip}', the nominal robot '{nominal.name}' has {choices(nominal.joint_names)}. Give two URDFs of "
             "one robot."
         )
-        raise ModelError(message)
     T_tip_tool, T_frame_base = _pose(tool, "tool"), _pose(frame, "frame")
     return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), T_frame_base)
 
@@ -302,11 +300,10 @@ def _of_result(
         else Arm.of_larger(model, began, T_actual, payload)
     )
     if payload is not None and actual.load is None:
-        message = (
+        raise ModelError(
             "A payload is given, but the model has no compliances: its commands would be the same with any. Leave the "
             "payload out."
         )
-        raise ModelError(message)
     return Pair(
         Arm.of(began if _same_origins(nominal, corrected) else nominal, T_nominal),
         actual,
@@ -353,16 +350,14 @@ def _pose(given: ArrayLike | None, what: str) -> Array:
         T[:3, 3] = values
         return read_only(T)
     if values.shape != (4, 4) or not np.isfinite(values).all():
-        message = (
+        raise ModelError(
             f"The {what} has the shape {values.shape}; a pose (4, 4) or a position (3,), of finite numbers, "
             "is wanted."
         )
-        raise ModelError(message)
     R = values[:3, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > _NO_ROTATION or np.linalg.det(R) < 0.0:
-        message = (
+        raise ModelError(
             f"The upper left block of the {what}'s pose is no rotation; its columns must be unit vectors at right "
             "angles, right-handed."
         )
-        raise ModelError(message)
     return read_only(values)

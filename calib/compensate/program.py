@@ -60,11 +60,11 @@ class Program:
         """Copy the arrays and check them."""
         count = len(self.labels)
         if self.q is None and self.T_wanted is None:
-            message = "A program has neither joint values nor poses. Give one of them, or both."
-            raise ModelError(message)
+            raise ModelError(
+                "A program has neither joint values nor poses. Give one of them, or both."
+            )
         if not count:
-            message = "A program has no rows. Give at least one."
-            raise ModelError(message)
+            raise ModelError("A program has no rows. Give at least one.")
         if self.q is not None:
             object.__setattr__(self, "q", _checked(self.q, count, 2, "joint values"))
         if self.T_wanted is not None:
@@ -127,12 +127,12 @@ def _checked(values: Array, count: int, dimensions: int, what: str) -> Array:
     fits = array.ndim == dimensions and len(array) == count
     if not fits or (dimensions == 3 and array.shape[1:] != (4, 4)):
         wanted = "(N, 4, 4)" if dimensions == 3 else "(N, m)"
-        message = f"The {what} of a program have the shape {array.shape}; {wanted} is wanted, with N = {count}."
-        raise ModelError(message)
+        raise ModelError(
+            f"The {what} of a program have the shape {array.shape}; {wanted} is wanted, with N = {count}."
+        )
     if not np.isfinite(array).all():
         row = int(np.argwhere(~np.isfinite(array))[0, 0])
-        message = f"The {what} of row {row + 1} of a program are not all finite numbers."
-        raise ModelError(message)
+        raise ModelError(f"The {what} of row {row + 1} of a program are not all finite numbers.")
     return array
 
 
@@ -147,11 +147,10 @@ def _check_rotations(poses: Array, labels: Iterable[str]) -> None:
     )
     for row, label in zip(wrong, labels, strict=True):
         if row:
-            message = (
+            raise ModelError(
                 f"The pose of {label} of a program is none: its upper left block must be a rotation and its last row "
                 "0 0 0 1."
             )
-            raise ModelError(message)
 
 
 # A program as a table
@@ -176,8 +175,9 @@ def read_program(
         MeasurementError: The table cannot be read; the text names file, row and column.
     """
     if given is not None and given not in GIVEN:
-        message = f"A program cannot be given as '{given}'; it is one of {choices(GIVEN)}."
-        raise MeasurementError(message)
+        raise MeasurementError(
+            f"A program cannot be given as '{given}'; it is one of {choices(GIVEN)}."
+        )
     table = Table.read(path)
     found = ProgramColumns.of(table, robot, columns or {}, given)
     values = Values.read(table, found.layout())
@@ -212,12 +212,11 @@ def _check_positions(table: Table, values: Values) -> None:
     """Refuse rows without a position: a program wants one in each."""
     if values.unmeasured:
         row = next(row for row in table.rows() if row.ordinal == values.unmeasured[0])
-        message = (
+        raise MeasurementError(
             f"{table.source}, line {row.line} (row {row.ordinal}): there is no position, all its cells are empty, "
             f"while other rows have one. Fill it in, or remove the row; {len(values.unmeasured)} of "
             f"{len(values.unmeasured) + len(values.rows)} rows are so."
         )
-        raise MeasurementError(message)
 
 
 def _poses(table: Table, values: Values, found: ProgramColumns) -> Array:
@@ -242,9 +241,8 @@ def _check_lengths(table: Table, quaternions: Array) -> None:
         return
     at, length = wrong
     row = list(table.rows())[at]
-    message = (
+    raise MeasurementError(
         f"{table.source}, line {row.line} (row {row.ordinal}), columns qx, qy, qz, qw: the quaternion has the length "
         f"{length:.6g}; that of an orientation is 1. Correct it; some controllers write w first: then map the columns "
         "with --columns."
     )
-    raise MeasurementError(message)

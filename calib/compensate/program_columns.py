@@ -133,11 +133,10 @@ def _named(table: Table, robot: Robot, columns: Mapping[str, str]) -> dict[str, 
     """The columns by the name calib uses; those of roll, pitch and yaw in small or capital letters too."""
     clash = [name for name in robot.joint_names if name in reserved()]
     if clash:
-        message = (
+        raise MeasurementError(
             f"{table.source}: a joint cannot be called {choices(clash)}, which is the name of another column of the "
             "table. Rename the joint in the URDF."
         )
-        raise MeasurementError(message)
     named, _ = name_columns(table, robot.joint_names, columns)
     result: dict[str, Column] = {}
     for name, column in named.items():
@@ -145,11 +144,10 @@ def _named(table: Table, robot: Robot, columns: Mapping[str, str]) -> dict[str, 
         own = plain in (*ROLL_PITCH_YAW, STATUS) and name not in robot.joint_names
         final = plain if own else name
         if final in result:
-            message = (
+            raise MeasurementError(
                 f"{table.source}: two columns are called '{final}': '{result[final].label}' and '{column.label}'. "
                 f'Remove or rename one, or leave one out: --columns "{column.label}=-".'
             )
-            raise MeasurementError(message)
         result[final] = replace(column, name=final)
     return result
 
@@ -159,12 +157,11 @@ def _refuse_commands(
 ) -> None:
     """Refuse a table of commands unless it was said which of its columns is the program: it is corrected already."""
     if given is None and any(_is_correction(name, robot) for name in named):
-        message = (
+        raise MeasurementError(
             f"{table.source}: these are commands that calib compensate wrote: they are corrected already. Give the "
             "program that they were made from; or --given joints or --given poses, if these are to be corrected once "
             "more."
         )
-        raise MeasurementError(message)
 
 
 def _is_correction(name: str, robot: Robot) -> bool:
@@ -202,12 +199,11 @@ def _complete(
     if there and len(there) < len(names):
         missing = [name for name in names if name not in there]
         left_out = " ".join(f'--columns "{split_header(named[n].label)[0]}=-"' for n in there)
-        message = (
+        raise MeasurementError(
             f"{table.source}: {what} has the columns {', '.join(names)}; {choices(missing)} "
             f"{'is' if len(missing) == 1 else 'are'} missing. {list_columns(table)} Map another name with --columns "
             f'"name in the table={missing[0]}", or leave out what is there with {left_out}.'
         )
-        raise MeasurementError(message)
     return tuple(named[name] for name in there)
 
 
@@ -222,12 +218,11 @@ def _joints(table: Table, named: Mapping[str, Column], robot: Robot) -> tuple[Co
         close = dict.fromkeys(hit for name in missing for hit in close_names(name, free)[:1])
         hint = f" Close to them: {choices(close)}." if close else ""
         first = f"{missing[0]} [{'mm' if robot.joint_types[missing[0]] == 'prismatic' else 'deg'}]"
-        message = (
+        raise MeasurementError(
             f"{table.source}: no column for the joints {choices(missing)}, while there are some for "
             f"{choices(name for name in names if name in named)}. {list_columns(table)}{hint} Another name is mapped "
             f'by --columns "name in the table={first}"; a joint that stands still is given with --hold.'
         )
-        raise MeasurementError(message)
     return tuple(named[name] for name in names)
 
 
@@ -242,40 +237,36 @@ def _check_wanted(
     """Refuse a table that does not say what is wanted, or not in the way that was named."""
     first = f"'{robot.joint_names[0]} [deg]'" if robot.joint_names else "the joint's name"
     if forms and not points and (given == "poses" or not joints):
-        message = (
+        raise MeasurementError(
             f"{table.source}: there is an orientation but no position: the columns 'x [mm]', 'y [mm]', 'z [mm]' are "
             f"missing or empty. {list_columns(table)}"
         )
-        raise MeasurementError(message)
     if not joints and not points:
-        message = (
+        raise MeasurementError(
             f"{table.source}: there are neither joint values nor positions. {list_columns(table)} A program has a "
             f"column for each joint, such as {first}, or 'x [mm]', 'y [mm]', 'z [mm]' and an orientation; another name "
             'is mapped by --columns "name in the table=x [mm]".'
         )
-        raise MeasurementError(message)
     if (given == "joints" and not joints) or (given == "poses" and not points):
         wanted = (
             f"joint values, such as {first}"
             if given == "joints"
             else "positions, 'x [mm]', 'y [mm]', 'z [mm]'"
         )
-        message = (
+        raise MeasurementError(
             f"{table.source}: --given {given}, and there are no columns of {wanted}, or all their cells are empty. "
             f"{list_columns(table)} Leave out --given, or map the columns with --columns."
         )
-        raise MeasurementError(message)
 
 
 def _check_forms(table: Table, forms: Sequence[tuple[str, ...]]) -> None:
     """Refuse an orientation in two forms: they may differ."""
     if len(forms) > 1:
         said = " and as ".join(f"{FORMS[form]} ({', '.join(form)})" for form in forms)
-        message = (
+        raise MeasurementError(
             f"{table.source}: the orientation is there twice, as {said}. Leave one out: --columns "
             f'"{forms[1][0]}=-" and so on.'
         )
-        raise MeasurementError(message)
 
 
 def _in_unit(table: Table, column: Column, robot: Robot) -> Column:
@@ -295,11 +286,10 @@ def _orientation(
     for column in columns:
         unit = column.unit.symbol if column.unit else split_header(column.label)[1]
         if unit not in _WITHOUT_UNIT:
-            message = (
+            raise MeasurementError(
                 f"{table.source}, column '{column.label}': '{unit}' cannot be; a quaternion has no unit. Correct the "
                 f"header to '{column.name}'; for angles, to 'rx [deg]' (a rotation vector) or 'roll [deg]' and so on."
             )
-            raise MeasurementError(message)
     return tuple(replace(column, unit=_NO_UNIT) for column in columns)
 
 

@@ -93,8 +93,9 @@ def start_values(robot: Robot, named: Mapping[str, float] | None) -> Array:
     given = dict(named or {})
     strange = [name for name in given if name not in robot.joint_names]
     if strange:
-        message = f"The chain has no joints {choices(strange)} to start at; it has {choices(robot.joint_names)}."
-        raise ModelError(message)
+        raise ModelError(
+            f"The chain has no joints {choices(strange)} to start at; it has {choices(robot.joint_names)}."
+        )
     middle: Array = full_ranges(robot).mean(axis=1)
     return read_only(
         [given.get(name, value) for name, value in zip(robot.joint_names, middle, strict=True)]

@@ -145,11 +145,10 @@ def planning_ranges(
         result[k] = max(asked[k, 0], limits[k, 0] + gap), min(asked[k, 1], limits[k, 1] - gap)
         if not result[k, 0] < result[k, 1]:
             gap_text = f"{1e3 * gap:g} mm" if slides else f"{math.degrees(gap):g} deg"
-            message = (
+            raise ModelError(
                 f"The margin of {gap_text} to the URDF's limits leaves nothing of the range of '{name}', "
                 f"{range_text(robot, name, asked[k])}. Widen the range, lessen the margin, or hold the joint (--hold)."
             )
-            raise ModelError(message)
     return read_only(result)
 
 

@@ -173,23 +173,20 @@ def check_numbers(count: int, validation: int, candidates: int) -> None:
         ModelError: Below one pose, below no validation poses, or more than there are candidates.
     """
     if count < 1 or validation < 0:
-        message = (
+        raise ModelError(
             f"{count} poses and {validation} validation poses were asked for; it takes 1 pose or more, and 0 or more "
             "to validate."
         )
-        raise ModelError(message)
     if count + validation > candidates:
-        message = (
+        raise ModelError(
             f"{count} poses and {validation} to validate were asked for, but only {candidates} candidates can be "
             "measured. Draw more candidates, ask for fewer poses, or drop a condition."
         )
-        raise ModelError(message)
     if count + validation > MOST_POSES:
-        message = (
+        raise ModelError(
             f"{count} poses and {validation} to validate were asked for; a plan has at most {MOST_POSES}. So many "
             "random ones do as well: calib simulate --count draws them."
         )
-        raise ModelError(message)
 
 
 def _fewest(workspace: Workspace, scalars: int, taken: int) -> int:
@@ -208,12 +205,11 @@ def _check_enough(
     fewest = _fewest(workspace, scalars, taken)
     if count < fewest:
         before = f" with the {taken} measured already" if taken else ""
-        message = (
+        raise ModelError(
             f"{count} poses give {scalars * (count + taken)} numbers{before}, and the model '{sensitivity.model}' has "
             f"{workspace.rank} parameters that can be told apart: at least {fewest} poses are needed, and twice as "
             "many are wise. Ask for more poses, or choose a smaller --model."
         )
-        raise ModelError(message)
 
 
 def _rungs(ladder: Sequence[int] | None, count: int, candidates: int, fewest: int) -> list[int]:
@@ -228,9 +224,8 @@ def _rungs(ladder: Sequence[int] | None, count: int, candidates: int, fewest: in
         return sorted(n for n in {*wanted, count} if fewest <= n <= most)
     wrong = [n for n in ladder if not fewest <= n <= candidates]
     if wrong:
-        message = (
+        raise ModelError(
             f"A forecast for {wrong[0]} poses was asked for; it takes at least {fewest}, so many does the model need, "
             f"and at most {candidates}, the candidates that can be measured."
         )
-        raise ModelError(message)
     return sorted({*ladder, count}) if ladder else []

@@ -99,17 +99,16 @@ class CollisionModel:
         """
         boxes, folders = checked_boxes(tuple(boxes)), tuple(str(folder) for folder in package_dirs)
         if not is_number(clearance) or not clearance >= 0.0:
-            message = f"The clearance is {clearance!r} m; it must be a number, 0 or more."
-            raise CalibError(message)
+            raise CalibError(f"The clearance is {clearance!r} m; it must be a number, 0 or more.")
         if not is_number(holder_radius) or not holder_radius > 0.0:
-            message = f"The holder's radius is {holder_radius!r} m; it must be a number above 0."
-            raise CalibError(message)
+            raise CalibError(
+                f"The holder's radius is {holder_radius!r} m; it must be a number above 0."
+            )
         same = [box.name for box in boxes if box.name in robot.urdf.links]
         if same:
-            message = (
+            raise CalibError(
                 f"A box has the name of a link of the robot: {choices(same)}. Give it another one."
             )
-            raise CalibError(message)
         solids = read_solids(robot.urdf, folders)
         places = {name: read_only(place) for name, place in (targets or {}).items()}
         parts = list(solids.solids)

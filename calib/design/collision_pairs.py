@@ -277,11 +277,10 @@ def _check_base(robot: Robot, scene: Scene, rigid: Mapping[str, str], configurat
         corners = [T_box_root @ found.oMg[k].homogeneous @ scene.parts[k].corners for k in standing]
         if all((np.abs(c[:3]) <= half[:, None]).all() for c in corners):
             links = choices(dict.fromkeys(scene.parts[k].owner for k in standing))
-            message = (
+            raise CalibError(
                 f"The box '{part.owner}' swallows the robot: all of its base ({links}) is inside. "
                 f"{_where(robot, part)}"
             )
-            raise CalibError(message)
 
 
 def _check_touched(
@@ -301,18 +300,16 @@ def _check_touched(
         own = [k for k, pair in enumerate(pairs) if pair[1] == j]
         if part.kind is Kind.BOX and own and near[:, own].any(axis=1).all():
             most = max(own, key=lambda k: int(near[:, k].sum()))
-            message = (
+            raise CalibError(
                 f"The box '{part.owner}' swallows the robot: it touches moving links at all of {SAMPLES} poses over "
                 f"the joints' ranges, '{scene.parts[pairs[most][0]].owner}' most often. {_where(robot, part)}"
             )
-            raise CalibError(message)
         held = [k for k in own if rigid[scene.parts[pairs[k][0]].link] == rigid[robot.tip]]
         if part.kind is Kind.PLANE and held and touched[:, held].any(axis=1).mean() >= ALWAYS:
-            message = (
+            raise CalibError(
                 f"What the tip '{robot.tip}' carries is below {part.owner} wherever the robot goes: the robot is not "
                 "mounted there. Leave the plane out (--no-floor), and name what stands around as boxes."
             )
-            raise CalibError(message)
 
 
 def mounting_plane(robot: Robot, links: Sequence[Solid]) -> list[Solid]:

@@ -186,8 +186,7 @@ def forecast(robot: Robot, cell: Cell, joints: ArrayLike, margin: float = 0.0) -
     robot.chain_values(joints)
     q = np.atleast_2d(np.asarray(joints, dtype=np.float64))
     if not len(q):
-        message = "A forecast needs poses; none was given."
-        raise MeasurementError(message)
+        raise MeasurementError("A forecast needs poses; none was given.")
     sensitivity = Sensitivity.of(robot, cell)
     everywhere = spread_between(planning_ranges(robot, cell.ranges, margin), _POSES)
     return Forecast.of(sensitivity, Workspace.of(sensitivity, everywhere), q)

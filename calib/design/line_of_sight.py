@@ -79,11 +79,10 @@ def in_sight(
         robot.urdf,
         robot.base,
     ):
-        message = (
+        raise CalibError(
             f"The collision model is of {collision.robot!r}, the poses of {robot!r}; make it of the same robot "
             "(CollisionModel.of)."
         )
-        raise CalibError(message)
     T_base_tip = robot.poses(q)
     points = T_base_tip[:, :3, :3] @ target + T_base_tip[:, :3, 3]
     towards = tracker.position - points

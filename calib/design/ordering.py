@@ -101,11 +101,10 @@ def _checked(q: ArrayLike, start: ArrayLike | None) -> Array:
         poses = np.vstack([poses, np.asarray(start, dtype=np.float64)])
         start = None
     if poses.ndim != 2 or start is not None or not np.isfinite(poses).all():
-        message = (
+        raise CalibError(
             f"Poses to order are finite numbers of shape (N, m), the start of shape (m,); given was {np.shape(q)} and "
             f"{start!r}."
         )
-        raise CalibError(message)
     return read_only(poses)
 
 

@@ -163,11 +163,10 @@ def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None
     estimate = [word == "estimate" for word in values.sets]
     kept = [i for i, row in enumerate(measured) if row and estimate[i]]
     if not kept:
-        message = (
+        raise MeasurementError(
             f"{table.source}: no row that is measured is 'estimate', so that no pose counts as taken. Leave out "
             "--taken, or correct the column 'set'."
         )
-        raise MeasurementError(message)
     return Taken(
         joints=read_only(values.joints[_poses(values, kept)]),
         unmeasured=tuple(row for row, seen in zip(values.rows, measured, strict=True) if not seen),

@@ -32,11 +32,10 @@ def checked_box(box: ArrayLike) -> Array:
     """
     corners = read_only(np.asarray(box, dtype=np.float64))
     if corners.shape != (2, 3) or np.isnan(corners).any() or not np.all(corners[0] < corners[1]):
-        message = (
+        raise CalibError(
             f"The box is {np.asarray(box).tolist()} m; it must be two corners of three numbers, the second greater "
             "than the first along x, y and z."
         )
-        raise CalibError(message)
     return corners
 
 
@@ -71,22 +70,20 @@ class Region:
         object.__setattr__(self, "origin", read_only(self.origin))
         object.__setattr__(self, "box", checked_box(self.box))
         if self.origin.shape != (3,) or not np.isfinite(self.origin).all() or cells.ndim != 3:
-            message = (
+            raise CalibError(
                 f"A region's grid has an origin of shape {self.origin.shape} and voxels of shape {cells.shape}; it "
                 "needs three finite numbers and three dimensions."
             )
-            raise CalibError(message)
         if not (0.0 < self.voxel < np.inf):
-            message = f"A region's voxel is {self.voxel} m; it must be greater than 0."
-            raise CalibError(message)
+            raise CalibError(f"A region's voxel is {self.voxel} m; it must be greater than 0.")
         if not (0.0 < self.share <= 1.0 and 0.0 < self.held <= 1.0):
-            message = f"A region's shares are {self.share} and {self.held}; they are greater than 0, at most 1."
-            raise CalibError(message)
+            raise CalibError(
+                f"A region's shares are {self.share} and {self.held}; they are greater than 0, at most 1."
+            )
         if not self.volume > 0.0:
-            message = (
+            raise CalibError(
                 "The region is empty: no voxel of it lies inside of the box. Give a larger box."
             )
-            raise CalibError(message)
 
     @property
     def volume(self) -> float:
@@ -152,10 +149,9 @@ class Region:
         corners = checked_box(box)
         low, high = np.maximum(self.box[0], corners[0]), np.minimum(self.box[1], corners[1])
         if not np.all(low < high):
-            message = (
+            raise CalibError(
                 "The region is empty: no voxel of it lies inside of the box. Give a larger box."
             )
-            raise CalibError(message)
         return replace(self, box=np.array([low, high]))
 
     def _on_border(self) -> Mask:
@@ -191,10 +187,9 @@ def checked_points(points: ArrayLike) -> Array:
     """
     values = np.asarray(points, dtype=np.float64)
     if values.ndim != 2 or values.shape[1] != 3 or not np.isfinite(values).all():
-        message = (
+        raise CalibError(
             f"Points of shape {values.shape} were given; finite numbers of shape (N, 3) are wanted."
         )
-        raise CalibError(message)
     return values
 
 

@@ -127,10 +127,9 @@ class RegionFile:
             return _parsed(table)
         except (CalibError, KeyError, TypeError, ValueError, OverflowError) as error:
             what = f"{error} is missing." if isinstance(error, KeyError) else f"{error}"
-            message = (
+            raise FileError(
                 f"{path}: the region is damaged: {what} Write it again with 'calib workspace -o'."
-            )
-            raise FileError(message) from error
+            ) from error
 
     def check_fits(self, robot: Robot, target: Array | None = None) -> tuple[str, ...]:
         """Whether the region is one of this robot: refuse another base, say what else differs.
@@ -150,18 +149,16 @@ class RegionFile:
             ("tip", "--tip", robot.tip, self.tip),
         ):
             if here != there:
-                message = (
+                raise CalibError(
                     f"The region was made for the {what} '{there}' of '{self.robot}', and the {what} is '{here}' now. "
                     f"Give {option} {there}, or make the region again with 'calib workspace'."
                 )
-                raise CalibError(message)
         if robot.joint_names != self.joints:
-            message = (
+            raise CalibError(
                 f"The region was made for the joints {choices(self.joints)} of '{self.robot}'; the chain "
                 f"'{robot.base}' to '{robot.tip}' of '{robot.name}' has {choices(robot.joint_names)}. Give the "
                 "same --hold, or make the region again with 'calib workspace'."
             )
-            raise CalibError(message)
         notes = []
         if robot.name != self.robot:
             notes.append(f"The region was made for '{self.robot}', this robot is '{robot.name}'.")

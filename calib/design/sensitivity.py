@@ -232,24 +232,21 @@ def _checked_kind(cell: Cell) -> str:
     kind = cell.kind or "point"
     if not registry.get(kind).free:
         free = [name for name in registry.names() if registry.get(name).free]
-        message = (
+        raise ModelError(
             f"Poses cannot be planned for the kind '{kind}': the target stays in its socket or plane, or two rows "
             f"belong together. Choose one of {choices(free)}."
         )
-        raise ModelError(message)
     if len(cell.frames) > 1:
-        message = (
+        raise ModelError(
             f"The cell has the set-ups {choices(cell.frames)}; poses are planned for one set-up at a time. Give the "
             "one frame as frame_xyz_mm and frame_rpy_deg."
         )
-        raise ModelError(message)
     if registry.get(kind).own_frame and cell.T_frame_base is None and not cell.frames:
         place = registry.get(kind).place.lower()
-        message = (
+        raise ModelError(
             f"To plan for rows of the kind '{kind}', calib must know roughly where the {place} is: give the base in a "
             f"frame at the {place}, frame_xyz_mm in the cell file."
         )
-        raise ModelError(message)
     return kind
 
 

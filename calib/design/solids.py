@@ -131,11 +131,10 @@ def read_solids(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> Solids:
             unchecked.append(link)
         solids += usable
     if not solids:
-        message = (
+        raise UrdfError(
             f"{urdf.source}: no link has a <collision> or <visual> with a geometry that can be used: collisions "
             "cannot be checked. Take a URDF with geometry, or plan without collisions (--no-collisions)."
         )
-        raise UrdfError(message)
     return Solids(tuple(solids), tuple(from_visuals), tuple(unchecked))
 
 
@@ -194,18 +193,16 @@ def _geometry(
         if path is None:
             listed = ", ".join(str(folder) for folder in folders[:4])
             more = f" and {len(folders) - 4} more folders" if len(folders) > 4 else ""
-            message = (
+            raise UrdfError(
                 f"{urdf.source}: link '{shape.link}': the mesh '{name}' was not found in {listed}{more}. Name the "
                 "folder that holds it, for package://NAME/... the one that NAME stands in, by --package-dir, or plan "
                 "without collisions (--no-collisions)."
             )
-            raise UrdfError(message)
         mesh, problem = load_mesh(path, scale)
         if mesh is None:
-            message = (
+            raise UrdfError(
                 f"{urdf.source}: link '{shape.link}': the mesh file '{path}' {problem}. Replace it, or plan without "
                 "collisions (--no-collisions)."
             )
-            raise UrdfError(message)
         meshes[shape.mesh] = mesh
     return meshes[shape.mesh]

@@ -91,14 +91,12 @@ def sample_workspace(
     ends = joint_ranges(robot) if ranges is None else np.asarray(ranges, dtype=np.float64)
     wanted = (len(robot.joint_names), 2)
     if point.shape != (3,) or ends.shape != wanted or not np.isfinite([*point, *ends.flat]).all():
-        message = (
+        raise CalibError(
             f"The target has shape {point.shape} and the ranges {ends.shape}; finite numbers of the shapes (3,) and "
             f"{wanted} are wanted."
         )
-        raise CalibError(message)
     if count < 1:
-        message = f"{count} samples of the workspace were asked for; give one at least."
-        raise CalibError(message)
+        raise CalibError(f"{count} samples of the workspace were asked for; give one at least.")
     points = np.empty((count, 3))
     low, high = ends.T
     done = 0
@@ -190,17 +188,15 @@ class Density:
             CalibError: The share is not greater than 0 and at most 1, or a single voxel holds more than it.
         """
         if not 0.0 < share <= 1.0:
-            message = (
+            raise CalibError(
                 f"The share is {share:g}; it must be greater than 0 and at most 1, such as 0.95."
             )
-            raise CalibError(message)
         order, held = self._by_density()
         if share < held[0] < 1.0:
-            message = (
+            raise CalibError(
                 f"The share is {share:g}, and the densest voxel of {1e3 * self.voxel:g} mm alone holds {held[0]:.2g}: "
                 "the region would be empty. Give a larger share, or smaller voxels with more samples."
             )
-            raise CalibError(message)
         # Sums of counts are exact, so that 0.95 of 100 samples is 95 of them.
         last = int(np.searchsorted(held, share * (1.0 - 1e-12)))
         cells = np.zeros(self.counts.size, dtype=np.bool_)
@@ -256,19 +252,17 @@ def _grid(low: Array, high: Array, voxel: float) -> tuple[Array, tuple[int, ...]
         CalibError: The voxel is not greater than 0, or there would be too many.
     """
     if not (np.isfinite(voxel) and voxel > 0.0):
-        message = f"The voxel is {1e3 * voxel:g} mm; it must be a length greater than 0."
-        raise CalibError(message)
+        raise CalibError(f"The voxel is {1e3 * voxel:g} mm; it must be a length greater than 0.")
     # A length that is a multiple of the voxel's, but for rounding, gets no voxel more.
     sides = np.maximum(np.ceil((high - low) / voxel - 1e-6), 1.0)
     if np.prod(sides) > MOST_VOXELS:
         many = float(np.prod(sides)) / MOST_VOXELS
         least = voxel * many ** (1.0 / max(1, int(np.sum(sides > 1))))
         size = " x ".join(f"{v:.4g}" for v in 1e3 * (high - low))
-        message = (
+        raise CalibError(
             f"Voxels of {1e3 * voxel:g} mm make a grid of {np.prod(sides):.3g} in a workspace of {size} mm; at most "
             f"{MOST_VOXELS:,} are made. Give voxels of {1e3 * _round_up(least):g} mm or more."
         )
-        raise CalibError(message)
     shape = tuple(int(n) for n in sides)
     return read_only(0.5 * (low + high) - 0.5 * voxel * sides), shape
 

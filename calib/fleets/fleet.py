@@ -94,8 +94,7 @@ def fleet(
         FileError: The folder cannot be written.
     """
     if not robots:
-        message = "There are no robots to calibrate; give one or more."
-        raise CalibError(message)
+        raise CalibError("There are no robots to calibrate; give one or more.")
     check_names((robot.name, f"Robot {i}") for i, robot in enumerate(robots, 1))
     path, options = Path(folder), options or FleetOptions()
     make_folder(path)
@@ -122,17 +121,15 @@ def check_names(names: Iterable[tuple[str, str]]) -> None:
     seen: dict[str, str] = {}
     for name, where in names:
         if not _NAME.fullmatch(name) or _RESERVED.fullmatch(name):
-            message = (
+            raise CalibError(
                 f"{where}: the name {name!r} cannot be that of a folder. A name has 1 to 100 letters, digits, and '_', "
                 "'-', '+', '.' or blanks between them, and is none that systems keep for themselves."
             )
-            raise CalibError(message)
         if name.casefold() in seen:
-            message = (
+            raise CalibError(
                 f"{where}: the name '{name}' is that of another robot ({seen[name.casefold()]}), capitals aside. "
                 "Give each robot a name of its own."
             )
-            raise CalibError(message)
         seen[name.casefold()] = where
 
 
@@ -226,10 +223,9 @@ def _write_folder(folder: Path, told: str, row: FleetRow, files: Mapping[str, by
     make_folder(folder)
     strange = [name for name in files if (folder / name).exists()]
     if strange and not (folder / MADE).exists():
-        message = (
+        raise FileError(
             f"{folder / strange[0]} exists already, and no fleet has written it. Move it away."
         )
-        raise FileError(message)
     table = {"schema": SCHEMA, "fingerprint": "", "files": [*files], "row": row.table()}
     write_atomically(folder / MADE, json_bytes(table), overwrite=True)
     for name, data in files.items():

@@ -170,8 +170,7 @@ def _parts(value: object) -> object:
         return [kind, *value.items()]
     if isinstance(value, (bytes, Path)):
         return [kind, str(value)]
-    message = f"a value of type {kind} has no fingerprint"
-    raise TypeError(message)
+    raise TypeError(f"a value of type {kind} has no fingerprint")
 
 
 #: Counted up when the files of a robot change.

@@ -93,11 +93,10 @@ def chosen_format(path: Path, asked: str | None, source_kind: str | None = None)
     """
     ending = path.suffix.lower()
     if ending == ".xacro":
-        message = (
+        raise CalibError(
             f"{path}: a xacro is not written: its macros and arguments are not in the robot that was read. Write the "
             "flattened robot (-o robot.urdf), or the origins that your xacro can load (--to origins -o origins.yaml)."
         )
-        raise CalibError(message)
     fitting = [one.name for one in FORMATS.values() if ending in one.endings]
     if asked is None:
         if source_kind == UR_CONF and ending in _YAML:
@@ -106,18 +105,17 @@ def chosen_format(path: Path, asked: str | None, source_kind: str | None = None)
             return fitting[0]
         which = fitting or list(FORMATS)
         said = ", ".join(f"--to {name} ({FORMATS[name].what})" for name in which)
-        message = f"{path}: '{ending}' does not say which format is wanted. Add one of: {said}."
-        raise CalibError(message)
+        raise CalibError(
+            f"{path}: '{ending}' does not say which format is wanted. Add one of: {said}."
+        )
     if asked not in FORMATS:
-        message = f"There is no format '{asked}'; --to is one of {choices(FORMATS)}."
-        raise CalibError(message)
+        raise CalibError(f"There is no format '{asked}'; --to is one of {choices(FORMATS)}.")
     wanted = FORMATS[asked]
     if asked not in fitting and (fitting or not wanted.any_ending):
-        message = (
+        raise CalibError(
             f"{path}: '{asked}' ({wanted.what}) is written into files that end in {choices(wanted.endings)}, not in "
             f"'{ending}'."
         )
-        raise CalibError(message)
     return asked
 
 
@@ -141,8 +139,9 @@ def check_options(wanted: Wanted, source_kind: str) -> None:
         ),
     ):
         if given is not None and not used:
-            message = f"{option} {given} is for what {why}, and here nothing does. Leave it out."
-            raise CalibError(message)
+            raise CalibError(
+                f"{option} {given} is for what {why}, and here nothing does. Leave it out."
+            )
 
 
 def write_target(source: Source, wanted: Wanted) -> tuple[str, ...]:
@@ -172,12 +171,11 @@ def _write_urdf(source: Source, wanted: Wanted) -> tuple[str, ...]:
     if source.kind == ROBOT and source.nominal is not None:
         robot = source.nominal.with_placements(robot.placements)
         if not np.abs(robot.poses(q) - poses).max() <= TOLERANCE:
-            message = (
+            raise ModelError(
                 f"{source.robot.urdf.source} and {source.nominal.urdf.source} differ in more than the origins of "
                 "their joints, so that one cannot be written on the other. Leave out --robot, or give the URDF that "
                 "the other was made from."
             )
-            raise ModelError(message)
     check_written(robot, poses, q)
     robot.urdf.write(wanted.path, overwrite=wanted.overwrite)
     return ()
@@ -205,12 +203,11 @@ def _write_ur_yaml(source: Source, wanted: Wanted) -> tuple[str, ...]:
     elif source.hash is not None:
         own = UrHash(source.hash)  # its reader has said what there is to say of it
     else:
-        message = (
+        raise CalibError(
             f"{wanted.path}: a kinematics.yaml has the hash of the robot's own calibration, which the ROS driver "
             "compares with what the controller reports. Give the robot's own kinematics.yaml (from ros2 launch "
             "ur_calibration calibration_correction.launch.py) or its calibration.conf as --hash-from."
         )
-        raise CalibError(message)
 
     def write(path: Path) -> UrWritten:
         return write_ur_yaml(
@@ -272,11 +269,10 @@ def _tried(
     made = mounted.T_base_arm @ flange @ mounted.T_flange_tip
     off = float(np.abs(made - source.robot.poses(q)).max())
     if not off <= trial.exact:
-        message = (
+        raise ModelError(
             f"{wanted.path.name}: read back, it puts the tip of '{source.robot.name}' {off:.1e} m or rad off; "
             f"{trial.exact:g} is allowed, so it is not written. Please report this with what was converted."
         )
-        raise ModelError(message)
     return write(wanted.path).remarks
 
 
@@ -288,11 +284,10 @@ def _arm(source: Source, wanted: Wanted) -> tuple[Robot, UrModel]:
             if source.nominal is None
             else f"'{source.nominal.name}' has the nominal kinematics of none"
         )
-        message = (
+        raise ModelError(
             f"{wanted.path}: '{wanted.format}' is for arms of Universal Robots, and {known}. Name the arm with "
             "--ur-model, or give its nominal URDF as --robot; for other robots write 'urdf', 'origins' or DH rows."
         )
-        raise ModelError(message)
     return source.nominal, source.model
 
 

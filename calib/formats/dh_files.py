@@ -62,10 +62,9 @@ def write_dh(tables: DHTables, path: str | os.PathLike[str], *, overwrite: bool 
     """
     ending = Path(path).suffix.lower()
     if ending not in ENDINGS:
-        message = (
+        raise FileError(
             f"{path}: a DH table is written as {choices(ENDINGS)}; end the name in one of these."
         )
-        raise FileError(message)
     if ending == ".json":
         data = json_bytes(_json(tables))
     else:

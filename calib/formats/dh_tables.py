@@ -85,12 +85,11 @@ class DHTables:
         off = tables.deviation(before, after)
         allowed = TOLERANCE + _by_parallels(robot, nominal, convention)
         if not off <= allowed:
-            message = (
+            raise ModelError(
                 f"{robot.urdf.source}: the rows in the convention '{convention}' put the tip up to {off:.1e} m or rad "
                 f"away from the robot '{robot.name}'; {allowed:.1e} is allowed, so nothing is written. Choose the "
                 "convention 'hayati', which has no far common normals."
             )
-            raise ModelError(message)
         return tables
 
     @property

@@ -90,12 +90,11 @@ class Origins:
         names = {joint.name for joint in robot.urdf.joints}
         for name, _ in self.joints:
             if name not in names:
-                message = (
+                raise UrdfError(
                     f"{self.source}: '{name}' is no joint of {robot.urdf.source}{did_you_mean(name, names)}. Its "
                     f"joints: {choices(joint.name for joint in robot.urdf.joints)}. Give the robot that the file "
                     "was made for."
                 )
-                raise UrdfError(message)
         origins = {name: origin.T_parent_joint for name, origin in self.joints}
         return robot.rebuilt(robot.urdf.with_origins(origins))
 
@@ -135,8 +134,9 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
     )
     data = origins.to_yaml(header)
     if parse_origins(data, str(path)).joints != origins.joints:
-        message = f"{path}: the origins of '{robot.name}' do not read back; rename its joints in the URDF."
-        raise FileError(message)
+        raise FileError(
+            f"{path}: the origins of '{robot.name}' do not read back; rename its joints in the URDF."
+        )
     return write_atomically(path, data, overwrite=overwrite)
 
 
@@ -161,11 +161,10 @@ def parse_origins(data: bytes, source: str) -> Origins:
     """
     table = parse_yaml(data, source, "origins file").get(_SECTION)
     if not isinstance(table, dict) or not table:
-        message = (
+        raise FileError(
             f"{source}: this is no origins file: it has no section '{_SECTION}:' with a line for each joint, such as "
             f"{_EXAMPLE}"
         )
-        raise FileError(message)
     joints = tuple((name, _origin(name, value, source)) for name, value in table.items())
     return Origins(joints, Path(source).name)
 
@@ -174,12 +173,10 @@ def _origin(name: object, value: object, source: str) -> JointOrigin:
     """The origin of one joint."""
     where = f"{source}, {_SECTION}, joint '{name}'"
     if not isinstance(name, str):
-        message = f"{where}: this is no joint's name; write it in quotes"
-        raise FileError(message)
+        raise FileError(f"{where}: this is no joint's name; write it in quotes")
     if not isinstance(value, dict) or set(value) != set(_KEYS):
         found = f", not {choices(map(str, value))}" if isinstance(value, dict) else ""
-        message = f"{where}: the keys {choices(_KEYS)} are wanted{found}, as in {_EXAMPLE}"
-        raise FileError(message)
+        raise FileError(f"{where}: the keys {choices(_KEYS)} are wanted{found}, as in {_EXAMPLE}")
     return JointOrigin(*(_numbers(value[key], key, where) for key in _KEYS))
 
 
@@ -190,11 +187,10 @@ def _numbers(value: object, key: str, where: str) -> Triple:
     found = [float(text) for text in texts if NUMBER.fullmatch(text)]
     if not len(texts) == len(found) == 3 or not all(abs(number) <= _FARTHEST for number in found):
         unit = "m" if key == "xyz" else "rad"
-        message = (
+        raise FileError(
             f"{where}: {key} is {value!r}; three numbers [{unit}] no larger than {_FARTHEST:g} are wanted, "
             f'such as "0.0 0.0 0.15"'
         )
-        raise FileError(message)
     return _triple(found)
 
 

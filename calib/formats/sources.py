@@ -118,13 +118,11 @@ def source_kind(source: str) -> str:
         for key, kind in (("kinematics", UR_YAML), ("origins", ORIGINS)):
             if key in keys:
                 return kind
-        message = (
+        raise FileError(
             f"{source}: it has neither 'kinematics', as a kinematics.yaml of Universal Robots, nor 'origins', as an "
             f"origins file of calib{f'; it has {choices(keys)}' if keys else ''}. Give {_READ}."
         )
-        raise FileError(message)
-    message = f"{source}: 'calib convert' does not know the ending '{ending}'. Give {_READ}."
-    raise FileError(message)
+    raise FileError(f"{source}: 'calib convert' does not know the ending '{ending}'. Give {_READ}.")
 
 
 def read_source(source: str, asked: Asked) -> Source:
@@ -156,11 +154,10 @@ def _universal_robots(source: str, kind: str, asked: Asked) -> Source:
     """A calibration.conf or a kinematics.yaml, on the robot asked for or on a bare one."""
     told = asked.robot or asked.ur_model or asked.urcontrol
     if kind == UR_CONF and not told:
-        message = (
+        raise CalibError(
             f"{source}: a calibration.conf has only what is added to an arm's nominal rows. Say of which arm it is, as "
             "in --ur-model UR5e, or give its --urcontrol, or its nominal URDF as --robot."
         )
-        raise CalibError(message)
 
     def read(robot: Robot | None) -> UrSource:
         if kind == UR_CONF:
@@ -193,12 +190,12 @@ def _result(source: str, asked: Asked) -> Source:
     nominal, robot = result.nominal, result.robot
     for option, given, own in (("base", asked.base, nominal.base), ("tip", asked.tip, nominal.tip)):
         if given is not None and given != own:
-            message = f"{source} is the result for --{option} {own}, and '{given}' was given; leave out --{option}."
-            raise CalibError(message)
+            raise CalibError(
+                f"{source} is the result for --{option} {own}, and '{given}' was given; leave out --{option}."
+            )
     if asked.held and dict(asked.held) != nominal.held:
         own = ", ".join(f"'{name}' at {value:g}" for name, value in nominal.held.items()) or "none"
-        message = f"{source} says itself which joints are held ({own}); leave out --hold."
-        raise CalibError(message)
+        raise CalibError(f"{source} says itself which joints are held ({own}); leave out --hold.")
     if asked.robot is not None:
         arm = Robot.load(asked.robot, nominal.base, nominal.tip, held=nominal.held)
         nominal, robot = _both_states(result, arm, source)
@@ -226,12 +223,11 @@ def _both_states(result: Calibration, robot: Robot, source: str) -> tuple[Robot,
     """
     origins, corrected = robot.origins(), result.robot.origins()
     if set(origins) != set(corrected):
-        message = (
+        raise ModelError(
             f"{source} has origins of the joints {choices(corrected)}; the chain of the robot given, "
             f"'{robot.base}' to '{robot.tip}' of {robot.urdf.source}, has {choices(origins)}. Give the URDF that the "
             "result was made with as --robot."
         )
-        raise ModelError(message)
 
     def has(wanted: Mapping[str, Array]) -> bool:
         return all(np.abs(origins[name] - T).max() < _SAME for name, T in wanted.items())
@@ -242,20 +238,20 @@ def _both_states(result: Calibration, robot: Robot, source: str) -> tuple[Robot,
         return result.uncorrected(robot), robot
     off = {name: float(np.abs(origins[name] - T).max()) for name, T in corrected.items()}
     worst = max(off, key=lambda name: off[name])
-    message = (
+    raise ModelError(
         f"{source} is of another robot than {robot.urdf.source}: the origin of '{worst}' differs from that of the "
         f"result by {off[worst]:.3g} (m, or entries of the rotation). Give the URDF that the result was made with, or "
         "that was corrected by it, as --robot."
     )
-    raise ModelError(message)
 
 
 def _origins(source: str, asked: Asked) -> Source:
     """An origins file, on the robot asked for."""
     found = read_origins(source)
     if asked.robot is None:
-        message = f"{source} has the origins of joints alone; give the URDF that they belong to as --robot."
-        raise CalibError(message)
+        raise CalibError(
+            f"{source} has the origins of joints alone; give the URDF that they belong to as --robot."
+        )
     nominal = asked.load(asked.robot)
     robot = found.applied_to(nominal)
     return Source(
@@ -289,12 +285,11 @@ def _robot(source: str, asked: Asked) -> Source:
         between = replace(asked, base=robot.base, tip=robot.tip)
         nominal = between.load(asked.robot)
         if [j.name for j in nominal.joints] != [j.name for j in robot.joints]:
-            message = (
+            raise ModelError(
                 f"{source} has the joints {choices(j.name for j in robot.joints)} between '{robot.base}' and "
                 f"'{robot.tip}', and {nominal.urdf.source} has {choices(j.name for j in nominal.joints)}. --robot is "
                 "the same robot with its nominal kinematics."
             )
-            raise ModelError(message)
         return replace(plain, nominal=nominal, model=_arm(nominal, asked))
     if recognised(robot):  # an arm with the kinematics of the data sheet is its own nominal robot
         return replace(plain, nominal=robot, model=_arm(robot, asked))
@@ -310,12 +305,11 @@ def _like(robot: Robot, bare: Robot, source: str) -> Robot:
     links, joints = bare.urdf.links, [joint.name for joint in bare.joints]
     own = [joint.name for joint in robot.joints]
     if robot.base not in links or robot.tip not in links or own != joints:
-        message = (
+        raise ModelError(
             f"{source}: links and joints from '{robot.base}' to '{robot.tip}' are not named as in Universal Robots' "
             f"description ({choices(links)}; {choices(joints)}). Give the nominal URDF as --robot instead of "
             "--ur-model, or name the links with --base and --tip."
         )
-        raise ModelError(message)
     return bare.rebuilt(base=robot.base, tip=robot.tip)
 
 

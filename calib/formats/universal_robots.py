@@ -326,8 +326,9 @@ def read_ur_hash(
         return UrHash(hash, odd(path, moved, arm) + hash_remarks(path, hash))
     content = read_yaml(path)
     if content.hash is None:
-        message = f"{path}: there is no 'hash' in it. Give the robot's own kinematics.yaml, or its calibration.conf."
-        raise FileError(message)
+        raise FileError(
+            f"{path}: there is no 'hash' in it. Give the robot's own kinematics.yaml, or its calibration.conf."
+        )
     arm = nearest(content.chain) if given.nothing else given.arm(path)
     moved = checked_distance(path, arm, lambda _: content.chain, _OWN)
     return UrHash(content.hash, odd(path, moved, arm) + hash_remarks(path, content.hash))
@@ -346,11 +347,10 @@ def _chain_of(
     chain = mounted.chain_of(robot)
     moved = distance_from(chain, arm)
     if moved > FARTHEST:
-        message = (
+        raise ModelError(
             f"The robot '{robot.name}' has its flange up to {moved:.2f} m from where the nominal {arm.name} has it, so "
             "that it is no correction of it. Give the nominal URDF that the robot was corrected from."
         )
-        raise ModelError(message)
     return arm, mounted, chain
 
 

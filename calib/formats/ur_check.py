@@ -80,11 +80,10 @@ class Given:
                 is_what = (
                     f"those of the {' or '.join(named)}" if named else "no arm's that is known"
                 )
-                message = (
+                raise ModelError(
                     f"The rows in [DH] of {self.urcontrol} are {is_what}, not those of the {given.name}. Leave the "
                     "name of the arm out, or give the urcontrol.conf of this robot's own controller."
                 )
-                raise ModelError(message)
             name = (
                 given.name
                 if given
@@ -96,11 +95,10 @@ class Given:
         if self.robot is not None:
             return the_mount(self.robot, given)[0]
         if given is None:
-            message = (
+            raise ModelError(
                 f"{path}: a calibration.conf has only what is added to the nominal rows. Say of which arm it is "
                 f"({choices(NAMES, limit=40)}), or give its urcontrol.conf or its URDF."
             )
-            raise ModelError(message)
         return given
 
 
@@ -130,18 +128,16 @@ def checked_distance(path: PathLike, arm: UrModel, chain_of: ChainOf, advice: st
         least = min(by_arm.values())
         if 3.0 * least < moved:
             names = [one.name for one, distance in by_arm.items() if distance <= 1.5 * least]
-            message = (
+            raise FileError(
                 f"{path}: this calibration moves the flange of {arm.said} by up to {1e3 * moved:.0f} mm, and that of "
                 f"{choices(names)} by {1e3 * least:.1f} mm only. A calibration moves it by millimetres: the file is "
                 f"of another arm. {advice}"
             )
-            raise FileError(message)
     if moved > FARTHEST:
-        message = (
+        raise FileError(
             f"{path}: these kinematics put the flange up to {moved:.2f} m from where that of a nominal {arm.name} is; "
             f"a calibration moves it by millimetres. Check that the file is of {arm.said}, in metres and radians."
         )
-        raise FileError(message)
     return moved
 
 

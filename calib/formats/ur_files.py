@@ -162,8 +162,9 @@ def _text(path: str | os.PathLike[str], what: str) -> str:
     """A file's text, a character for each byte, so that it goes back as it came."""
     data = read_bytes(path, what)
     if b"\0" in data:
-        message = f"{path}: this is not a {what}: it has bytes that no text has. Copy it from the controller again."
-        raise FileError(message)
+        raise FileError(
+            f"{path}: this is not a {what}: it has bytes that no text has. Copy it from the controller again."
+        )
     return data.decode("latin-1")
 
 
@@ -200,26 +201,25 @@ def _columns(
     )
     if section not in sections:
         has = f"its sections are {choices(sections)}" if sections else "it has no section"
-        message = f"{path}: there is no [{section}] in it, {has}. Give the {what} of a Universal Robots controller."
-        raise FileError(message)
+        raise FileError(
+            f"{path}: there is no [{section}] in it, {has}. Give the {what} of a Universal Robots controller."
+        )
     entries = [entry for entry in _entries(text) if entry.section == section]
     found: dict[str, _Entry] = {}
     for entry in entries:
         before = found.setdefault(entry.key, entry)
         if entry.key in keys and before.value.split() != entry.value.split():
-            message = (
+            raise FileError(
                 f"{path}: {entry.key} stands in [{section}] with two values, in line {before.line} and in line "
                 f"{entry.line}; keep the one that is right."
             )
-            raise FileError(message)
     for key in keys:
         if key not in found and key not in optional:
             others = [entry.key for entry in entries if entry.key not in keys]
-            message = (
+            raise FileError(
                 f"{path}: [{section}] has no {key}{did_you_mean(key, others)}; a {what} has "
                 f"{choices(k for k in keys if k not in optional)} there, six numbers each."
             )
-            raise FileError(message)
     return {
         name: _six(path, found[key], _LARGEST[section][name], "m" if name in ("a", "d") else "rad")
         for key, name in keys.items()
@@ -236,11 +236,10 @@ def _six(path: str | os.PathLike[str], entry: _Entry, largest: float, unit: str)
     where = f"{path}, line {entry.line}: {entry.key}"
     words = [word.strip() for word in entry.value.strip("[]").split(",")]
     if not (entry.value.startswith("[") and entry.value.endswith("]") and len(words) == 6):
-        message = (
+        raise FileError(
             f"{where} is '{' '.join(entry.value.split())[:60]}'; a list of six numbers in brackets, one for each "
             "joint, with commas between them is wanted."
         )
-        raise FileError(message)
     return np.array(
         [_number(f"{where} of joint {i}", word, largest, unit) for i, word in enumerate(words, 1)]
     )
@@ -254,14 +253,12 @@ def _number(where: str, word: str, largest: float, unit: str) -> float:
     """
     number = float(word) if NUMBER.fullmatch(word) else np.inf
     if not np.isfinite(number):
-        message = f"{where} is '{word[:40]}'; a finite number [{unit}] is wanted."
-        raise FileError(message)
+        raise FileError(f"{where} is '{word[:40]}'; a finite number [{unit}] is wanted.")
     if abs(number) > largest:
-        message = (
+        raise FileError(
             f"{where} is {number:g}, more than {largest:.4g} {unit}: that is no arm's. Lengths are in metres and "
             "angles in radians."
         )
-        raise FileError(message)
     return number
 
 
@@ -295,12 +292,11 @@ def read_yaml(path: str | os.PathLike[str]) -> UrYaml:
     """
     top = parse_yaml(read_bytes(path, _YAML), str(path), _YAML)
     if "kinematics" not in top:
-        message = (
+        raise FileError(
             f"{path}: there is no 'kinematics' in it{did_you_mean('kinematics', map(str, top))}, its keys are "
             f"{choices(map(str, top))}. Give the kinematics.yaml of the ROS driver (ur_calibration), or one that "
             "calib wrote."
         )
-        raise FileError(message)
     links = _table(path, "kinematics", top["kinematics"], LINKS)
     chain = []
     for link in LINKS:
@@ -314,11 +310,10 @@ def read_yaml(path: str | os.PathLike[str]) -> UrYaml:
         chain.append(T)
     hash = links.get("hash") or None
     if hash is not None and not (isinstance(hash, str) and _HASH.fullmatch(hash)):
-        message = (
+        raise FileError(
             f"{path}: the hash is {str(hash)[:40]!r}, not one word of text such as 'calib_12788084448423163542'. Take "
             "the line from the robot's own kinematics.yaml."
         )
-        raise FileError(message)
     return UrYaml(read_only([*chain, np.eye(4)]), hash)
 
 
@@ -361,11 +356,10 @@ def check_hash(hash: str) -> None:
         FileError: It is none.
     """
     if not _HASH.fullmatch(hash) or not isinstance(yaml.safe_load(hash), str):
-        message = (
+        raise FileError(
             f"The hash '{hash}' is none of a calibration: one such as 'calib_12788084448423163542' is wanted. Take it "
             "from the robot's own kinematics.yaml or calibration.conf."
         )
-        raise FileError(message)
 
 
 def _yaml_number(value: float) -> str:
@@ -384,11 +378,11 @@ def _table(
         FileError: It is none, or lacks one.
     """
     if not isinstance(found, dict):
-        message = f"{path}: {what} has no keys with values; it must have {choices(wanted)}."
-        raise FileError(message)
+        raise FileError(f"{path}: {what} has no keys with values; it must have {choices(wanted)}.")
     for name in wanted:
         if name not in found:
             others = [str(key) for key in found if key not in wanted]
-            message = f"{path}: {what} has no '{name}'{did_you_mean(name, others)}; it must have {choices(wanted)}."
-            raise FileError(message)
+            raise FileError(
+                f"{path}: {what} has no '{name}'{did_you_mean(name, others)}; it must have {choices(wanted)}."
+            )
     return found

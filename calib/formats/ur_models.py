@@ -127,11 +127,10 @@ def ur_model(name: str | UrModel) -> UrModel:
     for model in MODELS:
         if _plain(model.name) == _plain(name):
             return model
-    message = (
+    raise ModelError(
         f"'{name}' is not an arm of Universal Robots that calib knows: {choices(NAMES, limit=40)}. For another one "
         "give its urcontrol.conf, which has the nominal rows."
     )
-    raise ModelError(message)
 
 
 def ur_robot(model: UrModel | str) -> Robot:

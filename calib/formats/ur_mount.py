@@ -149,17 +149,15 @@ def the_mount(robot: Robot, model: UrModel | None = None) -> tuple[UrModel, Moun
             if names
             else "has those of no Universal Robots arm"
         )
-        message = (
+        raise ModelError(
             f"The robot '{robot.name}' from '{robot.base}' to '{robot.tip}' has not the nominal kinematics of the "
             f"{model.name}: it {is_what}. Name the arm that the URDF describes, or give the URDF of the {model.name}."
         )
-        raise ModelError(message)
-    message = (
+    raise ModelError(
         f"The robot '{robot.name}' from '{robot.base}' to '{robot.tip}' has the nominal kinematics of no Universal "
         f"Robots arm that calib knows ({choices(NAMES, limit=40)}), nor their links' names. Give the arm's nominal "
         "URDF, and a base and a tip with all six joints between them."
     )
-    raise ModelError(message)
 
 
 def distance_from(chain: Array, arm: UrModel) -> float:

@@ -81,6 +81,5 @@ def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
         mark = getattr(error, "problem_mark", None)
         place = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
         reason = getattr(error, "problem", None) or str(error).partition("\n")[0]
-        message = f"{source}{place}: this {what} cannot be read as YAML: {reason}"
-        raise FileError(message) from error
+        raise FileError(f"{source}{place}: this {what} cannot be read as YAML: {reason}") from error
     return table if isinstance(table, dict) else {}

@@ -169,12 +169,11 @@ def acceptance(
     _check_given(limits, sure, criterion)
     found = accuracy(evaluation, seen=seen)
     if tolerance_angle is not None and not len(found.ap_angle):
-        message = (
+        raise MeasurementError(
             f"{evaluation.measurements.source or 'Measurements'}: a tolerance of {np.degrees(tolerance_angle):g} deg "
             "was stated, and no orientation was measured in the rows that are judged. Measure poses, or state a "
             "tolerance of positions alone."
         )
-        raise MeasurementError(message)
     fine = np.ones(len(found.poses), dtype=bool)
     checks: list[Check | None] = []
     for limit, one, is_angle in zip(limits, sure, (False, True), strict=True):
@@ -222,15 +221,13 @@ def _check_given(
 ) -> None:
     """Refuse what no acceptance can be told by."""
     if limits == (None, None):
-        message = "State a tolerance: of positions in m, of orientations in rad, or of both."
-        raise CalibError(message)
+        raise CalibError(
+            "State a tolerance: of positions in m, of orientations in rad, or of both."
+        )
     for limit, one, unit in zip(limits, sure, ("m", "rad"), strict=True):
         if not 0.0 < (1.0 if limit is None else limit) < np.inf:
-            message = f"The tolerance is {limit} {unit}; it must be a number above 0."
-            raise CalibError(message)
+            raise CalibError(f"The tolerance is {limit} {unit}; it must be a number above 0.")
         if not 0.0 <= one < np.inf:
-            message = f"The measuring uncertainty is {one} {unit}; it must be 0 or larger."
-            raise CalibError(message)
+            raise CalibError(f"The measuring uncertainty is {one} {unit}; it must be 0 or larger.")
     if criterion not in CRITERIA:
-        message = f"The criterion is '{criterion}'; choose one of {choices(CRITERIA)}."
-        raise CalibError(message)
+        raise CalibError(f"The criterion is '{criterion}'; choose one of {choices(CRITERIA)}.")

@@ -196,10 +196,9 @@ def accuracy(evaluation: Evaluation, *, seen: bool | Mask = False) -> Accuracy:
     rows = rows_of(evaluation.robot, m, Cell())[0]
     told = np.any(evaluation.used, axis=1)
     if not np.any(told):
-        message = (
+        raise MeasurementError(
             f"{m.source or 'Measurements'}: no row measures anything, so no accuracy can be told."
         )
-        raise MeasurementError(message)
     fitted = fitted_of(m, told, seen)
     judged = judged_rows(m, told, fitted, rows.poses, registered=bool(evaluation.registered))
     apart = not np.any(judged & estimated(m))

@@ -85,11 +85,10 @@ def calibrate(
     """
     for thing, kind in ((robot, Robot), (measurements, Measurements)):
         if not isinstance(thing, kind):
-            message = (
+            raise ModelError(
                 f"calibrate takes a {kind.__name__}; {thing!r} was given. Read it with calib.Robot.load(...) or "
                 "calib.Measurements.read(...)."
             )
-            raise ModelError(message)
     cell = Cell() if cell is None else cell
     cell = cell if model is None else replace(cell, model=model)
     fits = fit_table(robot, measurements, cell, solver=solver, robust=robust)

@@ -212,18 +212,16 @@ def _check_same_chain(a: Calibration, b: Calibration, names: Sequence[str]) -> N
         ("Held joints", choices(r.held) or "none", choices(s.held) or "none"),
     ):
         if first != second:
-            message = (
+            raise ModelError(
                 f"{names[0]} and {names[1]} are not of one chain. {what}: {first} in {names[0]}, {second} in "
                 f"{names[1]}. Fit both with the same --base, --tip and --hold."
             )
-            raise ModelError(message)
     moved = [name for name, value in r.held.items() if abs(value - s.held[name]) > _HELD]
     if moved:
-        message = (
+        raise ModelError(
             f"{choices(moved)} was held at {r.held[moved[0]]:g} in {names[0]} and at {s.held[moved[0]]:g} in "
             f"{names[1]}, so that the chains differ. Compare results of the same --hold."
         )
-        raise ModelError(message)
 
 
 def _shown(a: Calibration, given: Robot | str | Path | None) -> Robot:
@@ -242,11 +240,10 @@ def _shown(a: Calibration, given: Robot | str | Path | None) -> Robot:
         else Robot.load(given, own.base, own.tip, held=own.held)
     )
     if robot.joint_names != own.joint_names or set(robot.origins()) != set(own.origins()):
-        message = (
+        raise ModelError(
             f"The robot given has the joints {choices(robot.joint_names)} between '{own.base}' and '{own.tip}'; "
             f"the results are of {choices(own.joint_names)}. Give the URDF that they were made with."
         )
-        raise ModelError(message)
     return robot
 
 

@@ -39,8 +39,9 @@ def correlations(calibration: Calibration, above: float = 0.9) -> tuple[Correlat
         CalibError: The limit is not between 0 and 1.
     """
     if not 0.0 <= above < 1.0:
-        message = f"Correlations above {above:g} were asked for; the limit lies between 0 and 1, such as 0.9."
-        raise CalibError(message)
+        raise CalibError(
+            f"Correlations above {above:g} were asked for; the limit lies between 0 and 1, such as 0.9."
+        )
     chosen = [k for k, p in enumerate(calibration.parameters) if p.identifiable and not p.at_bound]
     names = [calibration.parameters[k].name for k in chosen]
     C = calibration.covariance[np.ix_(chosen, chosen)]

@@ -51,12 +51,11 @@ def folds_of(task: Task, rows: Rows) -> Folds:
     whole = _turned_elsewhere(rows, setups) and _base_elsewhere(task.setup, rows, setups)
     result = folds(_blocks(rows), setups if whole else None)
     if len(result.masks) < 2:
-        message = (
+        raise MeasurementError(
             f"{len(rows)} row{'s' * (len(rows) > 1)} of one pose cannot be cross-validated: none is left to fit. "
             "Measure more poses, or name a model and do without (--model zeros --no-validate): auto chooses by rows "
             "that are left out."
         )
-        raise MeasurementError(message)
     measured = int(np.sum(np.any(rows.used, axis=1)))
     if result.method == "leave-one-pose-out" and measured == len(result.masks):
         return replace(result, method="leave-one-out")  # pairs: two rows of one measurement
@@ -114,11 +113,10 @@ def _refitted(task: Task, rows: Rows, mask: Mask, outliers: Mask) -> Array:
     try:
         fitted = fit(task, kept)
     except MeasurementError as error:
-        message = (
+        raise MeasurementError(
             f"Cross-validation leaves out {mask.sum()} of {len(rows)} rows at a time, and the others are too few: "
             f"{error} Or do without validation (--no-validate)."
-        )
-        raise MeasurementError(message) from error
+        ) from error
     return _as_wide(fitted.unseen(rows.select(mask), kept, outliers[mask]), rows)
 
 

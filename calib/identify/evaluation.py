@@ -175,11 +175,10 @@ def at_known(setup: Setup, known: Setup, which: tuple[str, ...] = PLACES) -> Set
         if "frame" in which and not there and not directions
     ]
     if lost:
-        message = (
+        raise ModelError(
             f"The result has the set-ups {choices(known.groups)}; the table's {choices(lost)} are none of them. Let "
             "the measurement frames be found (--frame estimate), or give them in a cell file."
         )
-        raise ModelError(message)
     # A position is not enough where orientations are to be met: then it is where the target is looked for.
     fixed = aimed if known.oriented or not setup.rotation else np.zeros_like(aimed)
     placed = setup.as_known(framed, fixed).placed(frames, targets)
@@ -313,9 +312,8 @@ def check_measured(nominal: Robot, measurements: Measurements) -> None:
         except CalibError:
             return  # too few rows to tell
         if found.used.sum() > found.setup.count and found.errors["all"].max < _EXACT:
-            message = (
+            raise MeasurementError(
                 f"{m.source}: these are commands that 'calib compensate' wrote, and x, y, z are the poses to send, "
                 "which the nominal robot predicts; nothing was measured. Put what was measured in their place, or give "
                 "it as a list of its own with --points."
             )
-            raise MeasurementError(message)

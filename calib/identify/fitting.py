@@ -131,8 +131,9 @@ def fit(
         SolverError: The residual at the start is not finite.
     """
     if not callable(task.solver) and task.solver not in (*SOLVERS, PAPER):
-        message = f"There is no solver '{task.solver}'. Choose one of {choices((*SOLVERS, PAPER))}."
-        raise ModelError(message)
+        raise ModelError(
+            f"There is no solver '{task.solver}'. Choose one of {choices((*SOLVERS, PAPER))}."
+        )
     model = model_of(task)
     _check_enough(model, task.cell, rows)
     started = registered(task, rows) if started is None else started
@@ -224,8 +225,9 @@ def _solve_as_the_paper(problem: Problem, setup: Setup) -> Solution:
     """
     parameters = problem.kinematics.model.parameters
     if any(kind.name != "point" for kind in problem.rows.present) or len(setup.targets) > 1:
-        message = "The solver 'paper' takes positions of one target, as the paper does. Choose --solver lm."
-        raise ModelError(message)
+        raise ModelError(
+            "The solver 'paper' takes positions of one target, as the paper does. Choose --solver lm."
+        )
     unit = np.array([1e3 if p.unit == "m" else 1.0 for p in parameters])
     target = setup.T_tip_target[0, :3, 3]
     at_target = dict(zip(("target_x", "target_y", "target_z"), target, strict=True))
@@ -245,25 +247,24 @@ def _check_robots_own(model: ErrorModel, names: tuple[str, ...], what: str) -> N
     of_setup = {p.name for p in model.parameters if p.family in (FRAME, TARGET)}
     placed = [name for name in dict.fromkeys(names) if name in of_setup]
     if placed:
-        message = (
+        raise ModelError(
             f"{choices(placed)} cannot be {what} one by one: target and frame are known or estimated as a whole. Use "
             "--fix-target or --frame known, or target and frame in the cell file."
         )
-        raise ModelError(message)
 
 
 def _check_enough(model: ErrorModel, cell: Cell, rows: Rows) -> None:
     """Refuse fewer numbers than parameters where no prior holds the rest."""
     count = len(model)
     if cell.priors.sizes == "off" and rows.count < count:
-        message = (
+        raise MeasurementError(
             f"{len(rows)} rows give {rows.count} numbers for {count} parameters, and priors are off. Measure more "
             "poses, choose a smaller --model, or leave the priors on."
         )
-        raise MeasurementError(message)
     if count == 0:
-        message = f"The model '{model.name}' leaves nothing to estimate: every parameter is frozen or known."
-        raise ModelError(message)
+        raise ModelError(
+            f"The model '{model.name}' leaves nothing to estimate: every parameter is frozen or known."
+        )
 
 
 def unseen_scores(fitted: Fitted, rows: Rows) -> Array:

@@ -119,11 +119,10 @@ def _everywhere(robot: Robot, cell: Cell) -> Measurements:
             if kind.measure is None
             else "a table says which are a pair"
         )
-        message = (
+        raise ModelError(
             f"Poses spread over the joint limits say nothing of kind '{kind.name}': {why}. Give a table of such "
             "rows to inspect."
         )
-        raise ModelError(message)
     joints = spread_poses(robot)
     count = len(joints)
     return Measurements(

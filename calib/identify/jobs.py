@@ -56,11 +56,10 @@ def run(
         while pending:
             yield from _finished(pending)
     except BrokenExecutor as error:
-        message = (
+        raise CalibError(
             f"A worker process has ended before its job: it was killed, or ran out of memory ({error}). Try fewer "
             "--workers."
-        )
-        raise CalibError(message) from error
+        ) from error
     finally:
         for future in pending:
             future.cancel()

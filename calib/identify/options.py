@@ -111,11 +111,10 @@ def _nominal(setups: tuple[Setup, Setup], model: ErrorModel, names: set[str]) ->
         known, start, wanted = places[parameter.place]
         if not known:
             what = "target" if parameter.family == TARGET else "frame"
-            message = (
+            raise ModelError(
                 f"'{parameter.name}' has a bound or a prior on its change, but it is not said from where: give the "
                 f"{what} in the cell file, or drop the bound."
             )
-            raise ModelError(message)
         moved = rigid_inverse(start) @ wanted
         angles = Rotation.from_matrix(moved[:3, :3]).as_euler("XYZ")
         result[k] = parameter.direction @ np.concatenate([moved[:3, 3], angles])

@@ -374,6 +374,5 @@ def _number(name: str | None, names: tuple[str, ...], what: str) -> int:
     if name is None:
         return 0
     if name not in names:
-        message = f"There is no {what} '{name}'; there is {choices(names)}."
-        raise ModelError(message)
+        raise ModelError(f"There is no {what} '{name}'; there is {choices(names)}.")
     return names.index(name)

@@ -145,23 +145,21 @@ def _check_enough(setup: Setup, rows: Rows) -> None:
     points = rows.where(lambda kind: kind.coordinates and not kind.orientation)
     least = _FEWEST_POINTS if any(whole) else 1
     if rows.count < setup.count or (np.all(points) and len(rows) < least):
-        message = (
+        raise MeasurementError(
             f"{len(rows)} rows give {rows.count} numbers; {setup.count} are needed to find "
             f"{' and '.join(parts)} alone. Measure more poses, or give what is known of the set-up."
         )
-        raise MeasurementError(message)
     for f, directions in enumerate(setup.unknown):
         own = rows.samples.frame == f
         count, seen = int(np.sum(rows.used[own])), int(np.sum(own))
         # Two points leave the rotation about the line through them.
         too_few_points = whole[f] and bool(np.all(points[own])) and seen < _FEWEST_POINTS
         if seen and (count < len(directions) or too_few_points):
-            message = (
+            raise MeasurementError(
                 f"The set-up '{setup.groups[f]}' has {seen} row{'s' * (seen != 1)} with {count} numbers; its frame "
                 f"has {len(directions)} unknowns. Measure {_FEWEST_POINTS if too_few_points else 'more'} poses there, "
                 "or leave its rows out."
             )
-            raise MeasurementError(message)
 
 
 def _few(rows: Rows) -> bool:

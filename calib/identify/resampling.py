@@ -118,11 +118,10 @@ def profile(
         if better is None:
             return Profile(low, high, level)
         value = better
-    message = (
+    raise CalibError(
         f"The cost is lower elsewhere however far one goes, at last at {value:g}: the estimate is not where the cost "
         "is least. Fit until it converges first."
     )
-    raise CalibError(message)
 
 
 def _end(
@@ -162,17 +161,15 @@ def check_level(level: float) -> None:
         CalibError: It is not between 0 and 1.
     """
     if not 0.0 < level < 1.0:
-        message = (
+        raise CalibError(
             f"The level of an interval is {level:g}; it must lie between 0 and 1, such as 0.95."
         )
-        raise CalibError(message)
 
 
 def _check_start(value: float, std: float) -> None:
     """Refuse a start that has no profile."""
     if not (np.isfinite(value) and np.isfinite(std) and std > 0.0):
-        message = (
+        raise CalibError(
             f"A profile starts at an estimate with its standard deviation, not at {value:g} with {std:g}: the "
             "parameter may not be identifiable. Profile one that is, or give a step of a likely size"
         )
-        raise CalibError(message)

@@ -287,11 +287,10 @@ class Calibration(Predictor):
     def _in_memory(self) -> Fit:
         """The fit, which a file does not hold."""
         if self.fit is None:
-            message = (
+            raise ModelError(
                 "This result was read from a file, which holds neither the measurements nor the solved problem. "
                 "Calibrate again (calib.calibrate) for what needs them."
             )
-            raise ModelError(message)
         return self.fit
 
     @property

@@ -81,11 +81,13 @@ def read_result(path: str | Path) -> Calibration:
     try:
         return _checked(_calibration(table, Path(path).parent))
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
-        message = f"{path}: the result is damaged ({damage(error)}). Write it again with 'calib fit --json'."
-        raise FileError(message) from error
+        raise FileError(
+            f"{path}: the result is damaged ({damage(error)}). Write it again with 'calib fit --json'."
+        ) from error
     except CalibError as error:
-        message = f"{path}: the result is damaged ({error}) Write it again with 'calib fit --json'."
-        raise FileError(message) from error
+        raise FileError(
+            f"{path}: the result is damaged ({error}) Write it again with 'calib fit --json'."
+        ) from error
 
 
 def result_table(c: Calibration) -> dict[str, Any]:

@@ -122,8 +122,7 @@ def pose_of(table: Json, prefix: str = "") -> Array:
         T[:3, :3] = Rotation.from_euler("xyz", np.array(rpy, dtype=np.float64)).as_matrix()
     T[:3, 3] = np.array(table[f"{prefix}xyz_m"], dtype=np.float64)
     if not np.isfinite(T).all():
-        message = "a number of a pose is missing"
-        raise ValueError(message)
+        raise ValueError("a number of a pose is missing")
     return read_only(T)
 
 
@@ -168,8 +167,7 @@ def places_of(table: Json, *, rotation: bool) -> Setup:
     """
     frames, targets = table["set_ups"], table["targets"]
     if not frames or not targets:
-        message = "no set-ups or no targets"
-        raise ValueError(message)
+        raise ValueError("no set-ups or no targets")
     return Setup(
         groups=words([one["group"] for one in frames]),
         targets=words([one["target"] for one in targets]),

@@ -35,11 +35,10 @@ def checked_urdf(c: Calibration, *, target_link: bool = False) -> Urdf:
     robot = c.robot
     if target_link:
         if len(c.setup.targets) > 1:
-            message = (
+            raise ModelError(
                 f"There are {len(c.setup.targets)} targets, {choices(c.setup.targets)}; a target link can "
                 "be written for one. Do without it."
             )
-            raise ModelError(message)
         robot = replace(robot, urdf=_with_target_link(robot, c.setup.T_tip_target[0]))
     q = random_joint_values(robot)
     # Straight from the parameters, by the path that the fit took, not through the corrected robot.
@@ -53,9 +52,8 @@ def _with_target_link(robot: Robot, T_tip_target: Array) -> Urdf:
         return robot.urdf.with_link(TARGET_LINK, robot.tip, T_tip_target)
     joint = next(joint for joint in robot.urdf.joints if joint.child == TARGET_LINK)
     if joint.parent != robot.tip or joint.type != "fixed":
-        message = (
+        raise UrdfError(
             f"The URDF has a link '{TARGET_LINK}' already, and it is not fixed to the tip '{robot.tip}' but hangs on "
             f"'{joint.parent}' by a joint of type '{joint.type}'. Rename it, or do without the target link."
         )
-        raise UrdfError(message)
     return robot.urdf.with_origins({joint.name: T_tip_target})

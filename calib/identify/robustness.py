@@ -88,10 +88,9 @@ def compare(fitted: Fitted) -> Robustness:
         ModelError: The paper's solver made the fit, which has no weights.
     """
     if fitted.task.solver == "paper":
-        message = (
+        raise ModelError(
             "The solver 'paper' has no weights to compare with and without. Choose --solver lm."
         )
-        raise ModelError(message)
     estimate, rows = fitted.estimate, fitted.estimate.problem.rows
     other = fit(replace(fitted.task, robust=not fitted.task.robust), rows, started=fitted.setup)
     samples = rows.samples

@@ -191,11 +191,10 @@ def _check_names(task: Task) -> None:
         named |= {name, other}
     strange = sorted(named - known)
     if strange:
-        message = (
+        raise ModelError(
             f"No model has the parameters {choices(strange)}. 'calib inspect --model dh' (or another) lists what there "
             "is."
         )
-        raise ModelError(message)
 
 
 def _candidate(name: str, fitted: Fitted) -> Candidate:

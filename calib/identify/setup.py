@@ -223,16 +223,14 @@ def _check_names(
         strange = [name for name in given if name not in known]
         if strange:
             column = "group" if what == "frames" else "target"
-            message = (
+            raise ModelError(
                 f"{source}: the cell gives {what} for {choices(strange)}; the table's column '{column}' has "
                 f"{choices(known)}."
             )
-            raise ModelError(message)
     ends = {name for pair in cell.distances for name in (pair.first, pair.second)}
     strange = sorted(name for name in ends if "*" not in name and name not in groups)
     if strange:
-        message = (
+        raise ModelError(
             f"{source}: the cell states distances between groups {choices(strange)}; the table has "
             f"{choices(groups)}."
         )
-        raise ModelError(message)

@@ -171,8 +171,7 @@ def paper_levenberg_marquardt(
         SolverError: ``nu`` outside 2 to 3, or the error at the start is not finite.
     """
     if not 2.0 <= nu <= 3.0:
-        message = f"nu = {nu} was given; the paper's algorithm takes a factor from 2 to 3."
-        raise SolverError(message)
+        raise SolverError(f"nu = {nu} was given; the paper's algorithm takes a factor from 2 to 3.")
     x = np.array(x0, dtype=np.float64)
     e, J = _checked_start(system, x)
     cost, evaluations = 0.5 * float(e @ e), 1
@@ -265,11 +264,10 @@ def _checked_start(system: System, x: Array) -> tuple[Array, Array]:
     """The system at the start, refused where it is not finite."""
     r, J = system(x)
     if not (np.all(np.isfinite(r)) and np.all(np.isfinite(J))):
-        message = (
+        raise SolverError(
             "The residual is not finite at the start. Check the URDF's numbers and the measurements for values that "
             "are far out."
         )
-        raise SolverError(message)
     return r, J
 
 
@@ -326,10 +324,9 @@ def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
     triangle = _packed(stacked)  # what lies below the diagonal is not read
     dx, info = dtrtrs(triangle[:p, :p], triangle[:p, p])
     if info != 0:
-        message = (
+        raise SolverError(
             "The damped step has no unique solution: a parameter has no effect, and the damping is zero. Start with a "
             "damping above 0."
         )
-        raise SolverError(message)
     result: Array = dx
     return result

@@ -72,11 +72,10 @@ def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
     for known in cell.distances:
         pairs = known.pairs(setup.groups)
         if not pairs:
-            message = (
+            raise ModelError(
                 f"A distance is stated between the groups '{known.first}' and '{known.second}', which fits no two of "
                 f"{choices(setup.groups)}."
             )
-            raise ModelError(message)
         result += [
             KnownDistance(setup.groups.index(a), setup.groups.index(b), known.length, known.sigma)
             for a, b in pairs
@@ -150,11 +149,10 @@ def _partners(m: Measurements) -> NDArray[np.int_]:
     alone = np.flatnonzero(m.paired & (partner < 0))
     if len(alone):
         i = int(alone[0])
-        message = (
+        raise MeasurementError(
             f"{m.source or 'Measurements'}, row {m.rows[i]}: the pair '{m.pairs[i]}' has one row only. A measurement "
             "between two rows needs both of them, in the same set."
         )
-        raise MeasurementError(message)
     return partner
 
 

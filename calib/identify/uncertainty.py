@@ -176,14 +176,14 @@ def bootstrap(
         ModelError: The paper's solver made the calibration.
     """
     if count < FEWEST_SAMPLES or seed < 0:
-        message = (
+        raise CalibError(
             f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} samples or "
             "more, 1000 for intervals to be trusted, and a seed of 0 or more."
         )
-        raise CalibError(message)
     if count > MOST_SAMPLES:
-        message = f"A bootstrap of {count} samples was asked for; more than {MOST_SAMPLES} tell nothing new. Take 1000."
-        raise CalibError(message)
+        raise CalibError(
+            f"A bootstrap of {count} samples was asked for; more than {MOST_SAMPLES} tell nothing new. Take 1000."
+        )
     fitted = _least_squares(calibration.fitted)
     problem, start = fitted.estimate.problem, fitted.estimate.x
     rows = problem.rows
@@ -224,11 +224,10 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
     estimate = fitted.estimate
     k = fitted.kinematics.model.index(name)
     if k in estimate.at_bound:
-        message = (
+        raise ModelError(
             f"'{name}' stands at its bound, {found.value:g} {found.unit}, where the cost has no least value: it has "
             "no profile. Widen the bound in the cell file's table [bounds]."
         )
-        raise ModelError(message)
     at = float(estimate.x[k])
     shift = found.value - at
     result = profile(
@@ -287,8 +286,9 @@ def workspace_uncertainty(
         CalibError: Too few joint values for a quantile.
     """
     if count < _FEWEST_POSES:
-        message = f"Over {count} joint values there is no 95 % quantile; take {_FEWEST_POSES} or more, such as 1000."
-        raise CalibError(message)
+        raise CalibError(
+            f"Over {count} joint values there is no 95 % quantile; take {_FEWEST_POSES} or more, such as 1000."
+        )
     q = spread_poses(calibration.nominal, count)
     return WorkspaceUncertainty(q, read_only(calibration.position_std(q, larger=larger)))
 
@@ -310,11 +310,10 @@ def _least_squares(fitted: Fitted) -> Fitted:
         ModelError: The paper's solver made it.
     """
     if fitted.task.solver == "paper":
-        message = (
+        raise ModelError(
             "The solver 'paper' minimises fourth powers, of which there is neither bootstrap nor profile here. Choose "
             f"one of {choices(('lm', 'scipy'))}."
         )
-        raise ModelError(message)
     return fitted
 
 

@@ -123,28 +123,26 @@ class Cell:
         for name, kind in _TYPES.items():
             value = getattr(self, name)
             if not isinstance(value, kind) and (value is not None or name not in _OPTIONAL):
-                message = f"A cell's {name} must be of type {kind.__name__}; {value!r} was given."
-                raise CalibError(message)
+                raise CalibError(
+                    f"A cell's {name} must be of type {kind.__name__}; {value!r} was given."
+                )
         for name, check in _CHECKS.items():
             value = getattr(self, name)
             if value is not None or name not in _OPTIONAL:
                 object.__setattr__(self, name, check(value))
         if self.target is None and not self.targets and not self.estimate_target:
-            message = (
+            raise CalibError(
                 'The target is said to be known but is not given. Give it (--target "x y z mm", or target_mm in the '
                 "cell file) or let it be estimated."
             )
-            raise CalibError(message)
         for name, (other, _) in self.ties.items():
             if name in self.frozen:
-                message = f"'{name}' is both frozen and tied to '{other}'; choose one."
-                raise CalibError(message)
+                raise CalibError(f"'{name}' is both frozen and tied to '{other}'; choose one.")
             for what, given in (("bounds", self.bounds), ("a prior", self.parameter_priors)):
                 if name in given:
-                    message = (
+                    raise CalibError(
                         f"'{name}' has {what} and is tied to '{other}'; give {what} to that one."
                     )
-                    raise CalibError(message)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process and back: read-only mappings travel as dicts, and are checked again there."""
@@ -164,8 +162,7 @@ class Cell:
         try:
             return cls(**values)
         except CalibError as error:
-            message = f"{path}: {error}"
-            raise CalibError(message) from error
+            raise CalibError(f"{path}: {error}") from error
 
     def with_target(self, target: ArrayLike, *, estimate: bool = True) -> Cell:
         """The cell with this target [m], shape (3,)."""
@@ -180,11 +177,10 @@ def _cell(values: dict[str, Any]) -> Cell:
 def _sigma(value: Any, what: str, unit: str) -> float:  # noqa: ANN401
     """A standard deviation that some instrument has."""
     if not parts.is_positive(value) or not SIGMAS[0] <= value <= SIGMAS[1]:
-        message = (
+        raise CalibError(
             f"The noise {what} is {value!r} {unit}; it must be a positive number, from {SIGMAS[0]:g} to {SIGMAS[1]:g} "
             f"{unit}. Leave it out: it is found from the data."
         )
-        raise CalibError(message)
     return float(value)
 
 
@@ -194,40 +190,41 @@ def _directions(value: Any) -> tuple[str, ...]:  # noqa: ANN401
     wrong = [d for d in given if d not in DIRECTIONS or given.count(d) > 1]
     if wrong or not given:
         said = f"{choices(dict.fromkeys(wrong))} was given" if wrong else "none was given"
-        message = f"The frame's directions are some of {choices(DIRECTIONS)}, each once; {said}."
-        raise CalibError(message)
+        raise CalibError(
+            f"The frame's directions are some of {choices(DIRECTIONS)}, each once; {said}."
+        )
     return tuple(d for d in DIRECTIONS if d in given)
 
 
 def _repeats(value: Any) -> str:  # noqa: ANN401
     """One of `REPEATS`."""
     if value not in REPEATS:
-        message = f"Repeats were asked for as {value!r}; choose one of {choices(REPEATS)}."
-        raise CalibError(message)
+        raise CalibError(f"Repeats were asked for as {value!r}; choose one of {choices(REPEATS)}.")
     return str(value)
 
 
 def _distances(value: Any) -> tuple[GroupDistance, ...]:  # noqa: ANN401
     """Known distances."""
     if not isinstance(value, (tuple, list)) or not all(isinstance(d, GroupDistance) for d in value):
-        message = f"The distances are a tuple of GroupDistance; {value!r} was given."
-        raise CalibError(message)
+        raise CalibError(f"The distances are a tuple of GroupDistance; {value!r} was given.")
     return tuple(value)
 
 
 def _held(value: Any, what: str) -> float:  # noqa: ANN401
     """The value of a joint; one that knows its unit keeps it."""
     if not parts.is_number(value) or abs(value) > FARTHEST:
-        message = f"{what} is {value!r}; it must be a number [rad] or [m], not beyond {FARTHEST:g}."
-        raise CalibError(message)
+        raise CalibError(
+            f"{what} is {value!r}; it must be a number [rad] or [m], not beyond {FARTHEST:g}."
+        )
     return value if isinstance(value, float) else float(value)
 
 
 def _prior(value: Any, what: str) -> float:  # noqa: ANN401
     """The standard deviation of a parameter."""
     if not parts.is_positive(value):
-        message = f"{what} is {value!r}; it must be a positive number. Freeze it to keep it."
-        raise CalibError(message)
+        raise CalibError(
+            f"{what} is {value!r}; it must be a positive number. Freeze it to keep it."
+        )
     parts.check_prior(value, what)
     return float(value)
 

@@ -76,11 +76,9 @@ def _change(value: Any, where: str) -> float:  # noqa: ANN401  TOML values are o
     try:
         change, kind = parse_quantity(value)
     except CalibError as error:
-        message = f"{where}: {error}. Write {examples}."
-        raise CalibError(message) from error
+        raise CalibError(f"{where}: {error}. Write {examples}.") from error
     if kind not in (allowed or _EXAMPLES):
-        message = f"{where} is {value!r}, which is {kind}; write {examples}."
-        raise CalibError(message)
+        raise CalibError(f"{where} is {value!r}, which is {kind}; write {examples}.")
     return change
 
 
@@ -90,8 +88,9 @@ def _bounds(value: Any, where: str) -> tuple[float, float]:  # noqa: ANN401
         high = _change(value, where)
         return -high, high
     if len(value) != 2:
-        message = f"{where} is {value!r}; it must be one value, or the least and the largest."
-        raise CalibError(message)
+        raise CalibError(
+            f"{where} is {value!r}; it must be one value, or the least and the largest."
+        )
     return _change(value[0], where), _change(value[1], where)
 
 
@@ -153,8 +152,9 @@ def _named_frame(value: Any, where: str) -> Any:  # noqa: ANN401
     """The pose of the base in the frame of a group, a table ``[frames.name]``."""
     name = where[1 : where.rindex("' in [")]
     if not isinstance(value, dict):
-        message = f"{where} is {value!r}; write a table [frames.{name}] with xyz_mm and rpy_deg."
-        raise CalibError(message)
+        raise CalibError(
+            f"{where} is {value!r}; write a table [frames.{name}] with xyz_mm and rpy_deg."
+        )
     return pose(**read_fields(value, _POSE, f"[frames.{name}]"))
 
 
@@ -268,13 +268,11 @@ def read_cell_file(path: str | Path) -> dict[str, Any]:
     try:
         given = tomllib.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:  # TOMLDecodeError is one
-        message = f"{path}: this is not a TOML file: {error}"
-        raise FileError(message) from error
+        raise FileError(f"{path}: this is not a TOML file: {error}") from error
     try:
         return _values(given)
     except CalibError as error:
-        message = f"{path}: {error}"
-        raise CalibError(message) from error
+        raise CalibError(f"{path}: {error}") from error
 
 
 def _values(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -288,11 +286,10 @@ def _values(given: Mapping[str, Any]) -> dict[str, Any]:
             else []
         )
         if strayed:
-            message = (
+            raise CalibError(
                 f"'{strayed[0]}' stands in the table [{key}]; the cell's own keys must stand above the first line in "
                 "brackets."
             )
-            raise CalibError(message)
     values = read_fields(given, allowed)
     frame = values.pop("frame", "known")
     values["estimate_target"] = values.get("estimate_target", "estimate") == "estimate"

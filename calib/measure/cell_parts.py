@@ -45,11 +45,10 @@ def check_prior(value: float, what: str) -> None:
         CalibError: It is.
     """
     if not PRIORS[0] <= value <= PRIORS[1]:
-        message = (
+        raise CalibError(
             f"{what} is {value:g}; it lies between {PRIORS[0]:g} and {PRIORS[1]:g} in SI units. Freeze a parameter to "
             "keep it; leave its prior out to let the data say."
         )
-        raise CalibError(message)
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -76,13 +75,15 @@ class Priors:
             CalibError: An unknown word or family, or a size that is no standard deviation.
         """
         if sizes not in PRIOR_SIZES:
-            message = f"Priors of the kind '{sizes}' were asked for; choose one of {choices(PRIOR_SIZES)}."
-            raise CalibError(message)
+            raise CalibError(
+                f"Priors of the kind '{sizes}' were asked for; choose one of {choices(PRIOR_SIZES)}."
+            )
         for name, value in given.items():
             unit = family_of(name).unit.symbol
             if not is_positive(value):
-                message = f"The prior's {name} is {value} {unit}; it must be positive. Use sizes 'off' for none."
-                raise CalibError(message)
+                raise CalibError(
+                    f"The prior's {name} is {value} {unit}; it must be positive. Use sizes 'off' for none."
+                )
             check_prior(value, f"The prior's {name}")
         object.__setattr__(self, "sizes", sizes)
         others = {name: value for name, value in given.items() if value != family_of(name).prior}
@@ -123,19 +124,19 @@ class GroupDistance:
         names = (self.first, self.second)
         said = f"The distance between the groups {self.first!r} and {self.second!r}"
         if not all(isinstance(name, str) and name.strip() for name in names):
-            message = f"{said}: each must be a name."
-            raise CalibError(message)
+            raise CalibError(f"{said}: each must be a name.")
         stars = [name.count("*") for name in names]
         if stars not in ([0, 0], [1, 1]):
-            message = f"{said}: '*' stands for the same text in both; write it once in each name, or in neither."
-            raise CalibError(message)
+            raise CalibError(
+                f"{said}: '*' stands for the same text in both; write it once in each name, or in neither."
+            )
         if self.first == self.second:
-            message = f"{said}: a group has one fixed point; name two different groups."
-            raise CalibError(message)
+            raise CalibError(f"{said}: a group has one fixed point; name two different groups.")
         for name in ("length", "sigma"):
             if not is_positive(getattr(self, name)):
-                message = f"{said}: its {name} is {getattr(self, name)!r} m; it must be a positive number."
-                raise CalibError(message)
+                raise CalibError(
+                    f"{said}: its {name} is {getattr(self, name)!r} m; it must be a positive number."
+                )
 
     def pairs(self, groups: Iterable[str]) -> tuple[tuple[str, str], ...]:
         """The pairs of these groups that the distance is between, each once, in the groups' order."""
@@ -176,8 +177,9 @@ def vector(value: ArrayLike, what: str, unit: str = "m") -> NDArray[np.float64]:
     """
     array = _floats(value)
     if array is None or array.shape != (3,):
-        message = f"The {what} must be three finite numbers x, y, z [{unit}]; {_as_written(value)!r} was given."
-        raise CalibError(message)
+        raise CalibError(
+            f"The {what} must be three finite numbers x, y, z [{unit}]; {_as_written(value)!r} was given."
+        )
     _check_near(array, f"The {what}", unit)
     return read_only(array)
 
@@ -190,8 +192,9 @@ def _check_near(array: NDArray[np.float64], what: str, unit: str) -> None:
     """
     largest = float(np.abs(array).max())
     if largest > FARTHEST:
-        message = f"{what} holds {largest:g} {unit}; nothing in a robot cell is beyond {FARTHEST:g} {unit}. Correct it."
-        raise CalibError(message)
+        raise CalibError(
+            f"{what} holds {largest:g} {unit}; nothing in a robot cell is beyond {FARTHEST:g} {unit}. Correct it."
+        )
 
 
 def pose(value: ArrayLike, what: str) -> NDArray[np.float64]:
@@ -207,8 +210,9 @@ def pose(value: ArrayLike, what: str) -> NDArray[np.float64]:
         or not np.array_equal(T[3], [0, 0, 0, 1])
         or not _is_rotation(T[:3, :3])
     ):
-        message = f"{what} must be a 4 x 4 pose with a right-handed rotation [m]; {_as_written(value)!r} was given."
-        raise CalibError(message)
+        raise CalibError(
+            f"{what} must be a 4 x 4 pose with a right-handed rotation [m]; {_as_written(value)!r} was given."
+        )
     _check_near(T[:3, 3], what, "m")
     return read_only(T)
 
@@ -221,10 +225,9 @@ def rotation(value: ArrayLike, what: str) -> NDArray[np.float64]:
     """
     R = _floats(value)
     if R is None or R.shape != (3, 3) or not _is_rotation(R):
-        message = (
+        raise CalibError(
             f"The {what} must be a 3 x 3 right-handed rotation; {_as_written(value)!r} was given."
         )
-        raise CalibError(message)
     return read_only(R)
 
 
@@ -240,8 +243,7 @@ def by_name(value: object, what: str) -> Mapping[str, Any]:
         CalibError: It is no mapping, or a key is no name.
     """
     if not isinstance(value, Mapping) or not all(isinstance(k, str) and k.strip() for k in value):
-        message = f"The {what} must be a mapping from names; {value!r} was given."
-        raise CalibError(message)
+        raise CalibError(f"The {what} must be a mapping from names; {value!r} was given.")
     return MappingProxyType(dict(value))
 
 
@@ -260,8 +262,7 @@ def words(value: object, what: str) -> tuple[str, ...]:
         CalibError: Anything else, one text alone among it.
     """
     if not isinstance(value, (tuple, list)) or not all(isinstance(word, str) for word in value):
-        message = f"The {what} are a tuple of names; {value!r} was given."
-        raise CalibError(message)
+        raise CalibError(f"The {what} are a tuple of names; {value!r} was given.")
     return tuple(value)
 
 
@@ -276,17 +277,16 @@ def ties(value: object) -> Mapping[str, tuple[str, float]]:
     for name, tie in given.items():
         pair = tuple(tie) if isinstance(tie, (tuple, list)) else ()
         if len(pair) != 2 or not isinstance(pair[0], str) or not is_number(pair[1]) or not pair[1]:
-            message = (
+            raise CalibError(
                 f"The tie of '{name}' is {tie!r}; it must be another parameter and a factor that is not zero, such "
                 "as ('a2', 1.0)."
             )
-            raise CalibError(message)
         if pair[0] == name:
-            message = f"'{name}' is tied to itself; name another parameter."
-            raise CalibError(message)
+            raise CalibError(f"'{name}' is tied to itself; name another parameter.")
         if pair[0] in given:
-            message = f"'{name}' is tied to '{pair[0]}', which is tied itself; tie both to one that is not."
-            raise CalibError(message)
+            raise CalibError(
+                f"'{name}' is tied to '{pair[0]}', which is tied itself; tie both to one that is not."
+            )
         result[name] = (pair[0], float(pair[1]))
     return MappingProxyType(result)
 
@@ -304,11 +304,10 @@ def bounds(value: object) -> Mapping[str, tuple[float, float]]:
             isinstance(v, (int, float, np.number)) and not isinstance(v, bool) for v in pair
         )
         if len(pair) != 2 or not numbers or not pair[0] <= 0 <= pair[1] or pair[0] == pair[1]:
-            message = (
+            raise CalibError(
                 f"The bounds of '{name}' are {interval!r}; they must be the least and the largest change from the "
                 "nominal value, such as (-0.001, 0.001), with 0 between them. To keep a parameter at its nominal "
                 "value, freeze it."
             )
-            raise CalibError(message)
         result[name] = (float(pair[0]), float(pair[1]))
     return MappingProxyType(result)

@@ -101,8 +101,7 @@ class Cells:
             MeasurementError: with the place.
         """
         where = place(self.table, block.row(i), self.layout.words.get("row"), column)
-        message = f"{where}: {what}"
-        raise MeasurementError(message)
+        raise MeasurementError(f"{where}: {what}")
 
     def _row_numbers(self, block: Block, cells: Sequence[Sequence[str]]) -> list[int]:
         """The numbers of the rows that a person sees, each once."""
@@ -185,12 +184,11 @@ class Cells:
                 i = next(i for i, text in zip(at.tolist(), texts, strict=True) if sign in text)
                 self._signs[sign] = block.lines[i]
         if len(self._signs) == 2:
-            message = (
+            raise MeasurementError(
                 f"{self.table.source}: numbers have a decimal point in line {self._signs['.']} and "
                 f"a decimal comma in line {self._signs[',']}. Write all in one way, without a sign "
                 "between thousands."
             )
-            raise MeasurementError(message)
 
     def _words_of(self, name: str, cells: Sequence[Sequence[str]]) -> list[str]:
         """The words of a column; none without it."""

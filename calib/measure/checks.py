@@ -36,8 +36,7 @@ class Where(NamedTuple):
 
     def fail(self, row: int, what: str) -> NoReturn:
         """Refuse a row, from 0."""
-        message = f"{self.source or 'Measurements'}, row {self.rows[row]}: {what}"
-        raise MeasurementError(message)
+        raise MeasurementError(f"{self.source or 'Measurements'}, row {self.rows[row]}: {what}")
 
     def by_word(self, kind: str, words: Sequence[str]) -> dict[str, list[int]]:
         """The rows of one kind, from 0, by a word of theirs."""
@@ -74,15 +73,15 @@ def check_joint_names(
         taken += tuple(name + TORQUE for name in names)
     bad = [n for n, count in Counter(names).items() if n in taken or not is_name(n) or count > 1]
     if bad or not names:
-        message = (
+        raise MeasurementError(
             f"{source}: joint names are unique, on one line, without blanks around them, and none "
             f"of {choices(taken, limit=30)}; given were {choices(bad or ['no names at all'])}"
         )
-        raise MeasurementError(message)
     strange = [name for name in prismatic if name not in names]
     if strange:
-        message = f"{source}: 'prismatic' names {choices(strange)}; the joints are {choices(names)}"
-        raise MeasurementError(message)
+        raise MeasurementError(
+            f"{source}: 'prismatic' names {choices(strange)}; the joints are {choices(names)}"
+        )
 
 
 def check_words(where: Where, words: Mapping[str, Sequence[str]]) -> None:
@@ -122,8 +121,9 @@ def check_row_numbers(source: str, rows: Sequence[int]) -> None:
     broken = [row for row in rows if strange and not isinstance(row, (int, np.integer))]
     if broken or len(set(rows)) < len(rows):
         what = f"{broken[0]!r}" if broken else f"{Counter(rows).most_common(1)[0][0]}, twice"
-        message = f"{source}: row numbers are whole numbers, each once; there is {what}"
-        raise MeasurementError(message)
+        raise MeasurementError(
+            f"{source}: row numbers are whole numbers, each once; there is {what}"
+        )
 
 
 def numbers(
@@ -153,10 +153,9 @@ def numbers(
         return None
     array = np.array(values, dtype=np.float64)
     if array.shape != (len(told), *tail):
-        message = (
+        raise MeasurementError(
             f"Measurements: '{name}' has shape {array.shape} and should have {(len(told), *tail)}"
         )
-        raise MeasurementError(message)
     if not told.any():
         return None
     good = np.isfinite(array) & (array >= limits[0]) & (array <= limits[1])
@@ -205,8 +204,9 @@ def checked_torques(where: Where, names: Sequence[str], torques: ArrayLike | Non
         return None
     result = np.array(torques, dtype=np.float64)
     if result.shape != (len(where.rows), len(names)):
-        message = f"Measurements: 'torques' has shape {result.shape} and should have {(len(where.rows), len(names))}"
-        raise MeasurementError(message)
+        raise MeasurementError(
+            f"Measurements: 'torques' has shape {result.shape} and should have {(len(where.rows), len(names))}"
+        )
     for name, there in zip(names, np.isfinite(result).T, strict=True):
         if there.any() and not there.all():
             what = (
@@ -254,21 +254,22 @@ def check_whole(where: Where, words: Mapping[str, Sequence[str]]) -> None:
     for word, at in where.pairs(words["pairs"]).items():
         said = f"{where.source}: the pair '{word}' stands in {_name_rows(where, at)}"
         if len(at) != 2:
-            message = f"{said}; a distance is between two rows. Give each pair a word of its own."
-            raise MeasurementError(message)
+            raise MeasurementError(
+                f"{said}; a distance is between two rows. Give each pair a word of its own."
+            )
         if words["sets"][at[0]] != words["sets"][at[1]]:
-            message = f"{said}, one 'estimate', one 'validate'. Put both into one set."
-            raise MeasurementError(message)
+            raise MeasurementError(
+                f"{said}, one 'estimate', one 'validate'. Put both into one set."
+            )
     for kind in registry.names():
         fewest = registry.get(kind).fewest
         for group, at in where.by_word(kind, words["groups"]).items() if fewest > 1 else ():
             if len(at) < fewest:
-                message = (
+                raise MeasurementError(
                     f"{where.source}: the group '{group}' of the kind '{kind}' stands in {_name_rows(where, at)}"
                     f"; it takes {fewest} rows or more to say anything of the robot. Measure more, "
                     "correct the group's name, or remove it."
                 )
-                raise MeasurementError(message)
 
 
 def _name_rows(where: Where, at: Sequence[int]) -> str:

@@ -101,12 +101,11 @@ def name_columns(
             leave = ""
             if first.label != column.label:
                 leave = f', or leave one out: --columns "{column.label}=-"'
-            message = (
+            raise MeasurementError(
                 f"{table.source}: two columns are called '{name}': number {first.index + 1} "
                 f"('{first.label}') and number {column.index + 1} ('{column.label}'). "
                 f"Remove or rename one{leave}."
             )
-            raise MeasurementError(message)
         named[name] = replace(column, name=name)
     return named, tuple(groups)
 
@@ -124,19 +123,17 @@ def _map_columns(
         if not hits:
             close = close_names(key, [column.name for column in written])
             hint = f" Close to it: {choices(close)}." if close else ""
-            message = (
+            raise MeasurementError(
                 f"{table.source}: there is no column '{key}', which --columns maps to '{wanted}'."
                 f"{hint} {list_columns(table)}"
             )
-            raise MeasurementError(message)
         for i in hits:
             other = mapped.setdefault(found[i].index, key)
             if other != key:
-                message = (
+                raise MeasurementError(
                     f"{table.source}: --columns maps the column '{found[i].label}' twice, as '{other}' "
                     f"and as '{key}'. Leave one out."
                 )
-                raise MeasurementError(message)
             found[i] = _renamed(table, found[i], wanted)
     return found, mapped
 
@@ -157,16 +154,16 @@ def _renamed(table: Table, column: Column, wanted: str) -> Column:
     try:
         name, unit = parse_header(wanted)
     except CalibError as error:
-        message = f"{table.source}: --columns maps '{column.label}' to '{wanted}': {error}"
-        raise MeasurementError(message) from error
+        raise MeasurementError(
+            f"{table.source}: --columns maps '{column.label}' to '{wanted}': {error}"
+        ) from error
     if unit is None:
         return replace(column, name=name)
     if column.unit not in (None, unit):
-        message = (
+        raise MeasurementError(
             f"{table.source}: column '{column.label}' has its unit in the header, and --columns "
             f"gives it another, '{wanted}'. Leave the unit out of --columns, or correct the header."
         )
-        raise MeasurementError(message)
     return replace(column, name=name, unit=unit, fault="")
 
 
@@ -199,8 +196,7 @@ def with_unit(
             f"Write the unit into the header, '{written} [{common}]', or give it with "
             f'--columns "{written}={column.name} [{common}]"'
         )
-    message = f"{where}: {what_is}. {fix}; allowed are {choices(symbols(quantity))}."
-    raise MeasurementError(message)
+    raise MeasurementError(f"{where}: {what_is}. {fix}; allowed are {choices(symbols(quantity))}.")
 
 
 def without_unit(table: Table, column: Column) -> Column:
@@ -211,11 +207,10 @@ def without_unit(table: Table, column: Column) -> Column:
     """
     unit = column.unit.symbol if column.unit else split_header(column.label)[1]
     if unit not in _NO_UNIT:
-        message = (
+        raise MeasurementError(
             f"{table.source}, column '{column.label}': '{unit}' cannot be; a quaternion has no "
             f"unit. Correct the header to '{column.name}'; for angles, to 'rx [deg]' and so on."
         )
-        raise MeasurementError(message)
     return replace(column, unit=None)
 
 
@@ -273,7 +268,6 @@ def check_cells(table: Table, row: Row, numbers: Column | None) -> None:
         fix = "Remove what is too much."
         if table.separator == ",":
             fix += " If the numbers have a decimal comma, separate the columns by semicolons."
-    message = (
+    raise MeasurementError(
         f"{place(table, row, numbers)}: the row has {count} cells, the header has {wanted}. {fix}"
     )
-    raise MeasurementError(message)

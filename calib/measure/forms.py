@@ -44,8 +44,7 @@ def form(
 
     def read(value: Any, where: str) -> Any:  # noqa: ANN401  TOML values are of any kind
         if not fits(value):
-            message = f"{where} is {value!r}; it must be {words}."
-            raise CalibError(message)
+            raise CalibError(f"{where} is {value!r}; it must be {words}.")
         return convert(value)
 
     return Form(words, read)
@@ -141,14 +140,14 @@ def read_fields(
     for key, value in values.items():
         if key not in fields:
             own = f"{where} has an" if where else "there is an"
-            message = f"{own} unknown key '{key}'{did_you_mean(key, fields)}. It may have {choices(fields, limit=40)}."
-            raise CalibError(message)
+            raise CalibError(
+                f"{own} unknown key '{key}'{did_you_mean(key, fields)}. It may have {choices(fields, limit=40)}."
+            )
         place = f"'{key}' in {where}" if where else f"'{key}'"
         found[fields[key].name] = fields[key].form.read(value, place)
     missing = [key for key, field in fields.items() if field.needed and key not in values]
     if missing:
-        message = f"{where} lacks {choices(missing)}."
-        raise CalibError(message)
+        raise CalibError(f"{where} lacks {choices(missing)}.")
     return found
 
 

@@ -226,12 +226,11 @@ def _find_kinds(
         kinds = ("point",) if points_elsewhere else (_guess_kind(named),)
     wrong = {name for name in kinds if registry.get(name).orientation} or "point" not in kinds
     if points_elsewhere and wrong:
-        message = (
+        raise MeasurementError(
             f"{table.source}: with a file of points the rows are of the kind 'point', or some are "
             f"of others that measure no position; here they are {choices(kinds)}. Leave out the "
             "file of points (--points), or the kind."
         )
-        raise MeasurementError(message)
     return kinds
 
 
@@ -243,12 +242,11 @@ def _kinds_in(table: Table, named: Mapping[str, Column]) -> tuple[str, ...]:
         check_widths(table, block, numbers)
         words = distinct([cells[column.index] for cells in block.cells])
         for i in (i for i, word in enumerate(words) if word not in known):
-            message = (
+            raise MeasurementError(
                 f"{place(table, block.row(i), numbers, column)}: '{words[i]}' is not a kind of measurement; "
                 f"allowed are {choices(known)}. If the column means something else, "
                 f'--columns "{split_header(column.label)[0]}=-" leaves it out.'
             )
-            raise MeasurementError(message)
         seen |= set(words)
     return tuple(kind for kind in known if kind in seen) or ("point",)
 
@@ -273,11 +271,10 @@ def _needed(
         MeasurementError: it is missing; the text says what needs it, and what header it has.
     """
     if name not in named:
-        message = (
+        raise MeasurementError(
             f"{table.source}: {what} need a column '{header}', and there is none. {list_columns(table)} "
             f'Another name is mapped by --columns "name in the table={header}".{more}'
         )
-        raise MeasurementError(message)
     return named[name]
 
 
@@ -300,18 +297,16 @@ def _orientation(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...
     if not there:
         parts = [name for name in ORIENTATION if name in named]
         some = f" There are only {choices(parts)}." if parts else ""
-        message = (
+        raise MeasurementError(
             f"{table.source}: rows of the kind 'pose' need an orientation.{some} "
             f"{list_columns(table)} Its columns are qx, qy, qz, qw (a quaternion, no unit) or "
             "'rx [rad]', 'ry [rad]', 'rz [rad]' (a rotation vector). Without one, --kind point."
         )
-        raise MeasurementError(message)
     if len(there) == 2:
-        message = (
+        raise MeasurementError(
             f"{table.source}: the orientation is there twice, as {choices(QUATERNION)} and as "
             f'{choices(ROTATION_VECTOR)}. Leave one out: --columns "rx=-" or --columns "qx=-".'
         )
-        raise MeasurementError(message)
     if there[0] == ROTATION_VECTOR:
         what = "a rotation vector; --kind point leaves the orientation out"
         return tuple(with_unit(table, named[n], "angle", what, "rad") for n in ROTATION_VECTOR)
@@ -352,11 +347,10 @@ def _guess_joints(
         and (column.unit.quantity == "angle" or name in types)
     )
     if not joints:
-        message = (
+        raise MeasurementError(
             f"{table.source}: no column of joint angles. {list_columns(table)} The header of such a "
             "column is the joint's name and a unit of angle, 'elbow_joint [deg]'."
         )
-        raise MeasurementError(message)
     return joints
 
 
@@ -369,11 +363,10 @@ def _pick_joints(
     """The columns of the joints asked for, in that order."""
     clash = [name for name in joint_names if name in reserved()]
     if clash:
-        message = (
+        raise MeasurementError(
             f"{table.source}: a joint cannot be called {choices(clash)}, which is the name of "
             "another column of the table. Rename the joint in the URDF."
         )
-        raise MeasurementError(message)
     missing = [name for name in joint_names if name not in named]
     if not missing:
         return tuple(named[name] for name in joint_names)
@@ -383,12 +376,11 @@ def _pick_joints(
     hint = "".join(f" Close to '{n}': {choices(names)}." for n, names in close.items() if names)
     unit = "mm" if types.get(missing[0]) == "prismatic" else "deg"
     header = f"{missing[0]} [{unit}]"
-    message = (
+    raise MeasurementError(
         f"{table.source}: no column for the joints {choices(missing)}. {list_columns(table)}{hint} "
         f"The header of such a column is '{header}'; another name is mapped by "
         f'--columns "name in the table={header}".'
     )
-    raise MeasurementError(message)
 
 
 def _check_joint_unit(table: Table, column: Column, types: Mapping[str, str]) -> None:

@@ -104,8 +104,9 @@ class Measurements:
         words = {name: getattr(self, name) for name in _WORDS}
         for name, values in (*words.items(), ("rows", self.rows)):
             if len(values) != count:
-                message = f"Measurements: '{name}' has {len(values)} entries and should have {count}, one a row"
-                raise MeasurementError(message)
+                raise MeasurementError(
+                    f"Measurements: '{name}' has {len(values)} entries and should have {count}, one a row"
+                )
         checks.check_words(self._where, words)
         checks.check_row_numbers(self.source or "Measurements", self.rows)
         checks.check_joint_names(
@@ -135,8 +136,9 @@ class Measurements:
         given = {"distance": self.distances, **self.readings}
         strange = [name for name in given if name not in read]
         if strange:
-            message = f"No kind of measurement reads {choices(strange)}; register it first (calib.kinds.register)."
-            raise MeasurementError(message)
+            raise MeasurementError(
+                f"No kind of measurement reads {choices(strange)}; register it first (calib.kinds.register)."
+            )
         pairs = where.pairs(self.pairs)
         found: dict[str, Any] = {}
         for name, spec in specs.items():
@@ -297,11 +299,10 @@ class Measurements:
         """
         chosen = np.asarray(mask)
         if chosen.dtype != np.bool_ or chosen.shape != (len(self),):
-            message = (
+            raise MeasurementError(
                 f"select was given an array of shape {chosen.shape} and type {chosen.dtype}; it "
                 f"takes one bool for each of the {len(self)} rows, shape ({len(self)},)"
             )
-            raise MeasurementError(message)
         here = chosen.tolist()
         left: dict[str, Any] = {
             name: tuple(compress(getattr(self, name), here)) for name in (*_WORDS, "rows")
@@ -325,11 +326,10 @@ class Measurements:
         where = {name: i for i, name in enumerate(self.joint_names)}
         missing = [name for name in names if name not in where]
         if missing:
-            message = (
+            raise MeasurementError(
                 f"{self.source or 'the measurements'}: no values of the joints {choices(missing)}. "
                 f"The joints there are: {choices(self.joint_names, limit=30)}."
             )
-            raise MeasurementError(message)
         return [where[name] for name in names]
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:

@@ -47,11 +47,10 @@ class TrackerNoise:
         """Refuse what is no standard deviation, and three zeros."""
         values = (self.constant, self.per_length, self.repeatability)
         if not all(is_number(v) and v >= 0.0 for v in values) or not any(values):
-            message = (
+            raise CalibError(
                 f"The noise is {self.constant!r} m + {self.per_length!r} m/m, the repeatability {self.repeatability!r} "
                 "m; they must be numbers, none below 0 and not all 0."
             )
-            raise CalibError(message)
 
     def std(self, distance: Length) -> Length:
         """Standard deviation of one coordinate at a distance from the instrument, a float or an array [m]."""
@@ -76,19 +75,17 @@ def parse_noise(text: str, what: str, repeatability: float = 0.0) -> TrackerNois
     units = [] if match is None else [u for u in (match[2], match[4]) if u is not None]
     units = ["um" if u in ("µm", "μm") else u for u in units]
     if match is None or not set(units) <= set(symbols("length")):
-        message = (
+        raise CalibError(
             f'{what} was given as "{text}"; it must be a length, such as "0.05 mm", or a length and one for each metre '
             f'of distance, such as "15 um + 6 um/m". The units are {choices(symbols("length"))}.'
         )
-        raise CalibError(message)
     try:
         values = [
             float(v) * UNITS[u].to_si for v, u in zip((match[1], match[3]), units, strict=False)
         ]
     except ValueError as error:
-        message = (
+        raise CalibError(
             f'{what} was given as "{text}", where a number cannot be read; write it such as "0.05 mm" or '
             '"15 um + 6 um/m".'
-        )
-        raise CalibError(message) from error
+        ) from error
     return TrackerNoise(values[0], values[1] if len(values) > 1 else 0.0, repeatability)

@@ -61,8 +61,9 @@ class Points:
             fix = "Give each point a name of its own."
             if len(set(whole)) == len(whole):
                 fix = f"Write the whole name: {choices(whole)}."
-            message = f"{self.source}: several points are called '{name}', in lines {lines}. {fix}"
-            raise MeasurementError(message)
+            raise MeasurementError(
+                f"{self.source}: several points are called '{name}', in lines {lines}. {fix}"
+            )
         return hits[0] if hits else None
 
 
@@ -106,37 +107,33 @@ def match_points(
     """
     if names is None:
         if len(points) != len(rows):
-            message = (
+            raise MeasurementError(
                 f"{points.source} has {len(points)} points and {source} {len(rows)} rows to match "
                 "them with, in their order. Add a column 'point' with the points' names to the "
                 "table, or remove what has no counterpart."
             )
-            raise MeasurementError(message)
         return points.points
     if not points.names:
-        message = (
+        raise MeasurementError(
             f"{points.source}: the points have no names, and {source} has a column 'point' to match "
             'them by. Add names to the points, or leave the column out: --columns "point=-".'
         )
-        raise MeasurementError(message)
     taken: dict[int, int] = {}  # point: row
     for row, name in zip(rows, names, strict=True):
         i = points.find(name)
         if i is None:
             close = close_names(name, [*points.names, *map(_last, points.names)])
             hint = f"Close to it: {choices(close)}" if close else f"It has {choices(points.names)}"
-            message = (
+            raise MeasurementError(
                 f"{source}, row {row}: {points.source} has no point '{name}'. {hint}. Correct the "
                 "name, or remove the row; where the points are in the order of the rows, --columns "
                 '"point=-" does without names.'
             )
-            raise MeasurementError(message)
         if i in taken:
-            message = (
+            raise MeasurementError(
                 f"{source}: the rows {taken[i]} and {row} both name the point '{name}'. What was "
                 "measured once counts once: remove one of the rows."
             )
-            raise MeasurementError(message)
         taken[i] = row
     return points.points[list(taken)]
 

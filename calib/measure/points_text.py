@@ -90,8 +90,9 @@ def _decode(data: bytes, source: str) -> str:
         except UnicodeDecodeError:
             text = data.decode("cp1252", errors="replace")
     if "\0" in text:
-        message = f"{source}: this is not a text file. Export the points as text (ASCII)."
-        raise MeasurementError(message)
+        raise MeasurementError(
+            f"{source}: this is not a text file. Export the points as text (ASCII)."
+        )
     return text
 
 
@@ -112,11 +113,10 @@ def _take_apart(text: str, source: str) -> tuple[list[str], list[str], str, list
             remarks.append(remark)
             headings += [] if lines else [remark]
     if not lines:
-        message = (
+        raise MeasurementError(
             f"{source}: no line of it holds three numbers. A list of points has lines such as "
             "'P1 100.0 200.0 300.0', separated by blanks, tabs, commas or semicolons."
         )
-        raise MeasurementError(message)
     return remarks, headings, separator, lines
 
 
@@ -209,11 +209,10 @@ def _is_count(lines: Sequence[_Line], start: int, source: str) -> bool:
         return False
     rest = [cell for line in lines for cell in line.cells[start + 1 : start + 4]]
     if all(cell.lstrip("+-").isdigit() for cell in rest):
-        message = (
+        raise MeasurementError(
             f"{source}, line {lines[0].number}: all are whole numbers, so the point's number "
             "cannot be told from x. Write a header line above the points, 'name x y z'."
         )
-        raise MeasurementError(message)
     return True
 
 
@@ -238,11 +237,10 @@ def _numbers(lines: Sequence[_Line], at: Sequence[int], source: str) -> NDArray[
                 signs.setdefault(sign, line.number)
         values[i] = [float(cell.replace(",", ".")) for cell in cells]
     if len(signs) == 2:
-        message = (
+        raise MeasurementError(
             f"{source}: numbers have a decimal point in line {signs['.']} and a decimal comma in line "
             f"{signs[',']}. Write all in one way, without a sign between thousands."
         )
-        raise MeasurementError(message)
     return values
 
 
@@ -272,22 +270,20 @@ def _find_unit(remarks: Sequence[str], given: str | None, source: str) -> Unit:
             f"(--points-unit mm); allowed are {choices(symbols('length'))}."
         )
     if message:
-        message = f"{source}: {message}"
-        raise MeasurementError(message)
+        raise MeasurementError(f"{source}: {message}")
     try:
         unit = find_unit(named[0] if given is None else given)
     except CalibError as error:
-        message = f"{source}: {error}"
-        raise MeasurementError(message) from error
+        raise MeasurementError(f"{source}: {error}") from error
     if unit.quantity != "length":
-        message = f"{source}: '{unit.symbol}' is not a unit of length; allowed are {choices(symbols('length'))}"
-        raise MeasurementError(message)
+        raise MeasurementError(
+            f"{source}: '{unit.symbol}' is not a unit of length; allowed are {choices(symbols('length'))}"
+        )
     if named and unit.symbol != named[0]:
-        message = (
+        raise MeasurementError(
             f"{source}: the file says that its points are in {named[0]}, and {unit.symbol} was given. "
             "Leave the unit out, or correct the file."
         )
-        raise MeasurementError(message)
     return unit
 
 
@@ -306,9 +302,8 @@ def _in_metres(
         value = float(values[row][np.argmax(np.abs(values[row]))])
         better = better_unit(value, unit)
         fix = f"If it is in {better}, say so: '# Units: {better}'." if better else "Correct it."
-        message = (
+        raise MeasurementError(
             f"{source}, line {lines[row].number}: {value:.10g} was read as "
             f"{value * unit.to_si:.6g} m, {what}. {fix}"
         )
-        raise MeasurementError(message)
     return metres

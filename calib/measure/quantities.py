@@ -36,8 +36,7 @@ def parse_quantity(text: object) -> tuple[float, str]:
     except ValueError:
         number = np.nan
     if match is None or not np.isfinite(number):
-        message = f'{text!r} is no number with a unit, such as "0.5 mm"'
-        raise CalibError(message)
+        raise CalibError(f'{text!r} is no number with a unit, such as "0.5 mm"')
     if match[2] is None:
         return number, NUMBER
     top, slash, bottom = (part.strip() for part in match[2].partition("/"))
@@ -45,8 +44,9 @@ def parse_quantity(text: object) -> tuple[float, str]:
         allowed = {"Nm": "angle", "N": "length"}
         if bottom in allowed and top in UNITS and UNITS[top].quantity == allowed[bottom]:
             return number * UNITS[top].to_si, COMPLIANCE
-        message = f"'{match[2]}' is no unit of compliance; a joint's is in 'rad/Nm', or 'm/N' where it slides"
-        raise CalibError(message)
+        raise CalibError(
+            f"'{match[2]}' is no unit of compliance; a joint's is in 'rad/Nm', or 'm/N' where it slides"
+        )
     unit = find_unit(match[2])
     names: dict[str, str] = {"length": LENGTH, "angle": ANGLE}
     return number * unit.to_si, names.get(unit.quantity, f"a {unit.quantity}")
@@ -68,11 +68,11 @@ def parse_joint_value(value: object, where: str) -> float:
     try:
         number, kind = parse_quantity(value)
     except CalibError as error:
-        message = f'{where}: {error}. Write "30 deg" or "0.3 m".'
-        raise CalibError(message) from error
+        raise CalibError(f'{where}: {error}. Write "30 deg" or "0.3 m".') from error
     if kind not in (LENGTH, ANGLE):
-        message = f'{where} is {value!r}; a joint\'s value needs a unit of angle or length: "30 deg" or "0.3 m".'
-        raise CalibError(message)
+        raise CalibError(
+            f'{where} is {value!r}; a joint\'s value needs a unit of angle or length: "30 deg" or "0.3 m".'
+        )
     return Length(number) if kind == LENGTH else Angle(number)
 
 
@@ -87,13 +87,13 @@ def parse_joint_range(value: object, where: str) -> tuple[float, float]:
         CalibError: Not two values of a joint, or an angle and a length.
     """
     if not isinstance(value, (list, tuple)) or len(value) != 2:
-        message = (
+        raise CalibError(
             f'{where} is {value!r}; it must be the least and the largest value, such as ["-90 deg", "90 deg"] or '
             '["0 mm", "300 mm"].'
         )
-        raise CalibError(message)
     low, high = (parse_joint_value(one, where) for one in value)
     if type(low) is not type(high):
-        message = f"{where} is from {value[0]!r} to {value[1]!r}; one is an angle and one a length."
-        raise CalibError(message)
+        raise CalibError(
+            f"{where} is from {value[0]!r} to {value[1]!r}; one is an angle and one a length."
+        )
     return low, high

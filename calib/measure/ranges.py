@@ -35,11 +35,9 @@ def ranges_of(joints: ArrayLike, margin: float | Array = 0.0, limits: Array | No
     """
     values = np.atleast_2d(np.asarray(joints, dtype=np.float64))
     if not values.size:
-        message = "No rows were given to take the ranges of joints from; give one at least."
-        raise CalibError(message)
+        raise CalibError("No rows were given to take the ranges of joints from; give one at least.")
     if not np.all(np.asarray(margin) >= 0.0):
-        message = f"The margin is {margin}; it must not be below zero."
-        raise CalibError(message)
+        raise CalibError(f"The margin is {margin}; it must not be below zero.")
     least, most = values.min(axis=0), values.max(axis=0)
     low, high = least - margin, most + margin
     if limits is not None:
@@ -110,29 +108,25 @@ def joint_ranges(
     ranges = np.array(full_ranges(robot) if like is None else ranges_of(like, margin, limits))
     for name, (low, high) in (given or {}).items():
         if name not in robot.joint_names:
-            message = (
+            raise CalibError(
                 f"A range is given for the joint '{name}', which does not move the chain '{robot.base}' to "
                 f"'{robot.tip}'. Its joints are {choices(robot.joint_names, limit=30)}."
             )
-            raise CalibError(message)
         fault = unit_fault(low, slides=robot.joint_types[name] == "prismatic")
         if fault is not None:
-            message = f"The range given for the joint '{name}' {fault}."
-            raise CalibError(message)
+            raise CalibError(f"The range given for the joint '{name}' {fault}.")
         column = robot.joint_names.index(name)
         said = _text(robot, name, low, high)
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
-            message = (
+            raise CalibError(
                 f"The range of '{name}' is {said}, which is empty; give the lower end first. A joint that stands "
                 "still is held at its value (--hold)."
             )
-            raise CalibError(message)
         if low < limits[column, 0] - _ROUNDING or high > limits[column, 1] + _ROUNDING:
-            message = (
+            raise CalibError(
                 f"The range of '{name}' is {said}; its limits in the URDF are {_text(robot, name, *limits[column])}. "
                 "Give a range inside."
             )
-            raise CalibError(message)
         ranges[column] = max(low, limits[column, 0]), min(high, limits[column, 1])
     return read_only(ranges)
 

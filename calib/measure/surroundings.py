@@ -44,12 +44,12 @@ class Box:
     def __post_init__(self) -> None:
         """Check and keep read-only copies."""
         if not isinstance(self.name, str) or not self.name.strip():
-            message = f"A box needs a name; {self.name!r} was given."
-            raise CalibError(message)
+            raise CalibError(f"A box needs a name; {self.name!r} was given.")
         size = vector(self.size, f"size of the box '{self.name}'")
         if not (size > 0.0).all():
-            message = f"The box '{self.name}' has the edges {size.tolist()} m; each must be longer than 0."
-            raise CalibError(message)
+            raise CalibError(
+                f"The box '{self.name}' has the edges {size.tolist()} m; each must be longer than 0."
+            )
         object.__setattr__(self, "size", size)
         object.__setattr__(
             self, "T_base_box", pose(self.T_base_box, f"The pose of the box '{self.name}'")
@@ -81,14 +81,14 @@ class Tracker:
         object.__setattr__(self, "position", vector(self.position, "tracker's position"))
         near, far = self.nearest, self.farthest
         if not is_number(near) or not is_number(far) or not 0.0 <= near < far:
-            message = (
+            raise CalibError(
                 f"The tracker measures from {near!r} m to {far!r} m; these must be two numbers, the first not below 0 "
                 "and less than the second."
             )
-            raise CalibError(message)
         if not isinstance(self.noise, TrackerNoise):
-            message = f"The tracker's noise must be of type TrackerNoise; {self.noise!r} was given."
-            raise CalibError(message)
+            raise CalibError(
+                f"The tracker's noise must be of type TrackerNoise; {self.noise!r} was given."
+            )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process and back."""
@@ -113,15 +113,15 @@ class Reflector:
         normal = vector(self.normal, "reflector's normal", "-")
         length = float(np.linalg.norm(normal))
         if not 1e-100 < length < 1e100:
-            message = f"The reflector's normal is {normal.tolist()}; it must be a direction, such as [0, 0, 1]."
-            raise CalibError(message)
+            raise CalibError(
+                f"The reflector's normal is {normal.tolist()}; it must be a direction, such as [0, 0, 1]."
+            )
         object.__setattr__(self, "normal", read_only(normal / length))
         if not is_number(self.acceptance) or not 0.0 < self.acceptance <= math.pi:
-            message = (
+            raise CalibError(
                 f"The reflector's acceptance is {self.acceptance!r} rad; it must be a half angle above 0 and at most "
                 "pi (180 deg)."
             )
-            raise CalibError(message)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process and back."""
@@ -135,13 +135,13 @@ def checked_boxes(boxes: Iterable[Box]) -> tuple[Box, ...]:
         CalibError: Something else than boxes, or a name twice.
     """
     if not isinstance(boxes, (tuple, list)) or not all(isinstance(box, Box) for box in boxes):
-        message = f"The boxes are a tuple of Box; {boxes!r} was given."
-        raise CalibError(message)
+        raise CalibError(f"The boxes are a tuple of Box; {boxes!r} was given.")
     names = [box.name for box in boxes]
     twice = dict.fromkeys(name for name in names if names.count(name) > 1)
     if twice:
-        message = f"Each box needs a name of its own; given more than once: {choices(twice)}."
-        raise CalibError(message)
+        raise CalibError(
+            f"Each box needs a name of its own; given more than once: {choices(twice)}."
+        )
     return tuple(boxes)
 
 
@@ -155,11 +155,10 @@ def checked_ranges(ranges: object) -> Mapping[str, tuple[float, float]]:
     for name, given in by_name(ranges, "joints' ranges").items():
         pair = tuple(given) if isinstance(given, (tuple, list)) else ()
         if len(pair) != 2 or not all(map(is_number, pair)) or not pair[0] < pair[1]:
-            message = (
+            raise CalibError(
                 f"The range of the joint '{name}' is {given!r}; it must be the least and the largest value [rad or m], "
                 "the first less than the second. To keep a joint where it is, hold it (--hold)."
             )
-            raise CalibError(message)
         # A number that knows its unit keeps it.
         low, high = (one if isinstance(one, float) else float(one) for one in pair)
         result[name] = (low, high)
@@ -176,8 +175,7 @@ def check_outside(tracker: Tracker, boxes: Iterable[Box]) -> None:
         inside = box.T_base_box[:3, :3].T @ (tracker.position - box.T_base_box[:3, 3])
         if (np.abs(inside) <= 0.5 * box.size).all():
             x, y, z = (f"{1e3 * v:g}" for v in tracker.position)
-            message = (
+            raise CalibError(
                 f"The tracker, at ({x}, {y}, {z}) mm of the base, stands inside the box '{box.name}', and sees nothing "
                 "from there. Move one of the two, or leave out a box that is the tracker's own stand."
             )
-            raise CalibError(message)

@@ -76,22 +76,21 @@ class Table:
         text = _decode(data, source)
         line = next((content for _, content in _kept(text)), None)
         if line is None:
-            message = f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
-            raise MeasurementError(message)
+            raise MeasurementError(
+                f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
+            )
         separator = _separator(line)
         try:
             header = tuple(cell.strip() for cell in _cells(line, separator, strict=True))
         except csv.Error as error:
-            message = (
+            raise MeasurementError(
                 f'{source}: not a CSV table ({error}). Check the double quotes (") in its header.'
-            )
-            raise MeasurementError(message) from error
+            ) from error
         if all(_is_number(cell) for cell in header):
-            message = (
+            raise MeasurementError(
                 f"{source}: the first line holds numbers where the header should stand (a line "
                 f"that begins with # is a comment). A table begins with a header line, {_EXAMPLE}"
             )
-            raise MeasurementError(message)
         return cls(source, hashlib.sha256(data).hexdigest(), text, separator, header)
 
     def rows(self) -> Iterator[Row]:
@@ -127,11 +126,10 @@ class Table:
                 yield Block([at for at, _ in some], first, [cells for _, cells in some])
                 first += len(some)
         except csv.Error as error:
-            message = (
+            raise MeasurementError(
                 f"{self.source}, line {numbers[reader.line_num - 1]}: not a CSV table ({error}). Check the double "
                 'quotes (") there and above.'
-            )
-            raise MeasurementError(message) from error
+            ) from error
 
 
 def distinct(cells: Sequence[str]) -> list[str]:
@@ -149,11 +147,11 @@ def _decode(data: bytes, source: str) -> str:
             text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        message = f"{source}, line {line}: this is not UTF-8 text. Save the table as CSV (UTF-8)."
-        raise MeasurementError(message) from error
+        raise MeasurementError(
+            f"{source}, line {line}: this is not UTF-8 text. Save the table as CSV (UTF-8)."
+        ) from error
     if "\0" in text:
-        message = f"{source}: this is not a text file. Save the table as CSV (UTF-8)."
-        raise MeasurementError(message)
+        raise MeasurementError(f"{source}: this is not a text file. Save the table as CSV (UTF-8).")
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 

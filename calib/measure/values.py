@@ -142,11 +142,10 @@ def check_sets(source: str, sets: Sequence[str], unmeasured: int) -> None:
     if "estimate" in sets:
         return
     but = f", {unmeasured} that are not measured yet aside" if unmeasured else ""
-    message = (
+    raise MeasurementError(
         f"{source}, column 'set': no row is 'estimate', all {len(sets)} are 'validate'{but}. Mark those to estimate "
         "from, or remove the column."
     )
-    raise MeasurementError(message)
 
 
 def _no_rows(table: Table, layout: Layout, unmeasured: int) -> str:
@@ -169,12 +168,11 @@ def _check_quaternions(
     wrong = wrong_length(grid[:, at]) if len(at) == 4 else None
     if wrong:
         i, length = wrong
-        message = (
+        raise MeasurementError(
             f"{table.source}, line {lines[i]} (row {rows[i]}), columns qx, qy, qz, qw: the quaternion "
             f"has the length {length:.6g}; that of an orientation is 1. Correct it, or leave the "
             "orientation out with --kind point."
         )
-        raise MeasurementError(message)
 
 
 def _torques(layout: Layout, si: Array) -> Array | None:

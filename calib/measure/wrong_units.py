@@ -100,12 +100,11 @@ class WrongUnits:
         size = np.linalg.norm(self.grid[:, at], axis=1)
         median = float(np.median(size[~np.isnan(size)]))
         if median > TURNS_RAD:
-            message = (
+            raise MeasurementError(
                 f"{self.source}, column '{columns[0].label}': half of the values are beyond "
                 f"{median:.4g} rad, more than a turn; they look like degrees. If they are, "
                 f"write '{columns[0].name} [deg]' into the header."
             )
-            raise MeasurementError(message)
 
     def _radians(self, at: list[int]) -> None:
         """Refuse rotation vectors in degrees that look like radians: the robot turns, they hardly do."""
@@ -120,13 +119,12 @@ class WrongUnits:
             joint = self.layout.numbers[i]
             turned = float(np.ptp(self.grid[:, i])) * joint.to_si
             if _unit(joint).quantity == "angle" and turned > TURNING_RAD:
-                message = (
+                raise MeasurementError(
                     f"{self.source}, column '{columns[0].label}': no rotation vector is longer than "
                     f"{size.max():.4g} deg, while '{joint.name}' turns by {np.degrees(turned):.4g} deg; "
                     f"they look like radians. If they are, write '{columns[0].name} [rad]' into the "
                     "header; if not, give them in radians."
                 )
-                raise MeasurementError(message)
 
     def _vague(self, i: int) -> None:
         """Refuse a standard deviation of an angle that no instrument has."""
@@ -140,11 +138,10 @@ class WrongUnits:
         column = self.layout.numbers[i]
         wrong = np.flatnonzero(self.grid[:, i] <= 0.0)
         if wrong.size:
-            message = (
+            raise MeasurementError(
                 f"{self._place(int(wrong[0]), column)}: {column.name} is '{self.grid[wrong[0], i]:.10g}'; it is "
                 "greater than zero. Correct it, or leave the column out: noise is found from the data."
             )
-            raise MeasurementError(message)
 
     def _metres(self, at: list[int]) -> tuple[int, int, float]:
         """The row that is furthest from the origin, the column that makes it so, and how far [m]."""
@@ -173,8 +170,9 @@ class WrongUnits:
         fix = "Correct the value."
         if better:
             fix = f"If it is in {better}, write '{column.name} [{better}]' into the header."
-        message = f"{self._place(row, column)}: {value:.10g} was read as {value * column.to_si:.6g} {si}, {what}. {fix}"
-        raise MeasurementError(message)
+        raise MeasurementError(
+            f"{self._place(row, column)}: {value:.10g} was read as {value * column.to_si:.6g} {si}, {what}. {fix}"
+        )
 
     def _place(self, row: int, column: Column) -> str:
         """Where a value stands."""

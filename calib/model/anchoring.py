@@ -98,19 +98,17 @@ def check_same_joints(robot: Robot, nominal: Robot) -> None:
     """
     for one, other in zip(robot.joints, nominal.joints, strict=False):
         if one.name != other.name or one.type != other.type or (one.axis != other.axis).any():
-            message = (
+            raise ModelError(
                 f"The joint '{one.name}' ({one.type}, axis {_numbers(one.axis)}) of the robot '{robot.name}' is not "
                 f"the '{other.name}' ({other.type}, axis {_numbers(other.axis)}) of its nominal robot "
                 f"'{nominal.name}'. Give the nominal URDF that the robot was corrected from."
             )
-            raise ModelError(message)
     if len(robot.joints) != len(nominal.joints):
-        message = (
+        raise ModelError(
             f"The robot '{robot.name}' has the joints {choices(joint.name for joint in robot.joints)}, its nominal "
             f"robot '{nominal.name}' {choices(joint.name for joint in nominal.joints)}. Give the nominal URDF that "
             "the robot was corrected from, with the same base and tip."
         )
-        raise ModelError(message)
 
 
 def _nearest_own(P: Array, nominal: Array, axis: Array, *, sliding: bool) -> Array:

@@ -177,8 +177,9 @@ def _built_model(urdf: Urdf) -> pin.Model:
     try:
         model = pin.buildModelFromXML(urdf.data.decode(urdf.encoding))
     except (ValueError, RuntimeError) as error:
-        message = f"{urdf.source}: Pinocchio cannot build a model of this URDF: {error}"
-        raise UrdfError(message) from error
+        raise UrdfError(
+            f"{urdf.source}: Pinocchio cannot build a model of this URDF: {error}"
+        ) from error
     _check_same(urdf, model)
     # Pinocchio cannot lock a joint that shares its name with a link, as ANYmal's do: let links be told apart.
     for frame in model.frames:
@@ -201,11 +202,10 @@ def _check_same(urdf: Urdf, model: pin.Model) -> None:
         or not np.allclose(T[joint.parent] @ joint.T_parent_joint, T[joint.child], 1e-9, 1e-9)
     ]
     if wrong:
-        message = (
+        raise UrdfError(
             f"{urdf.source}: Pinocchio reads the joints {choices(wrong)} in another way than they are written. Look "
             "for unusual characters in numbers and names, and for comments inside of tags."
         )
-        raise UrdfError(message)
 
 
 def full_configurations(model: pin.Model, values: Mapping[str, Array]) -> Array:
@@ -327,15 +327,13 @@ def _of_two_branches(path: list[_Step], moving: list[int]) -> tuple[pin.Model, A
 def _check_moving(urdf: Urdf, base: str, tip: str, joints: Sequence[UrdfJoint]) -> None:
     """Refuse a chain without joints, and joints with more than one coordinate."""
     if not joints:
-        message = (
+        raise UrdfError(
             f"{urdf.source}: no joint moves between the base '{base}' and the tip '{tip}'. Name two links with "
             f"the arm between them by --base and --tip; the links are {choices(urdf.links)}."
         )
-        raise UrdfError(message)
     for joint in joints:
         if joint.type not in MOVING:
-            message = (
+            raise UrdfError(
                 f"{urdf.source}: joint '{joint.name}' between '{base}' and '{tip}' is of type '{joint.type}'; a "
                 f"chain may hold {choices(MOVING)} and 'fixed' joints. Choose --base and --tip on one side of it."
             )
-            raise UrdfError(message)

@@ -56,11 +56,10 @@ class Coupling:
         rules = [_rule(urdf.source, by_name, joint.name, held) for joint in joints]
         drivers = list(dict.fromkeys(rule.driver for rule in rules if rule.driver is not None))
         if not drivers:
-            message = (
+            raise UrdfError(
                 f"{urdf.source}: the joints of the chain are {choices(joint.name for joint in joints)}, and none of "
                 "them is left to move: each is held at a value or mimics one that is. Hold fewer joints."
             )
-            raise UrdfError(message)
         matrix = np.zeros((len(joints), len(drivers)))
         for row, rule in zip(matrix, rules, strict=True):
             if rule.driver is not None:
@@ -88,18 +87,16 @@ class Coupling:
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))
         names = [joint.name for joint in self.inputs]
         if values.ndim != 2 or values.shape[1] != len(names):
-            message = (
+            raise ModelError(
                 f"Joint values of shape {np.shape(q)} were given; {where} has {len(names)} joints: "
                 f"{choices(names)}."
             )
-            raise ModelError(message)
         if not np.all(np.isfinite(values)):
             row, column = np.argwhere(~np.isfinite(values))[0]
-            message = (
+            raise ModelError(
                 f"Joint values must be finite numbers; that of '{names[column]}' in row {row + 1} is "
                 f"{values[row, column]}."
             )
-            raise ModelError(message)
         if self.is_identity:
             return values
         result: Array = values @ self.matrix.T + self.offset
@@ -124,20 +121,17 @@ def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[st
     for name, value in given.items():
         if name not in moving:
             is_what = f"is of type '{by_name[name].type}'" if name in by_name else "does not exist"
-            message = (
+            raise UrdfError(
                 f"{urdf.source}: the joint '{name}', to be held at {value:g}, {is_what}"
                 f"{did_you_mean(name, moving)}. Joints that can be held: {choices(moving, limit=60)}."
             )
-            raise UrdfError(message)
         if not np.isfinite(value):
-            message = (
+            raise UrdfError(
                 f"{urdf.source}: the joint '{name}' is to be held at {value}; give a finite number."
             )
-            raise UrdfError(message)
         fault = unit_fault(value, slides=by_name[name].type == "prismatic")
         if fault is not None:
-            message = f"{urdf.source}: the value that the joint '{name}' is held at {fault}."
-            raise UrdfError(message)
+            raise UrdfError(f"{urdf.source}: the value that the joint '{name}' is held at {fault}.")
     return tuple(sorted((name, float(value)) for name, value in given.items()))
 
 
@@ -193,11 +187,10 @@ def _rule(
         if joint.type == "fixed":
             return _Rule(None, 0.0, offset)
         if joint.type not in MOVING:
-            message = (
+            raise UrdfError(
                 f"{source}: joint '{followed[0]}' mimics '{name}', which is of type '{joint.type}'; only "
                 f"{choices(MOVING)} joints can drive others. Hold '{followed[0]}' at a value instead."
             )
-            raise UrdfError(message)
         if joint.mimic is None:
             return _Rule(name, factor, offset)
         offset += factor * joint.mimic_offset
@@ -208,11 +201,10 @@ def _rule(
                 if joint.mimic not in by_name
                 else "which follows it in turn"
             )
-            message = (
+            raise UrdfError(
                 f"{source}: joint '{name}' mimics '{joint.mimic}', {fault}. Correct the <mimic> in the URDF, or "
                 f"hold '{name}' at a value."
             )
-            raise UrdfError(message)
         name = joint.mimic
         followed.append(name)
         if factor == 0.0:

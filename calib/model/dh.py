@@ -87,8 +87,9 @@ def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) 
         [0.0, -243.65, -213.25, 0.0, 0.0, 0.0]
     """
     if convention not in CONVENTIONS:
-        message = f"There is no DH convention '{convention}'; it is one of {choices(CONVENTIONS)}."
-        raise ModelError(message)
+        raise ModelError(
+            f"There is no DH convention '{convention}'; it is one of {choices(CONVENTIONS)}."
+        )
     wanted = None
     if like is not None:
         _check_same_chain(robot, like)
@@ -184,12 +185,11 @@ def _check_same_chain(robot: Robot, like: Robot) -> None:
         [(joint.name, joint.type == "prismatic") for joint in one.joints] for one in (robot, like)
     )
     if ours != theirs:
-        message = (
+        raise ModelError(
             f"The robots have other joints: {choices(name for name, _ in ours)} between '{robot.base}' and "
             f"'{robot.tip}', and {choices(name for name, _ in theirs)} between '{like.base}' and '{like.tip}'. DH rows "
             "compare if both are the same chain: give two states of one robot, with the same base and tip."
         )
-        raise ModelError(message)
 
 
 # Row by row

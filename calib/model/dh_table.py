@@ -113,11 +113,10 @@ class DHTable:
         """
         q = np.atleast_2d(np.asarray(values, dtype=np.float64))
         if q.ndim != 2 or q.shape[1] != len(self.rows):
-            message = (
+            raise ModelError(
                 f"Joint values of shape {q.shape} were given; there are {len(self.rows)} DH rows, of "
                 f"{choices(row.joint for row in self.rows)}: one value for each is wanted."
             )
-            raise ModelError(message)
         T = np.tile(self.T_base_0, (len(q), 1, 1))
         for row, column in zip(self.rows, q.T, strict=True):
             T = T @ row.matrix(column, modified=self.convention == MODIFIED)

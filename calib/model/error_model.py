@@ -82,11 +82,10 @@ def error_model(
     base, families = split_name(name)
     frames = (_ONE_FRAME if frame else {"": ()}) if isinstance(frame, bool) else frame
     if base == "paper" and any(frames.values()):
-        message = (
+        raise ModelError(
             "The parameter set 'paper' knows the measurement frame, as the paper does. To estimate the frame too, "
             "choose --model dh."
         )
-        raise ModelError(message)
     estimated = (targets if target else ()) if isinstance(target, bool) else target
     of_frames = tuple((group, tuple(directions)) for group, directions in frames.items())
     return _assembled(
@@ -173,18 +172,16 @@ def split_name(name: str) -> tuple[str, tuple[str, ...]]:
     """
     base, *families = (part.strip() for part in name.split("+"))
     if base not in MODELS:
-        message = (
+        raise ModelError(
             f"There is no parameter set '{base}'. Choose one of {choices(MODELS)}, and behind it, each with a '+', "
             f"any of {choices(joint_families())}."
         )
-        raise ModelError(message)
     wrong = [f for f in families if f not in joint_families() or families.count(f) > 1]
     if wrong:
-        message = (
+        raise ModelError(
             f"'{name}' adds {choices(dict.fromkeys(wrong))} to the set '{base}'; what can be added, each once, is "
             f"{choices(joint_families())}."
         )
-        raise ModelError(message)
     return base, tuple(families)
 
 

@@ -48,11 +48,9 @@ def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
             message += ". Arguments of a xacro stand behind its name, with it in one pair of quotes"
         raise FileError(message) from error
     except IsADirectoryError as error:
-        message = f"{what} '{path}' is a folder; name the file inside it"
-        raise FileError(message) from error
+        raise FileError(f"{what} '{path}' is a folder; name the file inside it") from error
     except (OSError, ValueError) as error:
-        message = f"{what} '{path}' cannot be read: {_reason(error)}"
-        raise FileError(message) from error
+        raise FileError(f"{what} '{path}' cannot be read: {_reason(error)}") from error
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bool) -> Path:
@@ -82,8 +80,9 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, overwrite: bo
             temporary.chmod(stat.S_IMODE(target.stat().st_mode))
         temporary.replace(target)
     except OSError as error:
-        message = f"'{path}' cannot be written: {_reason(error)}; choose another folder"
-        raise FileError(message) from error
+        raise FileError(
+            f"'{path}' cannot be written: {_reason(error)}; choose another folder"
+        ) from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
@@ -100,8 +99,9 @@ def check_writable(path: str | os.PathLike[str], *, overwrite: bool = True) -> N
         target = Path(path).resolve()
         is_there, is_file = target.exists(), target.is_file()
     except (OSError, ValueError, RuntimeError) as error:  # too long, no name, links in a circle
-        message = f"'{path}' cannot be written: {_reason(error)}; choose another name"
-        raise FileError(message) from error
+        raise FileError(
+            f"'{path}' cannot be written: {_reason(error)}; choose another name"
+        ) from error
     if is_there and not is_file:
         kind = "folder; name a file inside it" if target.is_dir() else "device; choose another name"
         message = f"'{path}' is a {kind}"
@@ -125,12 +125,11 @@ def check_no_xacro(path: str | os.PathLike[str]) -> None:
         FileError: The name ends in ``.xacro``.
     """
     if Path(path).name.lower().endswith(".xacro"):
-        message = (
+        raise FileError(
             f"'{path}' is the name of a xacro, and what is written is a URDF, with macros and arguments expanded; name "
             "it .urdf. A xacro stays one if it takes the origins of its joints from a file: see calib convert --to "
             "origins."
         )
-        raise FileError(message)
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
@@ -142,8 +141,9 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
-        message = f"{path}: this folder cannot be made: {_reason(error)}. Choose another name."
-        raise FileError(message) from error
+        raise FileError(
+            f"{path}: this folder cannot be made: {_reason(error)}. Choose another name."
+        ) from error
     return Path(path)
 
 
@@ -173,19 +173,18 @@ def read_json(
     try:
         table = json.loads(read_bytes(path, what), parse_constant=_refused)
     except (ValueError, RecursionError) as error:
-        message = f"{path}: this is not a JSON file: {error}. Wanted is a {what} with its 'schema'; {expected}"
-        raise FileError(message) from error
+        raise FileError(
+            f"{path}: this is not a JSON file: {error}. Wanted is a {what} with its 'schema'; {expected}"
+        ) from error
     found = table.get("schema") if isinstance(table, dict) else None
     if not isinstance(table, dict) or found != schema:
-        message = f"{path}: its 'schema' is {found!r}; {expected}"
-        raise FileError(message)
+        raise FileError(f"{path}: its 'schema' is {found!r}; {expected}")
     return table
 
 
 def _refused(name: str) -> float:
     """JSON has no NaN or Infinity, and calib writes null."""
-    message = f"it holds {name}; write the number, or null where there is none"
-    raise ValueError(message)
+    raise ValueError(f"it holds {name}; write the number, or null where there is none")
 
 
 def damage(error: Exception) -> str:

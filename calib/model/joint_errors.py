@@ -23,8 +23,9 @@ def joint_parameters(robot: Robot, family: str) -> list[Parameter]:
     """
     row = family_of(family)
     if row.geometric:
-        message = f"'{family}' is a family of the geometry: it belongs to a parameter set, and cannot be added to one."
-        raise ModelError(message)
+        raise ModelError(
+            f"'{family}' is a family of the geometry: it belongs to a parameter set, and cannot be added to one."
+        )
     parameters = []
     for joint in robot.joints if row.every_joint else robot.inputs:
         slides = joint.type == "prismatic"
@@ -86,8 +87,9 @@ def factor_of(robot: Robot, term: Parameter, q: Array, load: Array | None) -> Ar
         ModelError: It needs the load, and there is none; or the term has no factor.
     """
     if term.factor is None:
-        message = f"'{term.name}' is an error of the geometry; no number of the joints' state multiplies it."
-        raise ModelError(message)
+        raise ModelError(
+            f"'{term.name}' is an error of the geometry; no number of the joints' state multiplies it."
+        )
     return term.factor.value(_state(robot, term, q, load))
 
 
@@ -98,8 +100,9 @@ def slope_of(robot: Robot, term: Parameter, q: Array, load: Array | None) -> Arr
         ModelError: It needs the load, and there is none; or the term has no factor.
     """
     if term.factor is None:
-        message = f"'{term.name}' is an error of the geometry; no number of the joints' state multiplies it."
-        raise ModelError(message)
+        raise ModelError(
+            f"'{term.name}' is an error of the geometry; no number of the joints' state multiplies it."
+        )
     if term.factor.slope is None:
         return np.zeros(len(q))
     return term.factor.slope(_state(robot, term, q, load))

@@ -87,11 +87,10 @@ class Kinematics:
             object.__setattr__(self, name, read_only(stack))
             places = [place for place in self.model.places if place.startswith(kind)]
             if len(stack) != len(places):
-                message = (
+                raise ModelError(
                     f"{len(stack)} poses {name} were given; the model '{self.model.name}' has {len(places)} such "
                     f"places: {choices(places)}."
                 )
-                raise ModelError(message)
 
     def poses(self, x: Array, where: Where) -> Array:
         """T_frame_target.

@@ -114,8 +114,9 @@ def analyse(
         ModelError: The numbers of columns, names and units differ.
     """
     if jacobian.ndim != 2 or not jacobian.shape[1] == len(names) == len(units):
-        message = f"A Jacobian of shape {jacobian.shape} does not go with {len(names)} names and {len(units)} units."
-        raise ModelError(message)
+        raise ModelError(
+            f"A Jacobian of shape {jacobian.shape} does not go with {len(names)} names and {len(units)} units."
+        )
     step = steps(units)
     p = len(names)
     if p == 0:

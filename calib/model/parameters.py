@@ -89,12 +89,14 @@ class ErrorModel:
         names = [term.name for term in self.terms]
         doubled = sorted({name for name in names if names.count(name) > 1})
         if doubled:
-            message = f"Parameters {choices(doubled)} appear twice in the model '{self.name}'; names must differ."
-            raise ModelError(message)
+            raise ModelError(
+                f"Parameters {choices(doubled)} appear twice in the model '{self.name}'; names must differ."
+            )
         unknown = sorted({t.place for t in self.terms if t.factor is None} - set(self.places))
         if unknown:
-            message = f"The chain has no places {choices(unknown)}; it has {choices(self.places)}."
-            raise ModelError(message)
+            raise ModelError(
+                f"The chain has no places {choices(unknown)}; it has {choices(self.places)}."
+            )
         number = {place: k for k, place in enumerate(self.places)}
         acting = [
             (t, number[term.place]) for t, term in enumerate(self.terms) if term.factor is None
@@ -136,8 +138,9 @@ class ErrorModel:
             ModelError: No such parameter.
         """
         if name not in self.names:
-            message = f"The model '{self.name}' has no parameter '{name}'; it has {choices(self.names, limit=60)}."
-            raise ModelError(message)
+            raise ModelError(
+                f"The model '{self.name}' has no parameter '{name}'; it has {choices(self.names, limit=60)}."
+            )
         return self.names.index(name)
 
     def without(self, names: Iterable[str]) -> ErrorModel:
@@ -171,17 +174,15 @@ class ErrorModel:
         for name, (other, factor) in ties.items():
             k, leader = self.index(name), self.index(other)
             if other in ties or k == leader:
-                message = (
+                raise ModelError(
                     f"'{name}' is tied to '{other}', which is tied itself. Tie both to one parameter that is "
                     "free."
                 )
-                raise ModelError(message)
             if self.parameters[k].unit != self.parameters[leader].unit:
-                message = (
+                raise ModelError(
                     f"'{name}' [{self.parameters[k].unit}] cannot follow '{other}' "
                     f"[{self.parameters[leader].unit}]: their units differ."
                 )
-                raise ModelError(message)
             mixing[:, leader] += factor * mixing[:, k]
         free = [k for k, name in enumerate(self.names) if name not in ties]
         return replace(
@@ -202,11 +203,10 @@ class ErrorModel:
             ModelError: ``x`` has not one entry for each parameter.
         """
         if np.shape(x) != (len(self.parameters),):
-            message = (
+            raise ModelError(
                 f"A parameter vector of shape {np.shape(x)} was given; the model '{self.name}' has "
                 f"{len(self.parameters)} parameters: {choices(self.names)}."
             )
-            raise ModelError(message)
         return np.asarray(self.mixing @ x)
 
     def displacements(self, x: Array) -> tuple[Array, Array]:

@@ -126,8 +126,9 @@ def _poses_by_yourdfpy(robot: Robot, q: Array) -> Array:
             model = yourdfpy.URDF(parsed, load_meshes=False, load_collision_meshes=False)
     # Whatever a foreign reader raises, the file is not fit to be given out.
     except Exception as error:
-        message = f"yourdfpy cannot read the corrected URDF of '{robot.name}', so it is not written: {error}"
-        raise UrdfError(message) from error
+        raise UrdfError(
+            f"yourdfpy cannot read the corrected URDF of '{robot.name}', so it is not written: {error}"
+        ) from error
     names = [joint.name for joint in robot.joints]
     # yourdfpy slides by q times the axis as it is written; the axis is a direction, of any length.
     values = robot.chain_values(q) / [
@@ -158,8 +159,7 @@ def _compare(reader: str, poses: Array, expected: Array) -> None:
     distance = float(np.abs(poses[:, :3, 3] - expected[:, :3, 3]).max())
     turn = float(np.abs(poses[:, :3, :3] - expected[:, :3, :3]).max())
     if not (distance <= TOLERANCE and turn <= TOLERANCE):
-        message = (
+        raise UrdfError(
             f"The corrected URDF, read back by {reader}, puts the tip {distance:.2e} m and {turn:.2e} rad away from "
             f"the model in memory; {TOLERANCE:g} is allowed. It is not written. Please report this with the URDF."
         )
-        raise UrdfError(message)

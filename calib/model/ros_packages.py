@@ -35,12 +35,11 @@ def package_folder(name: str, file: Path) -> Path:
             f"{key} ({os.environ.get(key) or 'not set'})"
             for key in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
         ]
-        message = (
+        raise LookupError(
             f"there is no ROS package '{name}' in {paths[0]}, {paths[1]}, or the folders above and beside '{file}'. "
             "Source the ROS workspace that has it, or name the folder above its package.xml: export "
             "ROS_PACKAGE_PATH=FOLDER"
         )
-        raise LookupError(message)
     return found
 
 

@@ -34,8 +34,9 @@ def read_urdf(source: str | Path) -> Urdf:
     try:
         return Urdf.from_bytes(data, call.name, call.path)
     except UrdfError as error:
-        message = f"{str(error).rstrip('.')}. This is about the flattened text: xacro FILE ARGUMENTS > robot.urdf"
-        raise UrdfError(message) from error
+        raise UrdfError(
+            f"{str(error).rstrip('.')}. This is about the flattened text: xacro FILE ARGUMENTS > robot.urdf"
+        ) from error
 
 
 def find_urdf(source: str | Path) -> Path:
@@ -59,11 +60,10 @@ def find_urdf(source: str | Path) -> Path:
         if name in urdfs:
             return urdfs[name]
     known = sorted(name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs)
-    message = (
+    raise UrdfError(
         f"'{source}' is neither a file here nor a robot of example-robot-data. Give the path of a URDF or "
         f"xacro, or one of {choices(dict.fromkeys(known), limit=60)}."
     )
-    raise UrdfError(message)
 
 
 #: Names of a tip, in the order of preference, where several links lie equally far out.

@@ -46,11 +46,13 @@ class Payload:
         """Copy the centre of mass and check the numbers."""
         object.__setattr__(self, "com", _three(self.com, "centre of mass of a payload", "[m]"))
         if not (np.isfinite(self.mass) and self.mass >= 0):
-            message = f"The mass of a payload is {self.mass} kg; give a number of kg, 0 or more."
-            raise ModelError(message)
+            raise ModelError(
+                f"The mass of a payload is {self.mass} kg; give a number of kg, 0 or more."
+            )
         if self.mass > _HEAVIEST:
-            message = f"The mass of a payload is {self.mass:g} kg; no robot carries more than {_HEAVIEST:g} kg."
-            raise ModelError(message)
+            raise ModelError(
+                f"The mass of a payload is {self.mass:g} kg; no robot carries more than {_HEAVIEST:g} kg."
+            )
 
 
 def gravity_load(
@@ -96,6 +98,5 @@ def _three(values: ArrayLike, what: str, unit: str) -> Array:
     """Three finite numbers, read-only; refused otherwise."""
     array = read_only(values)
     if array.shape != (3,) or not np.isfinite(array).all():
-        message = f"The {what} is {values!r}; give three finite numbers {unit}."
-        raise ModelError(message)
+        raise ModelError(f"The {what} is {values!r}; give three finite numbers {unit}.")
     return array

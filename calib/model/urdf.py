@@ -175,11 +175,10 @@ class Urdf:
         self._check_link(parent)
         joint_name = f"{name}_joint"
         if not name or name in self.links or joint_name in {joint.name for joint in self.joints}:
-            message = (
+            raise UrdfError(
                 f"no link can be added to {self.source} as '{name}': that name is empty or taken, "
                 f"or the name of its joint, '{joint_name}', is; choose another or use with_origins"
             )
-            raise UrdfError(message)
         T = _pose(T_parent_link, f"pose of link '{name}'")
         document = self._document
         link, joint = document.quoted(name), document.quoted(joint_name)
@@ -244,8 +243,9 @@ def _pose(matrix: FloatArray, what: str) -> FloatArray:
         R = T[:3, :3]
         if np.abs(R.T @ R - np.eye(3)).max() <= _NOT_A_ROTATION and np.linalg.det(R) > 0:
             return T
-    message = f"{what}: {T.tolist()} is no pose; a (4, 4) matrix of a rotation and a translation is wanted"
-    raise UrdfError(message)
+    raise UrdfError(
+        f"{what}: {T.tolist()} is no pose; a (4, 4) matrix of a rotation and a translation is wanted"
+    )
 
 
 def _numbers(values: FloatArray) -> str:

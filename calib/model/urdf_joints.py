@@ -232,17 +232,15 @@ def _check_tree(document: Document, joints: tuple[UrdfJoint, ...], links: tuple[
         below.setdefault(joint.parent, []).append(joint.child)
     roots = [link for link in links if link not in above]
     if len(roots) > 1:
-        message = (
+        raise UrdfError(
             f"{document.source} has {len(roots)} root links: {choices(roots)}; join them by fixed "
             "joints so that one is left"
         )
-        raise UrdfError(message)
     reached = list(roots)
     for link in reached:
         reached += below.get(link, [])
     loop = [above[link].name for link in above.keys() - set(reached)]
     if loop:
-        message = (
+        raise UrdfError(
             f"{document.source}: the joints {choices(sorted(loop))} form a loop; a URDF is a tree"
         )
-        raise UrdfError(message)

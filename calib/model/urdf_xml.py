@@ -77,16 +77,16 @@ class Document:
             UrdfError: Not XML, an encoding whose bytes are not those of ASCII, or a xacro file.
         """
         if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:4]:
-            message = f"{source} is in UTF-16 or UTF-32; save it as UTF-8"
-            raise UrdfError(message)
+            raise UrdfError(f"{source} is in UTF-16 or UTF-32; save it as UTF-8")
         scan = _Scan(data, source)
         try:
             scan.parser.Parse(data, True)
         except expat.ExpatError as error:
             raise UrdfError(_not_xml(data, source, error)) from error
         except (LookupError, ValueError) as error:
-            message = f"{source}: its encoding cannot be used ({error}); save it as UTF-8"
-            raise UrdfError(message) from error
+            raise UrdfError(
+                f"{source}: its encoding cannot be used ({error}); save it as UTF-8"
+            ) from error
         return cls(data, source, scan.encoding, scan.root[0])
 
     def at(self, element: Element, text: str) -> UrdfError:
@@ -210,10 +210,9 @@ class _Scan:
         for name in (tag, *attributes):
             if ":" in name and name.partition(":")[0] in self._xacro:
                 line = self.parser.CurrentLineNumber
-                message = (
+                raise UrdfError(
                     f"{self.source}, line {line}: '{name}' belongs to xacro, not URDF; {XACRO_FIX}"
                 )
-                raise UrdfError(message)
 
 
 def _not_xml(data: bytes, source: str, error: expat.ExpatError) -> str:

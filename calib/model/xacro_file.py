@@ -57,8 +57,9 @@ class XacroCall:
             found = _ARGUMENT.fullmatch(piece)
             if found is None or found[1] in given:
                 fault = "is given twice" if found else "is no argument of a xacro"
-                message = f"'{piece}' behind {path.name} {fault}; write NAME:=VALUE, each name once"
-                raise UrdfError(message)
+                raise UrdfError(
+                    f"'{piece}' behind {path.name} {fault}; write NAME:=VALUE, each name once"
+                )
             value = found[2].strip()
             quoted = len(value) > 1 and value[0] == value[-1] and value[0] in "\"'"
             given[found[1]] = value[1:-1] if quoted else value
@@ -95,11 +96,10 @@ def flattened(call: XacroCall) -> bytes:
     read_bytes(call.path, "xacro file")
     package = importlib.util.find_spec("xacro")
     if package is None or package.origin is None:  # None: a folder of that name
-        message = (
+        raise UrdfError(
             f"{call.name} is a xacro, and the xacro package that flattens it is not installed. In calib's folder: "
             'pip install ".[xacro]"; or flatten it elsewhere: xacro FILE ARGUMENTS > robot.urdf'
         )
-        raise UrdfError(message)
     words = [f"{name}:={value}" for name, value in call.arguments]
     program = [sys.executable, "-W", "ignore", "-m", __name__, str(call.path), *words]
     found_as_here = {
@@ -115,12 +115,12 @@ def flattened(call: XacroCall) -> bytes:
             check=False,
         )
     except subprocess.TimeoutExpired as error:
-        message = f"{call.name}: xacro took longer than {TIME_LIMIT:g} s and was stopped; look for what repeats in it"
-        raise UrdfError(message) from error
+        raise UrdfError(
+            f"{call.name}: xacro took longer than {TIME_LIMIT:g} s and was stopped; look for what repeats in it"
+        ) from error
     if done.returncode:
         said = done.stderr.decode("utf-8", "replace").strip().splitlines() or ["xacro failed"]
-        message = f"{call.name}: {said[-1]}"
-        raise UrdfError(message)
+        raise UrdfError(f"{call.name}: {said[-1]}")
     return done.stdout
 
 

@@ -138,8 +138,7 @@ def check_kind(kind: str) -> None:
         FileError: It is none of `KINDS`.
     """
     if kind not in KINDS:
-        message = f"Figures cannot be written as '{kind}'; choose one of {choices(KINDS)}."
-        raise FileError(message)
+        raise FileError(f"Figures cannot be written as '{kind}'; choose one of {choices(KINDS)}.")
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:

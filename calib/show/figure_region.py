@@ -56,10 +56,9 @@ def check_ending(path: str | Path) -> str:
     kind = Path(path).suffix.lower().removeprefix(".")
     if kind not in KINDS:
         endings = choices([f".{one}" for one in KINDS])
-        message = (
+        raise FileError(
             f"{path}: the ending says what kind of picture is written; choose one of {endings}."
         )
-        raise FileError(message)
     return kind
 
 

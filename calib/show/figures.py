@@ -319,8 +319,7 @@ def check_free(paths: Sequence[Path]) -> None:
     """
     for path in paths:
         if path.exists():
-            message = f"{path} exists already; add --force or choose another folder."
-            raise FileError(message)
+            raise FileError(f"{path} exists already; add --force or choose another folder.")
 
 
 def _words(c: Calibration) -> dict[str, str]:

@@ -100,11 +100,10 @@ class Viewer:
         """
         values = np.asarray(q, dtype=np.float64)
         if values.shape != (len(self.joint_names),) or not np.all(np.isfinite(values)):
-            message = (
+            raise ModelError(
                 f"q is {values.tolist()}; give a finite value for each joint, [rad] or [m]: "
                 f"{choices(self.joint_names)}."
             )
-            raise ModelError(message)
         shown = puppets(replace(self._one, q=values[None]), self._visuals)
         robots = {who: floats(packed(puppet.poses[:1])) for who, puppet in shown.items()}
         self._window.send(_Pose(label, robots))
@@ -276,13 +275,13 @@ def _listening(port: int) -> socket.socket:
         CalibError: It cannot.
     """
     if not 0 <= port <= 65535:
-        message = f"The port was given as {port}; give a number from 1024 to 65535, or 0 for any that is free."
-        raise CalibError(message)
+        raise CalibError(
+            f"The port was given as {port}; give a number from 1024 to 65535, or 0 for any that is free."
+        )
     try:
         listener = socket.create_server((HOST, port))
     except OSError as error:
         why = f"cannot be used ({error.strerror}); give another number, or 0 for any that is free"
-        message = f"Port {port} of {HOST} {why}."
-        raise CalibError(message) from error
+        raise CalibError(f"Port {port} of {HOST} {why}.") from error
     listener.setblocking(False)
     return listener

@@ -64,8 +64,7 @@ def _view_of_anything(shown: Calibration | Robot, other: Robot | None) -> View:
         names = (("First", shown.urdf.source), ("Second", second.urdf.source))
         return view_of_robots(shown, other, names=names)
     given = " and ".join(repr(one) for one in (shown, other)[: 1 + (other is not None)])
-    message = (
+    raise ModelError(
         f"show takes a Calibration, a Robot or two Robots; {given} was given. Make them with calib.calibrate(...) or "
         "calib.Robot.load(...)."
     )
-    raise ModelError(message)

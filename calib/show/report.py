@@ -88,10 +88,9 @@ def check_ending(path: str | Path) -> None:
         FileError: It does not end in .html or .htm.
     """
     if Path(path).suffix.lower() not in (".html", ".htm"):
-        message = (
+        raise FileError(
             f"'{path}': a report is a page; let the name end in .html. The summary is its text."
         )
-        raise FileError(message)
 
 
 def report_bytes(calibration: Calibration, *, command: str = "", date: str = "") -> bytes:

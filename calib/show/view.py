@@ -89,11 +89,10 @@ class View:
         """Copy the arrays, fill in what was left out, and check that all of it fits together."""
         robot, other = self.nominal, self.calibrated
         if other is not None and robot.joint_names != other.joint_names:
-            message = (
+            raise ModelError(
                 f"The nominal robot has the joints {choices(robot.joint_names)}, the calibrated one "
                 f"{choices(other.joint_names)}. Show two robots with the same chain."
             )
-            raise ModelError(message)
         count = len(self.q)
         poses, gaps = (count, 4, 4), np.nan
         for name, shape, otherwise in (
@@ -111,8 +110,7 @@ class View:
             values = np.broadcast_to(values, shape) if values.shape == (4, 4) else values
             if values.shape != shape or not count or (otherwise is None and np.isnan(values).any()):
                 wanted = f"finite numbers of shape {shape} are wanted, for one pose at least"
-                message = f"{name} has shape {given.shape}; {wanted}."
-                raise ModelError(message)
+                raise ModelError(f"{name} has shape {given.shape}; {wanted}.")
             object.__setattr__(self, name, read_only(values))
         for words, default in (
             ("labels", tuple(f"pose {k + 1}" for k in range(count))),

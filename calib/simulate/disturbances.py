@@ -42,8 +42,7 @@ def stream(seed: int, purpose: str) -> np.random.Generator:
         CalibError: The seed is negative.
     """
     if seed < 0:
-        message = f"The seed is {seed}; it must be a whole number, 0 or more."
-        raise CalibError(message)
+        raise CalibError(f"The seed is {seed}; it must be a whole number, 0 or more.")
     sequence = np.random.SeedSequence(int(seed), spawn_key=(STREAMS.index(purpose),))
     return np.random.default_rng(sequence)
 
@@ -72,11 +71,10 @@ class Outliers:
     def __post_init__(self) -> None:
         """Refuse what is no share, number or length."""
         if not (0.0 <= self.share <= 1.0 and (self.count or 0) >= 0 and 0.0 < self.size < np.inf):
-            message = (
+            raise CalibError(
                 f"Outliers: a share of {self.share}, a number of {self.count}, a size of {self.size} m; the share is "
                 "from 0 to 1, the number 0 or more, the size above 0."
             )
-            raise CalibError(message)
 
     def choose(self, candidates: Sequence[int], seed: int) -> list[int]:
         """Which of some rows are outliers, in order; more of them are those of fewer and others.
@@ -89,11 +87,10 @@ class Outliers:
         if number is None:
             number = max(round(self.share * among), 1) if self.share > 0.0 and among else 0
         if number > among:
-            message = (
+            raise CalibError(
                 f"{number} outliers were asked for among {among} measurements to estimate from. Ask for fewer, or "
                 "measure at more poses."
             )
-            raise CalibError(message)
         order = stream(seed, "outlier rows").permutation(among)
         return sorted(candidates[i] for i in order[:number])
 
@@ -132,17 +129,15 @@ class MovedTarget:
             CalibError: The table has no such row, or no such target.
         """
         if not 1 <= self.row <= len(targets):
-            message = (
+            raise CalibError(
                 f"The target is to move before row {self.row}; the table has the rows 1 to {len(targets)}. Name one of "
                 "these."
             )
-            raise CalibError(message)
         if self.target is not None and self.target not in targets:
-            message = (
+            raise CalibError(
                 f"The target '{self.target}' is to move; there are {choices(dict.fromkeys(targets))}. Name one of "
                 "these."
             )
-            raise CalibError(message)
         mask = np.array([self.target in (None, name) for name in targets])
         mask[: self.row - 1] = False
         return mask
@@ -165,8 +160,9 @@ class Encoder:
     def __post_init__(self) -> None:
         """Refuse what is no step."""
         if not (0.0 <= self.angle < np.inf and 0.0 <= self.length < np.inf):
-            message = f"The encoder's steps are {self.angle} rad and {self.length} m; they must be 0 or above."
-            raise CalibError(message)
+            raise CalibError(
+                f"The encoder's steps are {self.angle} rad and {self.length} m; they must be 0 or above."
+            )
 
     def stood(self, q: Array, sliding: Sequence[bool], seed: int) -> Array:
         """Where the robot stops when it is sent to q, shape (N, m), [rad] or [m]."""

@@ -105,11 +105,10 @@ class Tour:
         for name in SETS:
             chosen = [i for i, word in enumerate(sets) if word == name]
             if len(chosen) % 2:
-                message = (
+                raise CalibError(
                     f"Distances between the targets of two poses need an even number of poses; {len(chosen)} are to "
                     f"'{name}'."
                 )
-                raise CalibError(message)
             other[chosen[::2]], other[chosen[1::2]] = chosen[1::2], chosen[::2]
         rows = np.arange(len(self.pose))
         return np.asarray(rows + (other[self.pose] - self.pose) * self.targets)

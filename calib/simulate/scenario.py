@@ -85,17 +85,15 @@ class Scenario:
         """Refuse a kind that cannot be simulated, and numbers that are none."""
         if self.kind.measure is None:
             free = [name for name in registry.names() if registry.get(name).measure is not None]
-            message = (
+            raise CalibError(
                 f"Measurements of the kind '{self.kind.name}' cannot be simulated: their poses would have to hold the "
                 f"target in a socket or on a plane. Choose one of {choices(free)}."
             )
-            raise CalibError(message)
         if not (0.0 <= self.sigma_angle < np.inf and self.visits >= 1):
-            message = (
+            raise CalibError(
                 f"The noise of an angle is {self.sigma_angle} rad, and each pose is visited {self.visits} times; the "
                 "noise must not be below 0, and the visits 1 or more."
             )
-            raise CalibError(message)
         object.__setattr__(self, "drift", vector(self.drift, "drift"))
 
     @property
@@ -237,11 +235,10 @@ class VirtualCell:
         q = _checked_poses(robot, q)
         sets = (SETS[0],) * len(q) if sets is None else tuple(sets)
         if len(sets) != len(q):
-            message = (
+            raise CalibError(
                 f"There are {len(q)} poses and {len(sets)} words that say their sets; give one of {choices(SETS)} for "
                 "each pose."
             )
-            raise CalibError(message)
         tour = Tour.of(len(q), scenario.visits, len(truth.targets), len(truth.groups))
         words = tuple(sets[i] for i in tour.pose)
         names = tuple(truth.targets[t] for t in tour.target)
@@ -356,14 +353,12 @@ def _checked_poses(robot: Robot, q: ArrayLike) -> Array:
     """
     values = np.atleast_2d(np.asarray(q, dtype=np.float64))
     if not values.size:
-        message = "There are no poses to measure at; give one or more."
-        raise CalibError(message)
+        raise CalibError("There are no poses to measure at; give one or more.")
     if values.ndim != 2 or values.shape[1] != len(robot.joint_names):
-        message = (
+        raise ModelError(
             f"Joint values of shape {values.shape} were given; the robot takes (N, {len(robot.joint_names)}), for "
             f"{choices(robot.joint_names)}."
         )
-        raise ModelError(message)
     robot.chain_values(values)
     return values
 
@@ -375,11 +370,10 @@ def _check_near(points: Array) -> None:
         CalibError: A coordinate that is not finite, or beyond `FARTHEST`.
     """
     if not np.all(np.abs(points) < FARTHEST):
-        message = (
+        raise CalibError(
             f"The target would be measured more than {FARTHEST:g} m away. Check the sizes of errors and noise, the "
             "target's and the tracker's place, drift and outliers: a unit may be wrong."
         )
-        raise CalibError(message)
 
 
 def _seen(T: Array, partner: NDArray[np.int_] | None) -> Array:

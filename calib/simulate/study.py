@@ -115,11 +115,10 @@ def study(
             was killed.
     """
     if count < 2 or seed < 0:
-        message = (
+        raise CalibError(
             f"A study of {count} trials with seed {seed} was asked for; it takes 2 trials or more, 200 for figures to "
             "two digits, and a seed of 0 or more."
         )
-        raise CalibError(message)
     done: dict[int, Trial | str] = {}
     seeds = range(seed, seed + count)
     for number, result in run(_guarded, trials, seeds, executor, batch=batch_size(count)):
@@ -129,10 +128,9 @@ def study(
     found = tuple(t for s in seeds if isinstance(t := done[s], Trial))
     failures = tuple((s, t) for s in seeds if isinstance(t := done[s], str))
     if not found:
-        message = (
+        raise CalibError(
             f"None of the {count} trials came to an end. The first one's reason: {failures[0][1]}"
         )
-        raise CalibError(message)
     return Study(found, failures, _forecast(trials, seed, count))
 
 

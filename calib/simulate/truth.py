@@ -220,8 +220,7 @@ def _position(name: str | None, names: Sequence[str], what: str) -> int:
     if name is None:
         return 0
     if name not in names:
-        message = f"The truth has no {what} '{name}'; it has {choices(names)}."
-        raise ModelError(message)
+        raise ModelError(f"The truth has no {what} '{name}'; it has {choices(names)}.")
     return list(names).index(name)
 
 
@@ -239,8 +238,9 @@ def _drawn(model: ErrorModel, sizes: Mapping[str, float] | None, seed: int, cell
         return np.zeros(len(model))
     for name, size in sizes.items():
         if not 0.0 <= size < np.inf:
-            message = f"The size of errors in {family_of(name).name} is {size}; it must be a number, not below 0."
-            raise CalibError(message)
+            raise CalibError(
+                f"The size of errors in {family_of(name).name} is {size}; it must be a number, not below 0."
+            )
     x = np.empty(len(model))
     for k, parameter in enumerate(model.parameters):
         family = FAMILIES[parameter.family]
@@ -259,23 +259,20 @@ def _with_given(model: ErrorModel, x: Array, errors: Mapping[str, float]) -> Arr
     x = x.copy()
     for name, value in errors.items():
         if name not in model.names:
-            message = (
+            raise ModelError(
                 f"There is no error '{name}' in the model '{model.name}'{did_you_mean(name, model.names)}; it has "
                 f"{choices(model.names)}."
             )
-            raise ModelError(message)
         if not np.isfinite(value):
-            message = f"The error '{name}' is {value}; it must be a finite number."
-            raise CalibError(message)
+            raise CalibError(f"The error '{name}' is {value}; it must be a finite number.")
         x[model.index(name)] = value
     for parameter, value in zip(model.parameters, x, strict=True):
         largest = unit_of(parameter.unit).largest
         if abs(value) > largest:
-            message = (
+            raise CalibError(
                 f"The error '{parameter.name}' is {value:.3g} {parameter.unit}; more than {largest:g} "
                 f"{parameter.unit} is not an error but another robot."
             )
-            raise CalibError(message)
     return x
 
 
@@ -283,11 +280,10 @@ def _check_free(errors: Mapping[str, float], free: Sequence[str], model: ErrorMo
     """Refuse single errors of a geometry that a true robot states."""
     fixed = [name for name in errors if name in model.names and name not in free]
     if fixed:
-        message = (
+        raise ModelError(
             f"The errors {choices(fixed)} are of the geometry, which the true robot states already. Give one or the "
             "other."
         )
-        raise ModelError(message)
 
 
 def _as_nominal(nominal: Robot, true: Robot) -> Robot:
@@ -299,19 +295,17 @@ def _as_nominal(nominal: Robot, true: Robot) -> Robot:
     if true.joint_names != nominal.joint_names or [j.name for j in true.joints] != [
         j.name for j in nominal.joints
     ]:
-        message = (
+        raise ModelError(
             f"The true robot '{true.urdf.source}' has the joints {choices(j.name for j in true.joints)} between "
             f"'{true.base}' and '{true.tip}', the nominal robot {choices(j.name for j in nominal.joints)}; they must "
             "be the same."
         )
-        raise ModelError(message)
     for ours, theirs in zip(nominal.joints, true.joints, strict=True):
         if ours.type != theirs.type or np.abs(ours.axis - theirs.axis).max() > _SAME_AXIS:
-            message = (
+            raise ModelError(
                 f"The joint '{ours.name}' of the true robot '{true.urdf.source}' has another type or <axis> than the "
                 "nominal robot's. Leave both as they are, and turn its <origin>."
             )
-            raise ModelError(message)
     placements = true.placements.copy()
     placements[0] = nominal.T_root_base @ rigid_inverse(true.T_root_base) @ placements[0]
     return nominal.with_placements(placements)
@@ -355,8 +349,7 @@ def _frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
 def _targets(cell: Cell, seed: int, size: float) -> tuple[tuple[str, ...], Array, Array]:
     """The targets by name, where they are said to sit, and where they truly do."""
     if not (np.isfinite(size) and size >= 0.0):
-        message = f"The error of the target is {size} m; it must be a number, not below 0."
-        raise CalibError(message)
+        raise CalibError(f"The error of the target is {size} m; it must be a number, not below 0.")
     names = tuple(cell.targets) or (DEFAULT_TARGET,)
     rng = stream(seed, "targets")
     said = np.tile(np.eye(4), (len(names), 1, 1))
