@@ -36,7 +36,7 @@ from calib.design.plan import plan
 from calib.identify.fitting import Task, fit
 from calib.identify.problem import Problem
 from calib.identify.rows import Rows
-from calib.identify.table_rows import rows_of
+from calib.identify.setup import rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model

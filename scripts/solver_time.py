@@ -19,7 +19,7 @@ from functools import partial
 from calib.calibration import calibrate
 from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.identify.fitting import Task, fit
-from calib.identify.table_rows import rows_of
+from calib.identify.setup import rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only

@@ -23,7 +23,7 @@ from calib.design.optimal import information
 from calib.design.sensitivity import Sensitivity
 from calib.errors import MeasurementError
 from calib.identify.registration import register
-from calib.identify.table_rows import rows_of
+from calib.identify.setup import rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.observability import analyse, steps

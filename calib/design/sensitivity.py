@@ -13,12 +13,17 @@ from numpy.typing import NDArray
 import calib.kinds as registry
 from calib.errors import ModelError, choices
 from calib.families import FAMILIES
-from calib.identify.estimate import FIRST_SIGMA_ANGLE
 from calib.identify.fitting import Task, model_of
 from calib.identify.inspection import GENERIC_TARGET, any_measurement
 from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.rows import Rows
-from calib.identify.setup import Setup, along_own_axes, setup_of, targets_along_tip
+from calib.identify.setup import (
+    FIRST_SIGMA_ANGLE,
+    Setup,
+    along_own_axes,
+    setup_of,
+    targets_along_tip,
+)
 from calib.measure.cell import AUTO, Cell
 from calib.measure.columns import DEFAULT_TARGET
 from calib.measure.measurements import Measurements

@@ -27,8 +27,7 @@ from calib.errors import MeasurementError
 from calib.identify.acceptance_rows import estimated, fitted_of, judged_rows
 from calib.identify.evaluation import Evaluation
 from calib.identify.rows import Rows
-from calib.identify.setup import Setup
-from calib.identify.table_rows import rows_of
+from calib.identify.setup import Setup, rows_of
 from calib.measure.cell import Cell
 from calib.model.robot import read_only
 

@@ -25,16 +25,15 @@ from calib.identify.fitting import Fitted, Task, fit, unseen_scores
 from calib.identify.inspection import known_slopes
 from calib.identify.nominal import nominal_on
 from calib.identify.prediction import Larger, base_motion, expected_error, tells_place
-from calib.identify.repeats import Repeats, repeats
 from calib.identify.result import Calibration, Fit, RowNames, Source
-from calib.identify.robust import Limits
+from calib.identify.robust import Limits, Repeats, repeats
 from calib.identify.robustness import compare
 from calib.identify.rows import Rows
 from calib.identify.selection import Candidate, select
+from calib.identify.setup import known_distances, rows_of
 from calib.identify.setup_check import better_setup
 from calib.identify.solvers import Solver
 from calib.identify.statistics import CrossValidation
-from calib.identify.table_rows import known_distances, rows_of
 from calib.identify.verdict import NO, Verdict, verdict
 from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements

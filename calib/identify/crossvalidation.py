@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
+from calib.identify.estimate import Options, staged
 from calib.identify.fitting import (
     Fitted,
     Task,
     fit,
     task_options,
 )
-from calib.identify.fold_fits import fold_fits, fold_means
-from calib.identify.linear import Linear
 from calib.identify.nominal import ENOUGH, nominal_setup, seen_from, without_outliers
+from calib.identify.problem import Linear, Problem
 from calib.identify.registration import register_poses
 from calib.identify.rows import Rows, evenly
-from calib.identify.setup import Setup
-from calib.identify.stage import FEWEST_FREEDOM
+from calib.identify.setup import Setup, joined_setups
+from calib.identify.stage import FEWEST_FREEDOM, Stage
 from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
-from calib.identify.table_rows import joined_setups
+from calib.identify.variance import Known
 from calib.kinds import DIRECTIONS
 from calib.model.parameters import ErrorModel, frame_place, target_place
 
@@ -72,9 +72,9 @@ def cross_validation(
 ) -> CrossValidation:
     """Cross-validation of the calibrated robot, fitted anew without each fold.
 
-    With the fit to all rows at hand a fold is fitted on the problem linearised there (`calib.identify.fold_fits`): as
-    from the beginning, but for registration and kinematics, and the robot itself predicts its rows. Where the robot is
-    not the linearised one there, with the paper's solver, at bounds and with few rows, it is fitted from the beginning.
+    With the fit to all rows at hand a fold is fitted on the problem linearised there (`fold_fits`): as from the
+    beginning, but for registration and kinematics, and the robot itself predicts its rows. Where the robot is not the
+    linearised one there, with the paper's solver, at bounds and with few rows, it is fitted from the beginning.
 
     Args:
         task: What to fit.
@@ -301,3 +301,63 @@ def only_there(model: ErrorModel, setup: Setup, rows: Rows, mask: Mask) -> NDArr
     if not places:
         return np.zeros(len(model), dtype=bool)
     return np.array([p.place in places for p in model.parameters], dtype=bool)
+
+
+#: Of so many rows so small a share can be left out without finding weights, noise and sizes anew.
+_MANY, _SMALL_SHARE = 1500, 0.15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoldFits:
+    """Solutions without each fold.
+
+    Attributes:
+        x: shape (F, p), parameters, counted from where those of the fit to all rows are.
+        freedom: shape (F,), degrees of freedom of the first fit; where they are few no row loses its weight.
+    """
+
+    x: Array
+    freedom: Array
+
+
+def fold_fits(
+    problem: Problem,
+    noise: tuple[float, ...],
+    linear: Linear,
+    masks: Sequence[Mask],
+    options: Options,
+) -> FoldFits:
+    """Fit without each fold.
+
+    Args:
+        problem: Of all rows, in its last form.
+        noise: Of each instrument, as the fit to all rows found it.
+        linear: The problem linearised there.
+        masks: The rows left out, each of shape (N,).
+        options: Of the fit, without weights that stay.
+    """
+    if len(linear) >= _MANY and max(float(np.mean(mask)) for mask in masks) < _SMALL_SHARE:
+        known = linear.known(problem.precision, problem.centre)
+        found = fold_means(linear, masks, problem.weights, noise, known)
+        return FoldFits(found, np.full(len(masks), np.inf))
+    x, freedoms = [], []
+    for mask in masks:
+        rest, poses = linear.select(~mask), problem.rows.poses[~mask]
+        first = Stage.first(options.holds, len(rest), len(rest.smallest))
+        shared = first.sharing(rest, poses, options.repeats)
+        freedoms.append(rest.fit(shared.effective, shared.noise, shared.known(rest))[2])
+        last = staged(first, lambda _, rest=rest: rest, poses, options)  # type: ignore[misc]
+        x.append(rest.data(last.effective).posterior(last.noise, last.known(rest))[0])
+    return FoldFits(np.array(x), np.array(freedoms))
+
+
+def fold_means(
+    linear: Linear,
+    masks: Sequence[Mask],
+    weights: Array,
+    noise: tuple[float, ...],
+    known: Known,
+) -> Array:
+    """Posterior means without each fold, at weights, noise and priors that stay, shape (F, p)."""
+    each = (linear.data(np.where(mask, 0.0, weights)) for mask in masks)
+    return np.array([data.posterior(noise, known)[0] for data in each])

@@ -13,10 +13,9 @@ from calib.identify.prediction import tip_poses
 from calib.identify.registration import register_poses
 from calib.identify.result import Calibration
 from calib.identify.rows import Rows
-from calib.identify.setup import Setup
+from calib.identify.setup import Setup, rows_of
 from calib.identify.setup_check import better_setup
 from calib.identify.statistics import Errors
-from calib.identify.table_rows import rows_of
 from calib.measure.cell import DIRECTIONS, Cell
 from calib.measure.measurements import Measurements
 from calib.model.kinematics import Samples

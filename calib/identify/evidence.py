@@ -13,11 +13,11 @@ from calib.identify.fitting import Fitted, fit
 from calib.identify.nominal import ENOUGH
 from calib.identify.patterns import drift, joint_patterns
 from calib.identify.problem import Problem
-from calib.identify.repeats import pose_means
 from calib.identify.result import Calibration
+from calib.identify.robust import pose_means
 from calib.identify.rows import Rows, evenly
+from calib.identify.setup import joined_setups
 from calib.identify.statistics import Errors, Mask
-from calib.identify.table_rows import joined_setups
 from calib.identify.unpredicted import prediction_square, unpredicted_setup
 from calib.identify.verdict import Evidence
 from calib.model.error_model import error_model

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, ModelError, choices
-from calib.identify.estimate import Estimate, Solve, estimate, plain_estimate
+from calib.identify.estimate import Estimate, Options, Solve, estimate, plain_estimate
 from calib.identify.nominal import seen_from, without_outliers
-from calib.identify.options import Options
-from calib.identify.problem import KnownDistance, Problem, parts_of
+from calib.identify.problem import Problem, parts_of
 from calib.identify.registration import register, register_poses
 from calib.identify.robust import scores
 from calib.identify.rows import Rows
-from calib.identify.setup import Setup, along_own_axes, targets_along_tip
+from calib.identify.setup import KnownDistance, Setup, along_own_axes, targets_along_tip
 from calib.identify.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
 from calib.measure.cell import Cell
 from calib.model.error_model import error_model
@@ -169,7 +168,7 @@ def task_options(task: Task, model: ErrorModel, started: Setup) -> Options:
     """How a task is estimated from a registered start.
 
     Raises:
-        ModelError: See `calib.identify.options.Options.of`.
+        ModelError: See `calib.identify.estimate.Options.of`.
     """
     setups = (task.setup, started)
     return Options.of(task.cell, model, setups, robust=task.robust, lenient=task.lenient)

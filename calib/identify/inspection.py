@@ -14,8 +14,7 @@ from calib.identify.fitting import Task, model_of
 from calib.identify.nominal import seen_from
 from calib.identify.problem import Problem
 from calib.identify.registration import register
-from calib.identify.setup import along_own_axes, targets_along_tip
-from calib.identify.table_rows import known_distances, rows_of
+from calib.identify.setup import along_own_axes, known_distances, rows_of, targets_along_tip
 from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements
 from calib.model.kinematics import Kinematics

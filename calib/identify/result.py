@@ -18,7 +18,7 @@ from calib.identify.coverage import OutsideRow
 from calib.identify.findings import Outlier, ParameterEstimate
 from calib.identify.fitting import Fitted
 from calib.identify.prediction import Larger, Predictor
-from calib.identify.repeats import Repeats
+from calib.identify.robust import Repeats
 from calib.identify.robustness import Robustness
 from calib.identify.selection import Candidate
 from calib.identify.setup import Setup

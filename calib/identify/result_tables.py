@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from calib.families import FAMILIES, family_of
 from calib.identify.findings import ParameterEstimate
 from calib.identify.prediction import Larger
-from calib.identify.repeats import Repeats
 from calib.identify.result_rows import residuals_of
+from calib.identify.robust import Repeats
 from calib.identify.robustness import Robustness
 from calib.identify.selection import Candidate
 from calib.identify.setup import Setup

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.families import FAMILIES
-from calib.identify.linear import Linear
-from calib.identify.problem import Problem
-from calib.identify.repeats import repeats
+from calib.identify.problem import Linear, Problem
 from calib.identify.robust import (
     Limits,
     cauchy_weights,
     median_noise,
+    repeats,
 )
 from calib.identify.variance import (
     Known,

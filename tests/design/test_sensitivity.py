@@ -12,9 +12,9 @@ from calib.design.forecast import forecast
 from calib.design.sensitivity import Sensitivity
 from calib.errors import MeasurementError, ModelError
 from calib.identify.calibration import calibrate
-from calib.identify.estimate import FIRST_SIGMA_ANGLE
 from calib.identify.inspection import inspect
 from calib.identify.rigid_motion import without_rigid_motion
+from calib.identify.setup import FIRST_SIGMA_ANGLE
 from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise

@@ -18,7 +18,7 @@ from calib.identify.crossvalidation import (
 )
 from calib.identify.fitting import Task, fit
 from calib.identify.rows import Rows
-from calib.identify.table_rows import known_distances, rows_of
+from calib.identify.setup import known_distances, rows_of
 from calib.measure.cell import Cell, GroupDistance
 from calib.measure.measurements import Measurements
 

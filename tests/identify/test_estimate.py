@@ -10,7 +10,7 @@ from scipy.special import stdtrit
 
 from calib.identify.fitting import Fitted, Task, fit
 from calib.identify.rows import Rows
-from calib.identify.table_rows import known_distances, rows_of
+from calib.identify.setup import known_distances, rows_of
 from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model

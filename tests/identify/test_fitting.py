@@ -12,9 +12,9 @@ from scipy.special import stdtrit
 from calib.calibration import calibrate
 from calib.errors import MeasurementError, ModelError
 from calib.identify.fitting import Task, fit, scale_of, unseen_scores
+from calib.identify.registration import best_fit
+from calib.identify.setup import known_distances, rows_of
 from calib.identify.solvers import SOLVERS, Solution
-from calib.identify.starts import best_fit
-from calib.identify.table_rows import known_distances, rows_of
 from calib.measure.cell import Cell, GroupDistance, Priors
 from calib.model.error_model import MODELS, error_model
 from calib.model.kinematics import Kinematics

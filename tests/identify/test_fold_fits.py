@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.identify.crossvalidation import cross_validation, folds_of
+from calib.identify.crossvalidation import cross_validation, fold_fits, fold_means, folds_of
 from calib.identify.estimate import estimate as estimated
 from calib.identify.fitting import Fitted, Task, fit, task_options
 from calib.identify.fitting import _solver as solver_of
-from calib.identify.fold_fits import fold_fits, fold_means
 from calib.identify.problem import Problem
 from calib.identify.rows import Rows
-from calib.identify.table_rows import known_distances, rows_of
+from calib.identify.setup import known_distances, rows_of
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.observability import steps

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calib.identify.calibration import calibrate
+from calib.identify.registration import best_fit
 from calib.identify.result import Calibration
-from calib.identify.starts import best_fit
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model

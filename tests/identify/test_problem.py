@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.identify.problem import KnownDistance, Problem
-from calib.identify.table_rows import rows_of
+from calib.identify.problem import Problem
+from calib.identify.setup import KnownDistance, rows_of
 from calib.measure.cell import Cell
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics

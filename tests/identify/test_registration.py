@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from calib.errors import MeasurementError
 from calib.identify.nominal import residual_of
 from calib.identify.registration import _some, _system, register, register_poses
-from calib.identify.table_rows import rows_of
+from calib.identify.setup import rows_of
 from calib.measure.cell import Cell
 from calib.model.error_model import frame_and_target_model
 from calib.model.parameters import frame_place

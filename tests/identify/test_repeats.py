@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.identify.repeats import pose_means, repeats
+from calib.identify.robust import pose_means, repeats
 
 
 def measured(rng, counts, *, shared=1.0, noise=1.0, columns=3):

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.identify.rows import NONE, Rows
-from calib.identify.table_rows import rows_of
+from calib.identify.setup import rows_of
 from calib.kinds import _log_derivative
 from calib.kinds import at as kind_at
 from calib.measure.cell import Cell

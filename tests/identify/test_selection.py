@@ -14,7 +14,7 @@ from calib.errors import ModelError
 from calib.identify.calibration import _validated, calibrate
 from calib.identify.fitting import Task
 from calib.identify.selection import LADDER, Candidate, Selection, select
-from calib.identify.table_rows import rows_of
+from calib.identify.setup import rows_of
 from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements
 from calib.model.readback import random_joint_values

@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.errors import ModelError
-from calib.identify.setup import along_own_axes
-from calib.identify.table_rows import rows_of
+from calib.identify.setup import along_own_axes, rows_of
 from calib.measure.cell import Cell, GroupDistance
 from calib.model.error_model import frame_and_target_model
 from calib.model.kinematics import Kinematics

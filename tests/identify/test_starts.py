@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.identify.nominal import residual_of
-from calib.identify.starts import best_fit, frames_around, linear_start, pose_start
-from calib.identify.table_rows import rows_of
+from calib.identify.registration import best_fit, frames_around, linear_start, pose_start
+from calib.identify.setup import rows_of
 from calib.kinds import get
 from calib.measure.cell import Cell
 

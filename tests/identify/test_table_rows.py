@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 
 from calib.errors import MeasurementError, ModelError
-from calib.identify.estimate import FIRST_SIGMA, FIRST_SIGMA_ANGLE
-from calib.identify.problem import KnownDistance
 from calib.identify.rows import NONE
-from calib.identify.table_rows import _joined, joined_setups, known_distances, rows_of
+from calib.identify.setup import (
+    FIRST_SIGMA,
+    FIRST_SIGMA_ANGLE,
+    KnownDistance,
+    _joined,
+    joined_setups,
+    known_distances,
+    rows_of,
+)
 from calib.measure.cell import Cell, GroupDistance
 from calib.measure.measurements import Measurements
 from calib.model.torques import Payload, gravity_load

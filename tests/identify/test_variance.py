@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from calib.identify.linear import Linear
+from calib.identify.problem import Linear
 from calib.identify.variance import (
     Known,
     Sizes,
