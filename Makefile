@@ -23,7 +23,7 @@ test: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
 verify: $(STAMP)
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "slow or not slow"
+	HYPOTHESIS_SEED=random OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "slow or not slow"
 
 # Tests start programs in folders of their own, and COVERAGE_FILE says where all of them count.
 coverage: export COVERAGE_FILE := $(CURDIR)/.coverage

@@ -83,7 +83,7 @@ def dh_table(robot: Robot, convention: str = HAYATI, like: Robot | None = None) 
 
     Example:
         >>> table = dh_table(Robot.load("ur3", base="base", tip="tool0"))
-        >>> [round(1000 * row.a, 2) for row in table.rows]
+        >>> [round(1000 * row.a, 2) + 0.0 for row in table.rows]
         [0.0, -243.65, -213.25, 0.0, 0.0, 0.0]
     """
     if convention not in CONVENTIONS:

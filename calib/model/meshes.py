@@ -20,8 +20,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pinocchio import hppfcl
 
-from calib.model.ros_packages import listed_folders, packages_in
 from calib.model.urdf import Urdf
+from calib.model.xacro_file import listed_folders, packages_in
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]

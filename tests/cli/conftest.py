@@ -164,6 +164,14 @@ def examples(tmp_path_factory: pytest.TempPathFactory) -> Examples:
     return Examples(folder, done)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What asks for the examples waits half a minute for all of them: it is slow."""
+    for item in items:
+        if "examples" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope="session")
 def run() -> Run:
     """`calib`: a function of a folder and the words of a call."""

@@ -337,4 +337,4 @@ def test_how_far_a_sliding_joint_may_have_to_go_is_said_in_millimetres(gantry: R
     q = np.array([[0.1, 0.2, 0.3, 0.2, 0.004, 0.1]])
     found = commands(gantry.with_placements(placements), Program(("row 1",), q=q), nominal=gantry)
     said = " ".join(found.warnings[0])
-    assert re.search(r"near a singularity: 1 mm of the tool may take \S+ mm of 'slide_[xy]'", said)
+    assert re.search(r"near a singularity: 1 mm of the tool may take \S+ mm of 'slide_[xyz]'", said)

@@ -88,7 +88,7 @@ def test_any_chain_keeps_its_poses(serial_urdf, kinds, seed):
     np.testing.assert_allclose(
         back.placements, anchored(robot, nominal).placements, rtol=0, atol=1e-11
     )
-    assert np.abs(back.placements - nominal.placements).max() < 0.06
+    assert np.abs(back.placements - nominal.placements).max() < 0.1
     np.testing.assert_allclose(anchored(back, nominal).placements, back.placements, atol=1e-12)
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.model.ros_packages import package_folder, packages_in
+from calib.model.xacro_file import package_folder, packages_in
 
 
 @pytest.fixture(autouse=True)
