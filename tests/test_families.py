@@ -10,7 +10,7 @@ import pytest
 from calib import families
 from calib.errors import ModelError
 from calib.families import FAMILIES, Factor, Family, JointState, register, unit_of
-from calib.model.joint_errors import joint_parameters
+from calib.model.error_model import joint_parameters
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ With the joint's values q the angle of a point about the axis is
 
     phi = phi_0 + (1 + gain) q + sin sin(q) + cos cos(q) + noise / radius
 
-where gain and the once-per-turn terms are what `calib.model.joint_errors` calls a joint's gain and eccentricity. A
+where gain and the once-per-turn terms are what `calib.families` calls a joint's gain and eccentricity. A
 circle whose centre is not known exactly turns once per turn too: the centre's covariance is part of theirs.
 """
 

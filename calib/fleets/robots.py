@@ -22,8 +22,7 @@ from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.table import Table
 from calib.model.robot import Robot
-from calib.model.sources import read_urdf
-from calib.model.urdf import Urdf
+from calib.model.urdf import Urdf, read_urdf
 from calib.show.report import write_report
 from calib.units import split_header
 from calib.version import __version__

@@ -11,7 +11,7 @@ of any parameter is Pinocchio's placement regressor times its direction, carried
 
     dP'/dx_k = P' [Ad(exp(xi_(k+1) x_(k+1)) ...)^-1 xi_k]
 
-Errors that change with the joints' state (`calib.model.joint_errors`) act about the joint's own axis, times a known
+Errors that change with the joints' state (`calib.families`) act about the joint's own axis, times a known
 number of that state: the same columns of the regressor, times that number.
 """
 
@@ -25,9 +25,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
-from calib.families import ANGLE, LENGTH, ZERO, joint_families
+from calib.families import ANGLE, LENGTH, ZERO, family_of, joint_families
 from calib.model.dh import dh_frames, dh_table, zero_poses
-from calib.model.joint_errors import axis_twists, joint_parameters
 from calib.model.parameters import (
     FRAME,
     TARGET,
@@ -38,6 +37,8 @@ from calib.model.parameters import (
     target_place,
 )
 from calib.model.robot import Robot, read_only, rigid_inverse
+
+Array = NDArray[np.float64]
 
 #: The six directions of a frame or a placement.
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
@@ -251,7 +252,7 @@ def _before_joint(
     i: int,
     name: str,
     unit: str,
-    direction: NDArray[np.float64],
+    direction: Array,
     family: str,
     nominal: float = 0.0,
 ) -> Parameter:
@@ -333,14 +334,12 @@ def _own_parameters(robot: Robot, base: str) -> tuple[Parameter, ...]:
     return tuple(MODELS[base](robot))
 
 
-def _unit_twist(k: int) -> NDArray[np.float64]:
+def _unit_twist(k: int) -> Array:
     """The k-th unit twist, linear first."""
     return read_only(np.eye(6)[k])
 
 
-def _screw_twists(
-    T: NDArray[np.float64], axis: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _screw_twists(T: Array, axis: int) -> tuple[Array, Array]:
     """The twists along and about one axis of frame T, in the frame that T is given in."""
     direction, origin = T[:3, axis], T[:3, 3]
     along = np.concatenate([direction, np.zeros(3)])
@@ -348,8 +347,53 @@ def _screw_twists(
     return read_only(along), read_only(about)
 
 
-def _rotation_y(angle: float) -> NDArray[np.float64]:
+def _rotation_y(angle: float) -> Array:
     """The rotation about y as a pose, shape (4, 4)."""
     T = np.eye(4)
     T[:3, :3] = pin.rpy.rpyToMatrix(0.0, angle, 0.0)
     return T
+
+
+def joint_parameters(robot: Robot, family: str) -> list[Parameter]:
+    """The parameters of one family of the joints' state, named ``<joint>.gain`` and so on.
+
+    Raises:
+        ModelError: No such family, or one of the geometry.
+    """
+    row = family_of(family)
+    if row.geometric:
+        raise ModelError(
+            f"'{family}' is a family of the geometry: it belongs to a parameter set, and cannot be added to one."
+        )
+    parameters = []
+    for joint in robot.joints if row.every_joint else robot.inputs:
+        slides = joint.type == "prismatic"
+        unit = row.sliding if slides else row.unit
+        if unit is None:
+            continue
+        twist = _axis_twist(joint.axis, slides=slides)
+        parameters += [
+            Parameter(
+                f"{joint.name}.{factor.name}",
+                unit.symbol,
+                joint.name,
+                twist,
+                family,
+                factor=factor,
+            )
+            for factor in row.factors
+        ]
+    return parameters
+
+
+def axis_twists(robot: Robot) -> Array:
+    """The twist of a unit of each joint of the chain, in its own frame, shape (n, 6)."""
+    return read_only(
+        [_axis_twist(joint.axis, slides=joint.type == "prismatic") for joint in robot.joints]
+    )
+
+
+def _axis_twist(axis: Array, *, slides: bool) -> Array:
+    """The twist of a unit of a joint."""
+    nothing = np.zeros(3)
+    return read_only(np.concatenate([axis, nothing] if slides else [nothing, axis]))

@@ -3,12 +3,13 @@
     T_frame_target(x, q) = F D_F  T_base_tip(x, q + dq)  T D_T
 
 with the measurement frame F, the target T in the tip, the displacements D of `calib.model.error_model` and the
-joints' own errors dq of `calib.model.joint_errors`. The arithmetic is that of `calib.model.kernel`, for any number of
+joints' own errors dq of `joint_displacements`. The arithmetic is that of `calib.model.kernel`, for any number of
 samples. No finite differences anywhere.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -16,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, choices
+from calib.families import JointState, family_of
 from calib.model import kernel
-from calib.model.joint_errors import joint_displacements
-from calib.model.parameters import FRAME, TARGET, ErrorModel
+from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
@@ -159,3 +160,31 @@ class Kinematics:
             moved = moved @ mixing[:, columns]
             values = values + moved @ x[columns]
         return kernel.Stood(values, samples.frame, samples.target, moved, columns)
+
+
+def joint_displacements(
+    robot: Robot, terms: Sequence[Parameter], q: Array, load: Array | None
+) -> Array:
+    """How far a unit of each term moves each joint of the chain, shape (N, n, len(terms)).
+
+    Args:
+        robot: The robot, n joints in its chain.
+        terms: With a ``factor``.
+        q: shape (N, m), values of the measured joints, [rad] or [m].
+        load: shape (N, n), torque or force on each joint [Nm, N]; None if no term needs it.
+
+    Raises:
+        ModelError: A term needs the load, and there is none; or has no factor.
+    """
+    joints = tuple(joint.name for joint in robot.joints)
+    moved = np.zeros((len(q), len(joints), len(terms)))
+    for k, term in enumerate(terms):
+        if term.factor is None:
+            raise ModelError(f"'{term.name}' is an error of the geometry; it moves no joint.")
+        if family_of(term.family).every_joint:
+            driven: Array = np.eye(len(joints))[joints.index(term.place)]
+        else:
+            driven = robot.coupling[:, robot.joint_names.index(term.place)]
+        state = JointState(term.place, robot.joint_names, q, joints, load)
+        moved[:, :, k] = term.factor.value(state)[:, None] * driven
+    return moved

@@ -24,10 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import UrdfError
 from calib.model import kernel
-from calib.model.chain import Chain, last_joint_poses, read_only, rigid_inverse
+from calib.model.chain import Chain, farthest_link, last_joint_poses, read_only, rigid_inverse
 from calib.model.coupling import Coupling, all_values, checked_held
-from calib.model.sources import farthest_link, read_urdf
-from calib.model.urdf import Urdf, UrdfJoint
+from calib.model.urdf import Urdf, UrdfJoint, read_urdf
 
 __all__ = ["Robot", "last_joint_poses", "read_only", "rigid_inverse"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.metadata
 import itertools
 import os
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ from calib.errors import UrdfError, choices, did_you_mean
 from calib.model.files import check_no_xacro, read_bytes, write_atomically
 from calib.model.urdf_joints import UrdfJoint, path_from_root, read_tree
 from calib.model.urdf_xml import Document, Element, element_tree
+from calib.model.xacro_file import XacroCall, flattened, is_xacro
 
 __all__ = ["SAME", "Urdf", "UrdfJoint"]
 
@@ -279,3 +281,52 @@ def _patch(
         return [(origin.start, origin.end, document.start_tag_with(origin, values))]
     margin = document.line_head(joint.children[0].start) or b""
     return [(joint.end, joint.end, margin + _origin_tag(T_new))]
+
+
+def read_urdf(source: str | Path) -> Urdf:
+    """The URDF of a file, of a xacro with the arguments behind it, or of a robot of example-robot-data.
+
+    The ``data`` of a xacro's URDF are the flattened text, its ``path`` is that of the file, and its ``source`` the
+    file's name with the arguments.
+
+    Raises:
+        FileError: The file cannot be read.
+        UrdfError: No such robot, no URDF, or a xacro that cannot be flattened.
+    """
+    if not is_xacro(source):
+        return Urdf.read(find_urdf(source))
+    call = XacroCall.parse(source)
+    data = flattened(call)
+    try:
+        return Urdf.from_bytes(data, call.name, call.path)
+    except UrdfError as error:
+        raise UrdfError(
+            f"{str(error).rstrip('.')}. This is about the flattened text: xacro FILE ARGUMENTS > robot.urdf"
+        ) from error
+
+
+def find_urdf(source: str | Path) -> Path:
+    """The URDF file that a path or a robot's name means.
+
+    A name is looked for in the file list of the installed ``example-robot-data`` package, as
+    ``<name>_robot.urdf`` and then ``<name>.urdf``: that package's own loader returns a UR5 for ``"ur3"``.
+
+    Raises:
+        UrdfError: Neither a file nor a known robot.
+    """
+    path = Path(source)
+    if path.suffix or len(path.parts) != 1 or os.path.isfile(path):  # noqa: PTH113  of any length
+        return path
+    try:
+        files = importlib.metadata.files("example-robot-data") or []
+    except importlib.metadata.PackageNotFoundError:
+        files = []
+    urdfs = {file.name: Path(str(file.locate())) for file in files if file.suffix == ".urdf"}
+    for name in (f"{source}_robot.urdf", f"{source}.urdf"):
+        if name in urdfs:
+            return urdfs[name]
+    known = sorted(name.removesuffix(".urdf").removesuffix("_robot") for name in urdfs)
+    raise UrdfError(
+        f"'{source}' is neither a file here nor a robot of example-robot-data. Give the path of a URDF or "
+        f"xacro, or one of {choices(dict.fromkeys(known), limit=60)}."
+    )

@@ -2,7 +2,7 @@
 
     T_frame_target(q) = T_frame_base  T_base_tip(true placements, q + dq)  T_tip_target
 
-with the joints' own errors dq of `calib.model.joint_errors`; the load of a compliance is that of the nominal URDF's
+with the joints' own errors dq of `calib.model.kinematics`; the load of a compliance is that of the nominal URDF's
 masses and the payload at the joint values that are read, as `calib.identify` takes it.
 """
 

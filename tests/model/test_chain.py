@@ -17,9 +17,8 @@ from calib.model.chain import full_configurations, full_model, link_frame
 from calib.model.dh import dh_table
 from calib.model.readback import check_written
 from calib.model.robot import Robot
-from calib.model.sources import find_urdf
 from calib.model.torques import Payload, gravity_load
-from calib.model.urdf import Urdf
+from calib.model.urdf import Urdf, find_urdf
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
 BAD = ("quadrotor_base.urdf", "ur3.urdf", "iris_simple.urdf")  # no joints, or none that moves

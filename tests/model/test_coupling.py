@@ -6,8 +6,7 @@ import pytest
 
 from calib.errors import ModelError, UrdfError
 from calib.model.robot import Robot
-from calib.model.sources import find_urdf
-from calib.model.urdf import Urdf
+from calib.model.urdf import Urdf, find_urdf
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
 

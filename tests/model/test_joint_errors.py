@@ -6,9 +6,8 @@ import pytest
 
 from calib.errors import ModelError
 from calib.families import joint_families
-from calib.model.error_model import error_model
-from calib.model.joint_errors import axis_twists, joint_displacements, joint_parameters
-from calib.model.kinematics import Kinematics, Samples
+from calib.model.error_model import axis_twists, error_model, joint_parameters
+from calib.model.kinematics import Kinematics, Samples, joint_displacements
 from calib.model.robot import Robot
 from calib.model.torques import Payload, gravity_load
 from calib.model.urdf import Urdf

@@ -8,9 +8,8 @@ import pytest
 
 from calib.errors import ModelError
 from calib.model import kernel, threads
-from calib.model.error_model import error_model
-from calib.model.joint_errors import axis_twists, joint_displacements
-from calib.model.kinematics import Kinematics, Samples
+from calib.model.error_model import axis_twists, error_model
+from calib.model.kinematics import Kinematics, Samples, joint_displacements
 from calib.model.robot import Robot, rigid_inverse
 from tests.model.test_kinematics import CHAINS, pose, robots  # noqa: F401
 

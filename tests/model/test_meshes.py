@@ -19,8 +19,7 @@ from calib.model.meshes import (
     mesh_vertices,
     read_mesh,
 )
-from calib.model.sources import find_urdf
-from calib.model.urdf import Urdf
+from calib.model.urdf import Urdf, find_urdf
 
 TEXT = """<robot name="r"><link name="a">
   <visual><origin xyz="1 2 3" rpy="0 0 1.5707963267948966"/><geometry><box size="1 2 3"/></geometry></visual>

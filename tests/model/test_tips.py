@@ -3,9 +3,9 @@ from __future__ import annotations
 import pytest
 
 from calib.errors import UrdfError
+from calib.model.chain import farthest_link
 from calib.model.robot import Robot
-from calib.model.sources import farthest_link, find_urdf
-from calib.model.urdf import Urdf
+from calib.model.urdf import Urdf, find_urdf
 
 # What a tip below the base is, is tested in test_robot.py.
 

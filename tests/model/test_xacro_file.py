@@ -13,7 +13,7 @@ from calib.errors import FileError, UrdfError
 from calib.model.meshes import find_mesh, link_shapes, mesh_folders
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
-from calib.model.sources import find_urdf, read_urdf
+from calib.model.urdf import find_urdf, read_urdf
 from calib.model.xacro_file import XacroCall, is_xacro
 
 URDF = Path(__file__).parents[2] / "urdf"
