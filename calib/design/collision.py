@@ -13,20 +13,30 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from pinocchio import hppfcl
 
-from calib.design.collision_pairs import Ignored, Scene, choose_pairs, mounting_plane, room_for
-from calib.design.solids import Kind, Solid, read_solids, rods
+from calib.design.solids import (
+    JOINED,
+    SAMPLES,
+    Kind,
+    Scene,
+    Solid,
+    choose_pairs,
+    clusters,
+    mounting_plane,
+    read_solids,
+    rod,
+)
 from calib.errors import CalibError, choices
 from calib.measure.cell_parts import is_number
-from calib.measure.surroundings import Box, checked_boxes
-from calib.model.chain import full_configurations, link_frame
-from calib.model.robot import Robot, read_only
+from calib.measure.surroundings import Box, Reflector, Tracker, checked_boxes
+from calib.model.chain import full_configurations, full_model, link_frame
+from calib.model.readback import spread_poses
+from calib.model.robot import Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,6 +47,9 @@ TURN_STEP, SLIDE_STEP = math.radians(2.0), 5e-3
 #: Radius of a target and of what holds it, if nothing is said: a 1.5 inch reflector has 19 mm [m].
 HOLDER_RADIUS = 0.020
 
+#: Thickness of a tracker's beam, and how far in front of the target it ends: the reflector's nest does not count [m].
+BEAM, NEST = 0.010, 0.030
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CollisionModel:
@@ -45,29 +58,22 @@ class CollisionModel:
     Attributes:
         robot: The robot.
         boxes: In the robot's base; they move with it where joints of the chain move the base.
-        targets: By name their places in the tip, shape (3,), [m].
-        holder_radius: Of the capsules from the tip to the targets [m].
-        plane: The name of the mounting plane, with its height; None where it is not checked.
         clearance: Least distance between what is checked [m].
         pairs: The names of what is checked (links, targets, boxes, the plane), those that touch most often first.
-        ignored: Those that are not, and why.
+        ignored: The names of those that are not, and why.
         close: Those that are always closer than the clearance; they are refused only where they touch.
-        unchecked: Links that carry a mass but have no geometry that can be used, or not all of it.
-        from_visuals: Links without collision geometry, whose visual geometry stands for it.
+        notes: Sentences on what was checked, and what was not as a person might expect.
     """
 
     robot: Robot
     boxes: tuple[Box, ...]
-    targets: Mapping[str, Array]
-    holder_radius: float
-    plane: str | None
     clearance: float
     pairs: tuple[tuple[str, str], ...]
-    ignored: tuple[Ignored, ...]
+    ignored: Mapping[tuple[str, str], str]
     close: tuple[tuple[str, str], ...]
-    unchecked: tuple[str, ...]
-    from_visuals: tuple[str, ...]
+    notes: tuple[str, ...]
     _scene: Scene
+    _beam: hppfcl.Capsule
 
     @classmethod
     def of(
@@ -95,9 +101,10 @@ class CollisionModel:
 
         Raises:
             UrdfError: A mesh cannot be found or read, or no link has geometry.
-            CalibError: A clearance that is none; a box with a link's name; a box that swallows the robot.
+            CalibError: A clearance that is none; a box with a link's name; a box that swallows the robot, or a plane
+                that its tip never leaves.
         """
-        boxes, folders = checked_boxes(tuple(boxes)), tuple(str(folder) for folder in package_dirs)
+        boxes, targets = checked_boxes(tuple(boxes)), targets or {}
         if not is_number(clearance) or not clearance >= 0.0:
             raise CalibError(f"The clearance is {clearance!r} m; it must be a number, 0 or more.")
         if not is_number(holder_radius) or not holder_radius > 0.0:
@@ -109,56 +116,64 @@ class CollisionModel:
             raise CalibError(
                 f"A box has the name of a link of the robot: {choices(same)}. Give it another one."
             )
-        solids = read_solids(robot.urdf, folders)
-        places = {name: read_only(place) for name, place in (targets or {}).items()}
-        parts = list(solids.solids)
-        parts += [_holder(robot, name, at, holder_radius) for name, at in places.items()]
-        parts += [
-            Solid(box.name, Kind.BOX, robot.base, box.T_base_box, hppfcl.Box(*box.size))
-            for box in boxes
-        ]
+        parts, from_visuals, unchecked = read_solids(robot.urdf, package_dirs)
+        links = list(parts)
+        for name, place in targets.items():
+            T, half = rod(np.zeros(3), np.asarray(place, dtype=np.float64))
+            holder = hppfcl.Capsule(holder_radius, 2.0 * half)
+            owner = f"{name} and its holder"
+            parts.append(Solid(owner, Kind.TARGET, robot.tip, T.homogeneous, holder))
+        for box in boxes:
+            shape = hppfcl.Box(*box.size)
+            parts.append(Solid(box.name, Kind.BOX, robot.base, box.T_base_box, shape))
+        values = robot.urdf_values(spread_poses(robot, SAMPLES))
+        configurations = full_configurations(full_model(robot.urdf), values)
+        moving = {name for name, value in values.items() if np.ptp(value) > 0.0}
+        rigid = clusters(robot.urdf, (j for j in robot.urdf.joints if j.name not in moving))
         if floor:
-            parts += mounting_plane(robot, [part for part in parts if part.kind is Kind.LINK])
-        chosen = choose_pairs(robot, Scene.of(robot.urdf, parts), float(clearance))
-        return cls(
-            robot=robot,
-            boxes=boxes,
-            targets=MappingProxyType(places),
-            holder_radius=float(holder_radius),
-            plane=parts[-1].owner if floor else None,
-            clearance=float(clearance),
-            pairs=chosen.pairs,
-            ignored=chosen.ignored,
-            close=chosen.close,
-            unchecked=solids.unchecked,
-            from_visuals=solids.from_visuals,
-            _scene=chosen.scene,
+            parts.append(mounting_plane(robot, links, rigid, configurations[0]))
+        around = [f"the box '{box.name}'" for box in boxes] + [
+            p.owner for p in parts if p.kind is Kind.PLANE
+        ]
+        beam = hppfcl.Capsule(0.5 * BEAM, 1.0)
+        parts.append(Solid("the beam", Kind.BOX, robot.base, np.eye(4), beam))
+        scene, pairs, ignored, close = choose_pairs(
+            robot, Scene.of(robot.urdf, parts), rigid, configurations, float(clearance)
         )
+        many = "each target and its holder" if len(targets) > 1 else "the target and its holder"
+        notes = [
+            f"Checked for collisions: the robot's links and {many}, taken as a rod of {1e3 * holder_radius:g} mm "
+            "radius from the tip to the target (--holder), with each other"
+            + (f", and with {' and '.join(around)}." if around else "."),
+            "Not known, and not checked: what stands around and was not named (--box), "
+            + ("" if floor else "the floor, ")
+            + "cables and hoses, holders of another shape, the instrument and its stand, people. Drive the first round "
+            "slowly.",
+        ]
+        for said, names in (
+            (
+                "Not checked for collisions, for want of geometry in the URDF",
+                [f"'{link}'" for link in unchecked],
+            ),
+            (
+                "Links without collision geometry, whose visual stands for it",
+                [f"'{link}'" for link in from_visuals],
+            ),
+            (
+                f"Always closer than the clearance of {1e3 * clearance:g} mm, and refused only where they touch",
+                [f"'{a}' and '{b}'" for a, b in close],
+            ),
+            (
+                "Not checked against each other",
+                [f"'{a}' and '{b}': {why}" for (a, b), why in ignored.items() if why != JOINED],
+            ),
+        ):
+            notes += [f"{said}: {', '.join(names)}."] if names else []
+        return cls(robot, boxes, float(clearance), pairs, ignored, close, tuple(notes), scene, beam)
 
     def __repr__(self) -> str:
         """In one line."""
         return f"CollisionModel({self.robot!r}, {len(self.boxes)} boxes, {len(self.pairs)} pairs)"
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Sentences on what was not checked as a person might expect."""
-        said = []
-        if self.unchecked:
-            names = choices(self.unchecked)
-            said.append(f"Not checked for collisions, for want of geometry in the URDF: {names}.")
-        if self.from_visuals:
-            names = choices(self.from_visuals)
-            said.append(f"Links without collision geometry, whose visual stands for it: {names}.")
-        if self.close:
-            names = ", ".join(f"'{a}' and '{b}'" for a, b in self.close)
-            said.append(
-                f"Always closer than the clearance of {1e3 * self.clearance:g} mm, and refused only where they touch: "
-                f"{names}."
-            )
-        touching = [str(pair) for pair in self.ignored if pair.reason.startswith("touch")]
-        if touching:
-            said.append(f"Not checked against each other: {'; '.join(touching)}.")
-        return tuple(said)
 
     def free(self, q: ArrayLike) -> Mask:
         """Where the robot touches neither itself nor a box, and keeps its clearance, shape (N,).
@@ -172,16 +187,6 @@ class CollisionModel:
         touches = self._scene.touches()
         return np.array([not touches(one) for one in self._configurations(q)], dtype=np.bool_)
 
-    def first_contact(self, q: ArrayLike) -> tuple[str, str] | None:
-        """The names of two links, or of a link and a box, that touch at joint values, shape (m,); None if none do."""
-        scene, (configuration,) = self._scene, self._configurations(q)
-        data, found = scene.scratch()
-        pin.updateGeometryPlacements(scene.model, data, scene.shapes, found, configuration)
-        for k, pair in enumerate(scene.shapes.collisionPairs):
-            if pin.computeCollision(scene.shapes, found, k):
-                return scene.owners((pair.first, pair.second))
-        return None
-
     def path_free(self, q_from: ArrayLike, q_to: ArrayLike) -> bool:
         """Whether the straight way in joint space from one pose to another is free, both ends among it.
 
@@ -191,19 +196,14 @@ class CollisionModel:
         Args:
             q_from: shape (m,), [rad] or [m].
             q_to: shape (m,).
-
-        Raises:
-            ModelError: A pose has not one value for each joint, or one that is not finite.
         """
-        ends = np.array([np.ravel(q_from), np.ravel(q_to)], dtype=np.float64)
+        ends = np.array([q_from, q_to], dtype=np.float64)
         sliding = {joint.name for joint in self.robot.urdf.joints if joint.type == "prismatic"}
-        count = 1 + max(
-            math.ceil(
-                abs(float(value[1] - value[0])) / (SLIDE_STEP if name in sliding else TURN_STEP)
-            )
+        steps = (
+            abs(float(value[1] - value[0])) / (SLIDE_STEP if name in sliding else TURN_STEP)
             for name, value in self.robot.urdf_values(ends).items()
         )
-        index = np.arange(max(count, 2))
+        index = np.arange(max(1 + math.ceil(max(steps)), 2))
         # The lowest bit of an index says how coarse a division it belongs to; index 0 is in the coarsest.
         order = np.argsort(-np.where(index == 0, len(index), index & -index), kind="stable")
         share = (index[order] / (len(index) - 1))[:, None]
@@ -211,34 +211,28 @@ class CollisionModel:
         way = self._configurations((1.0 - share) * ends[0] + share * ends[1])
         return not any(touches(one) for one in way)
 
-    def crossed(self, q: ArrayLike, start: ArrayLike, end: ArrayLike, radius: float) -> Mask:
-        """Whether a link or a box stands in the way of a rod with round ends, shape (N,).
+    def crossed(self, q: Array, start: Array, end: Array) -> Mask:
+        """Whether a link or a box stands in the way of a beam with round ends, shape (N,).
 
         Every link with geometry and every box counts, those that never move among them; targets and the mounting
         plane, which are assumed and not known, do not.
 
         Args:
-            q: shape (N, m) or (m,), [rad] or [m].
-            start: shape (N, 3) or (3,), centre of one end in the robot's base [m].
-            end: shape (N, 3) or (3,), centre of the other [m].
-            radius: [m].
+            q: shape (N, m), [rad] or [m].
+            start: shape (N, 3), centre of one end in the robot's base [m].
+            end: shape (N, 3), centre of the other [m].
         """
-        configurations = self._configurations(q)
-        count = len(configurations)
-        ends = np.stack([np.broadcast_to(np.asarray(p), (count, 3)) for p in (start, end)])
-        T_base_rods, halves = rods(ends[0], ends[1])
-        scene = self._scene
-        rod = hppfcl.Capsule(radius, 1.0)
-        shapes = scene.with_shape(rod)
-        data, found = scene.model.createData(), room_for(shapes)
+        *parts, _ = self._scene.parts
+        solid = [k for k, part in enumerate(parts) if part.kind in (Kind.LINK, Kind.BOX)]
+        scene = self._scene.comparing([(k, len(parts)) for k in solid], [0.0] * len(solid))
+        data, found = scene.room()
         base = scene.model.frames[link_frame(scene.model, self.robot.base)]
-        result = np.empty(count, dtype=np.bool_)
-        for i, configuration in enumerate(configurations):
-            pin.updateGeometryPlacements(scene.model, data, shapes, found, configuration)
-            rod.halfLength = halves[i]
-            T_base_rod = pin.SE3(T_base_rods[i, :3, :3], T_base_rods[i, :3, 3])
-            found.oMg[len(scene.parts)] = data.oMi[base.parentJoint] * base.placement * T_base_rod
-            result[i] = pin.computeCollisions(shapes, found, True)
+        result = np.empty(len(q), dtype=np.bool_)
+        for i, configuration in enumerate(self._configurations(q)):
+            pin.updateGeometryPlacements(scene.model, data, scene.shapes, found, configuration)
+            T_base_beam, self._beam.halfLength = rod(start[i], end[i])
+            found.oMg[len(parts)] = data.oMi[base.parentJoint] * base.placement * T_base_beam
+            result[i] = pin.computeCollisions(scene.shapes, found, True)
         return result
 
     def _configurations(self, q: ArrayLike) -> Array:
@@ -246,8 +240,59 @@ class CollisionModel:
         return full_configurations(self._scene.model, self.robot.urdf_values(q))
 
 
-def _holder(robot: Robot, name: str, place: Array, radius: float) -> Solid:
-    """A target and what holds it: a rod with round ends from the tip's origin to the target."""
-    T_tip_rod, half = rods(np.zeros((1, 3)), place[None])
-    rod = hppfcl.Capsule(radius, 2.0 * float(half[0]))
-    return Solid(f"{name} and its holder", Kind.TARGET, robot.tip, T_tip_rod[0], rod)
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """What the tracker sees at N poses; each is shape (N,), True where the target is seen.
+
+    Attributes:
+        range: Not too near and not too far.
+        cone: The tracker stands inside the reflector's cone.
+        beam: Nothing stands in the beam; True too where range or cone refuse the pose, for it is not looked at there.
+    """
+
+    range: Mask
+    cone: Mask
+    beam: Mask
+
+
+def in_sight(
+    robot: Robot,
+    q: Array,
+    T_tip_target: Array,
+    tracker: Tracker,
+    reflector: Reflector | None = None,
+    collision: CollisionModel | None = None,
+) -> Sight:
+    """At which poses a tracker sees the target on the tip.
+
+    The cone: the angle between the reflector's normal and the direction from target to tracker is at most its
+    acceptance. The beam: a rod of thickness `BEAM` from the tracker to `NEST` in front of the target touches
+    no link and no box; the link that carries the target counts like the others.
+
+    Args:
+        robot: The robot.
+        q: shape (N, m), [rad] or [m], in the order of ``robot.joint_names``.
+        T_tip_target: shape (4, 4), pose of the target in the tip.
+        tracker: In the robot's base.
+        reflector: In the tip; None: it is turned by hand, and seen from everywhere.
+        collision: The same robot's geometry, and boxes; None: the beam is not looked at.
+    """
+    T_base_tip = robot.poses(q)
+    points = (T_base_tip @ T_tip_target)[:, :3, 3]
+    towards = tracker.position - points
+    distance = np.linalg.norm(towards, axis=1)
+    within = (distance >= tracker.nearest) & (distance <= tracker.farthest)
+    faces, clear = np.ones((2, len(points)), dtype=np.bool_)
+    if reflector is not None:
+        normal = T_base_tip[:, :3, :3] @ reflector.normal
+        across = np.linalg.norm(np.cross(normal, towards), axis=1)
+        angle = np.arctan2(across, np.einsum("ni,ni->n", normal, towards))
+        faces = angle <= reflector.acceptance
+    # The rod's round ends lie between the same two planes as the beam's flat ones.
+    asked = within & faces & (distance > NEST + BEAM)
+    if collision is not None and asked.any():
+        away = towards[asked] / distance[asked, None]
+        start = tracker.position - 0.5 * BEAM * away
+        end = points[asked] + (NEST + 0.5 * BEAM) * away
+        clear[asked] = ~collision.crossed(q[asked], start, end)
+    return Sight(within, faces, clear)

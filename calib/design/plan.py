@@ -16,15 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.design.candidates import Condition, draw, planning_ranges, turn_limits
 from calib.design.choice import check_numbers, choose_poses
-from calib.design.collision import HOLDER_RADIUS, CollisionModel
+from calib.design.collision import HOLDER_RADIUS, CollisionModel, in_sight
 from calib.design.forecast import Forecast
-from calib.design.line_of_sight import in_sight
 from calib.design.optimal import check_criterion
 from calib.design.region import Region
 from calib.design.route import Blocked, route
 from calib.design.sensitivity import Sensitivity
 from calib.measure.cell import Cell
-from calib.measure.surroundings import Tracker, check_outside
+from calib.measure.surroundings import check_outside
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
@@ -197,6 +196,9 @@ def plan(
         seed=seed,
         progress=_part(progress, "choice"),
     )
+    blind = "The reflector's direction was not looked at: nothing says where the tracker stands (--tracker)."
+    notes = [blind] if cell.reflector is not None and cell.tracker is None else []
+    notes += ["Collisions were not checked."] if body is None else body.notes
     sets = ("estimate",) * len(choice.planned) + ("validate",) * len(choice.validation)
     # With errors that change with a joint's value, a pose one turn on is another pose.
     terms = sensitivity.kinematics.model.joint_terms
@@ -237,7 +239,7 @@ def plan(
         refused=dict(pool.refused),
         travel=way.length,
         blocked=way.blocked,
-        notes=(*sensitivity.notes, *_notes(cell, body)),
+        notes=(*sensitivity.notes, *notes),
     )
 
 
@@ -264,64 +266,28 @@ def _conditions(
             return region.contains((robot.poses(q) @ T_tip_target[0])[:, :3, 3])
 
         conditions.append(Condition("outside of the region", inside, where=True))
-    if cell.tracker is not None:
-        conditions += _sight(robot, cell, cell.tracker, T_tip_target, None)
-    # A beam is one rod against all links; they among themselves take ten times as long.
-    if body is not None and cell.tracker is not None:
-        conditions += _sight(robot, cell, cell.tracker, T_tip_target, body)
+    tracker = cell.tracker
+    if tracker is not None:
+
+        def seen(q: Array, what: str) -> NDArray[np.bool_]:
+            result = np.ones(len(q), dtype=bool)
+            for T in T_tip_target:
+                looked = body if what == "beam" else None
+                sight = in_sight(robot, q[result], T, tracker, cell.reflector, looked)
+                result[result] = getattr(sight, what)
+            return result
+
+        conditions.append(Condition("out of the tracker's range", lambda q: seen(q, "range")))
+        if cell.reflector is not None:
+            conditions.append(
+                Condition("with the reflector turned away", lambda q: seen(q, "cone"))
+            )
+        # A beam is one rod against all links; they among themselves take ten times as long.
+        if body is not None:
+            conditions.append(Condition("with something in the beam", lambda q: seen(q, "beam")))
     if body is not None:
         conditions.append(Condition("in collision", body.free))
     return conditions
-
-
-def _sight(
-    robot: Robot,
-    cell: Cell,
-    tracker: Tracker,
-    T_tip_target: Array,
-    body: CollisionModel | None,
-) -> list[Condition]:
-    """Every target in the tracker's range and facing it; with a body its beam free."""
-
-    def seen(q: Array, what: str) -> NDArray[np.bool_]:
-        result = np.ones(len(q), dtype=bool)
-        for T in T_tip_target:
-            sight = in_sight(robot, q[result], T, tracker, cell.reflector, body)
-            result[result] = getattr(sight, what)
-        return result
-
-    if body is not None:
-        return [Condition("with something in the beam", lambda q: seen(q, "beam"))]
-    conditions = [Condition("out of the tracker's range", lambda q: seen(q, "range"))]
-    if cell.reflector is not None:
-        conditions.append(Condition("with the reflector turned away", lambda q: seen(q, "cone")))
-    return conditions
-
-
-def _notes(cell: Cell, body: CollisionModel | None) -> tuple[str, ...]:
-    """What was not checked."""
-    blind = "The reflector's direction was not looked at: nothing says where the tracker stands (--tracker)."
-    return (
-        *([blind] if cell.reflector is not None and cell.tracker is None else []),
-        *(("Collisions were not checked.",) if body is None else (*_checked(body), *body.notes)),
-    )
-
-
-def _checked(body: CollisionModel) -> tuple[str, str]:
-    """What was assumed where nobody said it, and what is not known."""
-    many = "each target and its holder" if len(body.targets) > 1 else "the target and its holder"
-    around = [f"the box '{box.name}'" for box in body.boxes]
-    if body.plane is not None:
-        around.append(body.plane)
-    against = f", and with {' and '.join(around)}" if around else ""
-    return (
-        f"Checked for collisions: the robot's links and {many}, taken as a rod of {1e3 * body.holder_radius:g} mm "
-        f"radius from the tip to the target (--holder), with each other{against}.",
-        "Not known, and not checked: what stands around and was not named (--box), "
-        + ("" if body.plane is not None else "the floor, ")
-        + "cables and hoses, holders of another shape, the instrument and its stand, people. Drive the first round "
-        "slowly.",
-    )
 
 
 def _part(progress: Progress | None, what: str) -> Callable[[int, int], None] | None:

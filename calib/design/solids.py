@@ -1,35 +1,47 @@
 """What is compared for collisions: shapes of links, of targets and their holders, of boxes, and the mounting plane.
 
-A link has the coal geometries of its ``<collision>``, or else of its ``<visual>``.
+A link has the coal geometries of its ``<collision>``, or else of its ``<visual>``. Of all pairs of shapes those are
+compared that can tell poses apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 from pinocchio import hppfcl
 
-from calib.errors import UrdfError
+from calib.errors import CalibError, UrdfError
+from calib.model.chain import full_model, link_frame
 from calib.model.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
-from calib.model.urdf import Urdf
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf, UrdfJoint
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Pair = tuple[int, int]
 
-#: A mesh whose thickness is less than this part of its length is flat: it has no hull.
-_FLAT = 1e-6
+#: Poses over the joints' ranges at which it is found which pairs always touch, and the share of them that is always.
+SAMPLES, ALWAYS = 256, 0.95
+
+#: What stands for all below the mounting plane is a box so thick and twice as wide [m].
+_GROUND = 20.0
+
+#: Why links that a joint joins are not compared.
+JOINED = "a joint joins them"
 
 
 class Kind(Enum):
-    """What a shape is part of; the convex hull of a link's mesh stands for it where a plane is concerned."""
+    """What a shape is part of."""
 
     LINK = "link"
-    HULL = "hull"
     TARGET = "target"
     BOX = "box"
     PLANE = "plane"
@@ -37,15 +49,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """One shape.
-
-    Attributes:
-        owner: The name of its link, target or box.
-        kind: What it is part of.
-        link: The link that it is fixed to.
-        T_link_shape: shape (4, 4), its pose there [m].
-        geometry: The shape, of coal.
-    """
+    """One shape of coal: whose it is, and where it is fixed, T_link_shape of shape (4, 4) [m]."""
 
     owner: str
     kind: Kind
@@ -53,62 +57,25 @@ class Solid:
     T_link_shape: Array
     geometry: Any
 
-    @property
-    def corners(self) -> Array:
-        """The corners of the box about it, homogeneous, in the shape's own frame, shape (4, 8), [m]."""
-        self.geometry.computeLocalAABB()
-        box = self.geometry.aabb_local
-        ends = np.stack([np.ravel(box.min_), np.ravel(box.max_)])
-        which = np.indices((2, 2, 2)).reshape(3, 8)
-        return np.vstack([ends[which, np.arange(3)[:, None]], np.ones(8)])
 
-    @property
-    def is_mesh(self) -> bool:
-        """Whether its surface is made of triangles."""
-        return isinstance(self.geometry, hppfcl.BVHModelBase)
-
-    def hull(self) -> Solid:
-        """The convex hull of a mesh; of one that is flat the box about it."""
-        points = self.geometry.vertices()
-        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        # Of a flat one coal makes no error but ends the program.
-        if len(points) > 3 and spread[2] > _FLAT * spread[0]:
-            self.geometry.buildConvexHull(True, "Qt")
-            return replace(self, kind=Kind.HULL, geometry=self.geometry.convex)
-        low, high = points.min(axis=0), points.max(axis=0)
-        T = np.eye(4)
-        T[:3, 3] = 0.5 * (low + high)
-        box = hppfcl.Box(*np.maximum(high - low, 1e-6))
-        return replace(self, kind=Kind.HULL, T_link_shape=self.T_link_shape @ T, geometry=box)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Solids:
-    """The shapes of all links.
-
-    Attributes:
-        solids: In the URDF's order.
-        from_visuals: Links without collision geometry, whose visual geometry stands for it.
-        unchecked: Links that carry a mass but have no geometry that can be used, or not all of it.
-    """
-
-    solids: tuple[Solid, ...]
-    from_visuals: tuple[str, ...]
-    unchecked: tuple[str, ...]
-
-
-def read_solids(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> Solids:
+def read_solids(
+    urdf: Urdf, package_dirs: Iterable[str | Path] = ()
+) -> tuple[list[Solid], tuple[str, ...], tuple[str, ...]]:
     """The geometry of every link; each mesh file is read once.
 
     Args:
         urdf: The robot.
         package_dirs: Folders in which ``package://`` meshes are looked for before all others.
 
+    Returns:
+        The shapes; the links without collision geometry, whose visual geometry stands for it; and the links that carry
+        a mass but have no geometry that can be used, or not all of it.
+
     Raises:
         UrdfError: A mesh cannot be found or read, or no link has geometry.
     """
     folders = mesh_folders(urdf, package_dirs)
-    collision, visual = (_by_link(link_shapes(urdf, kind)) for kind in ("collision", "visual"))
+    collision, visual = list(link_shapes(urdf, "collision")), list(link_shapes(urdf, "visual"))
     # Pinocchio keeps the inertias of joints, not of links.
     bodies = {
         link.get("name", "")
@@ -118,14 +85,15 @@ def read_solids(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> Solids:
     meshes: dict[tuple[str, tuple[float, ...]], Any] = {}
     solids, from_visuals, unchecked = [], [], []
     for link in urdf.links:
-        own = collision.get(link) or visual.get(link, [])
-        found = [_geometry(urdf, shape, folders, meshes) for shape in own]
+        proper = [shape for shape in collision if shape.link == link]
+        own = proper or [shape for shape in visual if shape.link == link]
+        found = [(shape, _geometry(urdf, shape, folders, meshes)) for shape in own]
         usable = [
             Solid(link, Kind.LINK, link, shape.T_link_shape, geometry)
-            for shape, geometry in zip(own, found, strict=True)
+            for shape, geometry in found
             if geometry is not None
         ]
-        if usable and link not in collision:
+        if usable and not proper:
             from_visuals.append(link)
         if len(usable) < len(found) or (not found and link in bodies):
             unchecked.append(link)
@@ -135,50 +103,23 @@ def read_solids(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> Solids:
             f"{urdf.source}: no link has a <collision> or <visual> with a geometry that can be used: collisions "
             "cannot be checked. Take a URDF with geometry, or plan without collisions (--no-collisions)."
         )
-    return Solids(tuple(solids), tuple(from_visuals), tuple(unchecked))
+    return solids, tuple(from_visuals), tuple(unchecked)
 
 
-def _by_link(shapes: Iterable[LinkShape]) -> dict[str, list[LinkShape]]:
-    """Shapes by their link."""
-    result: dict[str, list[LinkShape]] = {}
-    for shape in shapes:
-        result.setdefault(shape.link, []).append(shape)
-    return result
+def rod(start: Array, end: Array) -> tuple[pin.SE3, float]:
+    """The pose of a rod between two points, shape (3,), [m]: z along it, origin in the middle; and half its length.
 
-
-def rods(start: Array, end: Array) -> tuple[Array, Array]:
-    """Poses whose z axis runs from one end of each rod to the other, centred between them, and the half lengths.
-
-    Args:
-        start: shape (N, 3), [m].
-        end: shape (N, 3), [m].
-
-    Returns:
-        Shapes (N, 4, 4) and (N,), [m]; a rod without length points along z.
+    One without length points along z.
     """
-    along = end - start
-    length = np.linalg.norm(along, axis=1)
-    z = np.where(
-        length[:, None] > 0.0, along / np.maximum(length, 1e-300)[:, None], [0.0, 0.0, 1.0]
-    )
-    # Any direction across will do: the coordinate axis that is least along the rod, made orthogonal.
-    x = np.eye(3)[np.argmin(np.abs(z), axis=1)]
-    x = x - np.einsum("ni,ni->n", x, z)[:, None] * z
-    x /= np.linalg.norm(x, axis=1)[:, None]
-    T = np.tile(np.eye(4), (len(z), 1, 1))
-    T[:, :3, :3] = np.stack([x, np.cross(z, x), z], axis=2)
-    T[:, :3, 3] = 0.5 * (start + end)
-    return T, 0.5 * length
+    along, up = end - start, np.array([0.0, 0.0, 1.0])
+    turn = pin.Quaternion(up, along if along.any() else up)
+    return pin.SE3(turn.matrix(), 0.5 * (start + end)), 0.5 * float(np.linalg.norm(along))
 
 
 def _geometry(
     urdf: Urdf, shape: LinkShape, folders: tuple[Path, ...], meshes: dict[Any, Any]
 ) -> Any:  # noqa: ANN401  coal has no types
-    """A shape as coal has it; None for a kind or a size that is none.
-
-    Raises:
-        UrdfError: A mesh cannot be found or read.
-    """
+    """A shape as coal has it; None for a kind or a size that is none."""
     if shape.mesh is None:
         kinds = {
             "box": hppfcl.Box,
@@ -206,3 +147,198 @@ def _geometry(
             )
         meshes[shape.mesh] = mesh
     return meshes[shape.mesh]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Shapes as Pinocchio has them, and of those that are compared the least distance of each pair [m]."""
+
+    model: pin.Model
+    shapes: pin.GeometryModel
+    parts: tuple[Solid, ...]
+    margins: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, urdf: Urdf, parts: Sequence[Solid]) -> Scene:
+        """All shapes, without pairs."""
+        model, shapes = full_model(urdf), pin.GeometryModel()
+        for k, part in enumerate(parts):
+            frame, T = link_frame(model, part.link), part.T_link_shape
+            parent = model.frames[frame]
+            placement = parent.placement * pin.SE3(T[:3, :3], T[:3, 3])
+            shapes.addGeometryObject(
+                pin.GeometryObject(str(k), parent.parentJoint, frame, placement, part.geometry)
+            )
+        return cls(model, shapes, tuple(parts))
+
+    def names(self, pair: Pair) -> tuple[str, str]:
+        """What two shapes are part of."""
+        return self.parts[pair[0]].owner, self.parts[pair[1]].owner
+
+    def comparing(self, pairs: Sequence[Pair], margins: Sequence[float]) -> Scene:
+        """The scene with these pairs of shapes, in this order, to compare."""
+        shapes = self.shapes.copy()
+        shapes.removeAllCollisionPairs()
+        for first, second in pairs:
+            shapes.addCollisionPair(pin.CollisionPair(first, second))
+        return Scene(self.model, shapes, self.parts, tuple(margins))
+
+    def room(self) -> tuple[pin.Data, pin.GeometryData]:
+        """Room for the results of one caller."""
+        found = self.shapes.createData()
+        for request, margin in zip(found.collisionRequests, self.margins, strict=True):
+            request.security_margin = margin
+            # Without it coal 3.0 misses some simple shapes that are deep in each other, such as a capsule in a box.
+            request.enable_contact = True
+            # How far bounding volumes are followed beyond the margin: 1 mm by default, a third of the time.
+            request.break_distance = 1e-6
+        return self.model.createData(), found
+
+    def touches(self) -> Callable[[Array], bool]:
+        """Whether any pair is closer than its margin at a configuration of the model, shape (nq,)."""
+        data, found = self.room()
+        return lambda one: bool(
+            pin.computeCollisions(self.model, data, self.shapes, found, one, True)
+        )
+
+    def touched(self, configurations: Array) -> Mask:
+        """Which pairs are closer than their margins, shape (N, pairs)."""
+        data, found = self.room()
+        result = np.zeros((len(configurations), len(self.margins)), dtype=np.bool_)
+        for i, one in enumerate(configurations):
+            pin.computeCollisions(self.model, data, self.shapes, found, one, False)
+            result[i] = [answer.isCollision() for answer in found.collisionResults]
+        return result
+
+
+def clusters(urdf: Urdf, joints: Iterable[UrdfJoint]) -> dict[str, str]:
+    """For each link the one that stands for all that these joints hold together."""
+    up = {joint.child: joint.parent for joint in joints}
+
+    def top(link: str) -> str:
+        return top(up[link]) if link in up else link
+
+    return {link: top(link) for link in urdf.links}
+
+
+def mounting_plane(
+    robot: Robot, links: Sequence[Solid], rigid: Mapping[str, str], configuration: Array
+) -> Solid:
+    """What the robot stands on: all below z = 0 of its base, or below the lowest link that stands with the base.
+
+    Where joints of the chain move the base, it is the plane of the URDF's root.
+    """
+    base = robot.urdf.root if robot.base_moves else robot.base
+    model = full_model(robot.urdf)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, configuration)
+    T_base_root = data.oMf[link_frame(model, base)].inverse()
+    ground, height = hppfcl.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), 0.0
+    for part in links:
+        if rigid[part.link] != rigid[base]:
+            continue
+        T = T_base_root * data.oMf[link_frame(model, part.link)]
+        T = T * pin.SE3(part.T_link_shape[:3, :3], part.T_link_shape[:3, 3])
+        if isinstance(part.geometry, hppfcl.BVHModelBase):
+            low = np.min(part.geometry.vertices() @ T.rotation[2] + T.translation[2])
+        else:
+            asked, answer = hppfcl.DistanceRequest(), hppfcl.DistanceResult()
+            placed = hppfcl.Transform3s(T.rotation, T.translation)
+            unmoved = hppfcl.Transform3s()
+            low = hppfcl.distance(part.geometry, placed, ground, unmoved, asked, answer)
+        height = min(height, float(low))
+    T_base_ground = np.eye(4)
+    T_base_ground[2, 3] = height - 0.5 * _GROUND
+    name = f"the mounting plane (z = {1e3 * height + 0.0:.4g} mm of '{base}')"
+    shape = hppfcl.Box(2.0 * _GROUND, 2.0 * _GROUND, _GROUND)
+    return Solid(name, Kind.PLANE, base, T_base_ground, shape)
+
+
+def choose_pairs(
+    robot: Robot, scene: Scene, rigid: Mapping[str, str], configurations: Array, clearance: float
+) -> tuple[
+    Scene, tuple[tuple[str, str], ...], dict[tuple[str, str], str], tuple[tuple[str, str], ...]
+]:
+    """The scene with the pairs that can tell poses apart, most touched first, and what `CollisionModel` has of them.
+
+    Args:
+        robot: The robot.
+        scene: All shapes, without pairs; the last is none that is compared here.
+        rigid: For each link what stands for all that never moves against it.
+        configurations: shape (SAMPLES, nq), over the joints' ranges.
+        clearance: [m].
+
+    Raises:
+        CalibError: A box is touched wherever the robot goes, or what the tip carries never leaves the mounting plane.
+    """
+    urdf, parts = robot.urdf, scene.parts
+    welded = clusters(urdf, (joint for joint in urdf.joints if joint.type == "fixed"))
+    joined = {
+        frozenset((welded[joint.parent], welded[joint.child]))
+        for joint in urdf.joints
+        if joint.type != "fixed"
+    }
+    ignored: dict[tuple[str, str], str] = {}
+    flat: list[Pair] = []
+    for i, j in itertools.combinations(range(len(parts) - 1), 2):
+        first, second = parts[i], parts[j]
+        # One that stands around comes behind the other.
+        if rigid[first.link] == rigid[second.link] or first.kind not in (Kind.LINK, Kind.TARGET):
+            continue
+        links = second.kind is Kind.LINK
+        if links and frozenset((welded[first.link], welded[second.link])) in joined:
+            ignored[scene.names((i, j))] = JOINED
+        else:
+            flat.append((i, j))
+    touched = near = scene.comparing(flat, [0.0] * len(flat)).touched(configurations)
+    if clearance > 0.0:
+        near = scene.comparing(flat, [clearance] * len(flat)).touched(configurations)
+    _check_around(robot, scene, rigid, flat, touched, near)
+    owned: dict[tuple[str, str], list[int]] = {}
+    for k, pair in enumerate(flat):
+        owned.setdefault(scene.names(pair), []).append(k)
+    kept: list[tuple[int, Pair, float]] = []
+    close = []
+    for names, own in owned.items():
+        count = np.count_nonzero(touched[:, own].any(axis=1))
+        always = count >= ALWAYS * SAMPLES
+        if always and parts[flat[own[0]][1]].kind is not Kind.BOX:
+            ignored[names] = f"touching at {count} of {SAMPLES} poses over the joints' ranges"
+            continue
+        too_close = not always and near[:, own].any(axis=1).mean() >= ALWAYS
+        if too_close:
+            close.append(names)
+        hits, margin = (touched, 0.0) if too_close else (near, clearance)
+        kept += [(int(hits[:, k].sum()), flat[k], margin) for k in own]
+    kept.sort(key=lambda one: -one[0])
+    pairs = tuple(dict.fromkeys(scene.names(pair) for _, pair, _ in kept))
+    scene = scene.comparing([pair for _, pair, _ in kept], [margin for *_, margin in kept])
+    return scene, pairs, ignored, tuple(close)
+
+
+def _check_around(
+    robot: Robot,
+    scene: Scene,
+    rigid: Mapping[str, str],
+    pairs: Sequence[Pair],
+    touched: Mask,
+    near: Mask,
+) -> None:
+    """Refuse a box that the robot touches wherever it goes, and a plane that its tip never leaves."""
+    for j, part in enumerate(scene.parts):
+        own = [k for k, pair in enumerate(pairs) if pair[1] == j]
+        if part.kind is Kind.BOX and own and near[:, own].any(axis=1).all():
+            most = max(own, key=lambda k: int(near[:, k].sum()))
+            size = " x ".join(f"{2e3 * v:g}" for v in part.geometry.halfSide)
+            x, y, z = (f"{1e3 * v:g}" for v in part.T_link_shape[:3, 3])
+            raise CalibError(
+                f"The box '{part.owner}' swallows the robot: it touches moving links at all of {SAMPLES} poses over "
+                f"the joints' ranges, '{scene.parts[pairs[most][0]].owner}' most often. It measures {size} mm about "
+                f"the point ({x}, {y}, {z}) mm of the base '{robot.base}'; move it, make it smaller, or leave it out."
+            )
+        held = [k for k in own if rigid[scene.parts[pairs[k][0]].link] == rigid[robot.tip]]
+        if part.kind is Kind.PLANE and held and touched[:, held].any(axis=1).mean() >= ALWAYS:
+            raise CalibError(
+                f"What the tip '{robot.tip}' carries is below {part.owner} wherever the robot goes: the robot is not "
+                "mounted there. Leave the plane out (--no-floor), and name what stands around as boxes."
+            )

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
-import fcl
 import numpy as np
-import pinocchio as pin
 import pytest
-import trimesh
 
 import calib
 from calib.data import PAPER_TARGET
@@ -18,7 +14,7 @@ from calib.design.region import Region
 from calib.errors import CalibError, ModelError
 from calib.measure.cell import Cell, Priors
 from calib.measure.surroundings import Box, Reflector, Tracker
-from calib.model.meshes import find_mesh, link_shapes, mesh_folders
+from tests.design.fcl_scene import bodies, objects, touch
 
 TARGET = np.array(PAPER_TARGET)
 DEG = np.pi / 180.0
@@ -94,55 +90,14 @@ def test_the_tracker_sees_every_target(ur3, full, bare):
     assert not seen(bare.joints).all()
 
 
-@cache
-def bodies(robot) -> dict[str, tuple[np.ndarray, fcl.CollisionGeometry]]:
-    """For each link the pose of its shape there, and the shape, its mesh read by trimesh."""
-    found = {}
-    for shape in link_shapes(robot.urdf, "collision"):
-        if shape.mesh is None:
-            geometry = fcl.Box(*shape.sizes)
-        else:
-            mesh = trimesh.load(find_mesh(shape.mesh[0], mesh_folders(robot.urdf)), force="mesh")
-            geometry = fcl.BVHModel()
-            geometry.beginModel(len(mesh.vertices), len(mesh.faces))
-            geometry.addSubModel(np.array(mesh.vertices), np.array(mesh.faces))
-            geometry.endModel()
-        found[shape.link] = shape.T_link_shape, geometry
-    return found
-
-
 def touching(robot, q: np.ndarray, boxes) -> bool:
-    """Whether FCL finds links, neighbours aside, or links and boxes in contact; Pinocchio's own model places them."""
-    model = pin.buildModelFromXML(robot.urdf.data.decode())
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, whole_configuration(model, robot, q))
-
-    def placed(link: str) -> np.ndarray:
-        return data.oMf[model.getFrameId(link)].homogeneous
-
-    solids = {link: (geometry, placed(link) @ T) for link, (T, geometry) in bodies(robot).items()}
-    links = list(solids)
-    solids |= {one.name: (fcl.Box(*one.size), placed(robot.base) @ one.T_base_box) for one in boxes}
-    objects = {
-        name: fcl.CollisionObject(geometry, fcl.Transform(T[:3, :3], T[:3, 3]))
-        for name, (geometry, T) in solids.items()
-    }
+    """Whether FCL finds links, neighbours aside, or links and boxes in contact."""
+    placed, links = objects(robot, q, boxes), list(bodies(robot))
     pairs = [(a, b) for i, a in enumerate(links) for b in links[i + 2 :]]
     # The flange's box is fixed to wrist 3 and reaches into wrist 2.
     pairs.remove(("wrist_2_link", "ee_link"))
     pairs += [(a, one.name) for one in boxes for a in links if a != "base_link"]
-    return any(
-        fcl.collide(objects[a], objects[b], fcl.CollisionRequest(), fcl.CollisionResult())
-        for a, b in pairs
-    )
-
-
-def whole_configuration(model: pin.Model, robot, q: np.ndarray) -> np.ndarray:
-    """The configuration of Pinocchio's model of the whole URDF."""
-    values = np.zeros(model.nq)
-    for name, value in zip(robot.joint_names, q, strict=True):
-        values[model.joints[model.getJointId(name)].idx_q] = value
-    return values
+    return any(touch(placed[a], placed[b]) for a, b in pairs)
 
 
 def test_every_pose_is_free_by_another_collision_library(ur3, full, bare):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from calib import data
-from calib.design.collision import CollisionModel
 from calib.design.solids import read_solids
 from calib.errors import UrdfError
 from calib.model.robot import Robot
@@ -29,10 +28,10 @@ def urdf_with(folder, filename: str, more: str = "") -> Urdf:
 
 
 def test_the_ur3_has_seven_meshes_and_a_box():
-    found = read_solids(Robot.load(data.paper_urdf(), base="base", tip="tool0").urdf)
-    assert [s.link for s in found.solids][:2] == ["base_link", "shoulder_link"]
-    assert len(found.solids) == 8
-    assert (found.from_visuals, found.unchecked) == ((), ())
+    solids, *rest = read_solids(Robot.load(data.paper_urdf(), base="base", tip="tool0").urdf)
+    assert [s.link for s in solids][:2] == ["base_link", "shoulder_link"]
+    assert len(solids) == 8
+    assert rest == [(), ()]
 
 
 @pytest.mark.parametrize(
@@ -49,7 +48,7 @@ def test_where_a_mesh_may_lie(tmp_path, filename, place, folders):
     (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / place).write_text(TETRAHEDRON)
     urdf = urdf_with(tmp_path, filename.format(tmp=tmp_path))
-    (solid,) = read_solids(urdf, [tmp_path / folder for folder in folders]).solids
+    ((solid,), *_) = read_solids(urdf, [tmp_path / folder for folder in folders])
     assert solid.link == "a"
     np.testing.assert_array_equal(solid.T_link_shape[:3, 3], [1, 0, 0])
     solid.geometry.computeLocalAABB()
@@ -61,7 +60,7 @@ def test_a_folder_that_the_user_names_comes_first(tmp_path):
         (tmp_path / folder).mkdir()
         text = re.sub(r"\b1\b(?= 0| 0 0|$)", str(size), "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1")
         (tmp_path / folder / "t.obj").write_text(text + "\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
-    (solid,) = read_solids(urdf_with(tmp_path, "t.obj"), [tmp_path / "mine"]).solids
+    ((solid,), *_) = read_solids(urdf_with(tmp_path, "t.obj"), [tmp_path / "mine"])
     solid.geometry.computeLocalAABB()
     assert np.ravel(solid.geometry.aabb_local.max_)[0] == 6.0
 
@@ -91,9 +90,9 @@ def test_a_mesh_that_cannot_be_read_is_named(tmp_path, content, said):
 def test_collision_geometry_is_taken_before_visual_geometry(tmp_path):
     (tmp_path / "t.obj").write_text(TETRAHEDRON)
     more = '<visual><geometry><sphere radius="1"/></geometry></visual>'
-    found = read_solids(urdf_with(tmp_path, "../t.obj", more))
-    assert len(found.solids) == 1
-    assert found.from_visuals == ()
+    solids, from_visuals, _ = read_solids(urdf_with(tmp_path, "../t.obj", more))
+    assert len(solids) == 1
+    assert from_visuals == ()
 
 
 def test_simple_shapes(tmp_path):
@@ -106,18 +105,12 @@ def test_simple_shapes(tmp_path):
         '<sphere radius="-1"/>',
     ]
     more = "".join(f"<collision><geometry>{kind}</geometry></collision>" for kind in kinds)
-    found = read_solids(urdf_with(tmp_path, "../t.obj", more))
+    solids, _, unchecked = read_solids(urdf_with(tmp_path, "../t.obj", more))
     tops = []
-    for solid in found.solids[1:]:
+    for solid in solids[1:]:
         solid.geometry.computeLocalAABB()
         tops.append(np.ravel(solid.geometry.aabb_local.max_))
     np.testing.assert_allclose(
         tops, [[0.1, 0.2, 0.3], [0.1, 0.1, 0.3], [0.1, 0.1, 0.4], [0.3, 0.3, 0.3]]
     )
-    assert found.unchecked == ("a",)  # not all of it
-
-
-def test_the_error_reaches_who_asks_for_collisions(tmp_path):
-    robot = Robot.from_urdf(urdf_with(tmp_path, "none.stl"), "a", "b")
-    with pytest.raises(UrdfError, match="was not found in"):
-        CollisionModel.of(robot)
+    assert unchecked == ("a",)  # not all of it

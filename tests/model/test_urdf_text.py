@@ -90,7 +90,7 @@ def test_read_corrected_and_read_again(data: bytes):
 def test_a_prefix_that_is_not_declared():
     """As ROS reads it."""
     urdf = Urdf.from_bytes(PLAIN.replace("<link", "<sensor:camera/><link", 1).encode(), "r.urdf")
-    assert len(read_solids(urdf).solids) == 1
+    assert len(read_solids(urdf)[0]) == 1
     robot = Robot.from_urdf(urdf)
     q = random_joint_values(robot, 2)
     check_written(robot, robot.poses(q), q)

@@ -1,0 +1,159 @@
+"""What the tracker sees: edges of range and cone to a hair, walls in the way, and a UR3 against rays and FCL."""
+
+from functools import cache
+
+import fcl
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from calib import data
+from calib.design.collision import BEAM, NEST, CollisionModel, in_sight
+from calib.measure.surroundings import Box, Reflector, Tracker
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf
+from tests.design.fcl_scene import objects, placed, touch
+
+#: A post that turns about z, and on it a ball of 50 mm, 1 m away and beside the tip that is 1.5 m away.
+TURNTABLE = """<robot name="t"><link name="base"/>
+  <link name="arm"><collision><origin xyz="1 {y} 0"/><geometry><sphere radius="0.05"/></geometry></collision></link>
+  <link name="tip"/>
+  <joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+    <limit lower="-3.1" upper="3.1" effort="1" velocity="1"/></joint>
+  <joint name="f" type="fixed"><parent link="arm"/><child link="tip"/><origin xyz="1.5 0 0"/></joint></robot>"""
+
+
+@cache
+def turntable(y: float = 0.0) -> Robot:
+    urdf = Urdf.from_bytes(TURNTABLE.format(y=y).encode(), "t.urdf")
+    return Robot.from_urdf(urdf, "base", "tip")
+
+
+ORIGIN = np.eye(4)
+ZERO = np.zeros((1, 1))
+
+
+@pytest.mark.parametrize(
+    ("nearest", "farthest", "seen"),
+    [(1.0, 2.0, True), (1.0 + 1e-6, 2.0, False), (0.5, 1.0, True), (0.5, 1.0 - 1e-6, False)],
+)
+def test_the_range(nearest, farthest, seen):
+    sight = in_sight(turntable(), ZERO, ORIGIN, Tracker((2.5, 0, 0), nearest, farthest))
+    assert (sight.range.tolist(), sight.cone.tolist(), sight.beam.tolist()) == (
+        [seen],
+        [True],
+        [True],
+    )
+
+
+@pytest.mark.parametrize(
+    ("angle", "seen"), [(29.9, True), (30.1, False), (-29.9, True), (-30.1, False)]
+)
+def test_the_edge_of_the_cone(angle, seen):
+    # The tip stands at 1.5 m on the x axis and the tracker in line with it: the reflector turns with the joint.
+    robot, half = turntable(), np.radians(30.0)
+    towards = [np.cos(np.radians(angle)), 0.0, np.sin(np.radians(angle))]
+    sight = in_sight(robot, ZERO, ORIGIN, Tracker((4.0, 0, 0)), Reflector(towards, half))
+    assert sight.cone.tolist() == [seen]
+
+
+@given(q=st.floats(-3.1, 3.1), half=st.floats(0.05, 3.1))
+@settings(deadline=None)
+def test_the_cone_in_closed_form(q, half):
+    # The target in the base is at (1.5 cos q, 1.5 sin q), the normal along the arm.
+    point, normal = 1.5 * np.array([np.cos(q), np.sin(q)]), np.array([np.cos(q), np.sin(q)])
+    way = np.array([3.0, 1.0]) - point
+    angle = np.arccos(np.clip(way @ normal / np.linalg.norm(way), -1.0, 1.0))
+    assume(abs(angle - half) > 1e-6)
+    sight = in_sight(
+        turntable(), np.array([[q]]), ORIGIN, Tracker((3.0, 1.0, 0.0)), Reflector((1, 0, 0), half)
+    )
+    assert sight.cone.tolist() == [angle <= half]
+
+
+def beam(y: float, x: float = 0.0, tracker=(-2.0, 0.0, 0.0), boxes=()) -> bool:
+    """Whether the beam is free, of a tracker that looks along x at the tip with the ball beside the line."""
+    collision, T = CollisionModel.of(turntable(y), boxes), np.eye(4)
+    T[0, 3] = x
+    sight = in_sight(turntable(y), ZERO, T, Tracker(tracker), None, collision)
+    return bool(sight.beam[0])
+
+
+def test_a_ball_beside_the_beam():
+    # The beam is 10 mm thick: it misses a ball of 50 mm radius from 55 mm on.
+    assert [beam(y) for y in (0.0, 0.05, 0.0549, 0.0551, 0.2)] == [False, False, False, True, True]
+    # Seen from the other side the ball is behind the target.
+    assert beam(0.0, tracker=(4.0, 0.0, 0.0))
+
+
+def test_the_nest_does_not_count():
+    # The ball's surface is at 1.05 m; the beam ends 30 mm before the target.
+    edge = 1.05 + NEST - 1.5
+    assert beam(0.0, edge + 1e-4, tracker=(4.0, 0.0, 0.0))
+    assert beam(0.0, edge - 1e-4, tracker=(4.0, 0.0, 0.0))
+    front = 0.95 + NEST - 1.5
+    assert beam(0.0, front - 1e-4)
+    assert not beam(0.0, front + 1e-4)
+
+
+def test_a_target_closer_than_its_nest_has_no_beam():
+    assert beam(0.0, -0.5, tracker=(0.98, 0.0, 0.0))
+
+
+def wall(x: float, thick: float = 0.01) -> Box:
+    T = np.eye(4)
+    T[0, 3] = x
+    return Box("wall", (thick, 4.0, 4.0), T)
+
+
+def test_a_wall_between_and_a_wall_behind():
+    free = {x: beam(0.2, tracker=(4.0, 0, 0), boxes=(wall(x),)) for x in (2.0, 3.9, 4.1)}
+    assert free == {2.0: False, 3.9: False, 4.1: True}
+
+
+def test_the_beam_is_not_looked_at_where_range_or_cone_refuse():
+    collision = CollisionModel.of(turntable(0.2), [wall(2.0)])
+    q = np.array([[0.0], [3.0]])
+    far = in_sight(turntable(0.2), q, ORIGIN, Tracker((4.0, 0, 0), 0.0, 1.0), None, collision)
+    assert far.beam.tolist() == [True, True]
+    cone = in_sight(
+        turntable(0.2), q, ORIGIN, Tracker((4.0, 0, 0)), Reflector((1, 0, 0), 0.3), collision
+    )
+    assert cone.cone.tolist() == [True, False]
+    assert cone.beam.tolist() == [False, True]
+
+
+# --- A real robot, against rays and FCL ----------------------------------------------------------------------------
+
+TARGET = np.array(data.PAPER_TARGET)
+TRACKER = np.array([1.2, 0.3, 0.4])
+
+
+@cache
+def ur3() -> Robot:
+    return Robot.load(data.paper_urdf(), base="base", tip="tool0")
+
+
+@cache
+def ur3_sight() -> tuple[np.ndarray, np.ndarray]:
+    q = np.random.default_rng(8).uniform(-np.pi, np.pi, (150, 6))
+    model = CollisionModel.of(ur3())
+    q = q[model.free(q)][:100]
+    T = np.eye(4)
+    T[:3, 3] = TARGET
+    return q, in_sight(ur3(), q, T, Tracker(TRACKER), None, model).beam
+
+
+def test_the_ur3_s_beam_against_fcl():
+    q, free = ur3_sight()
+    way = (ur3().poses(q) @ [*TARGET, 1.0])[:, :3] - TRACKER
+    reach = np.linalg.norm(way, axis=1) - NEST
+    expected = []
+    for row, along, length in zip(q, way, reach, strict=True):
+        T = trimesh.geometry.align_vectors([0, 0, 1], along)
+        T[:3, 3] = TRACKER + 0.5 * length * along / np.linalg.norm(along)
+        rod = placed(fcl.Capsule(0.5 * BEAM, length - BEAM), T)
+        expected.append(not any(touch(rod, one) for one in objects(ur3(), row).values()))
+    np.testing.assert_array_equal(free, expected)
