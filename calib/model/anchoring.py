@@ -33,32 +33,10 @@ PARALLEL_RAD = np.radians(30.0)
 _COINCIDENT = 1e-3
 
 
-def anchored(robot: Robot, nominal: Robot) -> Robot:
-    """The same poses at all joint values, each joint's frame near that of the nominal robot.
-
-    Args:
-        robot: Any chain.
-        nominal: The same joints with nominal placements.
-
-    Returns:
-        A robot whose poses are those of ``robot`` to rounding.
-
-    Raises:
-        ModelError: The two have not the same joints.
-    """
-    check_same_joints(robot, nominal)
-    placements = anchored_placements(
-        robot.placements, nominal.placements, robot.joints, first_fixed=robot.carriers[0] is None
-    )
-    return robot.with_placements(placements)
-
-
 def anchored_placements(
     placements: Array,
     nominal: Array,
     joints: Sequence[UrdfJoint],
-    *,
-    first_fixed: bool = False,
 ) -> Array:
     """Other placements of the same chain, near the nominal ones; see the module's text.
 
@@ -66,7 +44,6 @@ def anchored_placements(
         placements: shape (n + 1, 4, 4), [m].
         nominal: shape (n + 1, 4, 4), [m].
         joints: The n joints, with axis and type.
-        first_fixed: Whether the first joint's frame stays where it is.
 
     Returns:
         shape (n + 1, 4, 4), [m].
@@ -75,8 +52,6 @@ def anchored_placements(
     axes = [np.asarray(joint.axis) for joint in joints]
     slides = [joint.type == "prismatic" for joint in joints]
     for i, axis in enumerate(axes):
-        if i == 0 and first_fixed:
-            continue
         last = i + 1 == len(axes)
         G = _nearest_own(result[i], nominal[i], axis, sliding=slides[i])
         behind = rigid_inverse(G) @ result[i + 1]

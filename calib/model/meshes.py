@@ -175,17 +175,6 @@ def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
     return mesh, ""
 
 
-def mesh_vertices(mesh: Any) -> Array:  # noqa: ANN401  coal has no types
-    """The vertices of a mesh that `load_mesh` gave, shape (V, 3), [m]."""
-    return np.array(mesh.vertices(), dtype=np.float64).reshape(-1, 3)
-
-
-def mesh_faces(mesh: Any) -> Faces:  # noqa: ANN401  coal has no types
-    """The faces of a mesh that `load_mesh` gave, shape (F, 3), indices of vertices."""
-    corners = [mesh.tri_indices(i) for i in range(mesh.num_tris)]
-    return np.array([(c[0], c[1], c[2]) for c in corners], dtype=np.int64).reshape(-1, 3)
-
-
 def numbers(text: str | None, default: tuple[float, float, float]) -> tuple[float, float, float]:
     """Three finite numbers, or the default."""
     try:

@@ -172,10 +172,6 @@ def _main(path: str, *words: str) -> str | None:
     return arguments.misspelt or None
 
 
-if __name__ == "__main__":
-    sys.exit(_main(*sys.argv[1:]))
-
-
 MANIFEST = "package.xml"
 _NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
@@ -242,3 +238,7 @@ def _candidates(name: str, file: Path) -> Iterator[Path]:
     for folder in file.parents:
         if (folder / name).is_dir() and not (folder / name / MANIFEST).exists():
             yield folder / name
+
+
+if __name__ == "__main__":
+    sys.exit(_main(*sys.argv[1:]))

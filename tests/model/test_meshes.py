@@ -14,9 +14,7 @@ from calib.model.meshes import (
     find_mesh,
     link_shapes,
     load_mesh,
-    mesh_faces,
     mesh_folders,
-    mesh_vertices,
     read_mesh,
 )
 from calib.model.urdf import Urdf, find_urdf
@@ -85,10 +83,10 @@ def test_a_mesh_is_found_and_read(tmp_path, name, place):
     (tmp_path / place).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     path = find_mesh(name.format(tmp=tmp_path), [tmp_path])
     assert path is not None
-    mesh, problem = load_mesh(path, (1.0, 2.0, 3.0))
+    (vertices, faces), problem = read_mesh(path, (1.0, 2.0, 3.0))
     assert problem == ""
-    np.testing.assert_array_equal(np.ptp(mesh_vertices(mesh), axis=0), [1, 2, 0])
-    assert mesh_faces(mesh).shape == (1, 3)
+    np.testing.assert_array_equal(np.ptp(vertices, axis=0), [1, 2, 0])
+    assert faces.shape == (1, 3)
 
 
 #: A triangle of 4 units along x, as COLLADA.
@@ -115,9 +113,9 @@ DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="
 )
 def test_a_collada_file_is_as_large_as_it_says(tmp_path, unit, length):
     (tmp_path / "t.dae").write_text(DAE.format(unit=unit))
-    mesh, problem = load_mesh(tmp_path / "t.dae", (1.0, 1.0, 1.0))
+    (vertices, _), problem = read_mesh(tmp_path / "t.dae", (1.0, 1.0, 1.0))
     assert problem == ""
-    np.testing.assert_allclose(np.ptp(mesh_vertices(mesh), axis=0), [length, length, 0], rtol=1e-6)
+    np.testing.assert_allclose(np.ptp(vertices, axis=0), [length, length, 0], rtol=1e-6)
 
 
 #: A triangle on the floor and a smaller one 5 m above it, each of a material of its own.
@@ -131,9 +129,9 @@ usemtl roof\nf 4 5 6\nf 5 6 7
 def test_each_part_of_a_mesh_has_its_own_faces(tmp_path):
     # coal joins the vertices of the first part by the faces of the second.
     (tmp_path / "two.obj").write_text(TWO_PARTS)
-    mesh, problem = load_mesh(tmp_path / "two.obj", (1.0, 1.0, 2.0))
+    (vertices, faces), problem = read_mesh(tmp_path / "two.obj", (1.0, 1.0, 2.0))
     assert problem == ""
-    corners = mesh_vertices(mesh)[mesh_faces(mesh)]
+    corners = vertices[faces]
     assert sorted(corners[:, :, 2].tolist()) == [[0, 0, 0], [10, 10, 10], [10, 10, 10]]
 
 
@@ -156,7 +154,8 @@ def test_meshes_are_those_that_coal_reads(robot):
         (vertices, faces), problem = read_mesh(path, (1.0, 2.0, 3.0))
         assert problem == ""
         theirs = hppfcl.MeshLoader().load(str(path), np.array([1.0, 2.0, 3.0]))
-        expected = extent(mesh_vertices(theirs), mesh_faces(theirs))
+        corners = [theirs.tri_indices(i) for i in range(theirs.num_tris)]
+        expected = extent(theirs.vertices(), np.array([(c[0], c[1], c[2]) for c in corners]))
         np.testing.assert_allclose(extent(vertices, faces), expected, rtol=1e-4, atol=1e-6)
 
 
