@@ -166,7 +166,7 @@ def one_plain(count: int) -> dict[str, float]:
     task, rows = task_of(count)
     robot, model = task.robot, error_model(task.robot, "dh", target=True)
     n, T_tip_target = len(robot.joints), pin.SE3(np.eye(3), TARGET)
-    q = robot.configurations(robot.chain_values(rows.joints))
+    q = robot.chain_values(rows.joints)
 
     def each(x: Array, *, columns: bool) -> tuple[Array, Array]:
         D, S = model.displacements(x)  # of the frame, the joints, the tip and the target

@@ -44,7 +44,6 @@ class Chain:
         after: shape (n + 1, 4, 4), [m].
         inverted: For each placement whether the origin stands inverted in it.
         base_moves: Whether joints lie on the base's side; the first placement is then given in the base.
-        model: The Pinocchio model of the joints.
     """
 
     joints: tuple[UrdfJoint, ...]
@@ -55,7 +54,6 @@ class Chain:
     after: Array
     inverted: tuple[bool, ...]
     base_moves: bool
-    model: pin.Model
 
     @classmethod
     def of(cls, urdf: Urdf, base: str, tip: str) -> Chain:
@@ -69,13 +67,8 @@ class Chain:
         moving = [i for i, step in enumerate(path) if step.joint.type != "fixed"]
         _check_moving(urdf, base, tip, [path[i].joint for i in moving])
         joints = tuple(path[i].path_joint for i in moving)
-        full = full_model(urdf)
-        base_moves = path[moving[0]].up
-        if base_moves:
-            model, T_root_base, placements = _of_two_branches(path, moving)
-        else:
-            model, T_root_base, placements = _of_one_branch(full, joints, base, tip)
-
+        _built_model(urdf)  # which refuses what Pinocchio cannot read, or reads otherwise
+        T_root_base, placements = _placements(urdf, base, tip, path, moving)
         carried = [_carrier(path, moving, k) for k in range(len(moving) + 1)]
         before, after = [], []
         for placement, carrier in zip(placements, carried, strict=True):
@@ -91,20 +84,12 @@ class Chain:
             before=read_only(before),
             after=read_only(after),
             inverted=tuple(c is not None and path[c.step].up for c in carried),
-            base_moves=base_moves,
-            model=model,
+            base_moves=path[moving[0]].up,
         )
-
-    def model_at(self, placements: Array) -> pin.Model:
-        """A copy of the Pinocchio model with other joint placements, shape (n or n + 1, 4, 4), [m]."""
-        model = self.model.copy()
-        for i in range(len(self.joints)):
-            model.jointPlacements[i + 1] = pin.SE3(placements[i, :3, :3], placements[i, :3, 3])
-        return model
 
     def at(self, placements: Array) -> Chain:
         """The chain with other placements, shape (n + 1, 4, 4), [m]."""
-        return replace(self, placements=read_only(placements), model=self.model_at(placements))
+        return replace(self, placements=read_only(placements))
 
     def origins(self) -> dict[str, Array]:
         """The ``<origin>`` of each URDF joint that carries a placement, shape (4, 4), [m]."""
@@ -115,35 +100,6 @@ class Chain:
                 factor = before @ self.placements[i] @ after
                 origins[carrier] = rigid_inverse(factor) if self.inverted[i] else factor
         return origins
-
-    def configurations(self, values: Array) -> Array:
-        """Values of the chain's joints, shape (N, n), as Pinocchio's configuration vectors, shape (N, nq).
-
-        A ``continuous`` joint may have the two entries (cos q, sin q) there.
-        """
-        if self.model.nq == len(self.joints):
-            return values
-        columns: list[Array] = []
-        for i, size in enumerate(self.model.nqs[1:]):
-            value = values[:, i]
-            columns += [value] if size == 1 else [np.cos(value), np.sin(value)]
-        return np.stack(columns, axis=1)
-
-
-def last_joint_poses(model: pin.Model, configurations: Array) -> Array:
-    """The pose of a chain's last joint in its root, shape (N, 4, 4), [m].
-
-    Args:
-        model: The chain, see `Chain.model_at`.
-        configurations: shape (N, nq), see `Chain.configurations`.
-    """
-    data, last = model.createData(), model.njoints - 1
-    pose = data.oMi[last]  # as forwardKinematics writes it
-    T_root_last = np.empty((len(configurations), 4, 4))
-    for i, configuration in enumerate(configurations):
-        pin.forwardKinematics(model, data, configuration)
-        T_root_last[i] = pose.homogeneous
-    return T_root_last
 
 
 def read_only(values: ArrayLike | Sequence[Array]) -> Array:
@@ -286,28 +242,24 @@ def _carrier(path: list[_Step], moving: list[int], k: int) -> _Carrier | None:
     return _Carrier(moving[-1] + 1, last=False) if moving[-1] + 1 < len(path) else None
 
 
-def _of_one_branch(
-    full: pin.Model, joints: Sequence[UrdfJoint], base: str, tip: str
-) -> tuple[pin.Model, Array, list[Array]]:
-    """Model, T_root_base and placements of a base that no joint moves against the chain's root.
+def _placements(
+    urdf: Urdf, base: str, tip: str, path: list[_Step], moving: list[int]
+) -> tuple[Array, list[Array]]:
+    """T_root_base and the placements.
 
-    The chain starts in the URDF's root; every joint that is not on the path is locked at zero.
+    A chain whose base no joint of it moves starts in the URDF's root, joints above the base at zero; one with moving
+    joints on the base's side starts in the base.
     """
-    wanted = {joint.name for joint in joints}
-    locked = [i for i in range(1, full.njoints) if full.names[i] not in wanted]
-    model = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else full
-    placements = [model.jointPlacements[i + 1].homogeneous for i in range(len(joints))]
-    placements.append(model.frames[link_frame(model, tip)].placement.homogeneous)
-    T_root_base = model.frames[link_frame(model, base)].placement.homogeneous
-    return model, T_root_base, placements
-
-
-def _of_two_branches(path: list[_Step], moving: list[int]) -> tuple[pin.Model, Array, list[Array]]:
-    """Model, T_root_base and placements of a base with moving joints on its side: the chain starts in the base."""
-    placements = []
-    T = np.eye(4)
-    for i, step in enumerate(path):
-        if i not in moving:
+    moves = {path[i].joint.name for i in moving}
+    by_name = {joint.name: joint for joint in urdf.joints}
+    T_root_base, steps = np.eye(4), path
+    if not path[moving[0]].up:
+        for name in urdf.chain(urdf.root, base)[1]:
+            T_root_base = T_root_base @ by_name[name].T_parent_joint
+        steps = [_Step(by_name[name], up=False) for name in urdf.chain(urdf.root, tip)[1]]
+    placements, T = [], np.eye(4)
+    for step in steps:
+        if step.joint.name not in moves:
             T = T @ step.origin
         elif step.up:  # it moves first, its origin comes behind it
             placements.append(T)
@@ -315,14 +267,23 @@ def _of_two_branches(path: list[_Step], moving: list[int]) -> tuple[pin.Model, A
         else:
             placements.append(T @ step.origin)
             T = np.eye(4)
-    placements.append(T)
+    return T_root_base, [*placements, T]
+
+
+def pinocchio_chain(joints: Sequence[UrdfJoint], placements: Array) -> pin.Model:
+    """A Pinocchio model of n joints in a row, whose configuration is their values.
+
+    Args:
+        joints: The joints, with axis and type.
+        placements: shape (n, 4, 4) or (n + 1, 4, 4), [m]; a tip's placement is not part of the model.
+    """
     model = pin.Model()
-    for last, (i, placement) in enumerate(zip(moving, placements[:-1], strict=True)):
-        joint = path[i].path_joint
+    for parent, (joint, placement) in enumerate(zip(joints, placements, strict=False)):
         slides = joint.type == "prismatic"
         kind = pin.JointModelPrismaticUnaligned if slides else pin.JointModelRevoluteUnaligned
-        model.addJoint(last, kind(np.array(joint.axis)), pin.SE3(placement), joint.name)
-    return model, np.eye(4), placements
+        T = pin.SE3(placement[:3, :3], placement[:3, 3])
+        model.addJoint(parent, kind(np.array(joint.axis)), T, joint.name)
+    return model
 
 
 def _check_moving(urdf: Urdf, base: str, tip: str, joints: Sequence[UrdfJoint]) -> None:

@@ -24,11 +24,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import UrdfError
 from calib.model import kernel
-from calib.model.chain import Chain, farthest_link, last_joint_poses, read_only, rigid_inverse
+from calib.model.chain import Chain, farthest_link, pinocchio_chain, read_only, rigid_inverse
 from calib.model.coupling import Coupling, all_values, checked_held
 from calib.model.urdf import Urdf, UrdfJoint, read_urdf
 
-__all__ = ["Robot", "last_joint_poses", "read_only", "rigid_inverse"]
+__all__ = ["Robot", "read_only", "rigid_inverse"]
 
 #: A placement that no <origin> holds may differ by rounding [m; rotation matrices: 1].
 _ROUNDING = 1e-12
@@ -250,23 +250,13 @@ class Robot:
         named = dict(zip(self.joint_names, columns, strict=True))
         return all_values(self.urdf, named, self.held, count)
 
-    def configurations(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values of the chain's joints as Pinocchio's configuration vectors, shape (N, nq).
-
-        A ``continuous`` joint may have the two entries (cos q, sin q) there.
-
-        Args:
-            values: shape (N, n), [rad] or [m], see `chain_values`.
-        """
-        return self._chain.configurations(values)
-
     def chain_model(self, placements: NDArray[np.float64]) -> pin.Model:
-        """A Pinocchio model of the chain with other joint placements, a copy of its own.
+        """A Pinocchio model of the chain with other joint placements; its configurations are the chain's values.
 
         Args:
             placements: shape (n, 4, 4) or (n + 1, 4, 4), [m]; a tip's placement is not part of it.
         """
-        return self._chain.model_at(placements)
+        return pinocchio_chain(self.joints, placements)
 
     def with_placements(self, placements: NDArray[np.float64]) -> Robot:
         """A new robot with these placements, its URDF's ``<origin>`` elements changed to match.

@@ -53,7 +53,7 @@ def by_pinocchio(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Ar
     terms = [model.terms[t] for t in model.joint_terms]
     moved = joint_displacements(robot, terms, samples.q, samples.load)
     moved = moved @ model.mixing[list(model.joint_terms)]
-    configurations = robot.configurations(robot.chain_values(samples.q) + moved @ x)
+    configurations = robot.chain_values(samples.q) + moved @ x
     T_last_tip = robot.placements[n] @ D[frames + n]
     poses = np.empty((len(samples), 4, 4))
     twists = np.empty((len(samples), 6, len(model)))

@@ -298,7 +298,7 @@ def test_errors_of_the_joints_state_move_the_joints(robots, which):
             column[:, c] += value[f"{joint.name}.cos"] * np.cos(q[:, c])
     given_way = load * [value[f"{joint.name}.compliance"] for joint in robot.joints]
     chain = robot.chain_model(robot.placements)
-    configurations = robot.configurations(robot.chain_values(q + column) + given_way)
+    configurations = robot.chain_values(q + column) + given_way
     data = chain.createData()
     poses = Kinematics(robot, model, np.eye(4), np.eye(4)).poses(x, Samples.at(q, load))
     for configuration, one in zip(configurations, poses, strict=True):
@@ -356,7 +356,7 @@ def test_placement_columns_are_pinocchio_s_frame_regressor(robots, which):
     # Placements that no <origin> carries are left out; skew axes have their zero besides.
     carried = [6 * i + k for i in range(last) if robot.carriers[i] is not None for k in range(6)]
     own = [k for k, name in enumerate(model.names) if not name.endswith(".zero")]
-    configurations = robot.configurations(robot.chain_values(q))
+    configurations = robot.chain_values(q)
     for configuration, twist in zip(configurations, twists, strict=True):
         pin.forwardKinematics(chain, data, configuration)
         regressor = pin.computeFrameKinematicRegressor(chain, data, target, pin.LOCAL_WORLD_ALIGNED)
