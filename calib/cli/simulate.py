@@ -357,7 +357,7 @@ def _simulate(
 ) -> str:
     """Simulate once, write table and truth; what is to be said."""
     from calib.cli.simulate_text import simulated_text
-    from calib.simulate.poses import outside_limits
+    from calib.simulate.scenario import outside_limits
     from calib.simulate.truth_file import write_true_urdf, write_truth
 
     q, sets = chosen

@@ -212,12 +212,14 @@ def parse_instrument(text: str, repeatability: float) -> TrackerNoise | None:
 def noise_of(cell: Cell, noise: str | None, repeatability: str | None) -> TrackerNoise | None:
     """The noise that the command line says, else the cell's."""
     from calib.measure.noise import TrackerNoise
-    from calib.simulate.disturbances import cell_noise
 
     own = None if repeatability is None else parse_size(repeatability, "--repeatability", "0.02 mm")
     if noise is not None:
         return parse_instrument(noise, own or 0.0)
-    found = cell_noise(cell)
+    if cell.sigma is not None:
+        found = TrackerNoise(cell.sigma, 0.0, 0.0)
+    else:
+        found = TrackerNoise() if cell.tracker is None else cell.tracker.noise
     if own is None:
         return found
     if not (own or found.constant or found.per_length):

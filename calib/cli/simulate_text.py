@@ -222,9 +222,9 @@ def _events(cell: Scenario, made: Simulated) -> Iterator[str]:
         which = "The target" if cell.moved.target is None else f"The target '{cell.moved.target}'"
         yield (
             f"{which} moves by {_point(cell.moved.by)} mm in the tip before row {cell.moved.row}: "
-            f"{len(made.moved_rows)} rows find it there."
+            f"{int(made.moved.sum())} rows find it there."
         )
-    if cell.drift.any():
+    if any(cell.drift):
         yield (
             f"Drift from the first row to the last: {_point(cell.drift)} mm in the measurement frame."
         )

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, choices
-from calib.measure.cell import Cell
 from calib.measure.cell_parts import vector
-from calib.measure.noise import TrackerNoise
 
 Array = NDArray[np.float64]
 
@@ -45,13 +43,6 @@ def stream(seed: int, purpose: str) -> np.random.Generator:
         raise CalibError(f"The seed is {seed}; it must be a whole number, 0 or more.")
     sequence = np.random.SeedSequence(int(seed), spawn_key=(STREAMS.index(purpose),))
     return np.random.default_rng(sequence)
-
-
-def cell_noise(cell: Cell) -> TrackerNoise:
-    """The noise that a cell states: its sigma, or its tracker's; a Leica AT901's and a robot's where it states none."""
-    if cell.sigma is not None:
-        return TrackerNoise(cell.sigma, 0.0, 0.0)
-    return TrackerNoise() if cell.tracker is None else cell.tracker.noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +86,6 @@ class Outliers:
         return sorted(candidates[i] for i in order[:number])
 
 
-def outlier_directions(count: int, seed: int) -> Array:
-    """Unit vectors, anyhow, one for each row, shape (count, 3)."""
-    v = stream(seed, "outlier directions").standard_normal((count, 3))
-    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MovedTarget:
     """A target that sits elsewhere from some row on, as if it had been knocked.
@@ -120,10 +105,7 @@ class MovedTarget:
         object.__setattr__(self, "by", vector(self.by, "displacement of the moved target"))
 
     def rows(self, targets: Sequence[str]) -> NDArray[np.bool_]:
-        """Which rows find the target moved.
-
-        Args:
-            targets: Name of each row's target.
+        """Which rows, given by their targets' names, find the target moved.
 
         Raises:
             CalibError: The table has no such row, or no such target.
@@ -133,7 +115,7 @@ class MovedTarget:
                 f"The target is to move before row {self.row}; the table has the rows 1 to {len(targets)}. Name one of "
                 "these."
             )
-        if self.target is not None and self.target not in targets:
+        if self.target not in (None, *targets):
             raise CalibError(
                 f"The target '{self.target}' is to move; there are {choices(dict.fromkeys(targets))}. Name one of "
                 "these."
@@ -145,13 +127,9 @@ class MovedTarget:
 
 @dataclass(frozen=True, slots=True)
 class Encoder:
-    """The smallest steps in which joint values are read.
+    """The smallest steps in which joint values are read: of joints that turn [rad] and that slide [m]; 0: none.
 
     The robot stops somewhere within half a step of where it is sent, and what is read is the nearest step.
-
-    Attributes:
-        angle: Step of joints that turn [rad]; 0: none.
-        length: Step of joints that slide [m]; 0: none.
     """
 
     angle: float = 0.0
@@ -164,17 +142,9 @@ class Encoder:
                 f"The encoder's steps are {self.angle} rad and {self.length} m; they must be 0 or above."
             )
 
-    def stood(self, q: Array, sliding: Sequence[bool], seed: int) -> Array:
-        """Where the robot stops when it is sent to q, shape (N, m), [rad] or [m]."""
-        within = stream(seed, "encoder").uniform(-0.5, 0.5, q.shape)
-        return np.asarray(q + within * self._steps(sliding))
-
-    def read(self, stood: Array, sliding: Sequence[bool]) -> Array:
-        """What is read where the robot stands, shape (N, m), [rad] or [m]."""
-        step = self._steps(sliding)
+    def measure(self, q: Array, sliding: Sequence[bool], seed: int) -> tuple[Array, Array]:
+        """Where the robot stops when it is sent to q, and what is read there, shape (N, m) each, [rad] or [m]."""
+        step = np.where(sliding, self.length, self.angle)
+        stood = q + stream(seed, "encoder").uniform(-0.5, 0.5, q.shape) * step
         safe = np.where(step > 0.0, step, 1.0)
-        return np.where(step > 0.0, np.round(stood / safe) * step, stood)
-
-    def _steps(self, sliding: Sequence[bool]) -> Array:
-        """The step of each column of joint values, shape (m,), [rad] or [m]."""
-        return np.array([self.length if slides else self.angle for slides in sliding])
+        return stood, np.where(step > 0.0, np.round(stood / safe) * step, stood)

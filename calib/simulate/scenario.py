@@ -17,19 +17,20 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 import calib.kinds as registry
-from calib.errors import CalibError, ModelError, choices
+from calib.errors import CalibError, choices
 from calib.kinds import Kind
 from calib.measure.cell import Cell
 from calib.measure.cell_parts import vector
 from calib.measure.columns import SETS
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise
+from calib.measure.ranges import column_limits, joint_ranges, range_text
 from calib.model.robot import Robot, read_only
-from calib.simulate.disturbances import Encoder, MovedTarget, Outliers, outlier_directions, stream
-from calib.simulate.poses import Tour, random_poses
+from calib.simulate.disturbances import Encoder, MovedTarget, Outliers, stream
 from calib.simulate.truth import TARGET_ERROR, Truth, draw_truth
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int_]
 
 #: Where the tracker stands if nothing says so, in the base [m].
 DEFAULT_TRACKER = read_only((3.0, 0.0, 0.0))
@@ -37,10 +38,8 @@ DEFAULT_TRACKER = read_only((3.0, 0.0, 0.0))
 #: The set of errors where the cell leaves the choice to the data.
 DEFAULT_MODEL = "placement"
 
-#: No target is measured farther away [m].
-FARTHEST = 1e4
-
-_NOWHERE = read_only(np.zeros(3))
+#: A joint value may pass a limit by this [rad or m]: tables hold a few digits.
+_ROUNDING = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +77,7 @@ class Scenario:
     encoder: Encoder = field(default_factory=Encoder)
     outliers: Outliers | None = None
     moved: MovedTarget | None = None
-    drift: Array = field(default_factory=lambda: _NOWHERE)
+    drift: ArrayLike = (0.0, 0.0, 0.0)
     visits: int = 1
 
     def __post_init__(self) -> None:
@@ -132,8 +131,17 @@ class Scenario:
         return VirtualCell(self, truth)
 
     def random_poses(self, count: int, seed: int, *, validation: bool = False) -> Array:
-        """Joint values anywhere inside the limits, or the cell's ranges; see `calib.simulate.poses.random_poses`."""
-        return random_poses(self.robot, count, seed, self.cell.ranges, validation=validation)
+        """Joint values anywhere inside the limits, or the cell's ranges, shape (count, m), [rad] or [m].
+
+        More of them are those of fewer and others; those to validate with are others for the same seed. Collisions are
+        not looked at.
+
+        Raises:
+            CalibError: The cell has a range of no such joint, or outside its limits.
+        """
+        low, high = joint_ranges(self.robot, self.cell.ranges).T
+        rng = stream(seed, "validation poses" if validation else "poses")
+        return np.asarray(low + (high - low) * rng.uniform(size=(count, len(low))))
 
     def poses(
         self,
@@ -158,6 +166,24 @@ class Scenario:
         return np.concatenate([q, extra]), words
 
 
+def outside_limits(robot: Robot, q: ArrayLike) -> tuple[str, ...]:
+    """What a person must be told of poses that the robot cannot take: a sentence for each joint beyond its limits."""
+    limits = column_limits(robot)
+    values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+    beyond = (values < limits[:, 0] - _ROUNDING) | (values > limits[:, 1] + _ROUNDING)
+    said = []
+    for k in np.flatnonzero(beyond.any(axis=0)):
+        name, poses = robot.joint_names[k], np.flatnonzero(beyond[:, k])
+        slides = robot.joint_types[name] == "prismatic"
+        scale, unit = (1e3, "mm") if slides else (180.0 / np.pi, "deg")
+        count = f"{poses.size} poses are" if poses.size > 1 else "1 pose is"
+        said.append(
+            f"{count} outside the limits of '{name}', {range_text(robot, name, limits[k])}: first pose "
+            f"{poses[0] + 1}, {scale * values[poses[0], k]:.6g} {unit}."
+        )
+    return tuple(said)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulated:
     """What a virtual cell measured, and what was true of it.
@@ -168,7 +194,6 @@ class Simulated:
         q: shape (R, m), where the joints really stood in each row, before their own errors [rad] or [m].
         T_frame_target: shape (R, 4, 4), true poses of the targets, the moved one's included [m].
         sigma: shape (R,), standard deviation of the noise of one coordinate or length [m].
-        drift: shape (R, 3), how far the instrument had drifted [m].
         outliers: shape (R, 3), how far outliers are displaced [m]; zero in other rows. Of lengths the first
             column says how much longer they are.
         moved: shape (R,), which rows found the target moved.
@@ -180,7 +205,6 @@ class Simulated:
     q: Array
     T_frame_target: Array
     sigma: Array
-    drift: Array
     outliers: Array
     moved: NDArray[np.bool_]
     seed: int
@@ -193,16 +217,7 @@ class Simulated:
     @property
     def outlier_rows(self) -> tuple[int, ...]:
         """The row numbers of the outliers."""
-        return self._numbers(np.any(self.outliers != 0.0, axis=1))
-
-    @property
-    def moved_rows(self) -> tuple[int, ...]:
-        """The row numbers that found the target moved."""
-        return self._numbers(self.moved)
-
-    def _numbers(self, mask: NDArray[np.bool_]) -> tuple[int, ...]:
-        """Row numbers of a mask."""
-        return tuple(self.measurements.rows[i] for i in np.flatnonzero(mask))
+        return tuple(self.measurements.rows[i] for i in np.flatnonzero(self.outliers.any(axis=1)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,60 +247,70 @@ class VirtualCell:
             CalibError: No poses, or what does not fit them: a row, a number of outliers, an odd pose of pairs.
         """
         scenario, truth, robot = self.scenario, self.truth, self.truth.nominal
-        q = _checked_poses(robot, q)
+        kind, noise = scenario.kind, scenario.noise
+        q = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        if not q.size:
+            raise CalibError("There are no poses to measure at; give one or more.")
+        robot.chain_values(q)  # refuses what are no values of these joints
         sets = (SETS[0],) * len(q) if sets is None else tuple(sets)
         if len(sets) != len(q):
             raise CalibError(
                 f"There are {len(q)} poses and {len(sets)} words that say their sets; give one of {choices(SETS)} for "
                 "each pose."
             )
-        tour = Tour.of(len(q), scenario.visits, len(truth.targets), len(truth.groups))
-        words = tuple(sets[i] for i in tour.pose)
-        names = tuple(truth.targets[t] for t in tour.target)
-        kind = scenario.kind
-        partner = tour.partners(sets) if kind.paired else None
+        # All targets at each stop, one tour of the poses after the other: what each row is of.
+        route, number = np.tile(np.arange(len(q)), scenario.visits), len(truth.targets)
+        stop = np.repeat(np.arange(len(route)), number)
+        pose, target = route[stop], np.tile(np.arange(number), len(route))
+        group = pose % len(truth.groups)
+        words, names = tuple(sets[i] for i in pose), tuple(truth.targets[t] for t in target)
+        partner = _partners(sets, pose, number) if kind.paired else None
 
         sliding = [joint.type == "prismatic" for joint in robot.inputs]
-        stood = scenario.encoder.stood(q[tour.route], sliding, seed)
-        placed, moved = truth.T_tip_target[tour.target].copy(), np.zeros(len(names), dtype=bool)
+        stood, read = scenario.encoder.measure(q[route], sliding, seed)
+        placed, moved = truth.T_tip_target[target].copy(), np.zeros(len(names), dtype=np.bool_)
         if scenario.moved is not None:
             moved = scenario.moved.rows(names)
             placed[moved, :3, 3] += scenario.moved.by
         moved.setflags(write=False)
-        T = truth.T_frame_base[tour.group] @ truth.tip_poses(stood)[tour.stop] @ placed
-        drift = np.linspace(0.0, 1.0, len(tour.stop))[:, None] * scenario.drift
-        repeatability = 0.0 if scenario.noise is None else scenario.noise.repeatability
-        stops = repeatability * stream(seed, "robot noise").standard_normal((len(tour.route), 3))
-        instrument = self._instrument(T, tour, partner)
+        T = truth.T_frame_base[group] @ truth.tip_poses(stood)[stop] @ placed
+        drift = np.linspace(0.0, 1.0, len(stop))[:, None] * np.asarray(scenario.drift)
+        repeatability = 0.0 if noise is None else noise.repeatability
+        stops = repeatability * stream(seed, "robot noise").standard_normal((len(route), 3))
+        instrument = self._instrument(T, group, partner)
         outliers = self._outliers(words, partner, seed)
-        noise = stream(seed, "tracker noise").standard_normal((len(T), 3)) * instrument[:, None]
-        seen, apart = T.copy(), noise + outliers
-        seen[:, :3, 3] += drift + stops[tour.stop]
-        _check_near(seen[:, :3, 3] + apart)
+        apart = stream(seed, "tracker noise").standard_normal((len(T), 3)) * instrument[:, None]
+        apart = apart + outliers
+        seen = T.copy()
+        seen[:, :3, 3] += drift + stops[stop]
+        pairs = [""] * len(T)
+        if partner is not None:
+            first = np.flatnonzero(np.arange(len(T)) < partner)
+            for k, i in enumerate(first, start=1):
+                pairs[i] = pairs[partner[i]] = f"pair {k}"
         table = Measurements(
             joint_names=robot.joint_names,
-            joints=scenario.encoder.read(stood, sliding)[tour.stop],
+            joints=read[stop],
             sets=words,
             targets=names,
-            groups=tuple(truth.groups[g] for g in tour.group),
+            groups=tuple(truth.groups[g] for g in group),
             kinds=(kind.name,) * len(words),
             prismatic=tuple(n for n, s in zip(robot.joint_names, sliding, strict=True) if s),
-            pairs=_pair_words(partner, len(words)),
+            pairs=tuple(pairs),
             **Measurements.columns_of(kind, self._read(T, seen, apart, partner, seed)),
         )
         return Simulated(
             measurements=table,
             truth=truth,
-            q=read_only(stood[tour.stop]),
+            q=read_only(stood[stop]),
             T_frame_target=read_only(T),
             sigma=read_only(np.hypot(instrument, np.sqrt(1.0 + kind.paired) * repeatability)),
-            drift=read_only(drift),
             outliers=read_only(outliers),
             moved=moved,
             seed=int(seed),
         )
 
-    def _instrument(self, T: Array, tour: Tour, partner: NDArray[np.int_] | None) -> Array:
+    def _instrument(self, T: Array, group: Rows, partner: Rows | None) -> Array:
         """Standard deviation of the instrument alone, shape (R,), [m]."""
         noise, kind, tracker = self.scenario.noise, self.scenario.kind, self.scenario.tracker
         if noise is None:
@@ -296,27 +321,26 @@ class VirtualCell:
             assert kind.measure is not None
             distance = np.abs(kind.measure(_seen(T, partner))[:, lengths[0]])
         elif tracker is not None:
-            T_frame_base = self.truth.T_frame_base[tour.group]
+            T_frame_base = self.truth.T_frame_base[group]
             place = T_frame_base[:, :3, :3] @ tracker + T_frame_base[:, :3, 3]
             distance = np.linalg.norm(T[:, :3, 3] - place, axis=1)
         return np.asarray(noise.constant + noise.per_length * distance)
 
-    def _outliers(self, sets: Sequence[str], partner: NDArray[np.int_] | None, seed: int) -> Array:
+    def _outliers(self, sets: Sequence[str], partner: Rows | None, seed: int) -> Array:
         """How far each row's measurement is displaced, shape (R, 3), [m]; of a pair that of its first row."""
-        result = np.zeros((len(sets), 3))
-        if self.scenario.outliers is None:
+        result, outliers = np.zeros((len(sets), 3)), self.scenario.outliers
+        if outliers is None:
             return result
         first = [i for i in range(len(sets)) if partner is None or i < partner[i]]
-        chosen = self.scenario.outliers.choose([i for i in first if sets[i] == SETS[0]], seed)
-        directions = outlier_directions(len(sets), seed)
+        chosen = outliers.choose([i for i in first if sets[i] == SETS[0]], seed)
+        v = stream(seed, "outlier directions").standard_normal(result.shape)
+        v /= np.linalg.norm(v, axis=1, keepdims=True)
         if not self.scenario.kind.position:
-            directions = np.sign(directions) * (1.0, 0.0, 0.0)
-        result[chosen] = self.scenario.outliers.size * directions[chosen]
+            v = np.sign(v) * (1.0, 0.0, 0.0)
+        result[chosen] = outliers.size * v[chosen]
         return result
 
-    def _read(
-        self, T: Array, seen: Array, apart: Array, partner: NDArray[np.int_] | None, seed: int
-    ) -> Array:
+    def _read(self, T: Array, seen: Array, apart: Array, partner: Rows | None, seed: int) -> Array:
         """What the instrument reads in each row, as `calib.kinds.Kind` says, shape (R, k).
 
         Args:
@@ -344,48 +368,24 @@ class VirtualCell:
         return result
 
 
-def _checked_poses(robot: Robot, q: ArrayLike) -> Array:
-    """Joint values, shape (N, m); the robot refuses those that are not finite.
+def _partners(sets: Sequence[str], pose: Rows, targets: int) -> Rows:
+    """The other row of each row's pair, shape (R,): consecutive poses of one set, the same target, the same tour.
 
     Raises:
-        ModelError: Another number of columns.
-        CalibError: No poses.
+        CalibError: A set has an odd number of poses.
     """
-    values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-    if not values.size:
-        raise CalibError("There are no poses to measure at; give one or more.")
-    if values.ndim != 2 or values.shape[1] != len(robot.joint_names):
-        raise ModelError(
-            f"Joint values of shape {values.shape} were given; the robot takes (N, {len(robot.joint_names)}), for "
-            f"{choices(robot.joint_names)}."
-        )
-    robot.chain_values(values)
-    return values
+    other = np.arange(len(sets))
+    for name in SETS:
+        chosen = [i for i, word in enumerate(sets) if word == name]
+        if len(chosen) % 2:
+            raise CalibError(
+                f"Distances between the targets of two poses need an even number of poses; {len(chosen)} are to "
+                f"'{name}'."
+            )
+        other[chosen[::2]], other[chosen[1::2]] = chosen[1::2], chosen[::2]
+    return np.asarray(np.arange(len(pose)) + (other[pose] - pose) * targets)
 
 
-def _check_near(points: Array) -> None:
-    """Refuse places that no instrument reaches: a unit or a power of ten is wrong.
-
-    Raises:
-        CalibError: A coordinate that is not finite, or beyond `FARTHEST`.
-    """
-    if not np.all(np.abs(points) < FARTHEST):
-        raise CalibError(
-            f"The target would be measured more than {FARTHEST:g} m away. Check the sizes of errors and noise, the "
-            "target's and the tracker's place, drift and outliers: a unit may be wrong."
-        )
-
-
-def _seen(T: Array, partner: NDArray[np.int_] | None) -> Array:
+def _seen(T: Array, partner: Rows | None) -> Array:
     """Poses as a kind looks at them, shape (R, 4, 4), of a paired kind (R, 2, 4, 4)."""
     return T if partner is None else np.stack([T, T[partner]], axis=1)
-
-
-def _pair_words(partner: NDArray[np.int_] | None, count: int) -> tuple[str, ...]:
-    """The word of each row's pair; "" where there are none."""
-    words = [""] * count
-    if partner is not None:
-        first = [i for i in range(count) if i < partner[i]]
-        for number, i in enumerate(first, start=1):
-            words[i] = words[partner[i]] = f"pair {number}"
-    return tuple(words)

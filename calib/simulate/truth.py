@@ -2,13 +2,13 @@
 
     T_frame_target(q) = T_frame_base  T_base_tip(true placements, q + dq)  T_tip_target
 
-with the joints' own errors dq of `calib.model.kinematics`; the load of a compliance is that of the nominal URDF's
-masses and the payload at the joint values that are read, as `calib.identify` takes it.
+with the joints' own errors dq of `calib.families`; the load of a compliance is that of the nominal URDF's masses and
+the payload at the joint values that are read, as `calib.identify` takes it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -104,41 +104,32 @@ class Truth:
         return kinematics.poses(x, Samples.at(q, load))
 
     def poses(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
-        """T_frame_target at joint values that are read.
+        """T_frame_target, shape (N, 4, 4), [m].
 
         Args:
-            q: shape (N, m) or (m,), [rad] or [m].
+            q: Joint values that are read, shape (N, m) or (m,), [rad] or [m].
             target: Name of the target; default the first.
             group: Name of the set-up; default the first.
 
-        Returns:
-            shape (N, 4, 4), [m].
-
         Raises:
-            ModelError: There is no such target or set-up.
+            ValueError: There is no such target or set-up.
         """
-        t = _position(target, self.targets, "target")
-        g = _position(group, self.groups, "set-up")
-        result: Array = self.T_frame_base[g] @ self.tip_poses(q) @ self.T_tip_target[t]
-        return result
+        t = 0 if target is None else self.targets.index(target)
+        g = 0 if group is None else self.groups.index(group)
+        T: Array = self.T_frame_base[g] @ self.tip_poses(q) @ self.T_tip_target[t]
+        return T
 
     def points(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
         """The true positions of a target, shape (N, 3), [m]; arguments as for `poses`."""
         return self.poses(q, target, group)[:, :3, 3]
 
-    def nominal_errors(self, q: ArrayLike, T_base_tip: Array | None = None) -> Array:
+    def nominal_errors(self, q: ArrayLike) -> Array:
         """How far the nominal robot puts the first target from its true place, shape (N,), [m].
 
-        Frame and target are where they truly are: this is the robot's own error.
-
-        Args:
-            q: shape (N, m) or (m,), [rad] or [m].
-            T_base_tip: `tip_poses` there, if they are at hand.
+        Frame and target are where they truly are: this is the robot's own error. q: as for `poses`.
         """
-        tip = self.T_tip_target[0]
-        true = self.tip_poses(q) if T_base_tip is None else T_base_tip
-        apart = (true @ tip - self.nominal.poses(q) @ tip)[:, :3, 3]
-        return np.asarray(np.linalg.norm(apart, axis=1))
+        apart = (self.tip_poses(q) - self.nominal.poses(q)) @ self.T_tip_target[0]
+        return np.asarray(np.linalg.norm(apart[:, :3, 3], axis=1))
 
 
 def draw_truth(
@@ -171,24 +162,34 @@ def draw_truth(
         ModelError: No such model or error, or a true robot with other joints.
         CalibError: A size that is no number.
     """
-    cell = Cell() if cell is None else cell
-    _, families = split_name(model)
-    name = model if true_robot is None else "+".join(("placement", *families))
-    whole = error_model(robot, name, target=False)
-    free = [p.name for p in whole.parameters if true_robot is None or p.factor]
-    whole = _limited(whole, cell, free)
-    given = dict(errors or {})
+    cell, given = cell or Cell(), dict(errors or {})
+    for name, size in (sizes or {}).items():
+        if not 0.0 <= size < np.inf:
+            raise CalibError(
+                f"The size of errors in {family_of(name).name} is {size}; it must be a number, not below 0."
+            )
     if true_robot is not None:
-        _check_free(given, free, whole)
+        model = "+".join(("placement", *split_name(model)[1]))
+    whole = error_model(robot, model, target=False)
+    free = {p.name for p in whole.parameters if true_robot is None or p.factor}
+    if true_robot is not None:
+        fixed = [name for name in given if name in whole.names and name not in free]
+        if fixed:
+            raise ModelError(
+                f"The errors {choices(fixed)} are of the geometry, which the true robot states already. Give one or "
+                "the other."
+            )
         true_robot = _as_nominal(robot, true_robot)
         given |= _geometry_of(robot, true_robot)
-    x = _with_given(whole, _drawn(whole, sizes, seed, cell), given)
+    # A cell may be made for a fit of another model: what that alone has counts for nothing here.
+    whole = whole.tied({n: t for n, t in cell.ties.items() if n in free and t[0] in free})
+    whole = whole.without(n for n in cell.frozen if n in free and n in whole.names)
     groups, frames = _frames(cell, seed)
     targets, said, placed = _targets(cell, seed, target_error)
     return Truth(
         nominal=robot,
         model=whole,
-        x=read_only(x),
+        x=_errors(whole, sizes, seed, cell, given),
         given=true_robot,
         groups=groups,
         T_frame_base=frames,
@@ -201,12 +202,7 @@ def draw_truth(
 
 
 def tracker_pose(position: ArrayLike, rng: np.random.Generator) -> Array:
-    """T_frame_base of a tracker that stands at a point of the base, levelled to about 10 mrad, turned anyhow.
-
-    Args:
-        position: shape (3,), in the base [m].
-        rng: Random numbers.
-    """
+    """T_frame_base of a tracker that stands at a point of the base [m], levelled to about 10 mrad, turned anyhow."""
     T_base_frame = np.eye(4)
     turn = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
     tilt = Rotation.from_rotvec(np.append(rng.normal(0.0, _TILT, 2), 0.0))
@@ -215,49 +211,15 @@ def tracker_pose(position: ArrayLike, rng: np.random.Generator) -> Array:
     return rigid_inverse(T_base_frame)
 
 
-def _position(name: str | None, names: Sequence[str], what: str) -> int:
-    """Where a name stands among the truth's targets or set-ups; the first if none is named."""
-    if name is None:
-        return 0
-    if name not in names:
-        raise ModelError(f"The truth has no {what} '{name}'; it has {choices(names)}.")
-    return list(names).index(name)
-
-
-def _limited(model: ErrorModel, cell: Cell, free: Sequence[str]) -> ErrorModel:
-    """The model with the cell's ties and frozen parameters, as far as it has them: a cell may be made for another."""
-    known = set(free)
-    model = model.tied({n: t for n, t in cell.ties.items() if n in known and t[0] in known})
-    return model.without(n for n in cell.frozen if n in known and n in model.names)
-
-
-def _drawn(model: ErrorModel, sizes: Mapping[str, float] | None, seed: int, cell: Cell) -> Array:
-    """Errors of the sizes of their families, or of their own in the cell, inside the cell's bounds, shape (p,)."""
-    unit = stream(seed, "errors").standard_normal(len(model))
-    if sizes is None:
-        return np.zeros(len(model))
-    for name, size in sizes.items():
-        if not 0.0 <= size < np.inf:
-            raise CalibError(
-                f"The size of errors in {family_of(name).name} is {size}; it must be a number, not below 0."
-            )
-    x = np.empty(len(model))
-    for k, parameter in enumerate(model.parameters):
-        family = FAMILIES[parameter.family]
-        size = sizes.get(family.name, family.typical)
-        if family.sliding is not None and parameter.unit == family.sliding.symbol:
-            size *= family.lever
-        size = cell.parameter_priors.get(parameter.name, size)
-        value = size * (abs(unit[k]) if family.positive else unit[k])
-        low, high = cell.bounds.get(parameter.name, (-np.inf, np.inf))
-        x[k] = min(max(value, low), high)
-    return x
-
-
-def _with_given(model: ErrorModel, x: Array, errors: Mapping[str, float]) -> Array:
-    """The errors with those that were given in place of what was drawn."""
-    x = x.copy()
-    for name, value in errors.items():
+def _errors(
+    model: ErrorModel,
+    sizes: Mapping[str, float] | None,
+    seed: int,
+    cell: Cell,
+    given: Mapping[str, float],
+) -> Array:
+    """Errors as given, else drawn with the size of their family, or their own in the cell, inside its bounds, (p,)."""
+    for name, value in given.items():
         if name not in model.names:
             raise ModelError(
                 f"There is no error '{name}' in the model '{model.name}'{did_you_mean(name, model.names)}; it has "
@@ -265,25 +227,25 @@ def _with_given(model: ErrorModel, x: Array, errors: Mapping[str, float]) -> Arr
             )
         if not np.isfinite(value):
             raise CalibError(f"The error '{name}' is {value}; it must be a finite number.")
-        x[model.index(name)] = value
-    for parameter, value in zip(model.parameters, x, strict=True):
-        largest = unit_of(parameter.unit).largest
-        if abs(value) > largest:
+    x = np.zeros(len(model))
+    unit = stream(seed, "errors").standard_normal(len(model))
+    for k, p in enumerate(model.parameters):
+        family = FAMILIES[p.family]
+        if p.name in given:
+            x[k] = given[p.name]
+        elif sizes is not None:
+            size = sizes.get(family.name, family.typical)
+            if family.sliding is not None and p.unit == family.sliding.symbol:
+                size *= family.lever
+            size = cell.parameter_priors.get(p.name, size)
+            low, high = cell.bounds.get(p.name, (-np.inf, np.inf))
+            x[k] = min(max(size * (abs(unit[k]) if family.positive else unit[k]), low), high)
+        if abs(x[k]) > unit_of(p.unit).largest:
             raise CalibError(
-                f"The error '{parameter.name}' is {value:.3g} {parameter.unit}; more than {largest:g} "
-                f"{parameter.unit} is not an error but another robot."
+                f"The error '{p.name}' is {x[k]:.3g} {p.unit}; more than {unit_of(p.unit).largest:g} {p.unit} is not "
+                "an error but another robot."
             )
-    return x
-
-
-def _check_free(errors: Mapping[str, float], free: Sequence[str], model: ErrorModel) -> None:
-    """Refuse single errors of a geometry that a true robot states."""
-    fixed = [name for name in errors if name in model.names and name not in free]
-    if fixed:
-        raise ModelError(
-            f"The errors {choices(fixed)} are of the geometry, which the true robot states already. Give one or the "
-            "other."
-        )
+    return read_only(x)
 
 
 def _as_nominal(nominal: Robot, true: Robot) -> Robot:
@@ -292,18 +254,16 @@ def _as_nominal(nominal: Robot, true: Robot) -> Robot:
     Raises:
         ModelError: Other joints, types or axes.
     """
-    if true.joint_names != nominal.joint_names or [j.name for j in true.joints] != [
-        j.name for j in nominal.joints
-    ]:
+    ours, theirs = ([joint.name for joint in robot.joints] for robot in (nominal, true))
+    if true.joint_names != nominal.joint_names or ours != theirs:
         raise ModelError(
-            f"The true robot '{true.urdf.source}' has the joints {choices(j.name for j in true.joints)} between "
-            f"'{true.base}' and '{true.tip}', the nominal robot {choices(j.name for j in nominal.joints)}; they must "
-            "be the same."
+            f"The true robot '{true.urdf.source}' has the joints {choices(theirs)} between '{true.base}' and "
+            f"'{true.tip}', the nominal robot {choices(ours)}; they must be the same."
         )
-    for ours, theirs in zip(nominal.joints, true.joints, strict=True):
-        if ours.type != theirs.type or np.abs(ours.axis - theirs.axis).max() > _SAME_AXIS:
+    for own, other in zip(nominal.joints, true.joints, strict=True):
+        if own.type != other.type or np.abs(own.axis - other.axis).max() > _SAME_AXIS:
             raise ModelError(
-                f"The joint '{ours.name}' of the true robot '{true.urdf.source}' has another type or <axis> than the "
+                f"The joint '{own.name}' of the true robot '{true.urdf.source}' has another type or <axis> than the "
                 "nominal robot's. Leave both as they are, and turn its <origin>."
             )
     placements = true.placements.copy()
@@ -316,16 +276,13 @@ def _geometry_of(nominal: Robot, true: Robot) -> dict[str, float]:
 
     A placement is displaced along x, y, z, then about x, y, z: Euler angles about moving axes.
     """
-    pairs = zip(nominal.placements, true.placements, strict=True)
-    displaced = np.array([rigid_inverse(was) @ now for was, now in pairs])
     found: dict[str, float] = {}
     for i, joint in enumerate(nominal.joints):
-        if nominal.carriers[i] is None:
-            continue
-        turn = Rotation.from_matrix(displaced[i, :3, :3]).as_euler("XYZ")
-        values = (*displaced[i, :3, 3], *turn)
-        names = ("x", "y", "z", "rx", "ry", "rz")
-        found |= {f"{joint.name}.{n}": float(v) for n, v in zip(names, values, strict=True)}
+        if nominal.carriers[i] is not None:
+            displaced = rigid_inverse(nominal.placements[i]) @ true.placements[i]
+            turn = Rotation.from_matrix(displaced[:3, :3]).as_euler("XYZ")
+            names = (f"{joint.name}.{n}" for n in ("x", "y", "z", "rx", "ry", "rz"))
+            found |= dict(zip(names, map(float, (*displaced[:3, 3], *turn)), strict=True))
     return found
 
 

@@ -17,45 +17,54 @@ from calib.model.readback import check_written, random_joint_values
 from calib.simulate.scenario import Scenario, Simulated
 from calib.simulate.truth import Truth
 
-Array = NDArray[np.float64]
-
 SCHEMA = "truth 1"
 
 
-def truth_table(scenario: Scenario, simulated: Simulated) -> dict[str, Any]:
-    """The file's content: nested dictionaries of numbers, texts and lists.
+def write_truth(
+    scenario: Scenario, made: Simulated, path: str | Path, *, overwrite: bool = False
+) -> Path:
+    """Write what was true of a simulated table.
 
     Raises:
         UrdfError: No ``<origin>`` of the URDF can hold one of the errors.
+        FileError: The file exists, or cannot be written.
     """
-    truth, robot = simulated.truth, simulated.truth.nominal
-    values = truth.model.values(truth.x)
+    truth, table, robot = made.truth, made.measurements, made.truth.nominal
+    model, noise, moved = truth.model, scenario.noise, scenario.moved
     targets = zip(truth.targets, truth.T_tip_target, truth.said_T_tip_target, strict=True)
-    return {
+    leaders = np.argmax(np.abs(model.mixing), axis=1)
+    content = {
         "schema": SCHEMA,
-        "seed": simulated.seed,
+        "seed": made.seed,
         "robot": {
             "name": robot.name,
             "urdf_sha256": robot.urdf.sha256,
             "base": robot.base,
             "tip": robot.tip,
-            "joints": list(robot.joint_names),
+            "joints": robot.joint_names,
             "held": [{"joint": name, "value": value} for name, value in sorted(robot.held.items())],
         },
-        "model": {"set": truth.model.name, "ties": _ties(truth)},
+        "model": {
+            "set": model.name,
+            "ties": [
+                {"name": term.name, "other": model.names[leader], "factor": row[leader]}
+                for term, row, leader in zip(model.terms, model.mixing, leaders, strict=True)
+                if term.name not in model.names
+            ],
+        },
         "parameters": [
-            {"name": p.name, "unit": p.unit, "value": float(value)}
-            for p, value in zip(truth.model.parameters, truth.x, strict=True)
+            {"name": p.name, "unit": p.unit, "value": value}
+            for p, value in zip(model.parameters, truth.x, strict=True)
         ],
         "displacements": [
             {
                 "name": term.name,
                 "place": term.place,
-                "twist": term.direction.tolist(),
-                "value": float(value),
+                "twist": term.direction,
+                "value": value,
                 "times": term.factor.name if term.factor else "",
             }
-            for term, value in zip(truth.model.terms, values, strict=True)
+            for term, value in zip(model.terms, model.values(truth.x), strict=True)
         ],
         "origins": [
             {"joint": name, **_pose(T)} for name, T in sorted(truth.robot.origins().items())
@@ -67,27 +76,44 @@ def truth_table(scenario: Scenario, simulated: Simulated) -> dict[str, Any]:
             {"group": name, **_pose(T, "frame_base_")}
             for name, T in zip(truth.groups, truth.T_frame_base, strict=True)
         ],
-        "payload": None
-        if truth.payload is None
-        else {"mass_kg": float(truth.payload.mass), "com_m": truth.payload.com.tolist()},
-        "gravity_m_s2": truth.gravity.tolist(),
-        "instrument": _instrument(scenario),
-        "events": _events(scenario, simulated),
-        "rows": _rows(simulated),
+        "payload": truth.payload and {"mass_kg": truth.payload.mass, "com_m": truth.payload.com},
+        "gravity_m_s2": truth.gravity,
+        "instrument": {
+            "kind": scenario.kind.name,
+            "noise": noise
+            and {
+                "constant_m": noise.constant,
+                "per_length_m_per_m": noise.per_length,
+                "repeatability_m": noise.repeatability,
+            },
+            "sigma_angle_rad": scenario.sigma_angle,
+            "tracker_base_xyz_m": scenario.tracker,
+            "encoder_step_rad": scenario.encoder.angle,
+            "encoder_step_m": scenario.encoder.length,
+            "visits": scenario.visits,
+        },
+        "events": {
+            "outliers": [
+                {"row": table.rows[i], "displacement_m": made.outliers[i]}
+                for i in np.flatnonzero(made.outliers.any(axis=1))
+            ],
+            "moved_target": moved
+            and {"from_row": moved.row, "target": moved.target, "displacement_m": moved.by},
+            "drift_m": scenario.drift,
+        },
+        "rows": [
+            {
+                "row": row,
+                "target": table.targets[i],
+                "group": table.groups[i],
+                "joints": made.q[i],
+                "xyz_m": made.points[i],
+                "sigma_m": made.sigma[i],
+            }
+            for i, row in enumerate(table.rows)
+        ],
     }
-
-
-def write_truth(
-    scenario: Scenario, simulated: Simulated, path: str | Path, *, overwrite: bool = False
-) -> Path:
-    """Write what was true of a simulated table.
-
-    Raises:
-        UrdfError: No ``<origin>`` of the URDF can hold one of the errors.
-        FileError: The file exists, or cannot be written.
-    """
-    content = json_bytes(truth_table(scenario, simulated))
-    return write_atomically(path, content, overwrite=overwrite)
+    return write_atomically(path, json_bytes(content), overwrite=overwrite)
 
 
 def write_true_urdf(truth: Truth, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -103,76 +129,7 @@ def write_true_urdf(truth: Truth, path: str | Path, *, overwrite: bool = False) 
     return robot.urdf.write(path, overwrite=overwrite)
 
 
-def _ties(truth: Truth) -> list[dict[str, Any]]:
-    """Errors that follow others, by what of them."""
-    model = truth.model
-    ties = []
-    for term, row in zip(model.terms, model.mixing, strict=True):
-        leader = int(np.argmax(np.abs(row)))
-        if term.name not in model.names:
-            other = model.names[leader]
-            ties.append({"name": term.name, "other": other, "factor": float(row[leader])})
-    return ties
-
-
-def _instrument(cell: Scenario) -> dict[str, Any]:
-    """The noise and the steps of what measured."""
-    noise = cell.noise
-    return {
-        "kind": cell.kind.name,
-        "noise": None
-        if noise is None
-        else {
-            "constant_m": noise.constant,
-            "per_length_m_per_m": noise.per_length,
-            "repeatability_m": noise.repeatability,
-        },
-        "sigma_angle_rad": float(cell.sigma_angle),
-        "tracker_base_xyz_m": None if cell.tracker is None else cell.tracker.tolist(),
-        "encoder_step_rad": float(cell.encoder.angle),
-        "encoder_step_m": float(cell.encoder.length),
-        "visits": int(cell.visits),
-    }
-
-
-def _events(cell: Scenario, simulated: Simulated) -> dict[str, Any]:
-    """Outliers, a moved target, drift."""
-    rows = simulated.measurements.rows
-    outliers = [
-        {"row": rows[i], "displacement_m": simulated.outliers[i].tolist()}
-        for i in np.flatnonzero(np.any(simulated.outliers != 0.0, axis=1))
-    ]
-    moved = cell.moved
-    return {
-        "outliers": outliers,
-        "moved_target": None
-        if moved is None
-        else {
-            "from_row": int(moved.row),
-            "target": moved.target,
-            "displacement_m": moved.by.tolist(),
-        },
-        "drift_m": cell.drift.tolist(),
-    }
-
-
-def _rows(simulated: Simulated) -> list[dict[str, Any]]:
-    """For each row where the robot stood, the target's true place, and the noise's standard deviation."""
-    table = simulated.measurements
-    return [
-        {
-            "row": table.rows[i],
-            "target": table.targets[i],
-            "group": table.groups[i],
-            "joints": simulated.q[i].tolist(),
-            "xyz_m": simulated.points[i].tolist(),
-            "sigma_m": float(simulated.sigma[i]),
-        }
-        for i in range(len(table))
-    ]
-
-
-def _pose(T: Array, prefix: str = "") -> dict[str, list[float]]:
+def _pose(T: NDArray[np.float64], prefix: str = "") -> dict[str, Any]:
     """A pose, [m], and roll, pitch, yaw about fixed axes x, y, z [rad]."""
     rpy = pin.rpy.matrixToRpy(np.ascontiguousarray(T[:3, :3]))
-    return {f"{prefix}xyz_m": T[:3, 3].tolist(), f"{prefix}rpy_rad": [float(v) for v in rpy]}
+    return {f"{prefix}xyz_m": T[:3, 3], f"{prefix}rpy_rad": rpy}

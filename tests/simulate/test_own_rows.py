@@ -16,8 +16,7 @@ from calib.kinds import Kind, Reading
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.simulate.scenario import Scenario
-from calib.simulate.study import study
-from calib.simulate.trial import Trials
+from calib.simulate.study import Trials, study
 
 #: A gauge that reads how high the target is, and a joint's error twice a turn.
 HEIGHT = Kind(

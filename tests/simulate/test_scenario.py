@@ -5,18 +5,14 @@ import pickle
 import numpy as np
 import pytest
 
+from calib.cli.simulate_options import noise_of
 from calib.errors import CalibError
 from calib.measure.cell import Cell
 from calib.measure.noise import TrackerNoise
 from calib.measure.surroundings import Tracker
 from calib.model.readback import column_ranges
 from calib.model.robot import Robot, rigid_inverse
-from calib.simulate.disturbances import cell_noise
-from calib.simulate.poses import outside_limits, random_poses
-from calib.simulate.scenario import (
-    DEFAULT_TRACKER,
-    Scenario,
-)
+from calib.simulate.scenario import DEFAULT_TRACKER, Scenario, outside_limits
 
 TRACKER = Tracker(np.array([2.0, 1.0, 0.5]), noise=TrackerNoise(1e-5, 1e-6, 0.0))
 
@@ -60,27 +56,23 @@ def test_the_anchor_of_distances_is_the_tracker_s_place(ur3):
     ],
 )
 def test_the_noise_that_a_cell_states(cell, noise):
-    assert cell_noise(cell) == noise
+    assert noise_of(cell, None, None) == noise
 
 
-def test_random_poses_lie_inside_the_limits(ur3):
+def test_random_poses_lie_inside_the_limits_or_the_cell_s_ranges(ur3):
     low, high = column_ranges(ur3).T
-    q = random_poses(ur3, 500, seed=1)
+    scenario = Scenario(ur3)
+    q = scenario.random_poses(500, 1)
     assert (q >= low).all()
     assert (q <= high).all()
     assert (np.ptp(q, axis=0) > 0.95 * (high - low)).all()
     assert outside_limits(ur3, q) == ()
-    assert (random_poses(ur3, 20, seed=1) == q[:20]).all()
-    assert not np.allclose(random_poses(ur3, 20, seed=1, validation=True), q[:20])
-
-
-def test_ranges_of_the_cell_narrow_them(ur3):
-    cell = Cell(ranges={"elbow_joint": (0.1, 0.2)})
-    q = Scenario(ur3, cell).random_poses(100, 1)
-    assert (q[:, 2] >= 0.1).all()
-    assert (q[:, 2] <= 0.2).all()
+    assert (scenario.random_poses(20, 1) == q[:20]).all()
+    assert not np.allclose(scenario.random_poses(20, 1, validation=True), q[:20])
+    q = Scenario(ur3, Cell(ranges={"elbow_joint": (0.1, 0.2)})).random_poses(100, 1)
+    assert ((q[:, 2] >= 0.1) & (q[:, 2] <= 0.2)).all()
     with pytest.raises(CalibError, match="joint 'elbow', which does not move the chain"):
-        random_poses(ur3, 3, 1, {"elbow": (0.1, 0.2)})
+        Scenario(ur3, Cell(ranges={"elbow": (0.1, 0.2)})).random_poses(3, 1)
 
 
 def test_poses_outside_the_limits_are_named(ur3):
