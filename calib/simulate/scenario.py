@@ -77,7 +77,7 @@ class Scenario:
     encoder: Encoder = field(default_factory=Encoder)
     outliers: Outliers | None = None
     moved: MovedTarget | None = None
-    drift: ArrayLike = (0.0, 0.0, 0.0)
+    drift: Array = field(default_factory=lambda: np.zeros(3))
     visits: int = 1
 
     def __post_init__(self) -> None:
@@ -274,7 +274,7 @@ class VirtualCell:
             placed[moved, :3, 3] += scenario.moved.by
         moved.setflags(write=False)
         T = truth.T_frame_base[group] @ truth.tip_poses(stood)[stop] @ placed
-        drift = np.linspace(0.0, 1.0, len(stop))[:, None] * np.asarray(scenario.drift)
+        drift = np.linspace(0.0, 1.0, len(stop))[:, None] * scenario.drift
         repeatability = 0.0 if noise is None else noise.repeatability
         stops = repeatability * stream(seed, "robot noise").standard_normal((len(route), 3))
         instrument = self._instrument(T, group, partner)
