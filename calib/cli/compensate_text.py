@@ -108,7 +108,7 @@ def _expected(robots: Robots, *, larger: bool, of_target: bool, spread: bool) ->
         )
     lines = [f"Verdict: {sure.use}", used]
     if sure.use != "use":
-        lines += [fill(reason, "  ") for reason in sure.reasons]
+        lines += [fill(str(reason), "  ") for reason in sure.reasons]
     if sure.use == "do not use":
         lines.append(fill(_WORSE, "  "))
     rows = _unseen(robots.result, larger=larger)

@@ -110,7 +110,7 @@ def unseen_text(c: Calibration, evaluation: Evaluation, judged: Accuracy) -> str
     types = [robot.inputs[k].type for k in known]
     chosen = np.isin(m.rows, [row for pose in judged.poses for row in pose.rows[:1]])
     q = m.joints_for(robot.joint_names)[chosen][:, known]
-    said = outside_sentence(outside(ends, q, names, types), np.array(m.rows)[chosen])
+    said = outside_sentence(outside(ends, q, names, types), np.array(m.rows)[chosen].tolist())
     return f"The calibration did not see such joint values: {said}." if said else ""
 
 

@@ -190,4 +190,4 @@ def _verdict(result: Calibration | None) -> tuple[str, str]:
     """The result's verdict, and what it stands on first."""
     if result is None or result.verdict is None:
         return "", ""
-    return result.verdict.use, " ".join(result.verdict.reasons[:1])
+    return result.verdict.use, " ".join(map(str, result.verdict.reasons[:1]))

@@ -25,6 +25,7 @@ from calib.identify.fitting import Fitted, Task, fit, unseen_scores
 from calib.identify.inspection import known_slopes
 from calib.identify.nominal import nominal_on
 from calib.identify.prediction import Larger, base_motion, expected_error, tells_place
+from calib.identify.reasons import Reason
 from calib.identify.result import Calibration, Fit, RowNames, Source
 from calib.identify.robust import Limits, Repeats, repeats
 from calib.identify.robustness import compare
@@ -110,7 +111,7 @@ class Fits:
         candidates: The ladder they were chosen from; empty for a model that was named.
         every: All rows of the table.
         rows: Those that were fitted.
-        hint: What set-up would explain the measurements far better, a sentence; or nothing.
+        hint: What set-up would explain the measurements far better, if one does.
         seconds: How long the fits took.
     """
 
@@ -119,7 +120,7 @@ class Fits:
     candidates: tuple[Candidate, ...]
     every: Rows
     rows: Rows
-    hint: str
+    hint: Reason | None
     seconds: float
 
 
@@ -163,7 +164,7 @@ def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candid
 
 
 def _validated(
-    result: Calibration, rows: Rows, hint: str, progress: Progress | None
+    result: Calibration, rows: Rows, hint: Reason | None, progress: Progress | None
 ) -> Calibration:
     """The result with cross-validation, of the larger model too, and the verdict."""
     task, outliers = result.fitted.task, result.fitted.estimate.outliers

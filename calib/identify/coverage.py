@@ -12,10 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.model.robot import read_only
-
 Array = NDArray[np.float64]
-Integers = NDArray[np.int_]
 
 #: A joint value is outside when it is further from the measured range than this share of the range.
 _MARGIN = 0.05
@@ -25,16 +22,6 @@ _STILL = 1e-3
 
 #: Rows that a sentence names one by one.
 _NAMED = 3
-
-#: Tips that spread less than this share of what the joints allow are a corner. Random poses reach 0.8 to 1.2, the
-#: paper's 0.43, a 20 cm cube of a UR3's workspace 0.28.
-_CORNER = 1.0 / 3.0
-
-#: Squared Mahalanobis distance of the surface of a solid ellipsoid, uniformly filled, in three dimensions.
-_SURFACE = 5.0
-
-#: Thickness given to flat sets of tips, as a share of the workspace's spread.
-_THICKNESS = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +37,6 @@ class Beyond:
     joint: str
     prismatic: bool
     by: float
-
-    def __str__(self) -> str:
-        """Such as ``'elbow_joint' 38 deg beyond the measured range``."""
-        far = f"{1e3 * self.by:.3g} mm" if self.prismatic else f"{np.degrees(self.by):.3g} deg"
-        return f"'{self.joint}' {far}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,128 +70,68 @@ def outside(
     """
     if not len(measured) or not len(asked):
         return ()
-    ranges = [_range(q, kind) for q, kind in zip(measured.T, types, strict=True)]
-    far = np.column_stack(
-        [
-            _distance(q, low, span, kind)
-            for q, (low, span), kind in zip(asked.T, ranges, types, strict=True)
-        ]
-    )
-    spans = np.maximum([span for _, span in ranges], _STILL)
+    far, spans = np.zeros(asked.shape), np.zeros(len(names))
+    for j, kind in enumerate(types):
+        low, spans[j] = _range(measured[:, j], kind)
+        far[:, j] = _distance(asked[:, j], low, spans[j], kind)
+    spans = np.maximum(spans, _STILL)
     out = far > np.maximum(_MARGIN * spans, _STILL)
     result = []
     for i in np.flatnonzero(out.any(axis=1)):
-        furthest = np.argsort(-far[i] / spans, kind="stable")
-        beyond = [
-            Beyond(names[j], types[j] == "prismatic", float(far[i, j]))
-            for j in furthest
-            if out[i, j]
-        ]
+        order = [j for j in np.argsort(-far[i] / spans, kind="stable") if out[i, j]]
+        beyond = (Beyond(names[j], types[j] == "prismatic", float(far[i, j])) for j in order)
         result.append(OutsideRow(int(i), tuple(beyond)))
     return tuple(result)
 
 
-def outside_sentence(rows: Sequence[OutsideRow], numbers: Integers | None = None) -> str:
+def outside_sentence(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
     """The rows outside in plain words, the furthest joints of the first few; empty when there are none.
 
     Args:
         rows: From `outside`.
-        numbers: shape (K,), the number of each row asked for as a person sees it; None: from 1 on.
+        numbers: The number of each row asked for as a person sees it.
 
     Example:
-        >>> outside_sentence([OutsideRow(33, (Beyond("elbow_joint", False, 0.663),))])
+        >>> outside_sentence([OutsideRow(1, (Beyond("elbow_joint", False, 0.663),))], [33, 34])
         "row 34: 'elbow_joint' 38 deg beyond the measured range"
     """
-    if not rows:
-        return ""
     parts = []
     for row in rows[:_NAMED]:
-        number = row.index + 1 if numbers is None else int(numbers[row.index])
-        listed = ", ".join(str(joint) for joint in row.beyond)
-        parts.append(f"row {number}: {listed} beyond the measured range")
+        far = (
+            f"'{b.joint}' {1e3 * b.by:.3g} mm"
+            if b.prismatic
+            else f"'{b.joint}' {np.degrees(b.by):.3g} deg"
+            for b in row.beyond
+        )
+        parts.append(f"row {numbers[row.index]}: {', '.join(far)} beyond the measured range")
     more = len(rows) - _NAMED
-    if more > 0:
-        parts.append(f"and {more} more row{'s' if more > 1 else ''}")
+    parts += [f"and {more} more row{'s' * (more > 1)}"] * (more > 0)
     return "; ".join(parts)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Coverage:
-    """How much of what the arm can do was measured.
-
-    Attributes:
-        spread: Root mean square distance of the measured tips from their mean, over that of the workspace's.
-        inside: Share of the workspace's tips inside the ellipsoid that the measured ones fill.
-        joints: shape (m,), share of each joint's range that was used, 0 to 1.
-        names: m joint names.
-    """
-
-    spread: float
-    inside: float
-    joints: Array
-    names: tuple[str, ...]
-
-    @property
-    def corner(self) -> bool:
-        """Whether the poses cover a corner of the workspace only."""
-        return self.spread < _CORNER
-
-    def sentence(self) -> str:
-        """The finding in plain words; empty where the poses are spread well enough."""
-        if not self.corner:
-            return ""
-        least = int(np.argmin(self.joints))
-        return (
-            f"The poses cover a corner of the workspace only: their tips spread over {100 * self.spread:.0f} % of the "
-            f"distance that the joint limits allow, and '{self.names[least]}' uses {100 * self.joints[least]:.0f} % of "
-            "its range. Elsewhere the result is a guess. Measure poses all over the workspace."
-        )
+def spread_of(tips: Array, everywhere: Array) -> float:
+    """Root mean square distance of measured tips (N, 3) from their mean, over that of tips all over the workspace."""
+    sizes = [
+        float(np.sum((points - points.mean(axis=0)) ** 2)) / max(len(points) - 1, 1)
+        for points in (tips, everywhere)
+    ]
+    # An arm whose tip cannot move at all has been measured everywhere.
+    return float(np.sqrt(sizes[0] / sizes[1])) if sizes[1] > 0.0 else 1.0
 
 
-def coverage(
-    measured_tips: Array,
-    everywhere_tips: Array,
-    joints: Array,
-    ranges: Array,
-    names: Sequence[str],
-    types: Sequence[str],
-) -> Coverage:
-    """How much of the workspace and of the joints' ranges the measured poses cover.
+def shares_of_ranges(joints: Array, ranges: Array, types: Sequence[str]) -> Array:
+    """The share of each joint's range that was used, 0 to 1, shape (m,); 1 where there is no range.
 
     Args:
-        measured_tips: shape (N, 3), tip positions of the measured poses [m], in the base.
-        everywhere_tips: shape (K, 3), tip positions spread over the joint limits [m], in the base.
         joints: shape (N, m), measured joint values [rad or m].
-        ranges: shape (m, 2), the limits of each [rad or m]; a joint that turns has a full turn at most to use.
-        names: m joint names.
+        ranges: shape (m, 2), the limits of each; a joint that turns has a full turn at most to use.
         types: m URDF joint types.
     """
     spans = np.array([_range(q, kind)[1] for q, kind in zip(joints.T, types, strict=True)])
     turning = np.array([kind != "prismatic" for kind in types])
     room = np.minimum(ranges[:, 1] - ranges[:, 0], np.where(turning, 2.0 * np.pi, np.inf))
-    # A joint that cannot move has been used in full; one without limits cannot be told.
-    used = np.where(room > 0.0, np.clip(spans / np.where(room > 0.0, room, 1.0), 0.0, 1.0), 1.0)
-    used = np.where(np.isfinite(room), used, 1.0)
-    everywhere = _covariance(everywhere_tips)
-    size = float(np.trace(everywhere))
-    spread = float(np.sqrt(np.trace(_covariance(measured_tips)) / size)) if size > 0.0 else 1.0
-    inside = _share_inside(measured_tips, everywhere_tips, size) if size > 0.0 else 1.0
-    return Coverage(spread, inside, read_only(used), tuple(names))
-
-
-def _share_inside(measured: Array, everywhere: Array, size: float) -> float:
-    """Share of points inside the ellipsoid that has the mean and the covariance of the measured ones."""
-    covariance = _covariance(measured) + _THICKNESS**2 * size / 3.0 * np.eye(3)
-    away = everywhere - measured.mean(axis=0)
-    square = np.sum(away * np.linalg.solve(covariance, away.T).T, axis=1)
-    return float(np.mean(square <= _SURFACE))
-
-
-def _covariance(points: Array) -> Array:
-    """Covariance of points, shape (3, 3); zero for a single one."""
-    away = points - points.mean(axis=0)
-    result: Array = away.T @ away / max(len(points) - 1, 1)
-    return result
+    some = (room > 0.0) & np.isfinite(room)
+    return np.where(some, np.minimum(spans / np.where(some, room, 1.0), 1.0), 1.0)
 
 
 def _range(q: Array, kind: str) -> tuple[float, float]:

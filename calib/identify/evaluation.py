@@ -237,16 +237,11 @@ def evaluation_at(
 
 
 def hint(evaluation: Evaluation, cell: Cell) -> str:
-    """A sentence that names a set-up which explains the rows far better, or nothing.
-
-    Args:
-        evaluation: Of a robot.
-        cell: The cell that it was evaluated with.
-    """
+    """A sentence that names a set-up which explains the rows far better than the evaluation's cell, or nothing."""
     m = evaluation.measurements
     every, setup = rows_of(evaluation.robot, m, cell)
     rows = every.select(m.estimation) if np.any(m.estimation) else every
-    return better_setup(evaluation.robot, cell, setup, rows)
+    return str(better_setup(evaluation.robot, cell, setup, rows) or "")
 
 
 def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) -> str:

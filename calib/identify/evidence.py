@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.coverage import coverage, outside_sentence
+from calib.identify.coverage import outside_sentence, shares_of_ranges, spread_of
 from calib.identify.crossvalidation import only_there
 from calib.identify.fitting import Fitted, fit
 from calib.identify.nominal import ENOUGH
-from calib.identify.patterns import drift, joint_patterns
 from calib.identify.problem import Problem
+from calib.identify.reasons import Reason, Why
+from calib.identify.residual_tests import (
+    Explained,
+    Stack,
+    drift,
+    joint_patterns,
+    prediction_square,
+    unpredicted,
+)
 from calib.identify.result import Calibration
 from calib.identify.robust import pose_means
 from calib.identify.rows import Rows, evenly
 from calib.identify.setup import joined_setups
 from calib.identify.statistics import Errors, Mask
-from calib.identify.unpredicted import prediction_square, unpredicted_setup
 from calib.identify.verdict import Evidence
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
@@ -30,6 +38,10 @@ Array = NDArray[np.float64]
 
 #: A joint that moves less than this over the rows tells little of itself [rad, m].
 _STILL_RAD, _STILL_M = 0.35, 0.05
+
+#: Tips that spread less than this share of what the joints allow are a corner. Random poses reach 0.8 to 1.2, the
+#: paper's 0.43, a 20 cm cube of a UR3's workspace 0.28.
+_CORNER = 1.0 / 3.0
 
 #: A share of validation rows up to which those that do not fit are set aside as accidents.
 _FEW_SUSPECTS = 0.15
@@ -53,52 +65,42 @@ _FITTED = 1.0
 _TELLING = 10.0
 
 
-def evidence_of(result: Calibration, rows: Rows, hint: str) -> Evidence:
+def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidence:
     """All that the verdict is based on.
 
     Args:
         result: The calibration, cross-validated.
         rows: The rows that were fitted.
-        hint: What would explain the measurements better, a sentence; or nothing.
+        hint: Which set-up would explain the measurements better.
     """
-    fitted, m = result.fitted, result.measurements
+    fitted, m, larger = result.fitted, result.measurements, result.larger
     assert result.cross_validation is not None
     assert result.nominal_cross_validation is not None
     suspects = {o.row for o in result.suspects}
-    before, after, aside = validation_errors(
-        m.validation,
-        np.array([row in suspects for row in m.rows]),
-        result.residual_nominal,
-        result.residual_calibrated,
-        result.used,
-    )
-    larger, few = result.larger, thin(fitted)
+    notes = []
+    if larger is not None and larger.cross_validation is not None:
+        errors = larger.cross_validation.errors_without_outliers
+        notes.append(Reason.of(Why.LARGER_MODEL, model=larger.name, after=errors))
+    if result.outside:
+        numbers = np.array(m.rows)[m.validation].tolist()
+        notes.append(Reason.of(Why.OUTSIDE, rows=outside_sentence(result.outside, numbers)))
     return Evidence(
         nominal=result.nominal_cross_validation,
         calibrated=result.cross_validation,
-        larger_validation=None if larger is None else larger.cross_validation,
-        larger_name="" if larger is None else larger.name,
         scales=fitted.estimate.problem.scales,
         used=rows.used,
         repeats=rows.poses,
         pairs=rows.partner >= 0,
         outliers=fitted.estimate.outliers,
-        validation_nominal=before,
-        validation_calibrated=after,
-        validation_aside=aside,
-        still=still_joints(fitted.task.robot, rows.joints),
-        missing=""
-        if result.candidates or result.solver == "paper"
-        else missing_model(few, few.estimate.problem.rows),
-        findings=(
-            *patterns(few),
-            *disagreeing_setups(few),
-            *_outliers_of_one_setup(fitted),
-            *_scatter(result),
-            *_no_scale(fitted),
+        validation=validation_errors(
+            m.validation,
+            np.array([row in suspects for row in m.rows]),
+            result.residual_nominal,
+            result.residual_calibrated,
+            result.used,
         ),
-        corner=_corner(few, few.estimate.problem.rows),
-        outside=_outside(result),
+        doubts=tuple(_doubts(result, rows)),
+        notes=tuple(notes),
         parameters=len(result.model),
         largest=largest_change(result.model, result.x),
         noise=result.sigma,
@@ -106,20 +108,37 @@ def evidence_of(result: Calibration, rows: Rows, hint: str) -> Evidence:
     )
 
 
+def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
+    """What was found besides errors."""
+    fitted, few = result.fitted, thin(result.fitted)
+    if still := still_joints(fitted.task.robot, rows.joints):
+        yield Reason.of(Why.JOINTS_STILL, joints=", ".join(still))
+    if not result.candidates and result.solver != "paper":
+        yield from _missing_model(few)
+    yield from _corner(few)
+    yield from _patterns(few)
+    yield from disagreeing_setups(few)
+    yield from _flagged_setup(fitted)
+    # Repeats that agree far better with each other than with the model.
+    repeats = result.repeats
+    if repeats is not None and len(repeats.within) and repeats.freedoms[0] >= _TELLING:
+        within = float(repeats.within[0])
+        if within < _SCATTER_SHARE * result.sigma and result.sigma >= _ROUNDING_NOISE:
+            yield Reason.of(Why.REPEATS_AGREE, within_m=within, noise_m=result.sigma)
+    if not fitted.task.distances and not any(kind.size for kind in rows.present):
+        yield Reason.of(Why.NO_LENGTH)
+
+
 def thin(fitted: Fitted, most: int = ENOUGH) -> Fitted:
     """The fit with about so many of its rows, spread evenly over each frame and target; itself if it has no more.
 
     What is left over is searched for patterns with all derivatives at hand; twenty thousand rows show any that matters.
-
-    Args:
-        fitted: The fit.
-        most: How many rows.
     """
     problem, estimate = fitted.estimate.problem, fitted.estimate
     if len(problem.rows) <= most:
         return fitted
-    some = np.flatnonzero(evenly(problem.rows, most))
-    rows = problem.rows.select(np.isin(np.arange(len(problem.rows)), some))
+    some = evenly(problem.rows, most)
+    rows = problem.rows.select(some)
     few = replace(
         Problem.first(problem.kinematics, rows, problem.distances),
         weights=problem.weights[some],
@@ -127,15 +146,8 @@ def thin(fitted: Fitted, most: int = ENOUGH) -> Fitted:
         precision=problem.precision,
         centre=problem.centre,
     )
-    return replace(
-        fitted,
-        estimate=replace(
-            estimate,
-            problem=few,
-            scores=estimate.scores[some],
-            weights=estimate.weights[some],
-        ),
-    )
+    scores, weights = estimate.scores[some], estimate.weights[some]
+    return replace(fitted, estimate=replace(estimate, problem=few, scores=scores, weights=weights))
 
 
 def validation_errors(
@@ -152,25 +164,18 @@ def validation_errors(
         calibrated: shape (N, D), of the calibrated one.
         used: shape (N, D), which scalars were measured.
     """
-    few = np.sum(suspects) <= max(1, int(_FEW_SUSPECTS * np.sum(validation)))
-    aside = (
-        suspects & validation if few and np.any(validation & ~suspects) else np.zeros_like(suspects)
-    )
+    aside = suspects & validation
+    if np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation))) or np.array_equal(
+        aside, validation
+    ):
+        aside = np.zeros_like(suspects)
     chosen = validation & ~aside
-    return (
-        Errors.of(nominal[chosen], used[chosen]),
-        Errors.of(calibrated[chosen], used[chosen]),
-        int(np.sum(aside)),
-    )
+    before, after = (Errors.of(one[chosen], used[chosen]) for one in (nominal, calibrated))
+    return before, after, int(np.sum(aside))
 
 
 def still_joints(robot: Robot, joints: Array) -> tuple[str, ...]:
-    """Joints that the rows hardly move, each with how far, in words.
-
-    Args:
-        robot: The robot.
-        joints: shape (N, m), [rad] or [m].
-    """
+    """Joints that the rows (N, m), [rad] or [m], hardly move, each with how far."""
     words = []
     for joint, span in zip(robot.inputs, np.ptp(joints, axis=0), strict=True):
         slides = joint.type == "prismatic"
@@ -186,103 +191,89 @@ def largest_change(model: ErrorModel, x: Array) -> float:
     return float(np.max(np.abs(x[own]), initial=0.0))
 
 
-def missing_model(fitted: Fitted, rows: Rows) -> str:
-    """What the full placements would leave over, a sentence, if it is far less than this fit leaves; else nothing.
-
-    Args:
-        fitted: The fit.
-        rows: The rows of the fit.
-    """
-    task = fitted.task
+def _missing_model(fitted: Fitted) -> Iterator[Reason]:
+    """That the full placements would leave over far less than this fit leaves."""
+    task, rows = fitted.task, fitted.estimate.problem.rows
     columns = 6 * len(task.robot.joints) + task.setup.count
     if task.model.startswith("placement") or rows.count < 2 * columns:
-        return ""
-    full = replace(
-        task,
-        model="placement",
-        cell=replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={}),
-        solver="lm",
-    )
+        return
+    free = replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={})
+    full = replace(task, model="placement", cell=free, solver="lm")
     other = fit(full, rows, started=fitted.setup).estimate
-    noise, less = fitted.estimate.noise[0], other.noise[0]
-    if less > _FAR_LESS * noise:
-        return ""
-    unit = 1e3 * float(np.median(rows.sigma))
-    return (
-        f"The model '{task.model}' leaves {unit * noise:.3f} mm a coordinate, all placements would leave "
-        f"{unit * less:.3f} mm: the robot has errors that this model lacks. Try --model auto or --model placement."
-    )
+    if other.noise[0] <= _FAR_LESS * fitted.estimate.noise[0]:
+        unit = float(np.median(rows.sigma))
+        yield Reason.of(
+            Why.MODEL_LACKS,
+            model=task.model,
+            noise_m=unit * fitted.estimate.noise[0],
+            less_m=unit * other.noise[0],
+        )
 
 
-def patterns(fitted: Fitted) -> tuple[str, ...]:
-    """Sentences on residuals that are not noise: that follow a joint's value, or the order of the rows."""
-    estimate = fitted.estimate
+def _corner(fitted: Fitted) -> Iterator[Reason]:
+    """That the poses cover a corner of the workspace only."""
+    robot, rows = fitted.task.robot, fitted.estimate.problem.rows
+    q = rows.joints[fitted.estimate.weights > 0.0]
+    spread = spread_of(*(robot.poses(one)[:, :3, 3] for one in (q, spread_poses(robot))))
+    if spread < _CORNER:
+        used = shares_of_ranges(q, column_ranges(robot), [j.type for j in robot.inputs])
+        least = int(np.argmin(used))
+        name, share = robot.joint_names[least], float(used[least])
+        yield Reason.of(Why.CORNER, spread=spread, joint=name, used=share)
+
+
+def _patterns(fitted: Fitted) -> Iterator[Reason]:
+    """That residuals are not noise: that they follow a joint's value, or the order of the rows."""
+    estimate, robot = fitted.estimate, fitted.task.robot
     problem, rows = estimate.problem, estimate.problem.rows
-    quiet = float(np.median(problem.scales[rows.used]))
-    if estimate.freedom < _TELLING or quiet < _ROUNDING_NOISE:
-        return ()
+    if estimate.freedom < _TELLING or np.median(problem.scales[rows.used]) < _ROUNDING_NOISE:
+        return
     residual, jacobian = problem.residual_and_jacobian(estimate.x)
-    own = Kinematics(
-        fitted.task.robot,
-        error_model(
-            fitted.task.robot,
-            "zeros",
-            frame=dict.fromkeys(fitted.setup.frame_unknowns, ()),
-            target=(),
-            targets=fitted.setup.target_names,
-        ),
-        fitted.placed().T_frame_base,
-        fitted.placed().T_tip_target,
+    placed, setup = fitted.placed(), fitted.setup
+    model = error_model(
+        robot,
+        "zeros",
+        frame=dict.fromkeys(setup.frame_unknowns, ()),
+        target=(),
+        targets=setup.target_names,
     )
-    turned = rows.derivative(*own.twists(np.zeros(len(own.model)), rows.samples))
+    own = Kinematics(robot, model, placed.T_frame_base, placed.T_tip_target)
+    turned = rows.derivative(*own.twists(np.zeros(len(model)), rows.samples))
     counts = rows.used & (estimate.weights > 0.0)[:, None]
     whiten = np.sqrt(estimate.weights)[:, None] / problem.scales
     row_of, component_of = np.nonzero(counts)
-    A = _fitted_range((jacobian * whiten[:, :, None])[counts], problem.precision)
+    # What the parameters did to the scalars. Directions in which an error of the size expected moves all of them by
+    # less than their noise were not fitted: such a direction may be the residual itself, made larger or turned.
+    A = (jacobian * whiten[:, :, None])[counts]
+    A = A / np.sqrt(np.maximum(problem.precision, np.finfo(float).tiny))
+    basis, effects, _ = np.linalg.svd(A, full_matrices=False)
     r = (residual * whiten)[counts]
-    scale = whiten[counts]
-    by_name = dict(zip(own.model.names, range(len(own.model)), strict=True))
-    inputs = fitted.task.robot.inputs
-    names = [joint.name for joint in inputs if f"{joint.name}.zero" in by_name]
-    columns = [rows.samples.q[:, i] for i, j in enumerate(inputs) if j.name in names]
+    stack = Stack(basis[:, effects > _FITTED], r, row_of, component_of, whiten[counts], rows.poses)
+    column = {name: k for k, name in enumerate(model.names)}
+    tested = [i for i, joint in enumerate(robot.inputs) if f"{joint.name}.zero" in column]
+    joints = [robot.inputs[i] for i in tested]
     moved = (turned * whiten[:, :, None])[counts]
     found = joint_patterns(
-        A,
-        r,
-        row_of,
-        component_of,
-        np.column_stack(columns) if columns else np.zeros((len(rows), 0)),
-        names,
-        [joint.type == "prismatic" for joint in inputs if joint.name in names],
-        directions=[moved[:, [by_name[f"{name}.zero"]]] for name in names],
-        poses=rows.poses,
-        scale=scale,
+        stack,
+        rows.samples.q[:, tested],
+        [joint.type == "prismatic" for joint in joints],
+        [moved[:, [column[f"{joint.name}.zero"]]] for joint in joints],
     )
-    drifts = drift(
-        A, r, row_of, component_of, np.linspace(0.0, 1.0, len(rows)), poses=rows.poses, scale=scale
-    )
-    sentences = [one.sentence() for one in found[:1]]
-    return (*sentences, *([] if drifts is None else [drifts.sentence()]))
+    for i, test in found[:1]:
+        quantity = "position" if joints[i].type == "prismatic" else "angle"
+        yield _pattern(Why.JOINT_PATTERN, test, quantity=quantity, joint=joints[i].name)
+    drifts = drift(stack, np.linspace(0.0, 1.0, len(rows)))
+    if drifts is not None:
+        yield _pattern(Why.DRIFT, drifts)
 
 
-def _fitted_range(A: Array, precision: Array) -> Array:
-    """An orthonormal basis of what the parameters did to the scalars, shape (M, rank).
-
-    Directions in which an error of the size expected moves all scalars together by less than their noise were not
-    fitted, and they must not count as if they were: where the data tell no scale and no turn of the base, such a
-    direction is the residual itself, made larger or turned.
-
-    Args:
-        A: shape (M, p), whitened.
-        precision: shape (p,), 1 / tau^2 of each parameter.
-    """
-    moved = A / np.sqrt(np.maximum(precision, np.finfo(float).tiny))
-    basis, effects, _ = np.linalg.svd(moved, full_matrices=False)
-    return np.asarray(basis[:, effects > _FITTED])
+def _pattern(why: Why, test: Explained, **more: str) -> Reason:
+    """A finding with how much of the residual it explains."""
+    return Reason.of(why, **more, share=test.share, chance=test.chance, p=test.p)
 
 
-def disagreeing_setups(fitted: Fitted) -> tuple[str, ...]:
-    """Sentences on set-ups that a fit to the others does not predict."""
+def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
+    """Set-ups that a fit to the others does not predict, the surest two."""
     estimate = fitted.estimate
     problem, rows = estimate.problem, estimate.problem.rows
     labels = joined_setups(rows, fitted.task.distances)
@@ -293,7 +284,7 @@ def disagreeing_setups(fitted: Fitted) -> tuple[str, ...]:
     known = linear.known(problem.precision, problem.centre)
     noise = linear.noise_of(estimate.noise)
     counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
-    names, squares, freedoms, variances, left = [], [], [], [], []
+    told = np.zeros((count, 4))
     for g in range(count):
         own = labels == g
         weights = np.where(own, 0.0, problem.weights)
@@ -314,76 +305,30 @@ def disagreeing_setups(fitted: Fitted) -> tuple[str, ...]:
         square, degrees = prediction_square(
             r[there], A[:, ~loose], covariance[np.ix_(~loose, ~loose)], A[:, loose]
         )
-        groups = dict.fromkeys(fitted.setup.groups[f] for f in rows.samples.frame[own])
-        names.append(" and ".join(groups))
-        squares.append(square)
-        freedoms.append(degrees)
-        variances.append(float(weights @ np.sum(rest**2, axis=1)) / max(freedom, 1.0))
-        left.append(max(freedom, 0.0))
-    found = unpredicted_setup(
-        names, np.array(squares), np.array(freedoms), np.array(variances), np.array(left)
+        variance = float(weights @ np.sum(rest**2, axis=1)) / max(freedom, 1.0)
+        told[g] = square, degrees, variance, max(freedom, 0.0)
+    return tuple(
+        Reason.of(Why.SETUP_UNPREDICTED, setup=_setup_name(fitted, labels == g), ratio=ratio)
+        for g, ratio in unpredicted(*told.T)[:2]
     )
-    return tuple(one.sentence() for one in found[:2])
 
 
-def _outliers_of_one_setup(fitted: Fitted) -> tuple[str, ...]:
-    """A sentence on a set-up whose rows are flagged far more often than the others': it has moved, they have not."""
-    rows, flagged = fitted.estimate.problem.rows, fitted.estimate.outliers
-    labels = joined_setups(rows, fitted.task.distances)
-    for g in np.unique(labels) if len(np.unique(labels)) > 1 else ():
+def _setup_name(fitted: Fitted, own: Mask) -> str:
+    """The groups of some rows."""
+    frames = fitted.estimate.problem.rows.samples.frame[own]
+    return " and ".join(dict.fromkeys(fitted.setup.groups[f] for f in frames))
+
+
+def _flagged_setup(fitted: Fitted) -> Iterator[Reason]:
+    """A set-up whose rows are flagged far more often than the others': it has moved, they have not."""
+    flagged = fitted.estimate.outliers
+    labels = joined_setups(fitted.estimate.problem.rows, fitted.task.distances)
+    several = len(np.unique(labels)) > 1
+    for g in np.unique(labels) if several else ():
         own = labels == g
         inside, outside = float(np.mean(flagged[own])), float(np.mean(flagged[~own]))
         if np.sum(flagged[own]) >= _SOME_FLAGGED and inside > max(_SHARE_FLAGGED, 3.0 * outside):
-            groups = dict.fromkeys(fitted.setup.groups[f] for f in rows.samples.frame[own])
-            return (
-                f"{int(np.sum(flagged[own]))} of the {int(np.sum(own))} rows of set-up '{' and '.join(groups)}' are "
-                "flagged as outliers: it does not agree with the others. Did the arm, its tool or the instrument "
-                "change in between?",
-            )
-    return ()
-
-
-def _no_scale(fitted: Fitted) -> tuple[str, ...]:
-    """A sentence where nothing that was measured is a length."""
-    if fitted.task.distances or any(kind.size for kind in fitted.estimate.problem.rows.present):
-        return ()
-    return (
-        "Nothing that was measured is a length, so the size of the arm is the nominal one's, and the priors decide: "
-        "measure a distance between two sockets, and give it in the cell file ([[distances]]).",
-    )
-
-
-def _scatter(result: Calibration) -> tuple[str, ...]:
-    """A sentence on repeats that agree far better with each other than with the model."""
-    repeats = result.repeats
-    if repeats is None or not len(repeats.within) or repeats.freedoms[0] < _TELLING:
-        return ()
-    within = float(repeats.within[0])
-    if not within < _SCATTER_SHARE * result.sigma or result.sigma < _ROUNDING_NOISE:
-        return ()
-    return (
-        f"Repeats of a pose scatter by {1e3 * within:.3f} mm a coordinate, the model leaves "
-        f"{1e3 * result.sigma:.3f} mm: "
-        "what is left over is not the instrument's noise but errors that the model lacks.",
-    )
-
-
-def _corner(fitted: Fitted, rows: Rows) -> str:
-    """A sentence if the poses cover a corner of the workspace only."""
-    robot = fitted.task.robot
-    kept = rows.joints[fitted.estimate.weights > 0.0]
-    return coverage(
-        robot.poses(kept)[:, :3, 3],
-        robot.poses(spread_poses(robot))[:, :3, 3],
-        kept,
-        column_ranges(robot),
-        robot.joint_names,
-        [joint.type for joint in robot.inputs],
-    ).sentence()
-
-
-def _outside(result: Calibration) -> str:
-    """A sentence on validation rows outside of the measured joint range."""
-    m = result.measurements
-    numbers = np.array([m.rows[i] for i in np.flatnonzero(m.validation)], dtype=np.int_)
-    return outside_sentence(result.outside, numbers)
+            count, rows = int(np.sum(flagged[own])), int(np.sum(own))
+            name = _setup_name(fitted, own)
+            yield Reason.of(Why.SETUP_FLAGGED, flagged=count, rows=rows, setup=name)
+            return

@@ -20,6 +20,7 @@ from calib.identify import result_tables as tables
 from calib.identify import table_fields as fields
 from calib.identify.coverage import Beyond, OutsideRow
 from calib.identify.findings import Outlier, ParameterEstimate
+from calib.identify.reasons import Reason, Why
 from calib.identify.result import Calibration, RowNames, Source
 from calib.identify.result_rows import residuals_of, rows_table, used_of
 from calib.identify.solvers import Iteration, Solution
@@ -207,7 +208,17 @@ def result_table(c: Calibration) -> dict[str, Any]:
         },
         "verdict": None
         if c.verdict is None
-        else {"use": c.verdict.use, "reasons": list(c.verdict.reasons)},
+        else {
+            "use": c.verdict.use,
+            "reasons": [
+                {
+                    "code": r.code,
+                    "text": str(r),
+                    "values": [{"name": name, "value": v} for name, v in r.values.items()],
+                }
+                for r in c.verdict.reasons
+            ],
+        },
         "rows": rows_table(c),
         "inputs": {
             "urdf": {
@@ -334,7 +345,13 @@ def _calibration(table: Json, folder: Path) -> Calibration:
         ),
         verdict=None
         if verdict is None
-        else Verdict(verdict["use"], fields.words(verdict["reasons"])),
+        else Verdict(
+            verdict["use"],
+            tuple(
+                Reason(Why[r["code"].upper()], {v["name"]: v["value"] for v in r["values"]})
+                for r in verdict["reasons"]
+            ),
+        ),
     )
 
 

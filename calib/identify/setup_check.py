@@ -10,11 +10,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.nominal import residual_of
+from calib.identify.reasons import Reason, Why
 from calib.identify.registration import register
 from calib.identify.rows import Rows
 from calib.identify.setup import Setup
@@ -41,20 +43,25 @@ _ROWS = 60
 #: compare, and a set-up that does not fit takes many steps for more.
 _TOLERANCE = 1e-6
 
-#: Factors between units of length that are taken for each other.
-_LENGTHS = (
-    (25.4, "inches under [mm]"),
-    (1.0 / 25.4, "mm under [in]"),
-    (1e3, "metres under [mm]"),
-    (1e-3, "mm under [m]"),
-)
+#: Factors between units that are taken for each other.
+_LENGTHS = {
+    "inches under [mm]": 25.4,
+    "mm under [in]": 1.0 / 25.4,
+    "metres under [mm]": 1e3,
+    "mm under [m]": 1e-3,
+}
+_ANGLES = {"radians under [deg]": np.degrees(1.0), "degrees under [rad]": np.radians(1.0)}
 
 #: The zeros that conventions differ by [deg].
 _TURNS_DEG = (90.0, -90.0, 180.0)
 
 
-def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> str:
-    """A sentence that names the set-up which explains the rows far better than the one given, or nothing.
+#: A set-up that is tried: what its error counts times, robot, set-up, rows, and what it would mean.
+Trial = tuple[float, Robot, Setup, Rows, Why, dict[str, Any]]
+
+
+def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Reason | None:
+    """The set-up which explains the rows far better than the one given, if there is one.
 
     Only tables of points of one target are looked at.
 
@@ -69,103 +76,80 @@ def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> str:
         or len(setup.targets) > 1
         or len(setup.groups) > 1
     ):
-        return ""
+        return None
     chosen = np.zeros(len(rows), dtype=bool)
     chosen[np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(int)] = True
     rows = rows.select(chosen)
-    asked = replace(setup, target_unknown=np.array([True]))
     given = _rms(robot, setup, rows)
     if given < PLAUSIBLE:
-        return ""
-    tried = [
-        *_other_target(robot, setup, rows),
-        *_other_frames(robot, cell, asked, rows),
-        *_other_columns(robot, asked, rows),
-        *_other_units(robot, asked, rows),
-    ]
-    score, error, words = min(tried, default=(np.inf, np.inf, ""))
-    if score > _FAR_BETTER * given or error > _EXPLAINED:
-        return ""
-    return (
-        f"The nominal robot is {1e3 * given:.0f} mm rms off, which no uncalibrated arm is, and only "
-        f"{1e3 * error:.1f} mm {words}."
-    )
+        return None
+    best, found = np.inf, None
+    for factor, other, asked, changed, why, values in _trials(robot, cell, setup, rows):
+        error = _rms(other, asked, changed)
+        if factor * error < best:
+            best, found = factor * error, Reason.of(why, given_m=given, error_m=error, **values)
+    if found is None or best > _FAR_BETTER * given or found.values["error_m"] > _EXPLAINED:
+        return None
+    return found
 
 
-def _turned(rows: Rows, joints: NDArray[np.float64]) -> Rows:
-    """The rows with other joint values."""
-    return replace(rows, samples=replace(rows.samples, q=joints))
-
-
-def _other_target(robot: Robot, setup: Setup, rows: Rows) -> Iterator[tuple[float, float, str]]:
-    """Score, error and words for a target that is not where it is said to be."""
+def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Trial]:
+    """The usual mistakes, undone."""
+    asked = replace(setup, target_unknown=np.array([True]))
     if not setup.estimate_target:
-        error = _rms(robot, replace(setup, target_unknown=np.array([True])), rows)
-        yield error, error, "if the target is found from the data: leave out --fix-target"
-
-
-def _other_units(robot: Robot, setup: Setup, rows: Rows) -> Iterator[tuple[float, float, str]]:
-    """Score, error and words for numbers that stand under another unit than their own."""
-    for factor, words in _LENGTHS:
-        error = _rms(robot, setup, replace(rows, measured=factor * rows.measured))
-        yield 1.2 * error, error, f"if the points are {words}: check the unit in the header"
-    turning = np.array([joint.type != "prismatic" for joint in robot.inputs])
-    for factor, words in (
-        (np.degrees(1.0), "radians under [deg]"),
-        (np.radians(1.0), "degrees under [rad]"),
-    ):
-        error = _rms(robot, setup, _turned(rows, np.where(turning, factor, 1.0) * rows.joints))
-        yield 1.2 * error, error, f"if the joint values are {words}: check the unit in the header"
-
-
-def _other_frames(
-    robot: Robot, cell: Cell, setup: Setup, rows: Rows
-) -> Iterator[tuple[float, float, str]]:
-    """Score, error and words for the points in another frame."""
-    if cell.estimate_frame or cell.T_frame_base is not None:
-        return
-    for link in _standing_links(robot):
-        error = _rms(robot.rebuilt(base=link), setup, rows)
-        yield error, error, f"if the points are in the frame of '{link}': try --base {link}"
-    if len(rows) >= 4:
-        error = _rms(robot, replace(setup, unknown=(DIRECTIONS,)), rows)
-        # A frame of its own always fits a little better: it must do more than that.
-        yield 2.0 * error, error, "if the points are in a frame of their own: try --frame estimate"
-
-
-def _other_columns(robot: Robot, setup: Setup, rows: Rows) -> Iterator[tuple[float, float, str]]:
-    """Score, error and words for joints of another convention, and for swapped columns."""
-    names, n = robot.joint_names, len(robot.inputs)
-    # A frame that is estimated too makes a trial a hundred times dearer: then one joint at a time.
-    most = n if n <= _MOST_SIGNS and not any(setup.unknown) else 1
-    for count in range(1, most + 1):
-        for turned in itertools.combinations(range(n), count):
-            joints = rows.joints.copy()
-            joints[:, turned] *= -1.0
-            error = _rms(robot, setup, _turned(rows, joints))
-            listed = " and ".join(f"'{names[i]}'" for i in turned)
-            words = f"if {listed} turn{'s' if count == 1 else ''} the other way: check the signs"
-            yield (1.0 + 0.2 * count) * error, error, words
-    for i, degrees in itertools.product(range(n), _TURNS_DEG):
-        if robot.inputs[i].type != "prismatic":
-            joints = rows.joints.copy()
-            joints[:, i] += np.radians(degrees)
-            error = _rms(robot, setup, _turned(rows, joints))
-            yield (
-                1.2 * error,
-                error,
-                f"if {degrees:g} deg are added to '{names[i]}': check its zero",
-            )
-    for i, j in itertools.combinations(range(n), 2):
-        joints = rows.joints.copy()
-        joints[:, [i, j]] = joints[:, [j, i]]
-        error = _rms(robot, setup, _turned(rows, joints))
-        yield 1.2 * error, error, f"if the columns '{names[i]}' and '{names[j]}' are swapped"
+        yield 1.0, robot, asked, rows, Why.TARGET_ELSEWHERE, {}
+    if not cell.estimate_frame and cell.T_frame_base is None:
+        for link in _standing_links(robot):
+            yield 1.0, robot.rebuilt(base=link), asked, rows, Why.OTHER_BASE, {"link": link}
+        if len(rows) >= 4:
+            # A frame of its own always fits a little better: it must do more than that.
+            own = replace(asked, unknown=(DIRECTIONS,))
+            yield 2.0, robot, own, rows, Why.OWN_FRAME, {}
+    for factor, joints, why, values in _joint_trials(robot, asked, rows.joints):
+        turned = replace(rows, samples=replace(rows.samples, q=joints))
+        yield factor, robot, asked, turned, why, values
     for i, j in itertools.combinations(range(3), 2):
         points = rows.measured.copy()
         points[:, [i, j]] = points[:, [j, i]]
-        error = _rms(robot, setup, replace(rows, measured=points))
-        yield 1.2 * error, error, f"if the columns {'xyz'[i]} and {'xyz'[j]} are swapped"
+        names = f"{'xyz'[i]} and {'xyz'[j]}"
+        swapped = replace(rows, measured=points)
+        yield 1.2, robot, asked, swapped, Why.COLUMNS_SWAPPED, {"columns": names}
+    for unit, size in _LENGTHS.items():
+        scaled = replace(rows, measured=size * rows.measured)
+        yield 1.2, robot, asked, scaled, Why.WRONG_UNIT, {"what": "points", "unit": unit}
+
+
+def _joint_trials(
+    robot: Robot, setup: Setup, q: NDArray[np.float64]
+) -> Iterator[tuple[float, NDArray[np.float64], Why, dict[str, Any]]]:
+    """Joints of another convention, in other units, and in each other's columns; q has shape (N, n)."""
+    names, n = robot.joint_names, len(robot.inputs)
+    turns = np.array([joint.type != "prismatic" for joint in robot.inputs])
+    # A frame that is estimated too makes a trial a hundred times dearer: then one joint at a time.
+    most = n if n <= _MOST_SIGNS and not any(setup.unknown) else 1
+    for count in range(1, most + 1):
+        for some in itertools.combinations(range(n), count):
+            joints = q.copy()
+            joints[:, some] *= -1.0
+            listed = " and ".join(f"'{names[i]}'" for i in some)
+            why = Why.JOINT_TURNED if count == 1 else Why.JOINTS_TURNED
+            yield 1.0 + 0.2 * count, joints, why, {"joints": listed}
+    for i, degrees in itertools.product(np.flatnonzero(turns).tolist(), _TURNS_DEG):
+        joints = q.copy()
+        joints[:, i] += np.radians(degrees)
+        yield (
+            1.2,
+            joints,
+            Why.JOINT_ZERO,
+            {"add_rad": float(np.radians(degrees)), "joint": names[i]},
+        )
+    for i, j in itertools.combinations(range(n), 2):
+        joints = q.copy()
+        joints[:, [i, j]] = joints[:, [j, i]]
+        yield 1.2, joints, Why.COLUMNS_SWAPPED, {"columns": f"'{names[i]}' and '{names[j]}'"}
+    for unit, size in _ANGLES.items():
+        values = {"what": "joint values", "unit": unit}
+        yield 1.2, np.where(turns, size, 1.0) * q, Why.WRONG_UNIT, values
 
 
 def _standing_links(robot: Robot) -> list[str]:

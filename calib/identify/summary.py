@@ -79,7 +79,9 @@ def _verdict(c: Calibration) -> str:
     """What to do with the result."""
     if c.verdict is None:
         return "Verdict: none, because nothing was cross-validated."
-    return "\n".join([f"Verdict: {c.verdict.use}", *(wrap(r, "  ") for r in c.verdict.reasons)])
+    return "\n".join(
+        [f"Verdict: {c.verdict.use}", *(wrap(str(r), "  ") for r in c.verdict.reasons)]
+    )
 
 
 def _errors(c: Calibration) -> str:

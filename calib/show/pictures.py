@@ -236,7 +236,7 @@ def _note(c: Calibration) -> str:
     """What the verdict stands on, in a sentence; on which rows stands in it."""
     if c.verdict is None:
         return "No verdict: nothing was cross-validated."
-    return c.verdict.reasons[0] if c.verdict.reasons else ""
+    return str(c.verdict.reasons[0]) if c.verdict.reasons else ""
 
 
 def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from calib.errors import FileError
 from calib.identify.coverage import outside_sentence
+from calib.identify.reasons import Why
 from calib.identify.result import Calibration
 from calib.identify.result_tables import versions
 from calib.identify.statements import (
@@ -243,9 +244,9 @@ def _named(names: Sequence[str]) -> str:
 def _outside(c: Calibration) -> str:
     """Rows for validation beyond the joint values that were fitted, where the verdict does not name them."""
     m = c.measurements
-    said = outside_sentence(c.outside, np.array(m.rows)[m.validation])
+    said = outside_sentence(c.outside, np.array(m.rows)[m.validation].tolist())
     reasons = () if c.verdict is None else c.verdict.reasons
-    if not said or any(said in reason for reason in reasons):
+    if not said or any(reason.why == Why.OUTSIDE for reason in reasons):
         return ""
     return f"Validation rows beyond the joint values that were fitted: {said}."
 

@@ -442,11 +442,10 @@ def test_with_which_target_the_wanted_poses_were_computed(call, examples, folder
 @pytest.mark.parametrize(
     ("verdict", "wanted"),
     [
-        ({"use": "do not use", "reasons": ["It is worse."]},
-         "Verdict: do not use of result.json, its joint origins. It is worse. Commands made with this result may be "
-         "worse than none."),
-        ({"use": "use with care", "reasons": ["Few poses."]},
-         "Verdict: use with care of result.json, its joint origins. Few poses. Position error"),
+        ({"use": "do not use", "reasons": [{"code": "no_length", "values": []}]},
+         "Verdict: do not use of result.json, its joint origins. Nothing that was measured is a length, "),
+        ({"use": "use with care", "reasons": [{"code": "may_be_chance", "values": [{"name": "gain", "value": 1}]}]},
+         "Verdict: use with care of result.json, its joint origins. The gain on unseen rows is within "),
         (None, "Verdict: none of result.json, its joint origins. The result was not validated"),
     ],
 )  # fmt: skip

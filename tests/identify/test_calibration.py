@@ -260,7 +260,7 @@ def test_progress_is_told_after_each_fit(ur3, table, paper_cell):
 def test_few_rows_are_to_be_used_with_care(ur3, table, paper_cell):
     result = calibrate(ur3, table.select(np.arange(35) < 12), cell=paper_cell)
     assert result.verdict.use != "use"
-    assert any("are few" in reason for reason in result.verdict.reasons)
+    assert any(reason.code == "few_numbers" for reason in result.verdict.reasons)
 
 
 def test_data_that_do_not_fit_are_not_to_be_used(ur3, table):
@@ -349,7 +349,7 @@ def test_without_priors_nothing_runs_away_but_what_ran_is_said(ur3, table):
     result = calibrate(ur3, table, cell=Cell(priors=Priors("off")))
     assert np.abs(result.x).max() < 1.0
     assert result.verdict.use == "use with care"
-    assert "A parameter has moved by" in result.verdict.reasons[0]
+    assert result.verdict.reasons[0].code == "parameter_far"
     held = result.parameter("d3")
     assert held.high - held.low > 0.5  # it says that it does not know
 
@@ -411,9 +411,7 @@ def test_the_model_that_lacks_something_is_said(virtual):
     small, full = calibrate(robot, data, model="dh"), calibrate(robot, data)
     assert (full.model.name, full.larger) == ("placement", None)
     assert small.verdict.use == "use with care"
-    assert any(
-        "Try --model auto or --model placement" in reason for reason in small.verdict.reasons
-    )
+    assert any(reason.code == "model_lacks" for reason in small.verdict.reasons)
     assert full.verdict.use == "use"
     assert full.sigma == pytest.approx(5e-5, rel=0.2)
 
@@ -436,8 +434,7 @@ def test_a_robot_that_is_right_already_is_to_be_kept(ur3, virtual):
     data = Measurements(joint_names=ur3.joint_names, joints=rows.joints, points=rows.points)
     verdict = calibrate(ur3, data).verdict
     assert verdict.use == "do not use"
-    assert "Nothing to gain" in verdict.reasons[0]
-    assert "Keep its URDF" in verdict.reasons[0]
+    assert verdict.reasons[0].code == "nothing_to_gain"
 
 
 def test_expected_errors_are_those_of_the_covariance(virtual):
@@ -595,7 +592,7 @@ def test_every_kind_is_cross_validated_and_judged(case):
         # Planes alone tell no length, which is said.
         told = bool(c.cell.distances) or not kinds <= {"fixed", "plane"}
         assert c.verdict.use == ("use" if told else "use with care")
-        assert told or "is a length" in c.verdict.reasons[0]
+        assert told or c.verdict.reasons[0].code == "no_length"
         assert c.sigma == pytest.approx(scene.noise, rel=0.25)
         after, before = c.cross_validation.errors, c.nominal_cross_validation.errors
         assert after.rms < 0.1 * before.rms

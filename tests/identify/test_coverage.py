@@ -8,7 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.data import paper_measurements
-from calib.identify.coverage import Beyond, OutsideRow, coverage, outside, outside_sentence
+from calib.identify.coverage import (
+    Beyond,
+    OutsideRow,
+    outside,
+    outside_sentence,
+    shares_of_ranges,
+    spread_of,
+)
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot
 
@@ -28,10 +35,8 @@ def tips(robot: Robot, q: np.ndarray) -> np.ndarray:
     return robot.poses(q)[:, :3, 3]
 
 
-def cover(robot: Robot, q: np.ndarray):
-    everywhere = tips(robot, drawn(robot, 2000, 0))
-    types = [j.type for j in robot.joints]
-    return coverage(tips(robot, q), everywhere, q, limits(robot), robot.joint_names, types)
+def spread(robot: Robot, q: np.ndarray) -> float:
+    return spread_of(tips(robot, q), tips(robot, drawn(robot, 2000, 0)))
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +58,14 @@ def test_the_paper_s_last_rows_lie_outside(ur3, paper_joints):
             low, high = paper_joints[:30, j].min(), paper_joints[:30, j].max()
             assert b.by == pytest.approx(max(low - asked[j], asked[j] - high))
             assert b.by > 0.05 * (high - low)
-    text = outside_sentence(found, numbers)
+    text = outside_sentence(found, numbers.tolist())
     assert "row 34: '" in text
     assert "deg beyond the measured range" in text
 
 
 def test_the_measured_rows_lie_inside(ur3, paper_joints):
     assert outside(paper_joints[:30], paper_joints[:30], ur3.joint_names, TYPES) == ()
-    assert outside_sentence(()) == ""
+    assert outside_sentence((), []) == ""
 
 
 def test_a_margin_of_a_twentieth_is_allowed():
@@ -71,16 +76,16 @@ def test_a_margin_of_a_twentieth_is_allowed():
     assert found[0].beyond[0].by == pytest.approx(0.051)
     # The worst in shares of its range comes first.
     assert [b.joint for b in found[2].beyond] == ["a", "b"]
-    text = outside_sentence(found)
+    text = outside_sentence(found, range(1, 5))
     assert "row 3: 'b' 110 mm beyond the measured range" in text
     assert "row 4: 'a' 11.5 deg, 'b' 300 mm beyond the measured range" in text
 
 
 def test_many_rows_are_not_all_named():
     rows = [OutsideRow(i, (Beyond("a", False, 0.1),)) for i in range(8)]
-    assert outside_sentence(rows).endswith("; and 5 more rows")
-    assert outside_sentence(rows[:4]).endswith("; and 1 more row")
-    assert outside_sentence(rows[:3]).count("row ") == 3
+    assert outside_sentence(rows, range(8)).endswith("; and 5 more rows")
+    assert outside_sentence(rows[:4], range(8)).endswith("; and 1 more row")
+    assert outside_sentence(rows[:3], range(8)).count("row ") == 3
 
 
 def test_a_joint_that_stood_still_allows_no_motion_but_rounding():
@@ -122,71 +127,42 @@ def test_where_a_circle_begins_does_not_matter(turn, shift, values, asked):
         assert by[0] == pytest.approx(max(0.05 * np.ptp(measured), 1e-3), abs=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("count", [12, 30])
-def test_random_poses_are_no_corner(ur3, panda, count, seed):
-    for robot in (ur3, panda):
-        found = cover(robot, drawn(robot, count, seed))
-        assert not found.corner
-        assert found.sentence() == ""
-        assert found.spread > 0.6
-        assert found.inside > 0.25
+def test_random_poses_are_no_corner(ur3, panda, count):
+    for seed in range(6):
+        for robot in (ur3, panda):
+            assert spread(robot, drawn(robot, count, seed)) > 0.6
 
 
 def test_the_paper_s_poses_are_no_corner(ur3, paper_joints):
-    found = cover(ur3, paper_joints[:30])
-    assert found.sentence() == ""
-    assert 0.38 < found.spread < 0.5
-    assert found.joints[5] == 1.0
-    assert found.joints[0] == pytest.approx(np.ptp(paper_joints[:30, 0]) / (2 * np.pi))
-    # They are far from everywhere though.
-    assert found.inside < 0.1
+    assert 0.38 < spread(ur3, paper_joints[:30]) < 0.5
 
 
 @pytest.mark.parametrize("name", ["ur3", "panda"])
 def test_a_cube_of_20_cm_is_a_corner(name, request):
     robot = request.getfixturevalue(name)
-    q = drawn(robot, 60_000, 1)
+    q = drawn(robot, 30_000, 1)
     where = tips(robot, q)
     tried = 0
-    for centre in where[:40]:
+    for centre in where[:30]:
         inside = np.flatnonzero(np.all(np.abs(where - centre) < 0.1, axis=1))
-        if len(inside) < 30:
-            continue
-        tried += 1
-        found = cover(robot, q[inside[:30]])
-        assert found.corner, (centre, found.spread)
-        assert found.inside < 0.06
-    assert tried > 10
-    text = found.sentence()
-    assert text.startswith("The poses cover a corner of the workspace only")
-    least = int(np.argmin(found.joints))
-    assert f"'{robot.joint_names[least]}' uses {100 * found.joints[least]:.0f} %" in text
+        if len(inside) >= 20:
+            tried += 1
+            assert spread(robot, q[inside[:30]]) < 1 / 3
+    assert tried > 5
 
 
 def test_flat_and_single_sets_of_tips():
-    rng = np.random.default_rng(2)
-    plane = rng.uniform(-1, 1, (300, 3)) * [1.0, 1.0, 0.0]
-    q, ranges = np.zeros((300, 2)), np.array([[-1.0, 1.0], [0.0, 0.0]])
-    found = coverage(plane, plane, q, ranges, ("a", "b"), ("revolute", "revolute"))
-    assert found.spread == pytest.approx(1.0)
-    assert found.inside > 0.6
-    np.testing.assert_array_equal(found.joints, [0.0, 1.0])
-    assert not found.joints.flags.writeable
-    point = coverage(plane[:1], plane, q[:1], ranges, ("a", "b"), ("revolute", "revolute"))
-    assert point.corner
-    assert point.spread == 0.0
+    plane = np.random.default_rng(2).uniform(-1, 1, (300, 3)) * [1.0, 1.0, 0.0]
+    assert spread_of(plane, plane) == pytest.approx(1.0)
+    assert spread_of(plane[:1], plane) == 0.0
     # An arm whose tip cannot move at all has been measured everywhere.
-    still = np.zeros((5, 3))
-    fixed = coverage(still, still, q[:5], ranges, ("a", "b"), ("revolute", "revolute"))
-    assert (fixed.spread, fixed.inside, fixed.corner) == (1.0, 1.0, False)
+    assert spread_of(np.zeros((5, 3)), np.zeros((5, 3))) == 1.0
 
 
 def test_shares_of_ranges():
-    q = np.radians([[170.0, 0.0, 0.0], [-170.0, 400.0, 0.0]])
+    q = np.radians([[170.0, 0.0, 0.0, 0.0], [-170.0, 400.0, 0.0, 0.0]])
     q[1, 2] = 0.3
-    ranges = np.array([[-np.pi, np.pi], [-2 * np.pi, 2 * np.pi], [-np.inf, np.inf]])
-    names, types = ("a", "b", "c"), ("continuous", "revolute", "prismatic")
-    where = np.random.default_rng(3).normal(size=(9, 3))
-    found = coverage(where, where, q, ranges, names, types)
-    np.testing.assert_allclose(found.joints, [20 / 360, 1.0, 1.0])
+    ranges = np.array([[-np.pi, np.pi], [-2 * np.pi, 2 * np.pi], [-np.inf, np.inf], [0.0, 0.0]])
+    types = ("continuous", "revolute", "prismatic", "revolute")
+    np.testing.assert_allclose(shares_of_ranges(q, ranges, types), [20 / 360, 1.0, 1.0, 1.0])

@@ -242,7 +242,9 @@ def test_the_values_are_those_of_the_calibration(
     assert [row["weight"] for row in result_json["rows"]] == c.weights.tolist()
     assert [row["set"] for row in result_json["rows"]] == ["estimate"] * 30 + ["validate"] * 5
     assert c.verdict is not None
-    assert result_json["verdict"] == {"use": c.verdict.use, "reasons": list(c.verdict.reasons)}
+    told = result_json["verdict"]
+    assert (told["use"], told["reasons"][0]["code"]) == (c.verdict.use, "gain")
+    assert [one["text"] for one in told["reasons"]] == list(map(str, c.verdict.reasons))
     assert result_json["versions"]["calib"] == calib.__version__
 
 
@@ -286,6 +288,7 @@ TYPES = {
     "text": lambda v: isinstance(v, str),
     "integer": lambda v: isinstance(v, int) and not isinstance(v, bool),
     "number": lambda v: isinstance(v, NUMBER) and not isinstance(v, bool),
+    "number, text": lambda v: isinstance(v, (*NUMBER, str)),
     "true, false": lambda v: isinstance(v, bool),
     "3 numbers": lambda v: len(v) == 3 and all(isinstance(x, float) for x in v),
     "p numbers": lambda v: len(v) > 20 and all(isinstance(x, float) for x in v),
@@ -307,7 +310,7 @@ WHOLE = {
     "cross_validation", "verdict", "larger", "larger.payload", "larger.cross_validation", "noise.repeats",
     "parameters", "outliers", "suspects", "observability.unidentifiable", "model.candidates", "model.ties",
     "robot.held", "robustness", "outside", "outside[].index", "outside[].joints[].joint",
-    "outside[].joints[].prismatic", "outside[].joints[].by",
+    "outside[].joints[].prismatic", "outside[].joints[].by", "verdict.reasons", "verdict.reasons[].values",
 }  # fmt: skip
 
 

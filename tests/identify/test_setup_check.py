@@ -24,7 +24,7 @@ TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 def said_of(robot: Robot, cell: Cell, table: Measurements) -> str:
     """What is said of a robot, a cell and a table."""
     rows, setup = rows_and_setup(robot, table, cell)
-    return better_setup(robot, cell, setup, rows)
+    return str(better_setup(robot, cell, setup, rows) or "")
 
 
 def rows_of(table: Measurements, count: int = 30) -> Measurements:
@@ -133,8 +133,8 @@ def test_the_verdict_and_the_evaluation_say_it_too(table: Measurements):
     judged = calibrate(world, table, model="zeros").verdict
     assert judged is not None
     assert judged.use == "do not use"
-    assert "try --base base." in judged.reasons[0]
-    assert hint(evaluate(world, table), Cell()) == judged.reasons[0]
+    assert judged.reasons[0].values["link"] == "base"
+    assert hint(evaluate(world, table), Cell()) == str(judged.reasons[0])
 
 
 def spoilt(rows: Measurements, change: Callable[[np.ndarray, np.ndarray], None]) -> Measurements:

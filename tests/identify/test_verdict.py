@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from string import Formatter
 
 import numpy as np
 import pytest
 
+from calib.identify.reasons import Reason, Why
 from calib.identify.statistics import CrossValidation, Errors
-from calib.identify.verdict import Evidence, verdict
+from calib.identify.verdict import Evidence, Verdict, verdict
 
 ROWS = 30
 
@@ -30,111 +32,95 @@ def errors(rms: float, n: int = 5) -> Errors:
 GOOD = Evidence(
     nominal=validated(2.5e-3),
     calibrated=validated(0.2e-3, 1),
-    larger_validation=None,
-    larger_name="",
     scales=np.full((ROWS, 3), 1e-4),
     used=np.ones((ROWS, 3), dtype=bool),
     repeats=np.arange(ROWS),
     pairs=np.zeros(ROWS, dtype=bool),
     outliers=np.arange(ROWS) < 2,
-    validation_nominal=errors(2.7e-3),
-    validation_calibrated=errors(0.25e-3),
-    validation_aside=0,
-    still=(),
-    missing="",
-    findings=(),
-    corner="",
-    outside="",
+    validation=(errors(2.7e-3), errors(0.25e-3), 0),
     parameters=27,
     largest=5e-3,
     noise=1e-4,
 )
+LACKS = Reason.of(Why.MODEL_LACKS, model="dh", noise_m=1e-4, less_m=2e-5)
+STILL = Reason.of(Why.JOINTS_STILL, joints="'elbow_joint' (3 deg)")
+HINT = Reason.of(Why.OTHER_BASE, given_m=0.5, error_m=2e-3, link="base")
+
+
+def codes(found: Verdict) -> list[Why]:
+    return [reason.why for reason in found.reasons]
 
 
 def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
-    result = verdict(GOOD)
-    assert result.use == "use"
-    before, after = (1e3 * v.errors_without_outliers.rms for v in (GOOD.nominal, GOOD.calibrated))
-    assert (
-        f"outliers aside) the error falls from {before:.3f} to {after:.3f} mm rms"
-        in result.reasons[0]
+    result = verdict(replace(GOOD, validation=(errors(2.7e-3), errors(0.25e-3), 1)))
+    assert (result.use, codes(result)) == ("use", [Why.GAIN, Why.VALIDATION_GAIN])
+    gain, fresh = result.reasons
+    before, after = (v.errors_without_outliers.rms for v in (GOOD.nominal, GOOD.calibrated))
+    assert (gain.values["before_m"], gain.values["after_m"]) == (before, after)
+    assert gain.code == "gain"
+    assert str(gain) == (
+        f"On rows it did not see (leave-one-out, outliers aside) the error falls from {1e3 * before:.3f} to "
+        f"{1e3 * after:.3f} mm rms."
     )
-    assert "5 validation rows it falls from 2.700 to 0.250 mm rms" in result.reasons[1]
+    assert (
+        str(fresh) == "On the 5 validation rows (1 more aside) it falls from 2.700 to 0.250 mm rms."
+    )
+
+
+def test_every_code_has_a_sentence():
+    """And every number that it names; units are in the text."""
+    for why in Why:
+        names = {one[1].split(":")[0] for one in Formatter().parse(why.value) if one[1]}
+        values = dict.fromkeys(names - {"before", "after", "change", "chance_p"}, 0.5)
+        said = str(Reason(why, {"before_m": 2e-3, "after_m": 1e-3, "p": 1e-9} | values))
+        assert said.endswith((".", "?"))
+        assert "{" not in said
 
 
 @pytest.mark.parametrize(
-    ("change", "use", "reason"),
+    ("change", "use", "why"),
     [
-        (
-            {"calibrated": validated(2.9e-3, 1)},
-            "do not use",
-            "no better than the nominal one, frame and target fitted for both: 2.",
-        ),
-        ({"calibrated": GOOD.nominal}, "do not use", "no better than the nominal one"),
-        (
-            {"validation_calibrated": errors(3e-3)},
-            "do not use",
-            "validation rows the error does not fall",
-        ),
-        ({"noise": 0.05}, "do not use", "50 mm a coordinate"),
-        ({"noise": 0.05, "hint": "Try --base base."}, "do not use", "Try --base base."),
-        ({"hint": "Check the signs."}, "do not use", "Check the signs."),
+        ({"calibrated": validated(2.9e-3, 1)}, "do not use", Why.NO_BETTER),
+        ({"calibrated": GOOD.nominal}, "do not use", Why.NO_BETTER),
+        ({"validation": (errors(2.7e-3), errors(3e-3), 0)}, "do not use", Why.VALIDATION_NO_BETTER),
+        ({"noise": 0.05}, "do not use", Why.NOISE_ABSURD),
+        ({"noise": 0.05, "hint": HINT, "doubts": (STILL,)}, "do not use", Why.OTHER_BASE),
+        ({"nominal": validated(0.3), "largest": 0.4}, "do not use", Why.PARAMETER_ABSURD),
         (
             {"nominal": validated(0.61e-3, 2), "calibrated": validated(0.59e-3, 1)},
             "use with care",
-            "within what chance gives",
+            Why.MAY_BE_CHANCE,
         ),
-        ({"nominal": validated(0.26)}, "use with care", "mm rms off on unseen rows, which"),
-        (
-            {"parameters": 60},
-            "use with care",
-            "30 poses with 90 numbers for 60 parameters are few",
-        ),
-        (
-            {"still": ("'elbow_joint' (3 deg)",)},
-            "use with care",
-            "Hardly moved over these rows: 'elbow_joint' (3 deg)",
-        ),
-        ({"missing": "Try --model placement."}, "use with care", "Try --model placement."),
+        ({"nominal": validated(0.26)}, "use with care", Why.FAR_OFF_BEFORE),
+        ({"parameters": 60}, "use with care", Why.FEW_NUMBERS),
+        ({"doubts": (STILL, LACKS)}, "use with care", Why.JOINTS_STILL),
         (
             {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)},
             "do not use",
-            "Nothing to gain: the robot",
+            Why.NOTHING_TO_GAIN,
         ),
         (
             {"nominal": validated(0.5), "calibrated": validated(0.05, 3)},
             "do not use",
-            "the calibrated robot is 5",
+            Why.STILL_FAR_OFF,
         ),
         (
-            {
-                "nominal": validated(0.6e-3, 2),
-                "calibrated": validated(0.58e-3, 5),
-                "parameters": 60,
-            },
+            {"nominal": validated(6e-4, 2), "calibrated": validated(5.8e-4, 5), "parameters": 60},
             "do not use",
-            "are too few to show a gain",
+            Why.TOO_FEW,
         ),
-        ({"corner": "A corner only."}, "use with care", "A corner only."),
-        ({"findings": ("A drift.", "A pattern.")}, "use with care", "A drift."),
-        (
-            {"nominal": validated(0.3), "largest": 0.4},
-            "do not use",
-            "meets the rows only by moving a parameter by 400 mm or mrad",
-        ),
-        ({"largest": 4.6}, "use with care", "has moved by 4600 mm or mrad"),
-        ({"outliers": np.arange(ROWS) < 6}, "use with care", "6 of 30 rows are flagged"),
+        ({"largest": 4.6}, "use with care", Why.PARAMETER_FAR),
+        ({"outliers": np.arange(ROWS) < 6}, "use with care", Why.MANY_OUTLIERS),
+        ({"validation": (errors(51e-3), errors(50e-3), 0)}, "use with care", Why.VALIDATION_UNLIKE),
     ],
 )
-def test_each_doubt_is_said_first(change, use, reason):
+def test_each_doubt_is_said_first(change, use, why):
     result = verdict(replace(GOOD, **change))
-    assert result.use == use
-    assert reason in result.reasons[0]
-
-
-def test_a_gain_is_said_even_where_there_are_doubts():
-    result = verdict(replace(GOOD, parameters=60))
-    assert any("the error falls from" in reason for reason in result.reasons[1:])
+    assert (result.use, result.reasons[0].why) == (use, why)
+    absurd = {Why.NOISE_ABSURD, Why.OTHER_BASE, Why.PARAMETER_ABSURD}
+    assert (len(result.reasons) == 1) == (why in absurd)
+    # A gain is said even where there are doubts.
+    assert Why.GAIN in codes(result) or use == "do not use"
 
 
 def test_outliers_do_not_decide():
@@ -144,25 +130,9 @@ def test_outliers_do_not_decide():
     assert verdict(replace(GOOD, calibrated=after)).use == "use"
 
 
-def test_validation_rows_that_were_not_measured_like_the_others():
-    result = verdict(
-        replace(GOOD, validation_nominal=errors(51e-3), validation_calibrated=errors(50e-3))
-    )
-    assert result.use == "use with care"
-    assert "50.000 mm rms off on the 5 validation rows and 0.2" in result.reasons[0]
-    assert verdict(replace(GOOD, validation_calibrated=errors(1.8e-3))).use == "use"
-
-
-def test_validation_rows_set_aside_are_counted():
-    reasons = verdict(replace(GOOD, validation_aside=1)).reasons
-    assert any("5 validation rows (1 more aside) it falls" in reason for reason in reasons)
-
-
 def test_without_validation_rows_nothing_is_said_of_them():
-    nothing = errors(1.0, 0)
-    result = verdict(replace(GOOD, validation_nominal=nothing, validation_calibrated=nothing))
-    assert result.use == "use"
-    assert not any("validation rows" in reason for reason in result.reasons)
+    result = verdict(replace(GOOD, validation=(errors(1.0, 0), errors(1.0, 0), 0)))
+    assert (result.use, codes(result)) == ("use", [Why.GAIN])
 
 
 def test_repeats_are_no_evidence_of_their_own():
@@ -199,9 +169,8 @@ def test_a_model_that_explains_nothing_does_not_make_the_robot_right():
     same = validated(2.5e-3)
     noise = np.full((ROWS, 3), 1.5e-3)
     change = {"nominal": same, "calibrated": same, "noise": 1.5e-3, "scales": noise}
-    assert "Nothing to gain" in verdict(replace(GOOD, **change)).reasons[0]
-    larger = verdict(replace(GOOD, **change, missing="Try --model placement."))
-    assert "no better than the nominal one" in larger.reasons[0]
+    assert codes(verdict(replace(GOOD, **change)))[0] == Why.NOTHING_TO_GAIN
+    assert codes(verdict(replace(GOOD, **change, doubts=(LACKS,))))[0] == Why.NO_BETTER
 
 
 def test_orientations_that_no_instrument_measures_are_a_wrong_set_up():
@@ -214,35 +183,19 @@ def test_orientations_that_no_instrument_measures_are_a_wrong_set_up():
             GOOD.calibrated, residual=turned, errors=off, errors_without_outliers=off
         ),
     )
-    result = verdict(e)
-    assert result.use == "do not use"
-    assert "orientations are 99 deg rms off" in result.reasons[0]
-    assert "not the inverse" in result.reasons[0]
+    (reason,) = verdict(e).reasons
+    assert reason.why == Why.ORIENTATION_ABSURD
+    assert np.degrees(reason.values["after_rad"]) == pytest.approx(99.24, abs=0.01)
 
 
-def test_a_wrong_set_up_is_all_that_is_said():
-    result = verdict(replace(GOOD, hint="Check the signs.", still=("'j1' (0 deg)",), parameters=60))
-    assert result.reasons == ("Check the signs.",)
-
-
-def test_what_a_larger_model_would_give_is_said_but_does_not_decide():
-    larger = validated(0.05e-3, 7)
-    result = verdict(replace(GOOD, larger_validation=larger, larger_name="dh+gain"))
-    assert result.use == "use"
-    rms = 1e3 * larger.errors.rms
-    assert (
-        f"With the larger model 'dh+gain' it would be {rms:.3f} mm rms. No URDF can hold that"
-        in result.reasons[1]
+def test_a_larger_model_and_rows_outside_are_said_last_and_decide_nothing():
+    notes = (
+        Reason.of(Why.LARGER_MODEL, model="dh+gain", after=errors(5e-5)),
+        Reason.of(Why.OUTSIDE, rows="row 7: 'j1' 20 deg beyond the measured range"),
     )
-
-
-def test_rows_outside_of_what_was_fitted_are_said_last_and_decide_nothing():
-    result = verdict(replace(GOOD, outside="row 7: 'j1' 20 deg beyond the measured range"))
-    assert result.use == "use"
-    assert result.reasons[-1] == (
-        "Outside of the joint values that were fitted, where errors may be larger: row 7: 'j1' 20 deg beyond the "
-        "measured range."
-    )
+    result = verdict(replace(GOOD, notes=notes))
+    assert (result.use, result.reasons[-2:]) == ("use", notes)
+    assert str(notes[0]).startswith("With the larger model 'dh+gain' it would be 0.050 mm rms. ")
 
 
 def test_orientations_are_said_beside_positions():
@@ -261,21 +214,22 @@ def test_orientations_are_said_beside_positions():
     assert (
         f"falls from {1e3 * old.rms:.3f} mm and {np.degrees(old.rms_angle):.3f} deg to "
         f"{1e3 * new.rms:.3f} mm and {np.degrees(new.rms_angle):.3f} deg rms."
-    ) in result.reasons[0]
+    ) in str(result.reasons[0])
 
 
 def test_scalars_that_were_not_measured_do_not_count():
     """Lengths: one number a row. The same residuals as three numbers a row would be enough for 40 parameters."""
     used = np.zeros((ROWS, 3), dtype=bool)
     used[:, 0] = True
-    few = verdict(replace(GOOD, used=used, parameters=40))
-    assert few.use == "use with care"
-    assert "30 poses with 30 numbers for 40 parameters are few" in few.reasons[0]
+
+    def poses(**change) -> str:
+        reason = verdict(replace(GOOD, used=used, parameters=40, **change)).reasons[0]
+        assert reason.why == Why.FEW_NUMBERS
+        return f"{reason.values['poses']}: {reason.values['numbers']}"
+
+    assert poses() == "30 poses: 30"
     # Of pairs the second rows hold nothing.
     used[ROWS // 2 :] = False
-    halves = np.arange(ROWS) < ROWS // 2
-    few = verdict(replace(GOOD, used=used, pairs=halves, parameters=40))
-    assert few.reasons[0].startswith("15 pairs of poses with 15 numbers for 40 parameters are few")
-    some = verdict(replace(GOOD, used=used, pairs=np.arange(ROWS) < 10, parameters=40))
-    assert some.reasons[0].startswith("5 poses and 10 pairs of poses with 15 numbers for 40")
+    assert poses(pairs=np.arange(ROWS) < ROWS // 2) == "15 pairs of poses: 15"
+    assert poses(pairs=np.arange(ROWS) < 10) == "5 poses and 10 pairs of poses: 15"
     assert verdict(replace(GOOD, parameters=40)).use == "use"

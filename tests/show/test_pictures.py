@@ -37,7 +37,7 @@ def test_every_row_is_a_pose_and_the_worst_one_held_back_is_shown_first(result):
     np.testing.assert_allclose(view.nominal_target[:, :3, 3], np.tile(PAPER_TARGET, (35, 1)))
     np.testing.assert_array_equal(view.calibrated_target[3, :3, 3], result.target)
     assert view.verdict == "use"
-    assert view.note == result.verdict.reasons[0]
+    assert view.note == str(result.verdict.reasons[0])
 
 
 def test_the_distances_in_the_picture_are_the_errors_of_the_tables(result):

@@ -107,7 +107,7 @@ def test_every_page_is_whole_and_its_verdict_comes_first(page, calibrations, nam
     use = "none" if c.verdict is None else c.verdict.use
     assert text.index(f"Verdict: {use}") < text.index("Accuracy before and after")
     for reason in () if c.verdict is None else c.verdict.reasons:
-        assert " ".join(reason.split()) in text
+        assert " ".join(str(reason).split()) in text
     assert made.tags.count("h2") == 11 + bool(c.candidates)
     assert made.tags.count("caption") == sum(bool(table.rows) for table in every_table(c))
 
