@@ -40,9 +40,8 @@ class Chain:
         placements: shape (n + 1, 4, 4), [m]: of each joint in the one before it, of the tip in the last joint.
         carriers: For each placement the URDF joint whose ``<origin>`` holds it, or None.
         T_root_base: shape (4, 4), [m], pose of the base in the frame that the first placement is given in.
-        before: shape (n + 1, 4, 4), [m]: a placement is before @ origin @ after, or before @ origin^-1 @ after.
-        after: shape (n + 1, 4, 4), [m].
-        inverted: For each placement whether the origin stands inverted in it.
+        around: For each placement before, after and inverted: it is before @ origin @ after, or before @ origin^-1 @
+            after where the origin stands inverted in it; poses of shape (4, 4), [m].
         base_moves: Whether joints lie on the base's side; the first placement is then given in the base.
     """
 
@@ -50,9 +49,7 @@ class Chain:
     placements: Array
     carriers: tuple[str | None, ...]
     T_root_base: Array
-    before: Array
-    after: Array
-    inverted: tuple[bool, ...]
+    around: tuple[tuple[Array, Array, bool], ...]
     base_moves: bool
 
     @classmethod
@@ -70,36 +67,25 @@ class Chain:
         _built_model(urdf)  # which refuses what Pinocchio cannot read, or reads otherwise
         T_root_base, placements = _placements(urdf, base, tip, path, moving)
         carried = [_carrier(path, moving, k) for k in range(len(moving) + 1)]
-        before, after = [], []
+        around = []
         for placement, carrier in zip(placements, carried, strict=True):
             factor = np.eye(4) if carrier is None else path[carrier.step].origin
             last = carrier is None or carrier.last
-            before.append(placement @ rigid_inverse(factor) if last else np.eye(4))
-            after.append(np.eye(4) if last else rigid_inverse(factor) @ placement)
+            around.append(
+                (
+                    placement @ rigid_inverse(factor) if last else np.eye(4),
+                    np.eye(4) if last else rigid_inverse(factor) @ placement,
+                    carrier is not None and path[carrier.step].up,
+                )
+            )
         return cls(
             joints=joints,
             placements=read_only(placements),
             carriers=tuple(None if c is None else path[c.step].joint.name for c in carried),
             T_root_base=read_only(T_root_base),
-            before=read_only(before),
-            after=read_only(after),
-            inverted=tuple(c is not None and path[c.step].up for c in carried),
+            around=tuple(around),
             base_moves=path[moving[0]].up,
         )
-
-    def at(self, placements: Array) -> Chain:
-        """The chain with other placements, shape (n + 1, 4, 4), [m]."""
-        return replace(self, placements=read_only(placements))
-
-    def origins(self) -> dict[str, Array]:
-        """The ``<origin>`` of each URDF joint that carries a placement, shape (4, 4), [m]."""
-        origins = {}
-        for i, carrier in enumerate(self.carriers):
-            if carrier is not None:
-                before, after = rigid_inverse(self.before[i]), rigid_inverse(self.after[i])
-                factor = before @ self.placements[i] @ after
-                origins[carrier] = rigid_inverse(factor) if self.inverted[i] else factor
-        return origins
 
 
 def read_only(values: ArrayLike | Sequence[Array]) -> Array:

@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from calib.errors import ModelError, UrdfError, choices, did_you_mean
+from calib.errors import UrdfError, choices, did_you_mean
 from calib.model.chain import MOVING, read_only
 from calib.model.urdf import Urdf, UrdfJoint
 from calib.units import unit_fault
@@ -21,91 +21,41 @@ from calib.units import unit_fault
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Coupling:
-    """How n joints follow m columns.
+def coupling(
+    urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, float]
+) -> tuple[tuple[UrdfJoint, ...], Array, Array]:
+    """How the n joints of a chain follow m columns.
 
-    Attributes:
-        joints: Names of the joints, n of them.
-        inputs: The joint of each column, m of them, in the order in which the joints first need them.
-        matrix: A, shape (n, m); 1 where a joint is its own column, the multiplier where it mimics another.
-        offset: b, shape (n,), [rad] or [m]: offsets of mimic joints, and held values.
+    Args:
+        urdf: The URDF that they are of.
+        joints: Base to tip.
+        held: Values of joints that do not move, see `checked_held`.
+
+    Returns:
+        The joint of each column, in the order in which the joints first need them; A, shape (n, m), 1 where a joint is
+        its own column and the multiplier where it mimics another; b, shape (n,), [rad] or [m]: offsets of mimic
+        joints, and held values.
+
+    Raises:
+        UrdfError: A joint mimics one that does not exist, that moves by more than one coordinate or that
+            mimics it in turn; or every joint is held.
     """
-
-    joints: tuple[str, ...]
-    inputs: tuple[UrdfJoint, ...]
-    matrix: Array
-    offset: Array
-
-    @classmethod
-    def of(cls, urdf: Urdf, joints: Sequence[UrdfJoint], held: Mapping[str, float]) -> Coupling:
-        """The coupling of a chain's joints.
-
-        Args:
-            urdf: The URDF that they are of.
-            joints: Base to tip.
-            held: Values of joints that do not move, see `checked_held`.
-
-        Raises:
-            UrdfError: A joint mimics one that does not exist, that moves by more than one coordinate or that
-                mimics it in turn; or every joint is held.
-        """
-        by_name = {joint.name: joint for joint in urdf.joints}
-        # A joint of the chain may have its axis turned round.
-        by_name |= {joint.name: joint for joint in joints}
-        rules = [_rule(urdf.source, by_name, joint.name, held) for joint in joints]
-        drivers = list(dict.fromkeys(rule.driver for rule in rules if rule.driver is not None))
-        if not drivers:
-            raise UrdfError(
-                f"{urdf.source}: the joints of the chain are {choices(joint.name for joint in joints)}, and none of "
-                "them is left to move: each is held at a value or mimics one that is. Hold fewer joints."
-            )
-        matrix = np.zeros((len(joints), len(drivers)))
-        for row, rule in zip(matrix, rules, strict=True):
-            if rule.driver is not None:
-                row[drivers.index(rule.driver)] = rule.factor
-        return cls(
-            joints=tuple(joint.name for joint in joints),
-            inputs=tuple(by_name[name] for name in drivers),
-            matrix=read_only(matrix),
-            offset=read_only([rule.offset for rule in rules]),
+    by_name = {joint.name: joint for joint in urdf.joints}
+    # A joint of the chain may have its axis turned round.
+    by_name |= {joint.name: joint for joint in joints}
+    rules = [_rule(urdf.source, by_name, joint.name, held) for joint in joints]
+    drivers = list(dict.fromkeys(rule.driver for rule in rules if rule.driver is not None))
+    if not drivers:
+        raise UrdfError(
+            f"{urdf.source}: the joints of the chain are {choices(joint.name for joint in joints)}, and none of "
+            "them is left to move: each is held at a value or mimics one that is. Hold fewer joints."
         )
-
-    def values(self, q: ArrayLike, where: str) -> Array:
-        """The joints' values from those of the columns.
-
-        Args:
-            q: shape (N, m) or (m,), [rad] or [m].
-            where: What messages call the chain.
-
-        Returns:
-            shape (N, n), [rad] or [m].
-
-        Raises:
-            ModelError: ``q`` has not one column for each of `inputs`, or a value is not finite.
-        """
-        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        names = [joint.name for joint in self.inputs]
-        if values.ndim != 2 or values.shape[1] != len(names):
-            raise ModelError(
-                f"Joint values of shape {np.shape(q)} were given; {where} has {len(names)} joints: "
-                f"{choices(names)}."
-            )
-        if not np.all(np.isfinite(values)):
-            row, column = np.argwhere(~np.isfinite(values))[0]
-            raise ModelError(
-                f"Joint values must be finite numbers; that of '{names[column]}' in row {row + 1} is "
-                f"{values[row, column]}."
-            )
-        if self.is_identity:
-            return values
-        result: Array = values @ self.matrix.T + self.offset
-        return result
-
-    @property
-    def is_identity(self) -> bool:
-        """Whether every joint is its own column."""
-        return self.joints == tuple(joint.name for joint in self.inputs)
+    matrix = np.zeros((len(joints), len(drivers)))
+    for row, rule in zip(matrix, rules, strict=True):
+        if rule.driver is not None:
+            row[drivers.index(rule.driver)] = rule.factor
+    columns = tuple(by_name[name] for name in drivers)
+    return columns, read_only(matrix), read_only([rule.offset for rule in rules])
 
 
 def checked_held(urdf: Urdf, held: Mapping[str, float] | None) -> tuple[tuple[str, float], ...]:

@@ -22,10 +22,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import UrdfError
+from calib.errors import ModelError, UrdfError, choices
 from calib.model import kernel
 from calib.model.chain import Chain, farthest_link, pinocchio_chain, read_only, rigid_inverse
-from calib.model.coupling import Coupling, all_values, checked_held
+from calib.model.coupling import all_values, checked_held, coupling
 from calib.model.urdf import Urdf, UrdfJoint, read_urdf
 
 __all__ = ["Robot", "read_only", "rigid_inverse"]
@@ -44,6 +44,8 @@ class Robot:
         urdf: The URDF that describes this robot; always in step with ``placements``.
         base: Link in whose frame poses are given.
         tip: Link whose pose is given.
+        inputs: The joint of each column of q, m of them; a driver that lies outside the chain is among them.
+        coupling: A of q_chain = A q + b, shape (n, m): how the joints of the chain follow the columns of q.
     """
 
     urdf: Urdf
@@ -51,7 +53,9 @@ class Robot:
     tip: str
     _held: tuple[tuple[str, float], ...] = field(repr=False)
     _chain: Chain = field(repr=False, compare=False)
-    _coupling: Coupling = field(repr=False, compare=False)
+    inputs: tuple[UrdfJoint, ...] = field(repr=False, compare=False)
+    coupling: NDArray[np.float64] = field(repr=False, compare=False)
+    _offset: NDArray[np.float64] = field(repr=False, compare=False)
 
     @classmethod
     def load(
@@ -98,7 +102,7 @@ class Robot:
         base = urdf.root if base is None else base
         tip = farthest_link(urdf, base, measured, dict(kept)) if tip is None else tip
         chain = Chain.of(urdf, base, tip)
-        return cls(urdf, base, tip, kept, chain, Coupling.of(urdf, chain.joints, dict(kept)))
+        return cls(urdf, base, tip, kept, chain, *coupling(urdf, chain.joints, dict(kept)))
 
     def rebuilt(
         self, urdf: Urdf | None = None, base: str | None = None, tip: str | None = None
@@ -161,11 +165,6 @@ class Robot:
         return self._chain.base_moves
 
     @property
-    def inputs(self) -> tuple[UrdfJoint, ...]:
-        """The joint of each column of q, m of them; a driver that lies outside the chain is among them."""
-        return self._coupling.inputs
-
-    @property
     def joint_names(self) -> tuple[str, ...]:
         """The names of the measured joints, the columns of q, in the order in which the chain needs them."""
         return tuple(joint.name for joint in self.inputs)
@@ -174,11 +173,6 @@ class Robot:
     def joint_types(self) -> dict[str, str]:
         """For each column of q its joint's URDF type: revolute, continuous or prismatic."""
         return {joint.name: joint.type for joint in self.inputs}
-
-    @property
-    def coupling(self) -> NDArray[np.float64]:
-        """A of q_chain = A q + b, shape (n, m): how the joints of the chain follow the columns of q."""
-        return self._coupling.matrix
 
     @property
     def held(self) -> dict[str, float]:
@@ -235,7 +229,23 @@ class Robot:
         Raises:
             ModelError: ``q`` has not one column for each of ``joint_names``, or a value is not finite.
         """
-        return self._coupling.values(q, f"the chain '{self.base}' to '{self.tip}'")
+        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        names = self.joint_names
+        if values.ndim != 2 or values.shape[1] != len(names):
+            raise ModelError(
+                f"Joint values of shape {np.shape(q)} were given; the chain '{self.base}' to '{self.tip}' has "
+                f"{len(names)} joints: {choices(names)}."
+            )
+        if not np.all(np.isfinite(values)):
+            row, column = np.argwhere(~np.isfinite(values))[0]
+            raise ModelError(
+                f"Joint values must be finite numbers; that of '{names[column]}' in row {row + 1} is "
+                f"{values[row, column]}."
+            )
+        if tuple(joint.name for joint in self.joints) == names:
+            return values  # every joint is its own column
+        result: NDArray[np.float64] = values @ self.coupling.T + self._offset
+        return result
 
     def urdf_values(self, q: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """The value of every joint of the URDF with one coordinate, by name, shape (N,), [rad] or [m].
@@ -273,16 +283,22 @@ class Robot:
                 if np.abs(placements[i] - self.placements[i]).max() > _ROUNDING:
                     raise UrdfError(self._no_carrier(at_base=i == 0))
                 placements[i] = self.placements[i]
-        chain = self._chain.at(placements)
+        moved = replace(self, _chain=replace(self._chain, placements=read_only(placements)))
         was = self.origins()
         origins = {
-            name: T for name, T in chain.origins().items() if not np.array_equal(T, was[name])
+            name: T for name, T in moved.origins().items() if not np.array_equal(T, was[name])
         }
-        return replace(self, urdf=self.urdf.with_origins(origins), _chain=chain)
+        return replace(moved, urdf=self.urdf.with_origins(origins))
 
     def origins(self) -> dict[str, NDArray[np.float64]]:
         """The ``<origin>`` of each URDF joint that carries a placement, shape (4, 4), [m]."""
-        return self._chain.origins()
+        origins = {}
+        for P, carrier, how in zip(self.placements, self.carriers, self._chain.around, strict=True):
+            before, after, inverted = how
+            if carrier is not None:
+                factor = rigid_inverse(before) @ P @ rigid_inverse(after)
+                origins[carrier] = rigid_inverse(factor) if inverted else factor
+        return origins
 
     def _no_carrier(self, *, at_base: bool) -> str:
         """Why an end of the chain can hold no correction, and what to do."""
