@@ -106,8 +106,7 @@ def base_frame(
     from calib.base_frame.survey import survey
     from calib.base_frame.sweeps import read_sweeps
     from calib.base_frame.text import carried_text, survey_text
-    from calib.cli.setup import check_outputs
-    from calib.cli.words import parse_columns, parse_sweeps
+    from calib.cli.setup import check_outputs, parse_columns, parse_sweeps
     from calib.identify.result_file import write_table
     from calib.measure.measurements import Measurements
     from calib.model.files import write_atomically

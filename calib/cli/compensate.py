@@ -178,9 +178,8 @@ def compensate(
         import calib.cli.compensate_setup as setup
         from calib.cli.compensate_notes import no_commands
         from calib.cli.compensate_text import text
-        from calib.cli.setup import check_outputs
+        from calib.cli.setup import check_outputs, parse_columns
         from calib.cli.terminal import progress_bar, say
-        from calib.cli.words import parse_columns
         from calib.compensate.commands import commands
         from calib.compensate.commands_file import write_commands
         from calib.compensate.program import read_program

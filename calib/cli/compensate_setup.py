@@ -11,8 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.cli.setup import check_chain, with_target_link
-from calib.cli.words import parse_held, parse_pair, parse_payload, parse_point
+from calib.cli.setup import (
+    check_chain,
+    parse_held,
+    parse_pair,
+    parse_payload,
+    parse_point,
+    with_target_link,
+)
 from calib.errors import CalibError, choices, did_you_mean
 from calib.identify.result import Calibration
 from calib.identify.result_file import read_result

@@ -108,8 +108,7 @@ def convert(
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    from calib.cli.setup import check_outputs
-    from calib.cli.words import parse_held
+    from calib.cli.setup import check_outputs, parse_held
     from calib.formats.convert import Wanted, check_options, chosen_format, write_target
     from calib.formats.sources import Asked, read_source, source_kind
 

@@ -28,7 +28,7 @@ from calib.cli.options import (
     Tip,
     reporting,
 )
-from calib.cli.words import parse_pair
+from calib.cli.setup import parse_pair
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.executors import Dask, Workers, executor_of
 from calib.cli.options import (
     Columns,
+    Dask,
     FitOptions,
     PointsUnit,
     Quiet,
@@ -21,8 +21,10 @@ from calib.cli.options import (
     SolverName,
     TargetLink,
     Validate,
+    Workers,
     verb,
 )
+from calib.cli.setup import executor_of
 from calib.cli.terminal import VERDICTS, fill
 
 if TYPE_CHECKING:

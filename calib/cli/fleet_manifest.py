@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.cli.options import FitOptions, ModelOptions
-from calib.cli.setup import read_cell
-from calib.cli.words import parse_columns
+from calib.cli.setup import parse_columns, read_cell
 from calib.errors import CalibError, FileError, choices, did_you_mean
 
 if TYPE_CHECKING:

@@ -9,13 +9,11 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
 
 from calib.errors import CalibError, choices
-
-# What can be chosen stands in calib's core, which is imported when a word is read: not for --help.
 
 
 def one_of(word: str, names: Iterable[str]) -> str:
@@ -28,35 +26,6 @@ def one_of(word: str, names: Iterable[str]) -> str:
     if word not in known:
         raise typer.BadParameter(f"{word!r} is not one of {choices(known)}.")
     return word
-
-
-def parse_kind(name: str) -> str:
-    """The name of a kind of measurement, for ``--kind``."""
-    import calib.kinds as registry
-
-    return one_of(name, registry.names())
-
-
-def parse_solver(name: str) -> str:
-    """The name of a solver, for ``--solver``."""
-    from calib.identify.fitting import PAPER
-    from calib.identify.solvers import SOLVERS
-
-    return one_of(name, (*SOLVERS, PAPER))
-
-
-def parse_sizes(name: str) -> str:
-    """Where the sizes of the priors come from, for ``--priors``."""
-    from calib.measure.cell import PRIOR_SIZES
-
-    return one_of(name, PRIOR_SIZES)
-
-
-def parse_repeats(name: str) -> str:
-    """How rows of one pose count, for ``--repeats``."""
-    from calib.measure.cell import REPEATS
-
-    return one_of(name, REPEATS)
 
 
 RobotFile = Annotated[
@@ -126,9 +95,9 @@ MeasuredKind = Annotated[
     str | None,
     typer.Option(
         "--kind",
-        parser=parse_kind,
         metavar="KIND",
-        help="What every row measures: point, pose, distance, pair, fixed or plane. Default: as the columns say.",
+        help="What every row measures: point, pose, distance, pair, fixed, plane, or a kind that was registered. "
+        "Default: as the columns say.",
     ),
 ]
 PointsFile = Annotated[
@@ -172,29 +141,43 @@ CellFile = Annotated[
     ),
 ]
 SolverName = Annotated[
-    str,
+    Literal["lm", "scipy", "paper"],
     typer.Option(
-        parser=parse_solver,
-        metavar="lm|scipy|paper",
         help="lm: the default. scipy: the same problem by SciPy. paper: the paper's algorithm.",
     ),
 ]
 PriorSizes = Annotated[
-    str | None,
+    Literal["data", "given", "off"] | None,
     typer.Option(
-        parser=parse_sizes,
-        metavar="data|given|off",
         help="Sizes of the robot's errors: found from the data (data, default), as the cell file or calib's own "
         "3 mm and 15 mrad say (given), or no priors (off).",
     ),
 ]
 Repeats = Annotated[
-    str | None,
+    Literal["weighted", "average", "independent"] | None,
     typer.Option(
-        parser=parse_repeats,
-        metavar="weighted|average|independent",
         help="How rows of one pose count: as their own scatter and what they share say (weighted, default), as "
         "one row (average), or each for itself (independent).",
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(min=1, metavar="N", help="Processes that share the work. Default: one per core."),
+]
+SampleWorkers = Annotated[
+    int | None,
+    typer.Option(
+        "--workers",
+        min=1,
+        metavar="N",
+        help="Processes that share the samples of --bootstrap. Default: one.",
+    ),
+]
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Dask scheduler whose workers do the work, such as tcp://192.168.0.10:8786, in place of --workers.",
     ),
 ]
 FixTarget = Annotated[
@@ -307,29 +290,27 @@ def reporting(*, debug: bool) -> Iterator[None]:
     """
     try:
         yield
-    except CalibError as error:
-        if debug:
-            traceback.print_exc()
-        typer.echo(f"calib: {error}", err=True)
-        raise typer.Exit(1) from error
-    except KeyboardInterrupt as error:
-        more = f" {error}" if str(error) else ""
-        typer.echo(f"calib: interrupted; no file was left half written.{more}", err=True)
-        raise typer.Exit(130) from error
+    except typer.Exit:
+        raise
     except BrokenPipeError as error:
         # The reader of our output (head, less) has gone: nothing to say to it.
         sys.stderr.close()
         raise typer.Exit(0) from error
-    except OSError as error:
-        # Files have messages of their own: this is mostly a full disk behind `>`.
+    except KeyboardInterrupt as error:
+        said = f"interrupted; no file was left half written. {error}".rstrip()
+        typer.echo(f"calib: {said}", err=True)
+        raise typer.Exit(130) from error
+    except (CalibError, OSError) as error:
         if debug:
             traceback.print_exc()
-        where = f"'{error.filename}'" if error.filename else "the printed text"
-        reason = error.strerror or type(error).__name__
-        typer.echo(f"calib: {where} cannot be read or written: {reason}.", err=True)
+        said = str(error)
+        if isinstance(error, OSError):
+            # Files have messages of their own: this is mostly a full disk behind `>`.
+            where = f"'{error.filename}'" if error.filename else "the printed text"
+            reason = error.strerror or type(error).__name__
+            said = f"{where} cannot be read or written: {reason}."
+        typer.echo(f"calib: {said}", err=True)
         raise typer.Exit(1) from error
-    except typer.Exit:
-        raise
     except Exception as error:
         if debug:
             raise

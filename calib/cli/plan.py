@@ -214,11 +214,10 @@ def plan(
     """See `_HELP`."""
     with reporting(debug=debug):
         from calib.cli.plan_text import expected_text, next_text, plan_text, taken_text
-        from calib.cli.setup import check_outputs, read_cell
+        from calib.cli.setup import check_outputs, parse_columns, read_cell
         from calib.cli.simulate_options import parse_angle, parse_size
         from calib.cli.surroundings_words import add_surroundings, parse_start, with_noise
         from calib.cli.terminal import stages_bar
-        from calib.cli.words import parse_columns
         from calib.design.plan import plan as make_plan
         from calib.design.plan_file import read_taken
 

@@ -1,9 +1,12 @@
-"""What verbs begin with: cell, robot and table of a call, and whether its outputs can be written."""
+"""From the words of a command line to a cell, a robot and a table; where its jobs run and what it may write."""
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,21 +14,180 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from calib.cli.terminal import fill, row_ranges
-from calib.cli.words import (
-    check_model,
-    parse_columns,
-    parse_frame,
-    parse_held,
-    parse_payload,
-    parse_point,
-)
 from calib.errors import CalibError, FileError, choices
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    import numpy as np
+    from numpy.typing import NDArray
+
     from calib.identify.result import Calibration
     from calib.measure.cell import Cell
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
+    from calib.model.torques import Payload
+
+#: The model that lets the data choose; it takes no families, for it tries them all.
+AUTO = "auto"
+
+
+def parse_point(text: str, option: str) -> NDArray[np.float64]:
+    """Three numbers and a unit of length, such as ``70 -70 22.5 mm``, as a point [m], shape (3,).
+
+    Raises:
+        CalibError: Anything else.
+    """
+    from calib.model.robot import read_only
+    from calib.units import UNITS, symbols
+
+    # "22.5mm" is as clear as "22.5 mm".
+    words = re.sub(r"(?<=[\d.])(?=[a-z]+\s*$)", " ", text.replace(",", " ")).split()
+    try:
+        numbers = [float(word) for word in words[:3]]
+    except ValueError:
+        numbers = []
+    if len(words) != 4 or len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise CalibError(
+            f'{option} was given as "{text}"; it must be three numbers and a unit, such as "70 -70 22.5 mm".'
+        )
+    if words[3] not in symbols("length"):
+        raise CalibError(
+            f"{option} was given as \"{text}\"; '{words[3]}' is no unit of length. Choose one of "
+            f"{choices(symbols('length'))}."
+        )
+    return read_only([UNITS[words[3]].to_si * number for number in numbers])
+
+
+def parse_frame(text: str) -> tuple[bool, tuple[str, ...]]:
+    """``--frame``: whether the measurement frame is estimated, and which of its directions are.
+
+    Raises:
+        CalibError: Neither ``known`` nor ``estimate`` nor a list of directions such as ``x,y,rz``.
+    """
+    from calib.kinds import DIRECTIONS
+
+    if text in ("known", "estimate"):
+        return text == "estimate", DIRECTIONS
+    words = tuple(text.replace(",", " ").split())
+    if not words or not set(words) <= set(DIRECTIONS) or len(set(words)) < len(words):
+        raise CalibError(
+            f"--frame was given as \"{text}\"; it must be 'known', 'estimate' or a list of what is estimated of the "
+            f'frame, such as "x,y,rz", each once of {choices(DIRECTIONS)}.'
+        )
+    return True, words
+
+
+def parse_pair(text: str, option: str, example: str) -> tuple[float | None, float | None]:
+    """A length [m], an angle [rad], or both, ``10 mm 2 deg``; None for what is not named.
+
+    Raises:
+        CalibError: Anything else, a value below zero, or two of one kind; the text has the option and the example.
+    """
+    from calib.measure.quantities import ANGLE, LENGTH, parse_quantity
+
+    found: dict[str, float] = {}
+    parts = re.findall(r"[^\s,]+\s*[A-Za-zµμ]+", text)
+    whole = re.sub(r"[\s,]+", "", "".join(parts)) == re.sub(r"[\s,]+", "", text)
+    try:
+        values = [parse_quantity(part) for part in parts] if whole else []
+    except CalibError as error:
+        raise CalibError(f'{option} was given as "{text}"; {error}. Write "{example}".') from error
+    for value, kind in values:
+        if kind in (LENGTH, ANGLE) and value >= 0.0:
+            found.setdefault(kind, value)
+    if not values or len(found) != len(values):
+        raise CalibError(
+            f'{option} was given as "{text}"; it must be a length, an angle, or one of each, not below 0 and with '
+            f'units, such as "{example}".'
+        )
+    return found.get(LENGTH), found.get(ANGLE)
+
+
+def check_model(text: str, source: str) -> None:
+    """Refuse a model, such as ``dh+gain``, that does not exist; ``source`` is where it was given.
+
+    Raises:
+        CalibError: No such set or family, or a family twice.
+    """
+    from calib.families import joint_families
+    from calib.model.error_model import MODELS
+
+    if text == AUTO:
+        return
+    base, *families = (part.strip() for part in text.split("+"))
+    known = base in MODELS and set(families) <= set(joint_families())
+    if not known or len(set(families)) < len(families):
+        raise CalibError(
+            f"{source}: there is no model '{text}'. It is '{AUTO}', or one of {choices(MODELS)} and behind it, each "
+            f"with a '+' and once, any of {choices(joint_families())}: 'dh+gain'."
+        )
+
+
+def parse_payload(text: str, given: Payload | None) -> Payload:
+    """``--payload``: a mass such as ``5 kg``; its centre is that of the payload already given, or the tip.
+
+    Raises:
+        CalibError: No mass with a unit.
+    """
+    from calib.model.torques import Payload as PayloadClass
+
+    match = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(kg|g)\s*", text)
+    mass = float(f"{match[1]}{match[2] or ''}") * (1e-3 if match[3] == "g" else 1.0) if match else 0
+    if match is None or not math.isfinite(mass):
+        raise CalibError(
+            f'--payload was given as "{text}"; it must be a mass in kg or g, such as "5 kg". Its centre of mass stands '
+            "in the cell file."
+        )
+    return PayloadClass(mass) if given is None else replace(given, mass=mass)
+
+
+def _pairs(pairs: Iterable[str], option: str, wanted: str) -> dict[str, str]:
+    """Texts ``name=value`` as a mapping; a name may hold an equals sign, a value may not."""
+    mapping: dict[str, str] = {}
+    for pair in pairs:
+        # rpartition leaves all of a text without an equals sign in the last part.
+        name, _, value = (part.strip() for part in pair.rpartition("="))
+        if not (name and value) or name in mapping:
+            raise CalibError(f"{option} was given '{pair}'; it must be {wanted}.")
+        mapping[name] = value
+    return mapping
+
+
+def parse_held(pairs: Iterable[str], option: str = "--hold") -> dict[str, float]:
+    """``--hold``, or another option of its form, as the values of joints by name [rad or m].
+
+    Raises:
+        CalibError: A pair without an equals sign, a name twice, or a value without a unit.
+    """
+    from calib.measure.quantities import parse_joint_value
+
+    wanted = "'joint=value' with a unit of angle or length, such as 'torso_lift_joint=0.3 m', and each joint once"
+    found = _pairs(pairs, option, wanted)
+    return {name: parse_joint_value(v, f"{option} '{name}={v}'") for name, v in found.items()}
+
+
+def parse_columns(pairs: Iterable[str]) -> dict[str, str]:
+    """``--columns`` as a mapping from the table's names to calib's.
+
+    Raises:
+        CalibError: A pair without an equals sign, or a name twice.
+    """
+    wanted = (
+        "'name in the table=name in the URDF', with a unit in brackets behind it if the table has none, and each name "
+        "once"
+    )
+    return _pairs(pairs, "--columns", wanted)
+
+
+def parse_sweeps(pairs: Iterable[str]) -> dict[str, str]:
+    """``--sweep "ring_a=joint 1"`` as a mapping from the file's names of sweeps to what they are.
+
+    Raises:
+        CalibError: A pair without an equals sign, or a name twice.
+    """
+    wanted = "'name in the file=sweep', such as 'ring_a=joint 1', and each name once"
+    return _pairs(pairs, "--sweep", wanted)
 
 
 def read_cell(
@@ -57,21 +219,15 @@ def read_cell(
         "model": model,
         "kind": kind,
         "repeats": repeats,
+        "target": None if target is None else parse_point(target, "--target"),
+        "held": {**found.held, **parse_held(hold or [])},
+        "payload": None if payload is None else parse_payload(payload, found.payload),
+        "estimate_target": False if fix_target else None,
+        "frozen": (*found.frozen, *(freeze or [])),
+        "priors": None if priors is None else found.priors.with_sizes(priors),
     }
-    if target is not None:
-        said["target"] = parse_point(target, "--target")
     if frame is not None:
         said["estimate_frame"], said["frame_directions"] = parse_frame(frame)
-    if hold:
-        said["held"] = {**found.held, **parse_held(hold)}
-    if payload is not None:
-        said["payload"] = parse_payload(payload, found.payload)
-    if fix_target:
-        said["estimate_target"] = False
-    if freeze:
-        said["frozen"] = (*found.frozen, *freeze)
-    if priors is not None:
-        said["priors"] = found.priors.with_sizes(priors)
     found = replace(found, **{name: value for name, value in said.items() if value is not None})
     check_model(found.model, "--model" if model is not None else str(cell))
     return found
@@ -102,7 +258,6 @@ def load_with_data(
     from calib.measure.measurements import Measurements
     from calib.measure.table import Table
     from calib.model.robot import Robot
-    from calib.units import split_header
 
     if points_unit is not None and points is None:
         raise CalibError(
@@ -110,17 +265,9 @@ def load_with_data(
         )
     renamed = parse_columns(columns or [])
     read = Table.read(data)
-    names = {split_header(label)[0] for label in read.header}
-    names |= {split_header(wanted)[0] for wanted in renamed.values()}
-    arm = Robot.load(robot, cell.base, cell.tip, measured=names, held=cell.held)
+    arm = Robot.load(robot, cell.base, cell.tip, measured=read.names(renamed), held=cell.held)
     table = Measurements.read(
-        read,
-        joint_names=arm.joint_names,
-        joint_types=arm.joint_types,
-        columns=renamed,
-        kind=cell.kind,
-        points=points,
-        points_unit=points_unit,
+        read, arm.joint_names, arm.joint_types, renamed, cell.kind, points, points_unit
     )
     return arm, table
 
@@ -135,9 +282,10 @@ def check_outputs(
     """
     from calib.model.files import check_no_xacro, check_writable
 
-    wanted = [path for path in outputs if path is not None]
     taken = {Path(os.path.realpath(path)): "an input" for path in inputs}
-    for path in wanted:
+    for path in outputs:
+        if path is None:
+            continue
         resolved = Path(os.path.realpath(path))
         if resolved in taken:
             raise FileError(
@@ -162,13 +310,8 @@ def check_outputs(
 def check_chain(cell: Cell, result: Calibration, name: str) -> None:
     """Refuse another base or tip than the result's: its frame and its target would mean something else.
 
-    Args:
-        cell: What was asked for.
-        result: The result.
-        name: Name of its file.
-
     Raises:
-        CalibError: They differ.
+        CalibError: They differ; the text has the ``name`` of the result's file.
     """
     own = result.nominal
     for option, given, wanted in (("base", cell.base, own.base), ("tip", cell.tip, own.tip)):
@@ -180,12 +323,7 @@ def check_chain(cell: Cell, result: Calibration, name: str) -> None:
 
 
 def with_target_link(robot: Robot, cell: Cell) -> Cell:
-    """The cell with the target that the URDF's link ``calib_target`` carries, if it has one at this tip.
-
-    Args:
-        robot: The robot.
-        cell: The set-up.
-    """
+    """The cell with the target that the URDF's link ``calib_target`` carries, if it has one at this tip."""
     from calib.identify.result_urdf import TARGET_LINK
 
     if robot.tip == TARGET_LINK:
@@ -215,14 +353,69 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
         return
     text = f"Columns not used: {choices(measurements.ignored)}."
     moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
-    names = [split_header(label)[0] for label in measurements.ignored]
     # A held joint and one that follows another have columns that are not needed: nothing is wrong with the chain.
-    known = {*robot.held, *(joint.name for joint in robot.joints)}
-    outside = [name for name in names if name in moving - known]
+    moving -= {*robot.held, *(joint.name for joint in robot.joints)}
+    outside = [n for n, _ in map(split_header, measurements.ignored) if n in moving]
     if outside:
         text += (
-            f" Of the robot's joints, {choices(outside)} "
-            f"{'is' if len(outside) == 1 else 'are'} not between '{robot.base}' and '{robot.tip}' "
-            "(--base, --tip)."
+            f" Of the robot's joints, {choices(outside)} {'is' if len(outside) == 1 else 'are'} not between "
+            f"'{robot.base}' and '{robot.tip}' (--base, --tip)."
         )
     typer.echo(fill(text) + "\n")
+
+
+@contextmanager
+def executor_of(
+    workers: int | None, dask: str | None, count: int | None, *, default: int | None = None
+) -> Iterator[Executor | None]:
+    """Where jobs run; None: in this process, one after the other.
+
+    Args:
+        workers: As many processes; None: ``default``.
+        dask: Or the address of a scheduler, whose workers need calib in the same version.
+        count: Number of jobs; None: there are none.
+        default: As many if nothing is said; None: as many as there are cores.
+
+    Raises:
+        CalibError: Both were given, or there is no such scheduler.
+    """
+    if count is None:
+        yield None
+        return
+    if dask is not None:
+        if workers is not None:
+            raise CalibError(
+                "--workers are processes of this machine, and --dask has its own workers; leave one of them out."
+            )
+        try:
+            from distributed import Client
+
+            client = Client(dask, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]
+        except ImportError as error:
+            raise CalibError(
+                'Dask is not installed: run pip install ".[dask]" in calib\'s folder, or use --workers.'
+            ) from error
+        except (OSError, ValueError) as error:
+            raise CalibError(
+                f'--dask "{dask}": no Dask scheduler answers there: {error or "timed out"}.'
+            ) from error
+        with client, client.get_executor() as executor:  # type: ignore[no-untyped-call]
+            yield executor
+        return
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    wanted = min(workers or default or cores or 1, count)
+    if wanted < 2:
+        yield None
+        return
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    # A fresh process each: the threads of a parent's linear algebra do not survive a fork.
+    methods = multiprocessing.get_all_start_methods()
+    context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    with ProcessPoolExecutor(wanted, mp_context=context) as processes:
+        try:
+            yield processes
+        except BaseException:
+            processes.shutdown(wait=False, cancel_futures=True)
+            raise

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.executors import Dask, Workers, executor_of
 from calib.cli.options import (
     Base,
     CellFile,
+    Dask,
     Debug,
     Force,
     Hold,
@@ -19,8 +19,10 @@ from calib.cli.options import (
     Quiet,
     RobotFile,
     RobotTip,
+    Workers,
     reporting,
 )
+from calib.cli.setup import executor_of
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
@@ -241,7 +243,7 @@ def simulate(
     with reporting(debug=debug), executor_of(workers, dask, study) as executor:
         from dataclasses import replace
 
-        from calib.cli.setup import check_outputs, load, read_cell
+        from calib.cli.setup import AUTO, check_model, check_outputs, load, parse_point, read_cell
         from calib.cli.simulate_options import (
             angle_noise_of,
             check_poses,
@@ -256,7 +258,6 @@ def simulate(
             sizes_of,
         )
         from calib.cli.surroundings_words import parse_tracker
-        from calib.cli.words import AUTO, check_model, parse_point
         from calib.design.plan_file import read_pose_list
         from calib.model.error_model import error_model
         from calib.model.robot import Robot

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from calib.cli.words import parse_point
+from calib.cli.setup import parse_point
 from calib.errors import CalibError, choices, did_you_mean
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from calib.cli.words import parse_point
+from calib.cli.setup import parse_point
 from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:

@@ -191,7 +191,7 @@ def parse_within(text: str) -> NDArray[np.float64]:
     Raises:
         CalibError: Words of another form, or a second corner that is not greater along each axis.
     """
-    from calib.cli.words import parse_point
+    from calib.cli.setup import parse_point
     from calib.design.region import checked_box
 
     first, _, second = text.partition(" to ")
@@ -237,7 +237,7 @@ def _load(
     robot: str, cell: Cell, columns: list[str] | None, paths: list[Path | None]
 ) -> tuple[Robot, dict[Path, Measurements]]:
     """The robot's chain, whose joints are in all of the tables, and the tables."""
-    from calib.cli.words import parse_columns
+    from calib.cli.setup import parse_columns
     from calib.measure.row_points import read_rows
     from calib.measure.table import Table
     from calib.model.robot import Robot

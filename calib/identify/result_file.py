@@ -51,7 +51,7 @@ def write_result(
         c: The calibration.
         path: Where to.
         overwrite: Whether an existing file may be replaced.
-        extra: Further keys, see `calib.cli.intervals`.
+        extra: Further keys, see `calib.cli.fit`.
 
     Raises:
         FileError: The file exists, or cannot be written.

@@ -6,7 +6,7 @@ import codecs
 import csv
 import hashlib
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from calib.errors import FileError, MeasurementError
 from calib.model.files import read_bytes
+from calib.units import split_header
 
 SEPARATORS = (",", ";", "\t")
 
@@ -92,6 +93,10 @@ class Table:
                 f"that begins with # is a comment). A table begins with a header line, {_EXAMPLE}"
             )
         return cls(source, hashlib.sha256(data).hexdigest(), text, separator, header)
+
+    def names(self, columns: Mapping[str, str]) -> set[str]:
+        """The names of the columns without their units, and those that ``--columns`` gives them."""
+        return {split_header(label)[0] for label in (*self.header, *columns.values())}
 
     def rows(self) -> Iterator[Row]:
         """The data rows, in order, cells stripped.

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from calib.cli.compensate_notes import passed_through, unread_orientation
-from calib.cli.words import parse_columns
+from calib.cli.setup import parse_columns
 from calib.compensate.program import Program, read_program
 from calib.model.robot import Robot
 

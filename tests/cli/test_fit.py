@@ -389,6 +389,7 @@ def test_force_overwrites(call, shop):
         ),
         (("robot.urdf", "data.csv", "--points-unit", "mm"), "name the list with --points."),
         (("robot.urdf", "joints.csv", "--base", "base"), "measured points need a column 'x [mm]'"),
+        (("robot.urdf", "data.csv", "--kind", "best"), "'best' is not a kind of measurement;"),
         (("robot.urdf", "data.csv", "--fix-target"), "The target is said to be known but is not"),
         (("robot.urdf", "data.csv", "--target", "1 2 3"), 'given as "1 2 3"; it must be three num'),
         (("robot.urdf", "data.csv", "--target", "1 2 3 kg"), "'kg' is no unit of length. Choose"),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from calib.calibration import Calibration, calibrate
-from calib.cli.intervals import bootstrap_text, profile_text
+from calib.cli.fit import bootstrap_text, profile_text
 from calib.data import PAPER_TARGET
 from calib.identify.resampling import Profile
 from calib.identify.uncertainty import bootstrap

@@ -115,7 +115,6 @@ def test_version_and_help(run, tmp_path: Path):
         ("fit", "robot.urdf"),
         ("fit", "robot.urdf", "data.csv", "more.csv"),
         ("fit", "robot.urdf", "data.csv", "--nonsense"),
-        ("fit", "robot.urdf", "data.csv", "--kind", "best"),
         ("fit", "robot.urdf", "data.csv", "--repeats", "best"),
         ("fit", "robot.urdf", "data.csv", "--solver", "best"),
         ("fit", "robot.urdf", "data.csv", "--priors", "best"),

@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.cli.setup import load, load_with_data, read_cell
-from calib.cli.words import (
+from calib.cli.setup import (
     check_model,
+    load,
+    load_with_data,
     parse_frame,
     parse_held,
     parse_pair,
     parse_payload,
     parse_point,
     parse_sweeps,
+    read_cell,
 )
 from calib.errors import CalibError
 from calib.families import joint_families

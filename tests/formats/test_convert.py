@@ -14,7 +14,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import calib.data
-from calib.cli.words import parse_held
+from calib.cli.setup import parse_held
 from calib.errors import CalibError, FileError, ModelError, UrdfError
 from calib.formats.convert import (
     Wanted,
