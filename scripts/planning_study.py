@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.design.candidates import draw, planning_ranges
-from calib.design.forecast import Forecast, Workspace
+from calib.design.forecast import Forecast, Sensitivity, Workspace
 from calib.design.plan import plan
-from calib.design.sensitivity import Sensitivity
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.surroundings import Box, Reflector, Tracker

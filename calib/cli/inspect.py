@@ -69,8 +69,7 @@ def inspect(
     found = inspect_robot(arm, setup, table)
     typer.echo("\n\n".join([_chain_text(arm), _dh_text(arm), _parameters_text(found)]))
     if table is not None:
-        from calib.design.forecast import forecast_of_table
-        from calib.design.sensitivity import planned_model
+        from calib.design.forecast import forecast_of_table, planned_model
 
         foreseen = forecast_of_table(arm, setup, table)
         if foreseen is not None:

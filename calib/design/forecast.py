@@ -1,11 +1,9 @@
-"""What a calibration will reach, before anything is measured.
+"""What a calibration will reach, before anything is measured: the fit's own rows, error model, noise and priors.
 
 The parameters' covariance after a fit of the linearised measurements, C = (diag(1 / tau^2) + sum A_i^T A_i)^-1, gives
 the standard deviation of each parameter, and that of a predicted position, sqrt(tr(J C J^T)). One calibration's rms
 error over the workspace is a draw: rms^2 = x^T B x with x ~ N(0, C), a sum of chi-squares weighted by the eigenvalues
-of C B.
-
-It knows nothing of errors that the model lacks.
+of C B. It knows nothing of errors that the model lacks.
 """
 
 from __future__ import annotations
@@ -19,30 +17,266 @@ from scipy.linalg import solve_triangular
 
 import calib.kinds as registry
 from calib.design.candidates import planning_ranges
-from calib.design.optimal import information
-from calib.design.sensitivity import Sensitivity
-from calib.errors import MeasurementError
+from calib.errors import MeasurementError, ModelError, choices
+from calib.families import FAMILIES
+from calib.identify.fitting import Task, model_of
+from calib.identify.inspection import GENERIC_TARGET, any_measurement
 from calib.identify.registration import register
-from calib.identify.setup import rows_of
-from calib.measure.cell import Cell
+from calib.identify.rigid_motion import without_rigid_motion
+from calib.identify.rows import Rows
+from calib.identify.setup import (
+    FIRST_SIGMA_ANGLE,
+    Setup,
+    along_own_axes,
+    rows_of,
+    setup_of,
+    targets_along_tip,
+)
+from calib.measure.cell import AUTO, Cell
+from calib.measure.columns import DEFAULT_TARGET
 from calib.measure.measurements import Measurements
-from calib.model.observability import analyse, steps
+from calib.measure.noise import TrackerNoise
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.observability import Observability, analyse
 from calib.model.readback import spread_between
 from calib.model.robot import Robot, read_only
+from calib.model.torques import gravity_load
 
 Array = NDArray[np.float64]
+
+#: What `auto` is planned for: the largest geometry, so that every smaller one is covered.
+PLANNED_FOR_AUTO = "placement"
 
 #: Without a prior a direction that no pose tells is held by this much [m and rad], as in a fit.
 LEASH = 1.0
 
-#: Draws for the range of one calibration's rms, and their seed: the same every time.
-_DRAWS, _SEED = 20_000, 20170401
+#: The distance of an instrument of which nothing is said [m].
+_USUAL_DISTANCE = 3.0
 
-#: Poses over which a forecast without a plan is made.
-_POSES = 4096
+#: Poses whose derivatives are computed together, and poses over which a forecast without a plan is made.
+_CHUNK, _POSES = 8192, 4096
 
 #: Share of calibrations whose rms lies inside the range.
 _RANGE = 0.90
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivity:
+    """A robot in a cell, as the fit would see it; p is the number of parameters, k that of targets.
+
+    Attributes:
+        cell: The cell.
+        kind: What is measured at each pose.
+        setup: Frames and targets; a target that was not given stands at a general place.
+        kinematics: Of the nominal robot, under the model that the fit will use.
+        precision: shape (p,), 1 / tau^2 of each parameter's prior, its own or its family's; 0 where there is none.
+        notes: What was assumed, in sentences.
+    """
+
+    cell: Cell
+    kind: str
+    setup: Setup
+    kinematics: Kinematics
+    precision: Array
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, robot: Robot, cell: Cell) -> Sensitivity:
+        """The fit's model of a robot in a cell.
+
+        Raises:
+            ModelError: An unknown parameter set or parameter, or a kind or cell that cannot be planned for.
+        """
+        kind = _checked_kind(cell)
+        cell = replace(cell, distances=())
+        setup = _one_pose(robot, cell, kind)
+        notes = []
+        if not np.all(setup.target_given):
+            T_tip_target = setup.T_tip_target.copy()
+            T_tip_target[~setup.target_given, :3, 3] = GENERIC_TARGET
+            setup = setup.placed(setup.T_frame_base, T_tip_target)
+            notes.append(
+                "No target was given: planned for one that is 50, 70, 30 mm off the tip. --target says where yours is."
+            )
+        if kind == "pose" and cell.sigma_angle is None:
+            notes.append(
+                f"The noise of an orientation was taken to be {1e3 * FIRST_SIGMA_ANGLE:g} mrad about each axis. "
+                "sigma_angle_deg in the cell says what yours is."
+            )
+        model = model_of(Task(robot, cell, setup, planned_model(cell), lenient=cell.model == AUTO))
+        model = targets_along_tip(along_own_axes(model, setup), setup)
+        if cell.model != AUTO:
+            for wanted in (*cell.parameter_priors, *cell.bounds):
+                model.index(wanted)
+        precision = np.zeros(len(model))
+        for k, parameter in enumerate(model.parameters):
+            shared = cell.priors.sizes != "off" and parameter.family in FAMILIES
+            size = cell.priors.of(parameter.family) if shared else None
+            size = cell.parameter_priors.get(parameter.name, size)
+            precision[k] = 0.0 if size is None else 1.0 / size**2
+        kinematics = Kinematics(robot, model, setup.T_frame_base, setup.T_tip_target)
+        return cls(cell, kind, setup, kinematics, read_only(precision), tuple(notes))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters."""
+        return self.kinematics.model.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of each parameter."""
+        return self.kinematics.model.units
+
+    def expected(self, q: Array) -> Array:
+        """Where the nominal robot puts each target in the measurement frame, shape (N, targets, 3), [m].
+
+        A measurement frame that is not known counts as the base.
+        """
+        poses = self.kinematics.poses(np.zeros(len(self.names)), self._samples(q))
+        return np.asarray(poses[:, :3, 3].reshape(len(q), -1, 3))
+
+    def _samples(self, q: Array) -> Samples:
+        """Every target at every pose, pose by pose."""
+        k, robot = len(self.setup.targets), self.kinematics.robot
+        load = None
+        if any(p.factor and p.factor.loaded for p in self.kinematics.model.parameters):
+            load = np.repeat(
+                gravity_load(robot, q, self.cell.payload, self.cell.gravity), k, axis=0
+            )
+        frame, target = np.zeros(k * len(q), dtype=np.int_), np.tile(np.arange(k), len(q))
+        return Samples(np.repeat(q, k, axis=0), frame, target, load)
+
+    def measured(self, q: Array) -> Array:
+        """The derivative of what is measured at poses, shape (n, d, p), in standard deviations of the noise per unit.
+
+        Where k targets of one stop share the robot's repeatability r and have the noise s each, the mean has the
+        variance s^2 / k (1 + (k - 1) rho), rho = r^2 / s^2. What they say of each other is exacter than s; a fit, to
+        which rows are independent, makes no use of that.
+
+        Args:
+            q: shape (n, m), [rad] or [m].
+        """
+        x, k, parts = np.zeros(len(self.names)), len(self.setup.targets), []
+        kind = registry.get(self.kind)
+        for chunk in _chunks(q):
+            noise, samples = self.noise(chunk), self._samples(chunk)
+            poses, twists = self.kinematics.twists(x, samples)
+            n = len(samples)
+            rows = Rows(
+                samples=samples,
+                kinds=np.full(n, registry.names().index(self.kind)),
+                measured=np.zeros((n, kind.size)),
+                partner=np.full(n, -1),
+                sigma=np.repeat(noise, k),
+                sigma_angle=np.full(n, self.cell.sigma_angle or FIRST_SIGMA_ANGLE),
+                poses=np.arange(n),
+                blocks=np.arange(n),
+            ).as_measured_at(poses)
+            slopes = rows.derivative(poses, twists) / rows.scales[:, :, None]
+            slopes = slopes.reshape(len(chunk), k, -1, len(x))
+            if k > 1 and kind.position and self.cell.sigma is None:
+                rho = (self._instrument.repeatability / noise) ** 2
+                less = 1.0 - 1.0 / np.sqrt(1.0 + (k - 1) * rho)
+                shared = slopes[:, :, :3].mean(axis=1, keepdims=True)
+                slopes[:, :, :3] -= less[:, None, None, None] * shared
+            parts.append(slopes.reshape(len(chunk), -1, len(x)))
+        return np.concatenate(parts)
+
+    @property
+    def _instrument(self) -> TrackerNoise:
+        """The noise of the cell's tracker, or of a usual one."""
+        return TrackerNoise() if self.cell.tracker is None else self.cell.tracker.noise
+
+    def located(self, q: Array) -> Array:
+        """The derivative of the targets' predicted positions, shape (n, 3 k, p), [m per unit].
+
+        Distances do not tell where the base stands: what one rigid motion of all these positions does is left out.
+
+        Args:
+            q: shape (n, m), [rad] or [m].
+        """
+        x = np.zeros(len(self.names))
+        pairs = [self.kinematics.points_jacobian(x, self._samples(chunk)) for chunk in _chunks(q)]
+        points, slopes = (np.concatenate(one) for one in zip(*pairs, strict=True))
+        if not registry.get(self.kind).position:
+            slopes = without_rigid_motion(points, slopes)
+        return np.asarray(slopes.reshape(len(q), -1, len(x)))
+
+    def noise(self, q: Array) -> Array:
+        """Standard deviation of one coordinate, or of the length from the anchor, at poses, shape (n,), [m].
+
+        Args:
+            q: shape (n, m), [rad] or [m].
+        """
+        tracker = self.cell.tracker
+        if self.cell.sigma is not None:
+            return np.full(len(q), self.cell.sigma)
+        if not registry.get(self.kind).position:
+            away = np.linalg.norm(self.expected(q)[:, 0], axis=1)
+        elif tracker is None:
+            away = np.full(len(q), _USUAL_DISTANCE)
+        else:
+            poses = self.kinematics.robot.poses(q) @ self.setup.T_tip_target[0]
+            away = np.linalg.norm(poses[:, :3, 3] - tracker.position, axis=1)
+        return np.asarray(self._instrument.std(away))
+
+    def analysed(self, q: Array, measured: Array) -> Observability:
+        """Rank and indices of what is `measured` at poses; in metres, as a fit's own analysis finds them."""
+        sigma = np.repeat(self.noise(q), measured.shape[1])[:, None]
+        return analyse(measured.reshape(len(sigma), -1) * sigma, self.names, self.units)
+
+
+def planned_model(cell: Cell) -> str:
+    """The parameter set that is planned for: the cell's, or what stands for ``"auto"``."""
+    return PLANNED_FOR_AUTO if cell.model == AUTO else cell.model
+
+
+def _chunks(q: Array) -> list[Array]:
+    """Joint values in pieces that need little memory."""
+    return np.array_split(q, 1 + len(q) // _CHUNK)
+
+
+def _checked_kind(cell: Cell) -> str:
+    """The kind that is planned for.
+
+    Raises:
+        ModelError: One whose poses cannot be chosen freely, or a cell of several set-ups.
+    """
+    kind = cell.kind or "point"
+    if not registry.get(kind).free:
+        free = [name for name in registry.names() if registry.get(name).free]
+        raise ModelError(
+            f"Poses cannot be planned for the kind '{kind}': the target stays in its socket or plane, or two rows "
+            f"belong together. Choose one of {choices(free)}."
+        )
+    if len(cell.frames) > 1:
+        raise ModelError(
+            f"The cell has the set-ups {choices(cell.frames)}; poses are planned for one set-up at a time. Give the "
+            "one frame as frame_xyz_mm and frame_rpy_deg."
+        )
+    if registry.get(kind).own_frame and cell.T_frame_base is None and not cell.frames:
+        place = registry.get(kind).place.lower()
+        raise ModelError(
+            f"To plan for rows of the kind '{kind}', calib must know roughly where the {place} is: give the base in a "
+            f"frame at the {place}, frame_xyz_mm in the cell file."
+        )
+    return kind
+
+
+def _one_pose(robot: Robot, cell: Cell, kind: str) -> Setup:
+    """Frames and targets of a table that has one pose, with a row for each target."""
+    names = tuple(cell.targets) or (DEFAULT_TARGET,)
+    count = len(names)
+    table = Measurements(
+        joint_names=robot.joint_names,
+        joints=np.zeros((count, len(robot.inputs))),
+        kinds=(kind,) * count,
+        **any_measurement(kind, count),
+        targets=names,
+        groups=(next(iter(cell.frames), ""),) * count,
+        prismatic=tuple(joint.name for joint in robot.inputs if joint.type == "prismatic"),
+    )
+    return setup_of(cell, table, np.full(count, registry.names().index(kind)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,11 +297,7 @@ class Workspace:
     def of(cls, sensitivity: Sensitivity, q: Array) -> Workspace:
         """At joint values, shape (n, m), [rad] or [m]."""
         measured, located = sensitivity.measured(q), sensitivity.located(q)
-        flat = measured.reshape(-1, measured.shape[2])
-        # In metres, as a fit's own analysis: the rank is that which it will find.
-        sigma = np.repeat(sensitivity.noise(q), measured.shape[1])
-        rank = analyse(flat * sigma[:, None], sensitivity.names, sensitivity.units).rank
-        return cls(read_only(measured), read_only(located), rank)
+        return cls(measured, located, sensitivity.analysed(q, measured).rank)
 
     @property
     def mean_square(self) -> Array:
@@ -137,10 +367,7 @@ class Forecast:
         relative = np.sum((workspace.measured @ root) ** 2, axis=(1, 2))
         low, high = _rms_range(moves)
         sigma = sensitivity.noise(q)
-        flat = (
-            measured.reshape(-1, measured.shape[2]) * np.repeat(sigma, measured.shape[1])[:, None]
-        )
-        seen = analyse(flat, sensitivity.names, sensitivity.units)
+        seen = sensitivity.analysed(q, measured)
         return cls(
             names=sensitivity.names,
             units=sensitivity.units,
@@ -250,9 +477,10 @@ def covariance_root(measured: Array, precision: Array) -> Array:
     return np.asarray(solve_triangular(R, np.eye(len(R))))
 
 
-def parameter_weight(units: tuple[str, ...]) -> Array:
-    """W of the criterion ``A``: 1 / step^2 of each parameter by its unit, shape (p, p)."""
-    return np.diag(1.0 / steps(units) ** 2)
+def information(A: Array) -> Array:
+    """Sum of A_i^T A_i, shape (p, p), of A of shape (n, d, p)."""
+    flat = A.reshape(-1, A.shape[2])
+    return np.asarray(flat.T @ flat)
 
 
 def _rms_range(moves: Array) -> tuple[float, float]:
@@ -262,17 +490,12 @@ def _rms_range(moves: Array) -> tuple[float, float]:
         moves: shape (n, 3 k, p), the derivative of the k targets' positions by independent errors of size 1.
     """
     squares = information(moves) / (len(moves) * (moves.shape[1] // 3))
-    weights = np.maximum(np.linalg.eigvalsh(squares), 0.0)
-    draws = _chi_squares(len(weights)) @ weights
-    tail = 0.5 * (1.0 - _RANGE)
-    low, high = np.sqrt(np.quantile(draws, [tail, 1.0 - tail]))
+    draws = _chi_squares(len(squares)) @ np.maximum(np.linalg.eigvalsh(squares), 0.0)
+    low, high = np.sqrt(np.quantile(draws, [0.5 - 0.5 * _RANGE, 0.5 + 0.5 * _RANGE]))
     return float(low), float(high)
 
 
 @lru_cache(maxsize=4)
 def _chi_squares(count: int) -> Array:
-    """Draws of so many independent chi-squares of one degree of freedom, shape (draws, count).
-
-    They are the same every time, and drawing them takes longer than the rest of a forecast: they are kept.
-    """
-    return read_only(np.random.default_rng(_SEED).chisquare(1, size=(_DRAWS, count)))
+    """The same 20,000 draws of so many independent chi-squares every time; drawing takes longer than a forecast."""
+    return np.random.default_rng(20170401).chisquare(1, size=(20_000, count))

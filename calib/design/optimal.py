@@ -1,4 +1,4 @@
-"""Which poses to measure: optimal choice out of a pool of candidates, by exchange.
+"""Which poses to measure: optimal choice out of a pool of candidates, by exchange, and what it will reach.
 
 With the whitened derivative A_i (d x p) of what is measured at pose i, the poses of a design S and what is known before
 give the information matrix, and its inverse is the covariance of the parameters:
@@ -23,18 +23,22 @@ before (priors) lowers all three.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.design.candidates import Pool
+from calib.design.forecast import Forecast, Sensitivity, Workspace, held, information
 from calib.errors import ModelError, choices
+from calib.model.observability import steps
 from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int_]
+Progress = Callable[[int, int], None]
 
 #: The criteria's names and what they make small.
 CRITERIA = {
@@ -52,11 +56,11 @@ _ROUNDING = 1e-12
 #: A gain below this, in log det M or relative to tr(W C), is rounding.
 _LEAST_GAIN = 1e-7
 
-#: Random starts of the exchange on the short list.
-RESTARTS = 3
+#: Random starts of the exchange on the short list; one start for more poses than this: many choices are as good.
+RESTARTS, _MANY = 3, 100
 
-#: Candidates on the short list.
-SHORT = 5000
+#: Candidates on the short list, and on that of the ladder: enough to show where more poses stop paying.
+SHORT, _LADDER_POOL = 5000, 2000
 
 #: Steps of the multiplicative algorithm that ranks candidates for the short list.
 _RANKING_STEPS = 25
@@ -64,6 +68,160 @@ _RANKING_STEPS = 25
 #: What is known of each direction of the basis when nothing is, in units of a mean candidate's information. Its
 #: inverse square times the rounding of a double is how exactly `_gains` compares candidates.
 _LEASH = 1e-6
+
+#: Draws of random poses, of which the median is shown.
+_RANDOM = 9
+
+#: Poses that differ by less than this in every joint are the same one [rad or m].
+_SAME = 1e-3
+
+#: Poses of a plan at most: exchanging thousands takes hours, and nothing is gained that random ones do not have.
+MOST_POSES = 300
+
+#: Steps of the ladder that is made where none is asked for, in poses of the plan.
+_RUNGS = (0.5, 0.67, 0.83, 1.0, 1.33, 1.67, 2.0, 3.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """What was chosen out of a pool; the fields are those of `calib.design.plan.Plan`."""
+
+    planned: Array
+    validation: Array
+    forecast: Forecast
+    before: Forecast | None
+    at_random: Forecast
+    ladder: tuple[tuple[int, Forecast], ...]
+
+
+def choose_poses(
+    sensitivity: Sensitivity,
+    pool: Pool,
+    *,
+    count: int,
+    validation: int = 0,
+    criterion: str = "V",
+    taken: Array | None = None,
+    ladder: Sequence[int] | None = None,
+    seed: int = 0,
+    restarts: int = RESTARTS,
+    progress: Progress | None = None,
+) -> Choice:
+    """Choose poses from a pool of candidates.
+
+    Args:
+        sensitivity: Of the model that the fit will use.
+        pool: The candidates, and where accuracy is wanted.
+        count: Poses to fit.
+        validation: Poses to validate with, beside them, drawn at random.
+        criterion: ``"D"``, ``"A"`` or ``"V"``.
+        taken: shape (T, m), poses that were measured already; they count, and are not planned again.
+        ladder: Numbers of poses to forecast; None: some from half to three times ``count``; empty: none.
+        seed: The same seed makes the same choice.
+        restarts: Random starts of the exchange; one is a few percent worse than several.
+        progress: Called after each step.
+
+    Raises:
+        ModelError: No such criterion, fewer candidates than poses, or fewer poses than the model needs.
+    """
+    taken = np.zeros((0, pool.q.shape[1])) if taken is None else taken
+    again = np.zeros(len(pool.q), dtype=bool)
+    for pose in taken:
+        gap = np.remainder(pool.q - pose + np.pi, 2.0 * np.pi) - np.pi
+        again |= np.all(np.abs(gap) < _SAME, axis=1)
+    q = pool.q[~again]
+    check_asked(count, validation, criterion, len(q))
+    measured = sensitivity.measured(q)
+    workspace = Workspace.of(sensitivity, pool.workspace)
+    d = measured.shape[1]
+    fewest = max(1, -(-workspace.rank // d) - len(taken))
+    rungs = _rungs(ladder, count, len(q), fewest)
+    if count < fewest:
+        before = f" with the {len(taken)} measured already" if len(taken) else ""
+        raise ModelError(
+            f"{count} poses give {d * (count + len(taken))} numbers{before}, and the model "
+            f"'{sensitivity.kinematics.model.name}' has {workspace.rank} parameters that can be told apart: at least "
+            f"{fewest} poses are needed, and twice as many are wise. Ask for more poses, or choose a smaller --model."
+        )
+
+    def done(step: int) -> None:
+        if progress is not None:
+            progress(step, 2 + len(rungs))
+
+    def foreseen(indices: Indices) -> Forecast:
+        return Forecast.of(sensitivity, workspace, np.concatenate([taken, q[indices]]))
+
+    B = workspace.mean_square
+    known = information(sensitivity.measured(taken)) if len(taken) else 0.0 * B
+    weight = {"D": None, "A": np.diag(1.0 / steps(sensitivity.units) ** 2), "V": B}[criterion]
+    mean = information(measured) / len(measured)
+    basis = Basis.of(mean, held(sensitivity.precision), weight, known)
+    blocks = measured @ basis.directions
+    done(1)
+    chosen = choose(blocks, basis, count, seed, restarts if count <= _MANY else 1)
+    done(2)
+    rng = np.random.default_rng([seed, 1])
+    others = rng.permutation(np.setdiff1d(np.arange(len(q)), chosen))
+    plan = foreseen(chosen)
+    found: list[tuple[int, Forecast]] = []
+    short = short_list(blocks, basis, max(_LADDER_POOL, *rungs, 0))
+    at = np.zeros(0, dtype=np.int_)
+    for number in rungs:
+        if number != count:
+            at = grow(blocks[short], basis, at, number)
+        found.append((number, plan if number == count else foreseen(short[at])))
+        done(2 + len(found))
+    drawn = [foreseen(rng.choice(len(q), count, replace=False)) for _ in range(_RANDOM)]
+    return Choice(
+        planned=read_only(q[chosen]),
+        validation=read_only(q[others[:validation]]),
+        forecast=plan,
+        before=foreseen(chosen[:0]) if len(taken) else None,
+        at_random=sorted(drawn, key=lambda one: one.rms)[_RANDOM // 2],
+        ladder=tuple(found),
+    )
+
+
+def check_asked(count: int, validation: int, criterion: str, candidates: int) -> None:
+    """Refuse an unknown criterion, and numbers of poses that cannot be.
+
+    Raises:
+        ModelError: Below one pose, below no validation poses, more than there are candidates, or very many.
+    """
+    if criterion not in CRITERIA:
+        raise ModelError(
+            f"There is no criterion '{criterion}'. Choose one of {choices(CRITERIA)}: "
+            + "; ".join(f"{name} makes {what} small" for name, what in CRITERIA.items())
+            + "."
+        )
+    asked = f"{count} poses and {validation} validation poses were asked for"
+    if count < 1 or validation < 0:
+        raise ModelError(f"{asked}; it takes 1 pose or more, and 0 or more to validate.")
+    if count + validation > candidates:
+        raise ModelError(
+            f"{asked}, but only {candidates} candidates can be measured. Draw more candidates, ask for fewer poses, or "
+            "drop a condition."
+        )
+    if count + validation > MOST_POSES:
+        raise ModelError(
+            f"{asked}; a plan has at most {MOST_POSES}. So many random ones do as well: calib simulate --count draws "
+            "them."
+        )
+
+
+def _rungs(ladder: Sequence[int] | None, count: int, candidates: int, fewest: int) -> list[int]:
+    """The numbers of poses to forecast, in rising order, ``count`` among them if there are any."""
+    if ladder is None:
+        most = min(candidates, MOST_POSES)
+        wanted = {count, *(round(share * count) for share in _RUNGS)}
+        return sorted(n for n in wanted if fewest <= n <= most)
+    wrong = [n for n in ladder if not fewest <= n <= candidates]
+    if wrong:
+        raise ModelError(
+            f"A forecast for {wrong[0]} poses was asked for; it takes at least {fewest}, so many does the model need, "
+            f"and at most {candidates}, the candidates that can be measured."
+        )
+    return sorted({*ladder, count}) if ladder else []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,33 +269,6 @@ class Basis:
             known=read_only(before + _LEASH * np.eye(before.shape[0])),
             target=None if weight is None else read_only(directions.T @ weight @ directions),
         )
-
-    def __len__(self) -> int:
-        """The number of directions, r."""
-        return int(self.directions.shape[1])
-
-    def blocks(self, A: Array) -> Array:
-        """The derivative of candidates along the basis, shape (n, d, r).
-
-        Args:
-            A: shape (n, d, p).
-        """
-        return np.asarray(A @ self.directions)
-
-
-def check_criterion(criterion: str) -> str:
-    """The criterion's name.
-
-    Raises:
-        ModelError: No such criterion.
-    """
-    if criterion not in CRITERIA:
-        message = (
-            f"There is no criterion '{criterion}'. Choose one of {choices(CRITERIA)}: "
-            + "; ".join(f"{name} makes {what} small" for name, what in CRITERIA.items())
-        )
-        raise ModelError(message + ".")
-    return criterion
 
 
 def choose(blocks: Array, basis: Basis, count: int, seed: int, restarts: int = RESTARTS) -> Indices:
@@ -242,23 +373,16 @@ def short_list(blocks: Array, basis: Basis, count: int) -> Indices:
     for _ in range(_RANKING_STEPS):
         information = (flat * np.repeat(weights, rows)[:, None]).T @ flat
         C = np.linalg.inv(information + _LEASH * np.eye(r))
-        root = np.linalg.cholesky(
-            C if basis.target is None else _symmetric(C @ _posdef(basis.target) @ C)
-        )
+        if basis.target is not None:
+            # A target without zero directions has a root; products round.
+            size = _LEASH * np.trace(basis.target)
+            C = C @ (basis.target + size * np.eye(r)) @ C
+            C = 0.5 * (C + C.T)
+        root = np.linalg.cholesky(C)
         s = np.sum((flat @ root).reshape(n, -1) ** 2, axis=1)
         weights = weights * (s / (weights @ s)) ** power
         weights /= weights.sum()
     return np.sort(np.argsort(-s, kind="stable")[:count])
-
-
-def information(A: Array) -> Array:
-    """Sum of A_i^T A_i, shape (p, p).
-
-    Args:
-        A: shape (n, d, p).
-    """
-    flat = A.reshape(-1, A.shape[2])
-    return np.asarray(flat.T @ flat)
 
 
 def _information(blocks: Array, basis: Basis, chosen: Sequence[int]) -> Array:
@@ -273,35 +397,21 @@ def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) ->
     # One product for G and E: their small matrices lie side by side, (n, d, 1 or 2, d).
     Y = (blocks.reshape(-1, r) @ both).reshape(n, -1, r)
     found = np.matmul(Y, blocks.transpose(0, 2, 1)).reshape(n, d, -1, d)
-    by_entry = np.ascontiguousarray(found.transpose(2, 1, 3, 0))
-    G = by_entry[0]
-    G[range(d), range(d)] += 1.0
-    if target is None:
-        return np.asarray(np.prod(_pivots(G), axis=0))
-    E = by_entry[1]
-    pivots = _pivots(G, E)
-    return np.asarray(np.sum(E[range(d), range(d)] / pivots, axis=0))
-
-
-def _pivots(G: Array, E: Array | None = None) -> Array:
-    """The pivots D of I + G = L D L^T of many small G, shape (d, n): NumPy's solver takes twice as long in all.
-
-    All of them are 1 or more, for G is positive semidefinite; rounding is kept from making them less.
-
-    Args:
-        G: shape (d, d, n), I + G; used up.
-        E: shape (d, d, n), becomes L^-1 E L^-T, so that tr((I + G)^-1 E) is the sum of its diagonal over D.
-    """
-    d = len(G)
+    G, *rest = np.ascontiguousarray(found.transpose(2, 1, 3, 0))
+    diagonal = np.arange(d), np.arange(d)
+    G[diagonal] += 1.0
+    # I + G = L D L^T of all at once, and E becomes L^-1 E L^-T: NumPy's solver takes twice as long in all.
     for k in range(d):
-        np.maximum(G[k, k], 1.0, out=G[k, k])
+        np.maximum(G[k, k], 1.0, out=G[k, k])  # G is positive semidefinite but for rounding
         for i in range(k + 1, d):
             factor = G[i, k] / G[k, k]
             G[i, k + 1 :] -= factor * G[k, k + 1 :]
-            if E is not None:
+            for E in rest:
                 E[i] -= factor * E[k]
                 E[:, i] -= factor * E[:, k]
-    return np.asarray(G[range(d), range(d)])
+    if target is None:
+        return np.asarray(np.prod(G[diagonal], axis=0))
+    return np.asarray(np.sum(rest[0][diagonal] / G[diagonal], axis=0))
 
 
 def _cost(M: Array, basis: Basis) -> float:
@@ -309,13 +419,3 @@ def _cost(M: Array, basis: Basis) -> float:
     if basis.target is None:
         return -float(np.linalg.slogdet(M)[1])
     return float(np.trace(np.linalg.solve(M, basis.target)))
-
-
-def _posdef(target: Array) -> Array:
-    """A target that has no zero directions, so that its root exists."""
-    return np.asarray(target + _LEASH * np.trace(target) * np.eye(len(target)))
-
-
-def _symmetric(matrix: Array) -> Array:
-    """The symmetric part: products round."""
-    return np.asarray(0.5 * (matrix + matrix.T))

@@ -15,13 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.design.candidates import Condition, draw, planning_ranges, turn_limits
-from calib.design.choice import check_numbers, choose_poses
 from calib.design.collision import HOLDER_RADIUS, CollisionModel, in_sight
-from calib.design.forecast import Forecast
-from calib.design.optimal import check_criterion
+from calib.design.forecast import Forecast, Sensitivity
+from calib.design.optimal import check_asked, choose_poses
 from calib.design.region import Region
 from calib.design.route import Blocked, route
-from calib.design.sensitivity import Sensitivity
 from calib.measure.cell import Cell
 from calib.measure.surroundings import check_outside
 from calib.model.robot import Robot, read_only
@@ -164,8 +162,7 @@ def plan(
         CalibError: Ranges, boxes or meshes that do not fit the robot.
     """
     cell = Cell() if cell is None else cell
-    check_numbers(count, validation, candidates)
-    check_criterion(criterion)
+    check_asked(count, validation, criterion, candidates)
     measured = _taken(robot, taken)
     sensitivity = Sensitivity.of(robot, cell)
     T_tip_target, names = sensitivity.setup.T_tip_target, sensitivity.setup.targets
@@ -227,7 +224,7 @@ def plan(
         T_tip_target=T_tip_target,
         expected=read_only(sensitivity.expected(way.joints)),
         criterion=criterion,
-        model=sensitivity.model,
+        model=sensitivity.kinematics.model.name,
         kind=sensitivity.kind,
         seed=seed,
         forecast=choice.forecast,

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from scipy.special import fdtri
 
 from calib.design.candidates import draw, planning_ranges
-from calib.design.choice import choose_poses
-from calib.design.forecast import Forecast, Workspace
-from calib.design.sensitivity import Sensitivity
+from calib.design.forecast import Forecast, Sensitivity, Workspace
+from calib.design.optimal import choose_poses
 from calib.errors import CalibError, ModelError
 from calib.identify.calibration import calibrate, fit_table
 from calib.identify.fitting import Fitted

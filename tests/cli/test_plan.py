@@ -230,7 +230,7 @@ BOX = ("--box", "shell: 0 0 200 3000 3000 3000 mm")
         (("--count", "0"), "0 poses and 5 validation poses were asked for; it takes 1 pose or more"),
         (("--validation", "-1"), "30 poses and -1 validation poses were asked for"),
         (("--count", "6"), "6 poses give 18 numbers, and the model 'dh' has 21 parameters that can be told apart: at"),
-        (("--count", "500"), "500 poses and 5 to validate were asked for, but only 400 candidates can be measured."),
+        (("--count", "500"), "500 poses and 5 validation poses were asked for, but only 400 candidates"),
         (("--candidates", "0"), "only 0 candidates can be measured."),
         (("--criterion", "E"), "There is no criterion 'E'. Choose one of 'D', 'A', 'V'"),
         (("--ladder", "3,30"), "A forecast for 3 poses was asked for; it takes at least 7"),

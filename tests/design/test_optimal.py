@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 
 from calib.design.optimal import (
-    CRITERIA,
     Basis,
     _gains,
-    check_criterion,
     choose,
     exchange,
     grow,
     information,
     short_list,
 )
-from calib.errors import ModelError
 
 
 def pool(seed: int, n: int, d: int, p: int, spread: float = 0.0) -> np.ndarray:
@@ -65,8 +62,8 @@ def test_the_candidate_added_is_the_one_that_a_recomputation_likes_best(d, crite
         M = np.diag(precision) + information(A[start])
         costs = [np.inf if k in start else cost(M + A[k].T @ A[k], weight) for k in range(len(A))]
         best = int(np.argmin(costs))
-        C = np.linalg.inv(basis.known + information(basis.blocks(A[start])))
-        gain = _gains(basis.blocks(A), C, basis.target)
+        C = np.linalg.inv(basis.known + information(A[start] @ basis.directions))
+        gain = _gains(A @ basis.directions, C, basis.target)
         gain[start] = -1.0
         assert int(np.argmax(gain)) == best
         before = cost(M, weight)
@@ -82,7 +79,7 @@ def test_the_candidate_added_is_the_one_that_a_recomputation_likes_best(d, crite
     ("prior", "taken"), [(False, 0), (True, 0), (False, 3), (True, 3)], ids=str
 )
 def test_the_best_of_all_designs_is_found(criterion, prior, taken):
-    for seed in range(12):
+    for seed in range(5):
         A = pool(100 + seed, 10, 2, 6, spread=1.0)
         measured = pool(200 + seed, taken, 2, 6)
         known = information(measured)
@@ -92,7 +89,7 @@ def test_the_best_of_all_designs_is_found(criterion, prior, taken):
         basis = basis_of(A, criterion, precision, known, weight)
         K = np.diag(precision) + known
         costs = {c: cost(K + information(A[list(c)]), weight) for c in combinations(range(10), 4)}
-        found = choose(basis.blocks(A), basis, 4, seed, restarts=20)
+        found = choose(A @ basis.directions, basis, 4, seed, restarts=20)
         assert len(set(found.tolist())) == 4
         best = min(costs.values())
         assert costs[tuple(sorted(found.tolist()))] <= best + 1e-9 * abs(best)
@@ -102,19 +99,19 @@ def test_the_best_of_all_designs_is_found(criterion, prior, taken):
 @pytest.mark.parametrize("kind", ["zeros", "equal"])
 def test_columns_that_no_candidate_tells_apart(criterion, kind):
     """With priors of different sizes: the unseen directions move with the seen ones."""
-    for seed in range(12):
+    for seed in range(5):
         A = pool(400 + seed, 10, 2, 6)
         A[:, :, 5] = 0.0 if kind == "zeros" else A[:, :, 0]
         precision = np.array([4.0, 0.1, 0.2, 0.3, 0.4, 0.5])
         size = {"D": None, "A": np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 3.0]), "V": None}[criterion]
         weight = information(A) / len(A) if criterion == "V" else size
         basis = basis_of(A, criterion, precision, weight=weight)
-        assert len(basis) == 5
+        assert basis.directions.shape[1] == 5
         costs = {
             c: cost(np.diag(precision) + information(A[list(c)]), weight)
             for c in combinations(range(10), 3)
         }
-        found = choose(basis.blocks(A), basis, 3, seed, restarts=20)
+        found = choose(A @ basis.directions, basis, 3, seed, restarts=20)
         best = min(costs.values())
         assert costs[tuple(sorted(found.tolist()))] <= best + 1e-9 * abs(best)
 
@@ -130,7 +127,7 @@ def test_measured_poses_can_tell_what_the_pool_cannot():
         c: cost(np.diag(precision) + known + information(A[list(c)]), np.eye(3))
         for c in combinations(range(10), 2)
     }
-    found = choose(basis.blocks(A), basis, 2, 0, restarts=20)
+    found = choose(A @ basis.directions, basis, 2, 0, restarts=20)
     assert costs[tuple(sorted(found.tolist()))] == pytest.approx(min(costs.values()), rel=1e-9)
 
 
@@ -140,11 +137,11 @@ def test_measured_poses_can_tell_what_the_pool_cannot():
 def test_an_exchange_never_ends_worse_than_it_began_and_no_single_one_helps_then():
     for seed in range(10):
         A = pool(600 + seed, 60, 3, 7)
-        for criterion in CRITERIA:
+        for criterion in "DAV":
             basis = basis_of(A, criterion)
             weight = {"D": None, "A": np.eye(7), "V": information(A) / 60}[criterion]
             start = np.random.default_rng(seed).choice(60, 8, replace=False)
-            chosen, _ = exchange(basis.blocks(A), basis, start)
+            chosen, _ = exchange(A @ basis.directions, basis, start)
             least = cost(information(A[chosen]), weight)
             assert least <= cost(information(A[start]), weight)
             for k in range(8):
@@ -168,20 +165,20 @@ def test_the_v_optimal_quadratic_regression_is_half_in_the_middle():
     moments = [1.0, 0.0, 1 / 3, 0.0, 1 / 5]
     weight = np.array([[moments[i + j] for j in range(3)] for i in range(3)])
     basis = basis_of(A, "V", weight=weight)
-    chosen = np.sort(x[choose(basis.blocks(A), basis, 12, 0)])
+    chosen = np.sort(x[choose(A @ basis.directions, basis, 12, 0)])
     np.testing.assert_allclose(chosen, np.repeat([-1.0, 0.0, 1.0], [3, 6, 3]), atol=1e-15)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("criterion", ["D", "A", "V"])
 def test_the_best_of_all_designs_with_as_many_numbers_as_parameters_is_found(criterion):
-    for seed in range(12):
+    for seed in range(5):
         A = pool(150 + seed, 10, 2, 8, spread=1.0)
         size = np.sqrt(np.diag(information(A) / len(A)))
         weight = {"D": None, "A": np.diag(size**2), "V": information(A) / len(A)}[criterion]
         basis = basis_of(A, criterion, weight=weight)
         costs = {c: cost(information(A[list(c)]), weight) for c in combinations(range(10), 4)}
-        found = choose(basis.blocks(A), basis, 4, seed, restarts=60)
+        found = choose(A @ basis.directions, basis, 4, seed, restarts=60)
         best = min(costs.values())
         assert costs[tuple(sorted(found.tolist()))] <= best + 1e-3 * abs(best)
 
@@ -193,7 +190,7 @@ def test_the_best_of_all_designs_with_as_many_numbers_as_parameters_is_found(cri
 def test_no_design_beats_rank_over_n(seed):
     A = pool(700 + seed, 300, 3, 9, spread=2.0)
     basis = basis_of(A)
-    blocks = basis.blocks(A)
+    blocks = A @ basis.directions
     for chosen in (choose(blocks, basis, 12, seed), np.arange(12)):
         C = np.linalg.inv(information(A[chosen]))
         variance = np.einsum("ndi,ij,ndj->n", A, C, A)
@@ -216,7 +213,7 @@ def test_growing_keeps_nothing_twice_and_costs_less_each_time(criterion):
     weight = {"D": None, "A": np.eye(5), "V": information(A) / 25}[criterion]
     at, costs = np.zeros(0, dtype=np.int_), []
     for count in (3, 4, 7, 12, 24, 25):
-        at = grow(basis.blocks(A), basis, at, count)
+        at = grow(A @ basis.directions, basis, at, count)
         assert len(at) == len(set(at.tolist())) == count
         costs.append(cost(information(A[at]), weight))
     assert costs == sorted(costs, reverse=True)
@@ -230,7 +227,7 @@ def test_the_short_list_keeps_what_an_endless_design_stands_on(criterion):
     x = np.linspace(-1.0, 1.0, 201)
     A = quadratic(x)
     basis = basis_of(A, criterion)
-    short = short_list(basis.blocks(A), basis, 30)
+    short = short_list(A @ basis.directions, basis, 30)
     assert len(short) == len(set(short.tolist())) == 30
     assert (np.diff(short) > 0).all()
     assert {0, 100, 200} <= set(short.tolist())
@@ -239,13 +236,13 @@ def test_the_short_list_keeps_what_an_endless_design_stands_on(criterion):
 def test_a_choice_by_the_short_list_is_as_good_as_one_without(monkeypatch):
     A = pool(11, 3000, 3, 9)
     basis = basis_of(A)
-    whole = choose(basis.blocks(A), basis, 12, 0)
+    whole = choose(A @ basis.directions, basis, 12, 0)
     monkeypatch.setattr("calib.design.optimal.SHORT", 400)
-    quick = choose(basis.blocks(A), basis, 12, 0)
+    quick = choose(A @ basis.directions, basis, 12, 0)
     assert cost(information(A[quick]), None) < cost(information(A[whole]), None) + 0.2
 
 
-# Units, seeds, names
+# Units
 
 
 @pytest.mark.parametrize("criterion", ["D", "V"])
@@ -255,14 +252,8 @@ def test_units_do_not_matter(criterion):
     found = []
     for one in (A, scaled):
         basis = basis_of(one, criterion)
-        found.append(sorted(choose(basis.blocks(one), basis, 8, 0).tolist()))
+        found.append(sorted(choose(one @ basis.directions, basis, 8, 0).tolist()))
     assert found[0] == found[1]
-
-
-def test_an_unknown_criterion_names_those_there_are():
-    assert [check_criterion(name) for name in CRITERIA] == ["D", "A", "V"]
-    with pytest.raises(ModelError, match=r"no criterion 'E'.*'D', 'A'.*'V'.*D makes the volume"):
-        check_criterion("E")
 
 
 def test_a_column_of_rounding_is_no_direction():
@@ -272,7 +263,7 @@ def test_a_column_of_rounding_is_no_direction():
     A[:, :, 4] *= 1e-17
     precision = np.array([0.0, 0.0, 0.0, 0.0, 4444.0])
     basis = Basis.of(information(A) / 40, precision, np.eye(5), np.zeros((5, 5)))
-    assert len(basis) == 4
+    assert basis.directions.shape[1] == 4
     assert np.linalg.eigvalsh(basis.known).min() > 0.0
-    chosen = choose(basis.blocks(A), basis, 6, 0)
+    chosen = choose(A @ basis.directions, basis, 6, 0)
     assert len(set(chosen.tolist())) == 6

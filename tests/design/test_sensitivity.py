@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.design.forecast import forecast
-from calib.design.sensitivity import Sensitivity
+from calib.design.forecast import Sensitivity, forecast
 from calib.errors import MeasurementError, ModelError
 from calib.identify.calibration import calibrate
 from calib.identify.inspection import inspect
@@ -169,7 +168,7 @@ def test_many_poses_are_derived_piece_by_piece_as_few_are(ur3, monkeypatch):
     s = Sensitivity.of(ur3, CELLS["two targets"])
     q = random_joint_values(ur3, 25, 5)
     whole = s.measured(q), s.located(q)
-    monkeypatch.setattr("calib.design.sensitivity._CHUNK", 10)
+    monkeypatch.setattr("calib.design.forecast._CHUNK", 10)
     np.testing.assert_array_equal(s.measured(q), whole[0])
     np.testing.assert_array_equal(s.located(q), whole[1])
 
@@ -281,7 +280,7 @@ def test_the_noise_of_a_distance_grows_from_the_anchor(ur3):
 
 def test_auto_is_foreseen_as_the_largest_geometry(ur3):
     sensitivity = Sensitivity.of(ur3, Cell())
-    assert sensitivity.model == "placement"
+    assert sensitivity.kinematics.model.name == "placement"
     (note,) = sensitivity.notes
     assert "50, 70, 30 mm" in note
     np.testing.assert_allclose(sensitivity.setup.T_tip_target[0, :3, 3], [0.05, 0.07, 0.03])
