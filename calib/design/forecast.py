@@ -35,7 +35,7 @@ from calib.identify.setup import (
 from calib.measure.cell import AUTO, Cell
 from calib.measure.columns import DEFAULT_TARGET
 from calib.measure.measurements import Measurements
-from calib.measure.noise import TrackerNoise
+from calib.measure.surroundings import Tracker
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
 from calib.model.readback import spread_between
@@ -50,8 +50,8 @@ PLANNED_FOR_AUTO = "placement"
 #: Without a prior a direction that no pose tells is held by this much [m and rad], as in a fit.
 LEASH = 1.0
 
-#: The distance of an instrument of which nothing is said [m].
-_USUAL_DISTANCE = 3.0
+#: An instrument of which nothing is said, and its distance [m].
+_USUAL, _USUAL_DISTANCE = Tracker(np.zeros(3)), 3.0
 
 #: Poses whose derivatives are computed together, and poses over which a forecast without a plan is made.
 _CHUNK, _POSES = 8192, 4096
@@ -158,7 +158,7 @@ class Sensitivity:
         """
         x, k, parts = np.zeros(len(self.names)), len(self.setup.targets), []
         kind = registry.get(self.kind)
-        for chunk in _chunks(q):
+        for chunk in np.array_split(q, 1 + len(q) // _CHUNK):
             noise, samples = self.noise(chunk), self._samples(chunk)
             poses, twists = self.kinematics.twists(x, samples)
             n = len(samples)
@@ -175,17 +175,12 @@ class Sensitivity:
             slopes = rows.derivative(poses, twists) / rows.scales[:, :, None]
             slopes = slopes.reshape(len(chunk), k, -1, len(x))
             if k > 1 and kind.position and self.cell.sigma is None:
-                rho = (self._instrument.repeatability / noise) ** 2
+                rho = ((self.cell.tracker or _USUAL).noise.repeatability / noise) ** 2
                 less = 1.0 - 1.0 / np.sqrt(1.0 + (k - 1) * rho)
                 shared = slopes[:, :, :3].mean(axis=1, keepdims=True)
                 slopes[:, :, :3] -= less[:, None, None, None] * shared
             parts.append(slopes.reshape(len(chunk), -1, len(x)))
         return np.concatenate(parts)
-
-    @property
-    def _instrument(self) -> TrackerNoise:
-        """The noise of the cell's tracker, or of a usual one."""
-        return TrackerNoise() if self.cell.tracker is None else self.cell.tracker.noise
 
     def located(self, q: Array) -> Array:
         """The derivative of the targets' predicted positions, shape (n, 3 k, p), [m per unit].
@@ -196,7 +191,10 @@ class Sensitivity:
             q: shape (n, m), [rad] or [m].
         """
         x = np.zeros(len(self.names))
-        pairs = [self.kinematics.points_jacobian(x, self._samples(chunk)) for chunk in _chunks(q)]
+        pairs = [
+            self.kinematics.points_jacobian(x, self._samples(chunk))
+            for chunk in np.array_split(q, 1 + len(q) // _CHUNK)
+        ]
         points, slopes = (np.concatenate(one) for one in zip(*pairs, strict=True))
         if not registry.get(self.kind).position:
             slopes = without_rigid_motion(points, slopes)
@@ -218,7 +216,7 @@ class Sensitivity:
         else:
             poses = self.kinematics.robot.poses(q) @ self.setup.T_tip_target[0]
             away = np.linalg.norm(poses[:, :3, 3] - tracker.position, axis=1)
-        return np.asarray(self._instrument.std(away))
+        return np.asarray((tracker or _USUAL).noise.std(away))
 
     def analysed(self, q: Array, measured: Array) -> Observability:
         """Rank and indices of what is `measured` at poses; in metres, as a fit's own analysis finds them."""
@@ -231,22 +229,14 @@ def planned_model(cell: Cell) -> str:
     return PLANNED_FOR_AUTO if cell.model == AUTO else cell.model
 
 
-def _chunks(q: Array) -> list[Array]:
-    """Joint values in pieces that need little memory."""
-    return np.array_split(q, 1 + len(q) // _CHUNK)
-
-
 def _checked_kind(cell: Cell) -> str:
-    """The kind that is planned for.
-
-    Raises:
-        ModelError: One whose poses cannot be chosen freely, or a cell of several set-ups.
-    """
-    kind = cell.kind or "point"
-    if not registry.get(kind).free:
-        free = [name for name in registry.names() if registry.get(name).free]
+    """The kind that is planned for: one whose poses can be chosen freely, in one set-up."""
+    name = cell.kind or "point"
+    kind = registry.get(name)
+    if not kind.free:
+        free = [one for one in registry.names() if registry.get(one).free]
         raise ModelError(
-            f"Poses cannot be planned for the kind '{kind}': the target stays in its socket or plane, or two rows "
+            f"Poses cannot be planned for the kind '{name}': the target stays in its socket or plane, or two rows "
             f"belong together. Choose one of {choices(free)}."
         )
     if len(cell.frames) > 1:
@@ -254,13 +244,13 @@ def _checked_kind(cell: Cell) -> str:
             f"The cell has the set-ups {choices(cell.frames)}; poses are planned for one set-up at a time. Give the "
             "one frame as frame_xyz_mm and frame_rpy_deg."
         )
-    if registry.get(kind).own_frame and cell.T_frame_base is None and not cell.frames:
-        place = registry.get(kind).place.lower()
+    if kind.own_frame and cell.T_frame_base is None and not cell.frames:
+        place = kind.place.lower()
         raise ModelError(
-            f"To plan for rows of the kind '{kind}', calib must know roughly where the {place} is: give the base in a "
+            f"To plan for rows of the kind '{name}', calib must know roughly where the {place} is: give the base in a "
             f"frame at the {place}, frame_xyz_mm in the cell file."
         )
-    return kind
+    return name
 
 
 def _one_pose(robot: Robot, cell: Cell, kind: str) -> Setup:
@@ -281,13 +271,7 @@ def _one_pose(robot: Robot, cell: Cell, kind: str) -> Setup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Workspace:
-    """The poses over which accuracy is forecast.
-
-    Attributes:
-        measured: shape (n, d, p), see `Sensitivity.measured`.
-        located: shape (n, 3 k, p), see `Sensitivity.located`.
-        rank: Of the parameters, what the poses of the whole workspace can tell.
-    """
+    """The poses over which accuracy is forecast: what `Sensitivity` says of them, and the rank that all of them tell."""
 
     measured: Array
     located: Array
@@ -314,21 +298,17 @@ class Forecast:
         names: The parameters.
         units: Of each.
         parameter_std: shape (p,), expected standard deviation after the fit, in the units.
-        identifiable: shape (p,), which parameters these poses tell by themselves; the others are known in combinations
-            only, and their standard deviation is mostly their prior's.
+        identifiable: shape (p,), which parameters these poses tell by themselves, and not in combinations only.
         poses: Number of poses.
         rms: Expected rms error of a predicted position over the workspace [m].
-        rms_low: Below it lies the rms of 5 % of calibrations [m].
-        rms_high: Above it, of 5 % [m].
+        rms_low, rms_high: Between them lies the rms of 90 % of calibrations [m].
         max: Largest standard deviation of a predicted position over the workspace [m].
         quantile_95: What 95 % of the positions do not exceed [m].
         sigma: Noise of one measured coordinate, rms over the poses [m].
-        rank: What the poses tell.
-        columns: Number of parameters.
+        rank, columns: How many parameters the poses tell apart, and how many there are.
         workspace_rank: What the poses of the whole workspace could tell.
-        mean_variance: Mean over the workspace of the variance of what is measured there, as the calibrated robot
-            predicts it, in variances of the noise.
-        worst_variance: Largest likewise.
+        mean_variance, worst_variance: Of what is measured over the workspace, as the calibrated robot predicts it, in
+            variances of the noise.
         indices: O1 to O5.
     """
 
@@ -352,18 +332,11 @@ class Forecast:
 
     @classmethod
     def of(cls, sensitivity: Sensitivity, workspace: Workspace, q: Array) -> Forecast:
-        """What a fit of measurements at these poses will reach.
-
-        Args:
-            sensitivity: Of the model that will be fitted.
-            workspace: Over which accuracy is wanted.
-            q: shape (N, m), joint values to be measured, [rad] or [m].
-        """
+        """What a fit of measurements at these poses, shape (N, m), [rad] or [m], will reach over a workspace."""
         measured = sensitivity.measured(q)
         root = covariance_root(measured, sensitivity.precision)
-        targets = workspace.located.shape[1] // 3
         moves = workspace.located @ root
-        variance = np.sum(moves.reshape(len(moves) * targets, -1) ** 2, axis=1)
+        variance = np.sum(moves.reshape(-1, 3 * len(root)) ** 2, axis=1)
         relative = np.sum((workspace.measured @ root) ** 2, axis=(1, 2))
         low, high = _rms_range(moves)
         sigma = sensitivity.noise(q)
@@ -434,12 +407,9 @@ def forecast_of_table(robot: Robot, cell: Cell, measurements: Measurements) -> F
         MeasurementError: A joint's column is missing, or too few rows.
     """
     seen = measurements.select(measurements.estimation)
-    kinds = set(seen.kinds)
     if (
-        len(kinds) > 1
-        or len(set(seen.targets)) > 1
-        or len(set(seen.groups)) > 1
-        or not all(registry.get(kind).free for kind in kinds)
+        len(set(zip(seen.kinds, seen.targets, seen.groups, strict=True))) > 1
+        or not registry.get(seen.kinds[0]).free
     ):
         return None
     rows, setup = rows_of(robot, measurements, cell)
@@ -463,17 +433,11 @@ def held(precision: Array) -> Array:
 def covariance_root(measured: Array, precision: Array) -> Array:
     """A root of the parameters' covariance after measurements, C = root root^T, shape (p, p).
 
-    By a QR decomposition of the measurements and the priors below each other: what a fine instrument tells, and what
-    nothing but the leash holds, are too far apart for their squares.
-
-    Args:
-        measured: shape (n, d, p), see `Sensitivity.measured`.
-        precision: shape (p,), see `Sensitivity`.
+    By a QR decomposition of the measurements, shape (n, d, p), and the priors below each other: what a fine instrument
+    tells, and what nothing but the leash holds, are too far apart for their squares.
     """
-    rows = np.concatenate(
-        [measured.reshape(-1, measured.shape[2]), np.diag(np.sqrt(held(precision)))]
-    )
-    R = np.linalg.qr(rows, mode="r")
+    rows = [measured.reshape(-1, measured.shape[2]), np.diag(np.sqrt(held(precision)))]
+    R = np.linalg.qr(np.concatenate(rows), mode="r")
     return np.asarray(solve_triangular(R, np.eye(len(R))))
 
 
@@ -486,8 +450,7 @@ def information(A: Array) -> Array:
 def _rms_range(moves: Array) -> tuple[float, float]:
     """Between which the rms of 90 % of calibrations lies, quantiles of x^T B x with x ~ N(0, C), [m].
 
-    Args:
-        moves: shape (n, 3 k, p), the derivative of the k targets' positions by independent errors of size 1.
+    ``moves``, shape (n, 3 k, p), is the derivative of the k targets' positions by independent errors of size 1.
     """
     squares = information(moves) / (len(moves) * (moves.shape[1] // 3))
     draws = _chi_squares(len(squares)) @ np.maximum(np.linalg.eigvalsh(squares), 0.0)
