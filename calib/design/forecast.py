@@ -152,9 +152,6 @@ class Sensitivity:
         Where k targets of one stop share the robot's repeatability r and have the noise s each, the mean has the
         variance s^2 / k (1 + (k - 1) rho), rho = r^2 / s^2. What they say of each other is exacter than s; a fit, to
         which rows are independent, makes no use of that.
-
-        Args:
-            q: shape (n, m), [rad] or [m].
         """
         x, k, parts = np.zeros(len(self.names)), len(self.setup.targets), []
         kind = registry.get(self.kind)
@@ -183,29 +180,20 @@ class Sensitivity:
         return np.concatenate(parts)
 
     def located(self, q: Array) -> Array:
-        """The derivative of the targets' predicted positions, shape (n, 3 k, p), [m per unit].
+        """The derivative of the targets' predicted positions at poses, shape (n, 3 k, p), [m per unit].
 
         Distances do not tell where the base stands: what one rigid motion of all these positions does is left out.
-
-        Args:
-            q: shape (n, m), [rad] or [m].
         """
         x = np.zeros(len(self.names))
-        pairs = [
-            self.kinematics.points_jacobian(x, self._samples(chunk))
-            for chunk in np.array_split(q, 1 + len(q) // _CHUNK)
-        ]
+        chunks = np.array_split(q, 1 + len(q) // _CHUNK)
+        pairs = [self.kinematics.points_jacobian(x, self._samples(chunk)) for chunk in chunks]
         points, slopes = (np.concatenate(one) for one in zip(*pairs, strict=True))
         if not registry.get(self.kind).position:
             slopes = without_rigid_motion(points, slopes)
         return np.asarray(slopes.reshape(len(q), -1, len(x)))
 
     def noise(self, q: Array) -> Array:
-        """Standard deviation of one coordinate, or of the length from the anchor, at poses, shape (n,), [m].
-
-        Args:
-            q: shape (n, m), [rad] or [m].
-        """
+        """Standard deviation of one coordinate, or of the length from the anchor, at poses, shape (n,), [m]."""
         tracker = self.cell.tracker
         if self.cell.sigma is not None:
             return np.full(len(q), self.cell.sigma)
@@ -271,7 +259,7 @@ def _one_pose(robot: Robot, cell: Cell, kind: str) -> Setup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Workspace:
-    """The poses over which accuracy is forecast: what `Sensitivity` says of them, and the rank that all of them tell."""
+    """The poses over which accuracy is forecast: what `Sensitivity` says of them, and the rank of all of them."""
 
     measured: Array
     located: Array
@@ -363,10 +351,7 @@ class Forecast:
 
     @property
     def efficiency(self) -> float:
-        """(rank / N) / mean variance: about 1 for the best N poses, no bound, and more with tight priors.
-
-        See `calib.design.optimal`: rank / N is a bound of the largest variance.
-        """
+        """(rank / N) / mean variance: about 1 for the best N poses, and more with tight priors; no bound."""
         return self.workspace_rank / self.poses / self.mean_variance
 
 
