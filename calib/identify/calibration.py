@@ -253,10 +253,10 @@ def _assemble(
     weights[mask] = estimated.weights
     scores[mask] = estimated.scores
     scores[~mask] = unseen_scores(fitted, every.select(~mask))
-    limit = estimated.limits.flagged
+    limit = estimated.flag_limit
 
     # Each set has a limit of its own, because each has its own number of chances for a false alarm.
-    suspect = Limits.of(int(np.sum(~mask)), estimated.freedom).flagged
+    suspect = float(Limits.of(np.sum(~mask), estimated.freedom).flagged)
     lengths = np.where(
         np.any(every.used[:, :3], axis=1), np.linalg.norm(residual[:, :3], axis=1), np.nan
     )

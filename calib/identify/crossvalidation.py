@@ -9,21 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
-from calib.identify.estimate import Options, staged
+from calib.identify.estimate import staged
 from calib.identify.fitting import (
     Fitted,
     Task,
     fit,
-    task_options,
+    holds_of,
 )
 from calib.identify.nominal import ENOUGH, nominal_setup, seen_from, without_outliers
-from calib.identify.problem import Linear, Problem
+from calib.identify.problem import Linear
 from calib.identify.registration import register_poses
 from calib.identify.rows import Rows, evenly
 from calib.identify.setup import Setup, joined_setups
-from calib.identify.stage import FEWEST_FREEDOM, Stage
+from calib.identify.stage import FEWEST_FREEDOM, Holds, Stage
 from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
-from calib.identify.variance import Known
 from calib.kinds import DIRECTIONS
 from calib.model.parameters import ErrorModel, frame_place, target_place
 
@@ -144,16 +143,14 @@ class _Linearised:
         chosen = [k for k, mask in enumerate(masks) if _enough(problem.rows, ~mask, len(model))]
         if not chosen:
             return None
-        options = task_options(task, model, fitted.setup)
+        holds = holds_of(task, model, fitted.setup)
         linear = problem.linear(estimate.x)
-        tried = tuple(masks[k] for k in chosen)
-        found = fold_fits(problem, estimate.noise, linear, tried, options)
-        good = (found.freedom > FEWEST_FREEDOM) & np.all(np.isfinite(found.x), axis=1)
-        if options.bounds is not None:
-            low, high = options.bounds.T
-            good &= np.all((found.x >= low) & (found.x <= high), axis=1)
-        x = {k: one for k, one, sound in zip(chosen, found.x, good, strict=True) if sound}
-        return cls(fitted, linear, x)
+        x, freedom = fold_fits(fitted, holds, linear, [masks[k] for k in chosen])
+        good = (freedom > FEWEST_FREEDOM) & np.all(np.isfinite(x), axis=1)
+        if holds.limits is not None:
+            low, high = holds.limits.T
+            good &= np.all((x >= low) & (x <= high), axis=1)
+        return cls(fitted, linear, {k: x[i] for i, k in enumerate(chosen) if good[i]})
 
     def unseen(self, fold: int, mask: Mask, outliers: Mask) -> Array | None:
         """What the parameters without a fold leave over at its rows, by the robot itself, not the linearised one.
@@ -265,10 +262,7 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     rows, model = problem.rows, fitted.kinematics.model
     linear = problem.linear(estimate.x)
     left_out = folds_of(task, rows)
-    known = linear.known(problem.precision, problem.centre)
-    found = fold_means(linear, left_out.masks, problem.weights, estimate.noise, known)
-    means = iter(found)
-
+    means = iter(fold_means(fitted, linear, left_out.masks))
     scales = rows.scales
 
     def predict_left_out(mask: Mask) -> Array:
@@ -306,58 +300,50 @@ def only_there(model: ErrorModel, setup: Setup, rows: Rows, mask: Mask) -> NDArr
 #: Of so many rows so small a share can be left out without finding weights, noise and sizes anew.
 _MANY, _SMALL_SHARE = 1500, 0.15
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FoldFits:
-    """Solutions without each fold.
-
-    Attributes:
-        x: shape (F, p), parameters, counted from where those of the fit to all rows are.
-        freedom: shape (F,), degrees of freedom of the first fit; where they are few no row loses its weight.
-    """
-
-    x: Array
-    freedom: Array
+#: Rows of all folds that are fitted at a time.
+_AT_A_TIME = 4096
 
 
 def fold_fits(
-    problem: Problem,
-    noise: tuple[float, ...],
-    linear: Linear,
-    masks: Sequence[Mask],
-    options: Options,
-) -> FoldFits:
-    """Fit without each fold.
+    fitted: Fitted, holds: Holds, linear: Linear, masks: Sequence[Mask]
+) -> tuple[Array, Array]:
+    """Fits without each fold, on the problem linearised at the fit to all rows.
+
+    Each fold goes through the same stages as a fit from the beginning (`calib.identify.estimate.staged`): weights by
+    medians, then noise and sizes by restricted likelihood. Registration and kinematics are not repeated.
 
     Args:
-        problem: Of all rows, in its last form.
-        noise: Of each instrument, as the fit to all rows found it.
-        linear: The problem linearised there.
+        fitted: The fit to all rows.
+        holds: Its priors.
+        linear: Its problem, linearised at the solution.
         masks: The rows left out, each of shape (N,).
-        options: Of the fit, without weights that stay.
+
+    Returns:
+        The parameters, counted from where those of the fit to all rows are, shape (F, p); and the degrees of freedom of
+        the first fit, shape (F,).
     """
+    problem, task = fitted.estimate.problem, fitted.task
     if len(linear) >= _MANY and max(float(np.mean(mask)) for mask in masks) < _SMALL_SHARE:
-        known = linear.known(problem.precision, problem.centre)
-        found = fold_means(linear, masks, problem.weights, noise, known)
-        return FoldFits(found, np.full(len(masks), np.inf))
-    x, freedoms = [], []
-    for mask in masks:
-        rest, poses = linear.select(~mask), problem.rows.poses[~mask]
-        first = Stage.first(options.holds, len(rest), len(rest.smallest))
-        shared = first.sharing(rest, poses, options.repeats)
-        freedoms.append(rest.fit(shared.effective, shared.noise, shared.known(rest))[2])
-        last = staged(first, lambda _, rest=rest: rest, poses, options)  # type: ignore[misc]
-        x.append(rest.data(last.effective).posterior(last.noise, last.known(rest))[0])
-    return FoldFits(np.array(x), np.array(freedoms))
+        return fold_means(fitted, linear, masks), np.full(len(masks), np.inf)
+    found = []
+    size = max(_AT_A_TIME // len(linear), 1)
+    for first in range(0, len(masks), size):
+        kept = ~np.array(masks[first : first + size])
+        stage, freedom = staged(
+            Stage.first(holds, kept, len(linear.smallest)),
+            lambda _: linear,
+            problem.rows.poses,
+            task.cell.repeats,
+            robust=task.robust,
+        )
+        found.append((stage.fit(linear)[0], freedom))
+    x, freedoms = zip(*found, strict=True)
+    return np.concatenate(x), np.concatenate(freedoms)
 
 
-def fold_means(
-    linear: Linear,
-    masks: Sequence[Mask],
-    weights: Array,
-    noise: tuple[float, ...],
-    known: Known,
-) -> Array:
-    """Posterior means without each fold, at weights, noise and priors that stay, shape (F, p)."""
-    each = (linear.data(np.where(mask, 0.0, weights)) for mask in masks)
-    return np.array([data.posterior(noise, known)[0] for data in each])
+def fold_means(fitted: Fitted, linear: Linear, masks: Sequence[Mask]) -> Array:
+    """Posterior means without each fold, at weights, noise and priors of the fit to all rows, shape (F, p)."""
+    problem = fitted.estimate.problem
+    weights = np.where(np.array(masks), 0.0, problem.weights)
+    noise = np.tile(fitted.estimate.noise, (len(masks), 1))
+    return linear.fit(weights, noise, linear.known(problem.precision, problem.centre))[0]

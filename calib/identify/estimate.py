@@ -9,25 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from calib.errors import ModelError
 from calib.identify.problem import Linear, Problem
 from calib.identify.robust import Limits, repeats
 from calib.identify.rows import Rows
-from calib.identify.setup import Setup
 from calib.identify.solvers import Solution
-from calib.identify.stage import FEWEST_FREEDOM, SETTLED, Holds, Stage
-from calib.identify.variance import Linearised, precision_of
-from calib.measure.cell import Cell, Priors
+from calib.identify.stage import FEWEST_FREEDOM, Holds, Stage
+from calib.identify.variance import Linearised
+from calib.measure.cell import Priors
 from calib.model.observability import steps
-from calib.model.parameters import FRAME, TARGET, ErrorModel, frame_place, target_place
-from calib.model.robot import read_only, rigid_inverse
+from calib.model.parameters import FRAME, TARGET
+from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: A solver for a problem, from a start x, until steps are shorter than a tolerance in steps of 1 mm and 1 mrad.
 Solve = Callable[[Problem, Array, float], Solution]
@@ -65,7 +64,7 @@ class Estimate:
         solution: The solver's, all stages one after the other.
         covariance: shape (p, p), of x.
         scores: shape (N,), how far each row lies from what the others predict.
-        limits: The scores between which a row loses its weight.
+        flag_limit: The score above which a row is named as an outlier.
         freedom: Degrees of freedom left for the noise.
         noise: Found noise of each instrument over the one given.
         sizes: Size of the errors of each family; empty without priors.
@@ -79,7 +78,7 @@ class Estimate:
     solution: Solution
     covariance: Array
     scores: Array
-    limits: Limits
+    flag_limit: float
     freedom: float
     noise: tuple[float, ...]
     sizes: Mapping[str, float]
@@ -90,72 +89,78 @@ class Estimate:
     @property
     def outliers(self) -> NDArray[np.bool_]:
         """Which rows lie beyond the limit, shape (N,)."""
-        return self.scores > self.limits.flagged
+        return self.scores > self.flag_limit
 
 
-def estimate(problem: Problem, solve: Solve, options: Options) -> Estimate:
+def estimate(
+    problem: Problem,
+    solve: Solve,
+    holds: Holds,
+    *,
+    repeats: str = "weighted",
+    robust: bool = True,
+    weights: Array | None = None,
+) -> Estimate:
     """Estimate the parameters of a problem that has been registered.
 
     Args:
         problem: `Problem.first`.
         solve: The solver.
-        options: Priors, weights, bounds.
+        holds: Priors and bounds.
+        repeats: What repeats of a pose count for: ``"weighted"``, ``"average"`` or ``"independent"``.
+        robust: Whether rows may lose their weight; outliers are named either way.
+        weights: shape (N,), weights that stay, repeats shared out, of an estimation before; None to find them.
     """
+    if weights is not None:
+        repeats, robust = "independent", False  # shared out before
+
+    def found(fixed: Mapping[int, float]) -> Estimate:
+        held = holds.at_bounds(fixed)
+        path = _Path(problem, solve, held.centre.copy())
+        every = np.ones((1, len(problem.rows)), dtype=bool)
+        first = Stage.first(held, every, len(problem.smallest), weights)
+        stage, _ = staged(first, path.linear, problem.rows.poses, repeats, robust=robust)
+        path.solve(stage, _FINE)
+        assert path.solution is not None
+        return _finish(problem, stage, path.solution)
+
     fixed: dict[int, float] = {}
     released: set[int] = set()
-    result = _estimate(problem, solve, options, fixed)
-    if options.bounds is None:
+    result = found(fixed)
+    if holds.limits is None:
         return result
     # Active set: what would leave its bounds stays there and the others are estimated again; what then is no longer
     # pushed against its bound is let go, once.
-    low, high = options.bounds[:, 0], options.bounds[:, 1]
+    low, high = holds.limits.T
     for _ in range(3 * problem.size):
         beyond = np.flatnonzero((result.x < low) | (result.x > high))
-        loose = [] if len(beyond) else _pushed_inside(problem, result, options, fixed)
+        loose = [] if len(beyond) else _pushed_inside(result, holds, fixed)
         loose = [k for k in loose if k not in released]
         if not len(beyond) and not loose:
             break
         fixed |= {int(k): float(np.clip(result.x[k], low[k], high[k])) for k in beyond}
         released |= set(loose)
         fixed = {k: value for k, value in fixed.items() if k not in loose}
-        result = _estimate(problem, solve, options, fixed)
+        result = found(fixed)
     return result
 
 
-def _pushed_inside(
-    problem: Problem, result: Estimate, options: Options, fixed: Mapping[int, float]
-) -> list[int]:
+def _pushed_inside(result: Estimate, holds: Holds, fixed: Mapping[int, float]) -> list[int]:
     """Parameters at a bound that measurements and priors would have inside of it."""
-    assert options.bounds is not None
-    holds = options.holds
-    sizes = tuple(
-        size if holds.off else result.sizes.get(name, size)
-        for name, size in zip(holds.names, holds.start, strict=True)
-    )
+    assert holds.limits is not None
+    known = {} if holds.off else result.sizes
+    sizes = np.array([known.get(f, size) for f, size in zip(holds.names, holds.start, strict=True)])
     last = result.problem
-    precision = holds.precision + precision_of(holds.families, sizes, problem.size)
+    precision = holds.precision + (1.0 / sizes**2) @ holds.families
     free = last.reweighted(last.weights, last.scales, precision, holds.centre)
     residual, jacobian = free.system(result.x)
     slope, bend = jacobian.T @ residual, np.sum(jacobian**2, axis=0)
     loose = []
     for k, value in fixed.items():
-        inwards = -slope[k] if value <= options.bounds[k, 0] else slope[k]
+        inwards = -slope[k] if value <= holds.limits[k, 0] else slope[k]
         if inwards > 0.0 and inwards**2 > _TELLING * bend[k]:
             loose.append(k)
     return loose
-
-
-def _estimate(
-    problem: Problem, solve: Solve, options: Options, fixed: Mapping[int, float]
-) -> Estimate:
-    """`estimate`, with some parameters fixed at a bound."""
-    holds = options.holds.at_bounds(fixed)
-    path = _Path(problem, solve, holds.centre.copy())
-    first = Stage.first(holds, len(problem.rows), len(problem.smallest), options.weights)
-    stage = staged(first, path.linear, problem.rows.poses, options)
-    path.solve(stage, _FINE)
-    assert path.solution is not None
-    return _finish(problem, stage, path.solution)
 
 
 class _Path:
@@ -196,42 +201,56 @@ class _Path:
 
     def _solution_of(self, linear: Linear, stage: Stage) -> tuple[Array, float]:
         """A stage's solution of the linearised problem, and how far it lies from x in steps of 1 mm and 1 mrad."""
-        x, _ = linear.data(stage.effective).posterior(stage.noise, stage.known(linear))
+        x = stage.fit(linear)[0][0]
         return x, float(np.linalg.norm((x - self.x) / self.size))
 
 
 def staged(
-    stage: Stage, linear_at: Callable[[Stage], Linear], poses: NDArray[np.int_], options: Options
-) -> Stage:
-    """Weights, noise and sizes from the first stage on, until they settle.
+    stage: Stage,
+    linear_at: Callable[[Stage], Linear],
+    poses: NDArray[np.int_],
+    repeats: str,
+    *,
+    robust: bool,
+) -> tuple[Stage, Array]:
+    """Weights, noise and sizes from the first stage on, until they settle, for each fit of the stage.
 
     Args:
         stage: `Stage.first`.
         linear_at: The problem linearised at the solution with a stage's weights and sizes.
         poses: shape (N,), the pose of each row.
-        options: See there.
+        repeats: What repeats of a pose count for.
+        robust: Whether rows may lose their weight.
+
+    Returns:
+        The last stage, and the degrees of freedom of the first fit, shape (B,): where they are few no row loses its
+        weight.
     """
     linear = linear_at(stage)
-    repeats = options.repeats if options.weights is None else "independent"  # shared out before
     stage = stage.sharing(linear, poses, repeats)
-    *_, freedom = linear.fit(stage.effective, stage.noise, stage.known(linear))
-    robust = options.robust and options.weights is None and freedom > FEWEST_FREEDOM
-    if robust:
+    freedom = stage.fit(linear)[2]
+    robust = robust and bool(np.any(freedom > FEWEST_FREEDOM))
+
+    def settled(
+        stage: Stage, step: Callable[[Stage], Stage], alike: Callable[[Stage, Stage], Mask]
+    ) -> Stage:
+        """After this step has been taken until each fit changes no more."""
+        nonlocal linear
+        going = np.arange(len(stage.kept))
         for _ in range(ROUNDS):
-            before = stage
-            stage = stage.by_median(linear)
-            stage = stage.sharing(linear, poses, repeats)
-            linear = linear_at(stage)
-            if np.max(np.abs(stage.effective - before.effective)) < SETTLED:
+            before = stage.at(going)
+            after = step(before).sharing(linear, poses, repeats)
+            linear = linear_at(after)
+            stage = stage.put(going, after)
+            going = going[~alike(after, before)]
+            if not len(going):
                 break
-    for _ in range(ROUNDS):
-        before = stage
-        stage = stage.by_likelihood(linear, robust=robust)
-        stage = stage.sharing(linear, poses, repeats)
-        linear = linear_at(stage)
-        if stage.is_like(before):
-            break
-    return stage
+        return stage
+
+    if robust:
+        stage = settled(stage, lambda s: s.by_median(linear), Stage.weighs_like)
+    likely = partial(Stage.by_likelihood, robust=robust)
+    return settled(stage, lambda s: likely(s, linear), Stage.is_like), freedom
 
 
 def plain_estimate(problem: Problem, solution: Solution) -> Estimate:
@@ -246,14 +265,14 @@ def plain_estimate(problem: Problem, solution: Solution) -> Estimate:
         solution: Where that solver stopped, x in [m, rad].
     """
     linear = problem.linear(solution.x)
-    data = linear.data(problem.weights)
-    rank = np.linalg.matrix_rank(data.H[0], hermitian=True)
-    # Both figures for normal noise: see the docstring.
-    left = max(float(data.count[0]) - (2.0 - _FOURTH_POWERS) * rank, 1.0)
-    noise = float(np.sqrt(np.sum(np.square(linear.residual(solution.x))) / left))
     holds = Holds.of(problem.kinematics.model, Priors("off"))
-    first = Stage.first(holds, len(problem.rows), len(problem.smallest))
-    stage = replace(first, noise=(max(noise, linear.smallest[0]),))
+    first = Stage.first(holds, np.ones((1, len(problem.rows)), dtype=bool), len(problem.smallest))
+    data = linear.data(first.effective)
+    rank = np.linalg.matrix_rank(data.H[0, 0], hermitian=True)
+    # Both figures for normal noise: see the docstring.
+    left = max(float(data.count[0, 0]) - (2.0 - _FOURTH_POWERS) * rank, 1.0)
+    noise = np.sqrt(np.sum(np.square(linear.residual(solution.x))) / left)
+    stage = replace(first, noise=np.array([[max(noise, linear.smallest[0])]]))
     return _finish(problem, stage, solution, spread=_FOURTH_POWERS)
 
 
@@ -264,12 +283,10 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
     """
     linear = problem.linear(solution.x)
     effective, holds, known = stage.effective, stage.holds, stage.known(linear)
-    _, of_least_squares, freedom = linear.fit(effective, stage.noise, known)
-    wider = tuple(float(np.sqrt(spread)) * n for n in stage.noise)
-    residual = linear.residual(solution.x)
+    _, of_least_squares, freedom = stage.fit(linear)
     # The estimate itself stays: weights that targets share would be less sharp where they lie to each other.
-    told = _shared_by_stops(problem.rows, linear, stage, freedom)
-    _, covariance = told.posterior(wider, known)
+    told = _shared_by_stops(problem.rows, linear, stage, float(freedom[0]))
+    _, covariance = told.posterior(np.sqrt(spread) * stage.noise, known)
     own = np.where(holds.flat, 0.0, stage.precision)
     model = problem.kinematics.model
     # Without priors there is nothing to keep a6 small beside the target, and so no trace to remove.
@@ -279,21 +296,22 @@ def _finish(problem: Problem, stage: Stage, solution: Solution, spread: float = 
         & np.array([u in ("m", "rad") for u in model.units])
     )
     x = np.where(cleaned & (np.abs(solution.x) < _NOTHING), 0.0, solution.x)
-    for k, value in holds.fixed:
-        x[k] = value
+    x[list(holds.fixed)] = holds.centre[list(holds.fixed)]
+    scores = linear.scores(solution.x[None], of_least_squares, effective, stage.noise)
+    likelihood = linear.data(effective).log_likelihood(stage.noise, known, own)
     return Estimate(
         x=read_only(x),
         problem=stage.problem(problem),
         solution=replace(solution, x=read_only(x)),
-        covariance=read_only(covariance),
-        scores=read_only(linear.scores(residual, of_least_squares, effective, stage.noise)),
-        limits=Limits.of(len(problem.rows), freedom),
-        freedom=freedom,
-        noise=stage.noise,
-        sizes={} if holds.off else dict(zip(holds.names, stage.sizes, strict=True)),
-        weights=read_only(stage.weights),
-        log_likelihood=linear.data(effective).log_likelihood(stage.noise, known, own),
-        at_bound=tuple(k for k, _ in holds.fixed),
+        covariance=read_only(covariance[0]),
+        scores=read_only(scores[0]),
+        flag_limit=float(Limits.of(len(problem.rows), freedom[0]).flagged),
+        freedom=float(freedom[0]),
+        noise=tuple(stage.noise[0].tolist()),
+        sizes={} if holds.off else dict(zip(holds.names, stage.sizes[0].tolist(), strict=True)),
+        weights=read_only(stage.weights[0]),
+        log_likelihood=float(likelihood[0]),
+        at_bound=holds.fixed,
     )
 
 
@@ -304,9 +322,10 @@ def _shared_by_stops(rows: Rows, linear: Linear, stage: Stage, freedom: float) -
     variance s^2 (1 + (n - 1) rho) / n, and so much less is known of what moves all of them alike. What they say of
     each other counts as ever, though it is known better.
     """
+    effective = stage.effective[0]
     if rows.samples.target.min() == rows.samples.target.max():
         return linear.data(stage.effective)
-    weights = stage.weights * rows.where(lambda kind: kind.position)
+    weights = stage.weights[0] * rows.where(lambda kind: kind.position)
     alive = weights > 0.0
     if len(np.unique(rows.samples.target[alive])) < 2:
         return linear.data(stage.effective)
@@ -315,16 +334,16 @@ def _shared_by_stops(rows: Rows, linear: Linear, stage: Stage, freedom: float) -
     counts = np.bincount(stops, alive)
     if np.max(counts) < 2:
         return linear.data(stage.effective)
-    paid = float(np.sum(stage.effective @ linear.used)) - freedom
+    paid = float(np.sum(effective @ linear.used)) - freedom
     found = repeats(
-        linear.residual(linear.x)[:, :3] / linear.noise_of(stage.noise)[:, :3],
+        linear.residual(linear.x)[:, :3] / linear.noise_of(stage.noise)[0, :, :3],
         linear.used[:, :3],
         stops,
         weights,
         fitted=max(paid, 0.0),
     )
     # Repeats have been shared out already.
-    w = np.where(alive, stage.effective, 0.0)
+    w = np.where(alive, effective, 0.0)
     sums = np.maximum(np.bincount(stops, w), np.finfo(np.float64).tiny)
     already = sums / np.maximum(np.bincount(stops, weights), np.finfo(np.float64).tiny)
     wider = np.maximum((1.0 + np.maximum(counts - 1.0, 0.0) * found.rho) * already, 1.0)
@@ -333,111 +352,3 @@ def _shared_by_stops(rows: Rows, linear: Linear, stage: Stage, freedom: float) -
     for column in columns[:-1, :3].reshape(-1, len(rows)):
         column -= less * np.bincount(stops, share * column)[stops]
     return replace(linear, columns=columns).data(stage.effective)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Options:
-    """What an estimation is to do.
-
-    Attributes:
-        holds: Priors of families and of single parameters.
-        robust: Whether rows may lose their weight; outliers are named either way.
-        bounds: shape (p, 2), lowest and highest value of each parameter; None without.
-        repeats: What repeats of a pose count for: ``"weighted"``, ``"average"`` or ``"independent"``.
-        weights: shape (N,), weights that stay, repeats shared out, of an estimation before; None to find them.
-    """
-
-    holds: Holds
-    robust: bool = True
-    bounds: Array | None = None
-    repeats: str = "weighted"
-    weights: Array | None = None
-
-    @classmethod
-    def of(
-        cls,
-        cell: Cell,
-        model: ErrorModel,
-        setups: tuple[Setup, Setup],
-        *,
-        robust: bool,
-        lenient: bool,
-    ) -> Options:
-        """How to estimate, from the cell.
-
-        Args:
-            cell: With priors, bounds and what repeats count for.
-            model: The parameters.
-            setups: Frames and targets as given, and as registered, where x = 0.
-            robust: Whether outliers lose their weight.
-            lenient: Whether the cell may name parameters that this model lacks.
-
-        Raises:
-            ModelError: A bound or a prior for a parameter that the model lacks, or for that of a target or frame that
-                was not said to be anywhere.
-        """
-        wanted = {n: ends for n, ends in cell.bounds.items() if _has(model, n, lenient=lenient)}
-        single = {
-            n: std for n, std in cell.parameter_priors.items() if _has(model, n, lenient=lenient)
-        }
-        nominal = _nominal(setups, model, {*wanted, *single})
-        bounds = np.tile([-np.inf, np.inf], (len(model), 1)) if wanted else None
-        for name, ends in wanted.items():
-            assert bounds is not None
-            k = model.index(name)
-            bounds[k] = nominal[k] + np.array(ends)
-        holds = Holds.of(model, cell.priors, single, nominal)
-        return cls(holds, robust, bounds, cell.repeats)
-
-
-def _nominal(setups: tuple[Setup, Setup], model: ErrorModel, names: set[str]) -> Array:
-    """Where the changes of parameters count from, shape (p,): 0, but for targets and frames, which registration moved.
-
-    A displacement by x, y, z, rx, ry, rz in this order has these translations and these angles about moving axes.
-
-    Args:
-        setups: Frames and targets as given, and as registered.
-        model: The parameters.
-        names: Those with a bound or a prior of their own; the others do not matter.
-
-    Raises:
-        ModelError: One of these is of a target or frame that was not given.
-    """
-    places = {}
-    given, started = setups
-    for f, group in enumerate(given.frame_unknowns):
-        places[frame_place(group)] = (
-            given.frame_given[f],
-            started.T_frame_base[f],
-            given.T_frame_base[f],
-        )
-    for t, target in enumerate(given.target_names):
-        places[target_place(target)] = (
-            given.target_given[t],
-            started.T_tip_target[t],
-            given.T_tip_target[t],
-        )
-    result = np.zeros(len(model))
-    for k, parameter in enumerate(model.parameters):
-        if parameter.name not in names or parameter.place not in places:
-            continue
-        known, start, wanted = places[parameter.place]
-        if not known:
-            what = "target" if parameter.family == TARGET else "frame"
-            raise ModelError(
-                f"'{parameter.name}' has a bound or a prior on its change, but it is not said from where: give the "
-                f"{what} in the cell file, or drop the bound."
-            )
-        moved = rigid_inverse(start) @ wanted
-        angles = Rotation.from_matrix(moved[:3, :3]).as_euler("XYZ")
-        result[k] = parameter.direction @ np.concatenate([moved[:3, 3], angles])
-    return result
-
-
-def _has(model: ErrorModel, name: str, *, lenient: bool) -> bool:
-    """Whether the model has a parameter; where it must, and has not, `ErrorModel.index` says so.
-
-    Raises:
-        ModelError: It has not, and must.
-    """
-    return name in model.names if lenient else model.index(name) >= 0

@@ -282,18 +282,16 @@ def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
         return ()
     linear = problem.linear(estimate.x)
     known = linear.known(problem.precision, problem.centre)
-    noise = linear.noise_of(estimate.noise)
+    of_fit = np.array([estimate.noise])
+    noise = linear.noise_of(of_fit)[0]
     counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
     told = np.zeros((count, 4))
     for g in range(count):
         own = labels == g
         weights = np.where(own, 0.0, problem.weights)
-        data = linear.data(weights)
-        x, covariance = data.posterior(estimate.noise, known)
+        x, covariance, freedom = (f[0] for f in linear.fit(weights[None], of_fit, known))
         loose = only_there(fitted.kinematics.model, fitted.setup, rows, own)
         x = np.where(loose, estimate.x, x)
-        paid = float(np.sum(np.einsum("cij,ji->c", data.H, covariance) / np.square(estimate.noise)))
-        freedom = float(np.sum(data.count)) - paid
         rest = np.where(linear.used, linear.residual(x) / noise, 0.0)
         # Repeats count for one measurement where they share what the model lacks.
         chosen = own & counts

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, ModelError, choices
-from calib.identify.estimate import Estimate, Options, Solve, estimate, plain_estimate
+from calib.identify.estimate import Estimate, Solve, estimate, plain_estimate
 from calib.identify.nominal import seen_from, without_outliers
 from calib.identify.problem import Problem, parts_of
 from calib.identify.registration import register, register_poses
@@ -20,6 +20,7 @@ from calib.identify.robust import scores
 from calib.identify.rows import Rows
 from calib.identify.setup import KnownDistance, Setup, along_own_axes, targets_along_tip
 from calib.identify.solvers import SOLVERS, Solution, Solver, paper_levenberg_marquardt
+from calib.identify.stage import Holds
 from calib.measure.cell import Cell
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
@@ -142,8 +143,14 @@ def fit(
     if task.solver == PAPER:
         estimated = plain_estimate(problem, _solve_as_the_paper(problem, started))
     else:
-        options = replace(task_options(task, model, started), weights=weights)
-        estimated = estimate(problem, _solver(task.solver, steps(model.units)), options)
+        estimated = estimate(
+            problem,
+            _solver(task.solver, steps(model.units)),
+            holds_of(task, model, started),
+            repeats=task.cell.repeats,
+            robust=task.robust,
+            weights=weights,
+        )
     assert np.all(np.isfinite(estimated.x)), (
         "a solver takes no step to where the cost is not finite"
     )
@@ -164,14 +171,13 @@ def registered(task: Task, rows: Rows) -> Setup:
     return replace(started, target_unknown=task.setup.target_unknown)
 
 
-def task_options(task: Task, model: ErrorModel, started: Setup) -> Options:
-    """How a task is estimated from a registered start.
+def holds_of(task: Task, model: ErrorModel, started: Setup) -> Holds:
+    """Priors and bounds of a task from a registered start.
 
     Raises:
-        ModelError: See `calib.identify.estimate.Options.of`.
+        ModelError: See `calib.identify.stage.Holds.of_cell`.
     """
-    setups = (task.setup, started)
-    return Options.of(task.cell, model, setups, robust=task.robust, lenient=task.lenient)
+    return Holds.of_cell(task.cell, model, task.setup, started, lenient=task.lenient)
 
 
 def model_of(task: Task) -> ErrorModel:

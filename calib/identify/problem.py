@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.robust import as_of_a_point, deleted_norms, median
+from calib.identify.robust import as_of_a_point, deleted_norms
 from calib.identify.rows import Rows, whole_blocks
 from calib.identify.setup import KnownDistance
 from calib.identify.solvers import triangle
@@ -73,7 +73,7 @@ class Problem:
         ones, nothing = np.ones(len(rows)), np.zeros(len(kinematics.model))
         scales, (instruments, _) = rows.scales, rows.instruments
         smallest = tuple(
-            SMALLEST_SIGMA / median(scales[instruments == c])
+            SMALLEST_SIGMA / float(np.median(scales[instruments == c]))
             for c in range(int(instruments.max()) + 1)
         )
         return cls(kinematics, rows, scales, ones, nothing, nothing, distances, smallest)
@@ -221,6 +221,8 @@ _KEPT = 3
 class Linear:
     """The problem linearised at x: the residual at x + s is r - A s, in units of each scalar's sigma as given.
 
+    It is fitted with several sets of weights at a time, see `calib.identify.variance`: B of them.
+
     Attributes:
         x: shape (p,).
         columns: shape (p + 1, D, N), A and behind it r; samples last, as `calib.model.kernel` has them.
@@ -265,15 +267,16 @@ class Linear:
         """Priors of given precision and mean, and the known distances."""
         return Known.of(precision, centre, self.C, self.z)
 
-    def noise_of(self, noise: tuple[float, ...]) -> Array:
-        """The noise of each scalar, shape (N, D); 1 where there is none."""
-        return np.append(np.array(noise), 1.0)[self.instruments]
+    def noise_of(self, noise: Array) -> Array:
+        """The noise of each scalar, shape (B, N, D), of each instrument's, shape (B, C); 1 where there is no scalar."""
+        return np.hstack([noise, np.ones((len(noise), 1))])[:, self.instruments]
 
     def residual(self, x: Array) -> Array:
-        """What x leaves over, shape (N, D)."""
+        """What x, shape (B, p) or (p,), leaves over, shape (B, N, D) or (N, D)."""
         count, D, N = self.columns.shape
         flat = self.columns.reshape(count, D * N)
-        return np.asarray((flat[-1] - (x - self.x) @ flat[:-1]).reshape(D, N).T)
+        found = flat[-1] - (x - self.x) @ flat[:-1]
+        return np.asarray(found.reshape(*x.shape[:-1], D, N).swapaxes(-1, -2))
 
     def select(self, mask: Mask) -> Linear:
         """The problem of some of the rows; known distances stay."""
@@ -285,7 +288,7 @@ class Linear:
         )
 
     def data(self, weights: Array) -> Linearised:
-        """The normal equations with these weights, shape (N,); the last ones are kept, for stages ask again."""
+        """The normal equations with these weights, shape (B, N); the last ones are kept, for stages ask again."""
         for known, told in self._told:
             if np.array_equal(known, weights):
                 return told
@@ -295,53 +298,45 @@ class Linear:
 
     def _data(self, weights: Array) -> Linearised:
         """The normal equations."""
-        p = len(self.x)
-        both = np.zeros((len(self._parts), p + 1, p + 1))
-        count = np.zeros(len(self._parts))
+        p, (B, N) = len(self.x), weights.shape
+        both = np.zeros((B, len(self._parts), p + 1, p + 1))
+        count = np.zeros((B, len(self._parts)))
         root = np.sqrt(weights)
         for c, (at, there) in enumerate(self._parts):
-            factor = root if there is None else there * root
+            factor = root[:, None] if there is None else there * root[:, None]
 
             def product(own: slice, at: slice = at, factor: Array = factor) -> Array:
-                part = (self.columns[:, at, own] * factor[..., own]).reshape(p + 1, -1)
-                return np.asarray(part @ part.T)
+                columns, f = self.columns[:, at, own], factor[:, :, own]
+                parts = ((columns * one).reshape(p + 1, -1) for one in f)
+                return np.array([part @ part.T for part in parts])
 
-            both[c] = np.sum(over_blocks(product, len(self)), axis=0)
-            alive = (
-                weights.sum() * (at.stop - at.start) if there is None else (there @ weights).sum()
-            )
-            count[c] = alive
+            both[:, c] = np.sum(over_blocks(product, N), axis=0)
+            scalars = np.full(N, at.stop - at.start) if there is None else there.sum(axis=0)
+            count[:, c] = weights @ scalars
         # [A r] are at hand; what is asked for is [A y] with y = r + A x.
-        H, g, rr = both[:, :p, :p], both[:, :p, p], both[:, p, p]
+        H, g, rr = both[..., :p, :p], both[..., :p, p], both[..., p, p]
         Hx = H @ self.x
         return Linearised(H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count)
 
-    def fit(
-        self,
-        weights: Array,
-        noise: tuple[float, ...],
-        known: Known,
-        data: Linearised | None = None,
-    ) -> tuple[Array, Array, float]:
-        """The linear fit with these weights, noise and priors; ``data`` are the normal equations, if at hand.
+    def fit(self, weights: Array, noise: Array, known: Known) -> tuple[Array, Array, Array]:
+        """The linear fit with these weights, shape (B, N), noise, shape (B, C), and priors.
 
         Returns:
-            The residual, shape (N, D), in units of each scalar's sigma; the covariance of x, shape (p, p); and the
-            degrees of freedom: scalars, by weight, minus the parameters that they have to pay for.
+            x, shape (B, p); its covariance, shape (B, p, p); and the degrees of freedom, shape (B,): scalars, by
+            weight, minus the parameters that they have to pay for.
         """
-        data = self.data(weights) if data is None else data
+        data = self.data(weights)
         x, covariance = data.posterior(noise, known)
-        paid = np.sum(data.H * covariance, axis=(1, 2)) / np.square(noise)
-        return self.residual(x), covariance, float(np.sum(data.count - paid))
+        paid = np.sum(data.H * covariance[:, None], axis=(2, 3)) / np.square(noise)
+        return x, covariance, np.sum(data.count - paid, axis=1)
 
-    def scores(
-        self, residual: Array, covariance: Array, weights: Array, noise: tuple[float, ...]
-    ) -> Array:
-        """How far each row lies from what the others predict, shape (N,)."""
-        found = deleted_norms(residual, self.A, covariance, weights, 1.0 / self.noise_of(noise))
+    def scores(self, x: Array, covariance: Array, weights: Array, noise: Array) -> Array:
+        """How far each row lies from what the others predict, shape (B, N)."""
+        factors = 1.0 / self.noise_of(noise)
+        found = deleted_norms(self.residual(x), self.A, covariance, weights, factors)
         return as_of_a_point(found, np.sum(self.used, axis=1))
 
-    def norms(self, residual: Array, covariance: Array, weights: Array, instrument: int) -> Array:
-        """`deleted_norms` of one instrument's scalars in units of the sigma given, shape (N,)."""
+    def norms(self, x: Array, covariance: Array, weights: Array, instrument: int) -> Array:
+        """`deleted_norms` of one instrument's scalars in units of the sigma given, shape (B, N)."""
         own = (self.instruments == instrument).astype(np.float64)
-        return deleted_norms(residual, self.A, covariance, weights, own)
+        return deleted_norms(self.residual(x), self.A, covariance, weights, own[None])

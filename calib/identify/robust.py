@@ -22,13 +22,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc, chdtri, fdtri
 
 from calib.model.robot import read_only
 from calib.model.threads import over_blocks
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Integers = NDArray[np.int_]
 
 #: A good row keeps its full weight with this probability.
 _FULL = 0.99
@@ -48,67 +50,62 @@ _POINT = 3
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Scores between which the weight falls from 1 to 0.
+    """Scores between which the weight falls from 1 to 0; of one table or of several, shape (B, 1).
 
     Attributes:
         full: Below it a row counts in full.
         flagged: Above it a row does not count and is named as an outlier.
     """
 
-    full: float
-    flagged: float
+    full: Array
+    flagged: Array
 
     @classmethod
-    def of(cls, rows: int, freedom: float) -> Limits:
+    def of(cls, rows: ArrayLike, freedom: ArrayLike) -> Limits:
         """The limits for a table.
 
         Args:
             rows: Number of rows.
             freedom: Degrees of freedom that the noise was estimated with.
         """
-        freedom = max(freedom, 1.0)
-        full = float(np.sqrt(3.0 * fdtri(3.0, freedom, _FULL)))
-        flagged = float(np.sqrt(3.0 * fdtri(3.0, freedom, 1.0 - _FALSE_ALARM / max(rows, 10))))
-        return cls(full, flagged)
+        freedom, clean = np.maximum(freedom, 1.0), 1.0 - _FALSE_ALARM / np.maximum(rows, 10)
+        return cls(*(np.sqrt(3.0 * fdtri(3.0, freedom, p)) for p in (_FULL, clean)))
 
     def weights(self, scores: Array) -> Array:
-        """Redescending weights: 1, then falling linearly in influence to 0, shape (N,)."""
+        """Redescending weights: 1, then falling linearly in influence to 0, of the scores' shape."""
         fall = (self.flagged - scores) / (self.flagged - self.full)
         return np.where(scores <= self.full, 1.0, np.clip(fall, 0.0, 1.0))
 
 
 def deleted_norms(
-    residual: Array,
-    jacobian: Array,
-    covariance: Array,
-    weights: Array,
-    factors: Array | None = None,
+    residual: Array, jacobian: Array, covariance: Array, weights: Array, factors: Array
 ) -> Array:
-    """How far each row lies from what the others predict, in standard deviations, shape (N,); see the module's text.
+    """How far each row lies from what the others predict, in standard deviations, shape (B, N); see the module's text.
 
     Args:
-        residual: shape (N, D), in units of each scalar's sigma.
+        residual: shape (B, N, D), in units of each scalar's sigma, of B fits.
         jacobian: shape (N, D, p), likewise.
-        covariance: shape (p, p), of the parameters.
-        weights: shape (N,).
-        factors: shape (N, D), what residual and jacobian are multiplied by; None for 1.
+        covariance: shape (B, p, p), of the parameters.
+        weights: shape (B, N).
+        factors: shape (B, N, D) or (1, N, D), what residual and jacobian are multiplied by.
     """
-    norms = np.empty(len(residual))
+    norms = np.empty(weights.shape)
 
     def work(own: slice) -> None:
-        A, r = jacobian[own].transpose(2, 1, 0), residual[own].T
-        p, D, B = A.shape
-        spread = (covariance @ A.reshape(p, D * B)).reshape(p, D, B)
-        leverage = np.empty((D, D, B))
+        A = jacobian[own].transpose(2, 1, 0)
+        p, D, n = A.shape
+        spread = (covariance @ A.reshape(p, D * n)).reshape(-1, p, D, n)
+        leverage: Array = np.empty((D, D, len(norms), n))
         for i in range(D):
-            row = np.einsum("pb,pjb->jb", spread[:, i], A[:, : i + 1])
+            row = np.einsum("bpn,pjn->jbn", spread[:, :, i], A[:, : i + 1])
             leverage[i, : i + 1], leverage[: i + 1, i] = row, row
-        if factors is not None:
-            f = factors[own].T
-            r, leverage = r * f, leverage * f * f[:, None]
-        norms[own] = _norms_of(r, leverage, weights[own])
+        f = factors[:, own].transpose(2, 0, 1)
+        r = (residual[:, own].transpose(2, 0, 1) * f).reshape(D, -1)
+        leverage *= f * f[:, None]
+        found = _norms_of(r, leverage.reshape(D, D, -1), weights[:, own].ravel())
+        norms[:, own] = found.reshape(-1, n)
 
-    over_blocks(work, len(norms))
+    over_blocks(work, weights.shape[1])
     return norms
 
 
@@ -157,9 +154,9 @@ def _squares_by_eigenvalues(residual: Array, leverage: Array, weights: Array) ->
 
 
 def scores(
-    residual: Array, jacobian: Array, covariance: Array, weights: Array, used: NDArray[np.bool_]
+    residual: Array, jacobian: Array, covariance: Array, weights: Array, used: Mask
 ) -> Array:
-    """The score of each row, shape (N,): `deleted_norms` told as those of a point; 0 for a row without scalars.
+    """The score of each row of one fit, shape (N,): `deleted_norms` told as those of a point; 0 without scalars.
 
     Args:
         residual: shape (N, D), in units of each scalar's sigma.
@@ -168,65 +165,49 @@ def scores(
         weights: shape (N,).
         used: shape (N, D), which scalars there are.
     """
-    norms = deleted_norms(residual, jacobian, covariance, weights)
+    every = np.ones((1, *residual.shape))
+    norms = deleted_norms(residual[None], jacobian, covariance[None], weights[None], every)[0]
     return as_of_a_point(norms, np.sum(used, axis=1))
 
 
-def as_of_a_point(row_scores: Array, scalars: NDArray[np.int_]) -> Array:
-    """The scores that three scalars would have at the same probability.
+def as_of_a_point(row_scores: Array, scalars: Integers) -> Array:
+    """The scores, shape (..., N), that three scalars would have at the same probability.
 
     By the chi-squared distribution as far as its tail can be computed, and by the same step beyond.
     """
     result: Array = row_scores.copy()
-    result[scalars == 0] = 0.0
+    result[..., scalars == 0] = 0.0
     for d in np.unique(scalars):
         if d in (0, _POINT):
             continue
         own = scalars == d
-        farthest = _farthest(int(d))
-        inner = np.minimum(row_scores[own], farthest)
+        farthest = np.sqrt(chdtri(d, 1e-200))  # beyond it the tail is too thin to be inverted
+        inner = np.minimum(row_scores[..., own], farthest)
         same = np.sqrt(chdtri(_POINT, chdtrc(d, inner**2)))
-        result[own] = same + (row_scores[own] - inner)
+        result[..., own] = same + (row_scores[..., own] - inner)
     return result
 
 
-def _farthest(d: int) -> float:
-    """The score beyond which the tail of d scalars is too thin to be inverted."""
-    return float(np.sqrt(chdtri(d, 1e-200)))
-
-
-def median_noise(row_scores: Array, used: NDArray[np.bool_]) -> float:
-    """The noise that makes the median score what it is for normal noise: a scale that outliers cannot move.
+def median_noise(row_scores: Array, used: Mask, kept: Mask | None = None) -> Array:
+    """The noise that makes the median score what it is for normal noise, shape (B,): outliers cannot move it.
 
     Args:
-        row_scores: shape (N,), norms in units of the sigma given.
+        row_scores: shape (B, N), norms in units of the sigma given.
         used: shape (N, D), which scalars each row has.
+        kept: shape (B, N), the rows that count; None for all.
     """
     scalars = np.sum(used, axis=1)
     typical = np.sqrt(chdtri(np.maximum(np.arange(used.shape[1] + 1), 1), 0.5))[scalars]
-    return median((row_scores / typical)[scalars > 0])
-
-
-def median(values: Array) -> float:
-    """`numpy.median` of some numbers, without what it does besides."""
-    ordered, count = np.sort(values), len(values)
-    return float(0.5 * (ordered[(count - 1) // 2] + ordered[count // 2]))
+    there = np.broadcast_to(scalars > 0 if kept is None else kept & (scalars > 0), row_scores.shape)
+    ordered = np.sort(np.where(there, row_scores / typical, np.inf), axis=1)
+    count = there.sum(axis=1)[:, None]
+    middle = np.hstack([(count - 1) // 2, count // 2])
+    return np.asarray(np.take_along_axis(ordered, middle, axis=1).mean(axis=1))
 
 
 def cauchy_weights(row_scores: Array) -> Array:
     """1 / (1 + (s / 3.4)^2): never quite 0, for the first rounds, while the fit may still be wrong for all rows."""
-    result: Array = 1.0 / (1.0 + (row_scores / 3.4) ** 2)
-    return result
-
-
-Mask = NDArray[np.bool_]
-Integers = NDArray[np.int_]
-
-#: Of the poses' means so little is left over where the parameters fit them all: what remains is rounding.
-_NOTHING_KEPT = 1e-6
-
-#: Degrees of freedom below this are rounding.
-_SOME_FREEDOM = 1e-9
+    return np.asarray(1.0 / (1.0 + (row_scores / 3.4) ** 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -248,39 +229,34 @@ class Repeats:
 
 
 def repeats(
-    residual: Array,
-    used: Mask,
-    poses: Integers,
-    weights: Array,
-    *,
-    groups: Integers | None = None,
-    fitted: float = 0.0,
+    residual: Array, used: Mask, poses: Integers, weights: Array, *, fitted: float = 0.0
 ) -> Repeats:
     """Scatter within repeats and their correlation, by the method of moments.
 
     Args:
-        residual: shape (N, D), measured minus predicted, in one unit for each group of components; what is not used
-            may be NaN.
+        residual: shape (N, D), measured minus predicted, components 0 to 2 in one unit and those from 3 on in one; what
+            is not used may be NaN.
         used: shape (N, D), which scalars there are.
         poses: shape (N,), the pose of each row (and its target, set-up: whatever is repeated as a whole).
         weights: shape (N,), robust weights: 0 for outliers, 1 for good rows.
-        groups: shape (D,), the group of each component, from 0 on; None: components 0 to 2 are one, 3 to 5 the next.
         fitted: Number of parameters that the fit took from all the scalars. They make the means of poses smaller than
             their errors; without them rho is found too small.
 
     Returns:
         The scatter about the mean of each pose, which holds whatever the model lacks, and rho.
     """
-    groups = np.arange(residual.shape[1]) // 3 if groups is None else groups
     _, pose = np.unique(poses, return_inverse=True)
     w = np.where(used, weights[:, None], 0.0)
     e = np.where(w > 0.0, residual, 0.0)
-    # rho is one number for lengths and angles: each group counts in units of its own size.
-    e_even = e / _sizes(e, w, groups)[groups]
-    moments = _Moments.of(e, w, pose)
-    each = [_within(moments.select(groups == g)) for g in range(_count(groups))]
-    within, freedoms = (read_only(column) for column in np.reshape(each, (-1, 2)).T)
-    rho = _correlation(_Moments.of(e_even, w, pose), fitted)
+    moments, size = _moments(e, w, pose), np.ones(e.shape[1])
+    each = []
+    for own in (slice(0, 3), slice(3, None))[: 1 + (e.shape[1] > 3)]:
+        each.append(_within(moments[:, own].sum(axis=1)))
+        # rho is one number for lengths and angles: each group counts in units of its own size.
+        square = float(np.sum(w[:, own] * e[:, own] ** 2))
+        size[own] = np.sqrt(square / float(np.sum(w[:, own]))) if square > 0.0 else 1.0
+    within, freedoms = (read_only(column) for column in np.array(each).T)
+    rho = _correlation(_moments(e / size, w, pose).sum(axis=1), fitted)
     return Repeats(within, freedoms, float(freedoms.sum()), rho)
 
 
@@ -304,100 +280,60 @@ def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, I
     return sums.reshape(len(first), *values.shape[1:]), first
 
 
-def _count(groups: Integers) -> int:
-    """The number of groups."""
-    return int(groups.max(initial=-1)) + 1
+def _moments(e: Array, w: Array, pose: Integers) -> Array:
+    """Sums over poses for each component of residuals and weights of shape (N, D), shape (8, D).
 
-
-def _sizes(e: Array, w: Array, groups: Integers) -> Array:
-    """Root mean square residual of each group, shape (G,); 1 where it is nothing."""
-    result = np.ones(_count(groups))
-    for g in range(len(result)):
-        chosen = groups == g
-        square = float(np.sum(w[:, chosen] * e[:, chosen] ** 2))
-        if square > 0.0:
-            result[g] = np.sqrt(square / float(np.sum(w[:, chosen])))
-    return result
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Moments:
-    """Sums over poses for each component, all of shape (D,); expectations in terms of s_w^2 and s_b^2.
-
-    Attributes:
-        within: Weighted squares within poses; expected: within_noise s_w^2.
-        within_noise: See there.
-        freedom: Degrees of freedom within.
-        between: Weighted squares of means about the grand mean; expected: between_noise s_w^2 + between_pose s_b^2.
-        between_noise: See there.
-        between_pose: See there.
-        cells: Number of poses.
+    With s_w^2 of the noise and s_b^2 of what repeats share: the weighted squares within poses, their expectation over
+    s_w^2, and their degrees of freedom; the weighted squares of means about the grand mean, their expectations over
+    s_w^2 and over s_b^2; the number of poses, and that of poses but for the grand mean.
     """
-
-    within: Array
-    within_noise: Array
-    freedom: Array
-    between: Array
-    between_noise: Array
-    between_pose: Array
-    cells: Array
-
-    @classmethod
-    def of(cls, e: Array, w: Array, pose: Integers) -> _Moments:
-        """From residuals and weights, shape (N, D)."""
-        W, S, mean = _by_pose(pose, w), _by_pose(pose, w**2), _by_pose(pose, w * e)
-        there = W > 0.0
-        safe = np.where(there, W, 1.0)
-        mean = mean / safe
-        total = np.maximum(W.sum(axis=0), np.finfo(float).tiny)
-        grand = np.sum(W * mean, axis=0) / total
-        # With all weights 1: W = S = n, and the textbook's n - 1, k - 1 and (k - 1) n0 appear.
-        return cls(
-            within=np.sum(w * (e - mean[pose]) ** 2, axis=0),
-            within_noise=np.sum(W - S / safe, axis=0),
-            freedom=np.sum(np.where(there, W**2 / np.where(there, S, 1.0) - 1.0, 0.0), axis=0),
-            between=np.sum(W * (mean - grand) ** 2, axis=0),
-            between_noise=np.sum(S / safe, axis=0) - S.sum(axis=0) / total,
-            between_pose=W.sum(axis=0) - np.sum(W**2, axis=0) / total,
-            cells=np.sum(there, axis=0).astype(np.float64),
-        )
-
-    def select(self, chosen: Mask) -> _Moments:
-        """Those of some components."""
-        return _Moments(
-            self.within[chosen],
-            self.within_noise[chosen],
-            self.freedom[chosen],
-            self.between[chosen],
-            self.between_noise[chosen],
-            self.between_pose[chosen],
-            self.cells[chosen],
-        )
+    W, S, mean = _by_pose(pose, w), _by_pose(pose, w**2), _by_pose(pose, w * e)
+    there = W > 0.0
+    safe = np.where(there, W, 1.0)
+    mean = mean / safe
+    total = np.maximum(W.sum(axis=0), np.finfo(float).tiny)
+    grand = np.sum(W * mean, axis=0) / total
+    cells = np.sum(there, axis=0)
+    # With all weights 1: W = S = n, and the textbook's n - 1, k - 1 and (k - 1) n0 appear.
+    return np.array(
+        [
+            np.sum(w * (e - mean[pose]) ** 2, axis=0),
+            np.sum(W - S / safe, axis=0),
+            np.sum(np.where(there, W**2 / np.where(there, S, 1.0) - 1.0, 0.0), axis=0),
+            np.sum(W * (mean - grand) ** 2, axis=0),
+            np.sum(S / safe, axis=0) - S.sum(axis=0) / total,
+            W.sum(axis=0) - np.sum(W**2, axis=0) / total,
+            cells,
+            np.maximum(cells - 1.0, 0.0),
+        ]
+    )
 
 
-def _within(m: _Moments) -> tuple[float, float]:
-    """Standard deviation within repeats and its degrees of freedom, of components of one size."""
-    freedom, noise = float(m.freedom.sum()), float(m.within_noise.sum())
-    if freedom < _SOME_FREEDOM or noise <= 0.0:
-        return np.nan, 0.0
-    return float(np.sqrt(m.within.sum() / noise)), freedom
+def _within(m: Array) -> tuple[float, float]:
+    """Standard deviation within repeats and its degrees of freedom, from sums of moments of components of one size."""
+    square, noise, freedom = m[:3]
+    # Less than this is rounding.
+    return (
+        (float(np.sqrt(square / noise)), float(freedom))
+        if freedom >= 1e-9 and noise > 0.0
+        else (np.nan, 0.0)
+    )
 
 
-def _correlation(m: _Moments, fitted: float) -> float:
+def _correlation(m: Array, fitted: float) -> float:
     """The share of the variance that repeats have in common, 0 to 1."""
     within = _within(m)[0] ** 2
+    *_, between, of_noise, of_poses, cells, left = m.tolist()
     # A mean for each component is gone in any case; further parameters shrink what is left of the means.
-    left = float(np.sum(np.maximum(m.cells - 1.0, 0.0)))
-    kept = min((float(m.cells.sum()) - fitted) / left, 1.0) if left > 0.0 else 0.0
-    if not np.isfinite(within) or kept < _NOTHING_KEPT:
+    kept = min((cells - fitted) / left, 1.0) if left > 0.0 else 0.0
+    if (
+        not np.isfinite(within) or kept < 1e-6
+    ):  # the parameters fit them all: what remains is rounding
         return 0.0
-    between = float(m.between.sum()) / kept - float(m.between_noise.sum()) * within
-    shared = max(between / float(m.between_pose.sum()), 0.0)
+    shared = max((between / kept - of_noise * within) / of_poses, 0.0)
     return shared / (shared + within) if shared > 0.0 else 0.0
 
 
 def _by_pose(pose: Integers, values: Array) -> Array:
     """Sums of rows (N, D) over each pose, shape (K, D)."""
-    sums = np.zeros((int(pose.max(initial=-1)) + 1, values.shape[1]))
-    np.add.at(sums, pose, values)
-    return sums
+    return np.stack([np.bincount(pose, column) for column in values.T], axis=1)

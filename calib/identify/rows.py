@@ -104,8 +104,10 @@ class Rows:
 
     def where(self, test: Callable[[Kind], bool]) -> Mask:
         """The rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
-        wanted = [registry.names().index(part.kind.name) for part in self._parts if test(part.kind)]
-        return np.isin(self.kinds, wanted)
+        result = np.zeros(len(self), dtype=bool)
+        for part in self._parts:
+            result[part.rows] = test(part.kind)
+        return result
 
     @property
     def present(self) -> tuple[Kind, ...]:

@@ -13,11 +13,14 @@ size instead of running away. With C the posterior covariance and m the posterio
     dL/dlog sigma_c = |y - A m|_c^2 / sigma_c^2 + tr(H_c C) / sigma_c^2 - N_c,      H_c = A_c^T A_c
 
 and its expected (Fisher) information has a closed form in C too: a handful of p x p products an iteration.
+
+Several problems are worked on at a time, that differ in the weights of their rows, such as those without one fold each:
+B of them are the first axis of every array. A fit is one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +28,6 @@ from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 Array = NDArray[np.float64]
-Masks = tuple[NDArray[np.bool_], ...]
-
-#: sigma of each instrument.
-Noise = tuple[float, ...] | Array
 
 #: Bounds of the sizes: far outside of what an arm can have.
 _SMALLEST, _LARGEST = 1e-7, 0.1
@@ -37,25 +36,12 @@ _SMALLEST, _LARGEST = 1e-7, 0.1
 STEPS_DOWN, STEPS_UP = 3.0, 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class Sizes:
-    """The sizes of noise and priors.
-
-    Attributes:
-        noise: sigma of each instrument, of a scalar of weight 1, as a factor of the sigmas given.
-        families: tau of each family, in the order that they were given in, in the parameters' unit.
-    """
-
-    noise: tuple[float, ...]
-    families: tuple[float, ...]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
     """What is known of the parameters besides the measurements.
 
     Attributes:
-        precision: shape (p,), 1 / tau^2 of priors whose sizes stay; 0 where there is none.
+        precision: shape (B, p) or (p,), 1 / tau^2 of priors; 0 where there is none.
         centre: shape (p,), the means of these priors.
         H: shape (p, p), C^T C of whitened constraints C x = z, the linearised.
         g: shape (p,), C^T z.
@@ -77,23 +63,20 @@ class Known:
         z: Array | None = None,
     ) -> Known:
         """From precisions and means, and the rows of constraints."""
-        p = len(precision)
+        p = precision.shape[-1]
         centre = np.zeros(p) if centre is None else centre
         if C is None or z is None or not len(C):
             return cls(precision, centre, np.zeros((p, p)), np.zeros(p))
         return cls(precision, centre, C.T @ C, C.T @ z, float(z @ z))
 
-    def and_families(self, own: Array) -> Known:
-        """With zero-mean priors of these precisions on parameters that have none yet."""
-        return Known(self.precision + own, self.centre, self.H, self.g, self.zz)
-
-    def square(self, x: Array) -> float:
-        """How far x is from what is known, squared, in standard deviations.
+    def square(self, x: Array) -> Array:
+        """How far x, shape (B, p), is from what is known, squared, in standard deviations, shape (B,).
 
         Of the priors term by term: one that holds a parameter at a bound would drown the rest in its rounding.
         """
-        of_priors = float(np.sum(self.precision * (x - self.centre) ** 2))
-        return of_priors + max(self.zz - 2.0 * float(self.g @ x) + float(x @ self.H @ x), 0.0)
+        of_priors = np.sum(self.precision * (x - self.centre) ** 2, axis=-1)
+        square = self.zz - 2.0 * (x @ self.g) + np.sum((x @ self.H) * x, axis=-1)
+        return np.asarray(of_priors + np.maximum(square, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,10 +84,10 @@ class Linearised:
     """Weighted normal equations of the linearised measurements: all that the likelihood needs.
 
     Attributes:
-        H: shape (C, p, p), A_c^T W A_c of each instrument.
-        g: shape (C, p), A_c^T W y_c.
-        yy: shape (C,), y_c^T W y_c.
-        count: shape (C,), number of scalar measurements, by weight.
+        H: shape (B, C, p, p), A_c^T W A_c of each instrument.
+        g: shape (B, C, p), A_c^T W y_c.
+        yy: shape (B, C), y_c^T W y_c.
+        count: shape (B, C), number of scalar measurements, by weight.
     """
 
     H: Array
@@ -112,128 +95,124 @@ class Linearised:
     yy: Array
     count: Array
 
-    def posterior(self, noise: Noise, known: Known) -> tuple[Array, Array]:
-        """Mean and covariance of x.
+    def at(self, which: NDArray[np.int_]) -> Linearised:
+        """Some of the problems."""
+        return Linearised(self.H[which], self.g[which], self.yy[which], self.count[which])
 
-        Args:
-            noise: sigma of each instrument.
-            known: All priors.
+    def posterior(self, noise: Array, known: Known) -> tuple[Array, Array]:
+        """Mean and covariance of x, shapes (B, p) and (B, p, p), at the sigma of each instrument, shape (B, C).
 
-        Returns:
-            shapes (p,) and (p, p); directions that neither data nor prior determine get no share of either.
+        Directions that neither data nor prior determine get no share of either.
         """
         M, right = self._equations(noise, known)
-        scale = 1.0 / np.sqrt(M.diagonal() + 1e-300)
-        scales = scale[:, None] * scale
-        C = inverse(M * scales) * scales
-        return C @ right, C
+        scale = 1.0 / np.sqrt(_diagonal(M) + 1e-300)
+        scales = scale[:, :, None] * scale[:, None]
+        C = np.array([inverse(one) for one in M * scales]) * scales
+        return (C @ right[:, :, None])[:, :, 0], C
 
-    def _equations(self, noise: Noise, known: Known) -> tuple[Array, Array]:
-        """The posterior's precision matrix and the right side, shapes (p, p) and (p,)."""
-        weight = 1.0 / np.square(noise)
-        M = np.tensordot(weight, self.H, 1) if len(weight) > 1 else weight[0] * self.H[0]
+    def _equations(self, noise: Array, known: Known) -> tuple[Array, Array]:
+        """The posterior's precision matrix and the right side, shapes (B, p, p) and (B, p)."""
+        B, C, p, _ = self.H.shape
+        weight = 1.0 / np.square(noise)[:, None]
+        M = (weight @ self.H.reshape(B, C, p * p)).reshape(B, p, p)
         M += known.H
-        M.reshape(-1)[:: len(M) + 1] += known.precision  # the diagonal
-        return M, np.asarray(weight @ self.g + known.g + known.precision * known.centre)
+        _diagonal(M)[...] += known.precision
+        return M, (weight @ self.g)[:, 0] + known.g + known.precision * known.centre
 
     def residual_square(self, x: Array) -> Array:
-        """|y - A x|^2 of each instrument, weighted, never below 0, shape (C,)."""
-        square = self.yy - 2.0 * (self.g @ x) + (self.H @ x) @ x
+        """|y - A x|^2 of each instrument, weighted, never below 0, shape (B, C)."""
+        x = x[:, None, :, None]
+        square = self.yy + ((self.H @ x - 2.0 * self.g[..., None]) * x)[..., 0].sum(axis=2)
         return np.asarray(np.maximum(square, 0.0))
 
-    def log_likelihood(self, noise: tuple[float, ...], known: Known, own: Array) -> float:
-        """The restricted log likelihood of noise and sizes, but for a constant of the flat parameters.
+    def log_likelihood(self, noise: Array, known: Known, own: Array) -> Array:
+        """The restricted log likelihood of noise and sizes, but for a constant of the flat parameters, shape (B,).
 
         -1/2 [sum_c N_c log sigma_c^2 - sum_k log precision_k + log det M + y^T P y], with the posterior's precision M.
 
         Args:
-            noise: sigma of each instrument.
+            noise: shape (B, C), sigma of each instrument.
             known: All priors, at their sizes.
-            own: shape (p,), the part of the precisions that is a prior's, not a hold on flat parameters.
+            own: shape (B, p), the part of the precisions that is a prior's, not a hold on flat parameters.
         """
         M, _ = self._equations(noise, known)
-        scale = 1.0 / np.sqrt(np.diag(M) + 1e-300)
-        values = np.linalg.eigvalsh(M * np.outer(scale, scale))
-        log_det = float(np.sum(np.log(np.maximum(values, 1e-300))) - 2.0 * np.sum(np.log(scale)))
+        scale = 1.0 / np.sqrt(_diagonal(M) + 1e-300)
+        values = np.linalg.eigvalsh(M * scale[:, :, None] * scale[:, None])
+        log_det = np.sum(np.log(np.maximum(values, 1e-300)) - 2.0 * np.log(scale), axis=1)
         x, _ = self.posterior(noise, known)
-        square = float(np.sum(self.residual_square(x) / np.square(noise))) + known.square(x)
-        priors = float(np.sum(np.log(own[own > 0.0])))
-        return -0.5 * (2.0 * float(self.count @ np.log(noise)) - priors + log_det + square)
+        square = np.sum(self.residual_square(x) / np.square(noise), axis=1) + known.square(x)
+        priors = np.sum(np.log(np.where(own > 0.0, own, 1.0)), axis=1)
+        of_noise = 2.0 * np.sum(self.count * np.log(noise), axis=1)
+        return np.asarray(-0.5 * (of_noise - priors + log_det + square))
 
 
 def sizes_by_reml(
     data: Linearised,
-    families: Masks,
-    start: Sizes,
+    families: NDArray[np.bool_],
+    noise: Array,
+    sizes: Array,
     *,
     smallest_noise: tuple[float, ...],
     noise_spread: float = np.inf,
     known: Known | None = None,
     bounds: tuple[tuple[float, float], ...] | None = None,
     iterations: int = 30,
-) -> Sizes:
+) -> tuple[Array, Array]:
     """The sizes that maximise the restricted marginal likelihood, by damped Fisher scoring on their logarithms.
 
     Args:
         data: The linearised measurements.
-        families: For each family which parameters belong to it, shape (p,).
-        start: Where to begin.
+        families: shape (K, p), which parameters belong to each family.
+        noise: shape (B, C), sigma of each instrument to begin with, of a scalar of weight 1, over the sigma given.
+        sizes: shape (B, K), tau of each family to begin with, in the parameters' unit.
         smallest_noise: Lower bound of each sigma.
         noise_spread: How far a sigma may be from 1, as the standard deviation of a normal prior on log sigma. It
             decides where rows are too few to tell noise from error, and is not felt where they are not.
         known: Priors whose sizes are given and stay, and constraints.
         bounds: Smallest and largest size of each family.
         iterations: Limit; a few are enough from a good start.
+
+    Returns:
+        Noise and sizes, of the same shapes.
     """
-    logs = np.log(np.array([*start.noise, *start.families]))
-    C = len(start.noise)
-    p = data.g.shape[1]
+    C, p = data.g.shape[1:]
     known = Known.of(np.zeros(p)) if known is None else known
     bounds = ((_SMALLEST, _LARGEST),) * len(families) if bounds is None else bounds
+    start = np.hstack([noise, sizes])
     lowest = np.log(np.array([*smallest_noise, *(low for low, _ in bounds)]))
-    highest = np.log(np.array([*(1e6 * s for s in start.noise), *(high for _, high in bounds)]))
-    logs = clipped(logs, lowest, highest)
-    members = np.array(families, dtype=np.float64).reshape(-1, p)
-    of_noise = np.arange(len(logs)) < C
-    spread = np.where(of_noise, 1.0 / noise_spread**2, 0.0)
+    highest = np.log(
+        np.hstack([1e6 * noise, np.tile([high for _, high in bounds], (len(noise), 1))])
+    )
+    logs = np.clip(np.log(start), lowest, highest)
+    members = np.asarray(families, dtype=np.float64).reshape(-1, p)
+    spread = np.where(np.arange(start.shape[1]) < C, 1.0 / noise_spread**2, 0.0)
     last = np.zeros_like(logs)
+    going = np.arange(len(logs))
     for _ in range(iterations):
-        score, information = _score(data, members, known, logs, C)
-        score -= spread * logs
-        diagonal = information.reshape(-1)[:: len(logs) + 1]
-        diagonal += spread
-        # A family at its lower bound with a score that points below it stays there.
-        held = ((logs <= lowest) & (score < 0)) | ((logs >= highest) & (score > 0))
-        if held.all():
-            break
-        diagonal += 1e-3 * diagonal + 1e-9
-        information[held], information[:, held], score[held] = 0.0, 0.0, 0.0
-        diagonal[held] = 1.0
-        step: Array = clipped(
-            np.asarray(np.linalg.solve(information, score)), -STEPS_DOWN, STEPS_UP
+        at, high = logs[going], highest[going]
+        held_by = (
+            known if known.precision.ndim == 1 else replace(known, precision=known.precision[going])
         )
+        score, information = _score(data.at(going), members, held_by, at)
+        score -= spread * at
+        diagonal = _diagonal(information)
+        diagonal += spread
+        diagonal += 1e-3 * diagonal + 1e-9
+        # A family at its lower bound with a score that points below it stays there.
+        held = ((at <= lowest) & (score < 0)) | ((at >= high) & (score > 0))
+        score[held] = 0.0
+        information[held[:, :, None] | held[:, None]] = 0.0
+        diagonal[held] = 1.0
+        step = np.linalg.solve(information, score[:, :, None])[:, :, 0]
+        step = np.clip(step, -STEPS_DOWN, STEPS_UP)
         # The expected information may be too small by half: then full steps overshoot, to and fro.
-        last = np.where(step * last < 0.0, 0.5 * step, step)
-        moved = clipped(logs + last, lowest, highest)
-        done = np.abs(moved - logs).max() < 1e-4
-        logs = moved
-        if done:
+        last[going] = step = np.where(step * last[going] < 0.0, 0.5 * step, step)
+        logs[going] = moved = np.clip(at + step, lowest, high)
+        going = going[np.abs(moved - at).max(axis=1) >= 1e-4]
+        if not len(going):
             break
     values = np.exp(logs)
-    return Sizes(tuple(values[:C].tolist()), tuple(values[C:].tolist()))
-
-
-def clipped(values: Array, low: Array | float, high: Array | float) -> Array:
-    """`numpy.clip` without what it does besides."""
-    return np.asarray(np.minimum(np.maximum(values, low), high))
-
-
-def precision_of(families: Masks, sizes: tuple[float, ...], p: int) -> Array:
-    """1 / tau^2 of each parameter, shape (p,); 0 for those of no family."""
-    precision = np.zeros(p)
-    for members, size in zip(families, sizes, strict=True):
-        precision[members] = 1.0 / size**2
-    return precision
+    return values[:, :C], values[:, C:]
 
 
 def inverse(M: Array) -> Array:
@@ -244,45 +223,40 @@ def inverse(M: Array) -> Array:
     if not failed and root.diagonal().min(initial=1.0) > 1e-6:
         inverse, _ = dtrtri(root, lower=1)
         return np.asarray(inverse.T @ inverse)
-    try:
-        return np.asarray(np.linalg.pinv(M, rcond=1e-13, hermitian=True))
-    except np.linalg.LinAlgError:
-        # Divide and conquer does not converge for some finite singular matrices; QR iterations do.
-        return _pseudo_inverse_by_qr(M)
-
-
-def _pseudo_inverse_by_qr(M: Array) -> Array:
-    """The pseudo-inverse of a symmetric matrix, by LAPACK's QR iterations: slower, and a little less exact."""
-    values, vectors = eigh(M, driver="ev")
+    values, vectors = eigh(M, driver="ev")  # divide and conquer does not converge for some of them
     kept = np.abs(values) > 1e-13 * np.max(np.abs(values), initial=0.0)
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
 
 
-def _score(
-    data: Linearised, families: Masks | Array, known: Known, logs: Array, C: int
-) -> tuple[Array, Array]:
+def _diagonal(M: Array) -> Array:
+    """The diagonals of matrices, shape (B, p), to be written to."""
+    found: Array = np.einsum("bii->bi", M)
+    return found
+
+
+def _score(data: Linearised, members: Array, known: Known, logs: Array) -> tuple[Array, Array]:
     """Gradient of the log likelihood in log sizes, and its expected information."""
-    members = np.asarray(families, dtype=np.float64).reshape(len(families), data.g.shape[1])
+    B, C, p = data.g.shape
     values = np.exp(logs)
-    noise, sizes = values[:C], values[C:]
-    own_precision = (1.0 / sizes**2) @ members
-    m, covariance = data.posterior(noise, known.and_families(own_precision))
-    square = noise**2
-    HC = (data.H @ covariance) / square[:, None, None]
-    trace = np.trace(HC, axis1=1, axis2=2)
-    score, information = np.empty(len(logs)), np.empty((len(logs), len(logs)))
-    score[:C] = data.residual_square(m) / square + trace - data.count
-    flat = HC.reshape(C, -1)
-    crossed = flat @ HC.transpose(0, 2, 1).reshape(C, -1).T
-    information[:C, :C] = 2.0 * crossed
-    information.reshape(-1)[: C * len(logs) : len(logs) + 1] += 2.0 * (data.count - 2.0 * trace)
+    noise, sizes = values[:, :C], values[:, C:]
+    own = (1.0 / sizes**2) @ members
+    m, covariance = data.posterior(noise, replace(known, precision=known.precision + own))
+    HC = (data.H @ covariance[:, None]) / np.square(noise)[:, :, None, None]
+    turned = HC.swapaxes(2, 3)
+    trace = np.trace(HC, axis1=2, axis2=3)
+    score, information = np.empty(logs.shape), np.empty((*logs.shape, logs.shape[1]))
+    score[:, :C] = data.residual_square(m) / np.square(noise) + trace - data.count
+    crossed = HC.reshape(B, C, p * p) @ turned.reshape(B, C, p * p).swapaxes(1, 2)
+    information[:, :C, :C] = 2.0 * crossed
+    _diagonal(information)[:, :C] += 2.0 * (data.count - 2.0 * trace)
     if len(members):
-        both = (covariance * HC.transpose(0, 2, 1)).sum(axis=2)
-        score[C:] = members @ (m**2 + covariance.diagonal()) / sizes**2 - members.sum(axis=1)
-        information[:C, C:] = 2.0 * (both @ members.T) / sizes**2
-        information[C:, :C] = information[:C, C:].T
-        root = np.sqrt(own_precision)  # 1 / tau, 0 for those of no family
-        block = covariance * (-root[:, None] * root)
-        block.reshape(-1)[:: len(root) + 1] += root > 0.0
-        information[C:, C:] = 2.0 * (members @ block**2 @ members.T)
+        both = (covariance[:, None] * turned).sum(axis=3)
+        square = (m**2 + _diagonal(covariance)) @ members.T
+        score[:, C:] = square / sizes**2 - members.sum(axis=1)
+        information[:, :C, C:] = 2.0 * (both @ members.T) / sizes[:, None] ** 2
+        information[:, C:, :C] = information[:, :C, C:].swapaxes(1, 2)
+        root = np.sqrt(own)  # 1 / tau, 0 for those of no family
+        block = covariance * (-root[:, :, None] * root[:, None])
+        _diagonal(block)[...] += root > 0.0
+        information[:, C:, C:] = 2.0 * (members @ block**2 @ members.T)
     return score, information

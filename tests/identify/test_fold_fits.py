@@ -10,7 +10,7 @@ import pytest
 
 from calib.identify.crossvalidation import cross_validation, fold_fits, fold_means, folds_of
 from calib.identify.estimate import estimate as estimated
-from calib.identify.fitting import Fitted, Task, fit, task_options
+from calib.identify.fitting import Fitted, Task, fit, holds_of
 from calib.identify.fitting import _solver as solver_of
 from calib.identify.problem import Problem
 from calib.identify.rows import Rows
@@ -51,13 +51,13 @@ def test_folds_by_the_linearised_problem_go_through_the_stages_of_a_fit(make_sce
     fitted = fitted_to(scene, table, Cell())
     masks = folds_of(fitted.task, rows_of_fit(fitted)).masks[:6]
     problem, estimate = fitted.estimate.problem, fitted.estimate
-    options = task_options(fitted.task, fitted.kinematics.model, fitted.setup)
-    found = fold_fits(problem, estimate.noise, problem.linear(estimate.x), masks, options)
+    holds = holds_of(fitted.task, fitted.kinematics.model, fitted.setup)
+    found, _ = fold_fits(fitted, holds, problem.linear(estimate.x), masks)
     std = np.sqrt(np.diag(estimate.covariance))
-    for mask, x in zip(masks, found.x, strict=True):
+    for mask, x in zip(masks, found, strict=True):
         first = Problem.first(problem.kinematics, problem.rows.select(~mask))
         solve = solver_of("lm", steps(fitted.kinematics.model.units))
-        np.testing.assert_allclose(estimated(first, solve, options).x / std, x / std, atol=0.05)
+        np.testing.assert_allclose(estimated(first, solve, holds).x / std, x / std, atol=0.05)
 
 
 def test_means_at_sizes_that_stay(make_scene):
@@ -65,12 +65,12 @@ def test_means_at_sizes_that_stay(make_scene):
     fitted = fitted_to(scene, table, Cell())
     problem, estimate = fitted.estimate.problem, fitted.estimate
     linear = problem.linear(estimate.x)
-    known = linear.known(problem.precision, problem.centre)
+    known, noise = linear.known(problem.precision, problem.centre), np.array([estimate.noise])
     masks = folds_of(fitted.task, problem.rows).masks
-    found = fold_means(linear, masks, problem.weights, estimate.noise, known)
+    found = fold_means(fitted, linear, masks)
     for mask, x in zip(masks, found, strict=True):
-        one = linear.data(np.where(mask, 0.0, problem.weights)).posterior(estimate.noise, known)[0]
-        np.testing.assert_allclose(x, one, rtol=1e-6, atol=1e-12)
+        one = linear.data(np.where(mask, 0.0, problem.weights)[None]).posterior(noise, known)[0]
+        np.testing.assert_allclose(x, one[0], rtol=1e-6, atol=1e-12)
 
 
 def both(fitted: Fitted) -> tuple[Any, Any]:

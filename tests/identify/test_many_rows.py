@@ -114,10 +114,10 @@ def test_the_linearised_problem_in_parts(ur3, kind, monkeypatch):
     kinematics, rows = rows_of_kinds(ur3, KINDS[kind])
     x = np.random.default_rng(3).normal(0.0, 1e-4, len(kinematics.model))
     whole = problem.Problem.first(kinematics, rows).linear(x)
-    weights = np.random.default_rng(4).uniform(size=len(rows))
-    data, noise = whole.data(weights), tuple(1.0 + np.arange(len(whole.smallest)))
-    covariance = np.linalg.inv(data.H.sum(axis=0) + np.eye(len(x)))
-    scores = whole.scores(whole.residual(x), covariance, weights, noise)
+    weights = np.random.default_rng(4).uniform(size=(2, len(rows)))
+    data, noise = whole.data(weights), np.tile(1.0 + np.arange(len(whole.smallest)), (2, 1))
+    covariance, both = np.linalg.inv(data.H.sum(axis=1) + np.eye(len(x))), np.stack([x, 0.9 * x])
+    scores = whole.scores(both, covariance, weights, noise)
     monkeypatch.setattr(threads, "BLOCK", 31)
     monkeypatch.setattr(problem, "_PART", 50)
     parts = problem.Problem.first(kinematics, rows).linear(x)
@@ -125,9 +125,7 @@ def test_the_linearised_problem_in_parts(ur3, kind, monkeypatch):
     again = parts.data(weights)
     np.testing.assert_allclose(again.H, data.H, rtol=1e-9, atol=1e-9 * np.abs(data.H).max())
     np.testing.assert_allclose(again.count, data.count)
-    np.testing.assert_allclose(
-        parts.scores(parts.residual(x), covariance, weights, noise), scores, rtol=1e-6
-    )
+    np.testing.assert_allclose(parts.scores(both, covariance, weights, noise), scores, rtol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["point", "all"])

@@ -103,10 +103,6 @@ def test_positions_and_orientations_have_scatters_of_their_own():
     np.testing.assert_allclose(found.freedoms, [2700, 2700])
     # Units do not matter to what they share.
     assert found.rho == pytest.approx(0.5, abs=0.04)
-    one = repeats(
-        e, np.ones(e.shape, dtype=bool), poses, np.ones(len(e)), groups=np.zeros(6, dtype=int)
-    )
-    assert one.within.shape == (1,)
     assert not found.within.flags.writeable
 
 

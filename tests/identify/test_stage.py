@@ -61,7 +61,7 @@ def test_the_linear_problem_is_the_problem_at_that_place(virtual):
     linear = problem.linear(x)
     np.testing.assert_allclose(linear.residual(x) * 1e-4, problem.residual(x), atol=1e-15)
     assert linear.smallest == pytest.approx((SMALLEST_SIGMA / 1e-4,))
-    assert linear.noise_of((3.0,)).shape == (12, 3)
+    assert linear.noise_of(np.array([[3.0], [2.0]])).shape == (2, 12, 3)
 
 
 def test_freedom_is_what_scalars_are_left_after_the_parameters(virtual):
@@ -69,9 +69,11 @@ def test_freedom_is_what_scalars_are_left_after_the_parameters(virtual):
     rows = virtual.rows(rng, np.zeros(27), 40, 1e-4)
     linear = Problem.first(virtual.kinematics, rows).linear(np.zeros(27))
     nothing, free = np.zeros(27), np.full(27, 1e-6)
-    *_, held = linear.fit(np.ones(40), (1.0,), linear.known(np.full(27, 1e20), nothing))
-    *_, loose = linear.fit(np.ones(40), (1.0,), linear.known(free, nothing))
-    *_, half = linear.fit(np.full(40, 0.5), (1.0,), linear.known(free, nothing))
+    weights, noise = np.stack([np.ones(40), np.full(40, 0.5)]), np.ones((2, 1))
+    (held, _), (loose, half) = (
+        linear.fit(weights, noise, linear.known(precision, nothing))[2]
+        for precision in (np.full(27, 1e20), free)
+    )
     assert held == pytest.approx(120, abs=1e-3)
     assert loose == pytest.approx(120 - 21, abs=1e-3)  # six of the 27 are told by others only
     assert half == pytest.approx(60 - 21, abs=1e-3)
@@ -105,11 +107,13 @@ def test_repeats_count_for_what_they_do_not_share(virtual, mode, shared, own, rh
     for seed in range(8):
         rows = repeated(virtual, np.random.default_rng(seed), shared, own)
         problem = Problem.first(virtual.kinematics, rows)
-        stage = Stage.first(Holds.of(virtual.kinematics.model, Priors()), len(rows), 1)
+        stage = Stage.first(
+            Holds.of(virtual.kinematics.model, Priors()), np.ones((1, len(rows)), dtype=bool), 1
+        )
         linear = problem.linear(np.zeros(27))
         stage = stage.sharing(linear, rows.poses, mode)
-        np.testing.assert_array_equal(stage.share, stage.share[0])
-        shares.append(stage.share[0])
+        np.testing.assert_array_equal(stage.share, stage.share[0, 0])
+        shares.append(stage.share[0, 0])
     assert np.mean(shares) == pytest.approx(1.0 / (1.0 + 3.0 * rho), abs=0.06)
 
 
@@ -119,9 +123,9 @@ def test_a_flagged_repeat_leaves_its_part_to_the_others(virtual):
     weights = np.ones(len(rows))
     weights[0] = 0.0
     holds = Holds.of(virtual.kinematics.model, Priors())
-    stage = Stage.first(holds, len(rows), 1, weights)
+    stage = Stage.first(holds, np.ones((1, len(rows)), dtype=bool), 1, weights)
     share = stage.sharing(problem.linear(np.zeros(27)), rows.poses, "average").share
-    np.testing.assert_allclose(share[:5], [1 / 3, 1 / 3, 1 / 3, 1 / 3, 1 / 4])
+    np.testing.assert_allclose(share[0, :5], [1 / 3, 1 / 3, 1 / 3, 1 / 3, 1 / 4])
 
 
 def test_first_weights_name_gross_rows_and_the_median_finds_the_noise(virtual):
@@ -130,9 +134,11 @@ def test_first_weights_name_gross_rows_and_the_median_finds_the_noise(virtual):
     points = rows.points.copy()
     points[:6] += 0.02
     problem = Problem.first(virtual.kinematics, replace(rows, measured=points))
-    stage = Stage.first(Holds.of(virtual.kinematics.model, Priors()), len(rows), 1)
+    stage = Stage.first(
+        Holds.of(virtual.kinematics.model, Priors()), np.ones((1, len(rows)), dtype=bool), 1
+    )
     for _ in range(4):
         stage = stage.by_median(problem.linear(np.zeros(27)))
-    assert np.all(stage.weights[:6] < 0.02)
-    assert np.median(stage.weights[6:]) > 0.7
-    assert stage.noise[0] == pytest.approx(2.0, rel=0.3)
+    assert np.all(stage.weights[0, :6] < 0.02)
+    assert np.median(stage.weights[0, 6:]) > 0.7
+    assert stage.noise[0, 0] == pytest.approx(2.0, rel=0.3)

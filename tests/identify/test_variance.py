@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -9,18 +10,11 @@ import pytest
 from scipy.optimize import minimize
 
 from calib.identify.problem import Linear
-from calib.identify.variance import (
-    Known,
-    Sizes,
-    _pseudo_inverse_by_qr,
-    _score,
-    inverse,
-    precision_of,
-    sizes_by_reml,
-)
+from calib.identify.variance import Known, Linearised, _score, inverse, sizes_by_reml
 
 P = 14
-FAMILIES = (np.arange(P) < 6, (np.arange(P) >= 6) & (np.arange(P) < 12))  # the last two are flat
+FAMILIES = np.arange(P) // 6 == np.arange(2)[:, None]  # the last two parameters are flat
+MEMBERS = FAMILIES.astype(float)
 FLAT = Known.of(np.zeros(P))
 
 
@@ -46,17 +40,26 @@ def normal_of(A, y, weights, instruments):
     p, count = A.shape[2], int(instruments.max()) + 1
     used, none = instruments >= 0, np.zeros((0, p))
     return Linear(np.zeros(p), columns, used, instruments, (0.0,) * count, none, np.zeros(0)).data(
-        weights
+        weights[None]
     )
 
 
-def one_instrument(A, y, weights=None):
-    return linearised(A, y, 1, weights)
-
-
-def linearised(A, y, count, weights=None):
+def linearised(A, y, count=1, weights=None):
     weights = np.ones(len(A)) if weights is None else weights
     return normal_of(A, y, weights, instruments_of(A, count))
+
+
+def several(found):
+    """Problems one after the other as one of several."""
+    names = ("H", "g", "yy", "count")
+    return Linearised(*(np.concatenate([getattr(one, name) for one in found]) for name in names))
+
+
+def reml(data, noise, sizes=(0.01, 0.01), smallest=1e-6, families=FAMILIES, **further):
+    """The sizes found from one start, shape (B, C) and (B, K)."""
+    B, C = data.count.shape
+    start = np.tile(noise, (B, 1)), np.tile(np.array(sizes, dtype=float), (B, 1))
+    return sizes_by_reml(data, families, *start, smallest_noise=(smallest,) * C, **further)
 
 
 def restricted_log_likelihood(noise, sizes, A, y, held=None, C=None, z=None, centre=None):
@@ -89,8 +92,9 @@ def restricted_log_likelihood(noise, sizes, A, y, held=None, C=None, z=None, cen
 
 def at(data, known, noise, sizes):
     """The log likelihood as it is computed, at some sizes."""
-    own = precision_of(FAMILIES, sizes, P)
-    return data.log_likelihood(noise, known.and_families(own), own)
+    own = (1.0 / np.array([sizes]) ** 2) @ FAMILIES
+    known = replace(known, precision=known.precision + own)
+    return data.log_likelihood(np.array([noise]), known, own)[0]
 
 
 def further_knowledge(rng):
@@ -129,7 +133,7 @@ def test_weights_are_as_many_rows():
     weights = np.ones(8)
     weights[3] = 2.0
     twice = np.append(np.arange(8), 3)
-    mine, other = one_instrument(A, y, weights), one_instrument(A[twice], y[twice])
+    mine, other = linearised(A, y, 1, weights), linearised(A[twice], y[twice])
     for sizes in ((0.3, 0.1), (0.1, 0.5)):
         assert at(mine, FLAT, (0.2,), sizes) == pytest.approx(at(other, FLAT, (0.2,), sizes))
 
@@ -146,7 +150,7 @@ def test_score_and_information_against_the_likelihood(count, more):
         known = Known.of(held, centre, C, z)
     data = linearised(A, y, count)
     logs = np.log(np.array([*(0.07, 0.3)[:count], 0.2, 0.15]))
-    score, information = _score(data, FAMILIES, known, logs, count)
+    score, information = (f[0] for f in _score(data, MEMBERS, known, logs[None]))
 
     def value(v):
         sizes = np.exp(v)
@@ -168,14 +172,14 @@ def test_the_information_is_the_covariance_of_the_score(count):
     A, _ = data_of(rng, 10, 0.1, (0.3, 0.1))
     noise = (0.1, 0.25)[:count]
     logs = np.log([*noise, 0.3, 0.1])
-    scores = []
-    for _ in range(3000):
+    drawn = []
+    for _ in range(1500):
         x = np.concatenate([0.3 * rng.normal(size=6), 0.1 * rng.normal(size=6), [0.5, -2.0]])
         sigma = np.array(noise)[[0, 0, count - 1]]
-        y = A @ x + sigma * rng.normal(size=(10, 3))
-        score, information = _score(linearised(A, y, count), FAMILIES, FLAT, logs, count)
-        scores.append(score)
-    covariance = np.cov(np.array(scores).T)
+        drawn.append(linearised(A, A @ x + sigma * rng.normal(size=(10, 3)), count))
+    scores, information = _score(several(drawn), MEMBERS, FLAT, np.tile(logs, (1500, 1)))
+    information = information[0]
+    covariance = np.cov(scores.T)
     np.testing.assert_allclose(np.mean(scores, axis=0), 0.0, atol=0.3)
     size = np.sqrt(np.diag(information))
     np.testing.assert_allclose(
@@ -188,12 +192,7 @@ def test_the_information_is_the_covariance_of_the_score(count):
 def test_the_maximum_is_that_of_the_likelihood_written_out(seed, count):
     rng = np.random.default_rng(seed)
     A, y = data_of(rng, 12, (0.05, 0.15)[:count], (0.02, 0.005))
-    found = sizes_by_reml(
-        linearised(A, y, count),
-        FAMILIES,
-        Sizes((0.3,) * count, (0.01, 0.01)),
-        smallest_noise=(1e-6,) * count,
-    )
+    noise, sizes = (f[0] for f in reml(linearised(A, y, count), (0.3,) * count))
 
     def cost(logs):
         sizes = np.exp(logs)
@@ -205,64 +204,44 @@ def test_the_maximum_is_that_of_the_likelihood_written_out(seed, count):
         method="L-BFGS-B",
         bounds=[*[(np.log(1e-4), 0)] * count, *[(np.log(1e-7), np.log(0.1))] * 2],
     )
-    assert cost(np.log([*found.noise, *found.families])) <= brute.fun + 1e-4
-    np.testing.assert_allclose(found.noise, np.exp(brute.x[:count]), rtol=0.02)
+    assert cost(np.log([*noise, *sizes])) <= brute.fun + 1e-4
+    np.testing.assert_allclose(noise, np.exp(brute.x[:count]), rtol=0.02)
 
 
-def test_sizes_are_right_in_the_mean():
-    rng = np.random.default_rng(7)
-    found = []
-    for _ in range(200):
-        A, y = data_of(rng, 15, 0.02, (0.05, 0.02))
-        sizes = sizes_by_reml(
-            one_instrument(A, y), FAMILIES, Sizes((0.1,), (0.01, 0.01)), smallest_noise=(1e-6,)
-        )
-        found.append(np.square([*sizes.noise, *sizes.families]))
-    np.testing.assert_allclose(np.sqrt(np.mean(found, axis=0)), [0.02, 0.05, 0.02], rtol=0.08)
-
-
-def test_the_noise_of_each_instrument_is_right_in_the_mean():
-    rng = np.random.default_rng(8)
-    found = []
-    for _ in range(150):
-        A, y = data_of(rng, 15, (0.02, 0.3), (0.05, 0.02))
-        sizes = sizes_by_reml(
-            linearised(A, y, 2),
-            FAMILIES,
-            Sizes((0.1, 0.1), (0.01, 0.01)),
-            smallest_noise=(1e-6,) * 2,
-        )
-        found.append(np.square([*sizes.noise, *sizes.families]))
-    np.testing.assert_allclose(np.sqrt(np.mean(found, axis=0)), [0.02, 0.3, 0.05, 0.02], rtol=0.1)
+@pytest.mark.parametrize("noise", [(0.02,), (0.02, 0.3)])
+def test_sizes_and_the_noise_of_each_instrument_are_right_in_the_mean(noise):
+    rng, tau = np.random.default_rng(7), (0.05, 0.02)
+    count = len(noise)
+    drawn = [linearised(*data_of(rng, 15, (*noise, *noise)[:2], tau), count) for _ in range(200)]
+    found = np.hstack(reml(several(drawn), (0.1,) * count))
+    np.testing.assert_allclose(np.sqrt(np.mean(found**2, axis=0)), [*noise, *tau], rtol=0.1)
 
 
 def test_a_family_that_is_not_there_shrinks_to_nothing():
     rng = np.random.default_rng(8)
-    shares = []
-    for _ in range(50):
-        A, y = data_of(rng, 40, 0.02, (0.05, 0.0))
-        sizes = sizes_by_reml(
-            one_instrument(A, y), FAMILIES, Sizes((0.1,), (0.01, 0.01)), smallest_noise=(1e-6,)
-        )
-        shares.append(sizes.families[1])
+    drawn = [linearised(*data_of(rng, 40, 0.02, (0.05, 0.0))) for _ in range(50)]
+    shares = reml(several(drawn), (0.1,))[1][:, 1]
     # Half of the time the likelihood is highest at zero; the rest stays far below the noise of one row.
-    assert np.mean(np.array(shares) < 1e-4) > 0.3
+    assert np.mean(shares < 1e-4) > 0.3
     assert np.max(shares) < 0.01
+
+
+def test_several_problems_are_what_each_is_alone():
+    rng = np.random.default_rng(5)
+    drawn = [linearised(*data_of(rng, 12, s, (0.05, 0.02))) for s in (0.01, 0.1, 1.0)]
+    together = np.hstack(reml(several(drawn), (0.1,)))
+    alone = np.vstack([np.hstack(reml(one, (0.1,))) for one in drawn])
+    np.testing.assert_allclose(together, alone, rtol=1e-9, atol=1e-9)
 
 
 def test_bounds_of_sizes_hold():
     rng = np.random.default_rng(9)
     A, y = data_of(rng, 40, 0.02, (0.05, 0.05))
-    sizes = sizes_by_reml(
-        one_instrument(A, y),
-        FAMILIES,
-        Sizes((0.1,), (0.01, 0.01)),
-        smallest_noise=(0.5,),
-        bounds=((1e-7, 0.003), (0.2, 0.3)),
-    )
-    assert sizes.noise == pytest.approx((0.5,))
-    assert sizes.families[0] <= 0.003 * (1 + 1e-12)
-    assert sizes.families[1] >= 0.2 * (1 - 1e-12)
+    bounds = ((1e-7, 0.003), (0.2, 0.3))
+    noise, sizes = reml(linearised(A, y), (0.1,), smallest=0.5, bounds=bounds)
+    assert noise[0] == pytest.approx([0.5])
+    assert sizes[0, 0] <= 0.003 * (1 + 1e-12)
+    assert sizes[0, 1] >= 0.2 * (1 - 1e-12)
 
 
 def test_few_rows_keep_the_noise_near_the_one_given_and_many_do_not():
@@ -270,18 +249,14 @@ def test_few_rows_keep_the_noise_near_the_one_given_and_many_do_not():
     rng = np.random.default_rng(10)
     spread = np.log(10.0)
     A, y = data_of(rng, 4, 0.02, (0.05, 0.02))  # 12 scalars, 14 parameters
-    few = sizes_by_reml(
-        one_instrument(A, y), (), Sizes((1.0,), ()), smallest_noise=(1e-9,), noise_spread=spread
-    )
-    assert few.noise[0] == pytest.approx(1.0, rel=0.05)
+    few = reml(linearised(A, y), (1.0,), (), families=FAMILIES[:0], noise_spread=spread)[0]
+    assert few[0] == pytest.approx(1.0, rel=0.05)
     A, y = data_of(rng, 200, 0.02, (0.05, 0.02))
     many, free = (
-        sizes_by_reml(
-            one_instrument(A, y), (), Sizes((1.0,), ()), smallest_noise=(1e-9,), noise_spread=s
-        )
+        reml(linearised(A, y), (1.0,), (), families=FAMILIES[:0], noise_spread=s)[0]
         for s in (spread, np.inf)
     )
-    assert many.noise[0] == pytest.approx(free.noise[0], rel=2e-3)
+    assert many[0] == pytest.approx(free[0], rel=2e-3)
 
 
 @pytest.mark.parametrize("centre", [0.0, 0.3])
@@ -291,8 +266,8 @@ def test_priors_of_given_size_and_mean_are_taken_into_account(centre):
     A, y = data_of(rng, 12, 0.05, (0.05, 0.02))
     held, means = np.zeros(P), np.zeros(P)
     held[[0, 13]], means[[0, 13]] = 400.0, centre
-    data = one_instrument(A, y)
-    mean, covariance = data.posterior((0.05,), Known.of(held, means))
+    data = linearised(A, y)
+    mean, covariance = (f[0] for f in data.posterior(np.array([[0.05]]), Known.of(held, means)))
     flat = np.vstack([A.reshape(-1, P) / 0.05, 20.0 * np.eye(P)[[0, 13]]])
     target = np.concatenate([y.ravel() / 0.05, [20.0 * centre] * 2])
     np.testing.assert_allclose(mean, np.linalg.lstsq(flat, target)[0], rtol=1e-8)
@@ -302,24 +277,25 @@ def test_priors_of_given_size_and_mean_are_taken_into_account(centre):
 def test_noise_alone_is_the_unbiased_estimate():
     rng = np.random.default_rng(9)
     A, y = data_of(rng, 30, 0.1, (0.05, 0.05))
-    found = sizes_by_reml(one_instrument(A, y), (), Sizes((1.0,), ()), smallest_noise=(1e-9,))
+    found = reml(linearised(A, y), (1.0,), (), families=FAMILIES[:0])[0]
     flat, target = A.reshape(-1, P), y.ravel()
     squares = np.linalg.lstsq(flat, target)[1][0]
-    assert found.noise[0] == pytest.approx(np.sqrt(squares / (90 - P)), rel=1e-3)
+    assert found[0] == pytest.approx(np.sqrt(squares / (90 - P)), rel=1e-3)
 
 
 def test_posterior_is_the_ridge_solution_and_survives_a_singular_matrix():
     rng = np.random.default_rng(10)
     A, y = data_of(rng, 20, 0.1, (0.05, 0.05))
-    precision = precision_of(FAMILIES, (0.05, 0.02), P)
-    mean, covariance = one_instrument(A, y).posterior((0.1,), Known.of(precision))
+    precision = np.array([0.05, 0.02]) ** -2 @ FAMILIES
+    noise = np.array([[0.1]])
+    mean, covariance = (f[0] for f in linearised(A, y).posterior(noise, Known.of(precision)))
     flat = A.reshape(-1, P)
     M = flat.T @ flat / 0.01 + np.diag(precision)
     np.testing.assert_allclose(covariance, np.linalg.inv(M), rtol=1e-8, atol=1e-14)
     np.testing.assert_allclose(mean, np.linalg.solve(M, flat.T @ y.ravel() / 0.01), rtol=1e-8)
     doubled = A.copy()
     doubled[:, :, 1] = doubled[:, :, 0]
-    mean, covariance = one_instrument(doubled, y).posterior((0.1,), FLAT)
+    mean, covariance = (f[0] for f in linearised(doubled, y).posterior(noise, FLAT))
     assert np.all(np.isfinite(mean))
     np.testing.assert_allclose(mean[0], mean[1])
     assert np.all(np.isfinite(covariance))
@@ -335,8 +311,8 @@ def test_a_row_of_weight_zero_counts_for_nothing():
     mine, other = linearised(A, y, 2, weights), linearised(A[left], y[left], 2)
     np.testing.assert_allclose(mine.H, other.H)
     np.testing.assert_allclose(mine.g, other.g)
-    np.testing.assert_array_equal(mine.count, [38, 19])
-    np.testing.assert_array_equal(other.count, [38, 19])
+    np.testing.assert_array_equal(mine.count, [[38, 19]])
+    np.testing.assert_array_equal(other.count, [[38, 19]])
 
 
 def test_scalars_of_no_instrument_count_for_nothing():
@@ -361,18 +337,17 @@ def test_a_parameter_held_at_a_far_bound_does_not_drown_the_likelihood():
     for target, centre in ((y, 0.0), (moved, 0.05)):
         held, means = np.zeros(P), np.zeros(P)
         held[0], means[0] = 1e20, centre
-        data = one_instrument(A, target)
-        values.append(data.log_likelihood((0.01,), Known.of(held, means), held))
+        data = linearised(A, target)
+        values.append(data.log_likelihood(np.array([[0.01]]), Known.of(held, means), held[None])[0])
     assert values[0] == pytest.approx(values[1], abs=1e-3)
 
 
-@pytest.mark.parametrize("inverse_of", [inverse, _pseudo_inverse_by_qr])
-def test_the_inverse_of_a_singular_matrix_is_its_pseudo_inverse(inverse_of):
+def test_the_inverse_of_a_singular_matrix_is_its_pseudo_inverse():
     A = np.random.default_rng(3).normal(size=(5, 12))
     M = A.T @ A
     scale = 1.0 / np.sqrt(np.diag(M))
     M = M * np.outer(scale, scale)
-    inverse = inverse_of(M)
-    np.testing.assert_allclose(M @ inverse @ M, M, atol=1e-12)
-    np.testing.assert_allclose(inverse @ M @ inverse, inverse, atol=1e-10)
-    np.testing.assert_allclose(inverse, inverse.T, atol=1e-12)
+    found = inverse(M)
+    np.testing.assert_allclose(M @ found @ M, M, atol=1e-12)
+    np.testing.assert_allclose(found @ M @ found, found, atol=1e-10)
+    np.testing.assert_allclose(found, found.T, atol=1e-12)
