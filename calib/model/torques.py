@@ -23,10 +23,6 @@ GRAVITY = (0.0, 0.0, -9.81)
 """The acceleration of gravity where the URDF's root link has z up, [m/s^2]."""
 
 
-#: No arm carries more [kg].
-_HEAVIEST = 1e6
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Payload:
     """A mass that the tip carries and that the URDF does not hold.
@@ -48,10 +44,6 @@ class Payload:
         if not (np.isfinite(self.mass) and self.mass >= 0):
             raise ModelError(
                 f"The mass of a payload is {self.mass} kg; give a number of kg, 0 or more."
-            )
-        if self.mass > _HEAVIEST:
-            raise ModelError(
-                f"The mass of a payload is {self.mass:g} kg; no robot carries more than {_HEAVIEST:g} kg."
             )
 
 

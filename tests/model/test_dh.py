@@ -23,7 +23,6 @@ from calib.model.dh_table import CONVENTIONS
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 
-PI = np.pi
 FILES = sorted(
     Path(str(file.locate()))
     for file in importlib.metadata.files("example-robot-data") or []
@@ -292,13 +291,6 @@ def test_frames_stand_on_the_axes(panda, ur3):
             np.testing.assert_allclose(np.cross(offset, axis), 0, atol=1e-12)
 
 
-def test_zero_poses_are_the_poses_at_zero(panda):
-    joint_poses, tip = zero_poses(panda)
-    np.testing.assert_allclose(tip, panda.poses(np.zeros(7))[0], atol=1e-15)
-    link = Robot.load("panda", base="panda_link0", tip="panda_link4")
-    np.testing.assert_allclose(joint_poses[3], link.poses(np.zeros(4))[0], atol=1e-15)
-
-
 # The makers' tables
 
 
@@ -387,30 +379,6 @@ def test_hayati_s_rows_stay_of_one_kind_at_the_limit(serial_urdf, nominal_deg):
     assert (before.d == 0.0) == (after.d == 0.0) == (nominal_deg < 3.0)
     assert abs(after.theta - before.theta) < 0.03
     assert_same_poses(dh_table(corrected, "hayati", like=nominal), corrected)
-
-
-@pytest.mark.parametrize(
-    ("convention", "turn", "key", "row"),
-    [(convention, np.pi / 2, "theta", -1) for convention in CONVENTIONS]
-    + [("hayati", np.pi, "alpha", 0)],
-)
-def test_no_angle_jumps_by_a_turn(serial_urdf, convention, turn, key, row):
-    # Half a turn nominally: a little more would be said as -179.9 deg.
-    urdf = serial_urdf(
-        [
-            ("revolute", (0, 0, 0.2), (0, 0, 0), (0, 0, 1)),
-            ("revolute", (0.3, 0, 0), (turn, 0, 0), (0, 0, 1)),
-        ],
-        tip=((0, 0, 0.1), (0, 0, np.pi)),
-    )
-    robot = Robot.from_urdf(urdf)
-    assert column(dh_table(robot, convention), key)[row] == pytest.approx(np.pi)
-    found = [
-        column(dh_table(displaced(robot, seed), convention, like=robot), key)[row]
-        for seed in range(6)
-    ]
-    assert min(found) < np.pi < max(found)
-    np.testing.assert_allclose(found, np.pi, atol=0.05)
 
 
 def test_what_lies_behind_the_last_axis_is_the_tip_s_matter(ur3):
@@ -504,42 +472,7 @@ def test_sliding_and_mimicking_joints_and_chains_from_tip_to_base(convention, ba
     assert_same_poses(dh_table(corrected, convention, like=robot), corrected)
 
 
-few_directions = st.sampled_from(
-    [(0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1), (0.6, 0, 0.8), (1, 2, 3)]
-)
-few_angles = st.sampled_from([0.0, 0.0, np.pi / 2, -np.pi / 2, np.pi, 0.7])
-few_lengths = st.sampled_from([0.0, 0.0, 0.1, -0.3, 0.45])
-few_joints = st.lists(
-    st.tuples(
-        st.sampled_from(["revolute", "revolute", "prismatic"]),
-        st.tuples(few_lengths, few_lengths, few_lengths),
-        st.tuples(few_angles, few_angles, few_angles),
-        few_directions,
-    ),
-    min_size=1,
-    max_size=7,
-)
-
-
-@given(
-    joints=few_joints, tip=st.tuples(few_lengths, few_lengths, few_angles), seed=st.integers(0, 99)
-)
-@settings(max_examples=40)
-def test_random_chains(serial_urdf, joints, tip, seed):
-    urdf = serial_urdf(joints, tip=((tip[0], 0.1, tip[1]), (0.0, tip[2], 0.0)))
-    robot = Robot.from_urdf(urdf)
-    corrected = displaced(robot, seed)
-    for convention in CONVENTIONS:
-        assert_same_poses(dh_table(robot, convention), robot, 1e-10)
-        assert_same_poses(dh_table(corrected, convention, like=robot), corrected, 1e-9)
-
-
 # What is refused
-
-
-def test_there_are_three_conventions(ur3):
-    with pytest.raises(ModelError, match="no DH convention 'denavit'; it is one of 'standard', 'm"):
-        dh_table(ur3, "denavit")
 
 
 def test_other_joints_do_not_compare(ur3, panda):

@@ -5,19 +5,16 @@ import pinocchio as pin
 import pytest
 
 from calib.data import PAPER_TARGET
-from calib.errors import ModelError, UrdfError
+from calib.errors import ModelError
 from calib.families import ANGLE, LENGTH, ZERO, joint_families
 from calib.model.dh import DHTable, dh_table, zero_poses
 from calib.model.error_model import (
     DIRECTIONS,
-    MODELS,
     error_model,
     frame_and_target_model,
-    placed_name,
-    split_name,
 )
 from calib.model.kinematics import Kinematics
-from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
+from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
 
@@ -131,22 +128,6 @@ def test_hayati_has_beta_in_place_of_d_where_axes_are_parallel(ur3):
     assert hayati - dh == {"beta2", "beta3"}
 
 
-def test_placement_names(ur3):
-    model = error_model(ur3, "placement", target=False)
-    assert model.names[:6] == tuple(
-        f"shoulder_pan_joint.{a}" for a in ("x", "y", "z", "rx", "ry", "rz")
-    )
-    np.testing.assert_array_equal(
-        np.array([p.direction for p in model.parameters[6:12]]), np.eye(6)
-    )
-    assert {p.place for p in model.parameters[6:12]} == {"shoulder_lift_joint"}
-    # every axis of the UR3's URDF is one of its joint's frame: that rotation is the joint's zero
-    zeros = [p for p in model.parameters if p.family == ZERO]
-    assert [p.place for p in zeros] == list(ur3.joint_names)
-    for p, joint in zip(zeros, ur3.joints, strict=True):
-        np.testing.assert_array_equal(np.abs(p.direction[3:]), np.abs(joint.axis))
-
-
 def test_zeros_turn_revolute_and_move_prismatic_joints():
     robot = Robot.load("panda")
     parameters = error_model(robot, "zeros", target=False).parameters
@@ -157,12 +138,6 @@ def test_zeros_turn_revolute_and_move_prismatic_joints():
     x = np.array([0.1] * 7 + [0.01])
     moved = error_model(robot, "zeros", target=False).apply(robot, x)
     np.testing.assert_allclose(moved.poses(q), robot.poses(q + x), atol=1e-14)
-
-
-def test_arrays_are_read_only(ur3):
-    for name in MODELS:
-        for parameter in error_model(ur3, name, frame=name != "paper").parameters:
-            assert not parameter.direction.flags.writeable
 
 
 # Families behind the set
@@ -188,11 +163,6 @@ def test_every_set_takes_every_family(ur3, name):
         ECCENTRICITY: 12,
         COMPLIANCE: 6,
     }
-
-
-def test_names_are_split_at_each_plus():
-    assert split_name("dh") == ("dh", ())
-    assert split_name(" zeros + gain+ compliance") == ("zeros", ("gain", "compliance"))
 
 
 @pytest.mark.parametrize(
@@ -302,11 +272,6 @@ def test_frame_and_target_alone(ur3):
     )
     assert model.names == whole.names
     assert frame_and_target_model({"": ()}, ("t",)).places == (FRAME, TIP, "(target)t")
-
-
-def test_placed_names():
-    assert placed_name("frame", "rx", "") == "frame_rx"
-    assert placed_name("frame", "rx", "left") == "frame_rx[left]"
 
 
 # Chains of two branches, chains that start with a joint, and joints that follow others
@@ -536,18 +501,6 @@ def test_offsets_of_a_prismatic_chain(serial_urdf):
     np.testing.assert_allclose(model.apply(robot, x).poses(q)[0], expected, rtol=0, atol=1e-13)
 
 
-def test_placements_are_displaced_on_the_right_in_order(ur3):
-    model = error_model(ur3, "placement", target=False)
-    x = offsets_of(model)
-    moved = model.apply(ur3, x)
-    for i in range(6):
-        D = np.eye(4)
-        for k in range(6 * i, 6 * i + 6):
-            D = D @ pin.exp6(np.eye(6)[k % 6] * x[k]).homogeneous
-        np.testing.assert_allclose(moved.placements[i], ur3.placements[i] @ D, atol=1e-15)
-    np.testing.assert_array_equal(moved.placements[6], ur3.placements[6])
-
-
 # apply
 
 
@@ -568,20 +521,6 @@ def test_apply_leaves_frame_and_target_out(ur3):
     assert model.apply(ur3, np.full(9, 0.01)).urdf.data == ur3.urdf.data
 
 
-def test_no_displacement_is_the_same_robot(ur3):
-    model = error_model(ur3, "dh")
-    assert model.apply(ur3, np.zeros(len(model))) is ur3
-
-
-@pytest.mark.parametrize("size", [0, 26, 28])
-def test_a_parameter_vector_of_the_wrong_length_is_refused(ur3, size):
-    model = error_model(ur3, "paper")
-    with pytest.raises(ModelError, match=rf"shape \({size},\).*'paper' has 27 parameters: 'a1'"):
-        model.apply(ur3, np.zeros(size))
-    with pytest.raises(ModelError, match="27 parameters"):
-        model.displacements(np.zeros((27, 1)))
-
-
 def test_a_tip_that_carries_no_correction_drops_the_last_a_and_alpha():
     robot = Robot.load("ur3", base="base", tip="wrist_3_link")
     assert robot.carriers[-1] is None
@@ -594,56 +533,7 @@ def test_a_tip_that_carries_no_correction_drops_the_last_a_and_alpha():
     np.testing.assert_allclose(model.apply(robot, x).poses(q)[0], expected, rtol=0, atol=1e-13)
 
 
-def test_a_displaced_tip_without_a_carrier_is_refused():
-    robot = Robot.load("ur3", base="base", tip="wrist_3_link")
-    tip = Parameter("tip_x", "m", TIP, np.eye(6)[0], LENGTH)
-    model = ErrorModel("mine", (FRAME, *robot.joint_names, TIP, TARGET), (tip,))
-    with pytest.raises(UrdfError, match="moved by its last joint directly"):
-        model.apply(robot, np.array([0.001]))
-
-
-def test_the_directions_are_those_of_the_displaced_placement(ur3):
-    # dP'/dx_k = P' S_k, against the difference of the displacements themselves
-    model = error_model(ur3, "dh", frame=True)
-    x, h = offsets_of(model), 1e-5
-    D, S = model.displacements(x)
-    for k in range(len(model)):
-        step = h * np.eye(len(model))[k]
-        plus, minus = model.displacements(x + step)[0], model.displacements(x - step)[0]
-        for i in range(len(model.places)):
-            derivative = np.linalg.inv(D[i]) @ (plus[i] - minus[i]) / (2 * h)
-            expected = np.zeros((4, 4))
-            twist = S[6 * i : 6 * i + 6, k]
-            expected[:3, :3], expected[:3, 3] = pin.skew(twist[3:]), twist[:3]
-            np.testing.assert_allclose(derivative, expected, atol=1e-9)
-
-
 # Freezing, and what is refused
-
-
-def test_without_freezes_parameters(ur3):
-    model = error_model(ur3, "paper")
-    less = model.without(["d2", "target_x"])
-    assert less.names == tuple(n for n in PAPER_NAMES if n not in ("d2", "target_x"))
-    assert less.places == model.places
-    assert model.without([]).names == model.names
-    x = offsets_of(model)
-    x[[model.index("d2"), model.index("target_x")]] = 0
-    kept = x[[model.index(name) for name in less.names]]
-    np.testing.assert_allclose(
-        less.apply(ur3, kept).placements, model.apply(ur3, x).placements, rtol=0, atol=1e-16
-    )
-
-
-def test_index(ur3):
-    assert error_model(ur3, "paper").index("theta1") == 3
-
-
-def test_an_unknown_parameter_lists_those_there_are(ur3):
-    with pytest.raises(
-        ModelError, match=r"'paper' has no parameter 'd7'; it has 'a1', .*'target_z'"
-    ):
-        error_model(ur3, "paper").without(["d7"])
 
 
 def test_an_unknown_set_lists_those_there_are(ur3):
@@ -654,25 +544,6 @@ def test_an_unknown_set_lists_those_there_are(ur3):
         "of 'gain', 'eccentricity', 'compliance'",
     ):
         error_model(ur3, "dhh")
-
-
-def test_the_paper_knows_its_frame(ur3):
-    with pytest.raises(ModelError, match=r"knows the measurement frame.*choose --model dh"):
-        error_model(ur3, "paper", frame=True)
-
-
-def test_a_name_twice_is_refused(ur3):
-    places = (FRAME, *ur3.joint_names, TIP, TARGET)
-    same = Parameter("gain", "m", TIP, np.eye(6)[0], LENGTH)
-    with pytest.raises(ModelError, match="'gain' appear twice in the model 'mine'"):
-        ErrorModel("mine", places, (same, same))
-
-
-def test_an_unknown_place_lists_the_places(ur3):
-    places = (FRAME, *ur3.joint_names, TIP, TARGET)
-    lost = Parameter("x", "m", "elbow", np.eye(6)[0], LENGTH)
-    with pytest.raises(ModelError, match=r"no places 'elbow'; it has '\(frame\)', .*'elbow_joint'"):
-        ErrorModel("mine", places, (lost,))
 
 
 def test_directions_of_d_and_theta_follow_the_joint_s_axis(panda):

@@ -6,7 +6,7 @@ import pytest
 
 from calib.errors import ModelError
 from calib.families import joint_families
-from calib.model.error_model import axis_twists, error_model, joint_parameters
+from calib.model.error_model import error_model, joint_parameters
 from calib.model.kinematics import Kinematics, Samples, joint_displacements
 from calib.model.robot import Robot
 from calib.model.torques import Payload, gravity_load
@@ -69,11 +69,6 @@ def expected(**columns: np.ndarray) -> np.ndarray:
     return result
 
 
-def test_the_robot_of_these_tests(mixed):
-    assert tuple(joint.name for joint in mixed.joints) == CHAIN
-    assert mixed.joint_names == COLUMNS
-
-
 # Parameters
 
 
@@ -121,22 +116,6 @@ def test_directions_are_the_joints_own_axes(mixed, family):
         assert not parameter.direction.flags.writeable
 
 
-def test_axis_twists_are_those_of_the_path():
-    # turned round on the base's side, as the path's joints are
-    robot = Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link")
-    twists = axis_twists(robot)
-    assert twists.shape == (len(robot.joints), 6)
-    assert not twists.flags.writeable
-    signs = {}
-    for twist, one in zip(twists, robot.joints, strict=True):
-        half = slice(0, 3) if one.type == "prismatic" else slice(3, 6)
-        np.testing.assert_array_equal(twist[half], one.axis)
-        assert np.linalg.norm(twist) == pytest.approx(1)
-        signs[one.name] = float(twist[half] @ robot.urdf.joint(one.name).axis)
-    assert signs["head_1_joint"] == signs["head_2_joint"] == pytest.approx(-1)
-    assert signs["arm_1_joint"] == pytest.approx(1)
-
-
 # Displacements
 
 
@@ -175,13 +154,6 @@ def test_eccentricities_are_sine_and_cosine_of_the_column(mixed):
         )
 
 
-def test_an_eccentricity_is_the_same_after_a_whole_turn(mixed):
-    terms = joint_parameters(mixed, ECCENTRICITY)
-    a = joint_displacements(mixed, terms, Q, None)
-    b = joint_displacements(mixed, terms, Q + 2 * np.pi, None)
-    np.testing.assert_allclose(a, b, rtol=0, atol=1e-14)
-
-
 def test_a_compliance_moves_its_own_joint_by_the_load(mixed):
     load = np.arange(14.0).reshape(2, 7) - 5
     moved = displacements(mixed, COMPLIANCE, load)
@@ -192,17 +164,6 @@ def test_a_compliance_moves_its_own_joint_by_the_load(mixed):
 def test_a_compliance_without_the_load_is_refused(mixed):
     with pytest.raises(ModelError, match="turn"):
         displacements(mixed, COMPLIANCE)
-
-
-def test_some_terms_in_any_order(mixed):
-    gains, parts = joint_parameters(mixed, GAIN), joint_parameters(mixed, ECCENTRICITY)
-    terms = [parts[3], gains[0], parts[0]]
-    moved = joint_displacements(mixed, terms, Q, None)
-    for k, term in enumerate(terms):
-        alone = joint_displacements(mixed, [term], Q, None)
-        np.testing.assert_array_equal(moved[:, :, [k]], alone)
-    assert joint_displacements(mixed, [], Q, None).shape == (2, 7, 0)
-    assert joint_displacements(mixed, terms, np.zeros((0, 4)), None).shape == (0, 7, 3)
 
 
 # The sign of compliance: things sag
@@ -252,45 +213,6 @@ def test_a_lift_sinks_by_compliance_times_force():
     at = Samples.at(q, load)
     (sunk,), (nominal,) = kinematics.points(x, at), kinematics.points(0 * x, at)
     np.testing.assert_allclose(sunk - nominal, [0, 0, 1e-5 * load[0, lift]], atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    "ends",
-    [
-        ("ur3", "base", "tool0"),
-        ("ur3", "tool0", "base"),
-        ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link"),
-        ("talos_full_v2", "rgbd_optical_frame", "wrist_left_ft_tool_link"),
-    ],
-)
-def test_every_robot_that_gives_way_loses_potential_energy(ends):
-    # On either side of the fork, by the energy of a Pinocchio model that knows no chain.
-    robot = Robot.load(*ends)
-    q = np.random.default_rng(1).uniform(-1, 1, (3, len(robot.joint_names)))
-    load = gravity_load(robot, q)
-    terms = joint_parameters(robot, COMPLIANCE)
-    moved = joint_displacements(robot, terms, q, load)
-    full = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
-    data = full.createData()
-
-    def energy(row: int, by: np.ndarray) -> float:
-        v = np.zeros(full.nv)
-        for name, values in robot.urdf_values(q).items():
-            v[full.idx_vs[full.getJointId(name)]] = values[row]
-        for name, change in zip((j.name for j in robot.joints), by, strict=True):
-            v[full.idx_vs[full.getJointId(name)]] += change
-        return float(
-            pin.computePotentialEnergy(full, data, pin.integrate(full, pin.neutral(full), v))
-        )
-
-    for k in range(len(terms)):
-        for row in range(len(q)):
-            if abs(load[row, k]) > 1e-3:
-                way = 1e-5 * moved[row, :, k]
-                assert energy(row, way) < energy(row, 0 * way), terms[k].name
-                # by half of what a force does on its way, twice
-                drop = energy(row, 0.5 * way) - energy(row, -0.5 * way)
-                assert drop == pytest.approx(-1e-5 * load[row, k] ** 2, rel=1e-3)
 
 
 def test_both_sides_of_the_fork_sag_as_the_full_robot_does():

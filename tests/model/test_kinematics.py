@@ -244,19 +244,6 @@ def test_several_frames_and_targets_are_each_as_if_alone(robots, which):
         np.testing.assert_array_equal(twists[i][:, others], 0)
 
 
-def test_rows_in_another_order_give_the_same_rows(robots):
-    kinematics, samples = several(robots["talos_head_to_arm"], "placement" + FAMILIES)
-    x = finite_x(kinematics.model)
-    order = np.array([3, 1, 7, 0, 2, 6, 5, 4])
-    poses, twists = kinematics.twists(x, samples)
-    other_poses, other_twists = kinematics.twists(x, samples.select(order))
-    np.testing.assert_allclose(other_poses, poses[order], rtol=0, atol=1e-15)
-    np.testing.assert_allclose(other_twists, twists[order], rtol=0, atol=1e-14)
-    again = kinematics.twists(x, samples)
-    np.testing.assert_array_equal(again[0], poses)
-    np.testing.assert_array_equal(again[1], twists)
-
-
 @pytest.mark.parametrize("name", ["placement+gain+compliance", "zeros+eccentricity"])
 @pytest.mark.parametrize("which", ["ur3", "mimic", "pr2_head_to_finger"])
 def test_tied_and_frozen_columns_are_those_of_the_free_model(robots, which, name):
@@ -384,17 +371,6 @@ def test_poses_are_frame_robot_and_target_in_a_row(robots):
         np.testing.assert_allclose(kinematics.poses(x, q), expected, atol=1e-14)
 
 
-def test_points_are_the_poses_translation(robots):
-    for robot in robots.values():
-        model = error_model(robot, "dh", frame=True)
-        kinematics, q, x = seen(robot, model), some_q(robot), finite_x(model)
-        poses = kinematics.poses(x, q)
-        np.testing.assert_allclose(kinematics.points(x, q), poses[:, :3, 3], atol=1e-14)
-        points, jacobian = kinematics.points_jacobian(x, q)
-        np.testing.assert_allclose(points, poses[:, :3, 3], atol=1e-14)
-        np.testing.assert_array_equal(jacobian, kinematics.twists(x, q)[1][:, :3])
-
-
 def test_the_jacobian_at_x_is_that_of_the_displaced_robot(ur3):
     # What is solved is the model at x, never the nominal one patched: a zero of the displaced robot's own DH
     # turns the same points.
@@ -406,13 +382,6 @@ def test_the_jacobian_at_x_is_that_of_the_displaced_robot(ur3):
     np.testing.assert_allclose(at_x, at_zero, atol=1e-12)
 
 
-def test_a_model_without_parameters(ur3):
-    model = error_model(ur3, "frames", target=False)
-    poses, twists = Kinematics(ur3, model, np.eye(4), np.eye(4)).twists(np.zeros(0), some_q(ur3))
-    np.testing.assert_allclose(poses, ur3.poses(some_q(ur3)), atol=1e-14)
-    assert twists.shape == (3, 6, 0)
-
-
 def test_one_set_of_joint_values_and_none(ur3):
     model = error_model(ur3, "paper")
     kinematics, q = seen(ur3, model), some_q(ur3, 1)
@@ -422,15 +391,6 @@ def test_one_set_of_joint_values_and_none(ur3):
     )
     assert kinematics.poses(np.zeros(27), np.zeros((0, 6))).shape == (0, 4, 4)
     assert kinematics.twists(np.zeros(27), np.zeros((0, 6)))[1].shape == (0, 6, 27)
-
-
-def test_wrong_sizes_are_refused(ur3):
-    kinematics = seen(ur3, error_model(ur3, "paper"))
-    for method in (kinematics.poses, kinematics.points, kinematics.twists):
-        with pytest.raises(ModelError, match="27 parameters"):
-            method(np.zeros(26), np.zeros((2, 6)))
-        with pytest.raises(ModelError, match="has 6 joints"):
-            method(np.zeros(27), np.zeros((2, 7)))
 
 
 def test_another_number_of_frames_or_targets_than_the_model_has_is_refused(ur3):
@@ -453,20 +413,3 @@ def test_compliances_need_the_load(ur3):
     for method in (kinematics.poses, kinematics.twists):
         with pytest.raises(ModelError, match=r"shoulder_pan_joint' needs the load"):
             method(np.zeros(len(model)), some_q(ur3))
-
-
-def test_samples_can_be_selected():
-    samples = Samples(
-        q=np.arange(6.0).reshape(3, 2),
-        frame=np.array([0, 1, 0]),
-        target=np.array([2, 0, 1]),
-        load=np.arange(9.0).reshape(3, 3),
-    )
-    for chosen in (np.array([True, False, True]), np.array([0, 2])):
-        some = samples.select(chosen)
-        assert len(some) == 2
-        np.testing.assert_array_equal(some.q, samples.q[[0, 2]])
-        np.testing.assert_array_equal(some.frame, [0, 0])
-        np.testing.assert_array_equal(some.target, [2, 1])
-        np.testing.assert_array_equal(some.load, samples.load[[0, 2]])
-    assert Samples.at(samples.q).select(np.array([1])).load is None

@@ -16,8 +16,6 @@ from calib.model.parameters import (
     TIP,
     ErrorModel,
     Parameter,
-    frame_place,
-    target_place,
 )
 from calib.model.robot import Robot
 
@@ -46,28 +44,9 @@ def four() -> ErrorModel:
 # What a model says of itself
 
 
-def test_places_of_frames_and_targets():
-    assert (frame_place(""), target_place("")) == (FRAME, TARGET)
-    assert (frame_place("left"), target_place("ball")) == ("(frame)left", "(target)ball")
-
-
-def test_names_units_and_length(four):
-    assert four.names == ("a", "b", "c", "d")
-    assert four.units == ("m", "rad", "m", "rad")
-    assert len(four) == 4
-    assert four.index("c") == 2
-
-
 def test_an_unknown_parameter_lists_those_there_are(four):
     with pytest.raises(ModelError, match=r"'four' has no parameter 'e'; it has 'a', 'b', 'c', 'd'"):
         four.index("e")
-
-
-def test_a_model_without_ties_has_its_parameters_as_terms(four):
-    assert four.terms is four.parameters
-    np.testing.assert_array_equal(four.mixing, np.eye(4))
-    assert not four.mixing.flags.writeable
-    np.testing.assert_array_equal(four.values(np.arange(4.0)), np.arange(4.0))
 
 
 def test_families_stand_in_their_order_whatever_the_parameters_do(ur3):
@@ -89,12 +68,6 @@ def test_families_stand_in_their_order_whatever_the_parameters_do(ur3):
     }
     assert model.family(LENGTH, ZERO).sum() == 24
     assert model.family().sum() == 0
-
-
-def test_joint_terms_are_those_with_a_factor(ur3):
-    model = error_model(ur3, "zeros+gain", frame=True)
-    assert model.joint_terms == tuple(range(6, 12))
-    assert error_model(ur3, "dh").joint_terms == ()
 
 
 def test_a_name_twice_is_refused_whether_it_is_tied_or_not():
@@ -138,11 +111,6 @@ def test_several_may_follow_one_and_one_may_follow_later_ones(four):
     tied = four.tied({"a": ("c", 0.5), "d": ("b", 1.0)})
     assert tied.names == ("b", "c")
     np.testing.assert_array_equal(tied.mixing, [[0, 0.5], [1, 0], [0, 1], [1, 0]])
-
-
-def test_no_ties_change_nothing(four):
-    assert four.tied({}).names == four.names
-    np.testing.assert_array_equal(four.tied({}).mixing, np.eye(4))
 
 
 def test_ties_one_after_the_other_add_up():
@@ -201,24 +169,6 @@ def test_without_a_leader_those_that_follow_it_go_too(four):
     assert [t.name for t in less.terms] == ["b", "d"]
     np.testing.assert_array_equal(less.mixing, np.eye(2))
     assert (less.name, less.places) == ("four", PLACES)
-
-
-def test_without_everything(four):
-    none = four.tied({"c": ("a", -2.0)}).without(["a", "b", "d"])
-    assert (none.names, none.terms, none.mixing.shape) == ((), (), (0, 0))
-    D, S = none.displacements(np.zeros(0))
-    np.testing.assert_array_equal(D, np.tile(np.eye(4), (5, 1, 1)))
-    assert S.shape == (30, 0)
-
-
-def test_a_follower_cannot_be_frozen_alone(four):
-    with pytest.raises(ModelError, match="no parameter 'c'"):
-        four.tied({"c": ("a", -2.0)}).without(["c"])
-
-
-def test_freezing_twice_or_the_same_name_twice(four):
-    assert four.without(["b"]).without(["a"]).names == ("c", "d")
-    assert four.without(["b", "b"]).names == ("a", "c", "d")
 
 
 # Displacements
