@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from calib.base_frame.survey import Survey, survey
     from calib.base_frame.sweeps import Sweeps, read_sweeps
-    from calib.calibration import Calibration, calibrate
-    from calib.comparison import Comparison, compare
+    from calib.calibration import Calibration, Comparison, calibrate, compare
     from calib.compensate.commands import Commands, commands
     from calib.compensate.program import Program
     from calib.design.forecast import forecast
@@ -97,7 +96,7 @@ _MODULES = {
     "Calibration": "calib.calibration",
     "Cell": "calib.measure.cell",
     "Commands": "calib.compensate.commands",
-    "Comparison": "calib.comparison",
+    "Comparison": "calib.calibration",
     "Density": "calib.design.workspace",
     "Evaluation": "calib.identify.evaluation",
     "Fleet": "calib.fleets.fleet",
@@ -123,7 +122,7 @@ _MODULES = {
     "bootstrap": "calib.identify.uncertainty",
     "calibrate": "calib.calibration",
     "commands": "calib.compensate.commands",
-    "compare": "calib.comparison",
+    "compare": "calib.calibration",
     "evaluate": "calib.identify.evaluation",
     "fleet": "calib.fleets.fleet",
     "forecast": "calib.design.forecast",

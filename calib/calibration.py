@@ -1,37 +1,59 @@
-"""calibrate, and the result with what writes it: above reports and below the command line.
+"""calibrate and compare, and their results with what writes them: above reports and below the command line.
 
 What writes is imported when it is asked for: to calibrate takes none of it.
 """
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Callable
+from dataclasses import fields, replace
+from functools import wraps
 from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
 
-from calib.identify import calibration
-from calib.identify.crossvalidation import Progress
-from calib.identify.result import Calibration as Values
-from calib.identify.solvers import Solver
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
-from calib.model.robot import Robot
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import ModelError, UrdfError, choices
+from calib.identify import calibration, comparison
+from calib.identify.comparison import Comparison as ComparisonValues
+from calib.identify.result import Calibration as CalibrationValues
+from calib.model.kinematics import Samples
+from calib.model.readback import check_written, random_joint_values
 from calib.model.urdf import Urdf
 
-__all__ = ["Calibration", "calibrate"]
+__all__ = ["TARGET_LINK", "Calibration", "Comparison", "calibrate", "compare"]
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+#: Name of the link that carries the target in a corrected URDF, when asked for.
+TARGET_LINK = "calib_target"
 
 
-class Calibration(Values):
+def _of(kind: type[T], values: Any) -> T:  # noqa: ANN401  a dataclass that T extends
+    """The same values, with what writes them."""
+    return kind(**{one.name: getattr(values, one.name) for one in fields(values)})
+
+
+def _giving(kind: type[T], function: Callable[P, object]) -> Callable[P, T]:
+    """A function that gives its values with what writes them."""
+
+    @wraps(function)
+    def call(*args: P.args, **given: P.kwargs) -> T:
+        return _of(kind, function(*args, **given))
+
+    call.__module__ = __name__
+    return call
+
+
+class Calibration(CalibrationValues):
     """The result of `calibrate`: the values of `calib.identify.result.Calibration`, and what writes them.
 
     Two ways lead to one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote.
     """
 
     __slots__ = ()
-
-    @classmethod
-    def of(cls, values: Values) -> Calibration:
-        """The values of a result, with what writes them."""
-        return cls(**{one.name: getattr(values, one.name) for one in fields(values)})
 
     @classmethod
     def read_json(cls, path: str | Path) -> Calibration:
@@ -42,7 +64,7 @@ class Calibration(Values):
         """
         from calib.identify.result_file import read_result
 
-        return cls.of(read_result(path))
+        return _of(cls, read_result(path))
 
     def summary(self) -> str:
         """The result as text, without colours."""
@@ -51,15 +73,22 @@ class Calibration(Values):
         return summary(self)
 
     def checked_urdf(self, *, target_link: bool = False) -> Urdf:
-        """What `write_urdf` writes, read back with Pinocchio and yourdfpy as it does.
-
-        Raises:
-            UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad.
-            ModelError: Several targets, which one link cannot stand for.
-        """
-        from calib.identify.result_urdf import checked_urdf
-
-        return checked_urdf(self, target_link=target_link)
+        """What `write_urdf` writes, read back with Pinocchio and yourdfpy as it does; it raises the same."""
+        robot = self.robot
+        if target_link:
+            targets, urdf = self.setup.targets, robot.urdf
+            if len(targets) > 1:
+                raise ModelError(
+                    f"There are {len(targets)} targets, {choices(targets)}; a target link can be written for one. "
+                    "Do without it."
+                )
+            robot = replace(
+                robot, urdf=_with_target_link(urdf, robot.tip, self.setup.T_tip_target[0])
+            )
+        q = random_joint_values(robot)
+        # Straight from the parameters, by the path that the fit took, not through the corrected robot.
+        check_written(robot, self.tips(Samples.at(q)), q)
+        return robot.urdf
 
     def write_urdf(
         self, path: str | Path, *, overwrite: bool = False, target_link: bool = False
@@ -100,29 +129,46 @@ class Calibration(Values):
         return write_report(self, path, overwrite=overwrite)
 
 
-def calibrate(
-    robot: Robot,
-    measurements: Measurements,
-    *,
-    cell: Cell | None = None,
-    model: str | None = None,
-    solver: str | Solver = "lm",
-    robust: bool = True,
-    validate: bool = True,
-    progress: Progress | None = None,
-) -> Calibration:
-    """See `calib.identify.calibration.calibrate`."""
-    found = calibration.calibrate(
-        robot,
-        measurements,
-        cell=cell,
-        model=model,
-        solver=solver,
-        robust=robust,
-        validate=validate,
-        progress=progress,
-    )
-    return Calibration.of(found)
+def _with_target_link(urdf: Urdf, tip: str, T_tip_target: NDArray[np.float64]) -> Urdf:
+    """A URDF with a link at the target; one that an earlier calibration added is moved there."""
+    if TARGET_LINK not in urdf.links:
+        return urdf.with_link(TARGET_LINK, tip, T_tip_target)
+    joint = next(joint for joint in urdf.joints if joint.child == TARGET_LINK)
+    if joint.parent != tip or joint.type != "fixed":
+        raise UrdfError(
+            f"The URDF has a link '{TARGET_LINK}' already, and it is not fixed to the tip '{tip}' but hangs on "
+            f"'{joint.parent}' by a joint of type '{joint.type}'. Rename it, or do without the target link."
+        )
+    return urdf.with_origins({joint.name: T_tip_target})
 
 
-calibrate.__doc__ = calibration.calibrate.__doc__
+class Comparison(ComparisonValues):
+    """The result of `compare`: the values of `calib.identify.comparison.Comparison`, and what writes them."""
+
+    __slots__ = ()
+
+    def summary(self) -> str:
+        """The comparison as text, without colours, in 100 columns."""
+        from calib.identify.comparison_text import comparison_text
+
+        return comparison_text(self)
+
+    def table(self) -> dict[str, Any]:
+        """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
+        from calib.identify.comparison_text import comparison_table
+
+        return comparison_table(self)
+
+    def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the comparison as JSON.
+
+        Raises:
+            FileError: The file exists, or cannot be written.
+        """
+        from calib.identify.result_file import write_table
+
+        return write_table(self.table(), path, overwrite=overwrite)
+
+
+calibrate = _giving(Calibration, calibration.calibrate)
+compare = _giving(Comparison, comparison.compare)

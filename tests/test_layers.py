@@ -30,7 +30,6 @@ ORDER = (
     "formats",
     "show",
     "calibration",
-    "comparison",
     "fleets",
     "cli",
 )

@@ -48,11 +48,8 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
+    from calib.calibration import compare as compare_results
     from calib.cli.setup import check_outputs
-    from calib.identify.comparison import compare as compare_results
-    from calib.identify.comparison_file import comparison_table
-    from calib.identify.comparison_text import comparison_text
-    from calib.identify.result_file import write_table
 
     check_outputs([json, view], [a, b, *([robot] if robot else [])], force=force)
     found = compare_results(a, b, robot)
@@ -63,9 +60,9 @@ def compare(
 
         written.append(write_view(view_of_comparison(found), view, overwrite=force))
     if json is not None:
-        written.append(write_table(comparison_table(found), json, overwrite=force))
+        written.append(found.write_json(json, overwrite=force))
     if quiet:
         return
-    typer.echo(comparison_text(found))
+    typer.echo(found.summary())
     if written:
         typer.echo("\n" + "\n".join(f"Written: {path}" for path in written))

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from calib.calibration import Calibration
-    from calib.identify.findings import ParameterEstimate
+    from calib.identify.prediction import ParameterEstimate
     from calib.identify.resampling import Profile
     from calib.identify.uncertainty import Bootstrap
 

@@ -324,7 +324,7 @@ def check_chain(cell: Cell, result: Calibration, name: str) -> None:
 
 def with_target_link(robot: Robot, cell: Cell) -> Cell:
     """The cell with the target that the URDF's link ``calib_target`` carries, if it has one at this tip."""
-    from calib.identify.result_urdf import TARGET_LINK
+    from calib.calibration import TARGET_LINK
 
     if robot.tip == TARGET_LINK:
         return cell.with_target((0.0, 0.0, 0.0), estimate=cell.estimate_target)

@@ -21,8 +21,8 @@ from calib.errors import MeasurementError, ModelError, choices
 from calib.families import FAMILIES
 from calib.identify.fitting import Task, model_of
 from calib.identify.inspection import GENERIC_TARGET, any_measurement
+from calib.identify.prediction import without_rigid_motion
 from calib.identify.registration import register
-from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.rows import Rows
 from calib.identify.setup import (
     FIRST_SIGMA_ANGLE,

@@ -20,11 +20,17 @@ from calib.identify.crossvalidation import (
     nominal_cross_validation,
 )
 from calib.identify.evidence import evidence_of
-from calib.identify.findings import Outlier, parameter_estimates
 from calib.identify.fitting import Fitted, Task, fit, unseen_scores
 from calib.identify.inspection import known_slopes
 from calib.identify.nominal import nominal_on
-from calib.identify.prediction import Larger, base_motion, expected_error, tells_place
+from calib.identify.prediction import (
+    Larger,
+    Outlier,
+    base_motion,
+    expected_error,
+    parameter_estimates,
+    tells_place,
+)
 from calib.identify.reasons import Reason
 from calib.identify.result import Calibration, Fit, RowNames, Source
 from calib.identify.robust import Limits, Repeats, repeats

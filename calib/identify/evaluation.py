@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from calib.errors import CalibError, MeasurementError, ModelError, choices
 from calib.identify.nominal import nominal_setup, seen_from
-from calib.identify.prediction import tip_poses
 from calib.identify.registration import register_poses
 from calib.identify.result import Calibration
 from calib.identify.rows import Rows
@@ -144,7 +143,7 @@ def evaluate_larger(
     every, setup = rows_of(nominal, measurements, cell)
     setup = at_known(setup, c.larger.setup, which)
     larger = replace(c.larger, kinematics=replace(c.larger.kinematics, robot=nominal))
-    T_base_tip = tip_poses(larger, Samples.at(every.joints, every.samples.load))
+    T_base_tip = larger.tips(Samples.at(every.joints, every.samples.load))
     chosen = measurements.estimation
     chosen = chosen if np.any(chosen) else np.ones(len(measurements), dtype=bool)
     asked = setup.as_known(setup.frame_given, setup.target_given)

@@ -11,7 +11,7 @@ from calib.identify.acceptance import Acceptance, Check
 from calib.identify.acceptance_text import acceptance_reasons
 from calib.identify.accuracy import Accuracy
 from calib.identify.evaluation import Evaluation
-from calib.identify.result_tables import errors_table, pose_table, versions
+from calib.identify.result_fields import ERRORS, pose_table, versions
 
 #: The layout; a word, so that it is not taken for a result's.
 EVALUATION_SCHEMA = "evaluation 1"
@@ -51,7 +51,7 @@ def evaluation_table(
             ],
         },
         "errors": {
-            who: {name: errors_table(errors) for name, errors in result.errors.items()}
+            who: {name: ERRORS.table(errors) for name, errors in result.errors.items()}
             for who, result in results.items()
         },
         "inputs": {

@@ -8,16 +8,15 @@ and the solved problem, is its part ``fit``, which is None in a result that was 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import ModelError
-from calib.identify.coverage import OutsideRow
-from calib.identify.findings import Outlier, ParameterEstimate
+from calib.errors import ModelError, choices
+from calib.identify.coverage import OutsideRow, outside
 from calib.identify.fitting import Fitted
-from calib.identify.prediction import Larger, Predictor
+from calib.identify.prediction import Larger, Outlier, ParameterEstimate, Solved, tells_place
 from calib.identify.robust import Repeats
 from calib.identify.robustness import Robustness
 from calib.identify.selection import Candidate
@@ -28,12 +27,17 @@ from calib.identify.verdict import Verdict
 from calib.measure.cell import Cell
 from calib.measure.columns import SETS
 from calib.measure.measurements import Measurements
-from calib.model.kinematics import Kinematics
+from calib.model.kinematics import Samples
 from calib.model.observability import Observability
-from calib.model.robot import Robot, read_only
+from calib.model.parameters import TARGET
+from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.model.torques import Payload
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+#: Values that stand for all those between the ends of a measured range.
+_BETWEEN = 73
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,9 +149,9 @@ class Fit:
         return self.geometry.estimate.problem.system(self.x)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibration(Predictor):
-    """The result of `calib.calibrate`.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Calibration(Solved):
+    """The result of `calib.calibrate`; the attributes of `Solved` are those of the geometry, which the URDF holds.
 
     Attributes:
         nominal: The robot as it came in.
@@ -160,28 +164,19 @@ class Calibration(Predictor):
         sizes_from: Where the sizes of the priors are from: ``"data"``, ``"given"``, or ``"off"`` without priors.
         nominal_setup: Frames and targets that the nominal robot's errors are computed with: as given, and registered
             where they were not.
-        setup: Frames and targets as estimated or given.
-        kinematics: The nominal robot under the error model of the geometry, with frames and targets where the
-            estimation started: where ``x`` counts from.
         solver: Name of the solver.
         solution: Where it stopped, with its history.
         seconds: Time that choosing a model, registration and estimation took; NaN where it is not to be told.
-        x: shape (p,), offsets from the registered start [m, rad].
-        covariance: shape (p, p), of ``x``.
         freedom: Degrees of freedom left for the noise.
         sigma: Estimated standard deviation of one measured length of a good row (median over rows) [m]; NaN where no
             length was measured.
         sigma_angle: Of one measured angle [rad]; NaN where none was.
-        sizes: Size of the errors of each family that the data showed, in its unit; empty without priors.
-        parameters: One entry for each element of ``x``.
         residual_nominal: shape (N, D), measured minus predicted by the nominal robot, all rows: lengths [m] in the
             first columns, angles [rad] in three more where poses were measured.
         residual_calibrated: shape (N, D), by the calibrated robot.
         used: shape (N, D), which scalars were measured.
         scores: shape (N,), of all rows; see `calib.identify.robust`.
         weights: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows.
-        base_motion: shape (6, p), the motion of the base, linear part first, that makes up best for a unit of each
-            parameter over the measured poses; None where the rows tell where the base stands.
         ranges: shape (m, 2), the smallest and the largest value of each joint in the rows that were fitted [rad], [m].
         flag_limit: The score above which a row is flagged.
         outliers: The estimation rows flagged; they have no weight where the fit was robust.
@@ -193,7 +188,6 @@ class Calibration(Predictor):
         expected_measured: Standard deviation of the predicted point at the measured poses, rms [m]. From the
             covariance, so it knows nothing of errors that the model lacks.
         expected_everywhere: The same over joint values spread over the limits [m].
-        cross_validation: Errors on left-out estimation rows; None where it was not asked for.
         nominal_cross_validation: The same of the nominal robot, with target (and frame, if it is estimated) fitted to
             the other rows.
         observability: Rank, and what the measured poses cannot tell apart.
@@ -212,24 +206,17 @@ class Calibration(Predictor):
     ties: Mapping[str, tuple[str, float]]
     sizes_from: str
     nominal_setup: Setup
-    setup: Setup
-    kinematics: Kinematics
     solver: str
     solution: Solution
     seconds: float
-    x: Array
-    covariance: Array
     freedom: float
     sigma: float
     sigma_angle: float
-    sizes: Mapping[str, float]
-    parameters: tuple[ParameterEstimate, ...]
     residual_nominal: Array
     residual_calibrated: Array
     used: Mask
     scores: Array
     weights: Array
-    base_motion: Array | None
     ranges: Array
     flag_limit: float
     outliers: tuple[Outlier, ...]
@@ -239,7 +226,6 @@ class Calibration(Predictor):
     outside: tuple[OutsideRow, ...]
     expected_measured: float
     expected_everywhere: float
-    cross_validation: CrossValidation | None
     nominal_cross_validation: CrossValidation | None
     observability: Observability
     candidates: tuple[Candidate, ...]
@@ -251,11 +237,6 @@ class Calibration(Predictor):
         """In one line."""
         verdict = "no verdict" if self.verdict is None else self.verdict.use
         return f"Calibration({self.nominal!r}, {len(self.rows)} rows, {verdict})"
-
-    @property
-    def kinds(self) -> frozenset[str]:
-        """What the rows measure."""
-        return frozenset(self.rows.kinds)
 
     @property
     def measurements(self) -> Measurements:
@@ -326,27 +307,160 @@ class Calibration(Predictor):
             return larger.parameters[larger.model.index(name)]
         return self.parameters[self.model.index(name)]
 
-    def corrected(self, robot: Robot) -> Robot:
-        """A robot, nominal or corrected, with this result's origins; the same robot where it has them already.
+    @property
+    def tells_place(self) -> bool:
+        """Whether any row tells where the base stands; otherwise predictions are in the base."""
+        return tells_place(self.rows.kinds)
+
+    def part(self, *, larger: bool) -> Solved:
+        """What to predict with: the larger model, where it is asked for and there is one, or the geometry."""
+        return self.larger if larger and self.larger is not None else self
+
+    def samples(
+        self,
+        q: ArrayLike,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+        payload: Payload | None = None,
+    ) -> Samples:
+        """Joint values as a prediction takes them, with the load that gravity and payload put on the joints.
+
+        Args:
+            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
+            target: Name of the target; the first where None.
+            group: Name of the set-up whose frame is meant; the first where None.
+            payload: What the tip carries; None: what it carried when it was calibrated.
 
         Raises:
-            UrdfError: The robot lacks one of the joints.
+            ModelError: No such target or set-up.
         """
-        return with_origins_of(robot, self.robot)
+        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        load, numbers = None, []
+        if self.larger is not None:
+            load = self.larger.load(self.nominal, values, payload)
+        for name, names, what in (
+            (group, self.setup.groups, "set-up"),
+            (target, self.setup.targets, "target"),
+        ):
+            if name is not None and name not in names:
+                raise ModelError(f"There is no {what} '{name}'; there is {choices(names)}.")
+            numbers.append(np.full(len(values), 0 if name is None else names.index(name)))
+        return replace(Samples.at(values, load), frame=numbers[0], target=numbers[1])
+
+    def predict_poses(
+        self,
+        q: ArrayLike,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+        larger: bool = True,
+    ) -> Array:
+        """Where the calibrated robot puts the target, in the measurement frame, or in the base where there is none.
+
+        Args:
+            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
+            target: Name of the target; the first where None.
+            group: Name of the set-up whose frame is meant; where None the first, and the base where only sockets,
+                planes, anchors or pairs were measured.
+            larger: Whether to use the larger model, where there is one; else the geometry that the URDF holds.
+
+        Returns:
+            shape (N, 4, 4), [m].
+        """
+        part = self.part(larger=larger)
+        poses = part.kinematics.poses(part.x, self.samples(q, target=target, group=group))
+        if group is None and not self.tells_place:
+            poses = rigid_inverse(part.setup.T_frame_base[0]) @ poses
+        return poses
+
+    def predict(
+        self,
+        q: ArrayLike,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+        larger: bool = True,
+    ) -> Array:
+        """The target's position, shape (N, 3), [m]; frame and arguments are those of `predict_poses`."""
+        return self.predict_poses(q, target=target, group=group, larger=larger)[:, :3, 3]
+
+    def position_std(
+        self,
+        q: ArrayLike,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+        larger: bool = True,
+    ) -> Array:
+        """How sure `predict` is, sqrt(trace(J C J^T)), shape (N,), [m]; the arguments are those of `predict_poses`.
+
+        C is the covariance of the parameters, J the derivative of the predicted position; where only sockets, planes,
+        anchors or pairs were measured, and no group is named, less what moves all positions as one body. It knows
+        nothing of errors that the model lacks.
+        """
+        part, samples = self.part(larger=larger), self.samples(q, target=target, group=group)
+        in_base = group is None and part.base_motion is not None
+        return part.pose_std(samples, in_base=in_base)[:, 0]
+
+    def tool_std(
+        self,
+        q: ArrayLike,
+        T_tip_tool: Array,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+    ) -> Array:
+        """How sure it is where the corrected robot puts a tool, by the covariance of the geometry.
+
+        Args:
+            q: shape (N, m), joint values [rad] or [m].
+            T_tip_tool: shape (4, 4), the tool in the tip [m]; known exactly, unless it is a target.
+            target: Name of the target that the tool is; its estimate is then part of what is not sure.
+            group: Name of the set-up in whose frame the pose is asked for; where it stands is part of it, too. None:
+                in the base.
+
+        Returns:
+            shape (N, 2), standard deviations: of the position [m], of the angle [rad].
+        """
+        samples, part = self.samples(q, target=target, group=group), self
+        if target is None:
+            own = self.model.family(TARGET)
+            tools = np.broadcast_to(T_tip_tool, self.kinematics.T_tip_target.shape)
+            part = replace(
+                self,
+                kinematics=replace(self.kinematics, T_tip_target=tools),
+                x=np.where(own, 0.0, self.x),
+                covariance=np.where(own[:, None] | own, 0.0, self.covariance),
+            )
+        return part.pose_std(samples, in_base=group is None)
+
+    def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
+        """T_base_tip by the larger model, or by the corrected origins where there is none, shape (N, 4, 4), [m].
+
+        Args:
+            q: shape (N, m), joint values [rad] or [m].
+            payload: What the tip carries; None: what it carried when it was calibrated.
+        """
+        if self.larger is None:
+            return self.robot.poses(np.atleast_2d(np.asarray(q, dtype=np.float64)))
+        return self.larger.tips(self.samples(q, payload=payload))
+
+    def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
+        """Which joint values, shape (N, m), [rad] or [m], lie outside of the range that the fit has seen."""
+        if not np.isfinite(self.ranges).all():
+            return ()
+        seen = np.linspace(self.ranges[:, 0], self.ranges[:, 1], _BETWEEN)
+        types = [joint.type for joint in self.nominal.inputs]
+        asked = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        return outside(seen, asked, self.nominal.joint_names, types)
+
+    def corrected(self, robot: Robot) -> Robot:
+        """A robot, nominal or corrected, with this result's origins; `UrdfError` where it lacks one of the joints."""
+        own = self.robot
+        return robot.rebuilt(robot.urdf.with_origins(own.origins()), own.base, own.tip)
 
     def uncorrected(self, robot: Robot) -> Robot:
-        """A robot, nominal or corrected, with the origins that this result began with.
-
-        Raises:
-            UrdfError: The robot lacks one of the joints.
-        """
-        return with_origins_of(robot, self.nominal)
-
-
-def with_origins_of(robot: Robot, other: Robot) -> Robot:
-    """A robot with the joint origins of another one of the same chain.
-
-    Raises:
-        UrdfError: The robot lacks one of the joints.
-    """
-    return robot.rebuilt(robot.urdf.with_origins(other.origins()), other.base, other.tip)
+        """A robot, nominal or corrected, with the origins that this result began with; else as `corrected`."""
+        own = self.nominal
+        return robot.rebuilt(robot.urdf.with_origins(own.origins()), own.base, own.tip)

@@ -2,38 +2,54 @@
 
 A result read back is equal to the one written, field by field, but for ``fit``: measurements and solved problem are no
 part of the file. The nominal URDF is, so that a result needs no other file. Numbers that do not exist (the error of no
-rows) are null. A value's fields and keys stand once, in a table that both ways read.
+rows) are null.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, FileError
-from calib.identify import result_tables as tables
-from calib.identify import table_fields as fields
-from calib.identify.coverage import Beyond, OutsideRow
-from calib.identify.findings import Outlier, ParameterEstimate
-from calib.identify.reasons import Reason, Why
+from calib.identify import result_fields as fields
+from calib.identify.prediction import Larger
 from calib.identify.result import Calibration, RowNames, Source
-from calib.identify.result_rows import residuals_of, rows_table, used_of
-from calib.identify.solvers import Iteration, Solution
+from calib.identify.result_fields import (
+    EXACT,
+    FLAG,
+    NUMBER,
+    NUMBERS,
+    ONLY,
+    TEXT,
+    WORDS,
+    Field,
+    Json,
+    Part,
+    many,
+    numbers,
+    optional,
+    table,
+    values,
+)
+from calib.identify.robustness import Robustness
+from calib.identify.setup import Setup
+from calib.identify.solvers import Solution
 from calib.identify.statistics import CrossValidation
-from calib.identify.verdict import Verdict
 from calib.measure.columns import SETS
 from calib.model.files import damage, json_bytes, read_json, write_atomically
-from calib.model.robot import Robot
+from calib.model.kinematics import Kinematics
+from calib.model.observability import Observability
+from calib.model.parameters import ErrorModel
+from calib.model.robot import Robot, read_only
 from calib.model.urdf import Urdf
 from calib.version import __version__
 
 Array = NDArray[np.float64]
-Json = Mapping[str, Any]
+Mask = NDArray[np.bool_]
 
 #: The layout of a result.
 SCHEMA = 2
@@ -41,22 +57,105 @@ SCHEMA = 2
 #: By how much correlations may be wrong.
 _ROUNDING = 1e-6
 
+_ERRORS = Part(
+    table=lambda sets: {name: fields.ERRORS.table(errors) for name, errors in sets.items()}
+)
+_LEFT_OUT = optional(Part(table=lambda found: table(found, fields.LEFT_OUT)))
+_MOTION = optional(Part(lambda found: numbers(found).reshape(6, -1)))
+_TIES = Part(
+    lambda found: {one["name"]: (one["other"], float(one["factor"])) for one in found},
+    lambda ties: [{"name": n, "other": o, "factor": factor} for n, (o, factor) in ties.items()],
+)
+
+#: What the geometry and the larger model both have.
+_SOLVED: tuple[Field, ...] = (
+    ("parameters", "parameters", many(fields.PARAMETER)),
+    ("x", "x", NUMBERS),
+    ("base_motion", "base_motion", _MOTION),
+    ("covariance", "covariance", Part(lambda found: numbers(found).reshape(len(found), -1))),
+)
+_LARGER: tuple[Field, ...] = (
+    ("model", "", Part(table=lambda model: table(model, fields.MODEL))),
+    ("model.names", "names", Part(table=list)),
+    *_SOLVED,
+    ("sizes", "sizes", fields.SIZES),
+    ("setup", "", Part(table=fields.places_table)),
+    ("cross_validation", "cross_validation", _LEFT_OUT),
+    ("payload", "payload", optional(fields.PAYLOAD)),
+    ("gravity", "gravity_m_s2", NUMBERS),
+)
+_RESULT: tuple[Field, ...] = (
+    (lambda _: SCHEMA, "schema", ONLY),
+    ("nominal.name", "robot.name", ONLY),
+    ("nominal.base", "robot.base", ONLY),
+    ("nominal.tip", "robot.tip", ONLY),
+    ("nominal.joint_names", "robot.joints", Part(table=list)),
+    (lambda c: _held_table(c.nominal), "robot.held", ONLY),
+    (lambda c: _ranges_table(c), "robot.ranges", ONLY),
+    (lambda c: _origins_table(c.robot), "robot.origins", ONLY),
+    (lambda c: _origins_table(c.nominal), "robot.nominal_origins", ONLY),
+    ("T_frame_base", "frames.", Part(table=lambda T: fields.pose_table(T, "frame_base_"))),
+    ("frame_estimated", "frames.frame_estimated", FLAG),
+    ("target", "frames.target_m", ONLY),
+    (lambda c: _target_given(c), "frames.target_given_m", ONLY),
+    ("setup.estimate_target", "frames.target_estimated", ONLY),
+    (
+        lambda c: list(np.array(c.setup.targets)[c.setup.target_given]),
+        "frames.targets_given",
+        ONLY,
+    ),
+    ("setup", "frames.", Part(table=fields.places_table)),
+    ("nominal_setup", "frames.nominal", Part(table=fields.places_table)),
+    ("errors", "errors", Part(table=lambda e: {who: _ERRORS.table(one) for who, one in e.items()})),
+    (lambda c: _validated_table(c), "cross_validation", ONLY),
+    ("sigma", "noise.sigma_m", NUMBER),
+    ("freedom", "noise.freedom", EXACT),
+    ("sigma_angle", "noise.sigma_angle_rad", NUMBER),
+    ("repeats", "noise.repeats", optional(fields.REPEATS)),
+    ("sizes", "noise.sizes", fields.SIZES),
+    ("sizes_from", "noise.sizes_from", TEXT),
+    ("flag_limit", "noise.flag_limit", EXACT),
+    *_SOLVED,
+    ("outliers", "outliers", many(fields.OUTLIER)),
+    ("suspects", "suspects", many(fields.OUTLIER)),
+    ("outside", "outside", many(fields.OUTSIDE)),
+    ("robustness", "robustness", optional(Part(table=lambda r: table(r, fields.ROBUSTNESS)))),
+    ("expected_measured", "expected.measured_rms_m", NUMBER),
+    ("expected_everywhere", "expected.everywhere_rms_m", NUMBER),
+    ("observability", "observability", Part(table=lambda o: table(o, fields.OBSERVABILITY))),
+    ("model", "model.", Part(table=lambda model: table(model, fields.MODEL))),
+    ("frozen", "model.frozen", WORDS),
+    ("ties", "model.ties", _TIES),
+    ("candidates", "model.candidates", many(fields.CANDIDATE)),
+    (lambda c: _larger_table(c), "larger", ONLY),
+    ("solver", "solver.name", TEXT),
+    ("seconds", "solver.seconds", NUMBER),
+    ("solution", "solver.", Part(table=lambda found: table(found, fields.SOLUTION))),
+    ("verdict", "verdict", optional(fields.VERDICT)),
+    (lambda c: _rows_table(c), "rows", ONLY),
+    ("nominal.urdf.source", "inputs.urdf.name", ONLY),
+    ("nominal.urdf.sha256", "inputs.urdf.sha256", ONLY),
+    (
+        "nominal.urdf.data",
+        "inputs.urdf.text",
+        Part(table=lambda data: data.decode("utf-8", "surrogateescape")),
+    ),
+    ("source.name", "inputs.measurements.name", ONLY),
+    ("source.sha256", "inputs.measurements.sha256", ONLY),
+    ("rows", "inputs.measurements.rows", Part(table=len)),
+    (lambda _: fields.versions(), "versions", ONLY),
+)
+
 
 def write_result(
     c: Calibration, path: str | Path, *, overwrite: bool = False, extra: Json | None = None
 ) -> Path:
-    """Write a calibration as JSON.
-
-    Args:
-        c: The calibration.
-        path: Where to.
-        overwrite: Whether an existing file may be replaced.
-        extra: Further keys, see `calib.cli.fit`.
+    """Write a calibration as JSON, with further keys if any (see `calib.cli.fit`).
 
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    return write_table({**result_table(c), **(extra or {})}, path, overwrite=overwrite)
+    return write_table(table(c, _RESULT) | dict(extra or {}), path, overwrite=overwrite)
 
 
 def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Path:
@@ -78,286 +177,83 @@ def read_result(path: str | Path) -> Calibration:
         f"a result of calib {__version__} has {SCHEMA}. Make it again from the same files: calib fit ROBOT DATA --json "
         f"{Path(path).name}"
     )
-    table = read_json(path, "calibration result", SCHEMA, expected)
+    found = read_json(path, "calibration result", SCHEMA, expected)
     try:
-        return _checked(_calibration(table, Path(path).parent))
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
-        raise FileError(
-            f"{path}: the result is damaged ({damage(error)}). Write it again with 'calib fit --json'."
-        ) from error
+        return _checked(_calibration(found, Path(path).parent))
     except CalibError as error:
-        raise FileError(
-            f"{path}: the result is damaged ({error}) Write it again with 'calib fit --json'."
-        ) from error
-
-
-def result_table(c: Calibration) -> dict[str, Any]:
-    """The result as nested tables of plain values, before missing numbers become null."""
-    return {
-        "schema": SCHEMA,
-        "robot": {
-            "name": c.nominal.name,
-            "base": c.nominal.base,
-            "tip": c.nominal.tip,
-            "joints": list(c.nominal.joint_names),
-            "held": tables.held_table(c.nominal),
-            "ranges": [
-                {
-                    "joint": joint.name,
-                    "low": low,
-                    "high": high,
-                    "unit": "m" if joint.type == "prismatic" else "rad",
-                }
-                for joint, (low, high) in zip(c.nominal.inputs, c.ranges, strict=True)
-            ],
-            "origins": tables.origins_table(c.robot),
-            "nominal_origins": tables.origins_table(c.nominal),
-        },
-        "frames": {
-            "frame_base_xyz_m": c.T_frame_base[:3, 3],
-            "frame_base_rpy_rad": pin.rpy.matrixToRpy(c.T_frame_base[:3, :3]),
-            "frame_estimated": c.frame_estimated,
-            "target_m": c.target,
-            "target_given_m": c.nominal_setup.T_tip_target[0, :3, 3]
-            if c.setup.target_given[0]
-            else None,
-            "target_estimated": c.setup.estimate_target,
-            "targets_given": [
-                name
-                for name, given in zip(c.setup.targets, c.setup.target_given, strict=True)
-                if given
-            ],
-            **tables.places_table(c.setup),
-            "nominal": tables.places_table(c.nominal_setup),
-        },
-        "errors": {
-            who: {name: tables.errors_table(errors) for name, errors in sets.items()}
-            for who, sets in c.errors.items()
-        },
-        "cross_validation": None
-        if c.cross_validation is None
-        else {
-            **tables.left_out_table(c.cross_validation),
-            "nominal": None
-            if c.nominal_cross_validation is None
-            else tables.left_out_table(c.nominal_cross_validation),
-        },
-        "noise": {
-            "sigma_m": c.sigma,
-            "freedom": c.freedom,
-            "sigma_angle_rad": c.sigma_angle,
-            "repeats": None
-            if c.repeats is None
-            else {
-                "scatter": c.repeats.within,
-                "freedom": c.repeats.freedoms,
-                "correlation": c.repeats.rho,
-            },
-            "sizes": tables.sizes_table(c.sizes),
-            "sizes_from": c.sizes_from,
-            "flag_limit": c.flag_limit,
-        },
-        "parameters": [fields.to_table(p, fields.PARAMETER) for p in c.parameters],
-        "x": c.x,
-        "base_motion": c.base_motion,
-        "covariance": c.covariance,
-        "outliers": [fields.to_table(o, fields.OUTLIER) for o in c.outliers],
-        "suspects": [fields.to_table(o, fields.OUTLIER) for o in c.suspects],
-        "outside": [
-            {
-                "index": row.index,
-                "joints": [fields.to_table(one, fields.BEYOND) for one in row.beyond],
-            }
-            for row in c.outside
-        ],
-        "robustness": None if c.robustness is None else tables.robustness_table(c.robustness),
-        "expected": {
-            "measured_rms_m": c.expected_measured,
-            "everywhere_rms_m": c.expected_everywhere,
-        },
-        "observability": {
-            "rank": c.observability.rank,
-            "columns": c.observability.columns,
-            "condition": c.observability.condition,
-            "indices": c.observability.indices,
-            "singular_values": c.observability.singular_values,
-            "unidentifiable": [
-                {**fields.to_table(one, fields.COMBINATION), "text": str(one)}
-                for one in c.observability.unidentifiable
-            ],
-        },
-        "model": {
-            **tables.model_table(c.model),
-            "frozen": list(c.frozen),
-            "ties": [
-                {"name": name, "other": other, "factor": factor}
-                for name, (other, factor) in c.ties.items()
-            ],
-            "candidates": [tables.candidate_table(one) for one in c.candidates],
-        },
-        "larger": None if c.larger is None else tables.larger_table(c.larger, c.errors["larger"]),
-        "solver": {
-            "name": c.solver,
-            "iterations": c.solution.iterations,
-            "evaluations": c.solution.evaluations,
-            "seconds": c.seconds,
-            "status": c.solution.status,
-            "message": c.solution.message,
-            "cost": c.solution.cost,
-            "history": [fields.to_table(one, fields.STEP) for one in c.solution.history],
-        },
-        "verdict": None
-        if c.verdict is None
-        else {
-            "use": c.verdict.use,
-            "reasons": [
-                {
-                    "code": r.code,
-                    "text": str(r),
-                    "values": [{"name": name, "value": v} for name, v in r.values.items()],
-                }
-                for r in c.verdict.reasons
-            ],
-        },
-        "rows": rows_table(c),
-        "inputs": {
-            "urdf": {
-                "name": c.nominal.urdf.source,
-                "sha256": c.nominal.urdf.sha256,
-                "text": c.nominal.urdf.data.decode("utf-8", "surrogateescape"),
-            },
-            "measurements": {
-                "name": c.source.name,
-                "sha256": c.source.sha256,
-                "rows": len(c.rows),
-            },
-        },
-        "versions": tables.versions(),
-    }
-
-
-def _calibration(table: Json, folder: Path) -> Calibration:
-    """A result from its tables; meshes lie beside the URDF, where that is in a folder.
-
-    Raises:
-        KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, CalibError: Something is missing or
-            of another kind.
-    """
-    robot, frames, noise, inputs = (table[k] for k in ("robot", "frames", "noise", "inputs"))
-    solver, verdict, model = table["solver"], table["verdict"], table["model"]
-    name = inputs["urdf"]["name"]
-    urdf = Urdf.from_bytes(
-        inputs["urdf"]["text"].encode("utf-8", "surrogateescape"), name, folder / name
+        why = str(error)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
+        why = f"{damage(error)}."
+    raise FileError(
+        f"{path}: the result is damaged ({why}) Write it again with 'calib fit --json'."
     )
+
+
+def _calibration(found: Json, folder: Path) -> Calibration:
+    """A result from its tables; meshes lie beside the URDF, where that is in a folder."""
+    robot, frames, inputs, rows = (found[k] for k in ("robot", "frames", "inputs", "rows"))
+    name, text = inputs["urdf"]["name"], inputs["urdf"]["text"]
+    urdf = Urdf.from_bytes(text.encode("utf-8", "surrogateescape"), name, folder / name)
     held = {one["joint"]: float(one["value"]) for one in robot["held"]}
     nominal = Robot.from_urdf(urdf, robot["base"], robot["tip"], held=held)
-    rows, larger = table["rows"], table["larger"]
-    names = RowNames(
-        numbers=tuple(int(one["row"]) for one in rows),
-        sets=fields.words([one["set"] for one in rows]),
-        kinds=fields.words([one["kind"] for one in rows]),
-        groups=fields.words([one["group"] for one in rows]),
-        targets=fields.words([one["target"] for one in rows]),
-    )
-    used = used_of(rows)
-    estimated, rotation = names.estimation, "pose" in names.kinds
-    x, setup = fields.numbers(table["x"]), tables.places_of(frames, rotation=rotation)
-    validated = table["cross_validation"]
-    kinematics = tables.kinematics_of(nominal, tables.model_of(model, _names(table)), setup, x)
+    labels = [tuple(str(one[k]) for one in rows) for k in ("set", "kind", "group", "target")]
+    names = RowNames(tuple(int(one["row"]) for one in rows), *labels)
+    own = [one for one in rows if one["set"] == SETS[0]]
+    used, rotation = _used_of(rows), "pose" in names.kinds
 
-    def left_out(found: Json | None, who: str) -> CrossValidation | None:
+    def left_out(one: Json | None, who: str) -> CrossValidation | None:
         """A cross-validation, with its residuals from the rows."""
-        if found is None:
+        if one is None:
             return None
-        own = [one for one, chosen in zip(rows, estimated, strict=True) if chosen]
-        poses = np.array([one["pose"] for one in own], dtype=int)
-        residual = residuals_of(own, f"left_out_{who}", used[estimated])
-        return tables.left_out_of(found, poses, residual)
+        poses = np.array([row["pose"] for row in own], dtype=int)
+        residual = _residuals_of(own, f"left_out_{who}", used[names.estimation])
+        return fields.left_out_of(one, poses, residual)
 
+    def larger_of(one: Json) -> Larger:
+        """The larger model, which no URDF can hold."""
+        solved, setup = values(one, _LARGER), fields.places_of(one, rotation=rotation)
+        model = fields.model_of(one, one["names"])
+        return Larger(
+            kinematics=_kinematics(nominal, model, setup, solved["x"]),
+            setup=setup,
+            residual=_residuals_of(rows, "larger", used),
+            cross_validation=left_out(one["cross_validation"], "larger"),
+            **solved,
+        )
+
+    own_values = values(found, _RESULT)
+    x, parameters = own_values["x"], own_values["parameters"]
+    parameter_names = tuple(one.name for one in parameters)
+    setup = fields.places_of(frames, rotation=rotation)
+    model = fields.model_of(found["model"], parameter_names)
+    validated, robust, larger = (found[k] for k in ("cross_validation", "robustness", "larger"))
+    ends = numbers([(one["low"], one["high"]) for one in robot["ranges"]]).reshape(-1, 2)
     return Calibration(
         nominal=nominal,
-        robot=kinematics.model.apply(nominal, x),
+        robot=model.apply(nominal, x),
         source=Source(inputs["measurements"]["name"], inputs["measurements"]["sha256"]),
         rows=names,
-        frame_estimated=bool(frames["frame_estimated"]),
-        frozen=fields.words(model["frozen"]),
-        ties={t["name"]: (t["other"], float(t["factor"])) for t in model["ties"]},
-        sizes_from=noise["sizes_from"],
-        nominal_setup=tables.places_of(frames["nominal"], rotation=rotation),
+        nominal_setup=fields.places_of(frames["nominal"], rotation=rotation),
         setup=setup,
-        kinematics=kinematics,
-        solver=solver["name"],
-        solution=Solution(
-            x=x,
-            cost=float(solver["cost"]),
-            status=solver["status"],
-            message=solver["message"],
-            evaluations=int(solver["evaluations"]),
-            history=tuple(
-                fields.from_table(Iteration, one, fields.STEP) for one in solver["history"]
-            ),
-        ),
-        seconds=fields.number(solver["seconds"]),
-        x=x,
-        covariance=tables.square(table["covariance"], len(x)),
-        freedom=float(noise["freedom"]),
-        sigma=fields.number(noise["sigma_m"]),
-        sigma_angle=fields.number(noise["sigma_angle_rad"]),
-        sizes=tables.sizes_of(noise["sizes"]),
-        parameters=tuple(
-            fields.from_table(ParameterEstimate, p, fields.PARAMETER) for p in table["parameters"]
-        ),
-        residual_nominal=residuals_of(rows, "nominal", used),
-        residual_calibrated=residuals_of(rows, "calibrated", used),
+        kinematics=_kinematics(nominal, model, setup, x),
+        solution=Solution(x=x, **values(found["solver"], fields.SOLUTION)),
+        residual_nominal=_residuals_of(rows, "nominal", used),
+        residual_calibrated=_residuals_of(rows, "calibrated", used),
         used=used,
-        scores=fields.numbers([one["score"] for one in rows]),
-        weights=fields.numbers([one["weight"] for one in rows]),
-        base_motion=tables.motion_of(table),
-        ranges=tables.ranges_of(robot["ranges"]),
-        flag_limit=float(noise["flag_limit"]),
-        outliers=tuple(
-            fields.from_table(Outlier, one, fields.OUTLIER) for one in table["outliers"]
-        ),
-        suspects=tuple(
-            fields.from_table(Outlier, one, fields.OUTLIER) for one in table["suspects"]
-        ),
-        robustness=None
-        if table["robustness"] is None
-        else tables.robustness_of(table["robustness"], _names(table)),
-        repeats=tables.repeats_of(noise["repeats"]),
-        outside=tuple(
-            OutsideRow(
-                int(one["index"]),
-                tuple(fields.from_table(Beyond, far, fields.BEYOND) for far in one["joints"]),
-            )
-            for one in table["outside"]
-        ),
-        expected_measured=fields.number(table["expected"]["measured_rms_m"]),
-        expected_everywhere=fields.number(table["expected"]["everywhere_rms_m"]),
+        scores=numbers([one["score"] for one in rows]),
+        weights=numbers([one["weight"] for one in rows]),
+        ranges=read_only(np.where(np.isnan(ends), [np.inf, -np.inf], ends)),
+        robustness=robust
+        and Robustness(names=parameter_names, **values(robust, fields.ROBUSTNESS)),
         cross_validation=left_out(validated, "calibrated"),
         nominal_cross_validation=left_out(validated and validated["nominal"], "nominal"),
-        observability=tables.observability_of(table),
-        candidates=tuple(tables.candidate_of(one) for one in model["candidates"]),
-        larger=None
-        if larger is None
-        else tables.larger_of(
-            larger, nominal, rows, used, left_out(larger["cross_validation"], "larger")
+        observability=Observability(
+            identifiable=np.array([one.identifiable for one in parameters], dtype=bool),
+            **values(found["observability"], fields.OBSERVABILITY),
         ),
-        verdict=None
-        if verdict is None
-        else Verdict(
-            verdict["use"],
-            tuple(
-                Reason(Why[r["code"].upper()], {v["name"]: v["value"] for v in r["values"]})
-                for r in verdict["reasons"]
-            ),
-        ),
+        larger=None if larger is None else larger_of(larger),
+        **own_values,
     )
-
-
-def _names(table: Json) -> tuple[str, ...]:
-    """The parameters of the geometry."""
-    return tuple(str(one["name"]) for one in table["parameters"])
 
 
 def _checked(c: Calibration) -> Calibration:
@@ -371,7 +267,9 @@ def _checked(c: Calibration) -> Calibration:
     R = C / std[:, None] / std
     push = np.array([one.push for one in c.parameters])
     names = tuple(one.name for one in c.parameters)
+    parts = [c] if c.larger is None else [c, c.larger]
     for wrong, what in (
+        (any(one.covariance.shape != one.x.shape * 2 for one in parts), "'covariance' is none"),
         (names != c.model.names, "'parameters' and 'model.terms' name other parameters"),
         (not np.isfinite([*c.x, *push]).all(), "a number of 'x' or 'parameters' is missing"),
         (not np.isfinite(R).all() or np.any(np.diag(C) < 0.0), "'covariance' is none"),
@@ -383,3 +281,98 @@ def _checked(c: Calibration) -> Calibration:
         if wrong:
             raise ValueError(what)
     return c
+
+
+def _kinematics(nominal: Robot, model: ErrorModel, setup: Setup, x: Array) -> Kinematics:
+    """The nominal robot under a model, with frames and targets where x counts from."""
+    back = np.linalg.inv(model.displacements(x)[0])
+    frames, targets = back[: len(setup.groups)], back[-len(setup.targets) :]
+    return Kinematics(nominal, model, setup.T_frame_base @ frames, setup.T_tip_target @ targets)
+
+
+def _origins_table(robot: Robot) -> list[dict[str, Any]]:
+    """The origin of each joint that carries a placement of the chain."""
+    return [{"joint": name, **fields.pose_table(T)} for name, T in robot.origins().items()]
+
+
+def _held_table(robot: Robot) -> list[dict[str, Any]]:
+    """The joints that were not measured, with the values that they were held at."""
+    slides = {joint.name for joint in robot.urdf.joints if joint.type == "prismatic"}
+    return [
+        {"joint": name, "value": value, "unit": "m" if name in slides else "rad"}
+        for name, value in robot.held.items()
+    ]
+
+
+def _ranges_table(c: Calibration) -> list[dict[str, Any]]:
+    """The measured range of each joint; infinite ends where no row was fitted."""
+    return [
+        {"joint": j.name, "low": low, "high": high, "unit": "m" if j.type == "prismatic" else "rad"}
+        for j, (low, high) in zip(c.nominal.inputs, c.ranges, strict=True)
+    ]
+
+
+def _target_given(c: Calibration) -> Array | None:
+    """Where the first target was said to be, shape (3,), [m]."""
+    return c.nominal_setup.T_tip_target[0, :3, 3] if c.setup.target_given[0] else None
+
+
+def _validated_table(c: Calibration) -> dict[str, Any] | None:
+    """Errors on left-out rows, those of the nominal robot below."""
+    if c.cross_validation is None:
+        return None
+    nominal = _LEFT_OUT.table(c.nominal_cross_validation)
+    return {**table(c.cross_validation, fields.LEFT_OUT), "nominal": nominal}
+
+
+def _larger_table(c: Calibration) -> dict[str, Any] | None:
+    """The larger model and its errors."""
+    if c.larger is None:
+        return None
+    return {**table(c.larger, _LARGER), "errors": _ERRORS.table(c.errors["larger"])}
+
+
+def _rows_table(c: Calibration) -> list[dict[str, Any]]:
+    """What each row is, and what is left over in it: nominal, calibrated, larger, and left out of the fit."""
+    every = {"nominal": c.residual_nominal, "calibrated": c.residual_calibrated}
+    left = {"nominal": c.nominal_cross_validation, "calibrated": c.cross_validation}
+    if c.larger is not None:
+        every["larger"], left["larger"] = c.larger.residual, c.larger.cross_validation
+    seen, names, result = np.cumsum(c.rows.estimation) - 1, c.rows, []
+    labels = zip(names.numbers, names.sets, names.kinds, names.groups, names.targets, strict=True)
+    for i, of_row in enumerate(labels):
+        row: dict[str, Any] = dict(
+            zip(("row", "set", "kind", "group", "target"), of_row, strict=True)
+        )
+        found = {who: residual[i] for who, residual in every.items()}
+        if c.cross_validation is not None and names.estimation[i]:
+            row["pose"] = c.cross_validation.poses[seen[i]]
+            found |= {
+                f"left_out_{w}": v.residual[seen[i]] for w, v in left.items() if v is not None
+            }
+        for who, residual in found.items():
+            row[f"residual_{who}_m"] = residual[:3][c.used[i, :3]]
+            if np.any(c.used[i, 3:]):
+                row[f"residual_{who}_rad"] = residual[3:][c.used[i, 3:]]
+        result.append(row | {"score": c.scores[i], "weight": c.weights[i]})
+    return result
+
+
+def _used_of(rows: Sequence[Json]) -> Mask:
+    """Which scalars were measured, shape (N, D): a row's lengths stand in the first columns."""
+    lengths = [len(one["residual_nominal_m"]) for one in rows]
+    angles = [len(one.get("residual_nominal_rad", ())) for one in rows]
+    width = max([1, *lengths, *(3 + turned for turned in angles if turned)])
+    column = np.arange(width)
+    of_lengths = column < np.minimum(np.array(lengths), 3)[:, None]
+    return np.asarray(of_lengths | ((column >= 3) & (column < 3 + np.array(angles)[:, None])))
+
+
+def _residuals_of(rows: Sequence[Mapping[str, Any]], who: str, used: Mask) -> Array:
+    """What is left over, shape (N, D), zero where nothing was measured."""
+    result = np.zeros(used.shape)
+    for i, one in enumerate(rows):
+        result[i, :3][used[i, :3]] = one[f"residual_{who}_m"]
+        if np.any(used[i, 3:]):
+            result[i, 3:][used[i, 3:]] = one[f"residual_{who}_rad"]
+    return read_only(result)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.errors import MeasurementError, ModelError
 from calib.identify.crossvalidation import linear_cross_validation
 from calib.identify.fitting import Fitted, fit
-from calib.identify.rigid_motion import without_rigid_motion
+from calib.identify.prediction import without_rigid_motion
 from calib.identify.statistics import Errors, Mask
 from calib.model.robot import read_only
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib.families import FAMILIES, unit_of
 from calib.identify.correlations import correlations
-from calib.identify.findings import Outlier, ParameterEstimate
+from calib.identify.prediction import Outlier, ParameterEstimate
 from calib.identify.result import Calibration
 from calib.identify.selection import Candidate
 from calib.identify.statistics import Errors

@@ -38,12 +38,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, ModelError, choices
-from calib.identify.findings import ParameterEstimate
 from calib.identify.fitting import Fitted
 from calib.identify.jobs import batch_size, run
+from calib.identify.prediction import ParameterEstimate, without_rigid_motion
 from calib.identify.resampling import Profile, bootstrap_indices, check_level, fit_sample, profile
 from calib.identify.result import Calibration
-from calib.identify.rigid_motion import without_rigid_motion
 from calib.identify.robustness import Robustness, compare
 from calib.identify.solvers import levenberg_marquardt
 from calib.model.kinematics import Samples, Where

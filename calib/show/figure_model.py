@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.families import unit_of
-from calib.identify.findings import ParameterEstimate
+from calib.identify.prediction import ParameterEstimate
 from calib.identify.result import Calibration
 from calib.identify.statements import errorless
 from calib.model.parameters import FRAME, TARGET

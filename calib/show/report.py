@@ -20,7 +20,7 @@ from calib.errors import FileError
 from calib.identify.coverage import outside_sentence
 from calib.identify.reasons import Why
 from calib.identify.result import Calibration
-from calib.identify.result_tables import versions
+from calib.identify.result_fields import versions
 from calib.identify.statements import (
     correlation_text,
     errorless,

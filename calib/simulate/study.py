@@ -25,7 +25,7 @@ from calib.errors import CalibError, ModelError
 from calib.identify.calibration import calibrate, fit_table
 from calib.identify.fitting import Fitted
 from calib.identify.jobs import batch_size, run
-from calib.identify.rigid_motion import without_rigid_motion
+from calib.identify.prediction import without_rigid_motion
 from calib.identify.verdict import NO
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Tracker

@@ -12,7 +12,7 @@ from calib.design.forecast import Sensitivity, forecast
 from calib.errors import MeasurementError, ModelError
 from calib.identify.calibration import calibrate
 from calib.identify.inspection import inspect
-from calib.identify.rigid_motion import without_rigid_motion
+from calib.identify.prediction import without_rigid_motion
 from calib.identify.setup import FIRST_SIGMA_ANGLE
 from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.calibration import Calibration, calibrate
-from calib.comparison import Comparison, compare
+from calib.calibration import Calibration, Comparison, calibrate, compare
 from calib.data import PAPER_TARGET, paper_urdf
 from calib.errors import FileError, ModelError, UrdfError
 from calib.families import ANGLE, LENGTH, ZERO, unit_of

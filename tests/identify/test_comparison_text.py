@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from calib.calibration import Calibration, calibrate
-from calib.comparison import compare
+from calib.calibration import Calibration, calibrate, compare
 from calib.data import paper_urdf
 from calib.identify.comparison_text import notes, sentence
 from calib.measure.cell import Cell

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calib.identify.evaluation_file import evaluation_table
+from calib.identify.result_fields import ERRORS
 from calib.identify.result_file import result_table
-from calib.identify.result_tables import errors_table
 from calib.identify.statistics import Errors
 
 
@@ -62,11 +62,11 @@ def test_the_larger_model_is_whole(calibrated):
 
 
 def test_angles_only_where_there_are_any():
-    assert "n_rad" not in errors_table(Errors.of(np.ones((2, 3))))
-    table = errors_table(Errors.of(np.ones((2, 6))))
+    assert "n_rad" not in ERRORS.table(Errors.of(np.ones((2, 3))))
+    table = ERRORS.table(Errors.of(np.ones((2, 6))))
     assert table["n_rad"] == 2
     assert table["max_rad"] == pytest.approx(np.sqrt(3))
-    lengths = errors_table(Errors.of(np.ones((2, 1))))
+    lengths = ERRORS.table(Errors.of(np.ones((2, 1))))
     assert np.all(np.isnan(lengths["rms_xyz_m"]))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.identify.rigid_motion import best_motion, moved_by, without_rigid_motion
+from calib.identify.prediction import best_motion, moved_by, without_rigid_motion
 
 
 def test_what_is_left_is_the_least_that_a_rigid_motion_leaves():

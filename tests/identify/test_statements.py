@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.identify import statements
-from calib.identify.findings import Outlier, ParameterEstimate
+from calib.identify.prediction import Outlier, ParameterEstimate
 
 
 def test_error_rows_are_the_errors_of_each_set(calibrated):
