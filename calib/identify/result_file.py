@@ -147,6 +147,11 @@ _RESULT: tuple[Field, ...] = (
 )
 
 
+def result_table(c: Calibration) -> dict[str, Any]:
+    """The result as nested tables of plain values, before missing numbers become null."""
+    return table(c, _RESULT)
+
+
 def write_result(
     c: Calibration, path: str | Path, *, overwrite: bool = False, extra: Json | None = None
 ) -> Path:
@@ -155,7 +160,7 @@ def write_result(
     Raises:
         FileError: The file exists, or cannot be written.
     """
-    return write_table(table(c, _RESULT) | dict(extra or {}), path, overwrite=overwrite)
+    return write_table(result_table(c) | dict(extra or {}), path, overwrite=overwrite)
 
 
 def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Path:
