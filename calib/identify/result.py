@@ -75,12 +75,7 @@ class RowNames:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The table of the measurements.
-
-    Attributes:
-        name: Of the file; empty where it was none.
-        sha256: Of its bytes; empty where it was none.
-    """
+    """The table of the measurements: name and SHA-256 of the file, both empty where it was none."""
 
     name: str
     sha256: str
@@ -182,7 +177,7 @@ class Calibration(Solved):
         outliers: The estimation rows flagged; they have no weight where the fit was robust.
         suspects: The validation rows beyond such a limit, for their number; they never have a weight.
         robustness: What lowering the weights of doubtful rows did, or would do; None where no row is flagged, and with
-            the solver ``"paper"``. See also `calib.identify.uncertainty.with_and_without`.
+            the solver ``"paper"``.
         repeats: Scatter of rows that repeat a pose; None where none does.
         outside: The rows for validation whose joint values lie outside of the range that was fitted.
         expected_measured: Standard deviation of the predicted point at the measured poses, rms [m]. From the
@@ -240,29 +235,17 @@ class Calibration(Solved):
 
     @property
     def measurements(self) -> Measurements:
-        """All rows.
-
-        Raises:
-            ModelError: The result was read from a file.
-        """
+        """All rows; `ModelError` where the result was read from a file."""
         return self._in_memory().measurements
 
     @property
     def cell(self) -> Cell:
-        """The cell as given.
-
-        Raises:
-            ModelError: The result was read from a file.
-        """
+        """The cell as given; `ModelError` where the result was read from a file."""
         return self._in_memory().cell
 
     @property
     def fitted(self) -> Fitted:
-        """The fit of the geometry.
-
-        Raises:
-            ModelError: The result was read from a file.
-        """
+        """The fit of the geometry; `ModelError` where the result was read from a file."""
         return self._in_memory().geometry
 
     def _in_memory(self) -> Fit:
