@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from calib.measure.surroundings import Box, Reflector, Tracker
     from calib.model.robot import Robot
     from calib.model.torques import Payload
-    from calib.show.opening import show
+    from calib.show.live import show
     from calib.simulate.scenario import Scenario
     from calib.simulate.study import Study, Trials, study
 

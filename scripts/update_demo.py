@@ -19,7 +19,7 @@ from calib.formats.origins import write_origins
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only
-from calib.show.pictures import write_page
+from calib.show.page import write_page
 from calib.show.report import write_report
 
 DOCS = Path(__file__).parents[1] / "docs"

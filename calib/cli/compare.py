@@ -55,8 +55,8 @@ def compare(
     found = compare_results(a, b, robot)
     written = []
     if view is not None:
-        from calib.show.pictures import view_of_comparison
-        from calib.show.robots_page import write_view
+        from calib.show.page import write_view
+        from calib.show.view import view_of_comparison
 
         written.append(write_view(view_of_comparison(found), view, overwrite=force))
     if json is not None:

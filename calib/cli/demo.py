@@ -54,7 +54,7 @@ def demo(
     from calib.measure.measurements import Measurements
     from calib.model.files import make_folder
     from calib.model.robot import Robot, read_only
-    from calib.show.pictures import write_page
+    from calib.show.page import write_page
     from calib.show.report import write_report
 
     make_folder(out)

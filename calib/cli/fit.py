@@ -131,7 +131,7 @@ class Outputs:
 
             yield write_result(result, self.json, overwrite=force, extra=tables)
         if self.view is not None:
-            from calib.show.pictures import write_page
+            from calib.show.page import write_page
 
             yield write_page(result, self.view, overwrite=force)
         if self.report is not None:

@@ -154,7 +154,7 @@ def _check_table(data: Path | None, given: dict[str, Any]) -> None:
 
 def _write(shown: View, output: Path, *, force: bool, quiet: bool) -> None:
     """The page as a file."""
-    from calib.show.robots_page import view_page
+    from calib.show.page import view_page
 
     page = view_page(shown)
     page.write(output, overwrite=force)

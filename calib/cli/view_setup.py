@@ -58,7 +58,7 @@ def view_asked_for(sources: Sources, cell: Cell, *, quiet: bool) -> View:
     Raises:
         CalibError: A file cannot be read, or they do not fit together.
     """
-    from calib.show.pictures import view_of_robots
+    from calib.show.view import view_of_robots
 
     stored = None
     if sources.calibration is not None:

@@ -2,7 +2,7 @@
 
 ``calib.show(result)`` opens the picture of a calibration in the browser and returns the page's path, in a temporary
 folder; ``calib.show(result, live=True)`` returns a `calib.show.live.Viewer`, with which a program moves the robots
-and draws more. ``calib.show.pictures.write_page(result, "view.html")`` keeps the page.
+and draws more. ``calib.show.view.write_page(result, "view.html")`` keeps the page.
 
 The folder's module can be called, for Python binds the name ``calib.show`` to this module as soon as anything in it is
 imported, so a function of that name would not last.
@@ -27,8 +27,8 @@ class _Show(ModuleType):
     def __call__(
         self, shown: Calibration | Robot, other: Robot | None = None, *, live: bool = False
     ) -> Path | Viewer:
-        """Open the picture of a calibration or of robots in the browser; see `calib.show.opening.show`."""
-        from calib.show.opening import show
+        """Open the picture of a calibration or of robots in the browser; see `calib.show.live.show`."""
+        from calib.show.live import show
 
         return show(shown, other, live=True) if live else show(shown, other)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from calib.errors import FileError, choices
 from calib.identify.result import Calibration
-from calib.show.palette import (
+from calib.show.rows import (
     CALIBRATED,
     ESTIMATION,
     GRID,
@@ -27,8 +27,8 @@ from calib.show.palette import (
     OUTLIER,
     SOFT,
     VALIDATION,
+    flagged_rows,
 )
-from calib.show.rows import flagged_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

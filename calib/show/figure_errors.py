@@ -26,8 +26,7 @@ from calib.show.figure_base import (
     row_kinds,
     rows_text,
 )
-from calib.show.palette import INK, SOFT, VALIDATION
-from calib.show.rows import angles_of, flagged_rows, lengths_of
+from calib.show.rows import INK, SOFT, VALIDATION, angles_of, flagged_rows, lengths_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

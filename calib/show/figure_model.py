@@ -23,7 +23,7 @@ from calib.show.figure_base import (
     new_figure,
     short_names,
 )
-from calib.show.palette import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
+from calib.show.rows import CALIBRATED, INK, NOMINAL, OUTLIER, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,7 +19,7 @@ from calib.errors import FileError, choices
 from calib.model.files import write_atomically
 from calib.show.figure_base import KINDS, line, number_points, saved, styled, write_beside
 from calib.show.figure_space import VIEWS
-from calib.show.palette import ESTIMATION, INK, LITTLE_TO_MUCH, VALIDATION
+from calib.show.rows import ESTIMATION, INK, LITTLE_TO_MUCH, VALIDATION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -22,8 +22,15 @@ from calib.show.figure_base import (
     row_kinds,
     short_names,
 )
-from calib.show.palette import CALIBRATED, INK, SOFT
-from calib.show.rows import flagged_rows, measured_in_base, placed, target_places
+from calib.show.rows import (
+    CALIBRATED,
+    INK,
+    SOFT,
+    flagged_rows,
+    measured_in_base,
+    placed,
+    target_places,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

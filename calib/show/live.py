@@ -9,13 +9,15 @@ from __future__ import annotations
 import asyncio
 import atexit
 import socket
+import tempfile
 import threading
 import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal, overload
 
 import meshcat
 import numpy as np
@@ -27,11 +29,12 @@ from tornado.httpserver import HTTPServer
 from tornado.web import Application, RequestHandler
 
 from calib.errors import CalibError, ModelError, choices
-from calib.show.puppet import packed
-from calib.show.robots_page import floats, puppets, view_page
+from calib.identify.result import Calibration
+from calib.model.robot import Robot
+from calib.show.page import floats, puppets, view_page, write_view
 from calib.show.scene import SCENE
-from calib.show.shapes import Visual, read_visuals
-from calib.show.view import View
+from calib.show.shapes import Visual, packed, read_visuals
+from calib.show.view import View, view_of, view_of_robots
 
 Array = NDArray[np.float64]
 
@@ -285,3 +288,57 @@ def _listening(port: int) -> socket.socket:
         raise CalibError(f"Port {port} of {HOST} {why}.") from error
     listener.setblocking(False)
     return listener
+
+
+@overload
+def show(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[False] = False
+) -> Path: ...
+
+
+@overload
+def show(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[True]
+) -> Viewer: ...
+
+
+def show(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: bool = False
+) -> Path | Viewer:
+    """Open the picture of a calibration, of a robot or of two robots in the browser.
+
+    Args:
+        shown: A calibration, or a robot.
+        other: A second robot with the same joints, to be shown beside the first.
+        live: Whether this program serves the page, so that it can move the robots and draw more; the page is then there
+            until the viewer is closed or the program ends. Otherwise it is a file, and stays.
+
+    Returns:
+        The page, in a temporary folder of its own; or the viewer.
+
+    Raises:
+        ModelError: It is no calibration and no robot, or the robots have different joints.
+    """
+    view = _view_of_anything(shown, other)
+    if live:
+        viewer = Viewer(view)
+        viewer.open()
+        return viewer
+    page = write_view(view, Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
+    webbrowser.open(page.as_uri())
+    return page
+
+
+def _view_of_anything(shown: Calibration | Robot, other: Robot | None) -> View:
+    """The view of what a user hands over."""
+    if isinstance(shown, Calibration) and other is None:
+        return view_of(shown)
+    if isinstance(shown, Robot) and (other is None or isinstance(other, Robot)):
+        second = shown if other is None else other
+        names = (("First", shown.urdf.source), ("Second", second.urdf.source))
+        return view_of_robots(shown, other, names=names)
+    given = " and ".join(repr(one) for one in (shown, other)[: 1 + (other is not None)])
+    raise ModelError(
+        f"show takes a Calibration, a Robot or two Robots; {given} was given. Make them with calib.calibrate(...) or "
+        "calib.Robot.load(...)."
+    )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.design.plan import Plan
 from calib.measure.surroundings import Box, Tracker
 from calib.show.page import Key, single_page
-from calib.show.palette import BEAM, ESTIMATION, VALIDATION
+from calib.show.rows import BEAM, ESTIMATION, VALIDATION
 from calib.show.scene import Page, draw_boxes, draw_lines, draw_points
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from calib.design.workspace import Density
 from calib.model.robot import Robot
 from calib.show.figure_region import Marked
 from calib.show.page import Key, single_page
-from calib.show.palette import ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
+from calib.show.rows import ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
 from calib.show.scene import Page, draw_cloud, draw_points, solid, translation
 
 Array = NDArray[np.float64]

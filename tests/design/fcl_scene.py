@@ -12,7 +12,7 @@ import trimesh
 from calib.measure.surroundings import Box
 from calib.model.meshes import find_mesh, link_shapes, mesh_folders
 from calib.model.robot import Robot
-from calib.show.puppet import root_poses
+from calib.show.shapes import root_poses
 
 
 @cache

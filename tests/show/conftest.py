@@ -13,7 +13,7 @@ from calib import data
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
-from calib.show.robots_page import view_page
+from calib.show.page import view_page
 from calib.show.view import View, translated
 
 #: A gantry with a turning wrist: prismatic and continuous joints, no visuals, its base not at the root.

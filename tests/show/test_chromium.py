@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from calib.show.palette import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
-from calib.show.pictures import view_of
-from calib.show.robots_page import write_view
+from calib.show.page import write_view
+from calib.show.rows import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
+from calib.show.view import view_of
 from tests.show.calibrations import made
 
 pytestmark = pytest.mark.slow
@@ -72,7 +72,7 @@ sys.addaudithook(lambda event, _: seen.append(event))
 import numpy as np
 from calib import data
 from calib.model.robot import Robot
-from calib.show.robots_page import write_view
+from calib.show.page import write_view
 from calib.show.view import View
 robot = Robot.load(data.paper_urdf(), base="base", tip="tool0")
 write_view(View(robot, robot, np.full((1, 6), 0.3)), {str(tmp_path / "view.html")!r})

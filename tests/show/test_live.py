@@ -11,17 +11,20 @@ import sys
 import time
 import urllib.error
 import urllib.request
+import webbrowser
 from pathlib import Path
 
 import numpy as np
 import pytest
 from meshcat import geometry as mc
 
+import calib
 from calib import data
 from calib.errors import CalibError, ModelError
 from calib.show.live import Viewer
 from calib.show.view import View, translated
 from tests.listening import listening
+from tests.show.calibrations import made
 
 TARGET = translated([0.1, 0.2, 0.3])
 
@@ -165,3 +168,45 @@ def test_the_document_s_example_runs_until_ctrl_c(tmp_path):
     out, err = process.communicate(timeout=20)
     assert (process.returncode, out, err) == (0, "", "")
     assert (tmp_path / "opened").read_text() == url
+
+
+@pytest.fixture(scope="module")
+def result():
+    return made("paper")
+
+
+def test_show_opens_the_page_in_the_browser(result, monkeypatch):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    page = calib.show(result)
+    assert opened == [Path(page).as_uri()]
+    assert page.is_file()
+
+
+def test_show_can_serve_the_page_and_move_the_robots(result, monkeypatch):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    with calib.show(result, live=True) as viewer:
+        assert opened == [viewer.url]
+        viewer.display(np.zeros(6))
+        with urllib.request.urlopen(viewer.url, timeout=10) as answer:
+            assert b"data-live" in answer.read()
+
+
+def test_show_takes_robots_too(result, monkeypatch):
+    monkeypatch.setattr(webbrowser, "open", lambda _: True)
+    text = calib.show(result.nominal, result.robot).read_text(encoding="utf-8")
+    assert "<strong>First</strong>" in text
+    assert "ur3.urdf" in text
+    alone = calib.show(result.nominal).read_text(encoding="utf-8")
+    assert "<strong>" not in alone
+    with pytest.raises(
+        ModelError, match=r"show takes a Calibration, a Robot or two Robots; 'ur3' was"
+    ):
+        calib.show("ur3")
+    with pytest.raises(
+        ModelError, match="show takes a Calibration, a Robot or two Robots; None was"
+    ):
+        calib.show(None)
+    with pytest.raises(ModelError, match="show takes a Calibration"):
+        calib.show(result, result.robot)

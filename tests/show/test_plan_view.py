@@ -16,8 +16,8 @@ from calib.errors import FileError
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Box, Tracker
 from calib.model.readback import random_joint_values
-from calib.show.palette import BEAM
 from calib.show.plan_view import plan_page, write_plan_view
+from calib.show.rows import BEAM
 
 
 @pytest.fixture(scope="module")
