@@ -55,10 +55,10 @@ def compare(
     found = compare_results(a, b, robot)
     written = []
     if view is not None:
-        from calib.show.page import write_view
+        from calib.show.page import view_page
         from calib.show.view import view_of_comparison
 
-        written.append(write_view(view_of_comparison(found), view, overwrite=force))
+        written.append(view_page(view_of_comparison(found)).write(view, overwrite=force))
     if json is not None:
         written.append(found.write_json(json, overwrite=force))
     if quiet:

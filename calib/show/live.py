@@ -31,7 +31,7 @@ from tornado.web import Application, RequestHandler
 from calib.errors import CalibError, ModelError, choices
 from calib.identify.result import Calibration
 from calib.model.robot import Robot
-from calib.show.page import floats, puppets, view_page, write_view
+from calib.show.page import floats, puppets, view_page
 from calib.show.scene import SCENE
 from calib.show.shapes import Visual, packed, read_visuals
 from calib.show.view import View, view_of, view_of_robots
@@ -324,7 +324,7 @@ def show(
         viewer = Viewer(view)
         viewer.open()
         return viewer
-    page = write_view(view, Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
+    page = view_page(view).write(Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
     webbrowser.open(page.as_uri())
     return page
 

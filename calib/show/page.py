@@ -1,10 +1,16 @@
-"""The HTML page about a scene: heading, legend, controls, and the scripts that may run. Every name is escaped."""
+"""The HTML pages about a scene: heading, legend, controls, and the scripts that may run. Every name is escaped.
+
+The page of robots shows the nominal and the calibrated one side by side or overlaid, at every measured pose: its script
+moves them from pose to pose and draws what was measured, with arrows at a stated magnification. Pages open from disk
+and load nothing. The stage is the calibrated robot's base; where joints move the base itself, as they do a camera's,
+it is the root of the URDF.
+"""
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +36,6 @@ from calib.show.scene import (
     SCENE,
     Camera,
     Page,
-    as_base64,
     draw_puppet,
     draw_stage,
     look_at,
@@ -38,19 +43,39 @@ from calib.show.scene import (
     round_length,
     row_direction,
     translation,
-    viewer_licences,
-    viewer_script,
 )
 from calib.show.shapes import Puppet, Visual, packed, read_visuals, same_visuals, span, stage_poses
-from calib.show.view import Cloud, View, view_of
+from calib.show.view import Cloud, View, thinned, view_of
 
 Array = NDArray[np.float64]
 
 #: The colours of robots and of what was measured.
 COLOURS = {"nominal": NOMINAL, "calibrated": CALIBRATED, "measured": MEASURED}
 
+#: What the rows of each kind are called, in colours of their own.
+_ROWS = {
+    "estimation": (ESTIMATION, "measured, fitted"),
+    "validation": (VALIDATION, "measured, held back"),
+    "flagged": (OUTLIER, "measured, flagged"),
+}
+
 #: What a page may talk to that came from a server on this computer.
 _LIVE = "; connect-src 'self' ws://127.0.0.1:* ws://localhost:*"
+
+#: The files of the script of a page of robots, in order.
+SCRIPTS = ("robots.js", "marks.js", "words.js", "controls.js")
+
+#: Between slider and legend below and the heading above, as a part of the picture, see `look_at`.
+_TEXT = (-0.54, 0.67)
+
+#: Radius of the target's ball and length of the nominal robot's typical arrow, as parts of the scene's size.
+_BALL, _ARROW = 0.009, 0.12
+
+#: Factors that arrows can be magnified by, and the largest for the robots: beyond it links fly apart.
+FACTORS, _MOST_FOR_ROBOTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000), 100
+
+#: Between which quantiles of the standard deviation the cloud's colours change.
+_ENDS = (0.02, 0.98)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +86,7 @@ class Key:
         text: What it is.
         colour: As CSS has it.
         nodes: Which nodes below `SCENE`, blanks between them.
-        kind: ``"dot"`` for a round mark, and others of the style sheet.
+        kind: A class of the style sheet, ``"dot"`` for a round mark.
         on: Whether it is shown at first.
     """
 
@@ -77,7 +102,6 @@ def filled_page(
     scene: bytes,
     *,
     table: Mapping[str, Any] | None = None,
-    scripts: Sequence[str] = (),
     live: bool = False,
     **content: Any,  # noqa: ANN401  what the template names
 ) -> bytes:
@@ -86,15 +110,14 @@ def filled_page(
     Args:
         template: ``"page.html"``, or one that extends it.
         scene: The scene's message.
-        table: What the page's own script is told; None for a page without one.
-        scripts: Names of that script's files.
+        table: What the script of a page of robots is told; None for a page without one.
         live: Whether the page listens to the server that it came from.
         content: What the template is filled with: ``title``, ``text``, ``keys``, ``grid`` and ``warnings`` at least.
     """
     import jinja2
     from markupsafe import Markup
 
-    folder = Path(__file__).parent
+    folder, viewer = Path(__file__).parent, Path(meshcat.viewer_assets_path())
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(folder),
         autoescape=True,
@@ -102,25 +125,39 @@ def filled_page(
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    texts = [viewer_script(), (folder / "page.js").read_text(encoding="utf-8")]
-    if scripts:
-        own = "\n".join((folder / name).read_text(encoding="utf-8") for name in scripts)
+    texts = [_read(viewer / "dist/main.min.js"), _read(folder / "page.js")]
+    if table:
+        own = "\n".join(_read(folder / name) for name in SCRIPTS)
         texts.append(f'"use strict";\n(() => {{\n{own}}})();\n')
-    texts = [_no_end_tag(text) for text in texts]
-    hashes = " ".join(f"'sha256-{_hash(text)}'" for text in texts) + (_LIVE if live else "")
+    # No other script runs, whatever a name may hold.
+    digests = [hashlib.sha256(text.encode("utf-8")).digest() for text in texts]
+    hashes = " ".join(f"'sha256-{_base64(digest)}'" for digest in digests)
     # A block of JSON that no name in it can end.
     told = json.dumps(table, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    # The notices that must go with a copy of the viewer: meshcat's own and those of what it contains.
+    names = ("LICENSE.txt", "THIRD_PARTY_LICENSES.json")
+    notices = [viewer / "LICENSE", *(viewer / f"dist/main.min.js.{name}" for name in names)]
     page = environment.get_template(template).render(
-        hashes=Markup(hashes),
+        hashes=Markup(hashes + (_LIVE if live else "")),
         live=live,
         colours=COLOURS,
-        licences=Markup(_no_end_tag(viewer_licences())),
-        scene=as_base64(scene),
+        licences=Markup("\n\n".join(_read(path) for path in notices if path.is_file())),
+        scene=_base64(scene),
         table=Markup(told) if table else "",
         scripts=[Markup(text) for text in texts],
         **content,
     )
     return page.encode("utf-8", "replace")
+
+
+def _read(path: Path) -> str:
+    """A file whose text cannot end the script that it stands in."""
+    return path.read_text("utf-8").replace("</script", "<\\/script").replace("<!--", "<\\!--")
+
+
+def _base64(data: bytes) -> str:
+    """Bytes as text that needs no escaping."""
+    return base64.b64encode(data).decode("ascii")
 
 
 def single_page(
@@ -162,81 +199,34 @@ def single_page(
     root[SCENE].set_transform(translation(-camera.centre) @ upright)
     draw_puppet(root[SCENE]["nominal"], puppet, 0, NOMINAL, 0.0, front=False)
     keys = [Key(legend, NOMINAL, "nominal"), *draw(root[SCENE], size)]
-    html = filled_page(
-        "page.html", window.scene(), title=title, text=text, keys=keys, grid=grid, warnings=warnings
-    )
-    return Page(html, tuple(warnings))
-
-
-def _no_end_tag(text: str) -> str:
-    """A script whose strings cannot end it."""
-    return text.replace("\r\n", "\n").replace("</script", "<\\/script").replace("<!--", "<\\!--")
-
-
-def _hash(script: str) -> str:
-    """A script's name in the page's policy: no other script runs, whatever a name may hold."""
-    return as_base64(hashlib.sha256(script.encode("utf-8")).digest())
-
-
-#: The files of the page's own script, in order.
-SCRIPTS = ("robots.js", "marks.js", "words.js", "controls.js")
-
-#: Between slider and legend below and the heading above, as a part of the picture, see `look_at`.
-_TEXT = (-0.54, 0.67)
-
-#: Radius of the target's ball, as a part of the scene's size.
-_BALL = 0.009
-
-#: The typical arrow of the nominal robot is about this long, as a part of the scene's size.
-_ARROW = 0.12
-
-#: Factors that arrows can be magnified by, and the largest for the robots: beyond it links fly apart.
-FACTORS, _MOST_FOR_ROBOTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000), 100
-
-#: At most this many poses are shown, and fewer where robots have many links: so many numbers of movers in all.
-MOST_POSES, _MOST_MOVERS = 400, 16_000
-
-#: Between which quantiles of the standard deviation the cloud's colours change.
-_ENDS = (0.02, 0.98)
-
-#: What the rows of each kind are called, in colours of their own.
-_ROWS = {
-    "estimation": (ESTIMATION, "measured, fitted"),
-    "validation": (VALIDATION, "measured, held back"),
-    "flagged": (OUTLIER, "measured, flagged"),
-}
-
-
-def write_view(view: View, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-    """Write a view as one HTML file that opens from disk without a network.
-
-    Raises:
-        FileError: The file exists and ``overwrite`` is False, or it cannot be written.
-    """
-    return view_page(view).write(path, overwrite=overwrite)
+    words = {"title": title, "text": text, "warnings": warnings}
+    return Page(filled_page("page.html", window.scene(), keys=keys, grid=grid, **words), warnings)
 
 
 def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = False) -> Path:
-    """Write a self-contained page that shows both robots.
-
-    Raises:
-        FileError: The file exists, or cannot be written.
-    """
-    return write_view(view_of(calibration), path, overwrite=overwrite)
+    """Write the page of a calibration, whole or not at all; see `Page.write`."""
+    return view_page(view_of(calibration)).write(path, overwrite=overwrite)
 
 
 def view_page(view: View, *, live: bool = False) -> Page:
     """Draw a view.
 
     Args:
-        view: The view; of many poses some hundred are shown, see `thinned`.
+        view: The view; of many poses some hundred are shown.
         live: Whether the page listens to the server that it came from.
 
     Raises:
         UrdfError: Pinocchio cannot build a model of a URDF.
     """
     view = thinned(view)
-    visuals, warnings = read_both(view)
+    visuals: dict[str, Sequence[Visual]] = {}
+    warnings: dict[str, None] = {}
+    for who, robot in view.robots.items():
+        if who == "calibrated" and same_visuals(view.nominal.urdf, robot.urdf):
+            visuals[who] = visuals["nominal"]
+        else:
+            visuals[who], more = read_visuals(robot.urdf)
+            warnings |= dict.fromkeys(more)
     shown = puppets(view, visuals)
     layout = Layout.of(view, shown)
     window, root = new_scene()
@@ -248,19 +238,19 @@ def view_page(view: View, *, live: bool = False) -> Page:
         grid=layout.grid,
         through=layout.offsets["nominal"],
     )
-    ball = _BALL * layout.size
     for who, puppet in shown.items():
-        group = root[SCENE][who]
+        group, ball = root[SCENE][who], _BALL * layout.size
         group.set_transform(translation(layout.offsets[who] - layout.side.centre))
         draw_puppet(group, puppet, view.start, COLOURS[who], ball, front=who == "calibrated")
     cloud = None if view.nominal.base_moves else view.cloud
     factor = magnification(view, layout.size)
+    table = _table(view, shown, layout, cloud, factor)
     both = " and ".join(name for name, _ in view.names[: len(shown)]).lower()
     html = filled_page(
         "robots.html",
         window.scene(),
         title=view.title or f"{view.nominal.name or 'Robot'}: {both}",
-        warnings=warnings,
+        warnings=list(warnings),
         grid=layout.grid,
         keys=_keys(view, cloud),
         view=view,
@@ -271,26 +261,12 @@ def view_page(view: View, *, live: bool = False) -> Page:
         factors=FACTORS,
         robot_factors=[one for one in FACTORS if one <= _MOST_FOR_ROBOTS],
         labels=_labels(view, layout),
-        scale=[] if cloud is None else [f"{float(f'{1e3 * v:.2g}'):g}" for v in _scale(cloud)],
+        scale=[] if cloud is None else table["cloud"]["scale"],
         little_to_much=LITTLE_TO_MUCH,
-        table=_table(view, shown, layout, cloud, factor),
-        scripts=SCRIPTS,
+        table=table,
         live=live,
     )
-    return Page(html, warnings)
-
-
-def read_both(view: View) -> tuple[dict[str, tuple[Visual, ...]], tuple[str, ...]]:
-    """What each robot looks like, and what could not be drawn as its URDF says."""
-    visuals: dict[str, tuple[Visual, ...]] = {}
-    warnings: list[str] = []
-    for who, robot in view.robots.items():
-        if who == "calibrated" and same_visuals(view.nominal.urdf, robot.urdf):
-            visuals[who] = visuals["nominal"]
-            continue
-        visuals[who], more = read_visuals(robot.urdf)
-        warnings += more
-    return visuals, tuple(dict.fromkeys(warnings))
+    return Page(html, tuple(warnings))
 
 
 def puppets(view: View, visuals: Mapping[str, Sequence[Visual]]) -> dict[str, Puppet]:
@@ -344,65 +320,33 @@ class Layout:
         foot += (start[start[:, 2] < foot[2] + 0.2 * size] @ back).max() * back
         # A wild measurement must not make the robots small: what was measured far away is not looked at.
         one = np.vstack([outline, foot])
-        return cls(
-            offsets=offsets,
-            foot=foot,
-            size=size,
-            grid=round_length(size / 7.0),
-            side=look_at(np.concatenate([one + at for at in offsets.values()]), back, _TEXT),
-            over=look_at(one, back, _TEXT),
-        )
-
-
-def thinned(view: View) -> View:
-    """The view, or a choice of its poses where they are many.
-
-    Kept are the one shown first, flagged rows, and rows spread evenly over the table, as many for validation as their
-    part of the table is, ten at least.
-    """
-    count = len(view.q)
-    most = max(1, min(MOST_POSES, _MOST_MOVERS // (len(view.nominal.urdf.links) + 3)))
-    if count <= most:
-        return view
-    kinds = np.array(view.kinds)
-    flagged = _spread(np.flatnonzero(kinds == "flagged"), most // 4)
-    held = np.flatnonzero(kinds == "validation")
-    share = max(min(10, most // 4), most * len(held) // count)
-    validation = _spread(held, min(share, 3 * most // 4 - len(flagged)))
-    kept = np.union1d(np.union1d(flagged, validation), [view.start])
-    rest = np.setdiff1d(np.flatnonzero(~np.isin(kinds, ("flagged", "validation"))), kept)
-    chosen = np.union1d(kept, _spread(rest, max(most - len(kept), 0)))
-    return view.select(chosen, int(np.searchsorted(chosen, view.start)))
+        both = np.concatenate([one + at for at in offsets.values()])
+        side, over = look_at(both, back, _TEXT), look_at(one, back, _TEXT)
+        return cls(offsets, foot, size, round_length(size / 7.0), side, over)
 
 
 def magnification(view: View, size: float) -> int:
     """The factor of `FACTORS` that makes the typical arrow of the nominal robot well visible, of rows not flagged."""
     nominal, calibrated = view.predicted
-    apart = np.linalg.norm(calibrated - nominal, axis=1)
-    lengths = view.distances[0] if view.measures else apart
-    there = np.isfinite(lengths)
+    apart = np.linalg.norm((view.measured if view.measures else calibrated) - nominal, axis=1)
+    there = np.isfinite(apart)
     good = there & (np.array(view.kinds) != "flagged")
-    lengths = lengths[good if np.any(good) else there]
-    typical = float(np.median(lengths)) if len(lengths) else 0.0
+    typical = float(np.median(apart[good if np.any(good) else there]))
     wanted = _ARROW * size / typical if typical > 0 else 1.0
     return max((factor for factor in FACTORS if factor <= wanted), default=1)
 
 
-def _labels(view: View, layout: Layout) -> list[tuple[str, str, str, str]]:
+def _labels(view: View, layout: Layout) -> list[tuple[Array, str, str, str]]:
     """The labels below the robots: where, in which mode, the name and what it means; none for one robot."""
     if view.calibrated is None:  # the heading says what it is
         return []
     (first, what_first), (second, what_second) = view.names
     overlaid = f"{first.lower()} solid, {second.lower()} translucent"
-    places = {who: at + layout.foot - layout.side.centre for who, at in layout.offsets.items()}
-    found = [
-        (places["nominal"], "side", first, what_first),
-        (places["calibrated"], "side", second, what_second),
-        (layout.foot - layout.over.centre, "over", "Overlaid", overlaid),
-    ]
+    beside, over = layout.foot - layout.side.centre, layout.foot - layout.over.centre
     return [
-        (" ".join(f"{v:.6g}" for v in at.tolist()), mode, name, what)
-        for at, mode, name, what in found
+        (layout.offsets["nominal"] + beside, "side", first, what_first),
+        (layout.offsets["calibrated"] + beside, "side", second, what_second),
+        (over, "over", "Overlaid", overlaid),
     ]
 
 
@@ -441,9 +385,18 @@ def _table(
     view: View, shown: Mapping[str, Puppet], layout: Layout, cloud: Cloud | None, factor: int
 ) -> dict[str, Any]:
     """Everything that the script needs, as values that JSON can hold; arrays as base64 of little-endian float32."""
+
+    def numbers(rows: Array) -> list[list[float | None]]:
+        return [[float(f"{v:.9g}") if np.isfinite(v) else None for v in row] for row in rows]
+
     on_stage = stage_poses(view.nominal, view.q)
     measured = np.einsum("nij,nj->ni", on_stage[:, :3, :3], view.measured) + on_stage[:, :3, 3]
-    instruments, seen_from = _instruments(on_stage, view.instruments)
+    # The different instruments, and which of them saw each row; -1 where that is unknown.
+    known = np.all(np.isfinite(view.instruments), axis=(1, 2))
+    poses = packed(on_stage[known] @ view.instruments[known])
+    different, which = np.unique(poses.round(5), axis=0, return_inverse=True)
+    seen_from = np.full(len(known), -1)
+    seen_from[known] = np.ravel(which)
     side = layout.side.centre
     return {
         "start": view.start,
@@ -453,10 +406,10 @@ def _table(
         "colours": {**COLOURS, **{kind: c for kind, (c, _) in _ROWS.items()}, "beam": BEAM},
         "robots": {who: _robot(shown[who], shown["nominal"]) for who in shown},
         "measured": floats(measured),
-        "errors": [_numbers(values) for values in view.errors],
-        "angles": [_numbers(values) for values in view.angles],
-        "instruments": instruments,
-        "seenFrom": seen_from,
+        "errors": numbers(view.errors),
+        "angles": numbers(view.angles),
+        "instruments": different.astype(float).tolist(),
+        "seenFrom": seen_from.tolist(),
         "places": {who: (offset - side).tolist() for who, offset in layout.offsets.items()},
         "over": (-layout.over.centre).tolist(),
         "floor": (side - layout.over.centre).tolist(),
@@ -470,56 +423,26 @@ def _table(
 
 def _robot(puppet: Puppet, nominal: Puppet) -> dict[str, Any]:
     """One robot: its movers at each pose, its rods, and which mover of the nominal robot is the same."""
-    count, movers = puppet.poses.shape[1], len(puppet.links)
-    number = {link: k for k, link in enumerate(nominal.links)}
-    same = [number.get(link, -1) for link in puppet.links]
-    same += [len(nominal.links) + k for k in range(count - movers)]
+    count, others = puppet.poses.shape[1], len(nominal.links)
+    same = [nominal.links.index(one) if one in nominal.links else -1 for one in puppet.links]
+    same += range(others, others + count - len(puppet.links))
     rods = [*(list(rod) for rod in puppet.rods), [count - 2, count - 1]]
     return {"movers": count, "poses": floats(packed(puppet.poses)), "rods": rods, "same": same}
 
 
-def _instruments(on_stage: Array, instruments: Array) -> tuple[list[list[float]], list[int]]:
-    """The different instruments as positions and quaternions, and which of them saw each row; -1 where unknown."""
-    known = np.all(np.isfinite(instruments), axis=(1, 2))
-    seen_from = np.full(len(instruments), -1)
-    if not np.any(known):
-        return [], seen_from.tolist()
-    poses = packed(on_stage[known] @ instruments[known])
-    different, which = np.unique(poses.round(5), axis=0, return_inverse=True)
-    seen_from[known] = np.ravel(which)
-    return different.astype(float).tolist(), seen_from.tolist()
-
-
-def _scale(cloud: Cloud) -> tuple[float, float]:
-    """The standard deviations of the first and of the last colour of a cloud [m]."""
-    low, high = np.quantile(cloud.std, _ENDS)
-    return float(low), float(max(high, low * 1.0001, 1e-12))
-
-
-def _cloud(cloud: Cloud) -> dict[str, str]:
-    """The cloud's points with their colours."""
-    low, high = (max(value, 1e-15) for value in _scale(cloud))
+def _cloud(cloud: Cloud) -> dict[str, Any]:
+    """The cloud's points with their colours, by the logarithm of the standard deviation; both ends of it [mm]."""
+    low, high = (float(value) for value in np.quantile(cloud.std, _ENDS))
+    high = max(high, low * 1.0001, 1e-12)
+    low, ends = max(low, 1e-15), [f"{float(f'{1e3 * v:.2g}'):g}" for v in (low, high)]
     share = np.log(np.maximum(cloud.std, 1e-15) / low) / np.log(high / low)
     stops = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in LITTLE_TO_MUCH]) / 255.0
     along = np.linspace(0.0, 1.0, len(stops))
     rgb = np.stack([np.interp(share, along, stops[:, k]) for k in range(3)], axis=1)
     values = {"points": cloud.points, "colours": rgb, "measured": cloud.measured}
-    return {name: floats(value) for name, value in values.items()}
+    return {name: floats(value) for name, value in values.items()} | {"scale": ends}
 
 
 def floats(values: ArrayLike) -> str:
     """Numbers as base64 of little-endian float32."""
-    return as_base64(np.ascontiguousarray(values, dtype="<f4").tobytes())
-
-
-def _numbers(values: Array) -> list[float | None]:
-    """Numbers as JSON has them, nothing for NaN."""
-    return [float(f"{value:.9g}") if np.isfinite(value) else None for value in values]
-
-
-def _spread(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """At most so many of some numbers, evenly spread."""
-    if len(numbers) <= most:
-        return numbers
-    at = np.linspace(0, len(numbers) - 1, most).round().astype(int)
-    return numbers[at] if most else numbers[:0]
+    return _base64(np.ascontiguousarray(values, dtype="<f4").tobytes())

@@ -1,20 +1,23 @@
-"""What stands in a scene: the stage with its lights, floor and camera, robots, and marks about them; z is up."""
+"""A scene of meshcat: the stage with lights, floor and camera, robots, and marks about them; z is up.
+
+meshcat's own window starts a server in another process, whose web port listens on all addresses. `SceneWindow` opens no
+socket: it stores the same commands in meshcat's own tree, and the page carries meshcat's viewer and the commands.
+"""
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import meshcat
 import numpy as np
 import umsgpack
 from meshcat import geometry as mc
-from meshcat.geometry import Geometry, Material
 from meshcat.servers.tree import SceneTree, find_node, walk
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,6 +29,12 @@ Array = NDArray[np.float64]
 #: The scene's node that holds the robots.
 SCENE = "robots"
 
+#: Vertical angle of view [deg]: a long lens, so that robots at the side are not distorted.
+FOV_DEG = 28.0
+
+#: How far the camera looks down [rad], and the part of the picture's half width for the scene.
+_DOWN, _WIDTH = np.deg2rad(16.0), 0.95
+
 #: More points than this are one cloud of dots.
 _MOST_BALLS = 300
 
@@ -34,6 +43,14 @@ _STALK = 0.3
 
 #: three.js turns cylinders about y, URDF about z.
 _Y_TO_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
+#: How msgpack-lite, meshcat's decoder in the browser, names typed arrays.
+_ARRAYS = {
+    np.dtype(np.int8): ("Int8Array", 0x11),
+    np.dtype(np.uint16): ("Uint16Array", 0x14),
+    np.dtype(np.uint32): ("Uint32Array", 0x16),
+    np.dtype(np.float32): ("Float32Array", 0x17),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +74,151 @@ class Page:
         return write_atomically(path, self.html, overwrite=overwrite)
 
 
+class SceneWindow:
+    """The scene tree, for ``meshcat.Visualizer(window=...)``.
+
+    meshcat's identifiers hold the time and this computer's network address; here they follow from the content, so
+    that the same scene is the same bytes and a mesh that is drawn four times is stored once.
+    """
+
+    def __init__(self) -> None:
+        self._tree = SceneTree()
+        self._geometries: dict[str, dict[str, Any]] = {}
+
+    def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
+        """Take a command, as meshcat's server does."""
+        message = command.lower()
+        path = [part for part in message["path"].split("/") if part]
+        node = find_node(self._tree, path)
+        if message["type"] == "set_object":
+            self._share(message["object"], message["path"])
+            node.object, node.properties = message, []
+        elif message["type"] == "set_transform":
+            node.transform = message
+        else:
+            node.properties.append(message)
+
+    def scene(self) -> bytes:
+        """The whole scene as one message: the geometries by name, and the commands in order."""
+        commands = []
+        for node in walk(self._tree):
+            found = [node.object, *node.properties, node.transform]
+            commands += [command for command in found if command]
+        packed: bytes = umsgpack.packb({"geometries": self._geometries, "commands": commands})
+        return packed
+
+    def _share(self, lowered: dict[str, Any], path: str) -> None:
+        """Name everything by its content or path, and keep the geometries apart."""
+        names = []
+        for geometry in lowered.get("geometries", []):
+            del geometry["uuid"]
+            name = hashlib.sha256(umsgpack.packb(geometry)).hexdigest()[:32]
+            self._geometries.setdefault(name, {"uuid": name, **geometry})
+            names.append(name)
+        for material in lowered.get("materials", []):
+            material["uuid"] = f"material of {path}"
+        lowered["object"]["uuid"] = f"object of {path}"
+        if names:
+            lowered["geometries"] = names
+            lowered["object"]["geometry"] = names[0]
+            lowered["object"]["material"] = lowered["materials"][0]["uuid"]
+
+
+class PackedGeometry(mc.Geometry):  # type: ignore[misc]
+    """Triangles with their normals, in meshcat's form."""
+
+    def __init__(self, triangles: Triangles) -> None:
+        super().__init__()
+        self.triangles = triangles
+
+    def lower(self, _object_data: dict[str, Any]) -> dict[str, Any]:
+        """The geometry as three.js reads it."""
+        mesh = self.triangles
+        normals = {**_packed(mesh.normals, 3), "normalized": True}
+        attributes = {"position": _packed(mesh.vertices, 3), "normal": normals}
+        data = {"attributes": attributes, "index": _packed(mesh.faces, 1)}
+        return {"uuid": self.uuid, "type": "BufferGeometry", "data": data}
+
+
+class ShadowMaterial(mc.GenericMaterial):  # type: ignore[misc]
+    """A surface that shows the shadows on it and nothing else."""
+
+    _type = "ShadowMaterial"
+
+
 def new_scene() -> tuple[SceneWindow, meshcat.Visualizer]:
     """An empty scene, and meshcat's visualizer of all of it."""
     window = SceneWindow()
     return window, meshcat.Visualizer.view_into(window, meshcat.path.Path())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A camera that looks at a point.
+
+    Attributes:
+        centre: shape (3,), [m], what it looks at.
+        axes: shape (3, 3), rows: right, up, towards the camera.
+        distance: From the centre, [m].
+        radius: Of a sphere about the centre that holds the scene, [m].
+    """
+
+    centre: Array
+    axes: Array
+    distance: float
+    radius: float
+
+    @property
+    def position(self) -> list[float]:
+        """Where it stands, from the centre, in meshcat's frame of cameras, in which y is up [m]."""
+        x, y, z = (float(value) for value in self.distance * self.axes[2])
+        return [x, z, -y]
+
+
+def row_direction(points: Array) -> Array:
+    """A horizontal direction to look from in which an arm spreads out, shape (3,), a unit vector.
+
+    Args:
+        points: shape (N, 3), the origins of its links.
+    """
+    flat = points[:, :2] - points[:, :2].mean(axis=0)
+    _, values, axes = np.linalg.svd(flat, full_matrices=True)
+    spread = axes[0] if values[0] > 0 else np.array([0.0, 1.0])
+    # The arm reaches to the right of the picture and a little towards the camera.
+    outward = points[-1, :2] - points[0, :2]
+    x, y = spread if spread @ outward >= 0 else -spread
+    angle = np.arctan2(y, x) - np.deg2rad(68.0)
+    return np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+def look_at(points: Array, back: Array, between: tuple[float, float] = (-0.69, 0.75)) -> Camera:
+    """The nearest camera in a direction that sees all points where no text stands, on a 16:9 screen.
+
+    Args:
+        points: shape (N, 3), [m].
+        back: shape (3,), horizontal unit vector from the scene to the camera.
+        between: Where text at the foot ends and where that of the heading begins; the picture is from -1 to 1.
+    """
+    lower, upper = np.array([-_WIDTH, between[0]]), np.array([_WIDTH, between[1]])
+    towards = np.cos(_DOWN) * back + np.sin(_DOWN) * np.array([0.0, 0.0, 1.0])
+    right = np.array([-back[1], back[0], 0.0])
+    axes = np.stack([right, np.cross(towards, right), towards])
+    seen = points @ axes.T
+    half = np.tan(0.5 * np.deg2rad(FOV_DEG)) * np.array([16.0 / 9.0, 1.0])
+    centre = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    distance = float(np.linalg.norm(np.ptp(seen, axis=0))) / half[1]
+    for _ in range(60):
+        local = seen - centre
+        at = local[:, :2] / (distance - local[:, 2:]) / half
+        low, high = at.min(axis=0), at.max(axis=0)
+        scale = float(np.max((high - low) / (upper - lower)))
+        middle = 0.5 * (low + high) - 0.5 * (lower + upper)
+        centre[:2] += middle * half * distance
+        nearest = float(local[:, 2].max())
+        distance = nearest + (distance - nearest) * (1.0 + 0.7 * (scale - 1.0))
+    target = centre @ axes
+    radius = float(np.linalg.norm(points - target, axis=1).max())
+    return Camera(target, axes, distance, radius)
 
 
 def draw_stage(
@@ -82,33 +240,71 @@ def draw_stage(
         grid: Edge of a square of the floor [m].
         through: shape (3,), a point above which a line of the grid passes [m].
     """
-    root["/Background"].set_property("top_color", [0.985, 0.99, 1.0])
-    root["/Background"].set_property("bottom_color", [0.86, 0.885, 0.915])
-    for name in ("/Grid", "/Axes"):
-        root[name].set_property("visible", False)
-    for light in ("PointLightNegativeX", "PointLightPositiveX"):
-        root[f"/Lights/{light}/<object>"].set_property("visible", False)
     towards, right = camera.axes[2], camera.axes[0]
-    fill = root["/Lights/FillLight/<object>"]
-    root["/Lights/AmbientLight/<object>"].set_property("intensity", 0.52)
-    fill.set_property("intensity", 0.22)
-    fill.set_property("position", (20 * size * (towards + 1.2 * right)).tolist())
-    above = np.array([0.0, 0.0, 1.0])
-    key = KeyLight(1.1 * above + 0.55 * towards - 0.55 * right, camera.radius, 0.5)
-    root["/Lights/Key"].set_object(key)
-    lens = mc.PerspectiveCamera(fov=camera.fov_deg, aspect=16 / 9, near=0.02 * size, far=100 * size)
+    lens = mc.PerspectiveCamera(fov=FOV_DEG, aspect=16 / 9, near=0.02 * size, far=100 * size)
     root["/Cameras/default/rotated"].set_object(lens)
-    root["/Cameras/default/rotated/<object>"].set_property("position", camera.position)
+    for node, name, value in (
+        ("/Background", "top_color", [0.985, 0.99, 1.0]),
+        ("/Background", "bottom_color", [0.86, 0.885, 0.915]),
+        ("/Grid", "visible", False),
+        ("/Axes", "visible", False),
+        ("/Lights/PointLightNegativeX/<object>", "visible", False),
+        ("/Lights/PointLightPositiveX/<object>", "visible", False),
+        ("/Lights/AmbientLight/<object>", "intensity", 0.52),
+        ("/Lights/FillLight/<object>", "intensity", 0.22),
+        (
+            "/Lights/FillLight/<object>",
+            "position",
+            (20 * size * (towards + 1.2 * right)).tolist(),
+        ),
+        ("/Cameras/default/rotated/<object>", "position", camera.position),
+    ):
+        root[node].set_property(name, value)
+    above = np.array([0.0, 0.0, 1.0])
+    _draw_sun(root["/Lights/Key"], 1.1 * above + 0.55 * towards - 0.55 * right, camera.radius)
 
     floor = floor - camera.centre[2]
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * 30.0 * size
     plane = mc.TriangularMeshGeometry(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-    root["/Floor/shadow"].set_object(mc.Mesh(plane, ShadowMaterial(0.17)))
+    shadow = ShadowMaterial(
+        color=0x1B2733, opacity=0.17, transparent=True, side=0, depthWrite=False
+    )
+    root["/Floor/shadow"].set_object(mc.Mesh(plane, shadow))
     root["/Floor/shadow"].set_transform(translation([0, 0, floor - 0.002 * size]))
-    draw_lines(root["/Floor/grid"], _grid_lines(grid, 1.15 * camera.radius), "#9aa7b4", 0.42)
-    # A line of the grid passes through the base of the robot in the middle.
+    # A square grid cut to a disc; a line of it passes through the base of the robot in the middle.
+    radius = 1.15 * camera.radius
+    at = grid * np.arange(-int(radius / grid), int(radius / grid) + 1)
+    half = np.sqrt(radius**2 - at**2)
+    ends = np.array([[x, side * h, 0.0] for x, h in zip(at, half, strict=True) for side in (-1, 1)])
+    lines = np.concatenate([ends, ends[:, [1, 0, 2]]])
+    draw_lines(root["/Floor/grid"], lines, "#9aa7b4", 0.42)
     shift = np.remainder(through - camera.centre, grid)
     root["/Floor/grid"].set_transform(translation([shift[0], shift[1], floor - 0.001 * size]))
+
+
+def _draw_sun(node: meshcat.Visualizer, direction: Array, radius: float) -> None:
+    """A light from far away that casts shadows within a sphere about the scene's origin [m]."""
+    r, far = radius, translation(3.0 * radius * direction / np.linalg.norm(direction))
+    box = {"left": -r, "right": r, "top": r, "bottom": -r, "near": 1.5 * r, "far": 4.5 * r}
+    lens = {"uuid": "shadow camera", "type": "OrthographicCamera", "zoom": 1.0} | box
+    shadow = {"bias": -0.0003, "normalBias": 0.002 * r, "mapSize": [4096, 4096], "camera": lens}
+    light = {"uuid": "", "type": "DirectionalLight", "color": 0xFFFFFF, "intensity": 0.5}
+    lowered = {
+        "metadata": {"version": 4.5, "type": "Object"},
+        "object": {**light, "matrix": far.T.ravel().tolist(), "shadow": shadow},
+    }
+    _send(node, {"type": "set_object", "object": lowered})
+
+
+def without_shadow(node: meshcat.Visualizer) -> None:
+    """Let an object of the scene cast no shadow; meshcat's own command would write the name in small letters."""
+    _send(node["<object>"], {"type": "set_property", "property": "castShadow", "value": False})
+
+
+def _send(node: meshcat.Visualizer, message: dict[str, Any]) -> None:
+    """A command that meshcat has no class for."""
+    told = {**message, "path": node.path.lower()}
+    node.window.send(SimpleNamespace(lower=lambda: told))
 
 
 def draw_puppet(
@@ -224,211 +420,10 @@ def _geometry(shape: Shape) -> tuple[mc.Geometry, Array]:
     return mc.Sphere(shape.radius), np.eye(4)
 
 
-def _grid_lines(step: float, radius: float) -> Array:
-    """Start and end points of a square grid cut to a disc, shape (2 K, 3), [m]."""
-    at = step * np.arange(-int(radius / step), int(radius / step) + 1)
-    half = np.sqrt(radius**2 - at**2)
-    ends = [[x, side * h, 0.0] for x, h in zip(at, half, strict=True) for side in (-1, 1)]
-    along_y = np.array(ends)
-    return np.concatenate([along_y, along_y[:, [1, 0, 2]]])
-
-
-#: How msgpack-lite, meshcat's decoder in the browser, names typed arrays.
-_ARRAYS = {
-    np.dtype(np.int8): ("Int8Array", 0x11),
-    np.dtype(np.uint16): ("Uint16Array", 0x14),
-    np.dtype(np.uint32): ("Uint32Array", 0x16),
-    np.dtype(np.float32): ("Float32Array", 0x17),
-}
-
-
-class SceneWindow:
-    """The scene tree, for ``meshcat.Visualizer(window=...)``.
-
-    meshcat's identifiers hold the time and this computer's network address; here they follow from the content, so
-    that the same scene is the same bytes and a mesh that is drawn four times is stored once.
-    """
-
-    def __init__(self) -> None:
-        self._tree = SceneTree()
-        self._geometries: dict[str, dict[str, Any]] = {}
-
-    def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
-        """Take a command, as meshcat's server does."""
-        message = command.lower()
-        path = [part for part in message["path"].split("/") if part]
-        node = find_node(self._tree, path)
-        if message["type"] == "set_object":
-            self._share(message["object"], message["path"])
-            node.object, node.properties = message, []
-        elif message["type"] == "set_transform":
-            node.transform = message
-        else:
-            node.properties.append(message)
-
-    def scene(self) -> bytes:
-        """The whole scene as one message: the geometries by name, and the commands in order."""
-        commands = []
-        for node in walk(self._tree):
-            commands += [node.object] if node.object else []
-            commands += node.properties
-            commands += [node.transform] if node.transform else []
-        packed: bytes = umsgpack.packb({"geometries": self._geometries, "commands": commands})
-        return packed
-
-    def _share(self, lowered: dict[str, Any], path: str) -> None:
-        """Name everything by its content or path, and keep the geometries apart."""
-        names = []
-        for geometry in lowered.get("geometries", []):
-            del geometry["uuid"]
-            name = hashlib.sha256(umsgpack.packb(geometry)).hexdigest()[:32]
-            self._geometries.setdefault(name, {"uuid": name, **geometry})
-            names.append(name)
-        for material in lowered.get("materials", []):
-            material["uuid"] = f"material of {path}"
-        lowered["object"]["uuid"] = f"object of {path}"
-        if names:
-            lowered["geometries"] = names
-            lowered["object"]["geometry"] = names[0]
-            lowered["object"]["material"] = lowered["materials"][0]["uuid"]
-
-
-class PackedGeometry(Geometry):  # type: ignore[misc]
-    """Triangles with their normals, in meshcat's form."""
-
-    def __init__(self, triangles: Triangles) -> None:
-        super().__init__()
-        self.triangles = triangles
-
-    def lower(self, _object_data: dict[str, Any]) -> dict[str, Any]:
-        """The geometry as three.js reads it."""
-        mesh = self.triangles
-        return {
-            "uuid": self.uuid,
-            "type": "BufferGeometry",
-            "data": {
-                "attributes": {
-                    "position": _packed(mesh.vertices, 3),
-                    "normal": {**_packed(mesh.normals, 3), "normalized": True},
-                },
-                "index": _packed(mesh.faces, 1),
-            },
-        }
-
-
-class ShadowMaterial(Material):  # type: ignore[misc]
-    """A surface that shows the shadows on it and nothing else."""
-
-    def __init__(self, opacity: float) -> None:
-        super().__init__()
-        self.opacity = opacity
-
-    def lower(self, _object_data: dict[str, Any]) -> dict[str, Any]:
-        """The material as three.js reads it."""
-        return {
-            "uuid": self.uuid,
-            "type": "ShadowMaterial",
-            "color": 0x1B2733,
-            "transparent": True,
-            "opacity": self.opacity,
-            "depthWrite": False,
-        }
-
-
-class KeyLight(meshcat.geometry.Object):  # type: ignore[misc]
-    """A light from far away that casts shadows within a sphere about the scene's origin.
-
-    Args:
-        direction: shape (3,), towards the light.
-        radius: Of the sphere, [m].
-        intensity: 1 lights a surface that faces it in its full colour.
-    """
-
-    def __init__(self, direction: NDArray[np.float64], radius: float, intensity: float) -> None:
-        self.uuid = ""
-        self.position = 3.0 * radius * direction / np.linalg.norm(direction)
-        self.radius = radius
-        self.intensity = intensity
-
-    def lower(self) -> dict[str, Any]:
-        """The light as three.js reads it."""
-        r = self.radius
-        T = np.eye(4)
-        T[:3, 3] = self.position
-        return {
-            "metadata": {"version": 4.5, "type": "Object"},
-            "object": {
-                "uuid": self.uuid,
-                "type": "DirectionalLight",
-                "color": 0xFFFFFF,
-                "intensity": self.intensity,
-                "matrix": T.T.ravel().tolist(),
-                "shadow": {
-                    "bias": -0.0003,
-                    "normalBias": 0.002 * r,
-                    "mapSize": [4096, 4096],
-                    "camera": {
-                        "uuid": "shadow camera",
-                        "type": "OrthographicCamera",
-                        "left": -r,
-                        "right": r,
-                        "top": r,
-                        "bottom": -r,
-                        "near": 1.5 * r,
-                        "far": 4.5 * r,
-                        "zoom": 1.0,
-                    },
-                },
-            },
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class _NoShadow:
-    """A property of an object; meshcat's own command would write its name in small letters."""
-
-    path: str
-
-    def lower(self) -> dict[str, Any]:
-        """The command as a message."""
-        return {
-            "type": "set_property",
-            "path": f"{self.path}/<object>",
-            "property": "castShadow",
-            "value": False,
-        }
-
-
-def without_shadow(node: meshcat.Visualizer) -> None:
-    """Let an object of the scene cast no shadow."""
-    node.window.send(_NoShadow(node.path.lower()))
-
-
-def viewer_script() -> str:
-    """The viewer of meshcat, three.js included, as the text of a script."""
-    return (_viewer_folder() / "dist" / "main.min.js").read_text(encoding="utf-8")
-
-
-def viewer_licences() -> str:
-    """The notices that must go with a copy of the viewer: meshcat's own and those of what it contains."""
-    folder = _viewer_folder()
-    names = (
-        "LICENSE",
-        "dist/main.min.js.LICENSE.txt",
-        "dist/main.min.js.THIRD_PARTY_LICENSES.json",
-    )
-    files = [folder / name for name in names]
-    return "\n\n".join(file.read_text(encoding="utf-8") for file in files if file.is_file())
-
-
-def as_base64(data: bytes) -> str:
-    """Bytes as text that needs no escaping."""
-    return base64.b64encode(data).decode("ascii")
-
-
-def _viewer_folder() -> Path:
-    """Where meshcat keeps its viewer."""
-    return Path(meshcat.viewer_assets_path())
+def round_length(longest: float) -> float:
+    """The largest 1, 2 or 5 times a power of ten that is not above a length."""
+    power = 10.0 ** np.floor(np.log10(longest))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= longest * 1.000001))
 
 
 def _packed(array: NDArray[Any], item_size: int) -> dict[str, Any]:
@@ -441,107 +436,3 @@ def _packed(array: NDArray[Any], item_size: int) -> dict[str, Any]:
         "array": umsgpack.Ext(code, data),
         "normalized": False,
     }
-
-
-#: Vertical angle of view [deg]: a long lens, so that robots at the side are not distorted.
-_FOV_DEG = 28.0
-
-#: How far the camera looks down [rad].
-_DOWN = np.deg2rad(16.0)
-
-#: The part of the picture's half width for the scene.
-_WIDTH = 0.95
-
-#: Of more points than this only the outermost are looked at.
-_MANY = 200
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Camera:
-    """A camera that looks at a point.
-
-    Attributes:
-        centre: shape (3,), [m], what it looks at.
-        axes: shape (3, 3), rows: right, up, towards the camera.
-        distance: From the centre, [m].
-        radius: Of a sphere about the centre that holds the scene, [m].
-        fov_deg: Vertical angle of view.
-    """
-
-    centre: Array
-    axes: Array
-    distance: float
-    radius: float
-    fov_deg: float = _FOV_DEG
-
-    @property
-    def position(self) -> list[float]:
-        """Where it stands, from the centre, in meshcat's frame of cameras, in which y is up [m]."""
-        x, y, z = (float(value) for value in self.distance * self.axes[2])
-        return [x, z, -y]
-
-
-def row_direction(points: Array) -> Array:
-    """A horizontal direction to look from in which an arm spreads out, shape (3,), a unit vector.
-
-    Args:
-        points: shape (N, 3), the origins of its links.
-    """
-    flat = points[:, :2] - points[:, :2].mean(axis=0)
-    _, values, axes = np.linalg.svd(flat, full_matrices=True)
-    spread = axes[0] if values[0] > 0 else np.array([0.0, 1.0])
-    # The arm reaches to the right of the picture and a little towards the camera.
-    outward = points[-1, :2] - points[0, :2]
-    x, y = spread if spread @ outward >= 0 else -spread
-    angle = np.arctan2(y, x) - np.deg2rad(68.0)
-    return np.array([np.cos(angle), np.sin(angle), 0.0])
-
-
-def look_at(points: Array, back: Array, between: tuple[float, float] = (-0.69, 0.75)) -> Camera:
-    """The nearest camera in a direction that sees all points where no text stands.
-
-    Args:
-        points: shape (N, 3), [m].
-        back: shape (3,), horizontal unit vector from the scene to the camera.
-        between: Where text at the foot ends and where that of the heading begins; the picture is from -1 to 1.
-    """
-    lower, upper = np.array([-_WIDTH, between[0]]), np.array([_WIDTH, between[1]])
-    towards = np.cos(_DOWN) * back + np.sin(_DOWN) * np.array([0.0, 0.0, 1.0])
-    right = np.array([-back[1], back[0], 0.0])
-    axes = np.stack([right, np.cross(towards, right), towards])
-    points = _outermost(points)
-    seen = points @ axes.T
-    half = np.tan(0.5 * np.deg2rad(_FOV_DEG)) * np.array([16.0 / 9.0, 1.0])
-    centre = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
-    distance = float(np.linalg.norm(np.ptp(seen, axis=0))) / half[1]
-    for _ in range(60):
-        local = seen - centre
-        at = local[:, :2] / (distance - local[:, 2:]) / half
-        low, high = at.min(axis=0), at.max(axis=0)
-        scale = float(np.max((high - low) / (upper - lower)))
-        middle = 0.5 * (low + high) - 0.5 * (lower + upper)
-        centre[:2] += middle * half * distance
-        nearest = float(local[:, 2].max())
-        distance = nearest + (distance - nearest) * (1.0 + 0.7 * (scale - 1.0))
-    target = centre @ axes
-    radius = float(np.linalg.norm(points - target, axis=1).max())
-    return Camera(target, axes, distance, radius)
-
-
-def _outermost(points: Array) -> Array:
-    """The corners of the points' convex hull, which all others lie between, seen from anywhere."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    if len(points) < _MANY:
-        return points
-    try:
-        corners: Array = points[ConvexHull(points).vertices]
-    except QhullError:  # all in one plane
-        return points
-    return corners
-
-
-def round_length(longest: float) -> float:
-    """The largest 1, 2 or 5 times a power of ten that is not above a length."""
-    power = 10.0 ** np.floor(np.log10(longest))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= longest * 1.000001))

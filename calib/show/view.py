@@ -1,4 +1,7 @@
-"""View: which robots are shown, at which poses, with what was measured there; values only."""
+"""View: which robots are shown, at which poses, with what was measured there; values only.
+
+Of a calibration every row is a pose; of robots alone poses are spread over the joint limits.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,21 @@ Array = NDArray[np.float64]
 #: What two robots are called, and what that means.
 Names = tuple[tuple[str, str], tuple[str, str]]
 NAMES: Names = (("Nominal", "the URDF as given"), ("Calibrated", "the corrected URDF"))
+
+#: Poses of two robots of which nothing was measured.
+_POSES = 24
+
+#: At most this many poses are shown, and fewer where robots have many links: so many numbers of movers in all.
+MOST_POSES, _MOST_MOVERS = 400, 16_000
+
+#: Points of the cloud over the joint limits, and within the measured joint values.
+EVERYWHERE, MEASURED = 4000, 2000
+
+#: Frames nearer to the base's than this are the base's own: there is no instrument to show [m, and 1].
+_THE_BASE = 1e-9
+
+#: One robot, where its frames and targets are, and what it leaves over of which columns of each row.
+_Half = tuple[Robot, Setup, Array, NDArray[np.bool_]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,49 +169,43 @@ class View:
         return np.array([(self.T_base_nominal @ own[0])[:, :3, 3], own[1][:, :3, 3]])
 
     def select(self, chosen: ArrayLike, start: int = 0) -> View:
-        """Some of the poses.
-
-        Args:
-            chosen: Their numbers.
-            start: Which of those chosen is shown first.
-        """
+        """Some of the poses by their numbers, and which of those chosen is shown first."""
         at = np.asarray(chosen, dtype=int)
-        return replace(
-            self,
-            q=self.q[at],
-            labels=tuple(self.labels[i] for i in at),
-            kinds=tuple(self.kinds[i] for i in at),
-            nominal_target=self.nominal_target[at],
-            calibrated_target=self.calibrated_target[at],
-            measured=self.measured[at],
-            errors=self.errors[:, at],
-            angles=self.angles[:, at],
-            T_base_nominal=self.T_base_nominal[at],
-            instruments=self.instruments[at],
-            start=start,
-            rows=self.rows or len(self.q),
-        )
+        new: dict[str, object] = {"start": start, "rows": self.rows or len(self.q)}
+        for name in ("q", "nominal_target", "calibrated_target", "measured", "T_base_nominal"):
+            new[name] = getattr(self, name)[at]
+        for name in ("labels", "kinds"):
+            new[name] = tuple(getattr(self, name)[i] for i in at)
+        new |= {"errors": self.errors[:, at], "angles": self.angles[:, at]}
+        return replace(self, instruments=self.instruments[at], **new)  # type: ignore[arg-type]
+
+
+def thinned(view: View) -> View:
+    """The view, or a choice of its poses where they are many: the first one shown, flagged ones, others evenly."""
+    count = len(view.q)
+    most = max(1, min(MOST_POSES, _MOST_MOVERS // (len(view.nominal.urdf.links) + 3)))
+    if count <= most:
+        return view
+    flagged = np.array(view.kinds) == "flagged"
+    kept = np.union1d(_spread(np.flatnonzero(flagged), most // 4), [view.start])
+    rest = np.setdiff1d(np.flatnonzero(~flagged), kept)
+    chosen = np.union1d(kept, _spread(rest, max(most - len(kept), 0)))
+    return view.select(chosen, int(np.searchsorted(chosen, view.start)))
+
+
+def _spread(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """At most so many of some numbers, evenly spread."""
+    if len(numbers) <= most:
+        return numbers
+    at = np.linspace(0, len(numbers) - 1, most).round().astype(int)
+    return numbers[at] if most else numbers[:0]
 
 
 def translated(point: ArrayLike) -> Array:
-    """A pose without rotation, shape (4, 4): that of a target of which only the place is known.
-
-    Args:
-        point: shape (3,), [m].
-    """
+    """A pose without rotation, shape (4, 4): that of a target of which only the place is known, shape (3,), [m]."""
     T = np.eye(4)
     T[:3, 3] = point
     return T
-
-
-#: Poses of two robots of which nothing was measured.
-_POSES = 24
-
-#: Points of the cloud over the joint limits, and within the measured joint values.
-EVERYWHERE, MEASURED = 4000, 2000
-
-#: Frames nearer to the base's than this are the base's own: there is no instrument to show [m, and 1].
-_THE_BASE = 1e-9
 
 
 def view_of(calibration: Calibration, *, cloud: bool = True) -> View:
@@ -206,18 +218,25 @@ def view_of(calibration: Calibration, *, cloud: bool = True) -> View:
         calibration: The calibration.
         cloud: Whether to compute how well positions are known over the workspace.
     """
-    c = calibration
-    flagged = frozenset(np.array(c.measurements.rows)[flagged_rows(c)].tolist())
-    before = _Half(c.nominal, c.nominal_setup, c.residual_nominal, c.used)
-    after = _Half(c.robot, c.setup, c.residual_calibrated, c.used)
-    shown = _view_of_rows(c.measurements, before, after, flagged)
+    c, m = calibration, calibration.measurements
+    flagged = frozenset(np.array(m.rows)[flagged_rows(c)].tolist())
+    shown = _view_of_rows(
+        m,
+        (c.nominal, c.nominal_setup, c.residual_nominal, c.used),
+        (c.robot, c.setup, c.residual_calibrated, c.used),
+        flagged,
+    )
+    if c.cell.tracker is not None:  # the instrument of points that were measured in the base itself
+        seen = (m.positions & np.isnan(shown.instruments[:, 0, 0]))[:, None, None]
+        where = np.where(seen, translated(c.cell.tracker.position), shown.instruments)
+        shown = replace(shown, instruments=where)
+    reasons = ["No verdict: nothing was cross-validated."]
     return replace(
         shown,
-        instruments=_with_tracker(c, shown.instruments),
         cloud=cloud_of(c) if cloud else None,
         title=f"{c.nominal.name or 'Robot'}: nominal and calibrated",
         verdict="" if c.verdict is None else c.verdict.use,
-        note=_note(c),
+        note=" ".join(reasons if c.verdict is None else map(str, c.verdict.reasons[:1])),
     )
 
 
@@ -249,27 +268,19 @@ def view_of_robots(
     """
     if evaluations is not None:
         first, second = evaluations
-        after = None
+        after: _Half | None = None
         if calibrated is not None and second is not None:
-            after = _Half(calibrated, second.setup, second.residual, second.used)
-        before = _Half(nominal, first.setup, first.residual, first.used)
+            after = (calibrated, second.setup, second.residual, second.used)
+        before = (nominal, first.setup, first.residual, first.used)
         shown = _view_of_rows(first.measurements, before, after, flagged)
-        return replace(shown, names=names, title=title, verdict=verdict, note=note)
-    if calibrated is None:
-        q, labels = _one_joint_after_the_other(nominal)
+    elif calibrated is None:
+        shown = _one_joint_after_the_other(nominal)
+        title = title or nominal.name
     else:
         q = spread_poses(nominal, _POSES)
         labels = tuple(f"pose {k + 1} of {len(q)} over the joint limits" for k in range(len(q)))
-    return View(
-        nominal=nominal,
-        calibrated=calibrated,
-        q=q,
-        labels=labels,
-        names=names,
-        title=title or (nominal.name if calibrated is None else ""),
-        verdict=verdict,
-        note=note,
-    )
+        shown = View(nominal, calibrated, q, labels)
+    return replace(shown, names=names, title=title, verdict=verdict, note=note)
 
 
 def view_of_comparison(comparison: Comparison) -> View:
@@ -307,105 +318,55 @@ def cloud_of(calibration: Calibration) -> Cloud:
     return Cloud(points, std, np.all((q >= inner[:, 0]) & (q <= inner[:, 1]), axis=1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Half:
-    """One robot, where its frames and targets are, and what it leaves over of each row: shapes (N, D), [m], [rad]."""
-
-    robot: Robot
-    setup: Setup
-    residual: Array
-    used: NDArray[np.bool_]
-
-
 def _view_of_rows(
     m: Measurements, first: _Half, second: _Half | None, flagged: frozenset[int]
 ) -> View:
     """The view of one or two robots at the rows of a table."""
-    before = placed(first.setup, m)
-    after = before if second is None else placed(second.setup, m)
-    kinds = _kinds(m, flagged)
-    halves = (first, second or first)
-    errors = np.array([lengths_of(half.residual, half.used) for half in halves])
+    T_frame_nominal, nominal_target = placed(first[1], m)
+    T_frame_base, calibrated_target = placed((second or first)[1], m)
+    T_base_frame = rigid_inverse(T_frame_base)
+    # Its error in the picture is then that of the tables, not where each of the two finds the tracker. Where nothing
+    # tells a place, neither finds where it stands: the two share their base.
+    places = np.any(m.where(lambda kind: kind.coordinates))
+    elsewhere = np.max(np.abs(T_base_frame - np.eye(4)), axis=(1, 2)) > _THE_BASE
+    kinds = np.where(m.validation, "validation", "estimation").astype(object)
+    kinds[np.isin(m.rows, list(flagged))] = "flagged"
+    halves = [(residual, used) for _, _, residual, used in (first, second or first)]
+    errors = np.array([lengths_of(*half) for half in halves])
     return View(
-        nominal=first.robot,
-        calibrated=None if second is None else second.robot,
-        q=m.joints_for(first.robot.joint_names),
+        nominal=first[0],
+        calibrated=None if second is None else second[0],
+        q=m.joints_for(first[0].joint_names),
         labels=tuple(f"row {row}" for row in m.rows),
-        kinds=kinds,
-        nominal_target=before[1],
-        calibrated_target=after[1],
-        measured=measured_in_base(m, after[0]),
+        kinds=tuple(kinds),
+        nominal_target=nominal_target,
+        calibrated_target=calibrated_target,
+        measured=measured_in_base(m, T_frame_base),
         errors=errors,
-        angles=np.array([angles_of(half.residual, half.used) for half in halves]),
-        # Its error in the picture is then that of the tables, not where each of the two finds the tracker.
-        T_base_nominal=_between(m, before[0], after[0]),
-        instruments=_instruments(m, after[0]),
+        angles=np.array([angles_of(*half) for half in halves]),
+        T_base_nominal=T_base_frame @ T_frame_nominal if places else np.eye(4),
+        instruments=np.where((m.positions & elsewhere)[:, None, None], T_base_frame, np.nan),
         start=_worst(errors[0], kinds),
     )
 
 
-def _between(m: Measurements, nominal: Array, calibrated: Array) -> Array:
-    """Where the nominal robot stands in the calibrated one's base, by where each finds the frames.
-
-    Shape (N, 4, 4), [m]. Where nothing tells a place, neither finds where it stands: the two then share their base.
-    """
-    if not np.any(m.where(lambda kind: kind.coordinates)):
-        return np.broadcast_to(np.eye(4), nominal.shape)
-    return rigid_inverse(calibrated) @ nominal
-
-
-def _instruments(m: Measurements, T_frame_base: Array) -> Array:
-    """Where the measuring frame of each row stands in the base, shape (N, 4, 4); NaN where it is the base itself."""
-    T_base_frame = rigid_inverse(T_frame_base)
-    elsewhere = np.max(np.abs(T_base_frame - np.eye(4)), axis=(1, 2)) > _THE_BASE
-    known = m.positions & elsewhere
-    return np.where(known[:, None, None], T_base_frame, np.nan)
-
-
-def _with_tracker(c: Calibration, instruments: Array) -> Array:
-    """The instruments; for points that were measured in the base itself the cell's tracker, shape (N, 4, 4)."""
-    if c.cell.tracker is None:
-        return instruments
-    seen = c.measurements.positions & np.isnan(instruments[:, 0, 0])
-    return np.where(seen[:, None, None], translated(c.cell.tracker.position), instruments)
-
-
-def _kinds(m: Measurements, flagged: frozenset[int]) -> tuple[str, ...]:
-    """What each row is."""
-    sets = np.where(m.validation, "validation", "estimation")
-    return tuple(
-        "flagged" if row in flagged else str(word) for row, word in zip(m.rows, sets, strict=True)
-    )
-
-
-def _worst(lengths: Array, kinds: tuple[str, ...]) -> int:
+def _worst(lengths: Array, kinds: NDArray[np.object_]) -> int:
     """The row with the largest length, of validation rows if there are any, flagged ones aside."""
-    for wanted in (("validation",), ("estimation",), ("flagged",)):
-        chosen = np.isin(kinds, wanted) & np.isfinite(lengths)
+    for wanted in ("validation", "estimation", "flagged"):
+        chosen = (kinds == wanted) & np.isfinite(lengths)
         if np.any(chosen):
             return int(np.argmax(np.where(chosen, lengths, -1.0)))
     return 0
 
 
-def _note(c: Calibration) -> str:
-    """What the verdict stands on, in a sentence; on which rows stands in it."""
-    if c.verdict is None:
-        return "No verdict: nothing was cross-validated."
-    return str(c.verdict.reasons[0]) if c.verdict.reasons else ""
-
-
-def _one_joint_after_the_other(robot: Robot) -> tuple[Array, tuple[str, ...]]:
-    """Poses in which each joint in turn goes through its range, with what they are called."""
+def _one_joint_after_the_other(robot: Robot) -> View:
+    """Poses in which each joint in turn goes through its range."""
     ranges = column_ranges(robot)
     middle = np.clip(0.0, ranges[:, 0], ranges[:, 1])
     poses, labels = [middle], ["all joints at zero, or as near as they can be"]
     for k, joint in enumerate(robot.inputs):
-        low, high = ranges[k]
-        for value in np.linspace(low, high, 9):
-            q = middle.copy()
-            q[k] = value
-            slides = joint.type == "prismatic"
-            amount = f"{1e3 * value:.4g} mm" if slides else f"{np.degrees(value):.4g} deg"
-            poses.append(q)
-            labels.append(f"{joint.name} at {amount}")
-    return np.array(poses), tuple(labels)
+        scale, unit = (1e3, "mm") if joint.type == "prismatic" else (np.degrees(1.0), "deg")
+        for value in np.linspace(ranges[k, 0], ranges[k, 1], 9):
+            poses.append(np.where(np.arange(len(middle)) == k, value, middle))
+            labels.append(f"{joint.name} at {scale * value:.4g} {unit}")
+    return View(robot, None, np.array(poses), tuple(labels))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from calib.show.page import write_view
+from calib.show.page import view_page
 from calib.show.rows import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
 from calib.show.view import view_of
 from tests.show.calibrations import made
@@ -61,7 +61,7 @@ def printed(pdf: bytes, folder: Path) -> np.ndarray | None:
 def demo_page(tmp_path_factory):
     """The page of the paper's calibration, as the demo writes it."""
     folder = tmp_path_factory.mktemp("demo")
-    return write_view(view_of(made("paper")), folder / "view.html")
+    return view_page(view_of(made("paper"))).write(folder / "view.html")
 
 
 def test_no_socket_no_process_and_nothing_printed(tmp_path):
@@ -72,10 +72,10 @@ sys.addaudithook(lambda event, _: seen.append(event))
 import numpy as np
 from calib import data
 from calib.model.robot import Robot
-from calib.show.page import write_view
+from calib.show.page import view_page
 from calib.show.view import View
 robot = Robot.load(data.paper_urdf(), base="base", tip="tool0")
-write_view(View(robot, robot, np.full((1, 6), 0.3)), {str(tmp_path / "view.html")!r})
+view_page(View(robot, robot, np.full((1, 6), 0.3))).write({str(tmp_path / "view.html")!r})
 bad = {{e for e in seen if e.startswith(("socket.bind", "socket.connect", "subprocess.", "os.posix_spawn", "os.fork"))}}
 assert not bad, bad
 if os.path.isdir("/proc/self/fd"):
@@ -233,9 +233,8 @@ def test_chromium_keeps_hostile_names_as_text(browser, tmp_path):
     """Whatever robot, joints, rows and files are called, nothing of it runs, and it is read whole."""
     view = view_of(made("hostile_names"))
     labels = tuple(f"{HOSTILE} {label}" for label in view.labels)
-    page = write_view(
-        replace(view, labels=labels, note=HOSTILE, title=HOSTILE * 5), tmp_path / "v.html"
-    )
+    shown = replace(view, labels=labels, note=HOSTILE, title=HOSTILE * 5)
+    page = view_page(shown).write(tmp_path / "v.html")
     with browser.open(page.as_uri()) as tab:
         assert tab.evaluate("document.title") == HOSTILE * 5
         said = tab.evaluate("document.querySelector('header').innerText")
@@ -279,7 +278,7 @@ def test_the_address_says_what_is_shown_at_first(browser, demo_page):
 
 def test_the_cloud_is_shown_on_request(browser, tmp_path):
     view = view_of(made("two_joints"))
-    page = write_view(view, tmp_path / "view.html")
+    page = view_page(view).write(tmp_path / "view.html")
     with browser.open(page.as_uri(), size=(640, 360)) as tab:
         before = tab.screenshot()
         tab.evaluate(

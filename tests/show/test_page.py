@@ -20,21 +20,18 @@ from calib.model.urdf import Urdf
 from calib.show import page
 from calib.show.page import (
     FACTORS,
-    MOST_POSES,
     Key,
     Layout,
     filled_page,
     magnification,
     puppets,
     single_page,
-    thinned,
     view_page,
-    write_view,
 )
 from calib.show.rows import CALIBRATED, NOMINAL
 from calib.show.scene import round_length
 from calib.show.shapes import packed, read_visuals
-from calib.show.view import Cloud, View, translated
+from calib.show.view import MOST_POSES, Cloud, View, thinned, translated
 
 NASTY = "</script><script>alert(1)</script> \"'&<!-- é漢字 \udcff"
 
@@ -73,7 +70,6 @@ def make(**changes):
         "keys": [Key("arm", "#123456", "arm")],
         "grid": 0.1,
         "table": {"labels": ["row 1"]},
-        "scripts": ("words.js", "controls.js"),
     }
     return filled_page("page.html", b"scene", **{**arguments, **changes})
 
@@ -123,11 +119,14 @@ def test_the_policy_lets_only_these_three_scripts_run_and_nothing_load():
         assert f"'sha256-{digest}'" in policy
     assert policy.count("sha256-") == 3
     assert base64.b64decode(reader.scripts[1]) == b"scene"
+    assert "MeshCat" in reader.scripts[3]
+    for holder in ("Robin Deits", "mrdoob", "Google Inc.", "Permission is hereby granted"):
+        assert holder in reader.scripts[0]
     assert "connect-src" not in policy
 
 
 def test_a_page_without_a_table_has_two_scripts():
-    reader = Reader(make(table=None, scripts=()))
+    reader = Reader(make(table=None))
     types = [a.get("type") for tag, a in reader.tags if tag == "script"]
     assert types == ["text/plain", "application/octet-stream", None, None]
 
@@ -324,7 +323,7 @@ def test_the_same_view_is_the_same_file(ur3_view, ur3_page):
 
 def test_an_existing_file_is_kept_unless_asked(ur3_view, ur3_page, tmp_path):
     path = tmp_path / "view.html"
-    assert write_view(ur3_view, path) == path
+    assert view_page(ur3_view).write(path) == path
     assert path.read_bytes() == ur3_page.html
     path.write_text("mine")
     with pytest.raises(FileError, match="exists already"):

@@ -9,12 +9,11 @@ from hypothesis import strategies as st
 from meshcat import geometry as mc
 
 from calib.show.scene import (
+    FOV_DEG,
     PackedGeometry,
     SceneWindow,
     look_at,
     row_direction,
-    viewer_licences,
-    viewer_script,
     without_shadow,
 )
 from calib.show.shapes import shaded
@@ -87,13 +86,6 @@ def test_the_same_scene_is_the_same_bytes():
     assert scene_of(draw) == scene_of(draw)
 
 
-def test_the_viewer_comes_with_its_notices():
-    assert "MeshCat" in viewer_script()
-    licences = viewer_licences()
-    for holder in ("Robin Deits", "mrdoob", "Google Inc.", "Permission is hereby granted"):
-        assert holder in licences
-
-
 @settings(max_examples=50, deadline=None)
 @given(
     seed=st.integers(0, 1000),
@@ -108,7 +100,7 @@ def test_all_points_are_in_view_and_fill_it(seed, size, angle, count):
     local = (points - camera.centre) @ camera.axes.T
     depth = camera.distance - local[:, 2]
     assert (depth > 0.02 * size).all()
-    half = np.tan(np.deg2rad(camera.fov_deg) / 2) * np.array([16 / 9, 1.0])
+    half = np.tan(np.deg2rad(FOV_DEG) / 2) * np.array([16 / 9, 1.0])
     at = local[:, :2] / depth[:, None] / half
     assert np.abs(at[:, 0]).max() < 0.97
     assert at[:, 1].min() > -0.72
@@ -118,17 +110,6 @@ def test_all_points_are_in_view_and_fill_it(seed, size, angle, count):
     np.testing.assert_allclose(camera.axes @ camera.axes.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(camera.axes) == pytest.approx(1.0)
     assert (np.linalg.norm(points - camera.centre, axis=1) <= camera.radius * (1 + 1e-9)).all()
-
-
-def test_many_points_in_one_plane_are_seen_as_the_few_at_its_corners():
-    grid = np.stack(np.meshgrid(np.linspace(-1, 1, 21), np.linspace(0, 1, 21), [0.5]), axis=-1)
-    points = grid.reshape(-1, 3)
-    corners = points[(np.abs(points[:, 0]) == 1) & np.isin(points[:, 1], [0, 1])]
-    back = np.array([0.6, 0.8, 0.0])
-    many, few = look_at(points, back), look_at(corners, back)
-    np.testing.assert_allclose(many.centre, few.centre, rtol=0, atol=1e-12)
-    assert many.distance == pytest.approx(few.distance, rel=1e-12)
-    assert many.radius == pytest.approx(few.radius, rel=1e-12)
 
 
 @pytest.mark.parametrize("points", [[[0, 0, 0], [1, 0, 1], [2, 0, 0]], [[0, 0, 0], [0, 0, 1]]])
