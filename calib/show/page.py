@@ -199,7 +199,7 @@ def single_page(
     root[SCENE].set_transform(translation(-camera.centre) @ upright)
     draw_puppet(root[SCENE]["nominal"], puppet, 0, NOMINAL, 0.0, front=False)
     keys = [Key(legend, NOMINAL, "nominal"), *draw(root[SCENE], size)]
-    words = {"title": title, "text": text, "warnings": warnings}
+    words: dict[str, Any] = {"title": title, "text": text, "warnings": warnings}
     return Page(filled_page("page.html", window.scene(), keys=keys, grid=grid, **words), warnings)
 
 
