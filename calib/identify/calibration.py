@@ -45,11 +45,11 @@ from calib.identify.verdict import NO, Verdict, verdict
 from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import split_name
+from calib.model.kernel import one_blas_thread
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability, analyse
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot, read_only
-from calib.model.threads import one_blas_thread
 
 __all__ = ["Calibration", "calibrate"]
 

@@ -17,9 +17,9 @@ from calib.identify.setup_check import better_setup
 from calib.identify.statistics import Errors
 from calib.measure.cell import DIRECTIONS, Cell
 from calib.measure.measurements import Measurements
+from calib.model.kernel import one_blas_thread
 from calib.model.kinematics import Samples
 from calib.model.robot import Robot, read_only
-from calib.model.threads import one_blas_thread
 from calib.units import split_header
 
 Array = NDArray[np.float64]

@@ -23,11 +23,11 @@ from calib.identify.solvers import SOLVERS, Solution, Solver, paper_levenberg_ma
 from calib.identify.stage import Holds
 from calib.measure.cell import Cell
 from calib.model.error_model import error_model
+from calib.model.kernel import one_blas_thread
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import steps
 from calib.model.parameters import FRAME, TARGET, ErrorModel
 from calib.model.robot import Robot, read_only, rigid_inverse
-from calib.model.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from calib.identify.registration import register_seen
 from calib.identify.rows import Rows, evenly, thinned
 from calib.identify.setup import Setup
 from calib.identify.statistics import Mask
+from calib.model.kernel import over_blocks
 from calib.model.robot import Robot
-from calib.model.threads import over_blocks
 
 Array = NDArray[np.float64]
 

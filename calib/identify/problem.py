@@ -22,8 +22,8 @@ from calib.identify.setup import KnownDistance
 from calib.identify.solvers import triangle
 from calib.identify.statistics import Mask
 from calib.identify.variance import Known, Linearised
+from calib.model.kernel import over_blocks
 from calib.model.kinematics import Kinematics
-from calib.model.threads import over_blocks
 
 Array = NDArray[np.float64]
 

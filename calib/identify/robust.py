@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc, chdtri, fdtri
 
+from calib.model.kernel import over_blocks
 from calib.model.robot import read_only
-from calib.model.threads import over_blocks
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

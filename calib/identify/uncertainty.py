@@ -45,11 +45,11 @@ from calib.identify.resampling import Profile, bootstrap_indices, check_level, f
 from calib.identify.result import Calibration
 from calib.identify.robustness import Robustness, compare
 from calib.identify.solvers import levenberg_marquardt
+from calib.model.kernel import one_blas_thread
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps
 from calib.model.readback import spread_poses
 from calib.model.robot import read_only
-from calib.model.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 

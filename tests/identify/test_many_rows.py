@@ -13,7 +13,7 @@ from calib.identify.calibration import calibrate
 from calib.identify.evidence import thin
 from calib.identify.rows import NONE, Rows, evenly, thinned, whole_blocks
 from calib.measure.measurements import Measurements
-from calib.model import threads
+from calib.model import kernel
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 
@@ -97,7 +97,7 @@ def table(ur3) -> Measurements:
 @pytest.mark.slow
 def test_parts_and_blocks_do_not_matter(ur3, table, monkeypatch):
     whole = calibrate(ur3, table, model="dh")
-    monkeypatch.setattr(threads, "BLOCK", 100)
+    monkeypatch.setattr(kernel, "BLOCK", 100)
     monkeypatch.setattr(problem, "_PART", 300)
     parts = calibrate(ur3, table, model="dh")
     std = np.sqrt(np.diag(whole.covariance))
@@ -118,7 +118,7 @@ def test_the_linearised_problem_in_parts(ur3, kind, monkeypatch):
     data, noise = whole.data(weights), np.tile(1.0 + np.arange(len(whole.smallest)), (2, 1))
     covariance, both = np.linalg.inv(data.H.sum(axis=1) + np.eye(len(x))), np.stack([x, 0.9 * x])
     scores = whole.scores(both, covariance, weights, noise)
-    monkeypatch.setattr(threads, "BLOCK", 31)
+    monkeypatch.setattr(kernel, "BLOCK", 31)
     monkeypatch.setattr(problem, "_PART", 50)
     parts = problem.Problem.first(kinematics, rows).linear(x)
     np.testing.assert_allclose(parts.columns, whole.columns, rtol=1e-9, atol=1e-6)

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import ModelError
-from calib.model import kernel, threads
+from calib.model import kernel
 from calib.model.error_model import axis_twists, error_model
 from calib.model.kinematics import Kinematics, Samples, joint_displacements
 from calib.model.robot import Robot, rigid_inverse
@@ -109,7 +109,7 @@ def test_blocks_are_the_same_as_one(ur3, monkeypatch):
     kinematics, samples = seen(ur3, "dh+gain", 0, 95)
     x = np.full(len(kinematics.model), 1e-3)
     poses, twists = kinematics.twists(x, samples)
-    monkeypatch.setattr(threads, "BLOCK", 20)
+    monkeypatch.setattr(kernel, "BLOCK", 20)
     again = kinematics.twists(x, samples)
     np.testing.assert_allclose(again[0], poses, rtol=1e-14, atol=1e-15)
     np.testing.assert_allclose(again[1], twists, rtol=1e-13, atol=1e-15)

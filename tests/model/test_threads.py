@@ -5,7 +5,7 @@ import threading
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib.model.threads import one_blas_thread, over_blocks
+from calib.model.kernel import one_blas_thread, over_blocks
 
 
 def threads() -> set[int]:
@@ -55,7 +55,7 @@ def test_blocks_of_several_threads_end_in_any_order():
 
 @pytest.mark.parametrize("count", [0, 1, 20, 21, 95])
 def test_blocks_come_back_in_their_order(monkeypatch, count):
-    monkeypatch.setattr("calib.model.threads.BLOCK", 20)
+    monkeypatch.setattr("calib.model.kernel.BLOCK", 20)
     found = over_blocks(lambda own: (own.start, own.stop), count)
     assert [a for a, _ in found] == list(range(0, count, 20))
     assert [b for _, b in found] == [min(a + 20, count) for a, _ in found]
