@@ -39,12 +39,9 @@ _SLIDING_MARGIN = 5e-3
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What a pose must pass.
+    """What a pose must pass, q of shape (n, m) to shape (n,), and in a few words why a pose is refused that does not.
 
-    Attributes:
-        reason: Why a pose that fails is refused, in a few words.
-        passes: q of shape (n, m) to shape (n,), whether each pose passes.
-        where: Whether the test says where accuracy is wanted, not only what can be measured.
+    One of ``where`` says where accuracy is wanted, not only what can be measured.
     """
 
     reason: str
@@ -66,7 +63,7 @@ class Pool:
     q: Array
     workspace: Array
     drawn: int
-    refused: Mapping[str, int]
+    refused: dict[str, int]
 
 
 def draw(
@@ -82,7 +79,7 @@ def draw(
     Args:
         robot: The robot.
         ranges: shape (m, 2), see `planning_ranges`.
-        tests: In order; those of ``where`` come first.
+        tests: In order, but those of ``where`` first.
         count: Candidates wanted.
         seed: The same seed draws the same poses.
         progress: Called with what was kept and what is wanted.
@@ -102,24 +99,26 @@ def draw(
     while total < count and drawn < (_MOST * max(count, _BATCH) if total else _NONE_YET):
         q = rounded(robot, low + engine.random(_BATCH) * (high - low), ranges)[: _MOST * count]
         drawn += len(q)
-        placing = True
-        for test in tests:
-            if placing and not test.where:
-                placing = False
-                workspace.append(q)
-            passed = test.passes(q) if len(q) else np.zeros(0, dtype=bool)
-            refused[test.reason] += int(np.sum(~passed))
-            q = q[passed]
-        if placing:
-            workspace.append(q)
-        kept.append(q)
+        for sifted, where in ((workspace, True), (kept, False)):
+            for test in tests:
+                if test.where == where and len(q):
+                    passed = test.passes(q)
+                    refused[test.reason] += int(np.sum(~passed))
+                    q = q[passed]
+            sifted.append(q)
         total += len(q)
         if progress is not None:
             progress(min(total, count), count)
     if total == 0:
-        raise ModelError(_none_left(refused, drawn))
-    every = np.concatenate(workspace)[:count]
-    return Pool(read_only(_different(kept)[:count]), read_only(every), drawn, refused)
+        parts = [f"{count} {reason}" for reason, count in refused.items() if count]
+        raise ModelError(
+            f"None of {drawn} poses drawn can be measured: {', '.join(parts)}. Widen the region or the joint ranges, "
+            "move the tracker, or drop a condition."
+        )
+    q = np.concatenate(kept)
+    # Each once, in the order drawn: narrow ranges have few values of whole steps.
+    q = q[np.sort(np.unique(q, axis=0, return_index=True)[1])]
+    return Pool(read_only(q[:count]), read_only(np.concatenate(workspace)[:count]), drawn, refused)
 
 
 def planning_ranges(
@@ -155,12 +154,7 @@ def planning_ranges(
 def turn_limits(robot: Robot, narrowed: Mapping[str, tuple[float, float]], margin: float) -> Array:
     """Between which values joints may stand when they are driven, shape (m, 2), [rad] or [m].
 
-    Those of the URDF less a margin, wider than a turn where they are; where ranges are given, these.
-
-    Args:
-        robot: The robot.
-        narrowed: Ranges by joint.
-        margin: See `planning_ranges`.
+    Those of the URDF less a margin, wider than a turn where they are; where ranges are given, as `planning_ranges`.
     """
     result = np.array(planning_ranges(robot, narrowed, margin))
     limits = column_limits(robot)
@@ -171,33 +165,12 @@ def turn_limits(robot: Robot, narrowed: Mapping[str, tuple[float, float]], margi
 
 
 def rounded(robot: Robot, q: Array, ranges: Array | None = None) -> Array:
-    """Joint values as a table writes them, to 0.001 deg and 0.001 mm, inside of the ranges if these are given.
-
-    Args:
-        robot: The robot.
-        q: shape (n, m), [rad] or [m].
-        ranges: shape (m, 2), [rad] or [m].
-    """
-    shown = ["mm" if joint.type == "prismatic" else "deg" for joint in robot.inputs]
-    unit = np.array([UNITS[symbol].to_si for symbol in shown])
+    """Joint values, shape (n, m), as a table writes them, to 0.001 deg and mm, inside of ranges, shape (m, 2)."""
+    slides = [joint.type == "prismatic" for joint in robot.inputs]
+    unit = np.where(slides, UNITS["mm"].to_si, UNITS["deg"].to_si)
     counts = np.round(q / unit * _STEPS)
     if ranges is not None:
         low, high = ranges.T / unit * _STEPS
         counts = np.clip(counts, np.ceil(low), np.floor(high))
     # The number that stands in a table, times the factor that its reader uses: the same to the last bit.
     return np.asarray(counts / _STEPS * unit)
-
-
-def _different(kept: Sequence[Array]) -> Array:
-    """The poses, each once, in the order drawn: narrow ranges have few values of whole steps."""
-    q = np.concatenate(kept)
-    return np.asarray(q[np.sort(np.unique(q, axis=0, return_index=True)[1])])
-
-
-def _none_left(refused: Mapping[str, int], drawn: int) -> str:
-    """Why there is no candidate at all."""
-    parts = [f"{count} {reason}" for reason, count in refused.items() if count]
-    return (
-        f"None of {drawn} poses drawn can be measured: {', '.join(parts)}. Widen the region or the joint ranges, move "
-        "the tracker, or drop a condition."
-    )

@@ -163,7 +163,8 @@ def plan(
     """
     cell = Cell() if cell is None else cell
     check_asked(count, validation, criterion, candidates)
-    measured = _taken(robot, taken)
+    measured = _poses(robot, np.zeros((0, len(robot.inputs))) if taken is None else taken)
+    begin = None if start is None else _poses(robot, start)[0]
     sensitivity = Sensitivity.of(robot, cell)
     T_tip_target, names = sensitivity.setup.T_tip_target, sensitivity.setup.targets
     ranges = planning_ranges(robot, cell.ranges, margin)
@@ -210,7 +211,7 @@ def plan(
         robot,
         np.concatenate([choice.planned, choice.validation]),
         limits,
-        None if start is None else np.asarray(start, dtype=np.float64),
+        begin,
         None if body is None else body.path_free,
         stops,
     )
@@ -233,19 +234,17 @@ def plan(
         ladder=choice.ladder,
         drawn=pool.drawn,
         candidates=len(pool.q),
-        refused=dict(pool.refused),
+        refused=pool.refused,
         travel=way.length,
         blocked=way.blocked,
         notes=(*sensitivity.notes, *notes),
     )
 
 
-def _taken(robot: Robot, taken: ArrayLike | None) -> Array:
-    """Poses that were measured already, checked, shape (T, m)."""
-    if taken is None:
-        return read_only(np.zeros((0, len(robot.inputs))))
-    robot.chain_values(taken)
-    return read_only(np.atleast_2d(np.asarray(taken, dtype=np.float64)))
+def _poses(robot: Robot, joints: ArrayLike) -> Array:
+    """Joint values, checked, shape (T, m)."""
+    robot.chain_values(joints)
+    return read_only(np.atleast_2d(np.asarray(joints, dtype=np.float64)))
 
 
 def _conditions(

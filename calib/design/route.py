@@ -1,5 +1,11 @@
 """The way to drive: poses in a short order, whole turns of joints and poses in between where a straight way is blocked.
 
+A move takes as long as the joint that moves farthest, c(a, b) = max_k |q_bk - q_ak|, and the order is an open path
+through all poses, from where the robot stands if that is said. It is found by nearest neighbours, improved by turning
+pieces round (2-opt) and by putting short pieces elsewhere (or-opt), then by kicks from which the same is done again.
+Whether the way of a move is free is asked only for moves that the path has; those that are not are made dear, and the
+path is improved again.
+
 A joint of more than one turn reaches each pose in more than one way. A robot that cannot swing its arm down through the
 table gets to the other side over the top: the target is measured in the same place, and the joint stands 360 deg
 further. Where that does not help either, a pose is named by which the way is free.
@@ -9,18 +15,35 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations, pairwise, product
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from calib.design.candidates import rounded
-from calib.design.ordering import START, Tour, order
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 FreePath = Callable[[Array, Array], bool]
+
+#: What stands for the place where the robot begins, in `Tour.blocked`.
+START = -1
+
+#: How many kicks are tried, in all and of one path; the time that a kick takes grows as the square of the poses.
+_KICKS, _KICK_WORK = 200, 1.0e6
+
+#: So many nearest neighbour paths are improved, from first poses spread over all; fewer of many poses.
+_BEGINNINGS, _MANY = 6, 1200
+
+#: Pieces of up to this many poses are put elsewhere.
+_PIECE = 3
+
+#: Kicks swap stretches among so many neighbours, or shuffle so many.
+_WINDOW, _SHUFFLED = 30, 8
+
+#: A gain below this, as a part of a typical move, is rounding.
+_ROUNDING = 1e-9
 
 _TURN = 2.0 * np.pi
 
@@ -81,16 +104,17 @@ def route(
         free_path: Whether the straight way between two poses is free; None: all are.
         stops: Called where moves are blocked for free poses to drive by, shape (n, m).
     """
-    tour = order(joints, start=start, free_path=free_path)
+    tour = order(joints, start, free_path)
+    blocked = []
     if free_path is not None and tour.blocked:
-        turned = with_whole_turns(
-            joints, _stretches(tour), limits, turning(robot, limits), free_path
-        )
+        place = {int(i): k for k, i in enumerate(tour.indices, 1)}
+        cuts = sorted(place[b] - 1 for _, b in tour.blocked)
+        stretches = [part for part in np.split(tour.indices, cuts) if len(part)]
+        turned = with_whole_turns(joints, stretches, limits, turning(robot, limits), free_path)
         turned = rounded(robot, turned)
-        again = order(turned, start=start, free_path=free_path)
+        again = order(turned, start, free_path)
         if len(again.blocked) < len(tour.blocked):
             joints, tour = turned, again
-    blocked = []
     if free_path is not None and tour.blocked:
         free = np.zeros((0, joints.shape[1])) if stops is None else stops()
         place = {int(i): k for k, i in enumerate(tour.indices, 1)} | {START: 0}
@@ -100,19 +124,155 @@ def route(
     return Route(read_only(joints[tour.indices]), tour.indices, tour.cost, tuple(blocked))
 
 
-def detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array | None:
-    """The pose by which the way from start to end is free, and the shortest of those tried.
+# The order
 
-    The length of a straight move is that of the joint that turns farthest, max_k |q_bk - q_ak|.
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tour:
+    """An order of poses, shape (N,), what its moves cost, and the moves (from, to) that are not free, in that order."""
+
+    indices: Indices
+    cost: float
+    blocked: tuple[tuple[int, int], ...] = ()
+
+
+def order(q: Array, start: ArrayLike | None = None, free_path: FreePath | None = None) -> Tour:
+    """A short open path through all poses, the same for the same poses.
+
+    Joint values count as they are: a joint that can turn without end does not take the short way round, for
+    controllers do not.
 
     Args:
-        start: shape (m,), [rad] or [m].
-        end: shape (m,).
-        poses: shape (n, m), free poses to stop at.
-        free_path: Whether the straight way between two poses, both shape (m,), is free.
+        q: shape (N, m), [rad] or [m].
+        start: shape (m,), where the robot stands before; None: it begins at any of the poses.
+        free_path: Whether a straight move between two poses is free, both shape (m,), the same there and back.
+    """
+    from scipy.spatial.distance import cdist
 
-    Returns:
-        shape (m,), or None where none of the 300 shortest ways is free.
+    count = len(q)
+    if count == 0:
+        return Tour(np.arange(0), 0.0)
+    poses = q if start is None else np.vstack([q, start])
+    # The two ends of the path come last, begin and finish: beginning costs the way from the start, nothing without one.
+    costs = np.zeros((count + 2, count + 2))
+    costs[: len(poses), : len(poses)] = cdist(poses, poses, "chebyshev")
+    several = min(_BEGINNINGS, max(_MANY // count, 1))
+    firsts = sorted({*np.linspace(0, count - 1, several).astype(int).tolist()})
+    if costs[count, :count].any():
+        firsts = [count]
+    paths = [_improved(_nearest(costs, count, first), costs) for first in firsts]
+    path = _kicked(min(paths, key=lambda one: _length(one, costs)), costs)
+    # More than any path costs: one refused move less is worth every detour.
+    dear, penalty = costs.copy(), float(costs.max()) * len(costs) + 1.0
+    known: dict[frozenset[int], bool] = {}
+    kicked = True  # the path comes from kicks on the costs as they were
+    while free_path is not None:
+        fresh = False
+        for a, b in pairwise(path.tolist()):
+            pair = frozenset((a, b))
+            if max(a, b) >= len(poses) or pair in known:
+                continue  # begin without a start, and finish, are no moves
+            known[pair] = bool(free_path(poses[a], poses[b]))
+            if not known[pair]:
+                dear[[a, b], [b, a]] += penalty
+                fresh = True
+        if kicked and not fresh:
+            break
+        # Kicks take longest: only once no move that is asked for is refused any more.
+        path, kicked = (_improved(path, dear), False) if fresh else (_kicked(path, dear), True)
+    blocked = tuple(
+        (START if a == count else a, b)
+        for a, b in pairwise(path[:-1].tolist())
+        if not known.get(frozenset((a, b)), True)
+    )
+    return Tour(path[1:-1], _length(path, costs), blocked)
+
+
+def _nearest(costs: Array, count: int, first: int) -> Indices:
+    """From one pose, or the begin, always on to the nearest pose that is left."""
+    left = np.arange(count) != first
+    path, at = [count] if first == count else [count, first], first
+    while left.any():
+        free = np.flatnonzero(left)
+        at = int(free[np.argmin(costs[at, free])])
+        path.append(at)
+        left[at] = False
+    return np.array([*path, count + 1], dtype=np.intp)
+
+
+def _length(path: Indices, costs: Array) -> float:
+    """The cost of a path with its ends."""
+    return float(costs[path[:-1], path[1:]].sum())
+
+
+def _improved(path: Indices, costs: Array) -> Indices:
+    """The path after 2-opt and or-opt, the best move first, until none gains; ends stay where they are."""
+    least = _ROUNDING * max(float(costs.max()), 1e-300)
+    while True:
+        gain, first, length, place, turned = min(
+            _moves(costs[np.ix_(path, path)]), key=lambda move: move[0]
+        )
+        if gain > -least:
+            return path
+        piece = path[first : first + length]
+        rest = np.delete(path, slice(first, first + length))
+        path = np.insert(rest, place, piece[::-1] if turned else piece)
+
+
+def _moves(near: Array) -> Iterator[tuple[float, int, int, int, bool]]:
+    """The best stretch to turn round where it is, and the best pieces to put elsewhere, as they are and turned round.
+
+    Of each: how much longer the path becomes (negative is better); the first place and the length of the piece; where
+    it is put into the rest; whether it is turned round.
+    """
+    size, step = len(near), np.diagonal(near, 1)  # from place i to i + 1
+    gain = near[:-2, 1:-1] + near[1:-1, 2:] - step[:-1, None] - step[None, 1:]
+    gain[np.tri(len(gain), dtype=np.bool_)] = 0.0
+    i, j = divmod(int(np.argmin(gain)), len(gain))
+    yield float(gain[i, j]), i + 1, j - i + 1, i + 1, True
+    for length in range(1, min(_PIECE, size - 3) + 1):
+        first, to = np.arange(1, size - length), np.arange(size - 1)
+        last = first + length - 1
+        closed = near[first - 1, last + 1] - step[first - 1] - step[last]
+        within = (to >= first[:, None] - 1) & (to <= last[:, None])
+        for turned, head, tail in ((False, first, last), (True, last, first)):
+            opened = near[to[None, :], head[:, None]] + near[tail[:, None], to[None, :] + 1]
+            gain = np.where(within, 0.0, closed[:, None] + opened - step[None, :])
+            a, b = divmod(int(np.argmin(gain)), gain.shape[1])
+            yield float(gain[a, b]), a + 1, length, b + 1 if b <= a else b + 1 - length, turned
+
+
+def _kicked(path: Indices, costs: Array) -> Indices:
+    """The path after kicks, each improved, and kept if it is no longer than before."""
+    count = len(path) - 2
+    random, length = np.random.default_rng(0), _length(path, costs)
+    kicks = max(min(_KICKS, int(_KICK_WORK / len(path) ** 2)), 4) if count >= 3 else 0
+    for k in range(kicks):
+        swap = k % 2 and count > _SHUFFLED
+        window = min(_WINDOW if swap else _SHUFFLED, count)
+        low = int(random.integers(1, len(path) - window))
+        other: Indices = path.copy()
+        if swap:
+            # Two neighbouring stretches change places, which neither 2-opt nor or-opt can undo.
+            a, b, c = (low + np.sort(random.choice(window, 3, replace=False))).tolist()
+            other[a:c] = [*path[b:c], *path[a:b]]
+        else:
+            # A stretch of a few poses in any order; of few poses, all of them.
+            other[low : low + window] = random.permutation(path[low : low + window])
+        other = _improved(other, costs)
+        if (reached := _length(other, costs)) <= length:
+            path, length = other, reached
+    return path
+
+
+# Where the straight way is blocked
+
+
+def detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array | None:
+    """The pose, of shape (n, m), by which the way from start to end is free, and the shortest of those tried.
+
+    The length of a straight move is that of the joint that turns farthest, max_k |q_bk - q_ak|. None where none of the
+    300 shortest ways is free.
     """
     length = np.max(np.abs(poses - start), axis=1) + np.max(np.abs(poses - end), axis=1)
     for k in np.argsort(length, kind="stable")[:_STOPS]:
@@ -121,21 +281,10 @@ def detour(start: Array, end: Array, poses: Array, free_path: FreePath) -> Array
     return None
 
 
-def _stretches(tour: Tour) -> list[Indices]:
-    """The poses between blocked moves, in the order to drive."""
-    place = {int(i): k for k, i in enumerate(tour.indices)}
-    cuts = sorted(place[b] for _, b in tour.blocked)
-    return [part for part in np.split(tour.indices, cuts) if len(part)]
-
-
 def turning(robot: Robot, ranges: Array) -> NDArray[np.bool_]:
-    """Which columns of q have room for more than one turn, shape (m,).
+    """Which columns of q have room for more than one turn in their ranges of shape (m, 2), shape (m,).
 
     A joint that others follow is none: they would end elsewhere.
-
-    Args:
-        robot: The robot.
-        ranges: shape (m, 2), between which joint values must stay [rad] or [m].
     """
     slides = np.array([joint.type == "prismatic" for joint in robot.inputs])
     alone = np.sum(robot.coupling != 0.0, axis=0) <= 1
@@ -165,9 +314,7 @@ def with_whole_turns(
     longest = max(range(len(stretches)), key=lambda k: len(stretches[k]))
     reached = stretches[longest]
     for k, stretch in enumerate(stretches):
-        if k == longest:
-            continue
-        for shift in _shifts(turns):
+        for shift in _shifts(turns) if k != longest else ():
             turned = result[stretch] + shift
             inside = np.all((turned >= ranges[:, 0]) & (turned <= ranges[:, 1]))
             if inside and _joined(result[reached], turned, free_path):
@@ -180,18 +327,15 @@ def with_whole_turns(
 def _joined(some: Array, others: Array, free_path: FreePath) -> bool:
     """Whether a free way leads from one of some poses to one of the others; the shortest ways are tried."""
     length = np.max(np.abs(some[:, None] - others[None]), axis=2)
-    for place in np.argsort(length, axis=None, kind="stable")[:_TRIES]:
-        a, b = np.unravel_index(place, length.shape)
-        if free_path(some[a], others[b]):
-            return True
-    return False
+    shortest = np.argsort(length, axis=None, kind="stable")[:_TRIES]
+    ways = zip(*np.unravel_index(shortest, length.shape), strict=True)
+    return any(free_path(some[a], others[b]) for a, b in ways)
 
 
 def _shifts(turns: NDArray[np.bool_]) -> Iterator[Array]:
     """No turn, and one turn either way of each joint and of each pair of joints, shape (m,) each."""
-    yield np.zeros(len(turns))
     joints = np.flatnonzero(turns)
-    for count in range(1, min(_MOST_JOINTS, len(joints)) + 1):
+    for count in range(min(_MOST_JOINTS, len(joints)) + 1):
         for chosen in combinations(joints, count):
             for signs in product((-_TURN, _TURN), repeat=count):
                 shift = np.zeros(len(turns))
