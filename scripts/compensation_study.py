@@ -80,8 +80,10 @@ def print_random(title: str, result: Calibration, count: int, seed: int) -> None
     before = POSE.misses(true.poses(q), wanted)
     reached = found.reached
     by_joints = POSE.misses(true.poses(found.q[reached]), wanted[reached])
-    near = np.array([any("singular" in w for w in said) for said in found.warnings])
-    plain = reached & np.array([not any("sent as" in w for w in said) for said in found.warnings])
+    near = np.array([any(w.code == "singular" for w in said) for said in found.warnings])
+    plain = reached & np.array(
+        [not any(w.code == "by pose" for w in said) for said in found.warnings]
+    )
     sent = sent_to_controller(nominal, found, plain)
     by_poses = POSE.misses(true.poses(sent), wanted[plain])
     named = all(found.reasons[i] for i in np.flatnonzero(~reached))
@@ -89,7 +91,7 @@ def print_random(title: str, result: Calibration, count: int, seed: int) -> None
     print(f"  without correction    {figures(before)}")
     print(f"  joint values          {figures(by_joints)}   {reached.sum()} poses")
     print(f"  poses to a controller {figures(by_poses)}   {plain.sum()} poses")
-    warned = reached & np.array([any("sent as a pose" in w for w in s) for s in found.warnings])
+    warned = reached & np.array([any(w.code == "by pose" for w in s) for s in found.warnings])
     print(f"  warned that poses may go astray: {warned.sum()}")
     print(f"  without command: {(~reached).sum()}, each with its reason: {named}")
     print(f"  near a singularity: {(near & reached).sum()}")

@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import typer
 
-from calib.cli.options import (
-    Debug,
-    Force,
-    Hold,
-    Quiet,
-    RobotFile,
-    reporting,
-)
+from calib.cli.options import Force, Hold, Quiet, RobotFile, verb
 from calib.errors import CalibError
 
-_HELP = """What to command so that the true robot arrives.
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from calib.calibration import Calibration
+    from calib.model.robot import Robot
+
+#: The words for the tool that is the calibrated target, for poses in the robot's base, and for poses in the frame that
+#: the points were measured in, where there is one.
+TARGET, BASE, MEASURED = "target", "base", "measured"
+
+
+class Robots(NamedTuple):
+    """The robot as its controller has it, and what is known of the actual one: a result, or a corrected robot.
+
+    ``was_corrected``: ROBOT has the result's joint origins already.
+    """
+
+    nominal: Robot
+    actual: Calibration | Robot
+    result: Calibration | None
+    name: str
+    was_corrected: bool = False
+
+
+@verb("""What to command so that the true robot arrives.
 
 \b
 Examples:
@@ -29,9 +48,7 @@ ROBOT is the robot as its controller has it. PROGRAM is a table: joint values th
 of its tool, x y z and an orientation, or both: then the poses are wanted, and the joint values say where to start. Out
 come joint values, and poses to send to a controller that keeps its own model. A row that cannot be reached is an
 error, and then nothing is written; --skip leaves such rows empty.
-"""
-
-
+""")
 def compensate(
     robot: RobotFile,
     program: Annotated[
@@ -110,13 +127,14 @@ def compensate(
         ),
     ] = "10 mm 2 deg",
     accept: Annotated[
-        str | None,
+        str,
         typer.Option(
             "--accept",
             metavar='"LENGTH ANGLE"',
             help="What may be left of the error of a row. Default: 1e-8 m, 1e-8 rad.",
+            show_default=False,
         ),
-    ] = None,
+    ] = "1e-8 m 1e-8 rad",
     skip: Annotated[
         bool, typer.Option("--skip", help="Rows without a command stay in the table, empty.")
     ] = False,
@@ -171,66 +189,158 @@ def compensate(
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
-    """See `_HELP`."""
-    with reporting(debug=debug):
-        import calib.cli.compensate_setup as setup
-        from calib.cli.compensate_notes import no_commands
-        from calib.cli.compensate_text import text
-        from calib.cli.setup import check_outputs, parse_columns
-        from calib.cli.terminal import progress_bar, say
-        from calib.compensate.commands import commands
-        from calib.compensate.commands_file import write_commands
-        from calib.compensate.program import read_program
+    """See the text of `verb`."""
+    from calib.cli.compensate_text import no_commands, text
+    from calib.cli.setup import check_outputs, parse_columns, parse_held, parse_payload
+    from calib.cli.terminal import progress_bar, say
+    from calib.compensate.commands import commands, write_commands
+    from calib.compensate.program import read_program
 
-        inputs = [robot, program, *(name for name in (calibration, corrected) if name)]
-        check_outputs([output], inputs, force=force)
-        renamed = parse_columns(columns or [])
-        robots = setup.robots_of(robot, calibration, corrected, program, renamed, (base, tip), hold)
-        asked = read_program(program, robots.nominal, columns=renamed, given=given)
-        weighs = setup.parse_lever(lever, match)
-        with progress_bar("Rows", quiet=quiet) as progress:
-            found = commands(
-                robots.actual,
-                asked,
-                nominal=robots.nominal,
-                tool=setup.tool_of(tool, robots),
-                frame=setup.frame_of(poses_in, robots),
-                match=match,
-                start=setup.parse_start(start, robots.nominal) if start else None,
-                limit=setup.parse_sizes(limit, "--limit", setup.UNLIMITED),
-                accept=setup.parse_sizes(accept, "--accept", setup.ACCEPT),
-                larger=not geometry,
-                payload=setup.payload_of(payload, robots, geometry=geometry),
-                progress=progress,
-                **({} if weighs is None else {"lever": weighs}),
-            )
-        setup.parse_lever(lever, found.match)  # what is matched may have been left to the program
-        if not found.reached.all() and (not skip or not found.reached.any()):
-            raise CalibError(no_commands(found, skip=skip))
-        written = None
-        if output is not None:
-            written = write_commands(
-                found, output, send=send, orientation=orientation, units=units, overwrite=force
-            )
-        if not quiet:
-            larger = robots.result is not None and robots.result.larger is not None and not geometry
-            say(
-                text(
-                    found,
-                    robots,
-                    tool=tool,
-                    larger=larger,
-                    send=send,
-                    poses_in=poses_in,
-                    written=written,
-                )
-            )
-            return
-        verdict = None if found.result is None else found.result.verdict
-        if verdict is not None and verdict.use == "do not use":
-            typer.echo(f"calib: the verdict of {robots.name} is 'do not use'.", err=True)
+    check_outputs([output], [robot, program, *filter(None, (calibration, corrected))], force=force)
+    renamed = parse_columns(columns or [])
+    robots = robots_of(
+        robot, calibration, corrected, program, renamed, (base, tip), parse_held(hold or [])
+    )
+    asked = read_program(program, robots.nominal, columns=renamed, given=given)
+    larger = None if robots.result is None or geometry else robots.result.larger
+    with progress_bar("Rows", quiet=quiet) as progress:
+        found = commands(
+            robots.actual,
+            asked,
+            nominal=robots.nominal,
+            tool=_tool_of(tool, robots),
+            frame={BASE: None, MEASURED: ""}.get(poses_in, poses_in),
+            match=match,
+            lever=None if lever is None else parse_sizes(lever, "--lever", (0.0, 0.0))[0],
+            start=parse_held(start or [], "--start"),
+            # No correction of a pose passes a length that no arm has, or more than half a turn.
+            limit=parse_sizes(limit, "--limit", (1e6, 6.3)),
+            accept=parse_sizes(accept, "--accept", (1e-8, 1e-8)),
+            larger=not geometry,
+            payload=payload and parse_payload(payload, larger and larger.payload),
+            progress=progress,
+        )
+    if not found.reached.all() and (not skip or not found.reached.any()):
+        raise CalibError(no_commands(found, skip=skip))
+    written = None
+    if output is not None:
+        written = write_commands(
+            found, output, send=send, orientation=orientation, units=units, overwrite=force
+        )
+    verdict = None if found.result is None else found.result.verdict
+    if not quiet:
+        say(text(found, robots, tool, poses_in, send, written, larger=larger is not None))
+    elif verdict is not None and verdict.use == "do not use":
+        typer.echo(f"calib: the verdict of {robots.name} is 'do not use'.", err=True)
 
 
-compensate.__doc__ = _HELP
+def robots_of(
+    robot: str,
+    calibration: Path | None,
+    corrected: str | None,
+    program: Path,
+    renamed: dict[str, str],
+    links: tuple[str | None, str | None],
+    held: dict[str, float],
+) -> Robots:
+    """The two robots of a call.
+
+    Without a result, a tip that is not named is the end of the longest chain whose joints are columns of the program.
+
+    Raises:
+        CalibError: Neither a result nor a URDF or both, a file cannot be read, or the robots are not one.
+    """
+    from calib.cli.setup import check_chain
+    from calib.compensate.nominal_actual import differing_joint
+    from calib.identify.result_file import read_result
+    from calib.measure.cell import Cell
+    from calib.measure.table import Table
+    from calib.model.robot import Robot
+    from calib.units import split_header
+
+    if (calibration is None) == (corrected is None):
+        raise CalibError(
+            "What is true of the robot comes from --calibration result.json or from --corrected corrected.urdf: give "
+            "one of them."
+        )
+    if calibration is not None:
+        result = read_result(calibration)
+        check_chain(Cell(base=links[0], tip=links[1]), result, str(calibration))
+        chain = result.nominal
+        nominal = Robot.load(robot, chain.base, chain.tip, held={**chain.held, **held})
+        was_corrected = differing_joint(nominal, result.corrected(nominal)) is None
+        joint = None if was_corrected else differing_joint(nominal, result.uncorrected(nominal))
+        if joint is not None:
+            raise CalibError(
+                f"{nominal.urdf.source}: the origin of '{joint}' is neither the one that {calibration.name} began with "
+                "nor its corrected one. Give the URDF that the result was made with. If the controller has a model of "
+                "its own, such as a factory calibration, give that as ROBOT and the corrected URDF with --corrected."
+            )
+        return Robots(nominal, result, result, calibration.name, was_corrected)
+    assert corrected is not None  # one of the two is given
+    columns = {split_header(label)[0] for label in (*Table.read(program).header, *renamed.values())}
+    nominal = Robot.load(robot, *links, measured=columns, held=held)
+    actual = Robot.load(corrected, nominal.base, nominal.tip, held=held)
+    if actual.joint_names == nominal.joint_names and differing_joint(nominal, actual) is None:
+        raise CalibError(
+            f"{robot} and {corrected} have the same joint origins from '{nominal.base}' to '{nominal.tip}': there is "
+            "nothing to correct. ROBOT is the robot as its controller has it, --corrected as it truly is."
+        )
+    return Robots(nominal, actual, None, Path(corrected).name)
+
+
+def _tool_of(text: str | None, robots: Robots) -> NDArray[np.float64] | str | None:
+    """What is to arrive: a pose in the tip, the name of a target of the result, or the tip.
+
+    Raises:
+        CalibError: The words mean nothing, or a corrected URDF carries no target.
+    """
+    from calib.cli.setup import with_target_link
+    from calib.measure.cell import Cell
+    from calib.model.robot import Robot
+
+    tool = None if text is None else parse_tool(text)
+    if tool is None or len(tool) or not isinstance(robots.actual, Robot):
+        return tool
+    target = with_target_link(robots.actual, Cell()).target
+    if target is None:
+        raise CalibError(
+            f"--tool was given as '{text}', and {robots.name} has no link calib_target, which 'calib fit "
+            "--target-link' adds. Give the tool's place, such as \"0 0 150 mm\", or --calibration."
+        )
+    return target
+
+
+def parse_tool(text: str) -> NDArray[np.float64] | str:
+    """``--tool``: a pose in the tip, shape (4, 4) [m]; or the name of a target, empty for the only one.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from calib.cli.setup import parse_point
+
+    word, _, name = text.strip().partition(":")
+    if word == TARGET:
+        return name.strip()
+    # "150mm" is as clear as "150 mm".
+    words = re.findall(r"[^\s,]+", re.sub(r"(?<=[\d.])(?=[a-z]+(?:\s|$))", " ", text))
+    T = np.eye(4)
+    T[:3, 3] = parse_point(" ".join(words[:4]), "--tool")
+    by_axes = words[4:5] == ["rpy"]
+    if words[4:]:
+        turn = np.array(parse_point(" ".join(words[4 + by_axes :]), "--tool", "angle"))
+        rotation = Rotation.from_euler("xyz", turn) if by_axes else Rotation.from_rotvec(turn)
+        T[:3, :3] = rotation.as_matrix()
+    return T
+
+
+def parse_sizes(text: str, option: str, otherwise: tuple[float, float]) -> tuple[float, float]:
+    """``--limit``, ``--accept``, ``--lever``: a length [m] and an angle [rad], or what holds where one is not named."""
+    from calib.cli.setup import parse_pair
+
+    length, angle = parse_pair(text, option, "10 mm 2 deg")
+    return otherwise[0] if length is None else length, otherwise[1] if angle is None else angle

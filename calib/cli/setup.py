@@ -27,13 +27,14 @@ if TYPE_CHECKING:
     from calib.measure.measurements import Measurements
     from calib.model.robot import Robot
     from calib.model.torques import Payload
+    from calib.units import Quantity
 
 #: The model that lets the data choose; it takes no families, for it tries them all.
 AUTO = "auto"
 
 
-def parse_point(text: str, option: str) -> NDArray[np.float64]:
-    """Three numbers and a unit of length, such as ``70 -70 22.5 mm``, as a point [m], shape (3,).
+def parse_point(text: str, option: str, quantity: Quantity = "length") -> NDArray[np.float64]:
+    """Three numbers and a unit of length, such as ``70 -70 22.5 mm``, as a point [m], shape (3,); or of angle [rad].
 
     Raises:
         CalibError: Anything else.
@@ -48,13 +49,14 @@ def parse_point(text: str, option: str) -> NDArray[np.float64]:
     except ValueError:
         numbers = []
     if len(words) != 4 or len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        example = "70 -70 22.5 mm" if quantity == "length" else "0 0 90 deg"
         raise CalibError(
-            f'{option} was given as "{text}"; it must be three numbers and a unit, such as "70 -70 22.5 mm".'
+            f'{option} was given as "{text}"; it must be three numbers and a unit, such as "{example}".'
         )
-    if words[3] not in symbols("length"):
+    if words[3] not in symbols(quantity):
         raise CalibError(
-            f"{option} was given as \"{text}\"; '{words[3]}' is no unit of length. Choose one of "
-            f"{choices(symbols('length'))}."
+            f"{option} was given as \"{text}\"; '{words[3]}' is no unit of {quantity}. Choose one of "
+            f"{choices(symbols(quantity))}."
         )
     return read_only([UNITS[words[3]].to_si * number for number in numbers])
 

@@ -154,22 +154,22 @@ def parse_start(texts: Iterable[str], robot: Robot) -> NDArray[np.float64] | Non
     Raises:
         CalibError: Other words, an unknown joint, or a value in a unit that does not fit it or beyond its limits.
     """
-    from calib.cli.compensate_setup import parse_start as parse_joints
+    from calib.cli.setup import parse_held
+    from calib.compensate.inverse import start_values
     from calib.measure.ranges import column_limits, range_text
-    from calib.model.robot import read_only
 
     said = list(texts)
     if not said:
         return None
-    values = parse_joints([text for text in said if text.strip() != "home"], robot)
-    start = [values.get(name, 0.0) for name in robot.joint_names]
+    named = parse_held((text for text in said if text.strip() != "home"), "--start")
+    start = start_values(robot, named, others=0.0)
     for name, value, limits in zip(robot.joint_names, start, column_limits(robot), strict=True):
         if not limits[0] - _ROUNDING <= value <= limits[1] + _ROUNDING:
             raise CalibError(
                 f"--start: '{name}' would stand beyond its limits in the URDF, {range_text(robot, name, limits)}. Say "
                 f'where it stands, --start "{name}=VALUE UNIT", or leave --start out.'
             )
-    return read_only(start)
+    return start
 
 
 def with_noise(cell: Cell, text: str | None) -> Cell:

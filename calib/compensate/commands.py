@@ -13,31 +13,48 @@ calibration, 1987 ("compensation").
 
 from __future__ import annotations
 
+import csv
+import io
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
-from calib.compensate.inverse import MATCHES, POSE, POSITION, WEIGHTED, Matching, Solved, solve
+from calib.compensate.inverse import (
+    MATCHES,
+    POSE,
+    POSITION,
+    WEIGHTED,
+    Matching,
+    Solved,
+    following,
+    solve,
+    start_values,
+)
 from calib.compensate.nominal_actual import Pair, pair_of
-from calib.compensate.program import Program
-from calib.compensate.starts import following, start_values
-from calib.compensate.warnings import judged
+from calib.compensate.program import CORRECTION, Program
+from calib.compensate.warnings import Warned, reasons_of, warnings_of, within
 from calib.errors import ModelError, choices
 from calib.identify.result import Calibration
+from calib.measure.columns import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
+from calib.measure.orientation import to_quaternions
 from calib.measure.ranges import column_limits
+from calib.model.files import write_atomically
 from calib.model.robot import Robot, read_only, rigid_inverse
 from calib.model.torques import Payload
 
-__all__ = ["MATCHES", "Commands", "commands"]
+__all__ = ["MATCHES", "Commands", "commands", "write_commands"]
 
 Array = NDArray[np.float64]
 
-#: A pose that the nominal robot misses by more is matched in part [m].
+#: A pose that the nominal robot misses by more is matched in part [m]; by less it reaches it [m], [rad].
 _LOST = 1e-6
+_NOMINAL = (_LOST, 1e-6)
 
 #: Less than this is rounding [m], [rad].
 _EXACT = 1e-9
@@ -45,8 +62,20 @@ _EXACT = 1e-9
 #: The nominal robot differs from the actual one by a hundredth at most, so that each time two digits are won.
 _TIMES = 6
 
-#: The length that an angle counts as with another controller; below the other there is nothing to correct [m].
-_SHORT, _ENOUGH = 0.01, 1e-12
+#: The length that an angle counts as where nothing is said, and with another controller; below the last there is
+#: nothing to correct [m].
+_LEVER, _SHORT, _ENOUGH = 0.01, 0.01, 1e-12
+
+#: What may be written of a command, and how an orientation may be.
+SEND = ("both", "joints", "poses")
+ORIENTATIONS = ("rotation-vector", "quaternion", "rpy")
+
+#: The units of a table, of angles and of lengths: symbol, how many are one in SI units, decimals. Angles are exact to
+#: 1e-11 rad, lengths to 1e-9 m, on any arm far below what a controller resolves. A vector is in radians in both.
+_DEG, _RAD = ("deg", math.degrees(1.0), 9), ("rad", 1.0, 12)
+_MM, _M, _PLAIN = ("mm", 1e3, 6), ("m", 1.0, 9), ("", 1.0, 12)
+UNITS = {"deg mm": (_DEG, _MM), "rad m": (_RAD, _M)}
+_Unit = tuple[str, float, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +104,7 @@ class Commands:
             position [m], angle [rad]. NaN where nothing is known, as of two robots without a result.
         result: The calibration; None where two robots were given.
         reasons: Why a row has no command; empty where it has one.
-        warnings: For each row what to know of its command; mostly nothing.
+        warnings: For each row what to know of its command; mostly nothing. ``str()`` of one is its text.
     """
 
     nominal: Robot
@@ -94,7 +123,7 @@ class Commands:
     std: Array
     result: Calibration | None
     reasons: tuple[str, ...]
-    warnings: tuple[tuple[str, ...], ...]
+    warnings: tuple[tuple[Warned, ...], ...]
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -124,7 +153,7 @@ def commands(
     tool: ArrayLike | str | None = None,
     frame: ArrayLike | str | None = None,
     match: str | None = None,
-    lever: float = 0.01,
+    lever: float | None = None,
     start: Mapping[str, float] | None = None,
     limit: tuple[float, float] = (0.01, math.radians(2.0)),
     accept: tuple[float, float] = (1e-8, 1e-8),
@@ -144,7 +173,7 @@ def commands(
             calibration ("" for the only one); default the base.
         match: One of `MATCHES`; default ``"pose"``, for fewer than six joints ``"weighted"``, for a program of points
             ``"position"``.
-        lever: With ``"weighted"``, the length that an angle of one radian counts as [m].
+        lever: With ``"weighted"``, the length that an angle of one radian counts as [m]; default 0.01.
         start: Joint values by name [rad] or [m], which the first of a program of poses alone starts near; joints that
             are not named start at the middle of their limits.
         limit: Corrections of the pose larger than this are warned of: position [m], angle [rad].
@@ -159,76 +188,73 @@ def commands(
     """
     pair = pair_of(calibration, nominal, tool=tool, frame=frame, larger=larger, payload=payload)
     robot = pair.nominal.robot
-    matching = Matching(match or _usual_match(robot, program), lever)
-    if matching.name != WEIGHTED:
-        # Where all is reached the lever is one of scale, and the arm's own length is the scale.
-        matching = replace(matching, lever=pair.reach)
-    _check_bounds(accept, limit)
-    _check(program, robot, matching, start)
-    T_wanted, starts = _nominal(pair, program, matching, start_values(robot, start), progress)
-    solved = solve(pair.actual, T_wanted, starts.q, matching, column_limits(robot))
-    T_send, left_by_pose = _poses_to_send(pair, T_wanted, starts, solved, matching)
-    found = judged(
-        pair,
-        program,
-        T_wanted,
-        starts,
-        solved,
-        left_by_pose,
-        matching,
-        accept=(max(accept[0], _EXACT), max(accept[1], _EXACT)),
-        limit=limit,
-    )
-    return Commands(
-        nominal=robot,
-        program=program,
-        match=matching.name,
-        T_frame_base=pair.T_frame_base,
-        T_tip_tool=pair.actual.T_tip_tool,
-        T_tip_tool_nominal=pair.nominal.T_tip_tool,
-        T_wanted=read_only(pair.T_frame_base @ T_wanted),
-        q_nominal=_where(found.nominal_reaches, starts.q),
-        q=_where(found.reached, solved.q),
-        T_send=_where(found.reached, pair.T_frame_base @ T_send),
-        missed=_where(found.nominal_reaches, found.missed),
-        left=read_only(found.left),
-        left_by_pose=_where(found.reached, left_by_pose),
-        std=_where(found.reached, pair.std(solved.q)),
-        result=pair.result,
-        reasons=found.reasons,
-        warnings=found.warnings,
-    )
-
-
-def _usual_match(robot: Robot, program: Program) -> str:
-    """What is matched where nothing is said."""
-    if not program.oriented:
-        return POSITION
-    return POSE if len(robot.joint_names) >= 6 else WEIGHTED
-
-
-def _check_bounds(accept: tuple[float, float], limit: tuple[float, float]) -> None:
-    """Refuse what is no size.
-
-    Raises:
-        ModelError: A number that is negative, or none.
-    """
+    # What is matched where nothing is said.
+    usual = POSE if len(robot.joint_names) >= 6 else WEIGHTED
+    name = match or (usual if program.oriented else POSITION)
+    # Where all is reached the lever is one of scale, and the arm's own length is the scale.
+    scale = (_LEVER if lever is None else lever) if name == WEIGHTED else pair.reach
+    matching = Matching(name, scale)
+    _check(program, robot, matching, lever, start)
     for what, sizes in (("be left", accept), ("be corrected without a warning", limit)):
         if not all(size >= 0.0 for size in sizes):  # NaN is not, infinity is
             raise ModelError(
                 f"What may {what} is {sizes[0]} m and {sizes[1]} rad; both must be 0 or more."
             )
+    accept = (max(accept[0], _EXACT), max(accept[1], _EXACT))
+    T_wanted, starts = _nominal(pair, program, matching, start_values(robot, start), progress)
+    solved = solve(pair.actual, T_wanted, starts.q, matching, column_limits(robot))
+    T_send, left_by_pose = _poses_to_send(pair, T_wanted, starts, solved, matching)
+    before = Solved(starts.q, *pair.actual.motion(starts.q))
+    missed = matching.misses(before.T_base_tool, T_wanted)
+    left = matching.misses(solved.T_base_tool, T_wanted)
+    weighted = (limit[0], math.inf) if name == WEIGHTED else None
+    reasons = reasons_of(pair, matching, before, solved, left, weighted or accept)
+    reached = np.array([not reason for reason in reasons])
+    nominal_reaches = within(matching.misses(starts.T_base_tool, T_wanted), weighted or _NOMINAL)
+    warnings = warnings_of(
+        pair,
+        program,
+        matching,
+        T_wanted,
+        starts,
+        solved,
+        reached=reached,
+        nominal_reaches=nominal_reaches,
+        missed=missed,
+        left=left,
+        left_by_pose=left_by_pose,
+        accept=accept,
+        limit=limit,
+    )
+    return Commands(
+        nominal=robot,
+        program=program,
+        match=name,
+        T_frame_base=pair.T_frame_base,
+        T_tip_tool=pair.actual.T_tip_tool,
+        T_tip_tool_nominal=pair.nominal.T_tip_tool,
+        T_wanted=read_only(pair.T_frame_base @ T_wanted),
+        q_nominal=_where(nominal_reaches, starts.q),
+        q=_where(reached, solved.q),
+        T_send=_where(reached, pair.T_frame_base @ T_send),
+        missed=_where(nominal_reaches, missed),
+        left=read_only(left),
+        left_by_pose=_where(reached, left_by_pose),
+        std=_where(reached, pair.std(solved.q)),
+        result=pair.result,
+        reasons=tuple(reasons),
+        warnings=warnings,
+    )
 
 
 def _check(
-    program: Program, robot: Robot, matching: Matching, start: Mapping[str, float] | None
+    program: Program,
+    robot: Robot,
+    matching: Matching,
+    lever: float | None,
+    start: Mapping[str, float] | None,
 ) -> None:
-    """Refuse a program that the robot or the matching has no use for.
-
-    Raises:
-        ModelError: Joint values of another robot, an orientation that is wanted but not given, or a start beside
-            joint values.
-    """
+    """Refuse a program that the robot or the matching has no use for, and what the program has none for."""
     if program.q is not None and program.q.shape[1] != len(robot.joint_names):
         raise ModelError(
             f"The program has {program.q.shape[1]} joint values in each row; '{robot.name}' has "
@@ -243,6 +269,11 @@ def _check(
         raise ModelError(
             "The program has joint values to start at in each row, so that a start for the first row has no use. "
             "Leave it out."
+        )
+    if lever is not None and matching.name != WEIGHTED:
+        raise ModelError(
+            f"A lever is for '{WEIGHTED}', where an angle is weighed against a position, and here '{matching.name}' is "
+            "matched. Leave it out."
         )
 
 
@@ -294,13 +325,6 @@ def _poses_to_send(
 
         T_send <- T_send exp(e),   e: what the actual robot still misses, along the tool's axes
 
-    Args:
-        pair: The two models.
-        T_wanted: shape (N, 4, 4), poses of the tool in the base [m].
-        starts: Joint values of the nominal robot, near which the controller stays.
-        solved: Joint values that bring the true robot there.
-        matching: What is matched.
-
     Returns:
         shape (N, 4, 4), in the base [m]; and shape (N, 2), position [m] and angle [rad].
     """
@@ -318,21 +342,104 @@ def _poses_to_send(
         if not (worth.any() and len(pair.nominal.robot.joint_names) > controller.rows):
             break
         rows = rows[worth]
-        T_send[rows] = T_send[rows] @ _steps(error[worth], matching)
+        twists = np.zeros((int(worth.sum()), 6))  # what is not matched stays
+        twists[:, :3] = error[worth, :3]
+        twists[:, 3 : error.shape[1]] = error[worth, 3:] / matching.lever
+        T_send[rows] = T_send[rows] @ [pin.exp6(twist).homogeneous for twist in twists]
     # Next to a singularity it is up to the controller where it ends: one that weighs angles otherwise may differ.
     q = solve(pair.nominal, T_send, starts.q, another, limits).q
     misses = (matching.misses(T, T_wanted) for T in (arrived, pair.actual.poses(q)))
     return T_send, read_only(np.maximum(*misses))
 
 
-def _steps(error: Array, matching: Matching) -> Array:
-    """The displacements that make errors good, shape (N, 4, 4), [m]; what is not matched stays."""
-    twists = np.zeros((len(error), 6))
-    twists[:, :3] = error[:, :3]
-    twists[:, 3 : error.shape[1]] = error[:, 3:] / matching.lever
-    return np.array([pin.exp6(twist).homogeneous for twist in twists]).reshape(-1, 4, 4)
-
-
 def _where(there: NDArray[np.bool_], values: Array) -> Array:
     """The values of some rows, the others NaN; read-only."""
     return read_only(np.where(there.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan))
+
+
+def write_commands(
+    commands: Commands,
+    path: str | Path,
+    *,
+    send: str = "both",
+    orientation: str = "rotation-vector",
+    units: str = "deg mm",
+    overwrite: bool = False,
+) -> Path:
+    """Write commands as a CSV table; docs/compensation.md describes it.
+
+    First the columns of the program that went along, then joint values and poses to send, then by how much they were
+    changed, then whether the row has a command. A row without one has empty cells there.
+
+    Args:
+        commands: The commands.
+        path: A CSV file.
+        send: One of `SEND`: joint values, poses for a controller with the nominal model, or both.
+        orientation: One of `ORIENTATIONS`, of the poses.
+        units: One of `UNITS`.
+        overwrite: Whether a file that exists is replaced.
+
+    Raises:
+        ModelError: No such way to send, no such form of an orientation, or no such units.
+        FileError: The file exists and ``overwrite`` is False, or it cannot be written.
+    """
+    for what, given, known in (
+        ("send", send, SEND),
+        ("orientation", orientation, ORIENTATIONS),
+        ("units", units, tuple(UNITS)),
+    ):
+        if given not in known:
+            raise ModelError(
+                f"Commands cannot be written with {what} '{given}'; choose one of {choices(known)}."
+            )
+    robot, (angle, length) = commands.nominal, UNITS[units]
+    names = robot.joint_names
+    of_joints = [length if robot.joint_types[name] == "prismatic" else angle for name in names]
+    changed = [CORRECTION + name for name in names]
+    T_send = commands.T_send
+    joints = [(names, of_joints, commands.q)] * (send != "poses")
+    poses = [(POINT, [length] * 3, T_send[:, :3, 3]), _turns(T_send, orientation, angle)]
+    corrections = [(changed, of_joints, commands.joint_corrections)] * (send != "poses")
+    of_pose = ((CORRECTION + "position", CORRECTION + "angle"), (length, angle))
+    blocks: list[tuple[Sequence[str], Sequence[_Unit], Array]] = [
+        *joints, *poses * (send != "joints"), *corrections, (*of_pose, commands.pose_corrections),
+    ]  # fmt: skip
+    columns: list[Sequence[str]] = [(label, *cells) for label, cells in commands.program.kept]
+    for headers, own, values in blocks:
+        for name, (symbol, scale, digits), column in zip(headers, own, values.T, strict=True):
+            label = f"{name} [{symbol}]" if symbol else name
+            columns.append((label, *(_number(v, digits) for v in (scale * column).tolist())))
+    columns.append((STATUS, *map(_status, commands.reasons, commands.warnings)))
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(zip(*columns, strict=True))
+    return write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
+
+
+def _turns(T: Array, form: str, angle: _Unit) -> tuple[Sequence[str], Sequence[_Unit], Array]:
+    """The rotations of poses (N, 4, 4) in one of `ORIENTATIONS`: names, units, values; NaN stays NaN."""
+    R = T[:, :3, :3]
+    if form == "quaternion":
+        return QUATERNION, [_PLAIN] * 4, to_quaternions(R)
+    there = np.isfinite(R).all(axis=(1, 2))
+    values = np.full((len(R), 3), np.nan)
+    if form == "rpy":
+        values[there] = np.reshape([pin.rpy.matrixToRpy(matrix) for matrix in R[there]], (-1, 3))
+        return ROLL_PITCH_YAW, [angle] * 3, values
+    if there.any():
+        values[there] = Rotation.from_matrix(R[there]).as_rotvec()
+    return ROTATION_VECTOR, [_RAD] * 3, values
+
+
+def _number(value: float, digits: int) -> str:
+    """One number as text, without a sign before zero; empty for NaN."""
+    if not math.isfinite(value):
+        return ""
+    text = f"{value:.{digits}f}"
+    return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+def _status(reason: str, warnings: tuple[Warned, ...]) -> str:
+    """What the last column says of a row."""
+    if reason:
+        return f"no command: {reason}"
+    return f"warning: {'; '.join(map(str, warnings))}" if warnings else "ok"

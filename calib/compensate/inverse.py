@@ -12,19 +12,27 @@ Levenberg-Marquardt on each row's error, all rows at once, with the singular val
 The damping lambda is zero until a step fails to lower the error, so that a solution is reached to rounding; the second
 term keeps a redundant arm at the joint values nearest to where it started. Steps are short, so that a row stays in its
 branch. Source: Y. Nakamura, H. Hanafusa, Inverse kinematic solutions with singularity robustness, 1986.
+
+With joint values for each row the solution next to them is meant. With poses alone each row follows the one before, and
+the first is the solution nearest to a start, found from joint values spread over the limits.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.stats import qmc
 
 from calib.compensate.nominal_actual import Arm
-from calib.errors import ModelError, choices
-from calib.model.robot import read_only
+from calib.errors import ModelError, choices, did_you_mean
+from calib.measure.ranges import column_limits, full_ranges
+from calib.model.robot import Robot, read_only
+from calib.units import unit_fault
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -47,14 +55,14 @@ _STILL, _STALLED = 1e-12, 1e-9
 #: An error below this is rounding [m]; what the pull of a redundant arm adds to it is none.
 _NOTHING = 1e-13
 
-#: An error above this is one that was not reached [m].
-_REACHED = 1e-9
+#: Above this an error was not reached [m]: by a redundant arm that was pulled, by one that follows the row before.
+_REACHED, _FOLLOWED = 1e-9, 1e-8
 
 #: Damping after the first step that failed, relative to the largest singular value; and when to give up.
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e3
 
-#: A joint this near to its limit is at it [rad or m].
-_AT_LIMIT = 1e-12
+#: A joint this near to its limit is at it; and joint values may pass their limits by so much [rad or m].
+_AT_LIMIT, _ROUNDING = 1e-12, 1e-9
 
 #: So many joints at their limits are told apart, all sets of them tried.
 _TRIED = 4
@@ -65,14 +73,19 @@ _ERROR_WEIGHT = 1e6
 #: Singular values below this, relative to the largest, are zero.
 _RANK = 1e-9
 
+#: A row follows the one before if no joint moves further than this [rad or m]; else all solutions are looked at.
+_NEAR = 0.5
+
+#: The same inside of a block of rows, the longest block, and the steps that what is near may take.
+_VERY_NEAR, _LONGEST_BLOCK, _FEW_STEPS = 0.1, 256, 15
+
+#: Sets of joint values that a solution is looked for from, and in how many steps.
+_SPREAD, _STEPS = 48, 30
+
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """What is matched, and what an angle counts.
-
-    Attributes:
-        name: One of `MATCHES`.
-        lever: The length that an angle of one radian counts as [m].
+    """What is matched, one of `MATCHES`, and the length that an angle of one radian counts as [m].
 
     Raises:
         ModelError: No such name, or a lever that is not a positive length.
@@ -113,23 +126,14 @@ class Matching:
 
     def misses(self, T_now: Array, T_wanted: Array) -> Array:
         """Distance [m] and angle [rad] between poses, shape (N, 2); the angle is NaN where it is not matched."""
-        distance = np.linalg.norm(T_wanted[:, :3, 3] - T_now[:, :3, 3], axis=1)
-        if self.name == POSITION:
-            return np.stack([distance, np.full(len(distance), np.nan)], axis=1)
-        relative = np.swapaxes(T_now[:, :3, :3], 1, 2) @ T_wanted[:, :3, :3]
-        angles = _tilt(relative[:, :, 2]) if self.name == AXIS else _turn(relative)
-        return np.stack([distance, np.linalg.norm(angles, axis=1)], axis=1)
+        error = self.error(T_now, T_wanted)
+        angle = np.linalg.norm(error[:, 3:], axis=1) / self.lever
+        distance = np.linalg.norm(error[:, :3], axis=1)
+        return np.stack([distance, angle if self.rows > 3 else np.full(len(angle), np.nan)], axis=1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solved:
-    """Joint values, one row for each pose that was wanted.
-
-    Attributes:
-        q: shape (N, m), as near to the wanted pose as was found [rad] or [m].
-        T_base_tool: shape (N, 4, 4), the pose there [m].
-        twists: shape (N, 6, m), how the tool moves with the joints there; see `Arm.motion`.
-    """
+class Solved(NamedTuple):
+    """Joint values (N, m) [rad or m], as near as was found; poses and twists there, see `Arm.motion`."""
 
     q: Array
     T_base_tool: Array
@@ -160,41 +164,24 @@ def solve(
         What was found; how far it is from what was wanted is for the caller to see, too.
     """
     redundant = start.shape[1] > matching.rows
-    first = _State.at(arm, T_wanted, start, matching, limits, pulled=redundant).run(steps)
+    first = _State(arm, T_wanted, start, matching, limits, pulled=redundant)
+    first.run(steps)
     left = np.linalg.norm(first.error, axis=1) > _REACHED
     if redundant and left.any():
         # Next to a singularity the pull can be in the way of what can be reached.
         kept = np.flatnonzero(left)
-        again = _State.at(arm, T_wanted[kept], start[kept], matching, limits, pulled=False).run(
-            steps
-        )
+        again = _State(arm, T_wanted[kept], start[kept], matching, limits, pulled=False)
+        again.run(steps)
         nearer = np.linalg.norm(again.error, axis=1) < np.linalg.norm(first.error[kept], axis=1)
-        taken = kept[nearer]
-        first.q[taken], first.poses[taken] = again.q[nearer], again.poses[nearer]
-        first.twists[taken] = again.twists[nearer]
+        first.take(kept[nearer], *(one[nearer] for one in (again.q, again.poses, again.twists)))
     return Solved(read_only(first.q), read_only(first.poses), read_only(first.twists))
 
 
-@dataclass(slots=True, eq=False)
 class _State:
     """Where the rows are; the only thing here that changes, and no one else holds it."""
 
-    arm: Arm
-    wanted: Array
-    start: Array
-    matching: Matching
-    limits: Array | None
-    q: Array
-    poses: Array
-    twists: Array
-    error: Array
-    pulled: bool
-    damping: Array
-    moving: Mask
-
-    @classmethod
-    def at(
-        cls,
+    def __init__(
+        self,
         arm: Arm,
         wanted: Array,
         start: Array,
@@ -202,25 +189,27 @@ class _State:
         limits: Array | None,
         *,
         pulled: bool,
-    ) -> _State:
+    ) -> None:
         """At the start; joint values beyond their limits are brought to them where the arm can do without."""
         if start.shape[1] <= matching.rows and matching.name != WEIGHTED:
             limits = None
-        q = start.copy() if limits is None else np.clip(start, limits[:, 0], limits[:, 1])
-        poses, twists = arm.motion(q)
-        error = matching.error(poses, wanted)
-        damping, moving = np.zeros(len(q)), np.ones(len(q), dtype=bool)
-        return cls(
-            arm, wanted, start, matching, limits, q, poses, twists, error, pulled, damping, moving
-        )
+        self.arm, self.wanted, self.start, self.matching = arm, wanted, start, matching
+        self.limits, self.pulled = limits, pulled
+        self.q = start.copy() if limits is None else np.clip(start, limits[:, 0], limits[:, 1])
+        self.poses, self.twists = arm.motion(self.q)
+        self.error = matching.error(self.poses, wanted)
+        self.damping, self.moving = np.zeros(len(start)), np.ones(len(start), dtype=bool)
 
-    def run(self, steps: int) -> _State:
+    def run(self, steps: int) -> None:
         """Steps until every row rests."""
         for _ in range(steps):
             if not self.moving.any():
                 break
             self.step()
-        return self
+
+    def take(self, rows: Indices, q: Array, poses: Array, twists: Array) -> None:
+        """Move some rows."""
+        self.q[rows], self.poses[rows], self.twists[rows] = q, poses, twists
 
     def step(self) -> None:
         """One step of every row that still moves."""
@@ -232,13 +221,8 @@ class _State:
         before = np.einsum("ni,ni->n", self.error[rows], self.error[rows])
         after = np.einsum("ni,ni->n", error, error)
         better = after <= np.maximum(before, _NOTHING**2)
-        taken = rows[better]
-        self.q[taken], self.poses[taken], self.twists[taken] = (
-            q[better],
-            poses[better],
-            twists[better],
-        )
-        self.error[taken] = error[better]
+        self.take(rows[better], q[better], poses[better], twists[better])
+        self.error[rows[better]] = error[better]
         still = np.abs(dq).max(axis=1) <= _STILL
         stalled = better & (after > _NOTHING**2) & (before - after <= _STALLED * after)
         self.damping[rows] = np.where(
@@ -342,3 +326,119 @@ def _tilt(z: Array) -> Array:
     # A direction straight back may be reached by any turn; about x is one.
     across[sine == 0.0] = [1.0, 0.0]
     return np.asarray(across / np.where(sine == 0.0, 1.0, sine)[:, None] * angle[:, None])
+
+
+def following(
+    arm: Arm,
+    T_wanted: Array,
+    start: Array,
+    matching: Matching,
+    progress: Callable[[int, int], None] | None = None,
+) -> Solved:
+    """Each row's solution follows the row before, and that of the first is the nearest to a start, shape (m,).
+
+    A path is followed in blocks, which grow as long as all goes well: rows of a block start at the row before it.
+
+    Args:
+        arm: The nominal arm.
+        T_wanted: shape (N, 4, 4), T_base_tool [m].
+        start: shape (m,), where the first row starts [rad] or [m].
+        matching: What of the poses is to be reached.
+        progress: Called with the number of rows done and of all.
+    """
+    low, high = full_ranges(arm.robot).T
+    unit = qmc.Sobol(len(low), scramble=False).random_base2(6)[:_SPREAD]
+    # Half a step inside: the first of the sequence is the corner where every joint is at its limit.
+    spread = low + (high - low) * (unit + 0.5 / _SPREAD)
+    limits = column_limits(arm.robot)
+    count = len(T_wanted)
+    q, poses = np.empty((count, len(start))), np.empty_like(T_wanted)
+    q[0], poses[0] = _nearest(arm, T_wanted[0], start, np.vstack([start, spread]), matching)
+    done, block = 1, 1
+    while done < count:
+        wanted, before = T_wanted[done : done + block], q[done - 1]
+        starts = np.tile(before, (len(wanted), 1))
+        solved = solve(arm, wanted, starts, matching, limits, steps=_FEW_STEPS)
+        good = _good(arm, solved.q, solved.T_base_tool, wanted, matching, limits)
+        jumps = np.abs(np.diff(np.vstack([before, solved.q]), axis=0)).max(axis=1)
+        good &= jumps <= (_NEAR if len(wanted) == 1 else _VERY_NEAR)
+        taken = len(good) if good.all() else int(np.argmin(good))
+        q[done : done + taken] = solved.q[:taken]
+        poses[done : done + taken] = solved.T_base_tool[:taken]
+        if not taken and block == 1:
+            seeds = np.vstack([before, spread])
+            q[done], poses[done] = _nearest(arm, wanted[0], before, seeds, matching)
+            taken = 1
+        done += taken
+        if progress is not None:
+            progress(done, count)
+        block = min(2 * block, _LONGEST_BLOCK) if taken == len(good) else 1
+    return Solved(read_only(q), read_only(poses), arm.motion(q)[1])
+
+
+def start_values(
+    robot: Robot, named: Mapping[str, float] | None, others: float | None = None
+) -> Array:
+    """Joint values to start near, shape (m,): those that are named, the others in the middle of their range.
+
+    Or all the others at one value [rad or m].
+
+    Raises:
+        ModelError: A joint that the chain does not have, or a value in a unit that is not the joint's.
+    """
+    values = full_ranges(robot).mean(axis=1)
+    if others is not None:
+        values[:] = others
+    for name, value in (named or {}).items():
+        if name not in robot.joint_names:
+            raise ModelError(
+                f"The chain has no joint '{name}' to start at{did_you_mean(name, robot.joint_names)}; it has "
+                f"{choices(robot.joint_names)}."
+            )
+        fault = unit_fault(value, slides=robot.joint_types[name] == "prismatic")
+        if fault:
+            raise ModelError(f"The value of '{name}' to start at {fault}.")
+        values[robot.joint_names.index(name)] = value
+    return read_only(values)
+
+
+def _nearest(
+    arm: Arm, T: Array, reference: Array, seeds: Array, matching: Matching
+) -> tuple[Array, Array]:
+    """Of the solutions that are found from some joint values the one nearest to a reference; or the best there is."""
+    limits = column_limits(arm.robot)
+    wanted = np.tile(T, (len(seeds), 1, 1))
+    solved = solve(arm, wanted, seeds, matching, limits, steps=_STEPS)
+    q = _turned_to(arm.robot, solved.q, reference, limits)
+    good = _good(arm, q, solved.T_base_tool, wanted, matching, limits)
+    distance = np.linalg.norm(q - reference, axis=1)
+    if good.any():
+        best = int(np.argmin(np.where(good, distance, np.inf)))
+    else:
+        error = np.linalg.norm(matching.error(solved.T_base_tool, wanted), axis=1)
+        best = int(np.argmin(error))
+    return q[best], solved.T_base_tool[best]
+
+
+def _good(
+    arm: Arm, q: Array, poses: Array, wanted: Array, matching: Matching, limits: Array
+) -> NDArray[np.bool_]:
+    """Which rows have reached what they can, inside the limits, shape (N,)."""
+    error = np.linalg.norm(matching.error(poses, wanted), axis=1)
+    may_be_left = matching.name == WEIGHTED and len(arm.robot.joint_names) < matching.rows
+    enough = max(_FOLLOWED, 2.0 * float(error.min())) if may_be_left else _FOLLOWED
+    inside = ((q >= limits[:, 0] - _ROUNDING) & (q <= limits[:, 1] + _ROUNDING)).all(axis=1)
+    return np.asarray((error <= enough) & inside, dtype=np.bool_)
+
+
+def _turned_to(robot: Robot, q: Array, reference: Array, limits: Array) -> Array:
+    """The same poses with each turning joint by whole turns as near to the reference as its limits allow."""
+    turn, (low, high) = 2.0 * np.pi, limits.T
+    free = [
+        robot.joint_types[name] != "prismatic" and set(np.abs(column)) <= {0.0, 1.0}
+        for name, column in zip(robot.joint_names, robot.coupling.T, strict=True)
+    ]
+    values = q - turn * np.round((q - reference) / turn)
+    values = np.where(values > high + _ROUNDING, values - turn, values)
+    values = np.where(values < low - _ROUNDING, values + turn, values)
+    return np.where(free, values, q)

@@ -19,6 +19,7 @@ from calib.errors import ModelError, choices
 from calib.families import Factor, JointState
 from calib.identify.prediction import Larger
 from calib.identify.result import Calibration
+from calib.measure.orientation import no_rotation
 from calib.model.error_model import axis_twists, error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import TIP, ErrorModel, Parameter
@@ -27,8 +28,6 @@ from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload
 
 Array = NDArray[np.float64]
-
-_NO_ROTATION = 1e-6
 
 #: The family that moves a measured joint, and with it all joints that follow it.
 _GAIN = "gain"
@@ -69,20 +68,21 @@ class Arm:
         sizes: Array | None = None,
         load: Callable[[Array], Array] | None = None,
     ) -> Arm:
-        """A robot whose joints err with their state, or not.
-
-        Args:
-            robot: The robot, with the errors of its geometry.
-            T_tip_tool: shape (4, 4), [m].
-            terms: The errors of its joints.
-            sizes: shape (len(terms),), their values.
-            load: See the class.
-        """
+        """A robot, with the errors of its joints that change with their state and their values (len(terms),)."""
         values = np.zeros(0) if sizes is None else np.asarray(sizes)
         directions = dict(
             zip((joint.name for joint in robot.joints), axis_twists(robot), strict=True)
         )
-        factor = Factor("motion", _moved(terms, values), slope=None)
+
+        def moved(state: JointState) -> Array:
+            """How far a joint moves where its value changes by one: 1, and the slopes of its own errors."""
+            number = np.ones(len(state.values))
+            for term, size in zip(terms, values, strict=True):
+                if term.place == state.joint and term.factor and term.factor.slope:
+                    number += size * term.factor.slope(state)
+            return number
+
+        factor = Factor("motion", moved, slope=None)
         motions = [
             Parameter(f"{n}.motion", "1", n, directions.get(n, np.zeros(6)), _GAIN, factor=factor)
             for n in robot.joint_names
@@ -97,15 +97,7 @@ class Arm:
     def of_larger(
         cls, larger: Larger, nominal: Robot, T_tip_tool: Array, payload: Payload | None = None
     ) -> Arm:
-        """The robot of a larger model.
-
-        Args:
-            larger: The larger model of a result.
-            nominal: The robot that the result began with.
-            T_tip_tool: shape (4, 4), [m].
-            payload: What the tip carries; None: what it carried when it was calibrated.
-
-        """
+        """The robot of a result's larger model, with another payload than at its calibration if one is given."""
         model, x = larger.model, larger.x
         displacements, _ = model.displacements(x)
         order = [model.places.index(name) for name in (*(j.name for j in nominal.joints), TIP)]
@@ -125,20 +117,10 @@ class Arm:
         return self.kinematics.poses(self.x, self._samples(q))
 
     def motion(self, q: Array) -> tuple[Array, Array]:
-        """T_base_tool, and the tool's velocity in a unit of each measured joint.
+        """T_base_tool at joint values (N, m), shape (N, 4, 4), and the tool's velocity with each, (N, 6, m).
 
-        How the load changes with q is left out of the velocity: it is a part in a thousand of it, and costs an
-        iteration where joint values are looked for, no accuracy.
-
-        Args:
-            q: shape (N, m), [rad] or [m], in the order of ``robot.joint_names``.
-
-        Returns:
-            shape (N, 4, 4), [m]; and shape (N, 6, m), twists along the tool's own axes, linear first [m or rad per
-            rad or m].
-
-        Raises:
-            ModelError: ``q`` has not one column for each joint, or a value is not finite.
+        Twists are along the tool's own axes, linear first [m or rad per rad or m]. How the load changes with q is left
+        out of them: it is a part in a thousand, and costs an iteration where joint values are looked for, no accuracy.
         """
         poses, twists = self.kinematics.twists(self.x, self._samples(q))
         back = np.swapaxes(poses[:, :3, :3], 1, 2)
@@ -148,19 +130,6 @@ class Arm:
     def _samples(self, q: Array) -> Samples:
         """Joint values with their loads."""
         return Samples.at(q, None if self.load is None else self.load(q))
-
-
-def _moved(terms: tuple[Parameter, ...], sizes: Array) -> Callable[[JointState], Array]:
-    """How far a joint moves where its value changes by one: 1, and the slopes of its own errors."""
-
-    def number(state: JointState) -> Array:
-        moved = np.ones(len(state.values))
-        for term, size in zip(terms, sizes, strict=True):
-            if term.place == state.joint and term.factor and term.factor.slope:
-                moved += size * term.factor.slope(state)
-        return moved
-
-    return number
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,11 +173,7 @@ class Pair:
         return float(max(lengths.sum() + tool, 1e-3))
 
     def std(self, q: Array) -> Array:
-        """How sure it is where the actual robot puts the tool, shape (N, 2), [m], [rad]; NaN where nothing is known.
-
-        Args:
-            q: shape (N, m), joint values [rad] or [m].
-        """
+        """How sure it is where the actual robot puts the tool at q (N, m), shape (N, 2), [m], [rad]; NaN if unknown."""
         if self.result is None:
             return np.full((len(q), 2), np.nan)
         T_tip_tool = self.actual.T_tip_tool
@@ -230,51 +195,9 @@ def pair_of(
         ModelError: No nominal robot, one with other joints, or a tool or frame that there is not.
         UrdfError: The robot lacks joints of the result.
     """
-    if isinstance(calibration, Calibration):
-        nominal = calibration.nominal if nominal is None else nominal
-    if nominal is None:
-        raise ModelError(
-            "Commands need the robot as its controller has it, beside the calibrated one. Give it too."
-        )
     if isinstance(calibration, Robot):
         return _of_robots(nominal, calibration, tool, frame)
-    return _of_result(nominal, calibration, tool, frame, payload, larger=larger)
-
-
-def _of_robots(
-    nominal: Robot,
-    corrected: Robot,
-    tool: ArrayLike | str | None,
-    frame: ArrayLike | str | None,
-) -> Pair:
-    """Of two robots; they know no targets and no set-ups."""
-    for name, what in ((tool, "tool"), (frame, "frame")):
-        if isinstance(name, str):
-            raise ModelError(
-                f"The {what} is to be '{name}' of a calibration, but two robots were given and no result. Give the "
-                f"{what}'s pose, or the result."
-            )
-    actual = corrected.rebuilt(base=nominal.base, tip=nominal.tip)
-    if actual.joint_names != nominal.joint_names:
-        raise ModelError(
-            f"The corrected robot '{actual.name}' has the joints {choices(actual.joint_names)} from '{actual.base}' to "
-            f"'{actual.tip}', the nominal robot '{nominal.name}' has {choices(nominal.joint_names)}. Give two URDFs of "
-            "one robot."
-        )
-    T_tip_tool, T_frame_base = _pose(tool, "tool"), _pose(frame, "frame")
-    return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), T_frame_base)
-
-
-def _of_result(
-    nominal: Robot,
-    result: Calibration,
-    tool: ArrayLike | str | None,
-    frame: ArrayLike | str | None,
-    payload: Payload | None,
-    *,
-    larger: bool,
-) -> Pair:
-    """Of a result; the robot is the controller's. The corrected one stands for the one that it began with."""
+    result, nominal = calibration, nominal or calibration.nominal
     began, corrected = result.uncorrected(nominal), result.corrected(nominal)
     model = result.larger if larger else None
     known = result.setup if model is None else model.setup
@@ -300,63 +223,71 @@ def _of_result(
     )
     if payload is not None and actual.load is None:
         raise ModelError(
-            "A payload is given, but the model has no compliances: its commands would be the same with any. Leave the "
-            "payload out."
+            "A payload is given, but the model in use has no compliances: its commands would be the same with any. "
+            "Leave the payload out; 'calib fit --model dh+compliance' estimates compliances."
         )
-    return Pair(
-        Arm.of(began if _same_origins(nominal, corrected) else nominal, T_nominal),
-        actual,
-        T_frame_base,
-        target=target,
-        set_up=set_up,
-        result=result,
-    )
+    # The corrected robot stands for the one that the result began with.
+    own = Arm.of(began if differing_joint(nominal, corrected) is None else nominal, T_nominal)
+    return Pair(own, actual, T_frame_base, target=target, set_up=set_up, result=result)
 
 
-def _same_origins(a: Robot, b: Robot) -> bool:
-    """Whether the joints of two chains have the same origins, up to rounding."""
+def _of_robots(
+    nominal: Robot | None,
+    corrected: Robot,
+    tool: ArrayLike | str | None,
+    frame: ArrayLike | str | None,
+) -> Pair:
+    """Of two robots; they know no targets and no set-ups."""
+    if nominal is None:
+        raise ModelError(
+            "Commands need the robot as its controller has it, beside the calibrated one. Give it too."
+        )
+    for name, what in ((tool, "tool"), (frame, "frame")):
+        if isinstance(name, str):
+            raise ModelError(
+                f"The {what} is to be '{name}' of a calibration, but two robots were given and no result. Give the "
+                f"{what}'s pose, or the result."
+            )
+    actual = corrected.rebuilt(base=nominal.base, tip=nominal.tip)
+    if actual.joint_names != nominal.joint_names:
+        raise ModelError(
+            f"The corrected robot '{actual.name}' has the joints {choices(actual.joint_names)} from '{actual.base}' to "
+            f"'{actual.tip}', the nominal robot '{nominal.name}' has {choices(nominal.joint_names)}. Give two URDFs of "
+            "one robot."
+        )
+    T_tip_tool, T_frame_base = _pose(tool, "tool"), _pose(frame, "frame")
+    return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), T_frame_base)
+
+
+def differing_joint(a: Robot, b: Robot) -> str | None:
+    """A joint whose origin is not the same in two robots of the same joints, up to rounding; None without one."""
     others = b.origins()
-    return all(np.abs(T - others[name]).max() <= _SAME for name, T in a.origins().items())
+    far = (name for name, T in a.origins().items() if np.abs(T - others[name]).max() > _SAME)
+    return next(far, None)
 
 
 def _name(names: Sequence[str], name: str, what: str) -> str:
-    """The name that is meant: the only one there is for the empty name.
-
-    Raises:
-        ModelError: There is none, or a name is wanted.
-    """
+    """The name that is meant: the only one there is for the empty name."""
     if name in names:
         return name
     if not name and len(names) == 1:
         return names[0]
-    message = f"The calibration has no {what} '{name}'; it has {choices(names)}."
-    if not name:
-        message = f"The calibration has {len(names)} {what}s: {choices(names)}. Name one of them."
-    raise ModelError(message)
+    meant = f"no {what} '{name}'; it has" if name else f"{len(names)} {what}s:"
+    raise ModelError(
+        f"The calibration has {meant} {choices(own or 'the one without a name' for own in names)}. Name one of them."
+    )
 
 
 def _pose(given: ArrayLike | None, what: str) -> Array:
-    """A pose, shape (4, 4), from a pose or from a position, shape (3,), [m]; the identity of nothing.
-
-    Raises:
-        ModelError: Neither.
-    """
+    """A pose, shape (4, 4), from a pose or from a position, shape (3,), [m]; the identity of nothing."""
     T = np.eye(4)
-    if given is None:
-        return read_only(T)
-    values = np.asarray(given, dtype=np.float64)
-    if values.shape == (3,) and np.isfinite(values).all():
+    values = T if given is None else np.asarray(given, dtype=np.float64)
+    if values.shape == (3,):
         T[:3, 3] = values
-        return read_only(T)
-    if values.shape != (4, 4) or not np.isfinite(values).all():
+        values = T
+    if values.shape != (4, 4) or not np.isfinite(values).all() or no_rotation(values[None, :3, :3]):
         raise ModelError(
-            f"The {what} has the shape {values.shape}; a pose (4, 4) or a position (3,), of finite numbers, "
-            "is wanted."
-        )
-    R = values[:3, :3]
-    if np.abs(R.T @ R - np.eye(3)).max() > _NO_ROTATION or np.linalg.det(R) < 0.0:
-        raise ModelError(
-            f"The upper left block of the {what}'s pose is no rotation; its columns must be unit vectors at right "
-            "angles, right-handed."
+            f"The {what} has the shape {values.shape}; a pose (4, 4) or a position (3,), of finite numbers and with a "
+            "right-handed rotation, is wanted."
         )
     return read_only(values)

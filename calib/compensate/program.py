@@ -7,7 +7,7 @@ may be missing, and columns that mean nothing here are kept.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,18 +15,41 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.compensate.program_columns import FORMS, GIVEN, ROLL_PITCH_YAW, ProgramColumns
 from calib.errors import MeasurementError, ModelError, choices
-from calib.measure.columns import QUATERNION
-from calib.measure.orientation import to_matrices, wrong_length
-from calib.measure.table import Table
+from calib.measure.columns import (
+    POINT,
+    QUATERNION,
+    ROLL_PITCH_YAW,
+    ROTATION_VECTOR,
+    STATUS,
+    Column,
+    close_names,
+    list_columns,
+    name_columns,
+    with_unit,
+    without_unit,
+)
+from calib.measure.layout import Layout
+from calib.measure.orientation import no_rotation
+from calib.measure.table import Row, Table
 from calib.measure.values import Values
 from calib.model.robot import Robot, read_only
+from calib.units import split_header
 
 Array = NDArray[np.float64]
 
-#: A rotation matrix may differ from one by this: poses come from files with rounded numbers.
-_NO_ROTATION = 1e-6
+#: The forms of an orientation, and what a message calls them; angles are about fixed axes: Rz(yaw) Ry(pitch) Rx(roll).
+FORMS = {
+    ROTATION_VECTOR: "a rotation vector",
+    QUATERNION: "a quaternion",
+    ROLL_PITCH_YAW: "roll, pitch and yaw",
+}
+
+#: What stands before the names of columns that say what was changed, in a table of commands.
+CORRECTION = "correction "
+
+#: What a program may be where a table has both.
+GIVEN = ("joints", "poses")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +64,6 @@ class Program:
             robot reaches at ``q``.
         oriented: Whether ``T_wanted`` says the orientation too, or the position alone.
         kept: Other columns of the table, header and cells, that go into the commands unchanged.
-        source: Name of the file, for messages; empty if there is none.
         form: How the file's orientations were read, in words; empty if there are none.
 
     Raises:
@@ -53,24 +75,35 @@ class Program:
     T_wanted: Array | None = None
     oriented: bool = True
     kept: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    source: str = ""
     form: str = ""
 
     def __post_init__(self) -> None:
         """Copy the arrays and check them."""
-        count = len(self.labels)
-        if self.q is None and self.T_wanted is None:
+        if not self.labels or (self.q is None and self.T_wanted is None):
             raise ModelError(
-                "A program has neither joint values nor poses. Give one of them, or both."
+                "A program has rows of joint values, of poses, or of both. Give one at least."
             )
-        if not count:
-            raise ModelError("A program has no rows. Give at least one.")
-        if self.q is not None:
-            object.__setattr__(self, "q", _checked(self.q, count, 2, "joint values"))
-        if self.T_wanted is not None:
-            poses = _checked(self.T_wanted, count, 3, "poses")
-            _check_rotations(poses, self.labels)
-            object.__setattr__(self, "T_wanted", poses)
+        for name, what, own in (("q", "joint values", ()), ("T_wanted", "poses", (4, 4))):
+            if getattr(self, name) is None:
+                continue
+            values = read_only(getattr(self, name))
+            wanted = (len(self.labels), *(own or values.shape[1:2]))
+            if values.shape != wanted or values.ndim < 2:
+                raise ModelError(
+                    f"The {what} of a program have the shape {values.shape}; {'(N, 4, 4)' if own else '(N, m)'} is "
+                    f"wanted, with N = {len(self.labels)}."
+                )
+            wrong = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+            if own:
+                wrong |= no_rotation(values[:, :3, :3])
+                wrong |= (values[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1)
+            if wrong.any():
+                is_what = "finite numbers, a rotation and the row 0 0 0 1" if own else "numbers"
+                raise ModelError(
+                    f"The {what} of {self.labels[int(np.argmax(wrong))]} of a program are not all finite: {is_what} "
+                    "are wanted."
+                )
+            object.__setattr__(self, name, values)
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -78,11 +111,7 @@ class Program:
 
     @classmethod
     def of_joints(cls, q: ArrayLike) -> Program:
-        """A program of joint values made for the nominal robot.
-
-        Args:
-            q: shape (N, m) or (m,), [rad] or [m].
-        """
+        """A program of joint values made for the nominal robot, shape (N, m) or (m,), [rad] or [m]."""
         values = np.atleast_2d(np.asarray(q, dtype=np.float64))
         return cls(_counted(len(values)), q=values)
 
@@ -95,20 +124,15 @@ class Program:
             q: shape (N, m) or (m,), where to start looking for joint values [rad] or [m].
         """
         poses = np.reshape(np.asarray(T_wanted, dtype=np.float64), (-1, 4, 4))
-        return cls(_counted(len(poses)), _rows(q), poses)
+        starts = None if q is None else np.atleast_2d(np.asarray(q, dtype=np.float64))
+        return cls(_counted(len(poses)), starts, poses)
 
     @classmethod
     def of_points(cls, points: ArrayLike, q: ArrayLike | None = None) -> Program:
-        """A program of positions of the tool, orientation left free.
-
-        Args:
-            points: shape (N, 3) or (3,), [m].
-            q: shape (N, m) or (m,), where to start looking for joint values [rad] or [m].
-        """
-        positions = np.reshape(np.asarray(points, dtype=np.float64), (-1, 3))
-        poses = np.tile(np.eye(4), (len(positions), 1, 1))
-        poses[:, :3, 3] = positions
-        return cls(_counted(len(poses)), _rows(q), poses, oriented=False)
+        """A program of positions of the tool, shape (N, 3) or (3,) [m], orientation left free; ``q`` as of poses."""
+        poses = _unturned(np.reshape(np.asarray(points, dtype=np.float64), (-1, 3)))
+        starts = None if q is None else np.atleast_2d(np.asarray(q, dtype=np.float64))
+        return cls(_counted(len(poses)), starts, poses, oriented=False)
 
 
 def _counted(count: int) -> tuple[str, ...]:
@@ -116,44 +140,11 @@ def _counted(count: int) -> tuple[str, ...]:
     return tuple(f"row {i + 1}" for i in range(count))
 
 
-def _rows(q: ArrayLike | None) -> Array | None:
-    """Joint values as rows."""
-    return None if q is None else np.atleast_2d(np.asarray(q, dtype=np.float64))
-
-
-def _checked(values: Array, count: int, dimensions: int, what: str) -> Array:
-    """A read-only copy of finite numbers, one row for each label."""
-    array = read_only(values)
-    fits = array.ndim == dimensions and len(array) == count
-    if not fits or (dimensions == 3 and array.shape[1:] != (4, 4)):
-        wanted = "(N, 4, 4)" if dimensions == 3 else "(N, m)"
-        raise ModelError(
-            f"The {what} of a program have the shape {array.shape}; {wanted} is wanted, with N = {count}."
-        )
-    if not np.isfinite(array).all():
-        row = int(np.argwhere(~np.isfinite(array))[0, 0])
-        raise ModelError(f"The {what} of row {row + 1} of a program are not all finite numbers.")
-    return array
-
-
-def _check_rotations(poses: Array, labels: Iterable[str]) -> None:
-    """Refuse matrices that are no poses."""
-    R = poses[:, :3, :3]
-    defect = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    wrong = (
-        (defect > _NO_ROTATION)
-        | (np.linalg.det(R) < 0.0)
-        | (poses[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1)
-    )
-    for row, label in zip(wrong, labels, strict=True):
-        if row:
-            raise ModelError(
-                f"The pose of {label} of a program is none: its upper left block must be a rotation and its last row "
-                "0 0 0 1."
-            )
-
-
-# A program as a table
+def _unturned(points: Array) -> Array:
+    """Poses at points (N, 3), axes along those of the frame, shape (N, 4, 4)."""
+    poses = np.tile(np.eye(4), (len(points), 1, 1))
+    poses[:, :3, 3] = points
+    return poses
 
 
 def read_program(
@@ -179,70 +170,127 @@ def read_program(
             f"A program cannot be given as '{given}'; it is one of {choices(GIVEN)}."
         )
     table = Table.read(path)
-    found = ProgramColumns.of(table, robot, columns or {}, given)
-    values = Values.read(table, found.layout())
-    _check_positions(table, values)
-    m = len(found.joints)
-    poses = _poses(table, values, found) if found.points else None
-    kept, labels = _words(table, found)
+    rows = list(table.rows())
+    names = robot.joint_names
+    named, _ = name_columns(table, names, columns or {})
+    old = {CORRECTION + name for name in ("position", "angle", *names)} & set(named)
+    if old and given is None:
+        raise MeasurementError(
+            f"{table.source}: these are commands that calib compensate wrote: they are corrected already. Give the "
+            "program that they were made from; or --given joints or --given poses, if these are to be corrected once "
+            "more."
+        )
+    filled = {i for row in rows for i, cell in enumerate(row.cells) if cell}
+
+    def block(wanted: Sequence[str], what: str) -> tuple[Column, ...]:
+        """The columns of these names, all or none; none if no cell is filled in, as in a plan of poses."""
+        own = [named[n] for n in wanted if n in named and (wanted is names or n not in names)]
+        if own and len(own) < len(wanted):
+            raise MeasurementError(_incomplete(table, named, wanted, own, what))
+        return tuple(own) if not rows or {column.index for column in own} & filled else ()
+
+    joints = block(names, f"the chain '{robot.base}' to '{robot.tip}'")
+    points = block(POINT, "a position")
+    forms = [form for form, what in FORMS.items() if block(form, what)]
+    if not {"joints": joints, "poses": points, None: joints or points}[given]:
+        missing = {"joints": "joint values", "poses": "positions"}.get(given or "")
+        missing = missing or f"joint values and {'an orientation but ' * bool(forms)}no positions"
+        raise MeasurementError(
+            f"{table.source}: there are no {missing}, or all their cells are empty. {list_columns(table)} A program "
+            f"has a column for each joint, such as '{names[0] if names else 'joint_1'} [deg]', or 'x [mm]', 'y [mm]', "
+            "'z [mm]' and an orientation; another name is mapped by --columns \"name in the table=x [mm]\"."
+        )
+    if len(forms) > 1:
+        said = " and as ".join(f"{FORMS[form]} ({', '.join(form)})" for form in forms)
+        raise MeasurementError(
+            f"{table.source}: the orientation is there twice, as {said}. Leave one out: --columns "
+            f'"{forms[1][0]}=-" and so on.'
+        )
+    meant = [n for form in (POINT, *FORMS) for n in form if n not in names and n in named]
+    used = {named[name].index for name in (*meant, *old, *names, STATUS) if name in named}
+    # A column without a name is kept if anything stands in it: separators at the end of each line are none.
+    unread = {column.index for column in named.values()} - used
+    unread |= {i for i, label in enumerate(table.header) if not label and i in filled}
+    if given == "joints":
+        points = ()
+    form = forms[0] if forms and points else ()
     return Program(
-        labels=labels,
-        q=values.joints[:, :m] if m else None,
-        T_wanted=poses,
-        oriented=bool(found.form) or not found.points,
-        kept=kept,
-        source=table.source,
-        form=FORMS[found.form] if found.form else "",
+        labels=_labels(rows, named.get("row")),
+        **_numbers(table, robot, joints, points, [named[name] for name in form], form),
+        oriented=bool(form) or not points,
+        kept=tuple((table.header[i], tuple(row.cells[i] for row in rows)) for i in sorted(unread)),
+        form=FORMS.get(form, ""),
     )
 
 
-def _words(
-    table: Table, found: ProgramColumns
-) -> tuple[tuple[tuple[str, tuple[str, ...]], ...], tuple[str, ...]]:
-    """The kept columns with their cells, and what messages call each row."""
-    rows = list(table.rows())
-    kept = tuple((label, tuple(row.cells[i] for row in rows)) for i, label in found.kept)
-    own = [row.cells[found.row.index] for row in rows] if found.row is not None else []
+def _incomplete(
+    table: Table,
+    named: Mapping[str, Column],
+    wanted: Sequence[str],
+    own: Sequence[Column],
+    what: str,
+) -> str:
+    """What to say of a table that has some columns of a position, of an orientation, or of the joints."""
+    there = [column.name for column in own]
+    missing = [name for name in wanted if name not in there]
+    free = [name for name in named if name not in there]
+    close = dict.fromkeys(hit for name in missing for hit in close_names(name, free)[:1])
+    hint = f" Close to them: {choices(close)}." if close else ""
+    left_out = " ".join(f'--columns "{split_header(c.label)[0]}=-"' for c in own)
+    return (
+        f"{table.source}: {what} has the columns {', '.join(wanted)}; {choices(missing)} "
+        f"{'is' if len(missing) == 1 else 'are'} missing. {list_columns(table)}{hint} Map another name with --columns "
+        f'"name in the table={missing[0]}", hold a joint that stands still with --hold, or leave out what is there '
+        f"with {left_out}."
+    )
+
+
+def _labels(rows: Sequence[Row], column: Column | None) -> tuple[str, ...]:
+    """What messages call each row: by the column ``row`` where that tells them apart."""
+    own = [] if column is None else [row.cells[column.index] for row in rows]
     if not own or len(set(own)) < len(own) or "" in own:
         own = [str(row.ordinal) for row in rows]
-    return kept, tuple(f"row {name}" for name in own)
+    return tuple(f"row {name}" for name in own)
 
 
-def _check_positions(table: Table, values: Values) -> None:
-    """Refuse rows without a position: a program wants one in each."""
+def _numbers(
+    table: Table,
+    robot: Robot,
+    joints: Sequence[Column],
+    points: Sequence[Column],
+    turns: Sequence[Column],
+    form: tuple[str, ...],
+) -> dict[str, Array | None]:
+    """Joint values and poses of the rows, in SI units; roll, pitch and yaw are read as joint values are."""
+    by_angles = form == ROLL_PITCH_YAW
+    if form == QUATERNION:
+        turns = [without_unit(table, column) for column in turns]
+    else:
+        common = "deg" if by_angles else "rad"
+        turns = [with_unit(table, c, "angle", FORMS[form], common) for c in turns]
+    own = []
+    for column in joints:
+        kind = robot.joint_types[column.name]
+        quantity = "length" if kind == "prismatic" else "angle"
+        own.append(with_unit(table, column, quantity, f"{kind} joint '{column.name}'"))  # type: ignore[arg-type]
+    blocks = {
+        "joints": (*own, *(turns if by_angles else ())),
+        "points": tuple(with_unit(table, column, "length") for column in points),
+        "orientation": () if by_angles else tuple(turns),
+    }
+    kind = "fixed" if not points else "pose" if blocks["orientation"] else "point"
+    empty = dict.fromkeys(("torques", "distance", "sigma", "sigma_angle"), ())
+    values = Values.read(table, Layout({}, (), {**empty, **blocks}, (kind,), ()))
     if values.unmeasured:
         row = next(row for row in table.rows() if row.ordinal == values.unmeasured[0])
         raise MeasurementError(
             f"{table.source}, line {row.line} (row {row.ordinal}): there is no position, all its cells are empty, "
-            f"while other rows have one. Fill it in, or remove the row; {len(values.unmeasured)} of "
-            f"{len(values.unmeasured) + len(values.rows)} rows are so."
+            "while other rows have one. Fill it in, or remove the row."
         )
-
-
-def _poses(table: Table, values: Values, found: ProgramColumns) -> Array:
-    """The poses of the rows, shape (N, 4, 4), [m]; without an orientation, unturned."""
-    poses = np.tile(np.eye(4), (len(values.points), 1, 1))
-    poses[:, :3, 3] = values.points
-    turns = values.joints[:, len(found.joints) :]
-    if found.form == ROLL_PITCH_YAW:
-        poses[:, :3, :3] = Rotation.from_euler("xyz", turns).as_matrix()
-    elif found.form == QUATERNION:
-        _check_lengths(table, turns)
-        poses[:, :3, :3] = to_matrices(turns)
-    elif values.rotations is not None:
+    poses = _unturned(values.points) if points else None
+    if poses is not None and by_angles:
+        angles = values.joints[:, len(joints) :]
+        poses[:, :3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
+    elif poses is not None and values.rotations is not None:
         poses[:, :3, :3] = values.rotations
-    return poses
-
-
-def _check_lengths(table: Table, quaternions: Array) -> None:
-    """Refuse quaternions that have not length one."""
-    wrong = wrong_length(quaternions)
-    if wrong is None:
-        return
-    at, length = wrong
-    row = list(table.rows())[at]
-    raise MeasurementError(
-        f"{table.source}, line {row.line} (row {row.ordinal}), columns qx, qy, qz, qw: the quaternion has the length "
-        f"{length:.6g}; that of an orientation is 1. Correct it; some controllers write w first: then map the columns "
-        "with --columns."
-    )
+    return {"q": values.joints[:, : len(joints)] if joints else None, "T_wanted": poses}

@@ -15,6 +15,10 @@ POINT = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")
 ROTATION_VECTOR = ("rx", "ry", "rz")
 ORIENTATION = (*ROTATION_VECTOR, *QUATERNION)
+ROLL_PITCH_YAW = ("roll", "pitch", "yaw")
+
+#: The column of a table of commands that says whether a row has one.
+STATUS = "status"
 WORDS = ("row", "set", "kind", "target", "group", "pair", "point")
 
 #: What the column ``set`` may say, and the name of a target that has none.
@@ -83,7 +87,7 @@ def name_columns(
         MeasurementError: a name of ``columns`` is not there, or two columns have one name.
     """
     found, mapped = _map_columns(table, columns)
-    meant = (*reserved(), *ORIENTATION)
+    meant = (*reserved(), *ORIENTATION, *ROLL_PITCH_YAW, STATUS)
     named: dict[str, Column] = {}
     groups: list[Column] = []
     for column in found:

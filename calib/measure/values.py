@@ -171,7 +171,7 @@ def _check_quaternions(
         raise MeasurementError(
             f"{table.source}, line {lines[i]} (row {rows[i]}), columns qx, qy, qz, qw: the quaternion "
             f"has the length {length:.6g}; that of an orientation is 1. Correct it, or leave the "
-            "orientation out with --kind point."
+            'orientation out with --columns "qx=-" and so on.'
         )
 
 

@@ -6,21 +6,13 @@ import re
 
 import pytest
 
-from calib.cli import compensate_setup, simulate_options
+from calib.cli import simulate_options
 from calib.errors import CalibError
 
 
 def refused(text: str):
     """The whole message, as it is printed."""
     return pytest.raises(CalibError, match=f"^{re.escape(text)}$")
-
-
-def test_starts_in_another_joints_unit(ur3):
-    with refused(
-        "--start: the value of 'elbow_joint' is a length, and the joint turns; give an angle, such "
-        'as "30 deg".'
-    ):
-        compensate_setup.parse_start(["elbow_joint=3 mm"], ur3)
 
 
 def test_steps_of_encoders_and_sizes_that_are_none():

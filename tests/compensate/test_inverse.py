@@ -1,15 +1,20 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from calib.compensate.inverse import Matching, solve
+from calib.compensate.inverse import Matching, following, solve, start_values
 from calib.compensate.nominal_actual import Arm
+from calib.errors import ModelError
 from calib.measure.ranges import column_limits
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
-from tests.compensate.arms import off
+from calib.units import Length
+from tests.compensate.arms import off, turned
 
 POSE = Matching("pose", 0.01)
 
@@ -199,3 +204,173 @@ def test_a_slow_row_does_not_hold_up_the_others(ur3):
     )
     assert np.array_equal(together.q[:3], alone.q)
     assert POSE.misses(together.T_base_tool, np.concatenate([wanted, hopeless]))[3, 0] > 1.0
+
+
+TWIST = st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6).map(np.array)
+
+
+def pose(twist: np.ndarray) -> np.ndarray:
+    return pin.exp6(np.asarray(twist, dtype=float)).homogeneous
+
+
+def stack(*poses: np.ndarray) -> np.ndarray:
+    return np.stack(poses)
+
+
+@given(TWIST, TWIST)
+def test_moving_by_the_error_arrives(first, second):
+    now, wanted = stack(pose(first)), stack(pose(second))
+    error = Matching("pose", 1.0).error(now, wanted)[0]
+    moved = now[0].copy()
+    moved[:3, 3] += now[0, :3, :3] @ error[:3]
+    moved[:3, :3] = now[0, :3, :3] @ pin.exp3(error[3:])
+    assert moved == pytest.approx(wanted[0], abs=1e-12)
+
+
+@given(TWIST, TWIST)
+def test_the_axis_arrives_by_the_least_turn(first, second):
+    now, wanted = stack(pose(first)), stack(pose(second))
+    error = Matching("axis", 1.0).error(now, wanted)[0]
+    R = now[0, :3, :3] @ pin.exp3(np.array([error[3], error[4], 0.0]))
+    assert R[:, 2] == pytest.approx(wanted[0, :3, 2], abs=1e-12)
+    between = np.arccos(np.clip(now[0, :3, 2] @ wanted[0, :3, 2], -1.0, 1.0))
+    assert np.linalg.norm(error[3:]) == pytest.approx(between, abs=1e-7)
+
+
+def test_a_direction_straight_back_is_half_a_turn():
+    back = pose([0, 0, 0, np.pi, 0, 0])
+    error = Matching("axis", 1.0).error(stack(np.eye(4)), stack(back))[0]
+    assert np.linalg.norm(error[3:]) == pytest.approx(np.pi)
+
+
+def test_an_angle_counts_as_a_length():
+    now, wanted = stack(np.eye(4)), stack(pose([0, 0, 0, 0.1, 0, 0]))
+    assert Matching("weighted", 0.02).error(now, wanted)[0, 3] == pytest.approx(0.002)
+    twists = np.ones((1, 6, 2))
+    assert Matching("weighted", 0.02).jacobian(twists)[0, :, 0].tolist() == [
+        1,
+        1,
+        1,
+        0.02,
+        0.02,
+        0.02,
+    ]
+    assert twists.min() == 1.0  # what was given is not changed
+
+
+def test_misses_are_a_distance_and_the_angle_that_is_matched():
+    now, wanted = stack(np.eye(4)), stack(pose([0, 0, 0, 0, 0, 0.3]))
+    wanted[:, :3, 3] = 0.0, 0.03, 0.04
+    assert Matching("pose", 1.0).misses(now, wanted)[0] == pytest.approx([0.05, 0.3])
+    assert Matching("weighted", 9.0).misses(now, wanted)[0] == pytest.approx([0.05, 0.3])
+    assert Matching("axis", 1.0).misses(now, wanted)[0] == pytest.approx([0.05, 0.0])
+    assert np.isnan(Matching("position", 1.0).misses(now, wanted)[0, 1])
+
+
+def test_an_unknown_name_is_refused_with_those_there_are():
+    with pytest.raises(ModelError, match="matched by 'poses'; choose one of 'pose', 'position'"):
+        Matching("poses", 1.0)
+
+
+@pytest.mark.parametrize("lever", [0.0, -1.0, np.nan, np.inf])
+def test_a_lever_is_a_length(lever):
+    with pytest.raises(ModelError, match="length greater than 0"):
+        Matching("weighted", lever)
+
+
+POSE = Matching("pose", 0.01)
+
+START = np.radians([-20.0, -80.0, 60.0, -70.0, -90.0, 10.0])
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    robot = Robot.load("ur3", base="base", tip="tool0")
+    return Arm.of(robot, turned(4, 0.1))
+
+
+def path(arm: Arm, count: int) -> np.ndarray:
+    """A straight line of 190 mm, orientation kept."""
+    poses = np.tile(arm.poses(START[None])[0], (count, 1, 1))
+    poses[:, :3, 3] += np.linspace(0.0, 1.0, count)[:, None] * [0.1, 0.15, -0.05]
+    return poses
+
+
+def test_near_is_the_solution_next_to_what_is_given(arm):
+    wanted = path(arm, 5)
+    found = solve(arm, wanted, np.tile(START, (5, 1)), POSE, column_limits(arm.robot))
+    assert found.T_base_tool == pytest.approx(wanted, abs=1e-12)
+    assert np.abs(found.q - START).max() < 0.7
+
+
+def test_a_path_is_followed_in_one_branch(arm):
+    wanted = path(arm, 300)
+    told: list[tuple[int, int]] = []
+    found = following(arm, wanted, START, POSE, lambda done, count: told.append((done, count)))
+    assert told[-1] == (300, 300)
+    assert sorted(told) == told
+    assert found.T_base_tool == pytest.approx(wanted, abs=1e-9)
+    assert found.q[0] == pytest.approx(START, abs=1e-9)
+    steps = np.abs(np.diff(found.q, axis=0)).max(axis=1)
+    assert steps.max() < 3.0 * np.median(steps)
+    # Row by row, as a simple loop would.
+    q = START[None]
+    for T in wanted[::100]:
+        q = solve(arm, T[None], q, POSE, column_limits(arm.robot)).q
+    assert found.q[200] == pytest.approx(q[0], abs=1e-9)
+
+
+def test_poses_far_from_each_other_are_found_all_the_same(arm):
+    q = np.radians(
+        [[20, -60, 70, -40, 60, 0], [150, -120, -70, 30, -60, 90], [-90, -20, 90, 0, 120, -100.0]]
+    )
+    found = following(arm, arm.poses(q), START, POSE)
+    assert found.T_base_tool == pytest.approx(arm.poses(q), abs=1e-8)
+    limits = column_limits(arm.robot)
+    assert ((found.q >= limits[:, 0]) & (found.q <= limits[:, 1])).all()
+
+
+def test_the_first_is_the_solution_nearest_to_the_start(arm):
+    wanted = arm.poses(START[None])
+    other = START + np.radians([0, 0, 0, 0, 0, -360.0])
+    assert following(arm, wanted, other, POSE).q[0] == pytest.approx(other, abs=1e-9)
+    # The wrist turned over is another way to hold the same pose.
+    flipped = following(arm, wanted, START * [1, 1, 1, 1, -1, 1] + [0, 0, 0, 0, 0, np.pi], POSE).q[
+        0
+    ]
+    assert arm.poses(flipped[None]) == pytest.approx(wanted[0][None], abs=1e-8)
+    assert np.abs(flipped - START).max() > 1.0
+    assert following(arm, wanted, flipped + 0.05, POSE).q[0] == pytest.approx(flipped, abs=1e-8)
+
+
+def test_what_cannot_be_reached_is_as_near_as_was_found(arm):
+    wanted = path(arm, 3)
+    wanted[1, :3, 3] += 5.0
+    found = following(arm, wanted, START, POSE)
+    misses = POSE.misses(found.T_base_tool, wanted)[:, 0]
+    assert misses[1] > 1.0
+    assert misses[[0, 2]].max() < 1e-8
+
+
+def test_the_start_is_named_or_in_the_middle(arm):
+    assert (
+        start_values(arm.robot, {"elbow_joint": 0.3}, others=0.1).tolist()
+        == [0.1] * 2 + [0.3] + [0.1] * 3
+    )
+    values = start_values(arm.robot, {"elbow_joint": 0.3})
+    assert values[2] == 0.3
+    assert values[[0, 1, 3, 4, 5]] == pytest.approx(0.0)
+    assert start_values(Robot.load("panda", tip="panda_link8"), None)[3] == pytest.approx(
+        -1.5708, abs=0.1
+    )
+
+
+def test_a_start_of_a_joint_that_is_not_there_is_refused(arm):
+    with pytest.raises(
+        ModelError, match=r"no joint 'elbow' to start at .*'elbow_joint'.*; it has 'shoulder_pan"
+    ):
+        start_values(arm.robot, {"elbow": 0.3})
+    with pytest.raises(
+        ModelError, match="'elbow_joint' to start at is a length, and the joint tur"
+    ):
+        start_values(arm.robot, {"elbow_joint": Length(0.3)})

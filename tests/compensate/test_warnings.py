@@ -63,7 +63,7 @@ def test_what_is_left_may_be_accepted(ur3):
     taken = commands(off(ur3), program, nominal=ur3, match="position", accept=enough)
     assert taken.reached.all()
     assert taken.left[0, 0] == refused.left[0, 0]
-    assert "the nominal robot cannot reach the pose itself" in taken.warnings[0]
+    assert "nominal" in [w.code for w in taken.warnings[0]]
     assert np.isnan(taken.q_nominal).all()
     assert np.isfinite(taken.T_send).all()
 
@@ -108,14 +108,12 @@ def test_near_a_singularity_is_said(ur3):
     q = np.tile(GOOD, (30, 1))
     q[:, 4] = np.linspace(0.005, 0.6, 30)
     found = commands(off(ur3), Program.of_joints(q), nominal=ur3)
-    said = np.array(
-        [any(w.startswith("near a singularity") for w in one) for one in found.warnings]
-    )
+    said = np.array([any(w.code == "singular" for w in one) for one in found.warnings])
     assert found.reached[2:].all()
     # One side is near, the other is not, and what is said is what happens: a millimetre takes so many degrees.
     assert said[2]
     assert not said[10:].any()
-    (warning,) = (w for w in found.warnings[2] if w.startswith("near"))
+    (warning,) = (str(w) for w in found.warnings[2] if w.code == "singular")
     by_length, by_angle = re.findall(
         r"may take ([\d.]+) deg of 'wrist|it ([\d.]+) deg of 'wrist", warning
     )
@@ -136,8 +134,8 @@ def test_near_a_singularity_is_said(ur3):
 
 def test_a_solution_in_another_branch_is_none(ur3):
     # Across the wrist's singularity: the true robot's lies on its other side.
-    q = np.tile(GOOD, (400, 1))
-    q[:, 4] = np.linspace(-0.03, 0.03, 400)
+    q = np.tile(GOOD, (120, 1))
+    q[:, 4] = np.linspace(-0.03, 0.03, 120)
     found = commands(off(ur3), Program.of_joints(q), nominal=ur3)
     sides = np.sign(found.q[:, 4]) == np.sign(q[:, 4])
     assert sides[found.reached].mean() > 0.95
@@ -152,7 +150,7 @@ def test_a_solution_in_another_branch_is_none(ur3):
 def test_large_corrections_are_said(ur3):
     found = commands(off(ur3), Program.of_joints(GOOD), nominal=ur3, limit=(1e-4, np.radians(0.01)))
     moved, turned = found.pose_corrections[0]
-    assert found.warnings[0] == (
+    assert tuple(map(str, found.warnings[0])) == (
         f"the pose moves by {1e3 * moved:.2f} mm, more than 0.1 mm",
         f"the pose turns by {np.degrees(turned):.2f} deg, more than 0.01 deg",
     )
@@ -164,9 +162,9 @@ def test_outside_of_what_was_measured_is_said(ur3):
     beyond = middle.copy()
     beyond[2] = made("paper").ranges[2, 1] + 0.5
     found = commands(made("paper"), Program.of_joints([middle, beyond]), nominal=ur3)
-    assert not any("outside" in w for w in found.warnings[0])
+    assert not any(w.code == "outside" for w in found.warnings[0])
     assert any(
-        w.startswith("outside the joint range that was measured: 'elbow_joint' ")
+        str(w).startswith("outside the joint range that was measured: 'elbow_joint' ")
         for w in found.warnings[1]
     )
 
@@ -174,16 +172,16 @@ def test_outside_of_what_was_measured_is_said(ur3):
 # What to know of a command
 
 
-def said(found, start: str) -> list[str]:
-    """For each row the words that begin so, or nothing."""
-    return [next((w for w in row if w.startswith(start)), "") for row in found.warnings]
+def said(found, code: str) -> list[str]:
+    """For each row the warning of that code, or nothing."""
+    return [next((str(w) for w in row if w.code == code), "") for row in found.warnings]
 
 
 def test_large_corrections_of_a_joint_are_said(ur3):
     q = np.tile(GOOD, (60, 1))
     q[:, 4] = np.linspace(0.02, 1.0, 60)
     found = commands(off(ur3, size=2.0), Program.of_joints(q), nominal=ur3)
-    words = said(found, "a joint is corrected by much")
+    words = said(found, "joint")
     corrections = np.degrees(np.abs(found.joint_corrections))
     reached = found.reached
     assert [bool(w) for w in np.array(words)[reached]] == (
@@ -203,7 +201,7 @@ def test_an_arm_that_turns_over_between_poses_is_said(ur3):
     turns[:, 5] = np.linspace(0.0, 2.6 * np.pi, count)
     start = dict(zip(ur3.joint_names, GOOD, strict=True))
     found = commands(off(ur3), Program.of_poses(ur3.poses(turns)), nominal=ur3, start=start)
-    words = said(found, "the arm turns over: from row")
+    words = said(found, "turns over")
     steps = np.abs(np.diff(found.q, axis=0)).max(axis=1)
     assert [bool(w) for w in words] == [False, *(steps > 0.5)]
     assert sum(map(bool, words)) == 1
@@ -217,7 +215,7 @@ def test_a_jump_is_said_also_across_rows_without_a_command(ur3):
     poses[34:42, :3, 3] += 5.0
     found = commands(off(ur3, seed=2), Program.of_poses(poses, q), nominal=ur3, match="pose")
     assert np.flatnonzero(~found.reached).tolist() == list(range(34, 42))
-    words = said(found, "a jump: from row")
+    words = said(found, "jump")
     (row,) = (i for i, w in enumerate(words) if w)
     moved = np.degrees(np.abs(found.q[42] - found.q[33]))
     assert row == 42
@@ -229,11 +227,11 @@ def test_a_jump_is_said_also_across_rows_without_a_command(ur3):
 
 def test_a_solution_far_from_what_was_given_is_said(ur3):
     found = commands(off(ur3), Program.of_poses(ur3.poses(GOOD), GOOD + 0.3), nominal=ur3)
-    assert not any(said(found, "far from"))
+    assert not any(said(found, "far"))
     wrong = GOOD.copy()
     wrong[0] += 1.2
     found = commands(off(ur3), Program.of_poses(ur3.poses(GOOD), wrong), nominal=ur3)
-    (words,) = said(found, "far from the joint values given: ")
+    (words,) = said(found, "far")
     assert words.endswith(" deg of 'shoulder_pan_joint'")
 
 
@@ -265,7 +263,7 @@ def test_an_angle_that_a_weighted_match_makes_worse_is_said(serial_urdf):
     q = np.tile([0.2, 0.02, 0.4], (30, 1))
     q[:, 1] = np.linspace(0.02, 1.2, 30)
     found = commands(off(three, size=2.0), Program.of_joints(q), nominal=three)
-    words = said(found, "the tool is turned by")
+    words = said(found, "turned")
     worse = found.left[:, 1] > found.missed[:, 1] + np.radians(0.2)
     assert [bool(w) for w in words] == (worse & found.reached).tolist()
     assert any(words)
@@ -336,5 +334,5 @@ def test_how_far_a_sliding_joint_may_have_to_go_is_said_in_millimetres(gantry: R
     placements[4] = placements[4] @ pin.exp6(np.array([1e-3, 2e-3, 0, 1e-3, 0, 2e-3])).homogeneous
     q = np.array([[0.1, 0.2, 0.3, 0.2, 0.004, 0.1]])
     found = commands(gantry.with_placements(placements), Program(("row 1",), q=q), nominal=gantry)
-    said = " ".join(found.warnings[0])
+    said = " ".join(map(str, found.warnings[0]))
     assert re.search(r"near a singularity: 1 mm of the tool may take \S+ mm of 'slide_[xyz]'", said)
