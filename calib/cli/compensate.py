@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from calib.calibration import Calibration
+    from calib.identify.result import Calibration
     from calib.model.robot import Robot
 
 #: The words for the tool that is the calibrated target, for poses in the robot's base, and for poses in the frame that
@@ -197,7 +197,8 @@ def compensate(
     from calib.compensate.commands import commands, write_commands
     from calib.compensate.program import read_program
 
-    check_outputs([output], [robot, program, *filter(None, (calibration, corrected))], force=force)
+    inputs = [robot, program, *(name for name in (calibration, corrected) if name)]
+    check_outputs([output], inputs, force=force)
     renamed = parse_columns(columns or [])
     robots = robots_of(
         robot, calibration, corrected, program, renamed, (base, tip), parse_held(hold or [])
@@ -218,7 +219,7 @@ def compensate(
             limit=parse_sizes(limit, "--limit", (1e6, 6.3)),
             accept=parse_sizes(accept, "--accept", (1e-8, 1e-8)),
             larger=not geometry,
-            payload=payload and parse_payload(payload, larger and larger.payload),
+            payload=parse_payload(payload, larger.payload if larger else None) if payload else None,
             progress=progress,
         )
     if not found.reached.all() and (not skip or not found.reached.any()):

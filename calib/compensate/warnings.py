@@ -163,7 +163,9 @@ def warnings_of(
     robot, shown = pair.actual.robot, np.array([1e3, 180.0 / np.pi])
     said: list[list[Warned]] = [[] for _ in program.labels]
 
-    def say(code: str, rows: Mask, *columns: Sequence[float | str] | Array | float) -> None:
+    def say(
+        code: str, rows: Mask | np.bool_, *columns: Sequence[float | str] | Array | float
+    ) -> None:
         """A warning of some rows: its numbers, for each row or for all; of values of joints the largest."""
         for row in np.flatnonzero(rows & reached).tolist():
             own = [c if isinstance(c, float) else c[row] for c in columns]
@@ -226,7 +228,7 @@ def _near_singularity(
         inverse = np.linalg.pinv(motion, rcond=1e-12)
         by_length = np.linalg.norm(inverse[:, :, :3], axis=2)
         by_angle = np.linalg.norm(inverse[:, :, 3:], axis=2)
-        worst.append([1e-3 * by_length, np.radians(0.1) * by_angle])
+        worst.append(np.stack([1e-3 * by_length, np.radians(0.1) * by_angle]))
         motion[:, :3] /= pair.reach
         smallest.append(np.linalg.svd(motion, compute_uv=False)[:, -1])
     return np.minimum(*smallest) < NEAR_SINGULAR, np.maximum(*worst)
