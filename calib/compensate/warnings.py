@@ -208,7 +208,8 @@ def warnings_of(
     if pair.result is not None:
         for outside in pair.result.outside_of_measured(solved.q):
             if reached[outside.index]:
-                joints = ", ".join(map(str, outside.beyond))
+                far = [(one.joint, one.by, *_shown(robot, one.joint)) for one in outside.beyond]
+                joints = ", ".join(f"'{n}' {scale * by:.3g} {unit}" for n, by, scale, unit in far)
                 said[outside.index].append(Warned("outside", (joints,)))
     return tuple(map(tuple, said))
 
