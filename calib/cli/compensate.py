@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -15,25 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from calib.identify.result import Calibration
-    from calib.model.robot import Robot
-
-#: The words for the tool that is the calibrated target, for poses in the robot's base, and for poses in the frame that
-#: the points were measured in, where there is one.
-TARGET, BASE, MEASURED = "target", "base", "measured"
-
-
-class Robots(NamedTuple):
-    """The robot as its controller has it, and what is known of the actual one: a result, or a corrected robot.
-
-    ``was_corrected``: ROBOT has the result's joint origins already.
-    """
-
-    nominal: Robot
-    actual: Calibration | Robot
-    result: Calibration | None
-    name: str
-    was_corrected: bool = False
+    from calib.cli.compensate_text import Robots
 
 
 @verb("""What to command so that the true robot arrives.
@@ -191,7 +173,7 @@ def compensate(
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    from calib.cli.compensate_text import no_commands, text
+    from calib.cli.compensate_text import BASE, MEASURED, no_commands, text
     from calib.cli.setup import check_outputs, parse_columns, parse_held, parse_payload
     from calib.cli.terminal import progress_bar, say
     from calib.compensate.commands import commands, write_commands
@@ -252,6 +234,7 @@ def robots_of(
     Raises:
         CalibError: Neither a result nor a URDF or both, a file cannot be read, or the robots are not one.
     """
+    from calib.cli.compensate_text import Robots
     from calib.cli.setup import check_chain
     from calib.compensate.nominal_actual import differing_joint
     from calib.identify.result_file import read_result
@@ -322,6 +305,7 @@ def parse_tool(text: str) -> NDArray[np.float64] | str:
     import numpy as np
     from scipy.spatial.transform import Rotation
 
+    from calib.cli.compensate_text import TARGET
     from calib.cli.setup import parse_point
 
     word, _, name = text.strip().partition(":")

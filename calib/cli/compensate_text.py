@@ -5,24 +5,27 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.cli.compensate import BASE, MEASURED, TARGET
 from calib.cli.terminal import fill, row_ranges
 from calib.model.robot import rigid_inverse
 from calib.units import split_header
 
 if TYPE_CHECKING:
-    from calib.cli.compensate import Robots
+    from calib.calibration import Calibration
     from calib.compensate.commands import Commands
     from calib.compensate.program import Program
     from calib.model.robot import Robot
 
 Array = NDArray[np.float64]
+
+#: The words for the tool that is the calibrated target, for poses in the robot's base, and for poses in the frame that
+#: the points were measured in, where there is one.
+TARGET, BASE, MEASURED = "target", "base", "measured"
 
 #: One metre and one radian in the units that are printed.
 MM, DEG = 1e3, float(np.degrees(1.0))
@@ -65,6 +68,19 @@ _SENT = {
     "poses": "Send the poses to the controller that keeps its own model.",
     "both": "Send the joint values, or the poses to the controller that keeps its own model.",
 }
+
+
+class Robots(NamedTuple):
+    """The robot as its controller has it, and what is known of the actual one: a result, or a corrected robot.
+
+    ``was_corrected``: ROBOT has the result's joint origins already.
+    """
+
+    nominal: Robot
+    actual: Calibration | Robot
+    result: Calibration | None
+    name: str
+    was_corrected: bool = False
 
 
 def text(
