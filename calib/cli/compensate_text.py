@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,9 +15,9 @@ from calib.model.robot import rigid_inverse
 from calib.units import split_header
 
 if TYPE_CHECKING:
-    from calib.calibration import Calibration
     from calib.compensate.commands import Commands
     from calib.compensate.program import Program
+    from calib.identify.result import Calibration
     from calib.model.robot import Robot
 
 Array = NDArray[np.float64]
@@ -95,18 +94,15 @@ def text(
 ) -> str:
     """All of it.
 
-    Args:
-        found: The commands.
-        robots: What they were made with.
-        tool: What was given as the tool.
-        poses_in: What was given as the frame of the poses.
-        send: What is written.
-        written: Where to; None where nothing was.
-        larger: Whether the larger model of the result was used.
+    ``tool``, ``poses_in`` and ``send`` are what was given; ``written`` is where to, None where nothing was; ``larger``:
+    whether the larger model of the result was used.
     """
     of_target = tool is not None and tool.startswith(TARGET)
     poses = send != "joints"
     notes = _notes(found, robots, of_target=of_target, poses=poses, in_base=poses_in == BASE)
+    rows, one = _reasons(found), found.reached.sum() == len(found) - 1
+    head = f"{len(rows)} {'row has' if one else f'of {len(found)} rows have'} no command, and "
+    head += f"{'is' if one else 'are'} empty in the table:"
     after = "Nothing was written; -o commands.csv writes the commands."
     if written is not None:
         more = " Do not send corrected poses to a controller that was given the corrected model."
@@ -120,7 +116,7 @@ def text(
         _joints(found),
         _largest(found),
         *map(fill, filter(None, notes)),
-        _without(found),
+        "\n".join([head, *rows]) if rows else "",
         _warnings(found, larger=larger),
         after,
     ]
@@ -135,9 +131,7 @@ def no_commands(found: Commands, *, skip: bool) -> str:
         head = "the row has no command" if every == 1 else f"none of the {every} rows has a command"
     rows = _reasons(found)
     if count > _REASONS:
-        labels = [
-            label for label, why in zip(found.program.labels, found.reasons, strict=True) if why
-        ]
+        labels = np.array(found.program.labels)[~found.reached].tolist()
         rows = [*rows[:_REASONS], f"  and rows {_listed(labels[_REASONS:], count)}"]
     advice = _elsewhere(found) or (
         "Check --tool, --poses-in and the units; --accept takes rows of which little is left, --match position or "
@@ -267,10 +261,8 @@ def _joints(found: Commands) -> str:
     ):
         # The first of those that differ by rounding.
         row = int(np.flatnonzero(column >= np.nanmax(column) - _TIE)[0])
-        where = _short(found.program.labels[row], 16)
-        lines.append(
-            f"  {_short(f'{name} [{unit}]', 55):<56}{_most_and_mean(scale * column)}   {where}"
-        )
+        where = found.program.labels[row][:16]
+        lines.append(f"  {f'{name[:48]} [{unit}]':<56}{_most_and_mean(scale * column)}   {where}")
     return "\n".join(lines)
 
 
@@ -291,13 +283,8 @@ def _largest(found: Commands) -> str:
     for i in shown:
         values = [MM * found.pose_corrections[i, 0], *columns[i]]
         cells = [f"{round(v, 4) + 0.0:>9.4f}" if np.isfinite(v) else f"{'-':>9}" for v in values]
-        lines.append(f"{_short(found.program.labels[i], 26):<28}" + "".join(cells))
+        lines.append(f"{found.program.labels[i][:26]:<28}" + "".join(cells))
     return "\n".join(lines)
-
-
-def _short(label: str, width: int) -> str:
-    """A name that fits its column."""
-    return textwrap.shorten(label, width, placeholder="...")
 
 
 def _notes(
@@ -394,15 +381,6 @@ def _reasons(found: Commands) -> list[str]:
     """The rows without a command, and why."""
     rows = zip(found.program.labels, found.reasons, strict=True)
     return [fill(f"{label}: {why}", "  ", "  ") for label, why in rows if why]
-
-
-def _without(found: Commands) -> str:
-    """The rows without a command, with their head."""
-    rows = _reasons(found)
-    one = len(rows) == 1
-    what = "row has" if one else f"of {len(found)} rows have"
-    head = f"{len(rows)} {what} no command, and {'is' if one else 'are'} empty in the table:"
-    return "\n".join([head, *rows]) if rows else ""
 
 
 def _warnings(found: Commands, *, larger: bool) -> str:
