@@ -64,9 +64,9 @@ def registering(robot: Robot, trials: int, rng: np.random.Generator) -> None:
                 for _ in range(trials):
                     q = random_joint_values(robot, count, int(rng.integers(2**31)))
                     points = draw(q)
-                    true = judged(robot, q, points, KNOWN).ap.max()
+                    true = judged(robot, q, points, KNOWN).of("ap").max()
                     found = judged(robot, q, points, cell)
-                    shares.append(np.array([1.0, found.registered.factor]) * found.ap.max() / true)
+                    shares.append(np.array([1.0, found.factor]) * found.of("ap").max() / true)
                 bare, mended = np.mean(shares, axis=0)
                 line += f"{bare:>16.2f}{mended:>8.2f}"
             print(line)

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from scipy.special import betaincinv
 
 from calib.errors import CalibError, MeasurementError, choices
-from calib.identify.accuracy import Accuracy, PoseAccuracy, Scatter, accuracy
+from calib.identify.accuracy import Accuracy, PoseAccuracy, accuracy
 from calib.identify.evaluation import Evaluation
 from calib.identify.statistics import interval_factor
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 PASS, UNDECIDED, FAIL = "pass", "undecided", "fail"
@@ -34,7 +33,7 @@ OUTCOMES = (PASS, UNDECIDED, FAIL)
 #: What is compared with the tolerance: the largest AP, their mean, or the largest error of a single repeat.
 CRITERIA = ("max", "mean", "single")
 
-#: Probability that what is said of unmeasured poses, or of chance, holds.
+#: Probability that what is said of unmeasured poses holds.
 CONFIDENCE = 0.95
 
 
@@ -66,7 +65,7 @@ class Check:
             >>> Check(0.4e-3, 0.5e-3, 0.2e-3, 1.0, float("nan"), seen=False).outcome
             'undecided'
         """
-        if self.lowest > self.tolerance:
+        if self.figure - self.uncertainty > self.tolerance:
             return FAIL
         return PASS if self.held <= self.tolerance and not self.seen else UNDECIDED
 
@@ -74,16 +73,6 @@ class Check:
     def held(self) -> float:
         """The sum f A + U, which must be within the tolerance for a pass; infinite where nothing is left over."""
         return self.figure * self.factor + self.uncertainty
-
-    @property
-    def lowest(self) -> float:
-        """The difference A - U, which must be above the tolerance for a fail."""
-        return self.figure - self.uncertainty
-
-    @property
-    def by_chance(self) -> bool:
-        """Whether the figure is closer to the tolerance than the scatter of the repeats tells it."""
-        return bool(abs(self.figure - self.tolerance) < self.random)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,14 +94,15 @@ class Acceptance:
     within: int
 
     @property
-    def checks(self) -> tuple[Check, ...]:
-        """Those that there are."""
-        return tuple(check for check in (self.length, self.angle) if check is not None)
+    def checks(self) -> tuple[tuple[Check, bool], ...]:
+        """Those that there are, each with whether it is of angles."""
+        both = ((self.length, False), (self.angle, True))
+        return tuple((check, angle) for check, angle in both if check is not None)
 
     @property
     def outcome(self) -> str:
         """``"pass"``, ``"undecided"`` or ``"fail"``: the worst of the checks."""
-        return max((check.outcome for check in self.checks), key=OUTCOMES.index)
+        return max((check.outcome for check, _ in self.checks), key=OUTCOMES.index)
 
     @property
     def passed(self) -> bool:
@@ -165,36 +155,37 @@ def acceptance(
         >>> acceptance(evaluate(robot, table, Cell(target=[-0.07, 0.07, 0.0225])), 0.5e-3).outcome
         'fail'
     """
-    limits, sure = (tolerance, tolerance_angle), (uncertainty, uncertainty_angle)
-    _check_given(limits, sure, criterion)
+    given = ((tolerance, uncertainty, "m"), (tolerance_angle, uncertainty_angle, "rad"))
+    if tolerance is None and tolerance_angle is None:
+        raise CalibError(
+            "State a tolerance: of positions in m, of orientations in rad, or of both."
+        )
+    for limit, sure, unit in given:
+        if limit is not None and not 0.0 < limit < np.inf:
+            raise CalibError(f"The tolerance is {limit} {unit}; it must be a number above 0.")
+        if not 0.0 <= sure < np.inf:
+            raise CalibError(f"The measuring uncertainty is {sure} {unit}; it must be 0 or larger.")
+    if criterion not in CRITERIA:
+        raise CalibError(f"The criterion is '{criterion}'; choose one of {choices(CRITERIA)}.")
     found = accuracy(evaluation, seen=seen)
-    if tolerance_angle is not None and not len(found.ap_angle):
+    if tolerance_angle is not None and not len(found.of("ap_angle")):
         raise MeasurementError(
             f"{evaluation.measurements.source or 'Measurements'}: a tolerance of {np.degrees(tolerance_angle):g} deg "
             "was stated, and no orientation was measured in the rows that are judged. Measure poses, or state a "
             "tolerance of positions alone."
         )
     fine = np.ones(len(found.poses), dtype=bool)
-    checks: list[Check | None] = []
-    for limit, one, is_angle in zip(limits, sure, (False, True), strict=True):
-        values = np.array([size_of(p, criterion, angle=is_angle) for p in found.poses])
+    checks: list[Check | None] = [None, None]  # of lengths, of angles
+    for k, (limit, sure, _) in enumerate(given):
         if limit is None:
-            checks.append(None)
             continue
+        values = np.array([size_of(pose, criterion, angle=k > 0) for pose in found.poses])
         fine &= ~(values > limit)  # a pose without an orientation is judged by its position
-        scatter = found.scatter_angle if is_angle else found.scatter
-        checks.append(
-            Check(
-                figure=_figure(values[np.isfinite(values)], criterion),
-                tolerance=limit,
-                uncertainty=one,
-                factor=found.registered.factor,
-                random=_random(found.repeats[0], scatter),
-                seen=found.seen,
-            )
-        )
-    length, angle = checks
-    return Acceptance(found, criterion, length, angle, int(np.sum(fine)))
+        std, freedom = (found.scatter, found.scatter_angle)[k]
+        half = interval_factor(freedom) * std / np.sqrt(found.repeats[0]) if freedom else np.nan
+        figure = float(np.nanmean(values) if criterion == "mean" else np.nanmax(values))
+        checks[k] = Check(figure, limit, sure, found.factor, float(half), found.seen)
+    return Acceptance(found, criterion, checks[0], checks[1], int(np.sum(fine)))
 
 
 def size_of(pose: PoseAccuracy, criterion: str, *, angle: bool) -> float:
@@ -202,32 +193,3 @@ def size_of(pose: PoseAccuracy, criterion: str, *, angle: bool) -> float:
     if criterion == "single":
         return pose.single_angle if angle else pose.single
     return pose.ap_angle if angle else pose.ap
-
-
-def _figure(values: Array, criterion: str) -> float:
-    """The one number that is judged."""
-    return float(values.mean() if criterion == "mean" else values.max())
-
-
-def _random(repeats: int, scatter: Scatter) -> float:
-    """Half the 95 % interval of a pose's mean, along the error, by the scatter of repeats; NaN without repeats."""
-    if not scatter.freedom:
-        return np.nan
-    return float(interval_factor(scatter.freedom) * scatter.std / np.sqrt(repeats))
-
-
-def _check_given(
-    limits: tuple[float | None, float | None], sure: tuple[float, float], criterion: str
-) -> None:
-    """Refuse what no acceptance can be told by."""
-    if limits == (None, None):
-        raise CalibError(
-            "State a tolerance: of positions in m, of orientations in rad, or of both."
-        )
-    for limit, one, unit in zip(limits, sure, ("m", "rad"), strict=True):
-        if not 0.0 < (1.0 if limit is None else limit) < np.inf:
-            raise CalibError(f"The tolerance is {limit} {unit}; it must be a number above 0.")
-        if not 0.0 <= one < np.inf:
-            raise CalibError(f"The measuring uncertainty is {one} {unit}; it must be 0 or larger.")
-    if criterion not in CRITERIA:
-        raise CalibError(f"The criterion is '{criterion}'; choose one of {choices(CRITERIA)}.")

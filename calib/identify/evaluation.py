@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from calib.errors import CalibError, MeasurementError, ModelError, choices
 from calib.identify.nominal import nominal_setup, seen_from
-from calib.identify.registration import register_poses
+from calib.identify.prediction import Larger
 from calib.identify.result import Calibration
-from calib.identify.rows import Rows
 from calib.identify.setup import Setup, rows_of
 from calib.identify.setup_check import better_setup
 from calib.identify.statistics import Errors
@@ -23,6 +22,7 @@ from calib.model.robot import Robot, read_only
 from calib.units import split_header
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: What of an earlier result can be taken for known.
 PLACES = ("frame", "target")
@@ -106,13 +106,7 @@ def evaluate(
         ModelError: The table has a set-up that neither the earlier result nor the cell knows.
     """
     cell = Cell() if cell is None else cell
-    every, setup = rows_of(robot, measurements, cell)
-    setup = setup if known is None else at_known(setup, known, which)
-    chosen = measurements.estimation
-    T_base_tip = robot.poses(every.joints)
-    chosen = chosen if np.any(chosen) else np.ones(len(every), dtype=bool)
-    placed = nominal_setup(T_base_tip[chosen], setup, every.select(chosen))
-    return evaluation_at(robot, measurements, every, setup, placed, T_base_tip)
+    return _evaluated(robot, measurements, cell, known, which)
 
 
 def evaluate_larger(
@@ -140,15 +134,43 @@ def evaluate_larger(
         return None
     nominal = c.uncorrected(robot)
     cell = replace(cell, payload=cell.payload or c.larger.payload, gravity=c.larger.gravity)
-    every, setup = rows_of(nominal, measurements, cell)
-    setup = at_known(setup, c.larger.setup, which)
     larger = replace(c.larger, kinematics=replace(c.larger.kinematics, robot=nominal))
-    T_base_tip = larger.tips(Samples.at(every.joints, every.samples.load))
-    chosen = measurements.estimation
-    chosen = chosen if np.any(chosen) else np.ones(len(measurements), dtype=bool)
-    asked = setup.as_known(setup.frame_given, setup.target_given)
-    placed = register_poses(T_base_tip[chosen], asked, every.select(chosen))
-    return evaluation_at(nominal, measurements, every, setup, placed, T_base_tip)
+    return _evaluated(nominal, measurements, cell, larger.setup, which, larger)
+
+
+def _evaluated(
+    robot: Robot,
+    measurements: Measurements,
+    cell: Cell,
+    known: Setup | None,
+    which: tuple[str, ...],
+    larger: Larger | None = None,
+) -> Evaluation:
+    """The errors of a robot, or of a larger model."""
+    every, setup = rows_of(robot, measurements, cell)
+    setup = setup if known is None else at_known(setup, known, which)
+    q = every.joints
+    poses = robot.poses(q) if larger is None else larger.tips(Samples.at(q, every.samples.load))
+    chosen = registering(measurements)
+    placed = nominal_setup(poses[chosen], setup, every.select(chosen))
+    frames = zip(setup.unknown, setup.frame_given, strict=True)
+    unknown = {
+        "target": bool(np.any(setup.target_unknown & ~setup.target_given)),
+        "frame": any(directions and not given for directions, given in frames),
+    }
+    return Evaluation(
+        robot=robot,
+        measurements=measurements,
+        setup=placed,
+        registered=tuple(name for name, missing in unknown.items() if missing),
+        residual=read_only(every.residual(seen_from(placed, poses, every))),
+        used=every.used,
+    )
+
+
+def registering(m: Measurements) -> NDArray[np.bool_]:
+    """The rows that something is registered to, shape (N,): the estimation rows, or all where there are none."""
+    return m.estimation if np.any(m.estimation) else np.ones(len(m), dtype=bool)
 
 
 def at_known(setup: Setup, known: Setup, which: tuple[str, ...] = PLACES) -> Setup:
@@ -164,9 +186,24 @@ def at_known(setup: Setup, known: Setup, which: tuple[str, ...] = PLACES) -> Set
     Raises:
         ModelError: The table has a set-up that is not known there, and the cell does not say where it stands.
     """
+
+    def found(own: tuple[str, ...], names: tuple[str, ...], poses: Array, into: Array) -> Mask:
+        """Put known poses in place, by name or the only one for the only one; which were found."""
+        alone = len(own) == len(names) == 1
+        there = np.array([alone or name in names for name in own])
+        for k in np.flatnonzero(there):
+            into[k] = poses[0 if alone else names.index(own[k])]
+        return there
+
     frames, targets = setup.T_frame_base.copy(), setup.T_tip_target.copy()
-    framed = _found(setup.groups, known.groups, known.T_frame_base, frames, "frame" in which)
-    aimed = _found(setup.targets, known.targets, known.T_tip_target, targets, "target" in which)
+    framed, aimed = (
+        np.zeros(len(setup.groups), dtype=bool),
+        np.zeros(len(setup.targets), dtype=bool),
+    )
+    if "frame" in which:
+        framed = found(setup.groups, known.groups, known.T_frame_base, frames)
+    if "target" in which:
+        aimed = found(setup.targets, known.targets, known.T_tip_target, targets)
     lost = [
         group
         for group, there, directions in zip(setup.groups, framed, setup.unknown, strict=True)
@@ -187,59 +224,10 @@ def at_known(setup: Setup, known: Setup, which: tuple[str, ...] = PLACES) -> Set
     )
 
 
-def _found(
-    names: tuple[str, ...], known: tuple[str, ...], poses: Array, into: Array, wanted: bool
-) -> NDArray[np.bool_]:
-    """Put known poses in place, by name or the only one for the only one; which were found, shape (len(names),)."""
-    found = np.zeros(len(names), dtype=bool)
-    for k, name in enumerate(names if wanted else ()):
-        alone = len(names) == len(known) == 1
-        if alone or name in known:
-            into[k], found[k] = poses[0 if alone else known.index(name)], True
-    return found
-
-
-def evaluation_at(
-    robot: Robot,
-    measurements: Measurements,
-    every: Rows,
-    asked: Setup,
-    placed: Setup,
-    T_base_tip: Array,
-) -> Evaluation:
-    """The errors of given poses of the tip.
-
-    Args:
-        robot: The robot.
-        measurements: All rows.
-        every: The same as the fit takes them.
-        asked: Frames and targets as given.
-        placed: The same, with what was not given where it was registered.
-        T_base_tip: shape (N, 4, 4), pose of the tip in each row [m].
-    """
-    frame_is_open = any(
-        directions and not given
-        for directions, given in zip(asked.unknown, asked.frame_given, strict=True)
-    )
-    unknown = (
-        ("target", bool(np.any(asked.target_unknown & ~asked.target_given))),
-        ("frame", frame_is_open),
-    )
-    return Evaluation(
-        robot=robot,
-        measurements=measurements,
-        setup=placed,
-        registered=tuple(name for name, missing in unknown if missing),
-        residual=read_only(every.residual(seen_from(placed, T_base_tip, every))),
-        used=every.used,
-    )
-
-
 def hint(evaluation: Evaluation, cell: Cell) -> str:
     """A sentence that names a set-up which explains the rows far better than the evaluation's cell, or nothing."""
-    m = evaluation.measurements
-    every, setup = rows_of(evaluation.robot, m, cell)
-    rows = every.select(m.estimation) if np.any(m.estimation) else every
+    every, setup = rows_of(evaluation.robot, evaluation.measurements, cell)
+    rows = every.select(registering(evaluation.measurements))
     return str(better_setup(evaluation.robot, cell, setup, rows) or "")
 
 
@@ -277,10 +265,10 @@ def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) ->
         "frame": "measurement frame is found anew: did the tracker, or the robot's foot, move since the calibration? "
         "Then add --frame estimate.",
         "target": "target is found anew: was it mounted anew since the calibration? Then give its place with --target.",
-    }[best]
+    }
     return (
         f"The rms is {1e3 * rms:.3g} mm with frame and target of the result, and only {1e3 * found[best]:.3g} mm if "
-        f"the {advice}"
+        f"the {advice[best]}"
     )
 
 

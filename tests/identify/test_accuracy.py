@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.identify.accuracy import Accuracy, accuracy
-from calib.identify.evaluation import evaluate
+from calib.identify.accuracy import Accuracy, accuracy, judged_rows, known_again
+from calib.identify.calibration import Calibration
+from calib.identify.evaluation import Evaluation, evaluate
+from calib.identify.result_file import read_result, write_result
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.readback import random_joint_values
@@ -63,12 +67,14 @@ def test_one_pose_by_hand(ur3: Robot):
     assert found.repeats == (4, 4)
     assert (found.rows, found.seen, found.others) == ("all", False, ())
     # Squares about the mean: 1 + 1 + 4 + 4, over (4 - 1) * 3.
-    assert found.scatter.std == pytest.approx(1e-3 * np.sqrt(10.0 / 9.0), abs=1e-12)
-    assert found.scatter.freedom == 9
-    assert found.scatter_angle.freedom == 0
-    assert np.isnan(found.scatter_angle.std)
+    assert found.scatter[0] == pytest.approx(1e-3 * np.sqrt(10.0 / 9.0), abs=1e-12)
+    assert found.scatter[1] == 9
+    assert found.scatter_angle[1] == 0
+    assert np.isnan(found.scatter_angle[0])
     assert np.isnan(pose.ap_angle)
-    assert len(found.ap_angle) == len(found.rp_angle) == len(found.single_angle) == 0
+    assert (
+        len(found.of("ap_angle")) == len(found.of("rp_angle")) == len(found.of("single_angle")) == 0
+    )
 
 
 def test_the_axes_are_the_bases_whatever_the_frame(ur3: Robot):
@@ -96,10 +102,10 @@ def test_orientations_by_hand(ur3: Robot):
     np.testing.assert_allclose(pose.ap_abc, [2e-3, 0.0, 2e-3], atol=1e-9)
     np.testing.assert_allclose(pose.rp_abc, [0.0, 0.0, 3e-3], atol=1e-9)
     assert pose.single_angle == pytest.approx(np.sqrt(13.0) * 1e-3)
-    assert found.rp_angle == pytest.approx([3e-3])
-    assert found.single_angle == pytest.approx([pose.single_angle])
-    assert found.scatter_angle.freedom == 6
-    assert found.scatter_angle.std == pytest.approx(np.sqrt(2e-6 / 6.0))
+    assert found.of("rp_angle") == pytest.approx([3e-3])
+    assert found.of("single_angle") == pytest.approx([pose.single_angle])
+    assert found.scatter_angle[1] == 6
+    assert found.scatter_angle[0] == pytest.approx(np.sqrt(2e-6 / 6.0))
 
 
 @pytest.mark.parametrize("repeats", [1, 2])
@@ -107,8 +113,8 @@ def test_fewer_than_three_repeats_have_no_repeatability(ur3: Robot, repeats: int
     found = of(ur3, with_errors(ur3, 1e-3 * CROSS, repeats))
     assert len(found.poses) == 4 // repeats
     assert all(np.isnan(pose.rp) for pose in found.poses)
-    assert len(found.rp) == 0
-    assert found.scatter.freedom == 3 * (4 - 4 // repeats)
+    assert len(found.of("rp")) == 0
+    assert found.scatter[1] == 3 * (4 - 4 // repeats)
 
 
 def test_repeats_are_found_in_any_order_and_by_target_and_set_up(ur3: Robot):
@@ -168,26 +174,24 @@ def test_every_kind_is_judged_by_the_rows_that_measure(calibrated, kind: str):
     rows = sorted(row for pose in found.poses for row in pose.rows)
     assert rows == [c.measurements.rows[i] for i in np.flatnonzero(told)]
     norms = np.linalg.norm(c.residual_nominal[:, :3], axis=1)[told]
-    assert found.single.max() == pytest.approx(norms.max(), abs=1e-9)
-    assert np.all(found.ap <= found.single + 1e-12)
-    assert len(found.ap_angle) == sum(pose.kind == "pose" for pose in found.poses)
+    assert found.of("single").max() == pytest.approx(norms.max(), abs=1e-9)
+    assert np.all(found.of("ap") <= found.of("single") + 1e-12)
+    assert len(found.of("ap_angle")) == sum(pose.kind == "pose" for pose in found.poses)
 
 
 def test_what_was_registered_is_counted(ur3: Robot):
     m = with_errors(ur3, np.zeros((12, 3)), 3)
-    target = of(ur3, m, Cell())
-    assert target.registered.what == ("target",)
-    assert (target.registered.unknowns, target.registered.numbers) == (3, 12)
-    assert target.registered.factor == pytest.approx(np.sqrt(12 / 9))
-    both = of(ur3, m, Cell(estimate_frame=True)).registered
-    assert both.what == ("target", "frame")
-    assert (both.unknowns, both.numbers, both.factor) == (9, 12, 2.0)
-    few = of(ur3, m.select(np.arange(12) < 9), Cell(estimate_frame=True)).registered
-    assert (few.unknowns, few.numbers, few.factor) == (9, 9, np.inf)
-    nothing = of(ur3, m).registered
-    assert (nothing.what, nothing.unknowns, nothing.factor) == ((), 0, 1.0)
+
+    def told(cell: Cell, rows: int = 12) -> tuple:
+        found = of(ur3, m.select(np.arange(12) < rows), cell)
+        return found.registered, found.unknowns, found.numbers, found.factor
+
+    assert told(Cell()) == (("target",), 3, 12, pytest.approx(np.sqrt(12 / 9)))
+    assert told(Cell(estimate_frame=True)) == (("target", "frame"), 9, 12, 2.0)
+    assert told(Cell(estimate_frame=True), 9) == (("target", "frame"), 9, 9, np.inf)
+    assert told(KNOWN) == ((), 0, 12, 1.0)
     sets = ("estimate",) * 9 + ("validate",) * 3
-    assert of(ur3, replace(m, sets=sets), Cell()).registered.numbers == 9
+    assert of(ur3, replace(m, sets=sets), Cell()).numbers == 9
 
 
 def test_the_factor_makes_up_for_what_registering_took(ur3: Robot):
@@ -197,8 +201,8 @@ def test_the_factor_makes_up_for_what_registering_took(ur3: Robot):
     for k in range(60):
         m = with_errors(ur3, 1e-3 * rng.normal(size=(8, 3)), seed=k)
         found = of(ur3, m, Cell(estimate_frame=True))
-        squares.append(np.mean(found.ap**2))
-        factor = found.registered.factor
+        squares.append(np.mean(found.of("ap") ** 2))
+        factor = found.factor
     # 60 times 15 degrees of freedom: the mean square is known to 5 %.
     assert np.sqrt(np.mean(squares)) * factor == pytest.approx(1e-3 * np.sqrt(3.0), rel=0.08)
     assert np.sqrt(np.mean(squares)) < 1.5e-3
@@ -223,7 +227,7 @@ def test_rows_that_nothing_was_found_from_are_judged_alone(
     assert found.rows == ("validation" if others else "all")
     assert len(found.poses) == (4 if others else 12)
     assert not found.seen
-    assert found.registered.factor == 1.0
+    assert found.factor == 1.0
     # With nothing kept apart they are all there is.
     alone = of(ur3, replace(m, sets=()), cell, seen=seen)
     assert (alone.rows, alone.seen, len(alone.poses)) == ("all", seen, 12)
@@ -235,5 +239,83 @@ def test_repeatability_by_chance(ur3: Robot):
     for repeats, expected in ((3, 2.57), (30, 3.54)):
         m = with_errors(ur3, 1e-3 * rng.normal(size=(40 * repeats, 3)), repeats)
         found = of(ur3, m)
-        assert found.rp.mean() == pytest.approx(1e-3 * expected, rel=0.12)
-        assert found.scatter.std == pytest.approx(1e-3, rel=0.12)
+        assert found.of("rp").mean() == pytest.approx(1e-3 * expected, rel=0.12)
+        assert found.scatter[0] == pytest.approx(1e-3, rel=0.12)
+
+
+def errors(c: Calibration, m: Measurements) -> tuple[Calibration, Evaluation, Evaluation]:
+    """What is left over in some rows, under a result that was written and read."""
+    with TemporaryDirectory() as folder:
+        stored = read_result(write_result(c, Path(folder) / "r.json"))
+    nominal = evaluate(stored.nominal, m, c.cell, known=stored.nominal_setup)
+    calibrated = evaluate(stored.robot, m, c.cell, known=stored.setup)
+    return stored, nominal, calibrated
+
+
+def test_rows_of_every_kind_are_known_again(case):
+    _, c = case
+    m = c.measurements
+    found = errors(c, m)
+    wanted = m.estimation & np.any(c.used, axis=1)
+    assert np.array_equal(known_again(*found), wanted)
+
+
+def test_neither_order_nor_number_nor_set_hides_a_row(default_result: Calibration):
+    m = default_result.measurements
+    order = np.random.default_rng(1).permutation(len(m))[:20]
+    shuffled = Measurements(m.joint_names, m.joints[order], m.points[order])
+    found = errors(default_result, shuffled)
+    assert np.array_equal(known_again(*found), m.estimation[order])
+
+
+@pytest.mark.parametrize(("change", "known"), [(1e-9, True), (1e-6, False)])
+def test_a_row_that_was_measured_again_is_another(
+    default_result: Calibration, change: float, known: bool
+):
+    """What is lost in rounding is not a measurement; a micrometre is."""
+    m = default_result.measurements
+    again = replace(m, points=m.points + change * np.eye(3)[0])
+    found = errors(default_result, again)
+    assert known_again(*found).sum() == known * m.estimation.sum()
+
+
+def test_rows_without_errors_are_told_apart_by_the_nominal_robot(default_result: Calibration):
+    """Where the calibrated robot explains everything, as it may a simulation without noise."""
+    m = default_result.measurements
+    stored, nominal, calibrated = errors(default_result, m)
+    exact = replace(stored, residual_calibrated=0.0 * stored.residual_calibrated)
+    right = replace(calibrated, residual=0.0 * calibrated.residual)
+    assert np.array_equal(known_again(exact, nominal, right), m.estimation)
+
+
+@pytest.mark.parametrize(
+    ("validate", "fitted", "registered", "judged"),
+    [
+        ("", "", False, "0123456789"),
+        ("", "", True, "0123456789"),
+        ("", "01234", False, "56789"),
+        ("", "012345", False, "0123456789"),  # four poses are too few,
+        ("89", "01234567", False, "89"),  # unless the table sets them aside
+        ("89", "01234", False, "56789"),
+        ("89", "01234", True, "89"),
+        ("89", "", True, "89"),
+        ("89", "", False, "0123456789"),
+        ("89", "0123456789", True, "0123456789"),
+    ],
+)
+def test_which_rows_are_judged(validate: str, fitted: str, registered: bool, judged: str):
+    def mask(rows: str) -> np.ndarray:
+        return np.array([str(k) in rows for k in range(10)])
+
+    sets = tuple("validate" if one else "estimate" for one in mask(validate))
+    m = Measurements(("a",), np.zeros((10, 1)), np.zeros((10, 3)), sets=sets)
+    told = np.ones(10, dtype=bool)
+    found = judged_rows(m, told, mask(fitted), np.arange(10), registered=registered)
+    assert np.array_equal(found, mask(judged))
+
+
+def test_repeats_of_one_pose_do_not_count_as_five():
+    m = Measurements(("a",), np.zeros((10, 1)), np.zeros((10, 3)))
+    told = np.ones(10, dtype=bool)
+    fitted = np.arange(10) < 4
+    assert judged_rows(m, told, fitted, np.arange(10) // 2, registered=False).all()

@@ -19,7 +19,7 @@ from calib.errors import FileError, ModelError, UrdfError
 from calib.identify.acceptance import acceptance
 from calib.identify.accuracy import accuracy
 from calib.identify.evaluation import evaluate, evaluate_larger
-from calib.identify.evaluation_file import acceptance_table, accuracy_table, evaluation_table
+from calib.identify.evaluation_report import acceptance_table, accuracy_table, evaluation_table
 from calib.identify.result import Calibration as Values
 from calib.identify.result_file import read_result, write_result, write_table
 from calib.identify.summary import summary
@@ -342,23 +342,27 @@ def test_the_document_tells_the_types(everything_json: dict[str, Any]):
             assert fine, (path, value)
 
 
+WHO = ("nominal", "urdf", "calibration", "larger")
+
+
 def evaluation_keys() -> set[str]:
     return set(documented("What `calib evaluate --json` writes"))
 
 
 def test_the_document_has_every_key_of_an_evaluation(
-    ur3: Robot, table: Measurements, default_result: Calibration, calibrated: Any, tmp_path: Path
+    ur3: Robot, table: Measurements, calibrated: Any, tmp_path: Path
 ):
     bare = evaluate(ur3, table)
-    assert set(evaluation_table(bare)["errors"]) == {"urdf"}
-    both = evaluation_table(bare, evaluate(default_result.robot, table), bare, bare)
+    assert set(evaluation_table({"urdf": bare})["errors"]) == {"urdf"}
+    both = evaluation_table(dict.fromkeys(WHO, bare))
     stored = json.loads(write_table(both, tmp_path / "e.json").read_text(encoding="utf-8"))
     with_angles = {
         path for path in evaluation_keys() if path.endswith("_rad") and "frames" not in path
     }
     assert evaluation_keys() - with_angles == {path for path, _ in leaves(stored)}
     _, turned = calibrated("poses")
-    angles = evaluation_table(*(evaluate(turned.nominal, turned.measurements, turned.cell),) * 4)
+    found = evaluate(turned.nominal, turned.measurements, turned.cell)
+    angles = evaluation_table(dict.fromkeys(WHO, found))
     assert evaluation_keys() == {
         path for path, _ in leaves(json.loads(json.dumps(angles, default=list)))
     }
@@ -374,7 +378,7 @@ def test_the_document_has_every_key_of_an_acceptance_with_its_type(calibrated: A
     found = evaluate(c.nominal, c.measurements, c.cell)
     accepted = acceptance(found, 1.0, 1.0)
     tables = {
-        "accuracy": accuracy_table({"ROBOT": accuracy(found)}),
+        "accuracy": {"ROBOT": accuracy_table(accuracy(found))},
         "acceptance": acceptance_table(accepted, "urdf", "the robot"),
     }
     stored = json.loads(json.dumps(plain(tables)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.identify.evaluation_file import evaluation_table
 from calib.identify.result_fields import ERRORS
 from calib.identify.result_file import result_table
 from calib.identify.statistics import Errors
@@ -68,15 +67,3 @@ def test_angles_only_where_there_are_any():
     assert table["max_rad"] == pytest.approx(np.sqrt(3))
     lengths = ERRORS.table(Errors.of(np.ones((2, 1))))
     assert np.all(np.isnan(lengths["rms_xyz_m"]))
-
-
-def test_an_evaluation_has_a_row_for_each_robot(calibrated):
-    from calib.identify.evaluation import evaluate
-
-    _, c = calibrated("known set-ups")
-    found = evaluate(c.nominal, c.measurements, c.cell)
-    assert list(evaluation_table(found)["errors"]) == ["urdf"]
-    assert list(evaluation_table(found, found)["errors"]) == ["urdf", "calibration"]
-    every = evaluation_table(found, found, found)
-    assert list(every["errors"]) == ["urdf", "calibration", "larger"]
-    assert [f["group"] for f in every["frames"]["set_ups"]] == ["0", "1"]
