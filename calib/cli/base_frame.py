@@ -68,13 +68,12 @@ def base_frame(
     ] = None,
     columns: Columns = None,
     plane_offset: Annotated[
-        str | None,
+        str,
         typer.Option(
-            "--plane-offset",
             metavar='"LENGTH"',
             help="How far the plane's points stand off it, towards the robot: the ball's radius, \"19.05 mm\".",
         ),
-    ] = None,
+    ] = "0 mm",
     carry: Annotated[
         Path | None,
         typer.Option(
@@ -106,7 +105,7 @@ def base_frame(
     from calib.base_frame.survey import survey
     from calib.base_frame.sweeps import read_sweeps
     from calib.base_frame.text import carried_text, survey_text
-    from calib.cli.setup import check_outputs, parse_columns, parse_sweeps
+    from calib.cli.setup import check_outputs, parse_amount, parse_columns, parse_sweeps
     from calib.identify.result_file import write_table
     from calib.measure.measurements import Measurements
     from calib.model.files import write_atomically
@@ -118,7 +117,8 @@ def base_frame(
     names, types = (None, None) if arm is None else (arm.joint_names, arm.joint_types)
     called, renamed = parse_sweeps(sweep or []), parse_columns(columns or [])
     sweeps = read_sweeps(data, names, renamed, points, points_unit, called)
-    found = survey(sweeps, arm, plane_offset=_length(plane_offset), robust=robust)
+    offset = parse_amount(plane_offset, "--plane-offset", "a length", "19.05 mm", signed=True)
+    found = survey(sweeps, arm, plane_offset=offset, robust=robust)
     lines, written = survey_text(found, sweeps.source, arm), []
     if carry is not None and output is not None:
         unit = points_unit if carry_points is not None else None
@@ -160,21 +160,3 @@ def _load(robot: str | None, base: str | None, tip: str | None) -> Robot | None:
             "--base and --tip are links of a robot; name it with --robot, or leave them out."
         )
     return None
-
-
-def _length(text: str | None) -> float:
-    """A length with its unit [m]; 0 for none."""
-    from calib.errors import CalibError
-    from calib.measure.quantities import LENGTH, parse_quantity
-
-    if text is None:
-        return 0.0
-    try:
-        value, kind = parse_quantity(text)
-    except CalibError as error:
-        raise CalibError(f'--plane-offset: {error}. Write "19.05 mm".') from error
-    if kind != LENGTH:
-        raise CalibError(
-            f'--plane-offset was given as "{text}"; it must be a length, such as "19.05 mm".'
-        )
-    return value

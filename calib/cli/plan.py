@@ -214,8 +214,7 @@ def plan(
     """See `_HELP`."""
     with reporting(debug=debug):
         from calib.cli.plan_text import expected_text, next_text, plan_text, taken_text
-        from calib.cli.setup import check_outputs, parse_columns, read_cell
-        from calib.cli.simulate_options import parse_angle, parse_size
+        from calib.cli.setup import check_outputs, parse_amount, parse_columns, read_cell
         from calib.cli.surroundings_words import add_surroundings, parse_start, with_noise
         from calib.cli.terminal import stages_bar
         from calib.design.plan import plan as make_plan
@@ -223,8 +222,8 @@ def plan(
 
         inputs: list[str | Path] = [robot, *(path for path in (cell, region, taken) if path)]
         check_outputs([output, json, view], inputs, force=force)
-        rungs, gap = parse_ladder(ladder), parse_angle(margin, "--margin", "5 deg")
-        clear = parse_size(clearance, "--clearance")
+        rungs, gap = parse_ladder(ladder), parse_amount(margin, "--margin", "an angle", "5 deg")
+        clear = parse_amount(clearance, "--clearance", "a length", "1 mm")
         if clear > _LARGEST_CLEARANCE:
             raise CalibError(
                 f'--clearance was given as "{clearance}"; it must be {1e3 * _LARGEST_CLEARANCE:g} mm or less, for '
@@ -264,7 +263,7 @@ def plan(
                 collisions=collisions,
                 clearance=clear,
                 floor=floor,
-                holder_radius=parse_size(holder, "--holder", "20 mm"),
+                holder_radius=parse_amount(holder, "--holder", "a length", "20 mm"),
                 package_dirs=package_dir or (),
                 ladder=rungs,
                 start=first,

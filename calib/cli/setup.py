@@ -106,6 +106,34 @@ def parse_pair(text: str, option: str, example: str) -> tuple[float | None, floa
     return found.get(LENGTH), found.get(ANGLE)
 
 
+def parse_amount(
+    text: str, option: str, wanted: str, example: str, *, signed: bool = False
+) -> float:
+    """A number with its unit, such as ``0.5 mm``, in SI units; 0 needs none.
+
+    Args:
+        text: The words.
+        option: For messages.
+        wanted: Of what quantity it is: ``a length``, ``an angle``.
+        example: For messages.
+        signed: Whether it may be below 0.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    from calib.measure.quantities import NUMBER, parse_quantity
+
+    try:
+        value, kind = parse_quantity(text.strip())
+    except CalibError as error:
+        raise CalibError(f'{option} "{text}": {error}. Write "{example}".') from error
+    if kind != wanted and not (value == 0.0 and kind == NUMBER):
+        raise CalibError(f'{option} "{text}": that is {kind}, {wanted} is wanted: "{example}".')
+    if value < 0.0 and not signed:
+        raise CalibError(f'{option} "{text}" must not be below 0.')
+    return value
+
+
 def check_model(text: str, source: str) -> None:
     """Refuse a model, such as ``dh+gain``, that does not exist; ``source`` is where it was given.
 

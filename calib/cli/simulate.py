@@ -1,46 +1,72 @@
-"""``calib simulate``: a table of a robot whose errors are known, and the truth beside it."""
+"""``calib simulate``: a table of a robot whose errors are known, and the truth beside it; or a study of many."""
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib.cli.options import (
-    Base,
-    CellFile,
-    Dask,
-    Debug,
-    Force,
-    Hold,
-    MeasuredKind,
-    PayloadMass,
-    Quiet,
-    RobotFile,
-    RobotTip,
-    Workers,
-    reporting,
+from calib.cli.options import Dask, Force, ModelOptions, Quiet, RobotFile, RobotTip, Workers, verb
+from calib.cli.setup import (
+    AUTO,
+    check_model,
+    check_outputs,
+    executor_of,
+    load,
+    parse_amount,
+    parse_pair,
+    parse_point,
+    read_cell,
 )
-from calib.cli.setup import executor_of
-from calib.errors import CalibError
+from calib.errors import CalibError, choices, did_you_mean
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
+    from calib.measure.cell import Cell
+    from calib.measure.noise import TrackerNoise
+    from calib.model.parameters import Parameter
+    from calib.simulate.disturbances import Encoder, MovedTarget, Outliers
 
-    import numpy as np
-    from numpy.typing import NDArray
+_NONE = "none"
 
-    from calib.simulate.scenario import Scenario
-    from calib.simulate.study import Trials
+#: Noise of an orientation about each axis, of a tracker's 6D probe [deg].
+_PROBE_DEG = 0.01
 
-#: Poses, and poses to validate with, where nothing says how many.
-_COUNT, _VALIDATION = 30, 10
 
-#: How far a target sits from where it is said to, where nothing says so.
-_TARGET_ERROR = "1 mm"
+@dataclass(frozen=True, slots=True)
+class VirtualCellOptions(ModelOptions):
+    """The set-up as the line has it, with what a virtual one means by it."""
 
-_HELP = """Simulate measurements of a robot whose errors are known.
+    tip: RobotTip = None
+    target: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"X Y Z UNIT"',
+            help='Where the target is said to sit in the tip. Default: "50 50 50 mm".',
+        ),
+    ] = None
+    frame: Annotated[
+        str | None,
+        typer.Option(
+            metavar="known|estimate|LIST",
+            help="'known': measured in the base frame, or in the cell's (default). 'estimate': in the frame of a "
+            "tracker that stands somewhere 3 m away.",
+        ),
+    ] = None
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SET[+FAMILY...]",
+            help="Error model of the simulated robot, such as dh or placement+gain+compliance. Default: placement.",
+        ),
+    ] = None
+
+
+@verb("""Simulate measurements of a robot whose errors are known.
 
 \b
 Examples:
@@ -54,11 +80,10 @@ Examples:
 It writes a table that calib fit reads, and beside it what was true: the robot's errors, the target's place, what
 happened in which row. The same seed gives the same files. A study writes no table: it does all of it many times, each
 time with another robot, and says what calibrations reach.
-"""
-
-
+""")
 def simulate(
     robot: RobotFile,
+    setup: VirtualCellOptions,
     poses: Annotated[
         Path | None,
         typer.Option(
@@ -90,34 +115,6 @@ def simulate(
     seed: Annotated[
         int, typer.Option(min=0, metavar="S", help="The same S gives the same files.")
     ] = 0,
-    base: Base = None,
-    tip: RobotTip = None,
-    target: Annotated[
-        str | None,
-        typer.Option(
-            metavar='"X Y Z UNIT"',
-            help='Where the target is said to sit in the tip. Default: "50 50 50 mm".',
-        ),
-    ] = None,
-    frame: Annotated[
-        str | None,
-        typer.Option(
-            metavar="known|estimate|LIST",
-            help="'known': measured in the base frame, or in the cell's (default). 'estimate': in the frame of a "
-            "tracker that stands somewhere 3 m away.",
-        ),
-    ] = None,
-    kind: MeasuredKind = None,
-    payload: PayloadMass = None,
-    hold: Hold = None,
-    cell: CellFile = None,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SET[+FAMILY...]",
-            help="Error model of the simulated robot, such as dh or placement+gain+compliance. Default: placement.",
-        ),
-    ] = None,
     sizes: Annotated[
         str | None,
         typer.Option(
@@ -135,12 +132,12 @@ def simulate(
     ] = None,
     truth_robot: Annotated[Path | None, typer.Option(help="URDF of the true robot.")] = None,
     target_error: Annotated[
-        str | None,
+        str,
         typer.Option(
             metavar="LENGTH",
-            help='How far the target sits from where it is said to, standard deviation. Default: "1 mm".',
+            help="How far the target sits from where it is said to, standard deviation.",
         ),
-    ] = None,
+    ] = "1 mm",
     noise: Annotated[
         str | None,
         typer.Option(
@@ -193,12 +190,12 @@ def simulate(
         ),
     ] = None,
     drift: Annotated[
-        str | None,
+        str,
         typer.Option(
             metavar='"X Y Z UNIT"',
             help="How far the instrument drifts from the first row to the last.",
         ),
-    ] = None,
+    ] = "0 0 0 mm",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Write the table. Needed.")
     ] = None,
@@ -236,163 +233,255 @@ def simulate(
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
-    """See `_HELP`."""
+    """See the text of `verb`."""
+    of_one = {"-o": output, "--truth": truth, "--truth-urdf": truth_urdf}
+    of_study = {"--fit-model": fit_model, "--workers": workers, "--dask": dask, "--json": json}
+    of_study["--planned"] = planned or None
+    _check_call(study, of_one, of_study, poses, count)
     # Workers begin first: they import what they need while robot and scenario are prepared here.
-    with reporting(debug=debug), executor_of(workers, dask, study) as executor:
-        from dataclasses import replace
-
-        from calib.cli.setup import AUTO, check_model, check_outputs, load, parse_point, read_cell
-        from calib.cli.simulate_options import (
-            angle_noise_of,
-            check_poses,
-            check_together,
-            definite,
-            noise_of,
-            parse_encoder,
-            parse_errors,
-            parse_moved,
-            parse_outliers,
-            parse_size,
-            sizes_of,
-        )
+    with executor_of(workers, dask, study) as executor:
         from calib.cli.surroundings_words import parse_tracker
         from calib.design.plan_file import read_pose_list
         from calib.model.error_model import error_model
         from calib.model.robot import Robot
         from calib.simulate.scenario import DEFAULT_MODEL, Scenario
 
-        check_together(
-            study,
-            {"-o": output, "--truth": truth, "--truth-urdf": truth_urdf},
-            {
-                "--planned": planned or None,
-                "--fit-model": fit_model,
-                "--workers": workers,
-                "--dask": dask,
-                "--json": json,
-            },
-        )
-        check_poses(poses, count, planned=planned)
         if output is not None and truth is None:
             truth = output.with_name(f"{output.stem}_truth.json")
-        inputs = [robot, *(str(path) for path in (poses, cell, truth_robot) if path)]
+        inputs = [robot, *(str(path) for path in (poses, setup.cell, truth_robot) if path)]
         check_outputs([output, truth, truth_urdf, json], inputs, force=force)
-        setup = read_cell(
-            cell,
-            base=base,
-            tip=tip,
-            target=target,
-            frame=frame,
-            model=definite(model),
-            kind=kind,
-            hold=hold,
-            payload=payload,
-        )
+        cell = read_cell(**asdict(setup))
         check_model(fit_model or AUTO, "--fit-model")
         if tracker is not None:
-            setup = replace(setup, tracker=parse_tracker(tracker, setup.tracker))
-        arm = load(robot, setup)
-        wrong = DEFAULT_MODEL if setup.model == AUTO else setup.model
+            cell = replace(cell, tracker=parse_tracker(tracker, cell.tracker))
+        arm = load(robot, cell)
+        wrong = DEFAULT_MODEL if cell.model == AUTO else cell.model
         errors = parse_errors(error or (), error_model(arm, wrong, target=False).parameters)
-        noises = noise_of(setup, noise, repeatability)
+        noises = noise_of(cell, noise, repeatability)
         true_robot = None
         if truth_robot is not None:
             true_robot = Robot.load(truth_robot, arm.base, arm.tip, held=arm.held)
         scenario = Scenario(
             robot=arm,
-            cell=setup,
+            cell=cell,
             model=wrong,
-            sizes=sizes_of(setup, sizes, named=bool(errors)),
+            sizes=sizes_of(cell, sizes, named=bool(errors)),
             errors=errors,
             true_robot=true_robot,
-            target_error=parse_size(target_error or _TARGET_ERROR, "--target-error"),
+            target_error=parse_amount(target_error, "--target-error", "a length", "1 mm"),
             noise=noises,
-            sigma_angle=angle_noise_of(setup, angle_noise, any_noise=noises is not None),
+            sigma_angle=angle_noise_of(cell, angle_noise, any_noise=noises is not None),
             encoder=parse_encoder(encoder or ()),
             outliers=parse_outliers(outliers, outlier_size),
             moved=parse_moved(moved_target),
-            drift=parse_point(drift or "0 0 0 mm", "--drift"),
+            drift=parse_point(drift, "--drift"),
             visits=visits,
         )
         given, sets = (None, ()) if poses is None else read_pose_list(poses, arm)
-        number = count or _COUNT
-        extra = (_VALIDATION if given is None else 0) if validation is None else validation
+        count = 30 if count is None else count
+        if validation is None:
+            validation = 10 if given is None else 0
         if study is not None:
-            from calib.simulate.study import Trials
+            from calib.cli.simulate_text import study_text
+            from calib.cli.terminal import progress_bar
+            from calib.identify.result_file import write_table
+            from calib.simulate import study as studies
 
             # The fit knows what a person would tell it, and not what the robot is wrong in.
-            told = replace(setup, model=fit_model or AUTO)
-            trials = Trials(scenario, told, given, sets, number, extra, planned)
-            _study(trials, study, seed, executor, json, force=force, quiet=quiet)
-            return
-        if output is None or truth is None:
-            raise CalibError("Name the table to write: -o table.csv.")
-        from calib.cli.simulate_text import next_command
+            told = replace(cell, model=fit_model or AUTO)
+            trials = studies.Trials(scenario, told, given, sets, count, validation, planned)
+            with progress_bar("trials", quiet=quiet) as progress:
+                found = studies.study(trials, study, seed, executor, progress)
+            text, written = study_text(found, trials), []
+            if json is not None:
+                table = studies.study_table(found, trials, seed)
+                written.append(write_table(table, json, overwrite=force))
+        else:
+            from calib.cli.simulate_text import simulated_text
+            from calib.simulate.truth_file import write_simulated
 
-        chosen = scenario.poses(seed, number, extra, given, sets)
-        text = _simulate(scenario, chosen, seed, output, truth, truth_urdf, force=force)
-        if not quiet:
-            options = {
-                "--base": base,
-                "--tip": tip,
-                "--target": target,
-                "--frame": frame,
-                "--kind": kind,
-                "--payload": payload,
-                "--cell": None if cell is None else str(cell),
-            }
-            typer.echo(f"{text}\n\nNext:  {next_command(robot, output, options, hold or [])}")
-
-
-def _simulate(
-    scenario: Scenario,
-    chosen: tuple[NDArray[np.float64], tuple[str, ...]],
-    seed: int,
-    output: Path,
-    truth: Path,
-    truth_urdf: Path | None,
-    *,
-    force: bool,
-) -> str:
-    """Simulate once, write table and truth; what is to be said."""
-    from calib.cli.simulate_text import simulated_text
-    from calib.simulate.scenario import outside_limits
-    from calib.simulate.truth_file import write_true_urdf, write_truth
-
-    q, sets = chosen
-    made = scenario.draw(seed).measure(q, seed, sets)
-    text = simulated_text(scenario, made, outside_limits(scenario.robot, q))
-    written = [output, write_truth(scenario, made, truth, overwrite=force)]
-    made.measurements.write(output, overwrite=force)
-    if truth_urdf is not None:
-        written.append(write_true_urdf(made.truth, truth_urdf, overwrite=force))
-    return "\n".join([f"{text}\n", *(f"Written: {path}" for path in written)])
-
-
-def _study(
-    trials: Trials,
-    count: int,
-    seed: int,
-    executor: Executor | None,
-    json: Path | None,
-    *,
-    force: bool,
-    quiet: bool,
-) -> None:
-    """Do a study, write it and print it."""
-    from calib.cli.simulate_text import study_text
-    from calib.cli.terminal import progress_bar
-    from calib.identify.result_file import write_table
-    from calib.simulate.study import study, study_table
-
-    with progress_bar("trials", quiet=quiet) as progress:
-        found = study(trials, count, seed, executor, progress)
-    if json is not None:
-        write_table(study_table(found, trials, seed), json, overwrite=force)
+            if output is None or truth is None:
+                raise CalibError("Name the table to write: -o table.csv.")
+            q, sets = scenario.poses(seed, count, validation, given, sets)
+            made = scenario.draw(seed).measure(q, seed, sets)
+            written = write_simulated(scenario, made, output, truth, truth_urdf, overwrite=force)
+            text = simulated_text(scenario, made, q)
     if not quiet:
-        typer.echo(study_text(found, trials) + (f"\n\nWritten: {json}" if json else ""))
+        typer.echo("\n".join([f"{text}\n", *(f"Written: {path}" for path in written)]))
+        if output is not None:
+            from calib.cli.simulate_text import next_command
+
+            typer.echo(f"\nNext:  {next_command(robot, output, setup)}")
 
 
-simulate.__doc__ = _HELP
+def _check_call(
+    study: int | None,
+    of_one: Mapping[str, object],
+    of_study: Mapping[str, object],
+    poses: Path | None,
+    count: int | None,
+) -> None:
+    """Refuse the files of a single simulation in a study, what only a study takes in a single one, and poses twice."""
+    unfit = [n for n, value in (of_study if study is None else of_one).items() if value is not None]
+    if unfit and study is None:
+        raise CalibError(
+            f"{choices(unfit)} is for a study of many robots; add --study 200, or leave it out."
+        )
+    if unfit:
+        raise CalibError(
+            f"A study writes no table and no truth; leave {choices(unfit)} out. --json keeps every trial."
+        )
+    if poses is not None and count is not None:
+        raise CalibError("--poses gives the poses, --count says how many are random; choose one.")
+    if poses is not None and of_study["--planned"]:
+        raise CalibError("--planned makes poses, and --poses gives them; leave one of them out.")
+
+
+def sizes_of(cell: Cell, sizes: str | None, *, named: bool) -> Mapping[str, float] | None:
+    """``--sizes``: ``length 0.5 mm, angle 3 mrad`` or ``none``; else none beside named errors, the cell's, or typical.
+
+    Raises:
+        CalibError: No such family, one twice, or a value that is no size of it.
+    """
+    from calib.families import FAMILIES
+
+    if sizes is None and not named:
+        return {f: cell.priors.of(f) for f in FAMILIES} if cell.priors.sizes == "given" else {}
+    if sizes is None or sizes.strip() == _NONE:
+        return None
+    found: dict[str, float] = {}
+    for part in sizes.split(","):
+        name, _, value = part.strip().partition(" ")
+        if name not in FAMILIES or name in found:
+            raise CalibError(
+                f"--sizes was given as \"{sizes}\"; it must be '{_NONE}', or sizes with commas between them such as "
+                f'"length 0.5 mm, angle 3 mrad", each once of {choices(FAMILIES)}.'
+            )
+        unit = FAMILIES[name].unit
+        found[name] = parse_amount(value, f"--sizes, {name}", unit.quantity, unit.example)
+    return found
+
+
+def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tuple[str, float], ...]:
+    """``--error`` as values of single errors, in their units: ``elbow_joint.rx=2 mrad`` each.
+
+    Raises:
+        CalibError: A pair without an equals sign, a name twice or not among those known, or a value with another unit.
+    """
+    from calib.families import unit_of
+
+    units = {parameter.name: parameter.unit for parameter in known}
+    found: dict[str, float] = {}
+    for pair in pairs:
+        name, equals, value = (part.strip() for part in pair.rpartition("="))
+        if not (name and equals and value) or name in found:
+            raise CalibError(
+                f"--error was given '{pair}'; it must be 'name=value' with a unit, such as 'elbow_joint.rx=2 mrad', "
+                "and each name once."
+            )
+        if name not in units:
+            raise CalibError(
+                f"--error '{pair}': the robot has no error '{name}' in this model{did_you_mean(name, units)}. It has "
+                f"{choices(units)}; calib inspect prints all, --model chooses others."
+            )
+        unit = unit_of(units[name])
+        found[name] = parse_amount(value, "--error", unit.quantity, unit.example, signed=True)
+    return tuple(found.items())
+
+
+def noise_of(cell: Cell, noise: str | None, repeatability: str | None) -> TrackerNoise | None:
+    """The noise that the line says, ``15 um + 6 um/m``, ``0.05 mm`` or ``none``, else the cell's; None: none at all.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    from calib.measure.noise import TrackerNoise, parse_noise
+
+    found = TrackerNoise() if cell.tracker is None else cell.tracker.noise
+    if noise is None and cell.sigma is not None:
+        found = TrackerNoise(cell.sigma, 0.0, 0.0)
+    constant, per_length, own = found.constant, found.per_length, found.repeatability
+    if noise is not None:
+        constant = per_length = own = 0.0
+        if noise.strip() not in (_NONE, "0"):
+            # Read beside a repeatability, so that a noise of "0 mm" is not refused as such.
+            read = parse_noise(noise, "--noise", 1.0)
+            constant, per_length = read.constant, read.per_length
+    if repeatability is not None:
+        own = parse_amount(repeatability, "--repeatability", "a length", "0.02 mm")
+    return TrackerNoise(constant, per_length, own) if constant or per_length or own else None
+
+
+def angle_noise_of(cell: Cell, said: str | None, *, any_noise: bool) -> float:
+    """The noise of an orientation: as said, the cell's, or a tracker's 6D probe's; none where there is no noise.
+
+    Raises:
+        CalibError: No angle, or no kind that measures one.
+    """
+    from calib.kinds import get as kind_of
+
+    if said is not None:
+        if not kind_of(cell.kind or "point").angles:
+            raise CalibError(
+                "--angle-noise is the noise of orientations; they are measured with --kind pose."
+            )
+        return parse_amount(said, "--angle-noise", "an angle", "0.01 deg")
+    if not any_noise:
+        return 0.0
+    return math.radians(_PROBE_DEG) if cell.sigma_angle is None else cell.sigma_angle
+
+
+def parse_encoder(texts: Iterable[str]) -> Encoder:
+    """``--encoder``: the step of joints that turn, ``0.001 deg``, and of those that slide, ``0.01 mm``."""
+    from calib.simulate.disturbances import Encoder
+
+    steps = ", ".join(texts)
+    length, angle = parse_pair(steps, "--encoder", "0.001 deg") if steps else (None, None)
+    return Encoder(angle or 0.0, length or 0.0)
+
+
+def parse_outliers(text: str | None, size: str | None = None) -> Outliers | None:
+    """``--outliers``: a number of rows, ``3``, or a share of them, ``5 %``; and ``--outlier-size``.
+
+    Raises:
+        CalibError: Neither, a share above 100 %, or no size.
+    """
+    from calib.simulate.disturbances import Outliers
+
+    if text is None and size is not None:
+        raise CalibError(
+            "--outlier-size says how far outliers are off; say how many there are, such as --outliers 3."
+        )
+    if text is None:
+        return None
+    off = parse_amount(size or "5 mm", "--outlier-size", "a length", "5 mm")
+    number = re.fullmatch(r"\s*(\d{1,9}|\d*\.?\d+(?=\s*%))\s*(%?)\s*", text)
+    if number is None or (number[2] and float(number[1]) > 100.0):
+        raise CalibError(
+            f'--outliers was given as "{text}"; it must be a number of rows, such as "3", or a share of those to '
+            'estimate from, such as "5 %", 100 % at most.'
+        )
+    if number[2]:
+        return Outliers(share=float(number[1]) / 100.0, size=off)
+    return Outliers(count=int(number[1]), size=off)
+
+
+def parse_moved(text: str | None) -> MovedTarget | None:
+    """``--moved-target``: ``25: 0 0 0.5 mm``, or with the target's name, ``25 upper: 0 0 0.5 mm``.
+
+    Raises:
+        CalibError: Anything else.
+    """
+    from calib.simulate.disturbances import MovedTarget
+
+    if text is None:
+        return None
+    match = re.fullmatch(r"\s*(\d{1,9})(?:\s+(\S.*?))?\s*:\s*(\S.*)", text)
+    if match is None:
+        raise CalibError(
+            f'--moved-target was given as "{text}"; it must be the first row that finds it moved, and by how much '
+            'along the tip\'s axes, such as "25: 0 0 0.5 mm"; with the name of one of several targets "25 upper: 0 0 '
+            '0.5 mm".'
+        )
+    return MovedTarget(int(match[1]), parse_point(match[3], "--moved-target"), match[2])

@@ -131,8 +131,7 @@ def workspace(
 ) -> None:
     """See `_HELP`."""
     with reporting(debug=debug):
-        from calib.cli.setup import check_outputs, read_cell
-        from calib.cli.simulate_options import parse_size
+        from calib.cli.setup import check_outputs, parse_amount, read_cell
         from calib.cli.surroundings_words import add_surroundings
         from calib.cli.terminal import progress_bar
         from calib.cli.workspace_text import Found, text
@@ -151,7 +150,7 @@ def workspace(
                 f"--share was given as {share:g}; it must be greater than 0 and at most 1, such as 0.95."
             )
         box = None if within is None else parse_within(within)
-        edge = None if voxel is None else parse_size(voxel, "--voxel", "20 mm")
+        edge = None if voxel is None else parse_amount(voxel, "--voxel", "a length", "20 mm")
         setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, hold=hold)
         setup = add_surroundings(setup, ranges=range_)
         arm, tables = _load(robot, setup, columns, [like, check])

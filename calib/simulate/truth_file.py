@@ -116,6 +116,33 @@ def write_truth(
     return write_atomically(path, json_bytes(content), overwrite=overwrite)
 
 
+def write_simulated(
+    scenario: Scenario,
+    made: Simulated,
+    table: Path,
+    truth: Path,
+    urdf: Path | None = None,
+    *,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write a table, what was true of it, and perhaps the true robot's URDF: all of them, or of new ones none.
+
+    Raises:
+        UrdfError, FileError: As for `write_truth` and `write_true_urdf`.
+    """
+    new = [path for path in (table, truth, urdf) if path is not None and not path.exists()]
+    try:
+        made.measurements.write(table, overwrite=overwrite)
+        write_truth(scenario, made, truth, overwrite=overwrite)
+        if urdf is not None:
+            write_true_urdf(made.truth, urdf, overwrite=overwrite)
+    except BaseException:
+        for path in new:
+            path.unlink(missing_ok=True)
+        raise
+    return [path for path in (table, truth, urdf) if path is not None]
+
+
 def write_true_urdf(truth: Truth, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write the URDF of the true geometry, after reading it back with Pinocchio and yourdfpy.
 

@@ -154,11 +154,11 @@ def test_quiet_and_force(call, bench: Path):
         (("sweeps.csv", "-o", "o.csv"), "--carry names the table to carry"),
         (
             ("sweeps.csv", "--plane-offset", "19"),
-            '--plane-offset was given as "19"; it must be a length',
+            '--plane-offset "19": that is a number, a length is wanted',
         ),
         (
             ("sweeps.csv", "--plane-offset", "a mm"),
-            "--plane-offset: 'a mm' is no number with a unit",
+            "'a mm' is no number with a unit",
         ),
         (
             ("sweeps.csv", "--plane-offset", "1 m"),

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from calib.cli import simulate_options
+from calib.cli.setup import parse_amount
 from calib.errors import CalibError
 
 
@@ -15,18 +15,17 @@ def refused(text: str):
     return pytest.raises(CalibError, match=f"^{re.escape(text)}$")
 
 
-def test_steps_of_encoders_and_sizes_that_are_none():
-    with refused(
-        '--encoder: \'fine\' is no number with a unit, such as "0.5 mm". Write "0.001 deg", or "0.01 '
-        'mm" for joints that slide.'
-    ):
-        simulate_options.parse_encoder(["fine"])
-    with refused('--outlier-size "1 mrad": "1 mrad" is an angle, a length is wanted: "1 mm".'):
-        simulate_options.parse_size("1 mrad", "--outlier-size")
+def test_amounts_of_another_quantity_or_of_none():
+    with refused('--outlier-size "1 mrad": that is an angle, a length is wanted: "1 mm".'):
+        parse_amount("1 mrad", "--outlier-size", "a length", "1 mm")
     with refused(
         '--outlier-size "much": \'much\' is no number with a unit, such as "0.5 mm". Write "1 mm".'
     ):
-        simulate_options.parse_size("much", "--outlier-size")
+        parse_amount("much", "--outlier-size", "a length", "1 mm")
+    with refused('--margin "-1 deg" must not be below 0.'):
+        parse_amount("-1 deg", "--margin", "an angle", "5 deg")
+    assert parse_amount("-1 mm", "--x", "a length", "1 mm", signed=True) == -1e-3
+    assert parse_amount("0", "--x", "a length", "1 mm") == 0.0
 
 
 def test_an_offset_of_the_plane_that_is_no_length(call, tmp_path):
@@ -34,5 +33,5 @@ def test_an_offset_of_the_plane_that_is_no_length(call, tmp_path):
     done = call(tmp_path, "base-frame", "s.csv", "--plane-offset", "thick")
     assert done.code == 1
     assert done.err == (
-        'calib: --plane-offset: \'thick\' is no number with a unit, such as "0.5 mm". Write "19.05 mm".\n'
+        'calib: --plane-offset "thick": \'thick\' is no number with a unit, such as "0.5 mm". Write "19.05 mm".\n'
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import shlex
 from pathlib import Path
 
@@ -49,11 +50,11 @@ def test_a_table_and_the_truth_beside_it(simulate, shop: Path):
     assert point == pytest.approx(np.array([row["xyz_m"] for row in said["rows"]]), abs=1e-9)
     for word in (
         "40 rows (30 to estimate from, 10 to validate with)",
-        "model placement:",
-        "18 errors,",
-        "So the nominal robot puts the target",
-        "The measurement frame is the base frame.",
-        "the robot's repeatability 20 um",
+        "True errors               model placement",
+        "length                  18, rms",
+        "of the nominal robot",
+        "Measurement frame         the base frame",
+        "robot 20 um",
         "Written: t.csv",
         "Written: t_truth.json",
         "Written: true.urdf",
@@ -108,7 +109,10 @@ def test_poses_outside_the_limits_are_measured_and_said(simulate, shop: Path):
     (shop / "wide.csv").write_text(text.replace(second, ",".join(cells)), encoding="utf-8")
     done = simulate("--poses", "wide.csv", "-o", "t.csv")
     assert done.code == 0
-    assert "Note: 1 pose is outside the limits of 'elbow_joint', -180 to 180 deg" in done.out
+    assert (
+        "Note                      1 pose is outside the limits of 'elbow_joint', -180 to 180 deg"
+        in done.out
+    )
     assert len(table(shop)) == 35
 
 
@@ -119,7 +123,7 @@ def test_single_errors_alone_are_the_only_ones(simulate, shop: Path):
     assert done.code == 0
     values = {p["name"]: p["value"] for p in truth(shop)["parameters"] if p["value"]}
     assert values == {"elbow_joint.rx": 2e-3, "wrist_1_joint.z": -0.5e-3}
-    assert "  length         1 error,  rms 0.5 mm, largest wrist_1_joint.z -0.5 mm" in done.lines
+    assert "  length                  1, rms 0.5 mm, largest wrist_1_joint.z -0.5 mm" in done.lines
     both = simulate("-o", "u.csv", "--error", "elbow_joint.rx=2 mrad", "--sizes", "angle 1 mrad")
     assert both.code == 0
     values = {p["name"]: p["value"] for p in truth(shop, "u_truth.json")["parameters"]}
@@ -129,7 +133,7 @@ def test_single_errors_alone_are_the_only_ones(simulate, shop: Path):
 
 def test_no_errors_at_all(simulate, shop: Path):
     done = simulate("-o", "t.csv", "--sizes", "none", "--truth-urdf", "true.urdf")
-    assert "none: the robot is as its URDF says" in done.out
+    assert "model placement; none is drawn or given" in done.out
     assert (shop / "true.urdf").read_bytes() == (shop / "robot.urdf").read_bytes()
 
 
@@ -148,16 +152,13 @@ def test_everything_that_disturbs_is_said(simulate, shop: Path):
     text = " ".join(done.out.split())
     for words in (
         "160 rows (120 to estimate from, 40 to validate with)",
-        "position and orientation of the target, at each pose of 2 targets (upper, lower), in 2 set-ups in turn",
-        "Each pose is visited 2 times.",
-        "The target 'upper' sits at",
-        "In the frame of 'evening' the base is at (2500, 0, 0) mm.",
-        "Noise of a coordinate: 0.03 mm (standard deviation): the instrument's 30 um.",
-        "Noise of an orientation about each axis: 0.02 deg.",
-        "read in steps of 0.001 deg; the robot stands up to half a step beside them",
-        "Outliers of 8 mm: rows ",
-        "The target 'upper' moves by (0, 0, 0.5) mm in the tip before row 25: 68 rows find it there.",
-        "Drift from the first row to the last: (0.1, 0, 0) mm in the measurement frame.",
+        "Each row measures the position and orientation of the target",
+        "Targets at each pose upper, lower Set-ups in turn morning, evening Visits of each pose 2",
+        "Frame of 'evening' the base is at (2500, 0, 0) mm in it",
+        "Noise of a coordinate 0.03 mm std: instrument 30 um Noise of an orientation 0.02 deg",
+        "Encoder steps 0.001 deg Outliers of 8 mm rows ",
+        "Moved target 'upper' by (0, 0, 0.5) mm in the tip before row 25: 68 rows",
+        "Drift, first to last row (0.1, 0, 0) mm in the measurement frame",
     ):
         assert words in text, words
     said = truth(shop)
@@ -175,7 +176,6 @@ def test_everything_that_disturbs_is_said(simulate, shop: Path):
         (("--moved-target", "41: 0 0 1 mm"), "before row 41; the table has the rows 1 to 40"),
         (("--kind", "fixed"), "Measurements of the kind 'fixed' cannot be simulated"),
         (("--kind", "pair", "--count", "3"), "even number of poses; 3 are to 'estimate'"),
-        (("--model", "auto"), "--model auto is for calib fit"),
         (("--poses", "data.csv", "--count", "3"), "--poses gives the poses, --count says how many"),
         (("--poses", "nothing.csv"), "'nothing.csv' does not exist"),
         (("--truth-robot", "data.csv"), "is not XML"),
@@ -203,3 +203,32 @@ def test_files_that_exist_are_not_overwritten_unless_asked(simulate, shop: Path,
     assert sorted(shop.iterdir()) == before
     assert simulate("-o", "t.csv", "--truth-urdf", "true.urdf", "--force").code == 0
     assert (shop / taken).read_text() != "mine"
+
+
+def test_its_files_appear_all_or_none(simulate, shop: Path):
+    before = sorted(shop.iterdir())
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8000, hard))  # the table fits, the truth does not
+    try:
+        done = simulate("-o", "t.csv", "--count", "8", "--validation", "0")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert done.code == 1
+    assert "t_truth.json' cannot be written: File too large; choose another folder" in done.err
+    assert sorted(shop.iterdir()) == before
+
+
+def test_a_true_robot_is_the_truth(simulate, shop: Path):
+    assert simulate("-o", "t.csv", "--seed", "2", "--truth-urdf", "true.urdf").code == 0
+    assert simulate("-o", "u.csv", "--seed", "2", "--truth-robot", "true.urdf").code == 0
+    assert table(shop).points == pytest.approx(table(shop, "u.csv").points, abs=1e-12)
+
+
+def test_without_noise_a_fit_finds_the_truth(simulate, call, shop: Path):
+    assert simulate("-o", "t.csv", "--noise", "none", "--frame", "estimate").code == 0
+    (shop / "free.toml").write_text('priors = "off"\nframe = "estimate"\n')
+    words = ("fit", "robot.urdf", "t.csv", *ARM, "--cell", "free.toml", "--model", "placement")
+    assert call(shop, *words, "--json", "r.json", "--no-validate").code == 0
+    errors = json.loads((shop / "r.json").read_text())["errors"]["calibrated"]
+    assert errors["estimation"]["max_m"] < 1e-9
+    assert errors["validation"]["max_m"] < 1e-9

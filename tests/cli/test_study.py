@@ -112,7 +112,7 @@ def test_without_noise_there_is_no_forecast(simulate):
         (("--study", "2", "--fit-model", "dhh"), "--fit-model: there is no model 'dhh'"),
         (
             ("--study", "2", "--planned", "--poses", "data.csv"),
-            "--planned makes poses; leave --poses out",
+            "--planned makes poses; and --poses gives them",
         ),
         (("--study", "2", "--planned", "--count", "4"), "None of the 2 trials came to an end."),
     ],

@@ -172,7 +172,7 @@ OUT = ("-o", "r.json", "--picture", "r.png", "--view", "r.html")
         (("--share", "95"), "--share was given as 95; it must be"),
         (("--share", "nan"), "--share was given as nan"),
         (("--share", "0.00001"), "The share is 1e-05, and the densest voxel of 200 mm alone holds 0.0"),
-        (("--voxel", "20"), '--voxel "20": "20" is a number, a length is wanted'),
+        (("--voxel", "20"), '--voxel "20": that is a number, a length is wanted'),
         (("--voxel", "0 mm"), "The voxel is 0 mm; it must be a length greater than 0"),
         (("--voxel", "wide"), "'wide' is no number with a unit"),
         (("--voxel", "1 mm"), "at most 4,000,000 are made. Give voxels of "),

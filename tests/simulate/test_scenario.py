@@ -5,7 +5,6 @@ import pickle
 import numpy as np
 import pytest
 
-from calib.cli.simulate_options import noise_of
 from calib.errors import CalibError
 from calib.measure.cell import Cell
 from calib.measure.noise import TrackerNoise
@@ -44,19 +43,6 @@ def test_the_anchor_of_distances_is_the_tracker_s_place(ur3):
     apart = cell.truth.tip_poses(q) @ cell.truth.T_tip_target[0]
     expected = np.linalg.norm(apart[:, :3, 3] - TRACKER.position, axis=1)
     assert made.measurements.distances == pytest.approx(expected, abs=2e-4)
-
-
-@pytest.mark.parametrize(
-    ("cell", "noise"),
-    [
-        (Cell(), TrackerNoise()),
-        (Cell(tracker=TRACKER), TRACKER.noise),
-        (Cell(sigma=1e-4), TrackerNoise(1e-4, 0.0, 0.0)),
-        (Cell(sigma=1e-4, tracker=TRACKER), TrackerNoise(1e-4, 0.0, 0.0)),
-    ],
-)
-def test_the_noise_that_a_cell_states(cell, noise):
-    assert noise_of(cell, None, None) == noise
 
 
 def test_random_poses_lie_inside_the_limits_or_the_cell_s_ranges(ur3):
