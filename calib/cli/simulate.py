@@ -86,31 +86,20 @@ def simulate(
     setup: VirtualCellOptions,
     poses: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Poses of a plan or a measured table, its joint columns alone. Default: random ones.",
-        ),
+        typer.Option(metavar="FILE", help="Poses of a plan or a table. Default: random ones."),
     ] = None,
     count: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            max=1_000_000,
-            metavar="N",
-            help="Number of random poses inside the limits. Default: 30.",
-        ),
+        typer.Option(min=1, metavar="N", help="Random poses inside the limits. Default: 30."),
     ] = None,
     validation: Annotated[
         int | None,
         typer.Option(
-            min=0,
-            max=1_000_000,
-            metavar="N",
-            help="Random poses besides, marked 'validate'. Default: 10, and 0 with --poses.",
+            min=0, metavar="N", help="Random poses to validate with. Default: 10; 0 with --poses."
         ),
     ] = None,
     visits: Annotated[
-        int, typer.Option(min=1, max=1000, metavar="N", help="How often each pose is measured.")
+        int, typer.Option(min=1, metavar="N", help="How often each pose is measured.")
     ] = 1,
     seed: Annotated[
         int, typer.Option(min=0, metavar="S", help="The same S gives the same files.")
@@ -126,17 +115,12 @@ def simulate(
     error: Annotated[
         list[str] | None,
         typer.Option(
-            metavar='"NAME=VALUE"',
-            help='One error by name, such as "elbow_joint.rx=2 mrad". Can be repeated.',
+            metavar='"NAME=VALUE"', help='One error, "elbow_joint.rx=2 mrad". Can be repeated.'
         ),
     ] = None,
     truth_robot: Annotated[Path | None, typer.Option(help="URDF of the true robot.")] = None,
     target_error: Annotated[
-        str,
-        typer.Option(
-            metavar="LENGTH",
-            help="How far the target sits from where it is said to, standard deviation.",
-        ),
+        str, typer.Option(metavar="LENGTH", help="Standard deviation of the target's true place.")
     ] = "1 mm",
     noise: Annotated[
         str | None,
@@ -148,23 +132,16 @@ def simulate(
     ] = None,
     repeatability: Annotated[
         str | None,
-        typer.Option(
-            metavar="LENGTH",
-            help="Of the robot, one coordinate. Default: 0.02 mm; 0 with --noise.",
-        ),
+        typer.Option(metavar="LENGTH", help="Of the robot. Default: 0.02 mm; 0 with --noise."),
     ] = None,
     angle_noise: Annotated[
         str | None,
-        typer.Option(
-            metavar="ANGLE",
-            help='Noise of orientations about each axis. Default: "0.01 deg", or the cell\'s.',
-        ),
+        typer.Option(metavar="ANGLE", help="Of orientations. Default: 0.01 deg, or the cell's."),
     ] = None,
     tracker: Annotated[
         str | None,
         typer.Option(
-            metavar='"X Y Z UNIT"',
-            help='Where the tracker stands in the base. Default: "3000 0 0 mm", or the cell\'s.',
+            metavar='"X Y Z UNIT"', help='In the base. Default: "3000 0 0 mm", or the cell\'s.'
         ),
     ] = None,
     encoder: Annotated[
@@ -180,7 +157,7 @@ def simulate(
     ] = None,
     outlier_size: Annotated[
         str | None,
-        typer.Option(metavar="LENGTH", help='How far they are off. Default: "5 mm".'),
+        typer.Option(metavar="LENGTH", help="How far they are off. Default: 5 mm."),
     ] = None,
     moved_target: Annotated[
         str | None,
@@ -191,10 +168,7 @@ def simulate(
     ] = None,
     drift: Annotated[
         str,
-        typer.Option(
-            metavar='"X Y Z UNIT"',
-            help="How far the instrument drifts from the first row to the last.",
-        ),
+        typer.Option(metavar='"X Y Z UNIT"', help="Of the instrument, first to last row."),
     ] = "0 0 0 mm",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Write the table. Needed.")
@@ -211,8 +185,7 @@ def simulate(
         typer.Option(
             min=2,
             metavar="N",
-            help="Simulate N robots, calibrate each, verify it against its truth, and print figures with their spread; "
-            "200 is a good number.",
+            help="Simulate, calibrate and verify N robots, and print their spread; 200 is a good number.",
         ),
     ] = None,
     planned: Annotated[
@@ -222,8 +195,7 @@ def simulate(
     fit_model: Annotated[
         str | None,
         typer.Option(
-            metavar="SET[+FAMILY...]",
-            help="Of a study: which errors are estimated. Default: auto.",
+            metavar="SET[+FAMILY...]", help="Of a study: what is estimated. Default: auto."
         ),
     ] = None,
     workers: Workers = None,
@@ -238,7 +210,17 @@ def simulate(
     of_one = {"-o": output, "--truth": truth, "--truth-urdf": truth_urdf}
     of_study = {"--fit-model": fit_model, "--workers": workers, "--dask": dask, "--json": json}
     of_study["--planned"] = planned or None
-    _check_call(study, of_one, of_study, poses, count)
+    other = of_study if study is None else of_one
+    if unfit := [name for name, value in other.items() if value is not None]:
+        raise CalibError(
+            f"{choices(unfit)} is for a study of many robots; add --study 200, or leave it out."
+            if study is None
+            else f"A study writes no table and no truth; leave {choices(unfit)} out. --json keeps every trial."
+        )
+    if poses is not None and (planned or count is not None):
+        raise CalibError(
+            "--poses gives the poses; leave --count and --planned out, which make some."
+        )
     # Workers begin first: they import what they need while robot and scenario are prepared here.
     with executor_of(workers, dask, study) as executor:
         from calib.cli.surroundings_words import parse_tracker
@@ -247,8 +229,7 @@ def simulate(
         from calib.model.robot import Robot
         from calib.simulate.scenario import DEFAULT_MODEL, Scenario
 
-        if output is not None and truth is None:
-            truth = output.with_name(f"{output.stem}_truth.json")
+        truth = truth or (output and output.with_name(f"{output.stem}_truth.json"))
         inputs = [robot, *(str(path) for path in (poses, setup.cell, truth_robot) if path)]
         check_outputs([output, truth, truth_urdf, json], inputs, force=force)
         cell = read_cell(**asdict(setup))
@@ -259,16 +240,13 @@ def simulate(
         wrong = DEFAULT_MODEL if cell.model == AUTO else cell.model
         errors = parse_errors(error or (), error_model(arm, wrong, target=False).parameters)
         noises = noise_of(cell, noise, repeatability)
-        true_robot = None
-        if truth_robot is not None:
-            true_robot = Robot.load(truth_robot, arm.base, arm.tip, held=arm.held)
         scenario = Scenario(
             robot=arm,
             cell=cell,
             model=wrong,
             sizes=sizes_of(cell, sizes, named=bool(errors)),
             errors=errors,
-            true_robot=true_robot,
+            true_robot=truth_robot and Robot.load(truth_robot, arm.base, arm.tip, held=arm.held),
             target_error=parse_amount(target_error, "--target-error", "a length", "1 mm"),
             noise=noises,
             sigma_angle=angle_noise_of(cell, angle_noise, any_noise=noises is not None),
@@ -280,8 +258,7 @@ def simulate(
         )
         given, sets = (None, ()) if poses is None else read_pose_list(poses, arm)
         count = 30 if count is None else count
-        if validation is None:
-            validation = 10 if given is None else 0
+        validation = (10 if given is None else 0) if validation is None else validation
         if study is not None:
             from calib.cli.simulate_text import study_text
             from calib.cli.terminal import progress_bar
@@ -313,29 +290,6 @@ def simulate(
             from calib.cli.simulate_text import next_command
 
             typer.echo(f"\nNext:  {next_command(robot, output, setup)}")
-
-
-def _check_call(
-    study: int | None,
-    of_one: Mapping[str, object],
-    of_study: Mapping[str, object],
-    poses: Path | None,
-    count: int | None,
-) -> None:
-    """Refuse the files of a single simulation in a study, what only a study takes in a single one, and poses twice."""
-    unfit = [n for n, value in (of_study if study is None else of_one).items() if value is not None]
-    if unfit and study is None:
-        raise CalibError(
-            f"{choices(unfit)} is for a study of many robots; add --study 200, or leave it out."
-        )
-    if unfit:
-        raise CalibError(
-            f"A study writes no table and no truth; leave {choices(unfit)} out. --json keeps every trial."
-        )
-    if poses is not None and count is not None:
-        raise CalibError("--poses gives the poses, --count says how many are random; choose one.")
-    if poses is not None and of_study["--planned"]:
-        raise CalibError("--planned makes poses, and --poses gives them; leave one of them out.")
 
 
 def sizes_of(cell: Cell, sizes: str | None, *, named: bool) -> Mapping[str, float] | None:

@@ -176,7 +176,7 @@ def test_everything_that_disturbs_is_said(simulate, shop: Path):
         (("--moved-target", "41: 0 0 1 mm"), "before row 41; the table has the rows 1 to 40"),
         (("--kind", "fixed"), "Measurements of the kind 'fixed' cannot be simulated"),
         (("--kind", "pair", "--count", "3"), "even number of poses; 3 are to 'estimate'"),
-        (("--poses", "data.csv", "--count", "3"), "--poses gives the poses, --count says how many"),
+        (("--poses", "data.csv", "--count", "3"), "--poses gives the poses; leave --count"),
         (("--poses", "nothing.csv"), "'nothing.csv' does not exist"),
         (("--truth-robot", "data.csv"), "is not XML"),
     ],

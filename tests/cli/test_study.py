@@ -112,7 +112,7 @@ def test_without_noise_there_is_no_forecast(simulate):
         (("--study", "2", "--fit-model", "dhh"), "--fit-model: there is no model 'dhh'"),
         (
             ("--study", "2", "--planned", "--poses", "data.csv"),
-            "--planned makes poses, and --poses gives them",
+            "--poses gives the poses; leave --count and --planned out",
         ),
         (
             ("--study", "2", "--planned", "--count", "4", "--workers", "1"),
