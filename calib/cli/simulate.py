@@ -246,7 +246,9 @@ def simulate(
             model=wrong,
             sizes=sizes_of(cell, sizes, named=bool(errors)),
             errors=errors,
-            true_robot=truth_robot and Robot.load(truth_robot, arm.base, arm.tip, held=arm.held),
+            true_robot=None
+            if truth_robot is None
+            else Robot.load(truth_robot, arm.base, arm.tip, held=arm.held),
             target_error=parse_amount(target_error, "--target-error", "a length", "1 mm"),
             noise=noises,
             sigma_angle=angle_noise_of(cell, angle_noise, any_noise=noises is not None),
