@@ -109,14 +109,7 @@ def parse_pair(text: str, option: str, example: str) -> tuple[float | None, floa
 def parse_amount(
     text: str, option: str, wanted: str, example: str, *, signed: bool = False
 ) -> float:
-    """A number with its unit, such as ``0.5 mm``, in SI units; 0 needs none.
-
-    Args:
-        text: The words.
-        option: For messages.
-        wanted: Of what quantity it is: ``a length``, ``an angle``.
-        example: For messages.
-        signed: Whether it may be below 0.
+    """A number with its unit, such as ``0.5 mm``, of what is wanted, ``a length``, in SI units; 0 needs none.
 
     Raises:
         CalibError: Anything else.
