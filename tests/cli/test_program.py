@@ -227,7 +227,7 @@ def test_ctrl_c_leaves_no_file(program, shop: Path, long_work: list[str]):
         [*program, *long_work],
         cwd=shop, stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8",
     )  # fmt: skip
-    time.sleep(1.5)
+    time.sleep(3.0)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out) == (130, "")
