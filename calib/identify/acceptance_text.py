@@ -11,7 +11,7 @@ import calib.kinds as registry
 from calib.errors import choices
 from calib.identify.acceptance import FAIL, Acceptance, Check, size_of
 from calib.identify.accuracy import FEWEST_APART, FEWEST_REPEATS, Accuracy, PoseAccuracy
-from calib.identify.words import wrap
+from calib.identify.summary import wrap
 
 #: What ISO 9283 asks for: repeats of a pose, and poses.
 ISO_REPEATS, ISO_POSES = 30, 5

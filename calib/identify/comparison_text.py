@@ -22,9 +22,8 @@ from calib.identify.displacement import unknown_frame
 from calib.identify.drift import LEVEL, own_names
 from calib.identify.result import Calibration
 from calib.identify.result_fields import versions
-from calib.identify.statements import lengths_of_kinds, title_of_errors
 from calib.identify.statistics import Errors
-from calib.identify.words import three, wrap
+from calib.identify.summary import error_title, measured_lengths, three, wrap
 from calib.version import __version__
 
 #: The layout of what `comparison_table` gives; a word, so that it is not taken for a result.
@@ -192,8 +191,8 @@ def _error_sets(one: Calibration) -> list[tuple[str, Errors]]:
 
 def _errors(c: Comparison) -> str:
     """Errors of both calibrated robots, each on its own rows."""
-    measured = lengths_of_kinds({*c.a.rows.kinds, *c.b.rows.kinds})
-    head = f"{title_of_errors(measured)} [mm]"
+    used = c.a.used, c.b.used
+    head = f"{error_title(*used)} [mm]"
     lines = [_ERRORS.format("", head, "rows", "max", "mean", "rms")]
     for letter, _, one in _both(c):
         for rows, e in _error_sets(one):
@@ -205,7 +204,7 @@ def _errors(c: Comparison) -> str:
         if np.isfinite(one.sigma)
     ]
     if noise:
-        lines.append(f"Noise of a {measured}: {', '.join(noise)}.")
+        lines.append(f"Noise of a {measured_lengths(*used)}: {', '.join(noise)}.")
     return "\n".join(lines) if len(lines) > 1 else ""
 
 

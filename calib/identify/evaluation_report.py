@@ -27,9 +27,8 @@ from calib.identify.coverage import outside, outside_sentence
 from calib.identify.evaluation import Evaluation, evaluate, evaluate_larger, hint, moved
 from calib.identify.result import Calibration
 from calib.identify.result_fields import ERRORS, pose_table, versions
-from calib.identify.statements import error_title
 from calib.identify.statistics import Errors
-from calib.identify.summary import angle_head, angle_row, error_head, error_row
+from calib.identify.summary import ANGLE_HEAD, angle_row, error_head, error_row, error_title
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot
@@ -316,7 +315,7 @@ def _errors_text(found: Mapping[str, Evaluation], result: str) -> str:
 
     parts = [table(error_head(error_title(urdf.used)), error_row, "n")]
     if any(one.errors["all"].n_angle for one in shown.values()):
-        parts.append(table(angle_head(), angle_row, "n_angle"))
+        parts.append(table(ANGLE_HEAD, angle_row, "n_angle"))
     return "\n\n".join(parts)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.families import unit_of
 from calib.identify.prediction import ParameterEstimate
 from calib.identify.result import Calibration
-from calib.identify.statements import errorless
+from calib.identify.summary import errorless
 from calib.model.parameters import FRAME, TARGET
 from calib.show.figure_base import (
     WIDTH,
@@ -50,7 +50,7 @@ def shown_parameters(c: Calibration) -> tuple[ParameterEstimate, ...]:
 
     Frames, targets' orientations and targets that were not given count from where registration put them, which says
     nothing of the robot. Parameters of a kind of which no errors were found have no interval; see
-    `calib.identify.statements.errorless`.
+    `calib.identify.summary.errorless`.
     """
     none = errorless(c)
     own = [

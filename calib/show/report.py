@@ -9,7 +9,7 @@ import base64
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -21,20 +21,20 @@ from calib.identify.coverage import outside_sentence
 from calib.identify.reasons import Why
 from calib.identify.result import Calibration
 from calib.identify.result_fields import versions
-from calib.identify.statements import (
-    correlation_text,
+from calib.identify.statistics import interval_factor
+from calib.identify.summary import (
+    EXPECTED,
+    SCATTER,
+    SIZES,
+    TOGETHER,
     errorless,
-    expected_text,
-    noise_text,
-    rank_text,
-    repeats_text,
-    sizes_text,
+    facts,
+    frame_sentences,
     solver_text,
+    target_sentences,
     unidentifiable_text,
     weights_text,
 )
-from calib.identify.statistics import interval_factor
-from calib.identify.words import frame_sentences, target_sentences
 from calib.kinds import get as kind_named
 from calib.model.files import write_atomically
 from calib.show import report_tables as tables
@@ -124,7 +124,7 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
     use = "none" if c.verdict is None else c.verdict.use
     # Of a text in CSS all but letters, digits and blanks are numbers, so that nothing ends it.
     footer = re.sub(r"[^A-Za-z0-9 ]", lambda found: f"\\{ord(found[0]):x} ", title[:80])
-    every = _combinations(c)
+    every, said = _combinations(c), facts(c)
     return {
         "c": c,
         "title": title,
@@ -142,11 +142,13 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
         "errorless": bool(errorless(c)),
         "places": [*target_sentences(c, _MOST), *frame_sentences(c, _MOST)],
         "weights": weights_text(c),
-        "rank": rank_text(c),
-        "unidentifiable": unidentifiable_text(c).removesuffix(":"),
+        "rank": f"Rank: {said['Rank']}",
+        "unidentifiable": unidentifiable_text(c),
         "combinations": every,
-        "known_together": [text for text in (correlation_text(c), sizes_text(c)) if text],
-        "measured": list(_measured(c)),
+        "known_together": [
+            f"{label}: {said[label]}" for label in (TOGETHER, SIZES) if label in said
+        ],
+        "measured": list(_measured(c, said)),
         "outside": _outside(c),
         "method": list(_method(c)),
         "trace": _trace(c, command, date),
@@ -191,7 +193,7 @@ def _combinations(c: Calibration) -> list[str]:
     return every[:_MOST] + ([f"and {rest} more"] if rest > 0 else [])
 
 
-def _measured(c: Calibration) -> Iterator[tuple[str, str]]:
+def _measured(c: Calibration, said: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     """What was measured, and how well."""
     m = c.measurements
     rows = f"{m.estimation.sum():,} to estimate, {m.validation.sum():,} to validate (column 'set')"
@@ -203,20 +205,19 @@ def _measured(c: Calibration) -> Iterator[tuple[str, str]]:
         if len(set(names)) > 1:
             yield what, _named(tuple(dict.fromkeys(names)))
     yield "Measurement frame", _frame(c)
-    yield "Noise of the rows", noise_text(c).removeprefix("Noise: ")
+    yield "Noise of the rows", said["Noise"]
     if m.sigma is not None or c.cell.sigma is not None:
         given = c.cell.sigma if m.sigma is None else float(np.nanmedian(m.sigma))
         yield "Noise stated", f"{1e3 * (given or 0.0):.3f} mm a coordinate (median of the rows)"
-    if repeats_text(c):
-        yield "Repeats", repeats_text(c)
+    if SCATTER in said:
+        yield SCATTER, said[SCATTER]
     if c.nominal.held:
         held = [f"{name} at {_value(c, name, v)}" for name, v in c.nominal.held.items()]
         yield "Joints held", ", ".join(held)
     if m.ignored:
         yield "Columns not used", _named(m.ignored)
-    expected = expected_text(c).removeprefix("Expected error, ").removesuffix(".")
     what = "one standard deviation of the target's position, from the covariance of the parameters"
-    yield "Expected error", f"{expected}; {what}."
+    yield EXPECTED, f"{said[EXPECTED].removesuffix('.')}; {what}."
 
 
 def _frame(c: Calibration) -> str:

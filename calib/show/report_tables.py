@@ -10,7 +10,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.identify.result import Calibration
-from calib.identify.statements import (
+from calib.identify.statistics import Errors
+from calib.identify.summary import (
     candidate_rms,
     error_rows,
     error_title,
@@ -19,7 +20,6 @@ from calib.identify.statements import (
     left_out_text,
     shown_parameters,
 )
-from calib.identify.statistics import Errors
 from calib.model.dh import DHRow, DHTable, dh_table
 from calib.model.robot import read_only, rigid_inverse
 from calib.show.rows import angles_of, lengths_of

@@ -116,13 +116,3 @@ def test_of_a_tool_it_is_the_scatter_of_robots_drawn_from_the_covariance():
     assert scatter == pytest.approx(expected[:, 0], rel=0.12)
     # One target says little of how the tip is turned: the angle stays as unsure as its priors left it.
     assert expected[:, 1].min() > 2e-3
-
-
-def test_rows_outside_of_the_measured_range_are_named():
-    found = made("paper")
-    middle = found.ranges.mean(axis=1)
-    beyond = middle.copy()
-    beyond[2] = found.ranges[2, 1] + 0.5
-    (row,) = found.outside_of_measured(np.array([middle, beyond]))
-    assert row.index == 1
-    assert str(row.beyond[0]) == "'elbow_joint' 28.6 deg"

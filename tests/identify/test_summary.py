@@ -9,8 +9,23 @@ import pytest
 import calib
 from calib.calibration import Calibration, calibrate
 from calib.data import PAPER_TARGET_AS_PRINTED, paper_urdf
+from calib.identify.prediction import Outlier
 from calib.identify.statistics import Errors
-from calib.identify.summary import error_head, error_row
+from calib.identify.summary import (
+    error_head,
+    error_row,
+    error_rows,
+    error_title,
+    frame_sentences,
+    left_out_text,
+    measured_lengths,
+    shown_parameters,
+    solver_text,
+    target_sentences,
+    three,
+    weights_text,
+    wrap,
+)
 from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only
@@ -100,13 +115,6 @@ def test_validation_rows_by_axis(text: str, default_result: Calibration):
     assert "  row 31 [mm]" not in replace(default_result, rows=many).summary()
 
 
-def test_where_the_base_stands_in_the_trackers_frame(ur3: Robot, table: Measurements):
-    result = calibrate(ur3, table, cell=Cell(estimate_frame=True), validate=False)
-    x, y, z = 1e3 * result.T_frame_base[:3, 3]
-    said = " ".join(result.summary().split())
-    assert f"Measurement frame: base found at ({x:.3f}, {y:.3f}, {z:.3f}) mm, rpy (" in said
-
-
 def test_target_found_given_moved_and_kept(ur3: Robot, table: Measurements):
     def said(cell: Cell) -> str:
         whole = " ".join(calibrate(ur3, table, cell=cell, validate=False).summary().split())
@@ -189,3 +197,160 @@ def test_the_error_table_keeps_its_columns_for_large_errors():
         assert len(line.split()) == 10
     assert float(row.split()[-1]) == 55000.0
     assert float(larger.split()[-1]) == 100000.0
+
+
+def test_without_cross_validation_nothing_is_said_of_left_out_rows(calibrated):
+    _, c = calibrated("points")
+    bare = replace(c, cross_validation=None, nominal_cross_validation=None, larger=None)
+    assert left_out_text(bare) == ""
+    assert not [label for label, _ in error_rows(bare) if "left-out" in label]
+
+
+def test_whether_outliers_have_a_weight(calibrated):
+    _, c = calibrated("points")
+    row = c.measurements.rows[0]
+    flagged = replace(c, outliers=(Outlier(row, 1e-3, 9.0),))
+    weights = c.weights.copy()
+    for weight, said in (
+        (0.0, "they have no weight in the fit"),
+        (1.0, "they keep their weight in this fit"),
+    ):
+        weights[0] = weight
+        assert weights_text(replace(flagged, weights=weights)) == said
+
+
+def test_frames_and_orientations_of_targets_are_no_listed_parameters(calibrated):
+    _, c = calibrated("poses")
+    names = [p.name for p in shown_parameters(c)]
+    assert "target_x" in names
+    assert not [name for name in names if name.startswith(("frame_", "target_r"))]
+
+
+def test_the_solver_without_its_time(calibrated):
+    _, c = calibrated("points")
+    assert solver_text(c) == (
+        f"Solver 'lm': converged after {c.solution.iterations} iterations, {c.solution.evaluations} evaluations"
+    )
+    assert solver_text(replace(c, seconds=np.nan)) == solver_text(c)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "of", "title"),
+    [
+        ([3, 3], "coordinate", "Position error"),
+        ([1, 0], "length", "Length error"),
+        ([3, 1], "coordinate or length", "Position or length error"),
+        ([0], "coordinate", "Position error"),
+    ],
+)
+def test_an_error_of_a_length_is_none_of_a_position(numbers: list[int], of: str, title: str):
+    used = np.arange(3) < np.array(numbers)[:, None]
+    assert measured_lengths(used) == of
+    assert error_title(used) == title
+
+
+def one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def targets(c: Calibration) -> str:
+    return "\n".join(target_sentences(c))
+
+
+def frames(c: Calibration) -> str:
+    return "\n".join(frame_sentences(c))
+
+
+def numbers(text: str) -> list[float]:
+    return [float(word) for word in re.findall(r"-?\d+\.\d+(?:e-?\d+)?", text)]
+
+
+def test_targets_by_name_where_there_are_several(calibrated):
+    _, c = calibrated("targets")
+    lines = targets(c).splitlines()
+    assert lines[0].startswith("Target 't0': found at (")
+    for name, T in zip(c.setup.targets, c.setup.T_tip_target, strict=True):
+        (line,) = [line for line in lines if f"'{name}'" in line]
+        np.testing.assert_allclose(numbers(line)[:3], 1e3 * T[:3, 3], atol=5.1e-4)
+    assert targets(calibrated("points")[1]).startswith("Target: found at (")
+
+
+def test_orientations_and_how_sure_they_are(calibrated):
+    _, c = calibrated("poses")
+    said = one_line(targets(c))
+    assert re.search(
+        r"mm, rpy \(.*\) deg in tool0, 95 % ± \(.*\) mm and \(.*\) deg about its axes", said
+    )
+    sure = numbers(said.split("mm and (")[1])
+    wanted = [c.parameter(f"target_r{a}") for a in "xyz"]
+    np.testing.assert_allclose(sure, [np.degrees(p.high - p.low) / 2 for p in wanted], rtol=6e-3)
+    assert "target_rx" not in c.summary().split("Parameter ")[1]
+
+
+def test_every_set_up_by_name(calibrated):
+    _, c = calibrated("set-ups")
+    said = one_line(frames(c))
+    for group, T in zip(c.setup.groups, c.setup.T_frame_base, strict=True):
+        x, y, z = (three(1e3 * v) for v in T[:3, 3])
+        assert f"Measurement frame '{group}': base found at ({x}, {y}, {z}) mm, rpy (" in said
+    assert frames(calibrated("known set-ups")[1]) == ""
+    assert frames(calibrated("pairs")[1]) == ""
+
+
+@pytest.mark.parametrize(("name", "word"), [("sockets", "Socket"), ("distances", "Anchor")])
+def test_sockets_and_anchors_are_points_of_the_base(calibrated, name, word):
+    _, c = calibrated(name)
+    for line, group, T in zip(
+        frames(c).splitlines(), c.setup.groups, c.setup.T_frame_base, strict=True
+    ):
+        assert line.startswith(f"{word} '{group}': found at (")
+        np.testing.assert_allclose(numbers(line), -1e3 * T[:3, :3].T @ T[:3, 3], atol=5.1e-4)
+
+
+def test_planes_by_normal_and_distance(calibrated):
+    scene, c = calibrated("planes")
+    for line, T in zip(frames(c).splitlines(), scene.kinematics.T_frame_base, strict=True):
+        normal, along = np.array(numbers(line)[:3]), numbers(line)[3]
+        side = np.sign(normal @ T[2, :3])  # a plane has two
+        np.testing.assert_allclose(side * normal, T[2, :3], atol=5e-3)
+        assert side * along == pytest.approx(-1e3 * T[2, 3], abs=3.0)
+
+
+def test_each_kind_has_its_own_words_in_a_table_of_all(calibrated):
+    _, c = calibrated("mixed")
+    starts = [line.split(":")[0] for line in frames(c).splitlines() if line[0] != " "]
+    assert starts == ["Measurement frame '0'", "Socket '1'", "Plane '2'", "Anchor '3'"]
+
+
+def test_a_partly_known_frame_says_which_directions(calibrated):
+    _, c = calibrated("gain")
+    cell = replace(
+        c.cell, T_frame_base=c.T_frame_base, frame_directions=("x", "rz"), model="frames"
+    )
+    found = calibrate(c.nominal, c.measurements, cell=cell, validate=False)
+    said = one_line(frames(found))
+    assert said.endswith("for x, rz along and about the axes of base.")
+    assert len(numbers(said.split("95 % ± ")[1])) == 2
+
+
+def test_many_are_counted_not_listed(calibrated):
+    scene, c = calibrated("sockets")
+    m = c.measurements
+    groups = tuple(f"{g}{k % 4}" for k, g in enumerate(m.groups))
+    many = calibrate(
+        scene.robot, replace(m, groups=groups), cell=replace(c.cell, distances=()), validate=False
+    )
+    assert frames(many).count("Socket") == 6
+    assert frames(many).endswith("... and 6 more set-ups")
+    table = calibrated("points")[1].measurements
+    names = tuple(f"ball{k % 8}" for k in range(len(table)))
+    several = calibrate(scene.robot, replace(table, targets=names), model="frames", validate=False)
+    assert targets(several).endswith("... and 2 more targets")
+
+
+def test_numbers_and_lines():
+    assert (three(-0.0001), three(0.00049, "+"), three(-1.2345)) == ("0.000", "+0.000", "-1.234")
+    text = wrap("word-with-hyphens " * 20, "  ")
+    assert max(map(len, text.splitlines())) <= 100
+    assert all(line.startswith("  ") for line in text.splitlines())
+    assert "hyphens" in text.splitlines()[0].split()[-1]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.calibration import calibrate
-from calib.identify.correlations import correlations as strong_correlations
+from calib.identify.prediction import correlations as strong_correlations
 from calib.show.figure_base import styled
 from calib.show.figure_model import (
     _stage_starts,
@@ -83,9 +83,9 @@ def test_squares_are_as_large_as_the_correlations(calibrations):
     names = [c.parameters[k].name for k in correlation_indices(c)]
     strong = strong_correlations(c, 0.5)
     assert strong
-    for pair in strong:
-        at = names.index(pair.first), names.index(pair.second)
-        assert found[at] == pytest.approx(pair.value, abs=1e-9)
+    for first, second, value in strong:
+        at = names.index(first), names.index(second)
+        assert found[at] == pytest.approx(value, abs=1e-9)
     assert all(j < i for j, i in found)
     assert [text.get_text() for text in ax.get_yticklabels()] == names[1:]
 

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from calib.errors import FileError
-from calib.identify.statements import errorless
+from calib.identify.summary import errorless
 from calib.show.figures import CAPTIONS, drawings, rendered, write_figures
 
 ALWAYS = ["points", "histograms", "singular-values", "workspace-uncertainty"]

