@@ -21,7 +21,7 @@ from pathlib import Path
 import calib
 from calib.compensate.program import read_program
 from calib.data import paper_measurements
-from calib.design.region_file import RegionFile
+from calib.design.region import RegionFile
 from calib.design.solids import read_solids
 from calib.errors import CalibError
 from calib.formats.sources import Asked, read_source

@@ -336,7 +336,7 @@ def read_region(path: Path | None, robot: Robot, cell: Cell) -> tuple[Region | N
     Raises:
         CalibError: It cannot be read, or is another robot's.
     """
-    from calib.design.region_file import RegionFile
+    from calib.design.region import RegionFile
 
     if path is None:
         return None, []

@@ -303,7 +303,7 @@ def _write(
 ) -> list[Path]:
     """Write what was asked for."""
     from calib.cli.workspace_text import picture_words
-    from calib.design.region_file import RegionFile
+    from calib.design.region import RegionFile
     from calib.show.figure_region import Marked, write_picture
 
     title, subtitle = picture_words(found)

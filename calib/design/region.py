@@ -1,16 +1,27 @@
-"""Region: the part of space that a robot is measured in, as the voxels of a grid."""
+"""Region: the part of space that a robot is measured in, as the voxels of a grid, and as a file.
+
+The file is JSON in SI units, the unit in each key's suffix, versioned by ``schema``; see docs/workspace.md. Beside the
+voxels it says which robot, base, tip and target it was made for: in another base frame the same numbers are another
+place.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from calib.errors import CalibError
-from calib.model.robot import read_only
+from calib.errors import CalibError, FileError, choices
+from calib.model.files import damage, json_bytes, read_json, write_atomically
+from calib.model.robot import Robot, read_only
+from calib.version import __version__
+
+SCHEMA = "region 1"
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -69,16 +80,10 @@ class Region:
         object.__setattr__(self, "cells", cells)
         object.__setattr__(self, "origin", read_only(self.origin))
         object.__setattr__(self, "box", checked_box(self.box))
-        if self.origin.shape != (3,) or not np.isfinite(self.origin).all() or cells.ndim != 3:
+        if self.origin.shape != (3,) or cells.ndim != 3 or not 0.0 < self.voxel < np.inf:
             raise CalibError(
-                f"A region's grid has an origin of shape {self.origin.shape} and voxels of shape {cells.shape}; it "
-                "needs three finite numbers and three dimensions."
-            )
-        if not (0.0 < self.voxel < np.inf):
-            raise CalibError(f"A region's voxel is {self.voxel} m; it must be greater than 0.")
-        if not (0.0 < self.share <= 1.0 and 0.0 < self.held <= 1.0):
-            raise CalibError(
-                f"A region's shares are {self.share} and {self.held}; they are greater than 0, at most 1."
+                f"A region's grid has an origin of shape {self.origin.shape}, voxels of {self.voxel} m and of shape "
+                f"{cells.shape}; it needs three numbers, an edge above 0 and three dimensions."
             )
         if not self.volume > 0.0:
             raise CalibError(
@@ -102,14 +107,7 @@ class Region:
         return read_only([low.min(axis=0), high.max(axis=0)])
 
     def contains(self, points: ArrayLike) -> Mask:
-        """Whether points lie in the region.
-
-        Args:
-            points: shape (N, 3), in the base frame [m].
-
-        Returns:
-            shape (N,).
-        """
+        """Whether points of shape (N, 3), in the base frame [m], lie in the region, shape (N,)."""
         values = checked_points(points)
         inside = np.all((values >= self.box[0]) & (values <= self.box[1]), axis=1)
         index, known = voxel_of(values, self.origin, self.voxel, self.cells.shape)
@@ -117,13 +115,9 @@ class Region:
         return found
 
     def depth(self, points: ArrayLike) -> Array:
-        """How deep points lie inside of the region: their distance to its border, negative outside.
+        """How deep points of shape (N, 3) lie inside of the region, shape (N,), [m]: negative outside.
 
-        Args:
-            points: shape (N, 3), in the base frame [m].
-
-        Returns:
-            shape (N,), [m]. The border itself is known to about half a voxel.
+        It is their distance to the border, which itself is known to about half a voxel.
         """
         values = checked_points(points)
         inside = self.contains(values)
@@ -134,40 +128,16 @@ class Region:
         result[inside] = _distance(values[inside], low, high)
         for corner in self.box:
             result[inside] = np.minimum(result[inside], np.abs(values[inside] - corner).min(axis=1))
-        result[~inside] = -_distance(values[~inside], *self._voxels(self.cells & self._on_border()))
+        # A voxel is nearest only if it has a free side, or the box cuts it.
+        cut = np.isfinite(self.box).any()
+        border = self.cells if cut else self.cells & ~ndimage.binary_erosion(self.cells)
+        result[~inside] = -_distance(values[~inside], *self._voxels(border))
         return result
 
-    def within(self, box: ArrayLike) -> Region:
-        """The part of the region inside of a box as well.
-
-        Args:
-            box: shape (2, 3), least and greatest corner, in the base frame [m].
-
-        Raises:
-            CalibError: It is no box, or nothing of the region lies inside.
-        """
-        corners = checked_box(box)
-        low, high = np.maximum(self.box[0], corners[0]), np.minimum(self.box[1], corners[1])
-        if not np.all(low < high):
-            raise CalibError(
-                "The region is empty: no voxel of it lies inside of the box. Give a larger box."
-            )
-        return replace(self, box=np.array([low, high]))
-
-    def _on_border(self) -> Mask:
-        """The voxels of which a side is free, or that the box may cut."""
-        if np.isfinite(self.box).any():
-            return np.ones_like(self.cells)
-        inner: Mask = ~ndimage.binary_erosion(self.cells)
-        return inner
-
     def _voxels(self, chosen: Mask, shift: int = 0, *, cut: bool = True) -> tuple[Array, Array]:
-        """Least and greatest corners of voxels, shape (K, 3) each, [m], cut off by the box.
+        """Least and greatest corners of the chosen voxels, shape (K, 3) each, [m], cut off by the box.
 
-        Args:
-            chosen: shape (nx, ny, nz), which.
-            shift: What is added to their indices.
-            cut: Whether the box cuts them off; those that lie outside are then left out.
+        ``shift`` is added to their indices; without ``cut`` the box does not count.
         """
         index = np.argwhere(chosen) + shift
         low = self.origin + self.voxel * index
@@ -180,11 +150,7 @@ class Region:
 
 
 def checked_points(points: ArrayLike) -> Array:
-    """Points as finite numbers of shape (N, 3), [m].
-
-    Raises:
-        CalibError: They are not.
-    """
+    """Points, which are finite numbers of shape (N, 3), [m]."""
     values = np.asarray(points, dtype=np.float64)
     if values.ndim != 2 or values.shape[1] != 3 or not np.isfinite(values).all():
         raise CalibError(
@@ -217,3 +183,143 @@ def _distance(points: Array, low: Array, high: Array) -> Array:
         gap = np.maximum(np.maximum(low - near, near - high), 0.0)
         found.append(np.sqrt(np.min(np.einsum("nki,nki->nk", gap, gap), axis=1)))
     return np.concatenate(found)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegionFile:
+    """A region and what it was made from.
+
+    Attributes:
+        region: The region, in the base frame.
+        robot: The robot's name in the URDF.
+        base: Base link.
+        tip: Tip link.
+        joints: Of each joint its ``name``, and between which values it was moved, ``low_rad`` and ``high_rad``; of one
+            that slides ``low_m`` and ``high_m``.
+        target: shape (3,), the target in the tip [m].
+        samples: How many samples the region was made from.
+        seed: Their seed.
+    """
+
+    region: Region
+    robot: str
+    base: str
+    tip: str
+    joints: Sequence[Mapping[str, Any]]
+    target: Array
+    samples: int
+    seed: int
+
+    @classmethod
+    def of(
+        cls, region: Region, robot: Robot, target: Array, ranges: Array, samples: int, seed: int
+    ) -> RegionFile:
+        """The file of a robot's region; ``ranges`` of shape (m, 2), [rad] or [m]."""
+        joints = []
+        for name, (low, high) in zip(robot.joint_names, ranges.tolist(), strict=True):
+            unit = "m" if robot.joint_types[name] == "prismatic" else "rad"
+            joints.append({"name": name, f"low_{unit}": low, f"high_{unit}": high})
+        return cls(region, robot.name, robot.base, robot.tip, joints, target, samples, seed)
+
+    def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the region as JSON, whole or not at all.
+
+        Raises:
+            FileError: The file exists and ``overwrite`` is False, or it cannot be written.
+        """
+        region, flat = self.region, self.region.cells.ravel()
+        ends = np.flatnonzero(np.diff(flat)) + 1
+        runs = np.diff([0, *ends, flat.size]).tolist()
+        table = {
+            "schema": SCHEMA,
+            "calib": __version__,
+            "robot": {
+                "name": self.robot,
+                "base": self.base,
+                "tip": self.tip,
+                "joints": self.joints,
+            },
+            "target_xyz_m": self.target,
+            "samples": self.samples,
+            "seed": self.seed,
+            "share": region.share,
+            "held": region.held,
+            "volume_m3": region.volume,
+            "box_m": region.box if np.isfinite(region.box).any() else None,
+            "voxel_m": region.voxel,
+            "origin_m": region.origin,
+            "shape": region.cells.shape,
+            # Voxels in the order of the last index first, as lengths of runs: outside, inside, outside, ...
+            "runs": [0, *runs] if flat[0] else runs,
+        }
+        return write_atomically(Path(path), json_bytes(table), overwrite=overwrite)
+
+    @classmethod
+    def read(cls, path: str | Path) -> RegionFile:
+        """Read what `write` wrote.
+
+        Raises:
+            FileError: The file cannot be read, is no JSON, no region of calib, of another schema, or damaged.
+        """
+        expected = (
+            f"a region of calib {__version__} has '{SCHEMA}'. Give the file that 'calib workspace -o' wrote, by "
+            "the same version."
+        )
+        table = read_json(path, "region", SCHEMA, expected)
+        try:
+            robot, runs = table["robot"], np.asarray(table["runs"], dtype=np.int64)
+            # null is a side without an end.
+            box = np.asarray(table["box_m"] or [[None] * 3] * 2, dtype=np.float64)
+            region = Region(
+                origin=table["origin_m"],
+                voxel=float(table["voxel_m"]),
+                cells=np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(table["shape"]),
+                share=float(table["share"]),
+                held=float(table["held"]),
+                box=np.where(np.isnan(box), [[-np.inf], [np.inf]], box),
+            )
+            names = (robot["name"], robot["base"], robot["tip"], robot["joints"])
+            return cls(
+                region, *names, read_only(table["target_xyz_m"]), table["samples"], table["seed"]
+            )
+        except (CalibError, KeyError, TypeError, ValueError, OverflowError) as error:
+            raise FileError(
+                f"{path}: the region is damaged: {damage(error)}. Write it again with 'calib workspace -o'."
+            ) from error
+
+    def check_fits(self, robot: Robot, target: Array | None = None) -> tuple[str, ...]:
+        """Whether the region is one of this robot: refuse another base, say what else differs.
+
+        Args:
+            robot: The robot that the region is wanted for.
+            target: shape (3,), its target in the tip [m]; None where it is not known.
+
+        Returns:
+            Sentences on what differs and may well be meant so: the robot's name, or the target by more than a voxel.
+
+        Raises:
+            CalibError: The region is in the frame of another base, or of another tip or other joints.
+        """
+        for what, here, there in (("base", robot.base, self.base), ("tip", robot.tip, self.tip)):
+            if here != there:
+                raise CalibError(
+                    f"The region was made for the {what} '{there}' of '{self.robot}', and the {what} is '{here}' now. "
+                    f"Give --{what} {there}, or make the region again with 'calib workspace'."
+                )
+        names = tuple(joint["name"] for joint in self.joints)
+        if robot.joint_names != names:
+            raise CalibError(
+                f"The region was made for the joints {choices(names)} of '{self.robot}'; the chain '{robot.base}' to "
+                f"'{robot.tip}' of '{robot.name}' has {choices(robot.joint_names)}. Give the same --hold, or make the "
+                "region again with 'calib workspace'."
+            )
+        notes = []
+        if robot.name != self.robot:
+            notes.append(f"The region was made for '{self.robot}', this robot is '{robot.name}'.")
+        apart = 0.0 if target is None else float(np.linalg.norm(target - self.target))
+        if apart > self.region.voxel:
+            notes.append(
+                f"The region was made for a target {1e3 * apart:.0f} mm away from this one in the tip; make it again "
+                "with 'calib workspace --target' if that matters."
+            )
+        return tuple(notes)

@@ -17,7 +17,7 @@ than of those that it was made from, and other samples would make another region
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,18 +26,9 @@ from scipy import ndimage
 
 from calib.design.region import Region, checked_box, checked_points, no_box, voxel_of
 from calib.errors import CalibError
-from calib.measure.ranges import column_limits, joint_ranges, ranges_of
+from calib.measure.cell_parts import vector
+from calib.measure.ranges import joint_ranges
 from calib.model.robot import Robot, read_only
-
-__all__ = [
-    "COUNT",
-    "Density",
-    "Region",
-    "column_limits",
-    "joint_ranges",
-    "ranges_of",
-    "sample_workspace",
-]
 
 Array = NDArray[np.float64]
 
@@ -84,28 +75,22 @@ def sample_workspace(
     Returns:
         shape (count, 3), in the base frame [m], read-only.
 
-    Raises:
-        CalibError: The target or the ranges have another shape or are not finite, or there are no samples.
     """
-    point = np.asarray(target, dtype=np.float64)
+    # Not above: SciPy's distributions take as long to import as the rest of calib.
+    from scipy.stats import qmc
+
+    point = vector(target, "target's position in the tip")
     ends = joint_ranges(robot) if ranges is None else np.asarray(ranges, dtype=np.float64)
-    wanted = (len(robot.joint_names), 2)
-    if point.shape != (3,) or ends.shape != wanted or not np.isfinite([*point, *ends.flat]).all():
-        raise CalibError(
-            f"The target has shape {point.shape} and the ranges {ends.shape}; finite numbers of the shapes (3,) and "
-            f"{wanted} are wanted."
-        )
-    if count < 1:
-        raise CalibError(f"{count} samples of the workspace were asked for; give one at least.")
+    sequence = qmc.Sobol(len(ends), scramble=True, seed=np.random.default_rng(seed))
     points = np.empty((count, 3))
     low, high = ends.T
-    done = 0
-    for unit in _even(len(ends), count, seed):
+    for start in range(0, count, _CHUNK):
+        # The first piece is a power of two long, as SciPy asks.
+        unit = sequence.random(_CHUNK)[: count - start]
         poses = robot.poses(low + unit * (high - low))
-        points[done : done + len(unit)] = poses[:, :3, :3] @ point + poses[:, :3, 3]
-        done += len(unit)
+        points[start : start + _CHUNK] = poses[:, :3, :3] @ point + poses[:, :3, 3]
         if progress is not None:
-            progress(done, count)
+            progress(start + len(unit), count)
     points.setflags(write=False)
     return points
 
@@ -147,11 +132,18 @@ class Density:
         """
         every = checked_points(points)
         corners = no_box() if box is None else checked_box(box)
-        inside = every
-        if box is not None:
-            inside = every[np.all((every >= corners[0]) & (every <= corners[1]), axis=1)]
+        inside = every[np.all((every >= corners[0]) & (every <= corners[1]), axis=1)]
+        if not len(every):
+            raise CalibError("No points were given to count; give one at least.")
         if not len(inside):
-            raise CalibError(_nothing(every, corners))
+            low, high = np.min(every, axis=0), np.max(every, axis=0)
+            a, b, c, d = (
+                " ".join(f"{1e3 * v:.4g}" for v in corner) for corner in (*corners, low, high)
+            )
+            raise CalibError(
+                f"The region is empty: none of {len(every):,} samples lies in the box from {a} to {b} mm. They lie "
+                f"between {c} and {d} mm in the base frame; give a box there, or wider ranges of the joints."
+            )
         low, high = inside.min(axis=0), inside.max(axis=0)
         edge = _chosen_voxel(inside, low, high) if voxel is None else float(voxel)
         origin, shape = _grid(low, high, edge)
@@ -163,11 +155,6 @@ class Density:
     def samples(self) -> int:
         """How many points were counted."""
         return int(self.counts.sum())
-
-    @property
-    def values(self) -> Array:
-        """The smoothed density, shape (nx, ny, nz), [1/m^3]; its integral is 1."""
-        return read_only(self.smooth / (self.smooth.sum() * self.voxel**3))
 
     @property
     def extent(self) -> Array:
@@ -211,13 +198,9 @@ class Density:
         )
 
     def share_of(self, points: ArrayLike) -> Array:
-        """The smallest share whose region holds each point; infinite where no sample came.
+        """The smallest share whose region holds each of the points, shape (N, 3), in the base frame [m].
 
-        Args:
-            points: shape (N, 3), in the base frame [m].
-
-        Returns:
-            shape (N,): near 0 where the target is most often, 1 at the rim of the workspace.
+        shape (N,): near 0 where the target is most often, 1 at the rim of the workspace, infinite where no sample came.
         """
         values = checked_points(points)
         order, held = self._by_density()
@@ -235,22 +218,8 @@ class Density:
         return order, held
 
 
-def _even(dimensions: int, count: int, seed: int) -> Iterator[Array]:
-    """Points of a scrambled Sobol sequence in the unit cube, in pieces of shape (k, dimensions)."""
-    from scipy.stats import qmc
-
-    sequence = qmc.Sobol(dimensions, scramble=True, seed=np.random.default_rng(seed))
-    for start in range(0, count, _CHUNK):
-        # The first piece is a power of two long, as SciPy asks.
-        yield sequence.random(_CHUNK)[: count - start]
-
-
 def _grid(low: Array, high: Array, voxel: float) -> tuple[Array, tuple[int, ...]]:
-    """Least corner and shape of the grid of voxels that lies evenly about a box, [m].
-
-    Raises:
-        CalibError: The voxel is not greater than 0, or there would be too many.
-    """
+    """Least corner and shape of the grid of voxels that lies evenly about a box, [m]."""
     if not (np.isfinite(voxel) and voxel > 0.0):
         raise CalibError(f"The voxel is {1e3 * voxel:g} mm; it must be a length greater than 0.")
     # A length that is a multiple of the voxel's, but for rounding, gets no voxel more.
@@ -271,11 +240,9 @@ def _counted(
     points: Array, origin: Array, voxel: float, shape: tuple[int, ...]
 ) -> NDArray[np.int64]:
     """How many points lie in each voxel; all of them lie in the grid."""
-    counts = np.zeros(int(np.prod(shape)), dtype=np.int64)
-    for start in range(0, len(points), _CHUNK):
-        index, _ = voxel_of(points[start : start + _CHUNK], origin, voxel, shape)
-        np.add.at(counts, np.ravel_multi_index(tuple(index.T), shape), 1)
-    return counts.reshape(shape)
+    index, _ = voxel_of(points, origin, voxel, shape)
+    flat = np.ravel_multi_index(tuple(index.T), shape)
+    return np.bincount(flat, minlength=int(np.prod(shape))).reshape(shape)
 
 
 def _smoothed(counts: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -292,10 +259,7 @@ def _smoothed(counts: NDArray[np.int64]) -> tuple[Array, Array]:
 def _spread(values: Array, weights: Array) -> Array:
     """Weighted sums of each voxel and its neighbours, shape (nx, ny, nz)."""
     for axis in range(3):
-        if values.shape[axis] > 1:
-            values = ndimage.convolve1d(values, weights, axis=axis, mode="constant")
-        else:
-            values = values * weights[1]
+        values = ndimage.convolve1d(values, weights, axis=axis, mode="constant")
     return values
 
 
@@ -326,19 +290,3 @@ def _round_up(length: float) -> float:
     figures = [step for step in (*_ROUND, 10.0) if step * power >= length * (1.0 - 1e-9)]
     # Written out in decimals, 0.02 is nearer to 20 mm than 2 * 0.01.
     return float(f"{figures[0] * power:.3g}")
-
-
-def _nothing(points: Array, box: Array) -> str:
-    """Why no sample is left."""
-    if not len(points):
-        return "No points were given to count; give one at least."
-    low, high = 1e3 * points.min(axis=0), 1e3 * points.max(axis=0)
-
-    def corner(values: Array) -> str:
-        return " ".join(f"{value:.4g}" for value in values)
-
-    return (
-        f"The region is empty: none of {len(points):,} samples lies in the box from {corner(1e3 * box[0])} to "
-        f"{corner(1e3 * box[1])} mm. They lie between {corner(low)} and {corner(high)} mm in the base frame; give a "
-        "box there, or wider ranges of the joints."
-    )

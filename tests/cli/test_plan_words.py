@@ -9,8 +9,7 @@ import pytest
 from calib.cli.plan import load_for_plan, parse_ladder, read_region
 from calib.cli.surroundings_words import parse_start, with_noise
 from calib.cli.terminal import row_ranges
-from calib.design.region import Region
-from calib.design.region_file import RegionFile
+from calib.design.region import Region, RegionFile
 from calib.errors import CalibError
 from calib.measure.cell import Cell
 from calib.measure.noise import TrackerNoise

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from calib.cli.workspace import parse_margins, parse_within
-from calib.design.region_file import RegionFile
+from calib.design.region import RegionFile
 from calib.errors import CalibError
 from calib.model.robot import Robot
 
