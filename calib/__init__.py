@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from calib.design.region import Region
     from calib.design.workspace import Density, sample_workspace
     from calib.errors import CalibError
-    from calib.fleets.fleet import Fleet, fleet
-    from calib.fleets.robots import FleetOptions, FleetRobot
+    from calib.fleets.fleet import Fleet, FleetOptions, FleetRobot, fleet
     from calib.identify.acceptance import Acceptance, acceptance
     from calib.identify.evaluation import Evaluation, evaluate
     from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
@@ -100,8 +99,8 @@ _MODULES = {
     "Density": "calib.design.workspace",
     "Evaluation": "calib.identify.evaluation",
     "Fleet": "calib.fleets.fleet",
-    "FleetOptions": "calib.fleets.robots",
-    "FleetRobot": "calib.fleets.robots",
+    "FleetOptions": "calib.fleets.fleet",
+    "FleetRobot": "calib.fleets.fleet",
     "GroupDistance": "calib.measure.cell",
     "Measurements": "calib.measure.measurements",
     "Payload": "calib.model.torques",

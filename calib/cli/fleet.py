@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,10 +25,10 @@ from calib.cli.options import (
 )
 from calib.cli.setup import executor_of
 from calib.cli.terminal import VERDICTS, fill
+from calib.errors import FileError
 
 if TYPE_CHECKING:
     from calib.fleets.fleet import Fleet
-    from calib.fleets.record import FleetRow
 
 #: More robots than this are counted, and those are listed that need somebody to look at them.
 LISTED = 40
@@ -39,10 +38,6 @@ _REASONS, _NAMES = 4, 5
 
 #: What `Odd.figure` says of data that are another robot's too.
 DATA = "data"
-
-#: Columns of the table; the first three hold words.
-_HEADS = ("robot", "verdict", "model", "nominal", "calibrated", "unseen", "noise", "rows", "out")
-_WORDS = 3
 
 
 @verb("""Calibrate many robots and say which of them are odd.
@@ -90,21 +85,17 @@ def fleet(
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    from calib.cli.fleet_manifest import check_out, read_manifest
-    from calib.cli.terminal import progress_bar
+    from calib.cli.fleet_manifest import read_manifest
+    from calib.cli.terminal import command_line, progress_bar
+    from calib.fleets.fleet import CSV, JSON, FleetOptions
     from calib.fleets.fleet import fleet as calibrate_fleet
-    from calib.fleets.robots import FleetOptions
 
-    check_out(manifest, out)
+    if manifest.resolve() == (out / CSV).resolve():
+        raise FileError(
+            f"{manifest} is the manifest, and the table of results would have its name; choose another --out."
+        )
     robots = read_manifest(manifest, setup, columns or (), points_unit)
-    options = FleetOptions(
-        solver=solver,
-        robust=robust,
-        validate=validate,
-        reports=reports,
-        target_link=target_link,
-        command=_command(),
-    )
+    options = FleetOptions(solver, robust, validate, reports, target_link, command_line())
     try:
         with (
             executor_of(workers, dask, len(robots)) as executor,
@@ -121,7 +112,7 @@ def fleet(
         _print_table(found)
         for paragraph in _paragraphs(found):
             typer.echo(paragraph)
-        for name in ("fleet.csv", "fleet.json"):
+        for name in (CSV, JSON):
             typer.echo(f"Written: {out / name}")
     if found.failed:
         text = f"calib: {len(found.failed)} of {len(found.rows)} robots failed"
@@ -132,53 +123,46 @@ def fleet(
         raise typer.Exit(1)
 
 
-def _command() -> str:
-    """The command for the reports, without where and how loudly it ran: that makes no difference to them."""
-    words, kept = iter(sys.argv[1:]), ["calib"]
-    for word in words:
-        name = word.partition("=")[0]
-        if name in ("--workers", "--dask"):
-            if "=" not in word:
-                next(words, None)
-        elif name not in ("--force", "--quiet", "--debug"):
-            kept.append(word)
-    return shlex.join(kept)
-
-
 def _print_table(found: Fleet) -> None:
     """The robots, or of a large fleet those that are odd or not to be used, one a line.
 
     On a terminal long names are folded and the verdicts coloured; elsewhere it is plain text.
     """
-    done = [row for row in found.rows if row not in found.failed]
-    odd = {one.name for one in found.odd}
-    shown, which = done, ":"
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = done = [row for row in found.rows if row not in found.failed]
+    which = ":"
     if len(done) > LISTED:
+        odd = {one.name for one in found.odd}
         shown = [row for row in done if row.name in odd or row.verdict not in ("use", "")]
         which = (
             f", of the {len(shown)} of {len(done)} robots that are odd or not simply to be used:"
         )
     if not shown:
         return
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
     # Behind "unseen" where that is of validation rows: what robots are compared by.
     cross = any(r.unseen == "validation" and r.left_out_rms == r.left_out_rms for r in shown)
-    heads = [*_HEADS[:6], *["cross-val."] * cross, *_HEADS[6:]]
+    sizes = {"nominal": "nominal_rms", "calibrated": "calibrated_rms", "unseen": "unseen_rms"}
+    sizes |= {"cross-val.": "left_out_rms"} if cross else {}
+    sizes["noise"] = "sigma"
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for k, head in enumerate(heads):
-        table.add_column(head, justify="left" if k < _WORDS else "right", overflow="fold")
+    for head in ("robot", "verdict", "model"):
+        table.add_column(head, overflow="fold")
+    for head in (*sizes, "rows", "out"):
+        table.add_column(head, justify="right", overflow="fold")
     for row in shown:
-        cells = [Text(cell) for cell in _cells(row, cross=cross)]
-        cells[1].stylize(VERDICTS.get(row.verdict, ""))
-        table.add_row(*cells)
+        numbers = [getattr(row, name) for name in sizes.values()]
+        verdict = Text(row.verdict or "-", VERDICTS.get(row.verdict, ""))
+        model = f"{row.model} ({row.larger})" if row.larger else row.model
+        cells = ["" if value != value else f"{1e3 * value:.3f}" for value in numbers]
+        cells += [str(row.rows), str(row.outliers)]
+        table.add_row(Text(row.name), verdict, Text(model), *cells)
     typer.echo(f"Errors and noise, rms [mm]{which}")
     # A file is as wide as its longest name.
-    console = Console(
-        width=None if sys.stdout.isatty() else 10_000, highlight=False, markup=False, emoji=False
-    )
+    width = None if sys.stdout.isatty() else 10_000
+    console = Console(width=width, highlight=False, markup=False, emoji=False)
     with console.capture() as printed:
         console.print(table)
     for line in printed.get().splitlines():
@@ -186,72 +170,48 @@ def _print_table(found: Fleet) -> None:
     typer.echo("")
 
 
-def _cells(row: FleetRow, *, cross: bool) -> tuple[str, ...]:
-    """A robot's cells."""
-    model = f"{row.model} ({row.larger})" if row.larger else row.model
-    left_out = (row.left_out_rms,) * cross
-    numbers = (row.nominal_rms, row.calibrated_rms, row.unseen_rms, *left_out, row.sigma)
-    shown = ("" if value != value else f"{1e3 * value:.3f}" for value in numbers)
-    return (row.name, row.verdict or "-", model, *shown, str(row.rows), str(row.outliers))
-
-
 def _paragraphs(found: Fleet) -> Iterator[str]:
     """The odd ones, the failed ones, what could not be said, and how many there were."""
+    from calib.fleets.record import STALE
+
     reasons: dict[str, list[str]] = {}
     for one in found.odd:
         if one.figure != DATA:
             reasons.setdefault(one.name, []).append(one.text)
-    twice = [f"{one.name}: {one.text}" for one in found.odd if one.figure == DATA]
     odd = [
         f"{name}: {'; '.join(texts[:_REASONS])}"
         + f"; and {len(texts) - _REASONS} more in fleet.json" * (len(texts) > _REASONS)
         for name, texts in reasons.items()
     ]
+    twice = [f"{one.name}: {one.text}" for one in found.odd if one.figure == DATA]
+    groups: dict[tuple[str, bool], list[str]] = {}
+    for row in found.failed:
+        groups.setdefault((row.message, row.status == STALE), []).append(row.name)
+    failed = []
+    for (message, stale), names in groups.items():
+        more = f" and {len(names) - _NAMES} more" * (len(names) > _NAMES)
+        kept = " The folder holds the result of earlier inputs." * stale
+        failed.append(f"{', '.join(names[:_NAMES])}{more}: {message.removesuffix('.')}.{kept}")
     for head, lines in (
         ("Odd ones out:", odd),
         ("Data given twice, which count once in what is usual:", twice),
-        ("Failed:", [*_failed(found.failed)]),
+        ("Failed:", failed),
     ):
         if lines:
             yield "\n".join([head, *(fill(line, "  ", "  ") for line in lines), ""])
     for note in found.notes:
         yield fill(note)
-    yield _counts(found, odd=len(odd), twice=len(twice))
-
-
-def _counts(found: Fleet, *, odd: int, twice: int) -> str:
-    """How many robots, with which verdicts."""
-    from calib.fleets.record import DONE, STALE
-
-    done = [row for row in found.rows if row.status == DONE]
+    done = [row for row in found.rows if row not in found.failed]
     verdicts = Counter(row.verdict or "no verdict" for row in done)
     words = ", ".join(f"{count} {word}" for word, count in verdicts.most_common())
-    stale = sum(row.status == STALE for row in found.failed)
-    return (
+    old = sum(row.status == STALE for row in found.failed)
+    yield (
         f"{len(done)} of {len(found.rows)} robots calibrated"
         + f" ({words})" * bool(words)
         + f", {found.kept} of them by an earlier run" * bool(found.kept)
-        + f"; {odd} odd"
-        + f", {twice} with the data of another" * bool(twice)
+        + f"; {len(odd)} odd"
+        + f", {len(twice)} with the data of another" * bool(twice)
         + f", {len(found.failed)} failed"
-        + f" ({stale} of them with a result of earlier inputs in the folder)" * bool(stale)
+        + f" ({old} of them with a result of earlier inputs in the folder)" * bool(old)
         + "."
     )
-
-
-def _failed(rows: Sequence[FleetRow]) -> Iterator[str]:
-    """Each reason once, with the robots that it is of."""
-    from calib.fleets.record import STALE
-
-    groups: dict[tuple[str, bool], list[str]] = {}
-    for row in rows:
-        groups.setdefault((row.message, row.status == STALE), []).append(row.name)
-    for (message, stale), names in groups.items():
-        more = f" and {len(names) - _NAMES} more" if len(names) > _NAMES else ""
-        text = f"{', '.join(names[:_NAMES])}{more}: {message}"
-        if stale:
-            whose = "Its folder holds the result"
-            if len(names) > 1:
-                whose = "Their folders hold the results"
-            text = f"{text.removesuffix('.')}. {whose} of earlier inputs."
-        yield text

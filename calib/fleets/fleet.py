@@ -1,47 +1,133 @@
 """fleet: many robots calibrated, each from its own data into a folder of its own, and compared with each other.
 
-Robots are read when their turn has come and calibrated in any executor. One that fails is told with its reason, and the
-others are finished. The last file of a robot's folder, ``made.json``, has the SHA-256 of the robot's inputs and its row
-of the fleet's table: by it the next run knows what is finished and unchanged.
+Robots are read when their turn has come and calibrated in any executor; the process that reads the inputs writes the
+files too, so that workers on other machines need no shared disk. One that fails is told with its reason, and the others
+are finished. The last file of a robot's folder, ``made.json``, has the SHA-256 of the robot's inputs and its row of the
+fleet's table: by it the next run knows what is finished and unchanged.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
-from calib.errors import CalibError, FileError
+import numpy as np
+
+from calib.calibration import calibrate
+from calib.errors import CalibError
 from calib.fleets.outliers import Odd, odd_ones
 from calib.fleets.record import DONE, FAILED, STALE, FleetRow, csv_bytes, fleet_table
-from calib.fleets.robots import (
-    FleetInputs,
-    FleetOptions,
-    FleetRobot,
-    Made,
-    calibrate_one,
-    fault,
-    inputs_fingerprint,
-    urdf_reader,
-)
 from calib.identify.jobs import run
+from calib.measure.cell import Cell
+from calib.measure.measurements import Measurements
+from calib.measure.table import Table
 from calib.model.files import json_bytes, make_folder, write_atomically
+from calib.model.robot import Robot
+from calib.model.urdf import Urdf, read_urdf
+from calib.show.report import write_report
+from calib.units import split_header
+from calib.version import __version__
 
 #: The tables of a fleet: for a spreadsheet, and for a program; see docs/fleet.md.
 CSV, JSON = "fleet.csv", "fleet.json"
 
-Progress = Callable[[int, int], None]
-
 #: Beside a robot's files, written last.
-MADE = "made.json"
-SCHEMA = "fleet robot 2"
+MADE, SCHEMA = "made.json", "fleet robot 2"
+
+#: Counted up when the files of a robot change.
+_LAYOUT = 3
 
 #: A robot's name is that of its folder, on any system.
 _NAME = re.compile(r"[^\W_](?:[\w .+-]{0,98}[\w+-])?")
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?|fleet\.(csv|json)", re.IGNORECASE)
+
+#: What is read of one robot: the nominal robot, its rows, its set-up.
+FleetInputs = tuple[Robot, Measurements, Cell]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetRobot:
+    """One robot of a fleet, not read yet.
+
+    Attributes:
+        name: Unique; the name of its folder.
+        load: Reads it, when its turn has come. Its argument reads a URDF, a xacro or a robot by its name, and keeps the
+            last ones, which many robots may share.
+    """
+
+    name: str
+    load: Callable[[Callable[[str], Urdf]], FleetInputs]
+
+    @classmethod
+    def of_files(
+        cls,
+        name: str,
+        robot: str | Path,
+        data: str | Path,
+        cell: Cell | None = None,
+        *,
+        columns: Mapping[str, str] | None = None,
+        points: str | Path | None = None,
+        points_unit: str | None = None,
+    ) -> FleetRobot:
+        """A robot from its files.
+
+        Args:
+            name: Its name.
+            robot: URDF or xacro file, or a name such as ``"ur3"``.
+            data: Table of its measurements.
+            cell: Its set-up, with base and tip.
+            columns: New names of the table's columns, see `Measurements.read`.
+            points: The measured points, where they stand in a list of their own.
+            points_unit: The unit of that list, if it names none.
+        """
+        cell, renamed = cell or Cell(), dict(columns or {})
+
+        def load(urdf_of: Callable[[str], Urdf]) -> FleetInputs:
+            labels = [*Table.read(data).header, *renamed.values()]
+            names = {split_header(label)[0] for label in labels}
+            urdf = urdf_of(str(robot))
+            arm = Robot.from_urdf(urdf, cell.base, cell.tip, measured=names, held=cell.held)
+            rows = Measurements.read(
+                data,
+                joint_names=arm.joint_names,
+                joint_types=arm.joint_types,
+                columns=renamed,
+                kind=cell.kind,
+                points=points,
+                points_unit=points_unit,
+            )
+            return arm, rows, cell
+
+        return cls(name, load)
+
+
+@dataclass(frozen=True, slots=True)
+class FleetOptions:
+    """How all robots of a fleet are calibrated.
+
+    Attributes:
+        solver: As of `calibrate`.
+        robust: As of `calibrate`.
+        validate: As of `calibrate`.
+        reports: Whether each gets a report, which takes longer than the fit.
+        target_link: Whether the corrected URDFs get a link at the target.
+        command: For the reports: the command that made them.
+    """
+
+    solver: str = "lm"
+    robust: bool = True
+    validate: bool = True
+    reports: bool = True
+    target_link: bool = False
+    command: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +158,7 @@ def fleet(
     options: FleetOptions | None = None,
     *,
     executor: Executor | None = None,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
     force: bool = False,
 ) -> Fleet:
     """Calibrate many robots into a folder: one of its own for each, and the tables ``fleet.csv`` and ``fleet.json``.
@@ -96,17 +182,51 @@ def fleet(
     if not robots:
         raise CalibError("There are no robots to calibrate; give one or more.")
     check_names((robot.name, f"Robot {i}") for i, robot in enumerate(robots, 1))
-    path, options = Path(folder), options or FleetOptions()
+    path, how = Path(folder), options or FleetOptions()
     make_folder(path)
-    work = _Work(robots, path, options, force, progress or (lambda *_: None))
-    for number, result in run(calibrate_one, options, work.jobs(), executor):
-        work.finish(number, result)
-    rows = tuple(work.rows[robot.name] for robot in robots)
+    done: dict[str, FleetRow] = {}
+    sent: list[tuple[str, str]] = []
+    kept: list[str] = []
+
+    def settle(name: str, result: FleetRow | str) -> None:
+        """Keep a robot's row, or why there is none; its folder may hold a result of earlier inputs."""
+        if isinstance(result, str):
+            result = FleetRow(name, STALE if (path / name / MADE).exists() else FAILED, result)
+        done[name] = result
+        if progress is not None:
+            progress(len(done), len(robots))
+
+    def jobs() -> Iterator[tuple[str, FleetInputs]]:
+        """The robots that are to be calibrated, read when they are asked for."""
+        urdf_of = urdf_reader()
+        for robot in robots:
+            try:
+                inputs = robot.load(urdf_of)
+            except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
+                settle(robot.name, _told(error))
+                continue
+            # By all that the files hang on, the sources' names too, which no comparison counts.
+            arm, rows, cell = inputs
+            table = {f: getattr(rows, f) for f in Measurements.__dataclass_fields__}
+            own = (robot.name, arm, arm.urdf.source, table, cell)
+            told = fingerprint(*own, replace(how, command=""), __version__, _LAYOUT)
+            row = None if force else finished_row(path / robot.name, told)
+            if row is None:
+                sent.append((robot.name, told))
+                yield robot.name, inputs
+            else:
+                kept.append(robot.name)
+                settle(robot.name, row)
+
+    for number, made in run(calibrate_one, how, jobs(), executor):
+        name, told = sent[number]
+        settle(name, _written(path / name, told, made))
+    rows = tuple(done[robot.name] for robot in robots)
     odd, notes = odd_ones(rows)
     # First the one that says whose the other is.
     write_atomically(path / JSON, json_bytes(fleet_table(rows, odd, notes)), overwrite=True)
     write_atomically(path / CSV, csv_bytes(rows, odd), overwrite=True)
-    return Fleet(rows, odd, notes, work.kept)
+    return Fleet(rows, odd, notes, len(kept))
 
 
 def check_names(names: Iterable[tuple[str, str]]) -> None:
@@ -133,101 +253,105 @@ def check_names(names: Iterable[tuple[str, str]]) -> None:
         seen[name.casefold()] = where
 
 
-class _Work:
-    """The robots of a run: read one by one, and finished in any order."""
-
-    def __init__(
-        self,
-        robots: Sequence[FleetRobot],
-        path: Path,
-        options: FleetOptions,
-        force: bool,
-        progress: Progress,
-    ) -> None:
-        """Begin."""
-        self.robots, self.path, self.options = robots, path, options
-        self.force, self.progress = force, progress
-        self.rows: dict[str, FleetRow] = {}
-        self.kept = 0
-        self._sent: list[tuple[str, str]] = []
-
-    def jobs(self) -> Iterator[tuple[str, FleetInputs]]:
-        """The robots that are to be calibrated, read when they are asked for."""
-        urdf_of = urdf_reader()
-        for robot in self.robots:
-            try:
-                inputs = robot.load(urdf_of)
-            except CalibError as error:
-                self._fail(robot.name, str(error))
-                continue
-            except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
-                self._fail(robot.name, fault(error))
-                continue
-            told = inputs_fingerprint(robot.name, inputs, self.options)
-            row = None if self.force else finished_row(self.path / robot.name, told)
-            if row is None:
-                self._sent.append((robot.name, told))
-                yield robot.name, inputs
-            else:
-                self.kept += 1
-                self._settle(row)
-
-    def finish(self, number: int, result: Made | str) -> None:
-        """Write a robot's folder, or note why there is none."""
-        name, told = self._sent[number]
-        if isinstance(result, str):
-            self._fail(name, result)
-            return
-        try:
-            _write_folder(self.path / name, told, result.row, result.files)
-        except CalibError as error:
-            self._fail(name, str(error))
-        else:
-            self._settle(result.row)
-
-    def _fail(self, name: str, message: str) -> None:
-        """Note a robot without a result; one of earlier inputs stays."""
-        status = STALE if (self.path / name / MADE).exists() else FAILED
-        self._settle(FleetRow(name, status, message))
-
-    def _settle(self, row: FleetRow) -> None:
-        """Keep a robot's row."""
-        self.rows[row.name] = row
-        self.progress(len(self.rows), len(self.robots))
+def calibrate_one(
+    options: FleetOptions, job: tuple[str, FleetInputs]
+) -> tuple[FleetRow, dict[str, bytes]] | str:
+    """Calibrate a robot: its row and the bytes of its files by name, or why there are none."""
+    name, (robot, rows, cell) = job
+    try:
+        result = calibrate(
+            robot,
+            rows,
+            cell=cell,
+            solver=options.solver,
+            robust=options.robust,
+            validate=options.validate,
+        )
+        with tempfile.TemporaryDirectory() as folder:
+            there = Path(folder)
+            result.write_urdf(there / "corrected.urdf", target_link=options.target_link)
+            result.write_json(there / "result.json")
+            text = f"{result.summary()}\n"
+            (there / "summary.txt").write_text(text, encoding="utf-8", errors="backslashreplace")
+            if options.reports:
+                command = f"{options.command}  # {name}" if options.command else ""
+                write_report(result, there / "report.html", command=command)
+            return FleetRow.of(name, result), {p.name: p.read_bytes() for p in there.iterdir()}
+    except Exception as error:  # noqa: BLE001  a fault with one robot must not cost the others
+        return _told(error)
 
 
-def finished_row(folder: Path, told: str) -> FleetRow | None:
-    """The row of a robot whose folder was made of these inputs, and is finished; None of any other.
+def _told(error: Exception) -> str:
+    """Why a robot has no result."""
+    if isinstance(error, CalibError):
+        return str(error)
+    return f"internal error: {type(error).__name__}: {error}. Please report it with this robot's files."
 
-    Args:
-        folder: The robot's.
-        told: The fingerprint of its inputs.
+
+def urdf_reader() -> Callable[[str], Urdf]:
+    """`read_urdf` that keeps the last few, for robots that share one."""
+    return lru_cache(maxsize=8)(read_urdf)
+
+
+def fingerprint(*values: object) -> str:
+    """The SHA-256 of some values: of dataclasses by the fields that count in a comparison, of arrays by every bit.
+
+    Raises:
+        TypeError: A value is of a kind that has none.
+
+    Example:
+        >>> fingerprint("a", 1.0) == fingerprint("a", 1.0), fingerprint("a", 1.0) == fingerprint("a1.0")
+        (True, False)
     """
+
+    def parts(value: object) -> object:
+        """What JSON has no word for, by its kind and what it consists of."""
+        kind = type(value).__name__
+        if is_dataclass(value) and not isinstance(value, type):
+            return [kind, *((f.name, getattr(value, f.name)) for f in fields(value) if f.compare)]
+        if isinstance(value, (np.ndarray, np.generic)):
+            return [kind, value.dtype.str, value.shape, value.tobytes().hex()]
+        if isinstance(value, Mapping):
+            return [kind, *value.items()]
+        if isinstance(value, (bytes, Path)):
+            return [kind, str(value)]
+        raise TypeError(f"a value of type {kind} has no fingerprint")
+
+    return hashlib.sha256(json.dumps(values, default=parts).encode()).hexdigest()
+
+
+def finished_row(folder: Path, fingerprint: str) -> FleetRow | None:
+    """The row of a robot whose folder was made of the inputs with this fingerprint, and is finished; else None."""
     try:
         table = json.loads((folder / MADE).read_bytes())
-        if table["schema"] != SCHEMA or table["fingerprint"] != told:
+        if table["schema"] != SCHEMA or table["fingerprint"] != fingerprint:
             return None
-        if not all((folder / name).is_file() for name in table["files"]):
-            return None
-        return FleetRow.read(table["row"])
+        whole = all((folder / name).is_file() for name in table["files"])
+        return FleetRow.read(table["row"]) if whole else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
-def _write_folder(folder: Path, told: str, row: FleetRow, files: Mapping[str, bytes]) -> None:
-    """Write a robot's files: first that they are a fleet's and not finished, at last that they are.
-
-    Raises:
-        FileError: One cannot be written, or something else than a fleet has written it.
-    """
-    make_folder(folder)
-    strange = [name for name in files if (folder / name).exists()]
-    if strange and not (folder / MADE).exists():
-        raise FileError(
-            f"{folder / strange[0]} exists already, and no fleet has written it. Move it away."
-        )
-    table = {"schema": SCHEMA, "fingerprint": "", "files": [*files], "row": row.table()}
-    write_atomically(folder / MADE, json_bytes(table), overwrite=True)
-    for name, data in files.items():
-        write_atomically(folder / name, data, overwrite=True)
-    write_atomically(folder / MADE, json_bytes({**table, "fingerprint": told}), overwrite=True)
+def _written(
+    folder: Path, fingerprint: str, made: tuple[FleetRow, dict[str, bytes]] | str
+) -> FleetRow | str:
+    """Write a robot's files, first that they are a fleet's and not finished, at last that they are."""
+    if isinstance(made, str):
+        return made
+    row, files = made
+    try:
+        make_folder(folder)
+        strange = [name for name in files if (folder / name).exists()]
+        if strange and not (folder / MADE).exists():
+            return (
+                f"{folder / strange[0]} exists already, and no fleet has written it. Move it away."
+            )
+        table = {"schema": SCHEMA, "fingerprint": "", "files": [*files], "row": row.table()}
+        write_atomically(folder / MADE, json_bytes(table), overwrite=True)
+        for name, data in files.items():
+            write_atomically(folder / name, data, overwrite=True)
+        table["fingerprint"] = fingerprint
+        write_atomically(folder / MADE, json_bytes(table), overwrite=True)
+    except CalibError as error:
+        return str(error)
+    return row

@@ -75,12 +75,12 @@ class Odd:
 
     name: str
     figure: str
-    unit: str
-    value: float
-    usual: float
-    z: float
-    limit: float
-    text: str
+    unit: str = ""
+    value: float = math.nan
+    usual: float = math.nan
+    z: float = math.nan
+    limit: float = math.nan
+    text: str = ""
 
 
 def odd_ones(rows: Sequence[FleetRow]) -> tuple[tuple[Odd, ...], tuple[str, ...]]:
@@ -134,24 +134,27 @@ def _figures(rows: list[FleetRow]) -> Iterator[Odd]:
     """Robots whose errors, noise or parameters are odd."""
     once = _counted(rows)
     count = int(np.sum(once))
-    told = {name: np.array([getattr(row, name) for row in rows]) for name in _FIGURES}
-    told = {name: x for name, x in told.items() if np.sum(x[once] > 0.0) >= FEWEST}
-    for name, x in told.items():
-        with np.errstate(divide="ignore", invalid="ignore"):
-            log = np.where(x > 0.0, np.log(x), np.nan)
+    sizes = {name: np.array([getattr(row, name) for row in rows]) for name in _FIGURES}
+    sizes = {name: x for name, x in sizes.items() if np.sum(x[once] > 0.0) >= FEWEST}
+    bound = limit(count, len(sizes), 0.5 * CHANCE) if sizes else math.nan
+    for name, x in sizes.items():
+        log = np.log(x, where=x > 0.0, out=np.full(len(x), math.nan))
         z = scores(log, np.zeros(len(x)), _LOG_FLOOR, once)
-        bound, usual = limit(count, len(told), 0.5 * CHANCE), float(np.exp(np.nanmedian(log[once])))
-        unit = "rad" if name == "sigma_angle" else "m"
+        unit, usual = (
+            "rad" if name == "sigma_angle" else "m",
+            float(np.exp(np.nanmedian(log[once]))),
+        )
         yield from _flagged(rows, _FIGURES[name], unit, x, usual, z, bound)
-    counted = [row for row, one in zip(rows, once, strict=True) if one]
-    names = [p.name for row in counted for p in row.parameters if p.std == p.std]
-    shared = [name for name, count in Counter(names).items() if count >= FEWEST]
-    by_name = [{p.name: p for p in row.parameters} for row in rows]
+    known = [{p.name: p for p in row.parameters} for row in rows]
+    told = Counter(
+        name for i in np.flatnonzero(once) for name, p in known[i].items() if p.std == p.std
+    )
+    shared = [name for name, robots in told.items() if robots >= FEWEST]
     for name in shared:
-        own = [known.get(name) for known in by_name]
+        own = [one.get(name) for one in known]
         unit = next(p.unit for p in own if p is not None)
-        x = np.array([math.nan if p is None or p.std != p.std else p.change for p in own])
         std = np.array([math.nan if p is None else p.std for p in own])
+        x = np.array([math.nan if p is None or p.std != p.std else p.change for p in own])
         z = scores(x, std, _FLOORS.get(unit, 0.0), once)
         bound = limit(count, len(shared), 0.5 * CHANCE)
         yield from _flagged(rows, name, unit, x, float(np.nanmedian(x[once])), z, bound)
@@ -200,7 +203,7 @@ def _models(rows: list[FleetRow]) -> Iterator[Odd]:
     for row, model in zip(rows, models, strict=True):
         if model != usual and counts[model] <= max(1.0, _UNUSUAL * count):
             text = f"model {model}, {most} of {count} have {usual}"
-            yield _word(row.name, "model", text)
+            yield Odd(row.name, "model", text=text)
 
 
 def _same_data(rows: Sequence[FleetRow]) -> Iterator[Odd]:
@@ -214,9 +217,4 @@ def _same_data(rows: Sequence[FleetRow]) -> Iterator[Odd]:
             if others:
                 more = f" and {len(others) - 3} more" * (len(others) > 3)
                 text = f"the same measurements as {', '.join(others[:3])}{more} ({row.data})"
-                yield _word(row.name, "data", text)
-
-
-def _word(name: str, figure: str, text: str) -> Odd:
-    """What is odd and no number."""
-    return Odd(name, figure, "", math.nan, math.nan, math.nan, math.nan, text)
+                yield Odd(row.name, "data", text=text)

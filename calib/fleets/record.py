@@ -114,7 +114,17 @@ class FleetRow:
             kind=" ".join([c.nominal.name, c.nominal.base, c.nominal.tip, *c.nominal.joint_names]),
             data=c.measurements.source,
             measured=measured_hash(c.measurements),
-            parameters=_parameters(c),
+            # Those that robots can be compared by: where an instrument stands says nothing of a robot.
+            parameters=tuple(
+                FleetParameter(
+                    found.name,
+                    found.unit,
+                    found.value if own.family == TARGET else found.delta,
+                    found.std if found.identifiable and not found.at_bound else math.nan,
+                )
+                for found, own in zip(c.parameters, c.model.parameters, strict=True)
+                if own.family != FRAME
+            ),
         )
 
     @classmethod
@@ -124,12 +134,12 @@ class FleetRow:
         Raises:
             TypeError, KeyError: It is no such table.
         """
-        numbers = {k: math.nan if table[k] is None else table[k] for k in table if k in _NUMBERS}
-        parameters = tuple(
-            FleetParameter(p["name"], p["unit"], p["change"], _number(p["std"]))
-            for p in table["parameters"]
-        )
-        return cls(**{**table, **numbers, "parameters": parameters})
+
+        def filled(part: Mapping[str, Any]) -> dict[str, Any]:
+            return {k: math.nan if v is None else v for k, v in part.items()}
+
+        parameters = tuple(FleetParameter(**filled(p)) for p in table["parameters"])
+        return cls(**{**filled(table), "parameters": parameters})
 
     def table(self) -> dict[str, Any]:
         """All of it for a JSON file, numbers that there are not as None."""
@@ -138,32 +148,26 @@ class FleetRow:
 
 
 #: Numbers, with their units as keys of a file have them.
-_NUMBERS = {
-    "nominal_rms": "_m",
-    "calibrated_rms": "_m",
-    "unseen_rms": "_m",
-    "left_out_rms": "_m",
-    "sigma": "_m",
-    "sigma_angle": "_rad",
+_LENGTHS = ("nominal_rms", "calibrated_rms", "unseen_rms", "left_out_rms", "sigma")
+_UNITS = dict.fromkeys(_LENGTHS, "_m") | {"sigma_angle": "_rad"}
+
+#: The columns of the table for a spreadsheet but the last two, with their fields.
+_COLUMNS = {
+    "name": "name",
+    "status": "status",
+    "verdict": "verdict",
+    "nominal rms [mm]": "nominal_rms",
+    "calibrated rms [mm]": "calibrated_rms",
+    "unseen rms [mm]": "unseen_rms",
+    "unseen by": "unseen",
+    "cross-validated rms [mm]": "left_out_rms",
+    "noise [mm]": "sigma",
+    "noise [mrad]": "sigma_angle",
+    "model": "model",
+    "larger model": "larger",
+    "rows": "rows",
+    "outliers": "outliers",
 }
-_HEADER = (
-    "name",
-    "status",
-    "verdict",
-    "nominal rms [mm]",
-    "calibrated rms [mm]",
-    "unseen rms [mm]",
-    "unseen by",
-    "cross-validated rms [mm]",
-    "noise [mm]",
-    "noise [mrad]",
-    "model",
-    "larger model",
-    "rows",
-    "outliers",
-    "odd",
-    "message",
-)
 
 
 def fleet_table(
@@ -176,59 +180,29 @@ def fleet_table(
         odd: What is odd about which of them; dataclasses of plain values.
         notes: What else a person should know.
     """
-    found: dict[str, Any] = plain(
-        {
-            "schema": SCHEMA,
-            "robots": [
-                {key + _NUMBERS.get(key, ""): value for key, value in asdict(row).items()}
-                for row in rows
-            ],
-            "odd": [asdict(one) for one in odd],
-            "notes": list(notes),
-        }
-    )
-    return found
+    robots = [{k + _UNITS.get(k, ""): v for k, v in asdict(row).items()} for row in rows]
+    found = {"schema": SCHEMA, "robots": robots, "odd": [asdict(one) for one in odd]}
+    result: dict[str, Any] = plain({**found, "notes": list(notes)})
+    return result
 
 
 def csv_bytes(rows: Sequence[FleetRow], odd: Sequence[Any]) -> bytes:
-    """The same for a spreadsheet, UTF-8, one line a robot.
-
-    Args:
-        rows: The robots.
-        odd: What is odd about which of them: names with texts.
-    """
+    """The same for a spreadsheet, UTF-8, one line a robot, mm and mrad; what there is not is empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_HEADER)
-    reasons: dict[str, list[str]] = {}
-    for one in odd:
-        reasons.setdefault(one.name, []).append(one.text)
-    for r in rows:
-        errors = (r.nominal_rms, r.calibrated_rms, r.unseen_rms)
-        noise = (r.sigma, r.sigma_angle)
-        writer.writerow(
-            (
-                r.name,
-                r.status,
-                r.verdict,
-                *map(_thousandths, errors),
-                r.unseen,
-                _thousandths(r.left_out_rms),
-                *map(_thousandths, noise),
-                r.model,
-                r.larger,
-                r.rows or "",
-                r.outliers if r.rows else "",
-                "; ".join(reasons.get(r.name, ())),
-                " ".join(r.message.split()),
-            )
-        )
+    writer.writerow((*_COLUMNS, "odd", "message"))
+    for row in rows:
+        cells: list[object] = []
+        for name in _COLUMNS.values():
+            value = getattr(row, name)
+            if name in _UNITS:
+                value = f"{1e3 * value:.6g}" if value == value else ""
+            elif name in ("rows", "outliers") and not row.rows:
+                value = ""
+            cells.append(value)
+        reasons = "; ".join(one.text for one in odd if one.name == row.name)
+        writer.writerow((*cells, reasons, " ".join(row.message.split())))
     return text.getvalue().encode("utf-8", "backslashreplace")
-
-
-def _thousandths(value: float) -> str:
-    """A number in mm or mrad, empty where there is none."""
-    return f"{1e3 * value:.6g}" if value == value else ""
 
 
 def measured_hash(measurements: Measurements) -> str:
@@ -240,23 +214,3 @@ def measured_hash(measurements: Measurements) -> str:
     # Rounded to a nanometre and a nanoradian: files hold a few digits, in degrees or radians. No number is -0.
     lines = sorted(line.tobytes() for line in np.nan_to_num(np.round(rows, 9), nan=1e9) + 0.0)
     return hashlib.sha256(b"".join(lines)).hexdigest()
-
-
-def _parameters(c: Calibration) -> tuple[FleetParameter, ...]:
-    """The parameters that robots can be compared by: where an instrument stands says nothing of a robot."""
-    families = [p.family for p in c.model.parameters]
-    return tuple(
-        FleetParameter(
-            found.name,
-            found.unit,
-            found.value if family == TARGET else found.delta,
-            found.std if found.identifiable and not found.at_bound else math.nan,
-        )
-        for found, family in zip(c.parameters, families, strict=True)
-        if family != FRAME
-    )
-
-
-def _number(value: float | None) -> float:
-    """A number, NaN where there is none."""
-    return math.nan if value is None else value

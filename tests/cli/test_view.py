@@ -19,7 +19,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from calib.cli.view_setup import Sources, view_asked_for
+from calib.cli.options import TableOptions
+from calib.cli.view import FOUND, asked_view
 from calib.measure.cell import Cell
 from tests.listening import listening
 
@@ -165,11 +166,12 @@ def test_the_examples_write_pages(examples):
 
 
 def asked_for(folder: Path, robot: str, cell: Cell | None = None, **sources):
-    paths = {k: folder / v for k, v in sources.items() if k in ("data", "calibration", "points")}
-    other = {k: str(folder / v) for k, v in sources.items() if k == "other"}
-    rest = {k: v for k, v in sources.items() if k not in (*paths, *other)}
-    named = Sources(robot=str(folder / robot), **paths, **other, **rest)
-    return view_asked_for(named, cell or Cell(base="base", tip="tool0"), quiet=True)
+    paths = {k: folder / v for k, v in sources.items() if k in ("data", "calibration")}
+    other = str(folder / sources["other"]) if "other" in sources else None
+    files = (str(folder / robot), other, paths.get("data"), paths.get("calibration"))
+    found = ("frame",) if sources.get("target_given") else FOUND
+    own = cell or Cell(base="base", tip="tool0")
+    return asked_view(*files, own, TableOptions(), found=found)
 
 
 def test_errors_are_those_of_the_result_and_its_flagged_rows_are_marked(examples, tmp_path):

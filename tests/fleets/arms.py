@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import calib.data
-from calib.fleets.robots import FleetRobot
+from calib.fleets.fleet import FleetRobot
 from calib.measure.cell import Cell
 from calib.model.robot import Robot
 from calib.simulate.scenario import Scenario

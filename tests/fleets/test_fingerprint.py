@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.fleets.robots import fingerprint
+from calib.fleets.fleet import fingerprint
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Tracker
 

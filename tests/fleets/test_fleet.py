@@ -14,9 +14,8 @@ from pathlib import Path
 import pytest
 
 from calib.errors import CalibError
-from calib.fleets.fleet import fleet
+from calib.fleets.fleet import FleetOptions, FleetRobot, fleet, urdf_reader
 from calib.fleets.record import DONE, FAILED, STALE, FleetRow, csv_bytes
-from calib.fleets.robots import FleetOptions, FleetRobot, urdf_reader
 from tests.fleets.arms import CELL, arms, files
 
 QUICK = FleetOptions(validate=False, reports=False)
