@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -21,23 +20,6 @@ from calib.cli.options import (
 )
 from calib.cli.setup import parse_pair
 from calib.errors import CalibError
-
-
-class Judge(str, Enum):
-    """Which robot is judged."""
-
-    nominal = "nominal"
-    urdf = "urdf"
-    calibration = "calibration"
-    larger = "larger"
-
-
-class Criterion(str, Enum):
-    """What is held against the tolerance."""
-
-    max = "max"
-    mean = "mean"
-    single = "single"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +74,13 @@ def evaluate(
         ),
     ] = None,
     criterion: Annotated[
-        Criterion | None,
+        Literal["max", "mean", "single"] | None,
         typer.Option(
             help="What must be within: the AP of every pose (max, default), their mean, or every single repeat."
         ),
     ] = None,
     judge: Annotated[
-        Judge | None,
+        Literal["nominal", "urdf", "calibration", "larger"] | None,
         typer.Option(
             help="Which robot is judged. Default: with the joint origins of --calibration, or else the URDF as it is."
         ),
@@ -127,7 +109,19 @@ def evaluate(
         *(path for path in (said.cell, calibration, read.points) if path),
     ]
     check_outputs([json], inputs, force=force)
-    limits = _limits(tolerance, uncertainty, criterion, judge)
+    given = {"uncertainty": uncertainty, "criterion": criterion, "judge": judge}
+    useless = [f"--{name}" for name, value in given.items() if value is not None]
+    limits: dict[str, Any] = {}
+    if tolerance is None and useless:
+        raise CalibError(
+            f"{' and '.join(useless)} without --tolerance: nothing is judged without one. State it, such as "
+            f'--tolerance "{_EXAMPLE}".'
+        )
+    if tolerance is not None:
+        sure = parse_pair(uncertainty or "0 mm", "--uncertainty", _EXAMPLE)
+        names = ("tolerance", "tolerance_angle", "uncertainty", "uncertainty_angle")
+        sizes = (*parse_pair(tolerance, "--tolerance", _EXAMPLE), *(one or 0.0 for one in sure))
+        limits = dict(zip(names, sizes, strict=True), criterion=criterion or "max")
     cell = read_cell(**asdict(said))
     stored = None if calibration is None else read_result(calibration)
     if stored is not None:
@@ -147,7 +141,7 @@ def evaluate(
         stored,
         result="" if calibration is None else calibration.name,
         which=tuple(name for name in ("frame", "target") if getattr(said, name) is None),
-        judge=judge and judge.value,
+        judge=judge,
         limits=limits,
     )
     written = None
@@ -160,34 +154,3 @@ def evaluate(
             typer.echo(f"\nWritten: {written}")
     if found.accepted is not None and not found.accepted.passed:
         raise typer.Exit(NOT_PASSED)
-
-
-def _limits(
-    tolerance: str | None,
-    uncertainty: str | None,
-    criterion: Criterion | None,
-    judge: Judge | None,
-) -> dict[str, Any]:
-    """What `calib.acceptance` is given; nothing without a tolerance.
-
-    Raises:
-        CalibError: A text is none of its kind, or there is no tolerance that something could count for.
-    """
-    given = {"uncertainty": uncertainty, "criterion": criterion, "judge": judge}
-    useless = [f"--{name}" for name, value in given.items() if value is not None]
-    if tolerance is None:
-        if useless:
-            raise CalibError(
-                f"{' and '.join(useless)} without --tolerance: nothing is judged without one. State it, such as "
-                f'--tolerance "{_EXAMPLE}".'
-            )
-        return {}
-    sure = parse_pair(uncertainty or "0 mm", "--uncertainty", "0.05 mm 0.01 deg")
-    return dict(
-        zip(
-            ("tolerance", "tolerance_angle", "uncertainty", "uncertainty_angle"),
-            (*parse_pair(tolerance, "--tolerance", _EXAMPLE), *(one or 0.0 for one in sure)),
-            strict=True,
-        ),
-        criterion=(criterion or Criterion.max).value,
-    )

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError
-from calib.identify.coverage import OutsideRow, outside
 from calib.identify.crossvalidation import (
     Progress,
     cross_validation,
@@ -21,7 +20,6 @@ from calib.identify.crossvalidation import (
 )
 from calib.identify.evidence import evidence_of
 from calib.identify.fitting import Fitted, Task, fit, unseen_scores
-from calib.identify.inspection import known_slopes
 from calib.identify.nominal import nominal_on
 from calib.identify.prediction import (
     Larger,
@@ -31,17 +29,16 @@ from calib.identify.prediction import (
     parameter_estimates,
     tells_place,
 )
-from calib.identify.reasons import Reason
 from calib.identify.result import Calibration, Fit, RowNames, Source
 from calib.identify.robust import Limits, Repeats, repeats
-from calib.identify.robustness import compare
 from calib.identify.rows import Rows
 from calib.identify.selection import Candidate, select
 from calib.identify.setup import known_distances, rows_of
 from calib.identify.setup_check import better_setup
 from calib.identify.solvers import Solver
 from calib.identify.statistics import CrossValidation
-from calib.identify.verdict import NO, Verdict, verdict
+from calib.identify.support import OutsideRow, compare, outside
+from calib.identify.verdict import NO, Reason, Verdict, verdict
 from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import split_name
@@ -237,7 +234,7 @@ def _observability(fitted: Fitted) -> Observability:
     """What the rows that count determine, with every scalar in units of a length."""
     estimated, model = fitted.estimate, fitted.kinematics.model
     problem = estimated.problem
-    known, alive = known_slopes(problem, estimated.x), problem.weights > 0.0
+    known, alive = problem.known_slopes(estimated.x), problem.weights > 0.0
     counts = problem.rows.used & alive[:, None]
     # Angles as lengths, by the ratio of the two standard deviations.
     jacobian = (problem.linear(estimated.x).A * problem.rows.scales[:, :1, None])[counts]

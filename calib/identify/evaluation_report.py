@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from calib.errors import CalibError, choices
-from calib.identify.acceptance import Acceptance, acceptance
-from calib.identify.acceptance_text import (
+from calib.identify.acceptance import (
+    Acceptance,
+    acceptance,
     acceptance_reasons,
     acceptance_text,
     accuracy_text,
@@ -23,12 +24,12 @@ from calib.identify.accuracy import (
     accuracy,
     fitted_rows,
 )
-from calib.identify.coverage import outside, outside_sentence
 from calib.identify.evaluation import Evaluation, evaluate, evaluate_larger, hint, moved
 from calib.identify.result import Calibration
 from calib.identify.result_fields import ERRORS, pose_table, versions
 from calib.identify.statistics import Errors
 from calib.identify.summary import ANGLE_HEAD, angle_row, error_head, error_row, error_title
+from calib.identify.support import outside, outside_sentence
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot

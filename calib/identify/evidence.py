@@ -8,12 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.coverage import outside_sentence, shares_of_ranges, spread_of
 from calib.identify.crossvalidation import only_there
 from calib.identify.fitting import Fitted, fit
 from calib.identify.nominal import ENOUGH
 from calib.identify.problem import Problem
-from calib.identify.reasons import Reason, Why
 from calib.identify.residual_tests import (
     Explained,
     Stack,
@@ -27,7 +25,8 @@ from calib.identify.robust import pose_means
 from calib.identify.rows import Rows, evenly
 from calib.identify.setup import joined_setups
 from calib.identify.statistics import Errors, Mask
-from calib.identify.verdict import Evidence
+from calib.identify.support import outside_sentence, shares_of_ranges, spread_of
+from calib.identify.verdict import Evidence, Reason, Why
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET, ErrorModel

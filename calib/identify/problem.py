@@ -128,6 +128,11 @@ class Problem:
         self._last.append(found)
         return found
 
+    def known_slopes(self, x: Array) -> Array:
+        """The derivative of the known distances, shape (K, p): they tell of parameters as rows do."""
+        sigma = np.array([known.sigma for known in self.distances])
+        return np.asarray(self.constraints(x)[1] * sigma[:, None])
+
     def constraints(self, x: Array) -> tuple[Array, Array]:
         """Known minus predicted distances, over their sigma, shape (K,), and the derivative of the prediction, (K, p).
 

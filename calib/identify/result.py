@@ -14,15 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, choices
-from calib.identify.coverage import OutsideRow, outside
 from calib.identify.fitting import Fitted
 from calib.identify.prediction import Larger, Outlier, ParameterEstimate, Solved, tells_place
 from calib.identify.robust import Repeats
-from calib.identify.robustness import Robustness
 from calib.identify.selection import Candidate
 from calib.identify.setup import Setup
 from calib.identify.solvers import Solution
 from calib.identify.statistics import CrossValidation, Errors
+from calib.identify.support import OutsideRow, Robustness, outside
 from calib.identify.verdict import Verdict
 from calib.measure.cell import Cell
 from calib.measure.columns import SETS

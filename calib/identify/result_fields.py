@@ -19,15 +19,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.families import FAMILIES, family_of
-from calib.identify.coverage import Beyond, OutsideRow
 from calib.identify.prediction import Outlier, ParameterEstimate
-from calib.identify.reasons import Reason, Why
 from calib.identify.robust import Repeats
 from calib.identify.selection import Candidate
 from calib.identify.setup import Setup
 from calib.identify.solvers import Iteration
 from calib.identify.statistics import CrossValidation, Errors
-from calib.identify.verdict import Verdict
+from calib.identify.support import Beyond, OutsideRow
+from calib.identify.verdict import Reason, Verdict, Why
 from calib.model.observability import Combination
 from calib.model.parameters import ErrorModel, Parameter
 from calib.model.robot import read_only

@@ -35,10 +35,10 @@ from calib.identify.result_fields import (
     table,
     values,
 )
-from calib.identify.robustness import Robustness
 from calib.identify.setup import Setup
 from calib.identify.solvers import Solution
 from calib.identify.statistics import CrossValidation
+from calib.identify.support import Robustness
 from calib.measure.columns import SETS
 from calib.model.files import damage, json_bytes, read_json, write_atomically
 from calib.model.kinematics import Kinematics

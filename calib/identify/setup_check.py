@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.identify.nominal import residual_of
-from calib.identify.reasons import Reason, Why
 from calib.identify.registration import register
 from calib.identify.rows import Rows
 from calib.identify.setup import Setup
+from calib.identify.verdict import Reason, Why
 from calib.measure.cell import Cell
 from calib.model.error_model import DIRECTIONS
 from calib.model.robot import Robot

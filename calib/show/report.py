@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 
 from calib.errors import FileError
-from calib.identify.coverage import outside_sentence
-from calib.identify.reasons import Why
 from calib.identify.result import Calibration
 from calib.identify.result_fields import versions
 from calib.identify.statistics import interval_factor
@@ -35,6 +33,8 @@ from calib.identify.summary import (
     unidentifiable_text,
     weights_text,
 )
+from calib.identify.support import outside_sentence
+from calib.identify.verdict import Why
 from calib.kinds import get as kind_named
 from calib.model.files import write_atomically
 from calib.show import report_tables as tables

@@ -12,8 +12,13 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 
 from calib.errors import CalibError, MeasurementError
-from calib.identify.acceptance import FAIL, PASS, UNDECIDED, Acceptance, Check, acceptance
-from calib.identify.acceptance_text import (
+from calib.identify.acceptance import (
+    FAIL,
+    PASS,
+    UNDECIDED,
+    Acceptance,
+    Check,
+    acceptance,
     acceptance_reasons,
     acceptance_text,
     accuracy_text,

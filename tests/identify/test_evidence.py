@@ -16,7 +16,7 @@ from calib.identify.evidence import (
     still_joints,
     validation_errors,
 )
-from calib.identify.reasons import Reason, Why
+from calib.identify.verdict import Reason, Why
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model

@@ -8,9 +8,8 @@ from string import Formatter
 import numpy as np
 import pytest
 
-from calib.identify.reasons import Reason, Why
 from calib.identify.statistics import CrossValidation, Errors
-from calib.identify.verdict import Evidence, Verdict, verdict
+from calib.identify.verdict import Evidence, Reason, Verdict, Why, verdict
 
 ROWS = 30
 
