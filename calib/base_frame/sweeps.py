@@ -177,7 +177,7 @@ class _Names:
         numbers = np.array([self.number(word) for word in found])
         sweeps = []
         for number in sorted(set(numbers.tolist())):
-            at = np.flatnonzero(numbers == number)
+            at = np.flatnonzero(numbers == number).tolist()
             plane = number == _PLANE_NUMBER
             sweeps.append(
                 Sweep(
@@ -222,14 +222,14 @@ class _Filled(Table):
 
     sweep: int
     joints: tuple[int, ...]
-    names: _Names
+    known: _Names
 
     def blocks(self) -> Iterator[Block]:
         """The data rows."""
         for block in Table.blocks(self):
             for cells in block.cells:
                 whole = len(cells) == len(self.header)
-                if whole and self.names.number(cells[self.sweep].strip()) == _PLANE_NUMBER:
+                if whole and self.known.number(cells[self.sweep].strip()) == _PLANE_NUMBER:
                     for k in self.joints:
                         cells[k] = cells[k].strip() or "0"
             yield block
