@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -264,7 +264,9 @@ def _from_table(
     layout = replace(layout, groups=(sweep,))
     names = _Names(joint_names, words)
     at = tuple(column.index for column in layout.blocks["joints"])
-    values = Values.read(_Filled(*astuple(table), sweep.index, at, names), layout)
+    values = Values.read(
+        _Filled(**asdict(table), sweep=sweep.index, joints=at, known=names), layout
+    )
     for row, word in zip(values.rows, values.groups, strict=True):
         if names.number(word) is None:
             raise names.refused(f"{table.source}, row {row}, column '{sweep.label}'", word)
