@@ -140,7 +140,7 @@ def test_tables_of_kinds_from_outside(tmp_path):
     for header, cell, says in (
         ("line_distance", "500", "no unit"),
         ("line_distance [deg]", "500", "not a unit of length"),
-        ("line_distance [m]", "500", "longer than 100 m"),
+        ("line_distance [m]", "500", "further from the origin than 100 m"),
         ("line_distance [mm]", "-3", "greater than zero"),
         ("line_distance [mm]", "five", "line 2 .row 1., column 'line_distance .mm.'"),
     ):

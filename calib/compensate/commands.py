@@ -41,9 +41,9 @@ from calib.compensate.program import CORRECTION, Program
 from calib.compensate.warnings import Warned, reasons_of, warnings_of, within
 from calib.errors import ModelError, choices
 from calib.identify.result import Calibration
-from calib.measure.columns import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
-from calib.measure.orientation import to_quaternions
+from calib.measure.checks import to_quaternions
 from calib.measure.ranges import column_limits
+from calib.measure.table import POINT, QUATERNION, ROLL_PITCH_YAW, ROTATION_VECTOR, STATUS
 from calib.model.files import write_atomically
 from calib.model.robot import Robot, read_only, rigid_inverse
 from calib.model.torques import Payload

@@ -19,7 +19,7 @@ from calib.errors import ModelError, choices
 from calib.families import Factor, JointState
 from calib.identify.prediction import Larger
 from calib.identify.result import Calibration
-from calib.measure.orientation import no_rotation
+from calib.measure.checks import no_rotation
 from calib.model.error_model import axis_twists, error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import TIP, ErrorModel, Parameter

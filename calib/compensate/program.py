@@ -16,22 +16,23 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import MeasurementError, ModelError, choices
-from calib.measure.columns import (
+from calib.measure.checks import no_rotation
+from calib.measure.layout import Layout
+from calib.measure.table import (
     POINT,
     QUATERNION,
     ROLL_PITCH_YAW,
     ROTATION_VECTOR,
     STATUS,
     Column,
+    Row,
+    Table,
     close_names,
     list_columns,
     name_columns,
     with_unit,
     without_unit,
 )
-from calib.measure.layout import Layout
-from calib.measure.orientation import no_rotation
-from calib.measure.table import Row, Table
 from calib.measure.values import Values
 from calib.model.robot import Robot, read_only
 from calib.units import split_header

@@ -33,9 +33,9 @@ from calib.identify.setup import (
     targets_along_tip,
 )
 from calib.measure.cell import AUTO, Cell
-from calib.measure.columns import DEFAULT_TARGET
 from calib.measure.measurements import Measurements
 from calib.measure.surroundings import Tracker
+from calib.measure.table import DEFAULT_TARGET
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
 from calib.model.readback import spread_between

@@ -22,9 +22,8 @@ import calib.kinds as registry
 from calib.design.forecast import Forecast
 from calib.design.plan import Plan
 from calib.errors import MeasurementError
-from calib.measure.columns import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, name_columns
 from calib.measure.layout import Layout
-from calib.measure.table import Table
+from calib.measure.table import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, Table, name_columns
 from calib.measure.values import Values
 from calib.model.files import write_atomically
 from calib.model.robot import Robot, read_only

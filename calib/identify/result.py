@@ -24,8 +24,8 @@ from calib.identify.statistics import CrossValidation, Errors
 from calib.identify.support import OutsideRow, Robustness, outside
 from calib.identify.verdict import Verdict
 from calib.measure.cell import Cell
-from calib.measure.columns import SETS
 from calib.measure.measurements import Measurements
+from calib.measure.table import SETS
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability
 from calib.model.parameters import TARGET

@@ -39,7 +39,7 @@ from calib.identify.setup import Setup
 from calib.identify.solvers import Solution
 from calib.identify.statistics import CrossValidation
 from calib.identify.support import Robustness
-from calib.measure.columns import SETS
+from calib.measure.table import SETS
 from calib.model.files import damage, json_bytes, read_json, write_atomically
 from calib.model.kinematics import Kinematics
 from calib.model.observability import Observability

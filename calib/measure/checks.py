@@ -1,4 +1,4 @@
-"""What must hold of the rows of a table: shapes, names, words and numbers, and what belongs together."""
+"""What must hold of the rows of a table: shapes, names, words, lengths and rotations, and what belongs together."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 import calib.kinds as registry
 from calib.errors import MeasurementError, choices
-from calib.measure.columns import QUATERNION, SETS, TORQUE, reserved
-from calib.measure.orientation import no_rotation
+from calib.measure.table import QUATERNION, SETS, TORQUE, reserved
+from calib.units import UNITS, Unit
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 # No instrument is better or worse than this [m or rad], and squares beyond it leave the range of numbers.
 SIGMAS = (1e-15, 1e6)
@@ -23,8 +25,90 @@ SIGMAS = (1e-15, 1e6)
 FARTHEST = 1e6
 REACH = (-FARTHEST, FARTHEST)
 
+# The points of a robot cell lie between these distances from the origin of any frame in use [m].
+FAR_M = 100.0
+NEAR_M = 5e-3
+
 # Two rows that share a distance have it to all digits of a table.
-AGREE_M = 1e-9
+_AGREE_M = 1e-9
+
+# A quaternion written with four digits has length one to half of this; a matrix of seven digits is orthonormal to that.
+_LENGTH_TOLERANCE = 1e-3
+_MATRIX_TOLERANCE = 1e-6
+
+
+def to_matrices(values: Array) -> Array:
+    """Rotation matrices, shape (N, 3, 3), of (x, y, z, w), shape (N, 4), or of vectors [rad], shape (N, 3).
+
+    Quaternions are made unit length; q and -q are the same rotation. NaN rows stay NaN.
+    """
+    result = np.full((len(values), 3, 3), np.nan)
+    there = np.isfinite(values).all(axis=1)
+    if there.any():
+        make = Rotation.from_quat if values.shape[1] == 4 else Rotation.from_rotvec
+        result[there] = make(values[there]).as_matrix()
+    return result
+
+
+def to_quaternions(rotations: Array) -> Array:
+    """Unit quaternions (x, y, z, w) with w >= 0, shape (N, 4), of matrices (N, 3, 3). NaN rows stay NaN."""
+    result = np.full((len(rotations), 4), np.nan)
+    there = np.isfinite(rotations).all(axis=(1, 2))
+    if there.any():
+        result[there] = Rotation.from_matrix(rotations[there]).as_quat(canonical=True)
+    return result
+
+
+def wrong_length(quaternions: Array) -> tuple[int, float] | None:
+    """The first quaternion (N, 4) whose length is not one, and that length; None when all are. NaN rows pass."""
+    with np.errstate(over="ignore"):  # what is infinite is too long as well
+        length = np.linalg.norm(quaternions, axis=1)
+    wrong = np.flatnonzero(np.abs(length - 1.0) > _LENGTH_TOLERANCE)
+    return (int(wrong[0]), float(length[wrong[0]])) if wrong.size else None
+
+
+def no_rotation(matrices: Array) -> Mask:
+    """True for matrices (N, 3, 3) that are not finite, orthonormal and right-handed, shape (N,)."""
+    product = np.swapaxes(matrices, 1, 2) @ matrices
+    error = np.abs(product - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    good = (error <= _MATRIX_TOLERANCE) & (np.linalg.det(np.nan_to_num(matrices)) > 0.0)
+    return np.asarray(~good, dtype=np.bool_)
+
+
+def implausible(metres: Array, unit: Unit, *, near: bool = True) -> tuple[int, str]:
+    """The row of shape (N, k) that is furthest from the origin, and why it cannot be in a robot cell; "" if it can.
+
+    Args:
+        metres: In SI units.
+        unit: In which it was written: a larger one than metres cannot be meant.
+        near: Whether all being close to the origin is a fault.
+    """
+    distance = np.hypot.reduce(metres, axis=1)  # does not square: a huge number stays one
+    row = int(np.argmax(distance))
+    if not distance[row] <= FAR_M:
+        return row, f"further from the origin than {FAR_M:g} m"
+    if near and distance[row] < NEAR_M and unit.symbol != "m":
+        return row, f"and none is further from the origin than {NEAR_M * 1e3:g} mm"
+    return row, ""
+
+
+def better_unit(value: float, unit: Unit) -> str:
+    """The unit of length in which a value would be a distance in a robot cell; "" for the same or none."""
+    fits = [u for u in ("mm", "m", "um") if 0.01 <= abs(value) * UNITS[u].to_si <= 20.0]
+    return fits[0] if fits and fits[0] != unit.symbol else ""
+
+
+def check_signs(source: str, signs: Mapping[str, int]) -> None:
+    """Refuse decimal points beside decimal commas, one of which may separate thousands; ``signs`` has a line of each.
+
+    Raises:
+        MeasurementError: There are both.
+    """
+    if len(signs) == 2:
+        raise MeasurementError(
+            f"{source}: numbers have a decimal point in line {signs['.']} and a decimal comma in line "
+            f"{signs[',']}. Write all in one way, without a sign between thousands."
+        )
 
 
 class Where(NamedTuple):
@@ -55,7 +139,7 @@ class Where(NamedTuple):
         return found
 
 
-def is_name(text: str) -> bool:
+def _is_name(text: str) -> bool:
     """Whether a text is one line and not empty, without blanks around it, such as a text file can hold."""
     return text != "" and text == text.strip() and len(text.splitlines()) == 1 and "\0" not in text
 
@@ -71,7 +155,7 @@ def check_joint_names(
     taken = (*reserved(), *(QUATERNION if turned else ()))
     if torques:
         taken += tuple(name + TORQUE for name in names)
-    bad = [n for n, count in Counter(names).items() if n in taken or not is_name(n) or count > 1]
+    bad = [n for n, count in Counter(names).items() if n in taken or not _is_name(n) or count > 1]
     if bad or not names:
         raise MeasurementError(
             f"{source}: joint names are unique, on one line, without blanks around them, and none "
@@ -84,22 +168,28 @@ def check_joint_names(
         )
 
 
-def check_words(where: Where, words: Mapping[str, Sequence[str]]) -> None:
+def check_words(where: Where, words: Mapping[str, Sequence[str]], count: int) -> None:
     """Refuse words that are not allowed; each different one is looked at once, for there may be a million rows.
 
     Args:
         where: The rows.
         words: Those of ``sets``, ``targets``, ``groups``, ``kinds`` and ``pairs``.
+        count: How many of each there must be.
 
     Raises:
         MeasurementError: with the row and what is allowed.
     """
+    for name, number in (*((n, len(w)) for n, w in words.items()), ("rows", len(where.rows))):
+        if number != count:
+            raise MeasurementError(
+                f"Measurements: '{name}' has {number} entries and should have {count}, one a row"
+            )
     known = registry.names()
     allowed = {
         "sets": (SETS.__contains__, f"one of {choices(SETS)}"),
         "kinds": (known.__contains__, f"one of {choices(known)}"),
-        "targets": (is_name, "a name on one line, without blanks around it"),
-        "groups": (lambda word: word == "" or is_name(word), "a name on one line, or empty"),
+        "targets": (_is_name, "a name on one line, without blanks around it"),
+        "groups": (lambda word: word == "" or _is_name(word), "a name on one line, or empty"),
     }
     for name, (is_good, what) in allowed.items():
         wrong = {word for word in set(words[name]) if not is_good(word)}
@@ -107,22 +197,14 @@ def check_words(where: Where, words: Mapping[str, Sequence[str]]) -> None:
             i = next(i for i, word in enumerate(words[name]) if word in wrong)
             where.fail(i, f"{words[name][i]!r} in '{name}' is not allowed; each is {what}")
     for word, rows in where.pairs(words["pairs"]).items():
-        if not is_name(word):
+        if not _is_name(word):
             where.fail(rows[0], f"the pair {word!r} is a word on one line that two rows share")
-
-
-def check_row_numbers(source: str, rows: Sequence[int]) -> None:
-    """Refuse row numbers that are no whole numbers, or there twice.
-
-    Raises:
-        MeasurementError: with the number.
-    """
-    strange = set(map(type, rows)) - {int}
-    broken = [row for row in rows if strange and not isinstance(row, (int, np.integer))]
-    if broken or len(set(rows)) < len(rows):
-        what = f"{broken[0]!r}" if broken else f"{Counter(rows).most_common(1)[0][0]}, twice"
+    strange = set(map(type, where.rows)) - {int}
+    broken = [row for row in where.rows if strange and not isinstance(row, (int, np.integer))]
+    if broken or len(set(where.rows)) < count:
+        said = f"{broken[0]!r}" if broken else f"{Counter(where.rows).most_common(1)[0][0]}, twice"
         raise MeasurementError(
-            f"{source}: row numbers are whole numbers, each once; there is {what}"
+            f"{where.source or 'Measurements'}: row numbers are whole numbers, each once; there is {said}"
         )
 
 
@@ -131,7 +213,7 @@ def numbers(
     name: str,
     values: ArrayLike | None,
     tail: tuple[int, ...],
-    told: NDArray[np.bool_],
+    told: Mask,
     limits: tuple[float, float] = REACH,
     columns: Sequence[str] = (),
 ) -> Array | None:
@@ -168,27 +250,12 @@ def numbers(
             f"'{what}' is {array[at]:g}; in a row of the kind '{where.kinds[at[0]]}' it is a number from "
             f"{limits[0]:g} to {limits[1]:g}, in SI units. Correct it, or its unit.",
         )
-    if not told.all():
-        array[~told] = np.nan
+    array[~told] = np.nan
     array.setflags(write=False)
     return array
 
 
-def check_rotations(where: Where, rotations: Array, told: NDArray[np.bool_]) -> None:
-    """Refuse matrices that are no rotations.
-
-    Raises:
-        MeasurementError: with the row.
-    """
-    rows = np.flatnonzero(told)
-    wrong = rows[no_rotation(rotations[rows])]
-    if wrong.size:
-        where.fail(
-            int(wrong[0]), "'rotations' holds no rotation; each is orthonormal with determinant 1"
-        )
-
-
-def lacking(where: Where, told: NDArray[np.bool_], name: str) -> NoReturn:
+def lacking(where: Where, told: Mask, name: str) -> NoReturn:
     """Refuse rows, shape (N,), whose kind needs numbers that there are none of."""
     i = int(np.argmax(told))
     where.fail(i, f"a row of the kind '{where.kinds[i]}' needs '{name}', and there are none")
@@ -209,16 +276,13 @@ def checked_torques(where: Where, names: Sequence[str], torques: ArrayLike | Non
         )
     for name, there in zip(names, np.isfinite(result).T, strict=True):
         if there.any() and not there.all():
-            what = (
-                f"joint '{name}' has no torque here and has one in other rows; give all of them, or none of the joint "
-                "(NaN)"
-            )
+            what = f"joint '{name}' has no torque here and has one in other rows; give all of them, or none (NaN)"
             where.fail(int(np.argmin(there)), what)
     result.setflags(write=False)
     return result
 
 
-def shared(where: Where, values: Array, pairs: Mapping[str, Sequence[int]]) -> Array:
+def shared(where: Where, values: ArrayLike, pairs: Mapping[str, Sequence[int]]) -> Array:
     """Values with each one that stands in one row of a pair copied into the other, shape (N,).
 
     Raises:
@@ -229,7 +293,7 @@ def shared(where: Where, values: Array, pairs: Mapping[str, Sequence[int]]) -> A
         if len(rows) != 2:
             continue
         one, other = result[list(rows)]
-        if abs(one - other) > AGREE_M:
+        if abs(one - other) > _AGREE_M:
             what = (
                 f"the pair '{word}' has {one:.10g} m here and {other:.10g} m in row "
                 f"{where.rows[rows[1]]}; give it once, or the same"
@@ -251,8 +315,14 @@ def check_whole(where: Where, words: Mapping[str, Sequence[str]]) -> None:
     Raises:
         MeasurementError: with the word or the group, and its rows.
     """
+
+    def named(at: Sequence[int]) -> str:
+        """These rows, from 0, by their numbers."""
+        numbers = [str(where.rows[i]) for i in at[:8]] + (["..."] if len(at) > 8 else [])
+        return f"row {numbers[0]} only" if len(at) == 1 else f"rows {', '.join(numbers)}"
+
     for word, at in where.pairs(words["pairs"]).items():
-        said = f"{where.source}: the pair '{word}' stands in {_name_rows(where, at)}"
+        said = f"{where.source}: the pair '{word}' stands in {named(at)}"
         if len(at) != 2:
             raise MeasurementError(
                 f"{said}; a distance is between two rows. Give each pair a word of its own."
@@ -266,13 +336,7 @@ def check_whole(where: Where, words: Mapping[str, Sequence[str]]) -> None:
         for group, at in where.by_word(kind, words["groups"]).items() if fewest > 1 else ():
             if len(at) < fewest:
                 raise MeasurementError(
-                    f"{where.source}: the group '{group}' of the kind '{kind}' stands in {_name_rows(where, at)}"
+                    f"{where.source}: the group '{group}' of the kind '{kind}' stands in {named(at)}"
                     f"; it takes {fewest} rows or more to say anything of the robot. Measure more, "
                     "correct the group's name, or remove it."
                 )
-
-
-def _name_rows(where: Where, at: Sequence[int]) -> str:
-    """These rows, from 0, by their numbers."""
-    named = [str(where.rows[i]) for i in at[:8]] + (["..."] if len(at) > 8 else [])
-    return f"row {named[0]} only" if len(at) == 1 else f"rows {', '.join(named)}"

@@ -8,16 +8,17 @@ from dataclasses import dataclass, field
 import calib.kinds as registry
 from calib.errors import MeasurementError, choices
 from calib.kinds import Kind
-from calib.measure.columns import (
+from calib.measure.table import (
     COMMON,
     EXPECTED,
     ORIENTATION,
     POINT,
     QUATERNION,
     ROTATION_VECTOR,
+    STATUS,
     TORQUE,
     Column,
-    check_widths,
+    Table,
     close_names,
     list_columns,
     name_columns,
@@ -26,11 +27,9 @@ from calib.measure.columns import (
     with_unit,
     without_unit,
 )
-from calib.measure.table import Table, distinct
 from calib.units import Quantity, split_header
 
-# A table of commands has these two columns; the second says so where a row has none, and its cells are empty.
-_COMMANDS = ("correction position", "status")
+Columns = tuple[Column, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +49,11 @@ class Layout:
     """
 
     words: Mapping[str, Column]
-    groups: tuple[Column, ...]
-    blocks: Mapping[str, tuple[Column, ...]]
+    groups: Columns
+    blocks: Mapping[str, Columns]
     kinds: tuple[str, ...]
     ignored: tuple[str, ...]
-    numbers: tuple[Column, ...] = field(init=False, repr=False)
+    numbers: Columns = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Put the columns of numbers together once."""
@@ -72,12 +71,6 @@ class Layout:
         joints = self.blocks["joints"]
         return tuple(c.name for c in joints if c.unit and c.unit.quantity == "length")
 
-    @property
-    def torque_joints(self) -> tuple[int, ...]:
-        """Which joint each column of torques belongs to, from 0."""
-        names = self.joint_names
-        return tuple(names.index(c.name.removesuffix(TORQUE)) for c in self.blocks["torques"])
-
     def span(self, name: str) -> list[int]:
         """Where the columns of a block stand among ``numbers``; nowhere if it is not there."""
         start = 0
@@ -89,19 +82,14 @@ class Layout:
 
     def measured_by(self, kind: str) -> list[int]:
         """Which of ``numbers`` hold what a row of this kind measures; none if that is nothing, or stands elsewhere."""
-        return [i for name in _measured(registry.get(kind)) for i in self.span(name)]
+        own = registry.get(kind)
+        names = ["points"] * own.position + ["orientation"] * own.orientation
+        return [i for n in (*names, *(one.name for one in own.readings)) for i in self.span(n)]
 
     def used_by(self, kind: str) -> list[int]:
         """Which of ``numbers`` a row of this kind uses."""
-        own = registry.get(kind)
-        used = {
-            "joints",
-            "torques",
-            "sigma",
-            *_measured(own),
-            *(["sigma_angle"] * (own.angles > 0)),
-        }
-        return [i for name in self.blocks if name in used for i in self.span(name)]
+        names = ["joints", "torques", "sigma"] + ["sigma_angle"] * (registry.get(kind).angles > 0)
+        return [i for name in names for i in self.span(name)] + self.measured_by(kind)
 
     @classmethod
     def find(
@@ -127,23 +115,26 @@ class Layout:
         Raises:
             MeasurementError: a column is missing, there twice, without a unit or in a wrong one.
         """
-        types = joint_types or {}
         named, groups = name_columns(table, joint_names or (), columns or {})
-        joints = (
-            _guess_joints(table, named, types)
-            if joint_names is None
-            else _pick_joints(table, named, joint_names, types)
-        )
-        for joint in joints:
-            _check_joint_unit(table, joint, types)
-        kinds = _find_kinds(table, named, kind, points_elsewhere=points_elsewhere)
+        joints = _joints(table, named, joint_names, joint_types or {})
+        kinds = _kinds(table, named, kind, points_elsewhere=points_elsewhere)
         present = [registry.get(name) for name in kinds]
         blocks = _blocks(table, named, joints, present, points_elsewhere=points_elsewhere)
-        words = _words(table, named, present, points_elsewhere=points_elsewhere)
+        words: dict[str, Column] = {n: named[n] for n in ("row", "set", "target") if n in named}
+        # A table of commands says in its status where a row has none, and its cells are empty.
+        if {"correction position", STATUS} <= named.keys():
+            words[STATUS] = named[STATUS]
+        if points_elsewhere and "point" in named:
+            words["point"] = named["point"]
         if kind is None and "kind" in named:
             words["kind"] = named["kind"]
+        for one in (one for one in present if one.paired):
+            what = f"rows of the kind '{one.name}', of which two share a word,"
+            words["pair"] = _needed(table, named, "pair", "pair", what)
         taken = {c.index for block in (words.values(), groups, *blocks.values()) for c in block}
-        taken |= _of_a_plan(table, named, empty=points_elsewhere)
+        taken |= {c.index for n, c in named.items() if n.startswith(EXPECTED) or n == "point"}
+        if points_elsewhere:
+            taken |= _empty(table, [named[n] for n in (*POINT, *ORIENTATION) if n in named])
         ignored = tuple(label for i, label in enumerate(table.header) if label and i not in taken)
         return cls(words, groups, blocks, kinds, ignored)
 
@@ -151,17 +142,15 @@ class Layout:
 def _blocks(
     table: Table,
     named: Mapping[str, Column],
-    joints: tuple[Column, ...],
+    joints: Columns,
     present: Sequence[Kind],
     *,
     points_elsewhere: bool,
-) -> dict[str, tuple[Column, ...]]:
+) -> dict[str, Columns]:
     """The columns of numbers, see `Layout`."""
-    blocks: dict[str, tuple[Column, ...]] = {
+    blocks: dict[str, Columns] = {
         "joints": joints,
         "torques": _torques(table, named, joints),
-        "points": (),
-        "orientation": (),
         "sigma": _optional(table, named, "sigma", "length"),
     }
     if any(one.position for one in present) and not points_elsewhere:
@@ -178,53 +167,25 @@ def _blocks(
     return blocks
 
 
-def _words(
-    table: Table, named: Mapping[str, Column], present: Sequence[Kind], *, points_elsewhere: bool
-) -> dict[str, Column]:
-    """The columns of words, see `Layout`, but for that of the kind."""
-    words = {name: named[name] for name in ("row", "set", "target") if name in named}
-    if all(name in named for name in _COMMANDS):
-        words["status"] = named["status"]
-    for one in present:
-        if one.paired:
-            what = f"rows of the kind '{one.name}', of which two share a word,"
-            words["pair"] = _needed(table, named, "pair", "pair", what)
-    if points_elsewhere and "point" in named:
-        words["point"] = named["point"]
-    return words
+def _empty(table: Table, columns: Sequence[Column]) -> set[int]:
+    """Where those of these columns stand that a plan has left empty in all rows."""
+    empty = {column.index for column in columns}
+    for row in table.rows() if empty else ():
+        empty = {i for i in empty if i >= len(row.cells) or not row.cells[i]}
+    return empty
 
 
-def _measured(kind: Kind) -> tuple[str, ...]:
-    """The blocks that hold what rows of a kind measure."""
-    placed = ["points"] * kind.position + ["orientation"] * kind.orientation
-    return (*placed, *(one.name for one in kind.readings))
-
-
-def _of_a_plan(table: Table, named: Mapping[str, Column], *, empty: bool) -> set[int]:
-    """Columns that a plan has and that need no word when they are not used, by their index.
-
-    With ``empty`` those for the measurement may have been left empty; the rows are then looked at.
-    """
-    found = {c.index for name, c in named.items() if name.startswith(EXPECTED) or name == "point"}
-    if empty:
-        measured = {named[name].index for name in (*POINT, *ORIENTATION) if name in named}
-        for row in table.rows() if measured else ():
-            measured = {i for i in measured if i >= len(row.cells) or not row.cells[i]}
-        found |= measured
-    return found
-
-
-def _find_kinds(
+def _kinds(
     table: Table, named: Mapping[str, Column], kind: str | None, *, points_elsewhere: bool
 ) -> tuple[str, ...]:
     """The kinds of the rows: as given, else from the column ``kind``, else from the columns there are."""
     if kind is not None:
         kinds: tuple[str, ...] = (registry.get(kind).name,)
     elif "kind" in named:
-        kinds = _kinds_in(table, named)
+        kinds = _kinds_in(table, named["kind"], named.get("row"))
     else:
         kinds = ("point",) if points_elsewhere else (_guess_kind(named),)
-    wrong = {name for name in kinds if registry.get(name).orientation} or "point" not in kinds
+    wrong = any(registry.get(name).orientation for name in kinds) or "point" not in kinds
     if points_elsewhere and wrong:
         raise MeasurementError(
             f"{table.source}: with a file of points the rows are of the kind 'point', or some are "
@@ -234,20 +195,19 @@ def _find_kinds(
     return kinds
 
 
-def _kinds_in(table: Table, named: Mapping[str, Column]) -> tuple[str, ...]:
+def _kinds_in(table: Table, column: Column, numbers: Column | None) -> tuple[str, ...]:
     """The kinds that occur in the column ``kind``, in the order of the registry."""
-    column, numbers = named["kind"], named.get("row")
-    known, seen = registry.names(), set()
-    for block in table.blocks():
-        check_widths(table, block, numbers)
-        words = distinct([cells[column.index] for cells in block.cells])
-        for i in (i for i, word in enumerate(words) if word not in known):
+    known, at, seen = registry.names(), column.index, set()
+    for _, block in table.blocks():
+        seen |= {cells[at].strip() for cells in block if at < len(cells)}
+    strange = seen.difference(known)
+    for row in table.rows() if strange else ():
+        if at < len(row.cells) and row.cells[at] in strange:
             raise MeasurementError(
-                f"{place(table, block.row(i), numbers, column)}: '{words[i]}' is not a kind of measurement; "
+                f"{place(table, row, numbers, column)}: '{row.cells[at]}' is not a kind of measurement; "
                 f"allowed are {choices(known)}. If the column means something else, "
                 f'--columns "{split_header(column.label)[0]}=-" leaves it out.'
             )
-        seen |= set(words)
     return tuple(kind for kind in known if kind in seen) or ("point",)
 
 
@@ -265,11 +225,7 @@ def _guess_kind(named: Mapping[str, Column]) -> str:
 def _needed(
     table: Table, named: Mapping[str, Column], name: str, header: str, what: str, more: str = ""
 ) -> Column:
-    """The column of this name.
-
-    Raises:
-        MeasurementError: it is missing; the text says what needs it, and what header it has.
-    """
+    """The column of this name, or an error that says what needs it and what header it has."""
     if name not in named:
         raise MeasurementError(
             f"{table.source}: {what} need a column '{header}', and there is none. {list_columns(table)} "
@@ -278,7 +234,7 @@ def _needed(
     return named[name]
 
 
-def _points(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...]:
+def _points(table: Table, named: Mapping[str, Column]) -> Columns:
     """The columns x, y, z."""
     more = ""
     if not any(name in named for name in POINT):
@@ -291,7 +247,7 @@ def _points(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...]:
     return tuple(with_unit(table, column, "length") for column in found)
 
 
-def _orientation(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...]:
+def _orientation(table: Table, named: Mapping[str, Column]) -> Columns:
     """The columns of a quaternion or of a rotation vector; of one of them."""
     there = [n for n in (QUATERNION, ROTATION_VECTOR) if all(name in named for name in n)]
     if not there:
@@ -313,54 +269,59 @@ def _orientation(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...
     return tuple(without_unit(table, named[name]) for name in QUATERNION)
 
 
-def _optional(
-    table: Table, named: Mapping[str, Column], name: str, quantity: Quantity
-) -> tuple[Column, ...]:
+def _optional(table: Table, named: Mapping[str, Column], name: str, quantity: Quantity) -> Columns:
     """The column of this name and quantity, if it is there."""
     return (with_unit(table, named[name], quantity),) if name in named else ()
 
 
-def _torques(
-    table: Table, named: Mapping[str, Column], joints: Sequence[Column]
-) -> tuple[Column, ...]:
+def _torques(table: Table, named: Mapping[str, Column], joints: Columns) -> Columns:
     """The columns of torques, those that there are, in the order of the joints."""
-    names = {joint.name for joint in joints}
     found = []
     for joint in joints:
         column = named.get(joint.name + TORQUE)
-        if column is not None and column.name not in names:
+        if column is not None and column.name not in {other.name for other in joints}:
             sliding = joint.unit is not None and joint.unit.quantity == "length"
             what = f"{'prismatic' if sliding else 'revolute'} joint '{joint.name}'"
             found.append(with_unit(table, column, "force" if sliding else "torque", what))
     return tuple(found)
 
 
-def _guess_joints(
-    table: Table, named: Mapping[str, Column], types: Mapping[str, str]
-) -> tuple[Column, ...]:
-    """The joint columns when no names were given: those in angles, and known prismatic ones."""
-    joints = tuple(
-        column
-        for name, column in named.items()
-        if name not in (*reserved(), *ORIENTATION)
-        and column.unit is not None
-        and (column.unit.quantity == "angle" or name in types)
-    )
-    if not joints:
+def _joints(
+    table: Table,
+    named: Mapping[str, Column],
+    joint_names: Sequence[str] | None,
+    types: Mapping[str, str],
+) -> Columns:
+    """The columns of the joints asked for, in that order; else those in angles, and known prismatic ones."""
+    free = {n: c for n, c in named.items() if n not in (*reserved(), *ORIENTATION)}
+    if joint_names is None:
+        joints = [
+            c for n, c in free.items() if c.unit and (c.unit.quantity == "angle" or n in types)
+        ]
+    else:
+        _check_named(table, named, joint_names, types, free)
+        joints = [named[name] for name in joint_names]
+    if not joints and joint_names is None:
         raise MeasurementError(
             f"{table.source}: no column of joint angles. {list_columns(table)} The header of such a "
             "column is the joint's name and a unit of angle, 'elbow_joint [deg]'."
         )
-    return joints
+    for column in joints:
+        kind = types.get(column.name)
+        if kind is not None or column.unit is None:
+            quantity: Quantity = "length" if kind == "prismatic" else "angle"
+            with_unit(table, column, quantity, f"{kind or 'revolute'} joint '{column.name}'")
+    return tuple(joints)
 
 
-def _pick_joints(
+def _check_named(
     table: Table,
     named: Mapping[str, Column],
     joint_names: Sequence[str],
     types: Mapping[str, str],
-) -> tuple[Column, ...]:
-    """The columns of the joints asked for, in that order."""
+    free: Mapping[str, Column],
+) -> None:
+    """Refuse joints without a column, and those whose name is another column's."""
     clash = [name for name in joint_names if name in reserved()]
     if clash:
         raise MeasurementError(
@@ -369,23 +330,14 @@ def _pick_joints(
         )
     missing = [name for name in joint_names if name not in named]
     if not missing:
-        return tuple(named[name] for name in joint_names)
-    free = [n for n in named if n not in joint_names and n not in (*reserved(), *ORIENTATION)]
+        return
+    others = [name for name in free if name not in joint_names]
     # One each where many are missing: the line stays short enough to read.
-    close = {name: close_names(name, free)[: 3 if len(missing) < 3 else 1] for name in missing}
+    close = {name: close_names(name, others)[: 3 if len(missing) < 3 else 1] for name in missing}
     hint = "".join(f" Close to '{n}': {choices(names)}." for n, names in close.items() if names)
-    unit = "mm" if types.get(missing[0]) == "prismatic" else "deg"
-    header = f"{missing[0]} [{unit}]"
+    header = f"{missing[0]} [{'mm' if types.get(missing[0]) == 'prismatic' else 'deg'}]"
     raise MeasurementError(
         f"{table.source}: no column for the joints {choices(missing)}. {list_columns(table)}{hint} "
         f"The header of such a column is '{header}'; another name is mapped by "
         f'--columns "name in the table={header}".'
     )
-
-
-def _check_joint_unit(table: Table, column: Column, types: Mapping[str, str]) -> None:
-    """Refuse a joint column without a unit, or in a unit that is not of the joint's kind."""
-    kind = types.get(column.name)
-    quantity: Quantity = "length" if kind == "prismatic" else "angle"
-    if kind is not None or column.unit is None:
-        with_unit(table, column, quantity, f"{kind or 'revolute'} joint '{column.name}'")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import compress
@@ -16,13 +19,12 @@ import calib.kinds as registry
 from calib.errors import MeasurementError, choices
 from calib.kinds import Kind
 from calib.measure import checks
-from calib.measure.columns import DEFAULT_TARGET, SETS
 from calib.measure.layout import Layout
 from calib.measure.points_file import read_points
-from calib.measure.table import Table
-from calib.measure.table_text import table_text
+from calib.measure.table import COMMON, DEFAULT_TARGET, POINT, QUATERNION, SETS, TORQUE, Table
 from calib.measure.values import Values
 from calib.model.files import write_atomically
+from calib.units import UNITS, Quantity
 
 Array = NDArray[np.float64]
 
@@ -92,23 +94,7 @@ class Measurements:
         fill(self, "rows", tuple(self.rows) or tuple(range(1, count + 1)))
         for name, word in _WORDS.items():
             fill(self, name, tuple(getattr(self, name)) or (word,) * count)
-        self._check_words(count)
-        if any(self.pairs):
-            told = zip(self.paired.tolist(), self.pairs, strict=True)
-            fill(self, "pairs", tuple(word if paired else "" for paired, word in told))
-        for name, array in self._checked_arrays().items():
-            fill(self, name, array)
-
-    def _check_words(self, count: int) -> None:
-        """Refuse words that are not allowed, and other than one of them a row."""
-        words = {name: getattr(self, name) for name in _WORDS}
-        for name, values in (*words.items(), ("rows", self.rows)):
-            if len(values) != count:
-                raise MeasurementError(
-                    f"Measurements: '{name}' has {len(values)} entries and should have {count}, one a row"
-                )
-        checks.check_words(self._where, words)
-        checks.check_row_numbers(self.source or "Measurements", self.rows)
+        checks.check_words(self._where, {name: getattr(self, name) for name in _WORDS}, count)
         checks.check_joint_names(
             self.source or "Measurements",
             self.joint_names,
@@ -116,50 +102,61 @@ class Measurements:
             turned=bool(self.where(lambda kind: kind.orientation).any()),
             torques=self.torques is not None,
         )
+        if any(self.pairs):
+            told = zip(self.paired.tolist(), self.pairs, strict=True)
+            fill(self, "pairs", tuple(word if paired else "" for paired, word in told))
+        for name, array in self._checked_arrays().items():
+            fill(self, name, array)
 
     def _checked_arrays(self) -> dict[str, Any]:
         """The arrays, each with the rows whose kinds measure it."""
-        where, n, read = self._where, len(self.joint_names), registry.readings()
-        every = np.ones(len(self.rows), dtype=np.bool_)
-        own = {name: self.where(_reads(one)) for name, one in read.items()}
-        own["rotations"] = self.where(lambda kind: kind.orientation)
-        specs: dict[str, tuple[Any, ...]] = {
-            "joints": ((n,), every, checks.REACH, self.joint_names),
-            "points": ((3,), self.positions, checks.REACH, "xyz"),
-            "rotations": ((3, 3), own["rotations"]),
-            "sigma": ((), every, checks.SIGMAS),
-            "sigma_angle": ((), self.where(lambda kind: kind.angles > 0), checks.SIGMAS),
+        where, n, count = self._where, len(self.joint_names), len(self.rows)
+        every, turned = np.ones(count, dtype=np.bool_), self.where(lambda kind: kind.orientation)
+        told = self.where(lambda kind: kind.angles > 0)
+        found: dict[str, Any] = {
+            "joints": checks.numbers(
+                where, "joints", self.joints, (n,), every, columns=self.joint_names
+            ),
+            "points": checks.numbers(
+                where, "points", self.points, (3,), self.positions, columns="xyz"
+            ),
+            "rotations": checks.numbers(where, "rotations", self.rotations, (3, 3), turned),
+            "sigma": checks.numbers(where, "sigma", self.sigma, (), every, checks.SIGMAS),
+            "sigma_angle": checks.numbers(
+                where, "sigma_angle", self.sigma_angle, (), told, checks.SIGMAS
+            ),
+            "torques": checks.checked_torques(where, self.joint_names, self.torques),
         }
-        for name, one in read.items():
-            least = checks.SIGMAS[0] if one.positive else -checks.FARTHEST
-            specs[name] = ((), own[name], (least, checks.FARTHEST))
-        given = {"distance": self.distances, **self.readings}
+        given, read = {"distance": self.distances, **self.readings}, registry.readings()
         strange = [name for name in given if name not in read]
         if strange:
             raise MeasurementError(
                 f"No kind of measurement reads {choices(strange)}; register it first (calib.kinds.register)."
             )
         pairs = where.pairs(self.pairs)
-        found: dict[str, Any] = {}
-        for name, spec in specs.items():
-            values = given.get(name) if name in read else getattr(self, name)
-            if name in read and values is not None and pairs:
+        readings: dict[str, Array | None] = {}
+        for name, one in read.items():
+            values = given.get(name)
+            if values is not None and pairs:
                 values = checks.shared(where, values, pairs)
-            found[name] = checks.numbers(where, name, values, *spec)
-            if found[name] is None and name in own and own[name].any():
-                checks.lacking(where, own[name], name)
-        if found["rotations"] is not None:
-            checks.check_rotations(where, found["rotations"], own["rotations"])
+            own = self.of_kind(*(k for k in registry.names() if one in registry.get(k).readings))
+            least = checks.SIGMAS[0] if one.positive else -checks.FARTHEST
+            limits = (least, checks.FARTHEST)
+            readings[name] = checks.numbers(where, name, values, (), own, limits)
+            if readings[name] is None and own.any():
+                checks.lacking(where, own, name)
+        if found["rotations"] is None and turned.any():
+            checks.lacking(where, turned, "rotations")
+        if turned.any():
+            for i in np.flatnonzero(turned)[checks.no_rotation(found["rotations"][turned])]:
+                what = "'rotations' holds no rotation; each is orthonormal with determinant 1"
+                where.fail(int(i), what)
         for name, width in (("joints", n), ("points", 3)):
             if found[name] is None:
-                found[name] = _read_only(np.full((len(every), width), np.nan))
-        readings = {name: found.pop(name) for name in read}
-        return {
-            **found,
-            "torques": checks.checked_torques(where, self.joint_names, self.torques),
-            "distances": readings.pop("distance"),
-            "readings": MappingProxyType({k: v for k, v in readings.items() if v is not None}),
-        }
+                found[name] = _read_only(np.full((count, width), np.nan))
+        found["distances"] = readings.pop("distance")
+        there = {name: values for name, values in readings.items() if values is not None}
+        return {**found, "readings": MappingProxyType(there)}
 
     @property
     def _where(self) -> checks.Where:
@@ -211,12 +208,11 @@ class Measurements:
         layout = Layout.find(
             table, joint_names, joint_types, columns, kind, points_elsewhere=elsewhere is not None
         )
-        values = Values.read(table, layout)
+        values = Values.read(table, layout, elsewhere)
         source, sha256 = table.source, table.sha256
         if elsewhere is not None:
-            values = values.with_points(elsewhere, table.source, named="point" in layout.words)
             source, sha256 = f"{source} + {elsewhere.source}", f"{sha256} + {elsewhere.sha256}"
-        given = {f.name: getattr(values, f.name) for f in fields(values) if f.name != "names"}
+        given = {f.name: getattr(values, f.name) for f in fields(values)}
         given["readings"] = {n: v for n, v in values.readings.items() if n != "distance"}
         measurements = cls(
             **given,
@@ -319,10 +315,6 @@ class Measurements:
         Raises:
             MeasurementError: there is no such joint in the table.
         """
-        return _read_only(self.joints[:, self._index(names)])
-
-    def _index(self, names: Sequence[str]) -> list[int]:
-        """Where these joints stand among ``joint_names``."""
         where = {name: i for i, name in enumerate(self.joint_names)}
         missing = [name for name in names if name not in where]
         if missing:
@@ -330,47 +322,73 @@ class Measurements:
                 f"{self.source or 'the measurements'}: no values of the joints {choices(missing)}. "
                 f"The joints there are: {choices(self.joint_names, limit=30)}."
             )
-        return [where[name] for name in names]
+        return _read_only(self.joints[:, [where[name] for name in names]])
+
+    def _word_columns(self) -> dict[str, Sequence[object]]:
+        """The columns of words of a table, those that say anything."""
+        kinds = [registry.get(kind) for kind in set(self.kinds)]
+        unclear = any(not k.size or (k.position and k.readings) for k in kinds)
+        return {
+            "row": self.rows,
+            "set": self.sets,
+            **({"kind": self.kinds} if len(kinds) > 1 or unclear else {}),
+            **({"target": self.targets} if set(self.targets) - {DEFAULT_TARGET} else {}),
+            **{n: w for n, w in (("group", self.groups), ("pair", self.pairs)) if any(w)},
+        }
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write a CSV table in degrees and millimetres that `read` gives back, see `calib.measure.table_text`.
+        """Write a CSV table in degrees and millimetres that `read` gives back.
+
+        Numbers come back to the last bit where they came from a table in these units, to 1e-15 of them where not, as
+        for hardly any number of radians are there degrees that are it exactly. Orientations come back to 1e-15.
 
         Raises:
             FileError: the file exists and ``overwrite`` is False, or it cannot be written.
         """
-        kinds = [registry.get(kind) for kind in sorted(set(self.kinds))]
-        words: dict[str, Sequence[object]] = {"row": self.rows, "set": self.sets}
-        if len(kinds) > 1 or any(not k.size or (k.position and k.readings) for k in kinds):
-            words["kind"] = self.kinds
-        if set(self.targets) - {DEFAULT_TARGET}:
-            words["target"] = self.targets
-        words |= {n: w for n, w in (("group", self.groups), ("pair", self.pairs)) if any(w)}
-        read = {
-            one.name: (one.quantity, self.reading(one.name)) for one in registry.readings().values()
-        }
-        text = table_text(
-            words,
-            joints=[
-                (n, n in self.prismatic, v)
-                for n, v in zip(self.joint_names, self.joints.T, strict=True)
-            ],
-            torques=None if self.torques is None else self.torques.T,
-            points=self.points if self.positions.any() or not len(self) else None,
-            rotations=self.rotations,
-            readings={name: one for name, one in read.items() if np.isfinite(one[1]).any()},
-            sigma=self.sigma,
-            sigma_angle=self.sigma_angle,
-        )
-        write_atomically(path, text.encode(), overwrite=overwrite)
+        columns = self._word_columns()
+
+        def add(name: str, quantity: Quantity | None, values: Array | None) -> None:
+            """Add a column of numbers if there are any; its cells are empty where nothing was measured."""
+            if values is None or (len(values) and np.isnan(values).all()):
+                return
+            unit = "" if quantity is None else COMMON[quantity]
+            written = (_in_unit(values, UNITS[unit].to_si) if unit else values).tolist()
+            cells = ["" if math.isnan(number) else number for number in written]
+            columns[f"{name} [{unit}]" if unit else name] = cells
+
+        for i, name in enumerate(self.joint_names):
+            slides = name in self.prismatic
+            add(name, "length" if slides else "angle", self.joints[:, i])
+            if self.torques is not None:
+                add(name + TORQUE, "force" if slides else "torque", self.torques[:, i])
+        for i, name in enumerate(POINT):
+            add(name, "length", self.points[:, i])
+        if self.rotations is not None:
+            for name, part in zip(QUATERNION, checks.to_quaternions(self.rotations).T, strict=True):
+                add(name, None, part)
+        for one in registry.readings().values():
+            add(one.name, one.quantity, self.reading(one.name) if len(self) else None)
+        add("sigma", "length", self.sigma)
+        add("sigma_angle", "angle", self.sigma_angle)
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))  # csv writes a float as its repr
+        write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
+
+
+def _in_unit(values: Array, to_si: float) -> Array:
+    """The numbers that, times ``to_si``, are the values to the last bit where any are, else next to them."""
+    found = values / to_si
+    for end in (np.inf, -np.inf):
+        beside = np.nextafter(found, end)
+        better = (found * to_si != values) & (beside * to_si == values)
+        found = np.where(better, beside, found)
+    return found
 
 
 #: The words of a row, by the attribute, and what stands for them where they are not given.
 _WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "point", "pairs": ""}
-
-
-def _reads(one: registry.Reading) -> Callable[[Kind], bool]:
-    """Whether a kind has this reading."""
-    return lambda kind: one in kind.readings
 
 
 #: The arrays with an entry a row.

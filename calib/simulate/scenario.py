@@ -21,10 +21,10 @@ from calib.errors import CalibError, choices
 from calib.kinds import Kind
 from calib.measure.cell import Cell
 from calib.measure.cell_parts import vector
-from calib.measure.columns import SETS
 from calib.measure.measurements import Measurements
 from calib.measure.noise import TrackerNoise
 from calib.measure.ranges import column_limits, joint_ranges, range_text
+from calib.measure.table import SETS
 from calib.model.robot import Robot, read_only
 from calib.simulate.disturbances import Encoder, MovedTarget, Outliers, stream
 from calib.simulate.truth import TARGET_ERROR, Truth, draw_truth

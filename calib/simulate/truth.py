@@ -21,7 +21,7 @@ import calib.kinds as registry
 from calib.errors import CalibError, ModelError, choices, did_you_mean
 from calib.families import FAMILIES, family_of, unit_of
 from calib.measure.cell import Cell
-from calib.measure.columns import DEFAULT_TARGET
+from calib.measure.table import DEFAULT_TARGET
 from calib.model.error_model import error_model, split_name
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import ErrorModel

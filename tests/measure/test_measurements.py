@@ -438,7 +438,7 @@ def test_a_table_without_a_row_to_estimate_from(table):
         ("mm", "-0.149,-0.2075,0.7426", ["0.7426 was read as 0.0007426 m", "in m", "'z [m]'"]),
         ("um", "-149.02,-207.5,742.6", ["742.6 was read as 0.0007426 m", "in mm", "'z [mm]'"]),
         ("m", "1e9,0,0", ["column 'x [m]'", "Correct the value"]),
-        ("mm", "0,0,0", ["no point is further from the origin than 5 mm", "Correct the value"]),
+        ("mm", "0,0,0", ["none is further from the origin than 5 mm", "Correct the value"]),
     ],
 )
 def test_points_in_the_wrong_unit(table, unit, point, says):

@@ -181,7 +181,7 @@ def test_coordinates_in_another_unit(listed):
     path = listed("# units: m", "P1 1 2 3.5", "P2 100.5 742.6 0")
     refused(path, "line 3: 742.6 was read as 742.6 m", "100 m", "'# Units: mm'")
     path = listed("# units: mm", "P1 0.1 0.2 0.7")
-    refused(path, "line 2: 0.7 was read as 0.0007 m", "no point is further", "'# Units: m'")
+    refused(path, "line 2: 0.7 was read as 0.0007 m", "none is further", "'# Units: m'")
     refused(listed("# units: mm", "P1 1e999 0.5 1"), "line 2", "Correct it")
 
 

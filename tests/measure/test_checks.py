@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.measure.orientation import no_rotation, to_matrices, to_quaternions, wrong_length
+from calib.measure.checks import no_rotation, to_matrices, to_quaternions, wrong_length
 
 seeds = st.integers(0, 2**32 - 1)
 
