@@ -7,7 +7,10 @@ and uncertainty, errors on rows that the fit did not see, the verdict.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +23,6 @@ from calib.identify.crossvalidation import (
 )
 from calib.identify.evidence import evidence_of
 from calib.identify.fitting import Fitted, Task, fit, unseen_scores
-from calib.identify.nominal import nominal_on
 from calib.identify.prediction import (
     Larger,
     Outlier,
@@ -29,6 +31,7 @@ from calib.identify.prediction import (
     parameter_estimates,
     tells_place,
 )
+from calib.identify.registration import nominal_setup
 from calib.identify.result import Calibration, Fit, RowNames, Source
 from calib.identify.robust import Limits, Repeats, repeats
 from calib.identify.rows import Rows
@@ -36,8 +39,7 @@ from calib.identify.selection import Candidate, select
 from calib.identify.setup import known_distances, rows_of
 from calib.identify.setup_check import better_setup
 from calib.identify.solvers import Solver
-from calib.identify.statistics import CrossValidation
-from calib.identify.support import OutsideRow, compare, outside
+from calib.identify.support import compare, outside
 from calib.identify.verdict import NO, Reason, Verdict, verdict
 from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements
@@ -45,6 +47,7 @@ from calib.model.error_model import split_name
 from calib.model.kernel import one_blas_thread
 from calib.model.kinematics import Samples
 from calib.model.observability import Observability, analyse
+from calib.model.parameters import Parameter
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot, read_only
 
@@ -59,7 +62,7 @@ def calibrate(
     measurements: Measurements,
     *,
     cell: Cell | None = None,
-    model: str | None = None,
+    model: str | Sequence[Parameter] | None = None,
     solver: str | Solver = "lm",
     robust: bool = True,
     validate: bool = True,
@@ -74,7 +77,7 @@ def calibrate(
             target is estimated. Measurements in a tracker's own frame: ``Cell(estimate_frame=True)``.
         model: Name of the parameter set, with families behind it: ``"auto"`` (the data choose), ``"dh"``, ``"paper"``,
             ``"hayati"``, ``"placement"``, ``"zeros"`` or ``"frames"``, such as ``"dh+compliance"``; default the
-            cell's. See docs/parameters.md.
+            cell's. See docs/parameters.md. Or the robot's parameters themselves, each a twist at a placement.
         solver: ``"lm"`` (default), ``"scipy"`` (the same problem by SciPy), or ``"paper"`` (the paper's algorithm,
             without priors and robust weights); or a function like those of `calib.identify.solvers.SOLVERS`.
         robust: Whether outliers lose their weight; they are named either way.
@@ -93,15 +96,12 @@ def calibrate(
                 "calib.Measurements.read(...)."
             )
     cell = Cell() if cell is None else cell
-    cell = cell if model is None else replace(cell, model=model)
-    fits = fit_table(robot, measurements, cell, solver=solver, robust=robust)
-    result = _assemble(measurements, fits.fitted, fits.every, fits.seconds)
-    result = replace(result, candidates=tuple(map(_without_rows, fits.candidates)))
-    if fits.larger is not None:
-        result = _with_larger(result, fits.larger, fits.every)
-    if not validate:
-        return replace(result, verdict=Verdict(NO, (fits.hint,))) if fits.hint else result
-    return _validated(result, fits.rows, fits.hint, progress)
+    cell = replace(cell, model=model) if isinstance(model, str) else cell
+    fits = fit_table(robot, measurements, cell, model=model, solver=solver, robust=robust)
+    result = _assembled(measurements, fits)
+    if validate:
+        return _validated(result, fits.rows, fits.hint, progress)
+    return replace(result, verdict=Verdict(NO, (fits.hint,))) if fits.hint else result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,6 +133,7 @@ def fit_table(
     measurements: Measurements,
     cell: Cell,
     *,
+    model: str | Sequence[Parameter] | None = None,
     solver: str | Solver = "lm",
     robust: bool = True,
 ) -> Fits:
@@ -140,7 +141,8 @@ def fit_table(
     every, setup = rows_of(robot, measurements, cell)
     rows = every.select(measurements.estimation)
     began = time.perf_counter()
-    task = Task(robot, cell, setup, cell.model, known_distances(cell, setup), solver, robust)
+    model = cell.model if model is None else model
+    task = Task(robot, cell, setup, model, known_distances(cell, setup), solver, robust)
     fitted, larger, candidates = _fitted(task, rows)
     seconds = time.perf_counter() - began
     hint = better_setup(robot, cell, setup, rows)
@@ -154,14 +156,13 @@ def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candid
     if task.model == AUTO:
         chosen = select(task, rows)
         task, common = replace(task, lenient=True), chosen.common
-        fitted = common
-        if chosen.geometry != common.task.model:
+        fitted, larger = common, None
+        if chosen.geometry != common.kinematics.model.name:
             fitted = fit(replace(task, model=chosen.geometry), rows, started=common.setup)
-        larger = None
         if chosen.larger:
             larger = fit(replace(task, model=chosen.larger), rows, started=common.setup)
         return fitted, larger, chosen.candidates
-    base, families = split_name(task.model)
+    base, families = split_name(task.model) if isinstance(task.model, str) else (task.model, ())
     fitted = fit(replace(task, model=base, lenient=bool(families)), rows)
     return fitted, fit(task, rows) if families else None, ()
 
@@ -185,8 +186,11 @@ def _validated(
     if larger is not None and fit.larger is not None:
         found = cross_validation(fit.larger.task, rows, outliers, of_part(1), fitted=fit.larger)
         larger = replace(larger, cross_validation=found)
-        scales = result.fitted.estimate.problem.scales
-        if candidates and not _predicts_better(found, of_calibrated, scales, outliers):
+        left = [
+            np.sum((v.residual / result.fitted.estimate.problem.scales)[~outliers] ** 2)
+            for v in (found, of_calibrated)
+        ]
+        if candidates and not left[0] < left[1]:
             # The ladder's quick cross-validation let it pass; refitted without each fold it does not.
             candidates = tuple(
                 replace(c, chosen="") if c.name == larger.name else c for c in candidates
@@ -203,33 +207,6 @@ def _validated(
     return replace(result, verdict=verdict(evidence_of(result, rows, hint)))
 
 
-def _predicts_better(
-    one: CrossValidation, than: CrossValidation, scales: Array, outliers: NDArray[np.bool_]
-) -> bool:
-    """Whether a model's errors on left-out rows are smaller, in units of the noise, outliers aside."""
-    squares = [float(np.sum((v.residual / scales)[~outliers] ** 2)) for v in (one, than)]
-    return squares[0] < squares[1]
-
-
-def _with_larger(result: Calibration, fitted: Fitted, every: Rows) -> Calibration:
-    """The result with a larger model."""
-    assert result.fit is not None
-    larger = Larger(
-        kinematics=fitted.kinematics,
-        x=fitted.estimate.x,
-        covariance=fitted.estimate.covariance,
-        sizes=fitted.estimate.sizes,
-        parameters=parameter_estimates(fitted, _observability(fitted)),
-        setup=fitted.placed(),
-        residual=read_only(fitted.residual(every)),
-        cross_validation=None,
-        base_motion=_motion(fitted),
-        payload=fitted.task.cell.payload,
-        gravity=fitted.task.cell.gravity,
-    )
-    return replace(result, larger=larger, fit=replace(result.fit, larger=fitted))
-
-
 def _observability(fitted: Fitted) -> Observability:
     """What the rows that count determine, with every scalar in units of a length."""
     estimated, model = fitted.estimate, fitted.kinematics.model
@@ -242,111 +219,117 @@ def _observability(fitted: Fitted) -> Observability:
     return analyse(seen, model.names, model.units, int(np.sum(counts)) + len(known))
 
 
-def _assemble(
-    measurements: Measurements, fitted: Fitted, every: Rows, seconds: float
-) -> Calibration:
-    """Everything that one fit says, as one value; cross-validation and verdict are still to come."""
-    task, estimated = fitted.task, fitted.estimate
-    robot, model = task.robot, fitted.kinematics.model
-    mask, problem = measurements.estimation, estimated.problem
+def _solved(fitted: Fitted, observability: Observability) -> dict[str, Any]:
+    """The attributes of `calib.identify.prediction.Solved`, but for the cross-validation that is still to come."""
+    estimated, rows = fitted.estimate, fitted.estimate.problem.rows
+    placed = tells_place(kind.name for kind in rows.present)
+    return {
+        "kinematics": fitted.kinematics,
+        "x": estimated.x,
+        "covariance": estimated.covariance,
+        "sizes": estimated.sizes,
+        "parameters": parameter_estimates(fitted, observability),
+        "setup": fitted.placed(),
+        "base_motion": None
+        if placed
+        else base_motion(fitted.kinematics, estimated.x, rows.samples),
+        "cross_validation": None,
+    }
+
+
+def _assembled(measurements: Measurements, fits: Fits) -> Calibration:
+    """Everything that the fits say, as one value; cross-validation and verdict are still to come."""
+    m, fitted, every, larger = measurements, fits.fitted, fits.every, None
+    task, estimated, problem = fitted.task, fitted.estimate, fitted.estimate.problem
+    robot, cell, mask = task.robot, task.cell, m.estimation
+    if fits.larger is not None:
+        larger = Larger(
+            **_solved(fits.larger, _observability(fits.larger)),
+            residual=read_only(fits.larger.residual(every)),
+            payload=cell.payload,
+            gravity=cell.gravity,
+        )
     observability = _observability(fitted)
-    placed, residual_nominal = nominal_on(robot, task.setup, every, mask)
+    T_base_tip = robot.poses(every.joints)
+    placed = nominal_setup(T_base_tip[mask], task.setup, every.select(mask))
     residual = fitted.residual(every)
     scores, weights = np.empty(len(mask)), np.zeros(len(mask))
-    weights[mask] = estimated.weights
-    scores[mask] = estimated.scores
+    weights[mask], scores[mask] = estimated.weights, estimated.scores
     scores[~mask] = unseen_scores(fitted, every.select(~mask))
-    limit = estimated.flag_limit
-
-    # Each set has a limit of its own, because each has its own number of chances for a false alarm.
-    suspect = float(Limits.of(np.sum(~mask), estimated.freedom).flagged)
     lengths = np.where(
         np.any(every.used[:, :3], axis=1), np.linalg.norm(residual[:, :3], axis=1), np.nan
     )
 
     def named(chosen: NDArray[np.bool_], beyond: float) -> tuple[Outlier, ...]:
         return tuple(
-            Outlier(measurements.rows[i], float(lengths[i]), float(scores[i]))
+            Outlier(m.rows[i], float(lengths[i]), float(scores[i]))
             for i in np.flatnonzero(chosen & (scores > beyond))
         )
 
-    used, scales = problem.rows.used, problem.scales
-    m = measurements
-    solved = fitted.kinematics, estimated.x, estimated.covariance
-    motion = _motion(fitted)
+    # Each set has a limit of its own, because each has its own number of chances for a false alarm.
+    limit, suspect = estimated.flag_limit, Limits.of(np.sum(~mask), estimated.freedom).flagged
+    scales, joints = np.where(problem.rows.used, problem.scales, np.nan), every.joints
+    inside = joints[weights > 0.0]
+    ranges = inside.min(axis=0, initial=np.inf), inside.max(axis=0, initial=-np.inf)
+    types = [joint.type for joint in robot.inputs]
+    solved = _solved(fitted, observability)
+    expected = partial(expected_error, fitted.kinematics, estimated.x, estimated.covariance)
+    nothing = read_only(np.zeros((0, 0)))
     return Calibration(
+        **solved,
         nominal=robot,
-        robot=model.apply(robot, estimated.x),
+        robot=fitted.kinematics.model.apply(robot, estimated.x),
         source=Source(m.source, m.sha256),
         rows=RowNames(m.rows, m.sets, m.kinds, m.groups, m.targets),
-        frame_estimated=task.cell.estimate_frame,
-        frozen=task.cell.frozen,
-        ties=task.cell.ties,
-        sizes_from=task.cell.priors.sizes,
+        frame_estimated=cell.estimate_frame,
+        frozen=cell.frozen,
+        ties=cell.ties,
+        sizes_from=cell.priors.sizes,
         nominal_setup=placed,
-        setup=fitted.placed(),
-        kinematics=fitted.kinematics,
         solver=task.solver if isinstance(task.solver, str) else task.solver.__name__,
-        solution=replace(estimated.solution, x=estimated.x),
-        seconds=seconds,
-        x=estimated.x,
-        covariance=estimated.covariance,
+        solution=estimated.solution,
+        seconds=fits.seconds,
         freedom=estimated.freedom,
-        sigma=_median(scales[:, :3][used[:, :3]]),
-        sigma_angle=_median(scales[:, 3:][used[:, 3:]]),
-        sizes=estimated.sizes,
-        parameters=parameter_estimates(fitted, observability),
-        residual_nominal=read_only(residual_nominal),
+        sigma=_median(scales[:, :3]),
+        sigma_angle=_median(scales[:, 3:]),
+        residual_nominal=read_only(every.residual(placed.seen(T_base_tip, every.samples))),
         residual_calibrated=read_only(residual),
         used=every.used,
         scores=read_only(scores),
         weights=read_only(weights),
-        base_motion=motion,
-        ranges=_ranges(every.joints[weights > 0.0]),
+        ranges=read_only(np.stack(ranges, axis=1)),
         flag_limit=limit,
         outliers=named(mask, limit),
-        suspects=named(~mask, suspect),
+        suspects=named(~mask, float(suspect)),
         robustness=compare(fitted)
         if np.any(estimated.outliers) and task.solver != "paper"
         else None,
         repeats=_repeats(fitted),
-        outside=_outside(robot, every, mask),
-        expected_measured=expected_error(*solved, problem.rows.samples, motion),
-        expected_everywhere=expected_error(*solved, Samples.at(spread_poses(robot)), motion),
-        cross_validation=None,
+        outside=outside(joints[mask], joints[~mask], robot.joint_names, types),
+        expected_measured=expected(problem.rows.samples, solved["base_motion"]),
+        expected_everywhere=expected(Samples.at(spread_poses(robot)), solved["base_motion"]),
         nominal_cross_validation=None,
         observability=observability,
-        candidates=(),
-        larger=None,
+        # With their errors, but without those of each row.
+        candidates=tuple(
+            replace(
+                one,
+                cross_validation=replace(
+                    one.cross_validation, poses=np.zeros(0, dtype=int), residual=nothing
+                ),
+            )
+            for one in fits.candidates
+        ),
+        larger=larger,
         verdict=None,
-        fit=Fit(measurements, task.cell, fitted),
+        fit=Fit(m, cell, fitted, fits.larger),
     )
 
 
-def _without_rows(one: Candidate) -> Candidate:
-    """A candidate with its errors, and without those of each row."""
-    nothing = read_only(np.zeros((0, 0)))
-    found = replace(one.cross_validation, poses=np.zeros(0, dtype=int), residual=nothing)
-    return replace(one, cross_validation=found)
-
-
-def _motion(fitted: Fitted) -> Array | None:
-    """What of a fit a motion of the base makes up for; None where its rows tell where the base stands."""
-    rows = fitted.estimate.problem.rows
-    if tells_place(kind.name for kind in rows.present):
-        return None
-    return base_motion(fitted.kinematics, fitted.estimate.x, rows.samples)
-
-
-def _ranges(joints: Array) -> Array:
-    """The smallest and the largest value of each joint, shape (m, 2); infinite where there are no rows."""
-    low, high = joints.min(axis=0, initial=np.inf), joints.max(axis=0, initial=-np.inf)
-    return read_only(np.stack([low, high], axis=1))
-
-
 def _median(values: Array) -> float:
-    """The median, NaN of nothing."""
-    return float(np.median(values)) if values.size else float("nan")
+    """The median of what is no NaN; NaN of nothing."""
+    there = values[~np.isnan(values)]
+    return float(np.median(there)) if there.size else float("nan")
 
 
 def _repeats(fitted: Fitted) -> Repeats | None:
@@ -360,9 +343,3 @@ def _repeats(fitted: Fitted) -> Repeats | None:
         fitted.residual(rows), rows.used, rows.poses, estimated.weights, fitted=max(paid, 0.0)
     )
     return found if found.freedom > 0 else None
-
-
-def _outside(robot: Robot, every: Rows, mask: NDArray[np.bool_]) -> tuple[OutsideRow, ...]:
-    """The validation rows outside of the range of the estimation rows."""
-    types = [joint.type for joint in robot.inputs]
-    return outside(every.joints[mask], every.joints[~mask], robot.joint_names, types)

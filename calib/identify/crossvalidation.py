@@ -16,15 +16,15 @@ from calib.identify.fitting import (
     fit,
     holds_of,
 )
-from calib.identify.nominal import ENOUGH, nominal_setup, seen_from, without_outliers
 from calib.identify.problem import Linear
-from calib.identify.registration import register_poses
-from calib.identify.rows import Rows, evenly
+from calib.identify.registration import ENOUGH, nominal_setup, register_poses
+from calib.identify.rows import Rows, evenly, without_outliers
 from calib.identify.setup import Setup, joined_setups
 from calib.identify.stage import FEWEST_FREEDOM, Holds, Stage
-from calib.identify.statistics import CrossValidation, Folds, Mask, cross_validate, folds
+from calib.identify.statistics import CrossValidation, Errors, Mask
 from calib.kinds import DIRECTIONS
 from calib.model.parameters import ErrorModel, frame_place, target_place
+from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
 
@@ -34,8 +34,58 @@ _LINEAR = 1e-3
 #: Scalars of a set-up below which a fold is fitted from the beginning: its frame may be anywhere.
 _FEWEST_SCALARS = 18.0
 
+#: Of so many rows so small a share can be left out without finding weights, noise and sizes anew.
+_MANY, _SMALL_SHARE = 1500, 0.15
+
+#: Rows of all folds that are fitted at a time.
+_AT_A_TIME = 4096
+
+#: Up to this number of poses each is left out in turn; above it, a tenth of them at a time.
+_LEAVE_ONE_OUT = 60
+_FOLDS = 10
+
+#: From this number of set-ups on, whole ones are left out.
+_FEWEST_SETUPS = 3
+
 #: Called with the number of fits done and of fits in all.
 Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Folds:
+    """Which rows are left out together.
+
+    Attributes:
+        method: What it is called.
+        masks: Of the rows left out, each of shape (N,).
+    """
+
+    method: str
+    masks: tuple[Mask, ...]
+
+
+def folds(poses: NDArray[np.int_], setups: NDArray[np.int_] | None = None) -> Folds:
+    """Which rows are left out together: a whole set-up, or all of one pose, or every tenth pose where there are many.
+
+    Args:
+        poses: shape (N,), the pose of each row, see `same_poses`; some of the numbers may be missing.
+        setups: shape (N,), the set-up of each row; from three on, each is left out in turn.
+    """
+    if setups is not None and len(np.unique(setups)) >= _FEWEST_SETUPS:
+        names = np.unique(setups)
+        size = -(
+            -len(names) // _LEAVE_ONE_OUT
+        )  # more set-ups than that are left out several at a time
+        return Folds(
+            "leave-one-set-up-out" if size == 1 else "leave-set-ups-out",
+            tuple(np.isin(setups, names[k : k + size]) for k in range(0, len(names), size)),
+        )
+    present, poses = np.unique(poses, return_inverse=True)
+    count = len(present)
+    if count <= _LEAVE_ONE_OUT:
+        method = "leave-one-out" if count == len(poses) else "leave-one-pose-out"
+        return Folds(method, tuple(poses == i for i in range(count)))
+    return Folds(f"{_FOLDS}-fold", tuple(poses % _FOLDS == k for k in range(_FOLDS)))
 
 
 def folds_of(task: Task, rows: Rows) -> Folds:
@@ -86,93 +136,97 @@ def cross_validation(
         MeasurementError: Too few rows to leave any out.
     """
     left_out = folds_of(task, rows)
-    done = 0
-    linear = None if fitted is None else _Linearised.of(fitted, left_out.masks)
-
-    def predict_left_out(mask: Mask) -> Array:
-        nonlocal done
-        found = None if linear is None else linear.unseen(done, mask, outliers)
-        if found is None:
-            found = _refitted(task, rows, mask, outliers)
-        done += 1
+    found = {} if fitted is None else _without_folds(fitted, left_out.masks)
+    residuals = []
+    for k, mask in enumerate(left_out.masks):
+        without = found[k] if k in found else _refitted(task, rows.select(~mask), len(rows))
+        T_base_tip = without.tip_poses(rows.samples.select(mask))
+        residuals.append(_left_over(T_base_tip, without.placed(), rows, mask, ~mask, outliers))
         if progress is not None:
-            progress(done, len(left_out.masks))
-        return found
-
-    return cross_validate(_blocks(rows), left_out, outliers, rows.used, predict_left_out)
+            progress(k + 1, len(left_out.masks))
+    return _validated(rows, left_out, residuals, outliers)
 
 
-def _refitted(task: Task, rows: Rows, mask: Mask, outliers: Mask) -> Array:
-    """What a fit from the beginning to the other rows leaves over at those left out.
+def _validated(
+    rows: Rows, left_out: Folds, residuals: Sequence[Array], outliers: Mask
+) -> CrossValidation:
+    """What was left over at the rows of each fold, as one value."""
+    residual = np.zeros(rows.used.shape)
+    for mask, found in zip(left_out.masks, residuals, strict=True):
+        residual[mask, : found.shape[1]] = found  # those left out may lack a kind
+    return CrossValidation(
+        method=left_out.method,
+        folds=len(left_out.masks),
+        poses=_blocks(rows),
+        residual=read_only(residual),
+        errors=Errors.of(residual, rows.used),
+        errors_without_outliers=Errors.of(residual[~outliers], rows.used[~outliers]),
+    )
+
+
+def _refitted(task: Task, kept: Rows, every: int) -> Fitted:
+    """A fit from the beginning to the rows that are kept.
 
     Raises:
-        MeasurementError: The others are too few.
+        MeasurementError: They are too few.
     """
-    kept = rows.select(~mask)
     try:
-        fitted = fit(task, kept)
+        return fit(task, kept)
     except MeasurementError as error:
         raise MeasurementError(
-            f"Cross-validation leaves out {mask.sum()} of {len(rows)} rows at a time, and the others are too few: "
+            f"Cross-validation leaves out {every - len(kept)} of {every} rows at a time, and the others are too few: "
             f"{error} Or do without validation (--no-validate)."
         ) from error
-    return _as_wide(fitted.unseen(rows.select(mask), kept, outliers[mask]), rows)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Linearised:
-    """The fit to all rows, and the parameters without each fold where the linearised problem gives them.
+def _left_over(
+    T_base_tip: Array, placed: Setup, rows: Rows, mask: Mask, seen: Mask, outliers: Mask
+) -> Array:
+    """Measured minus predicted of left-out rows; frames and targets that only they see are registered to them.
 
-    Attributes:
-        fitted: The fit.
-        linear: Its problem, linearised at the solution.
-        found: The parameters by the fold's number, each of shape (p,).
+    Args:
+        T_base_tip: shape (n, 4, 4), at the rows left out.
+        placed: Frames and targets of the fit without them.
+        rows: All rows.
+        mask: shape (N,), those left out.
+        seen: shape (N,), those that the fit saw.
+        outliers: shape (N,), rows that are not registered to.
     """
+    left, samples = rows.select(mask), rows.samples
+    frames = np.isin(np.arange(len(placed.groups)), samples.frame[seen])
+    targets = np.isin(np.arange(len(placed.targets)), samples.target[seen])
+    loose = placed.as_known(frames, targets)
+    if loose.count:
+        kept = without_outliers(left, outliers[mask])
+        placed = register_poses(T_base_tip[kept], loose, left.select(kept))
+    return left.residual(placed.seen(T_base_tip, left.samples))
 
-    fitted: Fitted
-    linear: Linear
-    found: dict[int, Array]
 
-    @classmethod
-    def of(cls, fitted: Fitted, masks: tuple[Mask, ...]) -> _Linearised | None:
-        """Fit without each fold; None where that takes fits from the beginning."""
-        task, estimate = fitted.task, fitted.estimate
-        if task.solver == "paper" or estimate.at_bound:
-            return None
-        problem, model = estimate.problem, fitted.kinematics.model
-        chosen = [k for k, mask in enumerate(masks) if _enough(problem.rows, ~mask, len(model))]
-        if not chosen:
-            return None
-        holds = holds_of(task, model, fitted.setup)
-        linear = problem.linear(estimate.x)
-        x, freedom = fold_fits(fitted, holds, linear, [masks[k] for k in chosen])
-        good = (freedom > FEWEST_FREEDOM) & np.all(np.isfinite(x), axis=1)
-        if holds.limits is not None:
-            low, high = holds.limits.T
-            good &= np.all((x >= low) & (x <= high), axis=1)
-        return cls(fitted, linear, {k: x[i] for i, k in enumerate(chosen) if good[i]})
-
-    def unseen(self, fold: int, mask: Mask, outliers: Mask) -> Array | None:
-        """What the parameters without a fold leave over at its rows, by the robot itself, not the linearised one.
-
-        None where there are none, or where the robot is not the linearised one at the rows that were kept.
-        """
-        if fold not in self.found:
-            return None
-        x, fitted = self.found[fold], self.fitted
-        problem = fitted.estimate.problem
-        rows, residual = problem.rows, problem.residual(x)
-        looked_at = ~mask & (fitted.estimate.weights > 0.0)
-        expected = self.linear.residual(x)[looked_at]
-        given, found = rows.scales[looked_at], problem.scales[looked_at]
-        apart = (expected - residual[looked_at] / given) * (given / found)
-        if not np.sqrt(np.mean(apart[rows.used[looked_at]] ** 2)) < _LINEAR:
-            return None
-        if not np.any(only_there(fitted.kinematics.model, fitted.setup, rows, mask)):
-            return np.asarray(residual[mask])
-        without = replace(fitted, estimate=replace(fitted.estimate, x=x))
-        kept = rows.select(~mask)
-        return _as_wide(without.unseen(rows.select(mask), kept, outliers[mask]), rows)
+def _without_folds(fitted: Fitted, masks: tuple[Mask, ...]) -> dict[int, Fitted]:
+    """The fit with the parameters without each fold, by its number, where the linearised problem gives them."""
+    task, estimate = fitted.task, fitted.estimate
+    if task.solver == "paper" or estimate.at_bound:
+        return {}
+    problem, model = estimate.problem, fitted.kinematics.model
+    rows, scales = problem.rows, problem.rows.scales
+    chosen = [k for k, mask in enumerate(masks) if _enough(rows, ~mask, len(model))]
+    if not chosen:
+        return {}
+    holds = holds_of(task, model, fitted.setup)
+    linear = problem.linear(estimate.x)
+    x, freedom = fold_fits(fitted, holds, linear, [masks[k] for k in chosen])
+    good = (freedom > FEWEST_FREEDOM) & np.all(np.isfinite(x), axis=1)
+    if holds.limits is not None:
+        low, high = holds.limits.T
+        good &= np.all((x >= low) & (x <= high), axis=1)
+    found = {}
+    for k, one in zip(np.array(chosen)[good].tolist(), x[good], strict=True):
+        # The robot itself must be the linearised one at the rows that were kept.
+        apart = (linear.residual(one) * scales - problem.residual(one)) / problem.scales
+        kept = rows.used & (~masks[k] & (estimate.weights > 0.0))[:, None]
+        if np.sqrt(np.mean(apart[kept] ** 2)) < _LINEAR:
+            found[k] = replace(fitted, estimate=replace(estimate, x=one))
+    return found
 
 
 def _enough(rows: Rows, kept: Mask, parameters: int) -> bool:
@@ -200,16 +254,13 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
     )
 
     T_base_tip = task.robot.poses(rows.joints)
-    some = evenly(rows, ENOUGH) if len(rows) > ENOUGH else np.ones(len(rows), dtype=bool)
-
-    def predict_left_out(mask: Mask) -> Array:
-        looked_at = ~mask & some
-        kept = rows.select(looked_at)
-        found = nominal_setup(T_base_tip[looked_at], setup, kept)
-        left = _registered(T_base_tip[mask], found, rows.select(mask), kept, outliers[mask])
-        return _as_wide(left, rows)
-
-    return cross_validate(_blocks(rows), left_out, outliers, rows.used, predict_left_out)
+    some = evenly(rows, ENOUGH)
+    residuals = []
+    for mask in left_out.masks:
+        kept = ~mask & some
+        placed = nominal_setup(T_base_tip[kept], setup, rows.select(kept))
+        residuals.append(_left_over(T_base_tip[mask], placed, rows, mask, kept, outliers))
+    return _validated(rows, left_out, residuals, outliers)
 
 
 def _turned_elsewhere(rows: Rows, setups: NDArray[np.int_]) -> bool:
@@ -233,22 +284,6 @@ def _blocks(rows: Rows) -> NDArray[np.int_]:
     return np.unique(rows.blocks, return_inverse=True)[1].reshape(-1)
 
 
-def _as_wide(residual: Array, rows: Rows) -> Array:
-    """The residual of some rows with as many columns as all of them have: those left out may lack a kind."""
-    return np.pad(residual, ((0, 0), (0, rows.width - residual.shape[1])))
-
-
-def _registered(T_base_tip: Array, found: Setup, rows: Rows, seen: Rows, outliers: Mask) -> Array:
-    """The nominal robot's error on left-out rows, with what only they see registered to them."""
-    frames = np.isin(np.arange(len(found.groups)), seen.samples.frame)
-    targets = np.isin(np.arange(len(found.targets)), seen.samples.target)
-    rest = found.as_known(frames, targets)
-    if rest.count:
-        chosen = without_outliers(rows, outliers)
-        rest = register_poses(T_base_tip[chosen], rest, rows.select(chosen))
-    return rows.residual(seen_from(rest, T_base_tip, rows))
-
-
 def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> CrossValidation:
     """Cross-validation on the linearised problem, with the sizes, the noise and the weights of the fit to all rows.
 
@@ -262,11 +297,8 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     rows, model = problem.rows, fitted.kinematics.model
     linear = problem.linear(estimate.x)
     left_out = folds_of(task, rows)
-    means = iter(fold_means(fitted, linear, left_out.masks))
-    scales = rows.scales
-
-    def predict_left_out(mask: Mask) -> Array:
-        x = next(means)
+    residuals = []
+    for mask, x in zip(left_out.masks, fold_means(fitted, linear, left_out.masks), strict=True):
         loose = only_there(model, fitted.setup, rows, mask)
         part = linear.select(mask)
         if np.any(loose):
@@ -274,34 +306,21 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
             used = part.used
             root = np.sqrt(problem.weights[mask])[np.nonzero(used)[0]]
             rest = part.residual(np.where(loose, 0.0, x))[used] * root
-            x = x.copy()
             x[loose] = np.linalg.lstsq(part.A[used][:, loose] * root[:, None], rest, rcond=1e-9)[0]
-        return np.asarray(part.residual(x) * scales[mask])
-
-    aside = estimate.outliers if outliers is None else outliers
-    return cross_validate(_blocks(rows), left_out, aside, rows.used, predict_left_out)
+        residuals.append(part.residual(x) * rows.scales[mask])
+    return _validated(
+        rows, left_out, residuals, estimate.outliers if outliers is None else outliers
+    )
 
 
 def only_there(model: ErrorModel, setup: Setup, rows: Rows, mask: Mask) -> NDArray[np.bool_]:
     """The parameters of frames and targets that only left-out rows see, shape (p,)."""
-    places = []
-    many = len(setup.groups) > 1
-    for f, group in enumerate(setup.groups):
-        if not np.any((rows.samples.frame == f) & ~mask):
-            places.append(frame_place(group if many else ""))
-    for t, name in enumerate(setup.target_names):
-        if not np.any((rows.samples.target == t) & ~mask):
-            places.append(target_place(name))
-    if not places:
-        return np.zeros(len(model), dtype=bool)
-    return np.array([p.place in places for p in model.parameters], dtype=bool)
-
-
-#: Of so many rows so small a share can be left out without finding weights, noise and sizes anew.
-_MANY, _SMALL_SHARE = 1500, 0.15
-
-#: Rows of all folds that are fitted at a time.
-_AT_A_TIME = 4096
+    alone = []
+    places = (map(frame_place, setup.frame_unknowns), map(target_place, setup.target_names))
+    for labels, names in zip((rows.samples.frame, rows.samples.target), places, strict=True):
+        seen = set(labels[~mask].tolist())
+        alone += [name for k, name in enumerate(names) if k not in seen]
+    return np.array([p.place in alone for p in model.parameters], dtype=bool)
 
 
 def fold_fits(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from calib.identify.problem import Linear, Problem
 from calib.identify.robust import Limits, repeats
 from calib.identify.rows import Rows
-from calib.identify.solvers import Solution
+from calib.identify.solvers import Solution, Solver
 from calib.identify.stage import FEWEST_FREEDOM, Holds, Stage
 from calib.identify.variance import Linearised
 from calib.measure.cell import Priors
@@ -27,9 +27,6 @@ from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-#: A solver for a problem, from a start x, until steps are shorter than a tolerance in steps of 1 mm and 1 mrad.
-Solve = Callable[[Problem, Array, float], Solution]
 
 #: Tolerance between stages, whose weights and sizes change far more, and of the last solve.
 _ROUGH, _FINE = 0.1, 1e-9
@@ -94,7 +91,7 @@ class Estimate:
 
 def estimate(
     problem: Problem,
-    solve: Solve,
+    solver: Solver,
     holds: Holds,
     *,
     repeats: str = "weighted",
@@ -105,7 +102,7 @@ def estimate(
 
     Args:
         problem: `Problem.first`.
-        solve: The solver.
+        solver: The solver, see `calib.identify.solvers`.
         holds: Priors and bounds.
         repeats: What repeats of a pose count for: ``"weighted"``, ``"average"`` or ``"independent"``.
         robust: Whether rows may lose their weight; outliers are named either way.
@@ -116,7 +113,7 @@ def estimate(
 
     def found(fixed: Mapping[int, float]) -> Estimate:
         held = holds.at_bounds(fixed)
-        path = _Path(problem, solve, held.centre.copy())
+        path = _Path(problem, solver, held.centre.copy())
         every = np.ones((1, len(problem.rows)), dtype=bool)
         first = Stage.first(held, every, len(problem.smallest), weights)
         stage, _ = staged(first, path.linear, problem.rows.poses, repeats, robust=robust)
@@ -168,7 +165,7 @@ class _Path:
 
     __slots__ = ("last", "problem", "size", "solution", "solver", "x")
 
-    def __init__(self, problem: Problem, solver: Solve, x: Array) -> None:
+    def __init__(self, problem: Problem, solver: Solver, x: Array) -> None:
         """At the start."""
         self.problem, self.solver, self.x = problem, solver, x
         self.size = steps(problem.kinematics.model.units)
@@ -177,7 +174,7 @@ class _Path:
 
     def solve(self, stage: Stage, tolerance: float) -> None:
         """Go on to the solution with a stage's weights and sizes."""
-        found = self.solver(stage.problem(self.problem), self.x, tolerance)
+        found = self.solver(stage.problem(self.problem).system, self.x, self.size, tolerance)
         self.solution = found if self.solution is None else found.after(self.solution)
         self.x = self.solution.x
 

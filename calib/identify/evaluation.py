@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, MeasurementError, ModelError, choices
-from calib.identify.nominal import nominal_setup, seen_from
 from calib.identify.prediction import Larger
+from calib.identify.registration import nominal_setup
 from calib.identify.result import Calibration
 from calib.identify.setup import Setup, rows_of
 from calib.identify.setup_check import better_setup
@@ -163,7 +163,7 @@ def _evaluated(
         measurements=measurements,
         setup=placed,
         registered=tuple(name for name, missing in unknown.items() if missing),
-        residual=read_only(every.residual(seen_from(placed, poses, every))),
+        residual=read_only(every.residual(placed.seen(poses, every.samples))),
         used=every.used,
     )
 

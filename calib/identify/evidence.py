@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from calib.identify.crossvalidation import only_there
 from calib.identify.fitting import Fitted, fit
-from calib.identify.nominal import ENOUGH
 from calib.identify.problem import Problem
+from calib.identify.registration import ENOUGH
 from calib.identify.residual_tests import (
     Explained,
     Stack,
@@ -194,7 +194,7 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
     """That the full placements would leave over far less than this fit leaves."""
     task, rows = fitted.task, fitted.estimate.problem.rows
     columns = 6 * len(task.robot.joints) + task.setup.count
-    if task.model.startswith("placement") or rows.count < 2 * columns:
+    if fitted.kinematics.model.name.startswith("placement") or rows.count < 2 * columns:
         return
     free = replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={})
     full = replace(task, model="placement", cell=free, solver="lm")
@@ -203,7 +203,7 @@ def _missing_model(fitted: Fitted) -> Iterator[Reason]:
         unit = float(np.median(rows.sigma))
         yield Reason.of(
             Why.MODEL_LACKS,
-            model=task.model,
+            model=fitted.kinematics.model.name,
             noise_m=unit * fitted.estimate.noise[0],
             less_m=unit * other.noise[0],
         )

@@ -5,6 +5,7 @@ This is what cross-validation repeats and what `calibrate` reports on.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -12,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, ModelError, choices
-from calib.identify.estimate import Estimate, Solve, estimate, plain_estimate
-from calib.identify.nominal import seen_from, without_outliers
+from calib.identify.estimate import Estimate, estimate, plain_estimate
 from calib.identify.problem import Problem, parts_of
-from calib.identify.registration import register, register_poses
+from calib.identify.registration import register
 from calib.identify.robust import scores
 from calib.identify.rows import Rows
 from calib.identify.setup import KnownDistance, Setup, along_own_axes, targets_along_tip
@@ -25,9 +25,8 @@ from calib.measure.cell import Cell
 from calib.model.error_model import error_model
 from calib.model.kernel import one_blas_thread
 from calib.model.kinematics import Kinematics, Samples
-from calib.model.observability import steps
-from calib.model.parameters import FRAME, TARGET, ErrorModel
-from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
+from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
@@ -43,7 +42,7 @@ class Task:
         robot: The nominal robot.
         cell: What is known, and how to estimate.
         setup: Frames and targets as given.
-        model: Name of the parameter set and families.
+        model: Name of the parameter set and families, or the robot's own parameters themselves.
         distances: Known distances between set-ups.
         solver: A name of `calib.identify.solvers.SOLVERS`, `PAPER`, or a solver itself.
         robust: Whether outliers lose their weight.
@@ -53,7 +52,7 @@ class Task:
     robot: Robot
     cell: Cell
     setup: Setup
-    model: str
+    model: str | Sequence[Parameter]
     distances: tuple[KnownDistance, ...] = ()
     solver: str | Solver = "lm"
     robust: bool = True
@@ -78,39 +77,18 @@ class Fitted:
 
     def placed(self) -> Setup:
         """Frames and targets at the solution."""
-        displacement, _ = self.kinematics.model.displacements(self.estimate.x)
-        frames = len(self.setup.groups)
-        return self.setup.placed(
-            self.kinematics.T_frame_base @ displacement[:frames],
-            self.kinematics.T_tip_target @ displacement[-len(self.setup.targets) :],
-        )
+        return self.setup.displaced(self.kinematics.model.displacements(self.estimate.x)[0])
 
     def tip_poses(self, samples: Samples) -> Array:
         """T_base_tip of the calibrated robot, the joints' own errors included, shape (N, 4, 4), [m]."""
         found = self.placed()
         T = self.kinematics.poses(self.estimate.x, samples)
-        into_base = _inverses(found.T_frame_base)[samples.frame]
-        return np.asarray(into_base @ T @ _inverses(found.T_tip_target)[samples.target])
+        into_base = np.linalg.inv(found.T_frame_base)[samples.frame]
+        return np.asarray(into_base @ T @ np.linalg.inv(found.T_tip_target)[samples.target])
 
     def residual(self, rows: Rows) -> Array:
         """Measured minus predicted, shape (N, D), [m] and [rad]."""
         return rows.residual(self.kinematics.poses(self.estimate.x, rows.samples))
-
-    def unseen(self, rows: Rows, seen: Rows, outliers: NDArray[np.bool_]) -> Array:
-        """Measured minus predicted of rows that were not fitted; frames and targets that were not seen are registered.
-
-        Args:
-            rows: Rows that the fit did not see.
-            seen: The rows that it saw.
-            outliers: shape (N,), which of ``rows`` are not registered to.
-        """
-        found = self.placed()
-        frames = np.isin(np.arange(len(found.groups)), seen.samples.frame)
-        targets = np.isin(np.arange(len(found.targets)), seen.samples.target)
-        T_base_tip = self.tip_poses(rows.samples)
-        kept = without_outliers(rows, outliers)
-        found = register_poses(T_base_tip[kept], found.as_known(frames, targets), rows.select(kept))
-        return rows.residual(seen_from(found, T_base_tip, rows))
 
 
 @one_blas_thread()
@@ -135,17 +113,28 @@ def fit(
             f"There is no solver '{task.solver}'. Choose one of {choices((*SOLVERS, PAPER))}."
         )
     model = model_of(task)
-    _check_enough(model, task.cell, rows)
+    if task.cell.priors.sizes == "off" and rows.count < len(model):
+        raise MeasurementError(
+            f"{len(rows)} rows give {rows.count} numbers for {len(model)} parameters, and priors are off. Measure more "
+            "poses, choose a smaller --model, or leave the priors on."
+        )
+    if len(model) == 0:
+        raise ModelError(
+            f"The model '{model.name}' leaves nothing to estimate: every parameter is frozen or known."
+        )
     started = registered(task, rows) if started is None else started
     model = targets_along_tip(along_own_axes(model, started), started)
     kinematics = Kinematics(task.robot, model, started.T_frame_base, started.T_tip_target)
-    problem = Problem.first(kinematics, rows, _between_seen(task.distances, rows))
+    seen = set(np.unique(rows.samples.frame).tolist())
+    distances = tuple(d for d in task.distances if {d.first, d.second} <= seen)
+    problem = Problem.first(kinematics, rows, distances)
     if task.solver == PAPER:
         estimated = plain_estimate(problem, _solve_as_the_paper(problem, started))
     else:
+        solver = task.solver if callable(task.solver) else SOLVERS[task.solver]
         estimated = estimate(
             problem,
-            _solver(task.solver, steps(model.units)),
+            solver,
             holds_of(task, model, started),
             repeats=task.cell.repeats,
             robust=task.robust,
@@ -172,11 +161,7 @@ def registered(task: Task, rows: Rows) -> Setup:
 
 
 def holds_of(task: Task, model: ErrorModel, started: Setup) -> Holds:
-    """Priors and bounds of a task from a registered start.
-
-    Raises:
-        ModelError: See `calib.identify.stage.Holds.of_cell`.
-    """
+    """Priors and bounds of a task from a registered start; see `calib.identify.stage.Holds.of_cell`."""
     return Holds.of_cell(task.cell, model, task.setup, started, lenient=task.lenient)
 
 
@@ -196,30 +181,19 @@ def model_of(task: Task) -> ErrorModel:
         rotation=setup.rotation,
     )
     frozen, ties = task.cell.frozen, task.cell.ties
-    _check_robots_own(model, frozen, "frozen")
-    _check_robots_own(model, (*ties, *(other for other, _ in ties.values())), "tied")
+    of_setup = {p.name for p in model.parameters if p.family in (FRAME, TARGET)}
+    tied = (*ties, *(other for other, _ in ties.values()))
+    for what, names in (("frozen", frozen), ("tied", tied)):
+        placed = [name for name in dict.fromkeys(names) if name in of_setup]
+        if placed:
+            raise ModelError(
+                f"{choices(placed)} cannot be {what} one by one: target and frame are known or estimated as a whole. "
+                "Use --fix-target or --frame known, or target and frame in the cell file."
+            )
     if task.lenient:
         frozen = tuple(name for name in frozen if name in model.names and name not in ties)
         ties = {n: t for n, t in ties.items() if n in model.names and t[0] in model.names}
     return model.tied(ties).without(frozen)
-
-
-def _between_seen(distances: tuple[KnownDistance, ...], rows: Rows) -> tuple[KnownDistance, ...]:
-    """The distances between frames that these rows see."""
-    if not distances:
-        return ()
-    seen = set(np.unique(rows.samples.frame).tolist())
-    return tuple(d for d in distances if d.first in seen and d.second in seen)
-
-
-def _solver(asked: str | Solver, size: Array) -> Solve:
-    """A solver, by its name or as it is, with each parameter's step."""
-    solver = asked if callable(asked) else SOLVERS[asked]
-
-    def solve(problem: Problem, x: Array, tolerance: float) -> Solution:
-        return solver(problem.system, x, size, tolerance)
-
-    return solve
 
 
 def _solve_as_the_paper(problem: Problem, setup: Setup) -> Solution:
@@ -241,35 +215,6 @@ def _solve_as_the_paper(problem: Problem, setup: Setup) -> Solution:
         partial(problem.paper_system, nominal, unit), nominal * unit
     )
     return replace(solution, x=solution.x / unit - nominal)
-
-
-def _check_robots_own(model: ErrorModel, names: tuple[str, ...], what: str) -> None:
-    """Refuse to freeze or tie parameters of target or frame, which registration places as a whole.
-
-    Raises:
-        ModelError: A coordinate of target or frame is among them.
-    """
-    of_setup = {p.name for p in model.parameters if p.family in (FRAME, TARGET)}
-    placed = [name for name in dict.fromkeys(names) if name in of_setup]
-    if placed:
-        raise ModelError(
-            f"{choices(placed)} cannot be {what} one by one: target and frame are known or estimated as a whole. Use "
-            "--fix-target or --frame known, or target and frame in the cell file."
-        )
-
-
-def _check_enough(model: ErrorModel, cell: Cell, rows: Rows) -> None:
-    """Refuse fewer numbers than parameters where no prior holds the rest."""
-    count = len(model)
-    if cell.priors.sizes == "off" and rows.count < count:
-        raise MeasurementError(
-            f"{len(rows)} rows give {rows.count} numbers for {count} parameters, and priors are off. Measure more "
-            "poses, choose a smaller --model, or leave the priors on."
-        )
-    if count == 0:
-        raise ModelError(
-            f"The model '{model.name}' leaves nothing to estimate: every parameter is frozen or known."
-        )
 
 
 def unseen_scores(fitted: Fitted, rows: Rows) -> Array:
@@ -305,8 +250,3 @@ def scale_of(fitted: Fitted, rows: Rows) -> Array:
             number = int(known[0]) if len(known) and known[0] >= 0 else 0
             result[own, column] *= fitted.estimate.noise[number]
     return result
-
-
-def _inverses(T: Array) -> Array:
-    """The inverse of each pose of a stack."""
-    return np.array([rigid_inverse(one) for one in T])

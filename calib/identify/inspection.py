@@ -12,7 +12,6 @@ import pinocchio as pin
 import calib.kinds as registry
 from calib.errors import ModelError
 from calib.identify.fitting import Task, model_of
-from calib.identify.nominal import seen_from
 from calib.identify.problem import Problem
 from calib.identify.registration import register
 from calib.identify.setup import (
@@ -79,7 +78,7 @@ def inspect(robot: Robot, cell: Cell, measurements: Measurements | None = None) 
             frames[:, :3, 3] = np.negative(_GENERIC_ANCHOR)
             words += ", anchor 700, -500, 300 mm from the base"
         setup = setup.placed(frames, targets)
-        rows = rows.as_measured_at(seen_from(setup, robot.poses(rows.joints), rows))
+        rows = rows.as_measured_at(setup.seen(robot.poses(rows.joints), rows.samples))
     else:
         rows, setup = rows_of(robot, measurements, cell)
         rows = rows.select(measurements.estimation)

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import MeasurementError
-from calib.identify.rows import NONE, Rows
+from calib.identify.rows import NONE, Rows, evenly, keeps_frames, with_partners
 from calib.identify.setup import Setup, along_own_axes
 from calib.identify.solvers import levenberg_marquardt
-from calib.kinds import Kind
 from calib.model import kernel
 from calib.model.error_model import frame_and_target_model
 from calib.model.observability import steps
@@ -25,6 +24,7 @@ from calib.model.parameters import ErrorModel
 from calib.model.robot import Robot
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: Distances from the tip at which a target is looked for when nothing is known of it [m].
 _REACHES = (0.15, 0.7)
@@ -42,6 +42,13 @@ _LENGTHS = 3
 #: Directions of a frame that is wholly unknown, and the points that show all of them.
 _ALL = 6
 _FEWEST_POINTS = 3
+
+#: A row that is this many median distances off does not take part in a nominal robot's registration.
+_GROSS = 5.0
+_GROSS_ROUNDS = 5
+
+#: Rows in which gross ones are looked for; more do not change where targets and frames are registered.
+ENOUGH = 20_000
 
 
 def register(robot: Robot, setup: Setup, rows: Rows, *, tolerance: float = 1e-12) -> Setup:
@@ -61,19 +68,8 @@ def register(robot: Robot, setup: Setup, rows: Rows, *, tolerance: float = 1e-12
     if not setup.count:
         return setup
     _check_enough(setup, rows)
-    rows = rows if _few(rows) else rows.select(_some(rows))
+    rows = rows.select(_some(rows))
     return register_poses(robot.poses(rows.joints), setup, rows, tolerance=tolerance)
-
-
-def register_seen(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
-    """`register` with the poses of the tip at all rows, shape (N, 4, 4), in place of a robot."""
-    if not setup.count:
-        return setup
-    _check_enough(setup, rows)
-    if _few(rows):
-        return register_poses(T_base_tip, setup, rows)
-    chosen = _some(rows)
-    return register_poses(T_base_tip[chosen], setup, rows.select(chosen))
 
 
 def register_poses(
@@ -83,8 +79,8 @@ def register_poses(
     if not setup.count:
         return setup
     linear = linear_start(setup, T_base_tip, rows)
-    if linear is not None and np.all(rows.where(_is_linear)):
-        return setup.placed(*linear)
+    if linear is not None and np.all(rows.where(lambda kind: kind.position and kind.size == 3)):
+        return setup.placed(*linear)  # of points this is the least-squares solution itself
     model = frame_and_target_model(
         setup.frame_unknowns,
         setup.unknown_targets,
@@ -92,29 +88,63 @@ def register_poses(
         rotation=setup.rotation,
     )
     starts = [
-        (frames, turned_targets(setup, frames, targets, T_base_tip, rows))
+        setup.placed(frames, turned_targets(setup, frames, targets, T_base_tip, rows))
         for frames, targets in ([linear] if linear else _starts(setup, T_base_tip, rows))
     ]
-    misfits = [_misfit(T_base_tip, rows, setup.placed(*start)) for start in starts]
+    misfits = []
+    for start in starts:
+        residual = rows.residual(start.seen(T_base_tip, rows.samples)) / rows.scales
+        misfits.append(float(np.sum(residual[rows.used] ** 2)))
     best: tuple[float, Setup] | None = None
     for i in np.argsort(misfits, kind="stable")[:_REFINED]:
-        start = setup.placed(*starts[i])
-        own = along_own_axes(model, start)
+        own = along_own_axes(model, starts[i])
         solution = levenberg_marquardt(
-            partial(_system, own, T_base_tip, rows, start),
+            partial(_system, own, T_base_tip, rows, starts[i]),
             np.zeros(len(model)),
             step_size=steps(model.units),
             tolerance=tolerance,
         )
         if best is None or solution.cost < best[0]:
-            best = (solution.cost, start.placed(*_at(own, start, solution.x)))
+            best = (solution.cost, starts[i].displaced(own.displacements(solution.x)[0]))
     assert best is not None
     return _settled(best[1], rows)
 
 
-def _is_linear(kind: Kind) -> bool:
-    """Whether rows of this kind are points, to which `linear_start` is the least-squares solution itself."""
-    return kind.position and kind.size == 3
+def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
+    """Frames and targets as given; those that were not given as the nominal robot registers them.
+
+    Rows that lie far from the others take no part: one gross row would move target and frame, and with them the errors
+    of the nominal robot on every other row.
+
+    Args:
+        T_base_tip: shape (N, 4, 4), poses of the nominal robot [m].
+        setup: What is known.
+        rows: N rows.
+
+    Raises:
+        MeasurementError: Too few rows to find what was not given.
+    """
+    setup = setup.as_known(setup.frame_given, setup.target_given)
+    if not setup.count:
+        return setup
+    some = evenly(rows, ENOUGH)
+    T_base_tip, rows = T_base_tip[some], rows.select(some)
+    alive = np.any(rows.used, axis=1)
+    kept = np.ones(len(rows), dtype=bool)
+    for _ in range(_GROSS_ROUNDS + 1):
+        own = rows.select(kept)
+        _check_enough(setup, own)
+        chosen = _some(own)
+        found = register_poses(T_base_tip[kept][chosen], setup, own.select(chosen))
+        residual = rows.residual(found.seen(T_base_tip, rows.samples))
+        distance = np.sqrt(np.sum((residual / rows.scales) ** 2, axis=1))
+        near = (distance <= _GROSS * np.median(distance[alive])) | ~alive
+        few = np.sum(near & alive) < 0.6 * np.sum(alive) or not keeps_frames(rows, near)
+        near = with_partners(rows, near)
+        if few or np.array_equal(near, kept):
+            break
+        kept = near
+    return found
 
 
 def _settled(setup: Setup, rows: Rows) -> Setup:
@@ -157,25 +187,19 @@ def _check_enough(setup: Setup, rows: Rows) -> None:
             )
 
 
-def _few(rows: Rows) -> bool:
-    """Whether all rows are needed to find a start."""
-    samples = rows.samples
-    one_view = len(rows) <= _ROWS and not (samples.frame.any() or samples.target.any())
-    return one_view or len(rows) <= _FEWEST_ROWS
-
-
-def _some(rows: Rows) -> NDArray[np.bool_]:
+def _some(rows: Rows) -> Mask:
     """Rows that are enough to find a start, spread evenly over what each frame sees of each target; whole pairs."""
-    told = np.flatnonzero(rows.kinds != NONE)
-    seen = np.stack([rows.samples.frame, rows.samples.target], axis=1)[told]
-    views, view = np.unique(seen, axis=0, return_inverse=True)
+    if len(rows) <= _FEWEST_ROWS:
+        return np.ones(len(rows), dtype=bool)
+    told, samples = np.flatnonzero(rows.kinds != NONE), rows.samples
+    view = (samples.frame * (int(samples.target.max()) + 1) + samples.target)[told]
+    views = np.unique(view)
     most = max(_ROWS // len(views), _FEWEST_ROWS)
     mask = np.zeros(len(rows), dtype=bool)
-    for v in range(len(views)):
-        own = told[view.reshape(-1) == v]
+    for v in views:
+        own = told[view == v]
         mask[own[np.linspace(0, len(own) - 1, min(len(own), most)).astype(int)]] = True
-    mask[rows.partner[mask & (rows.partner >= 0)]] = True
-    return mask
+    return with_partners(rows, mask)
 
 
 def _starts(setup: Setup, T_base_tip: Array, rows: Rows) -> list[tuple[Array, Array]]:
@@ -216,22 +240,14 @@ def _turned(setup: Setup) -> list[Setup]:
     return result
 
 
-def _misfit(T_base_tip: Array, rows: Rows, setup: Setup) -> float:
-    """The sum of squares at a start."""
-    T_frame_tip = setup.T_frame_base[rows.samples.frame] @ T_base_tip
-    residual = rows.residual(T_frame_tip @ setup.T_tip_target[rows.samples.target]) / rows.scales
-    return float(np.sum(residual[rows.used] ** 2))
-
-
 def _system(
     model: ErrorModel, T_base_tip: Array, rows: Rows, setup: Setup, x: Array
 ) -> tuple[Array, Array]:
     """The whitened residual and its own derivative, shapes (M,) and (M, p), over fixed poses of the tip."""
     displacement, directions = model.displacements(x)
-    frames = len(setup.groups)
-    T_frame_base = (setup.T_frame_base @ displacement[:frames])[rows.samples.frame]
-    T_tip_target = (setup.T_tip_target @ displacement[frames + 1 :])[rows.samples.target]
-    T_frame_target = T_frame_base @ T_base_tip @ T_tip_target
+    frames, here = len(setup.groups), setup.displaced(displacement)
+    T_frame_base = here.T_frame_base[rows.samples.frame]
+    T_frame_target = here.seen(T_base_tip, rows.samples)
     local = directions.reshape(len(displacement), 6, -1)
     outer = np.array([T[:, :3].transpose(2, 1, 0) for T in (T_frame_base, T_frame_target)])
     moves = kernel.regressor(outer, outer[1, 3])
@@ -247,15 +263,6 @@ def _system(
     residual = (rows.residual(T_frame_target) / scales)[used]
     J = (rows.derivative(T_frame_target, twists) / -scales[:, :, None])[used]
     return residual, J
-
-
-def _at(model: ErrorModel, setup: Setup, x: Array) -> tuple[Array, Array]:
-    """Frames and targets at x, shapes (F, 4, 4) and (T, 4, 4)."""
-    displacement, _ = model.displacements(x)
-    frames = len(setup.groups)
-    return setup.T_frame_base @ displacement[:frames], setup.T_tip_target @ displacement[
-        frames + 1 :
-    ]
 
 
 def linear_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Array] | None:

@@ -217,7 +217,7 @@ class _Part:
 
 
 def evenly(rows: Rows, most: int) -> Mask:
-    """About so many of the rows, the same share of each frame, target and kind, shape (N,); whole pairs.
+    """All rows, or about so many, the same share of each frame, target and kind, shape (N,); whole pairs.
 
     Which ones is drawn at random, always alike: tables have cycles, and every tenth row may be of one kind of pose.
 
@@ -225,6 +225,8 @@ def evenly(rows: Rows, most: int) -> Mask:
         rows: The rows.
         most: How many; of each frame, target and kind at least a hundred, as long as these are not more than that.
     """
+    if len(rows) <= most:
+        return np.ones(len(rows), dtype=bool)
     told = np.flatnonzero(rows.kinds != NONE)
     seen = np.stack([rows.samples.frame, rows.samples.target, rows.kinds], axis=1)[told]
     _, view, count = np.unique(seen, axis=0, return_inverse=True, return_counts=True)
@@ -236,8 +238,7 @@ def evenly(rows: Rows, most: int) -> Mask:
     place = np.arange(len(told)) - first[view[order]]
     result = np.zeros(len(rows), dtype=bool)
     result[told[order[place < quota[view[order]]]]] = True
-    result[rows.partner[result & (rows.partner >= 0)]] = True
-    return result
+    return with_partners(rows, result)
 
 
 def whole_blocks(rows: Rows, size: int) -> Iterator[Mask]:
@@ -253,9 +254,23 @@ def whole_blocks(rows: Rows, size: int) -> Iterator[Mask]:
         first = last
 
 
-def thinned(rows: Rows, most: int) -> Rows:
-    """The rows, or where they are more than that about so many of them, see `evenly`."""
-    return rows if len(rows) <= most else rows.select(evenly(rows, most))
+def with_partners(rows: Rows, kept: Mask) -> Mask:
+    """The rows that are kept and the second rows of their pairs, shape (N,)."""
+    result: Mask = kept.copy()
+    result[rows.partner[kept & (rows.partner >= 0)]] = True
+    return result
+
+
+def keeps_frames(rows: Rows, kept: Mask) -> bool:
+    """Whether half of each set-up's rows or more are kept."""
+    every = np.bincount(rows.samples.frame)
+    return bool(np.all(2 * np.bincount(rows.samples.frame, kept, len(every)) >= every))
+
+
+def without_outliers(rows: Rows, outliers: Mask) -> Mask:
+    """The rows to register with, shape (N,): not the outliers, unless they are more than half of a set-up's rows."""
+    kept = ~outliers
+    return with_partners(rows, kept if keeps_frames(rows, kept) else ~np.zeros_like(kept))
 
 
 def _instruments(

@@ -18,6 +18,7 @@ from calib.identify.statistics import same_poses
 from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements
 from calib.model.error_model import DIRECTIONS, split_name
+from calib.model.kernel import over_blocks
 from calib.model.kinematics import Samples
 from calib.model.parameters import ErrorModel, Parameter, frame_place, target_place
 from calib.model.robot import Robot, read_only
@@ -112,6 +113,24 @@ class Setup:
         return replace(
             self, T_frame_base=read_only(T_frame_base), T_tip_target=read_only(T_tip_target)
         )
+
+    def displaced(self, displacement: Array) -> Setup:
+        """The same with the displacements of all places of an error model, shape (F + ... + T, 4, 4)."""
+        return self.placed(
+            self.T_frame_base @ displacement[: len(self.groups)],
+            self.T_tip_target @ displacement[-len(self.targets) :],
+        )
+
+    def seen(self, T_base_tip: Array, samples: Samples) -> Array:
+        """T_frame_target of samples with these poses of the tip, shape (N, 4, 4), [m]."""
+        result = np.empty((len(samples), 4, 4))
+
+        def work(own: slice) -> None:
+            T_frame_tip = self.T_frame_base[samples.frame[own]] @ T_base_tip[own]
+            np.matmul(T_frame_tip, self.T_tip_target[samples.target[own]], out=result[own])
+
+        over_blocks(work, len(samples))
+        return result
 
     def as_known(self, frames: NDArray[np.bool_], targets: NDArray[np.bool_]) -> Setup:
         """The same, with some frames and targets taken for known.

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.identify.nominal import residual_of
 from calib.identify.registration import register
 from calib.identify.rows import Rows
 from calib.identify.setup import Setup
@@ -165,5 +164,6 @@ def _standing_links(robot: Robot) -> list[str]:
 
 def _rms(robot: Robot, setup: Setup, rows: Rows) -> float:
     """Error of the nominal robot where target (and frame, if asked) are registered, rms [m]."""
-    residual = residual_of(robot, register(robot, setup, rows, tolerance=_TOLERANCE), rows)
+    placed = register(robot, setup, rows, tolerance=_TOLERANCE)
+    residual = rows.residual(placed.seen(robot.poses(rows.joints), rows.samples))
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))

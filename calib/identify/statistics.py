@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,13 +23,6 @@ _CELL, _SHIFT, _MOST_WALLS = 97.13 * _SAME_POSE, 0.3819, 3
 
 #: What the number of each joint's cell is multiplied by.
 _HASH = np.random.default_rng(0).integers(1, 2**63, 256, dtype=np.uint64) | np.uint64(1)
-
-#: Up to this number of poses each is left out in turn; above it, a tenth of them at a time.
-_LEAVE_ONE_OUT = 60
-_FOLDS = 10
-
-#: From this number of set-ups on, whole ones are left out.
-_FEWEST_SETUPS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,73 +175,6 @@ def _alone(joints: Array) -> Mask:
     _, entry, count = np.unique(cell, return_inverse=True, return_counts=True)
     alone[row[count[entry] > 1]] = False
     return alone
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Folds:
-    """Which rows are left out together.
-
-    Attributes:
-        method: What it is called.
-        masks: Of the rows left out, each of shape (N,).
-    """
-
-    method: str
-    masks: tuple[Mask, ...]
-
-
-def folds(poses: NDArray[np.int_], setups: NDArray[np.int_] | None = None) -> Folds:
-    """Which rows are left out together: a whole set-up, or all of one pose, or every tenth pose where there are many.
-
-    Args:
-        poses: shape (N,), the pose of each row, see `same_poses`; some of the numbers may be missing.
-        setups: shape (N,), the set-up of each row; from three on, each is left out in turn.
-    """
-    if setups is not None and len(np.unique(setups)) >= _FEWEST_SETUPS:
-        names = np.unique(setups)
-        size = -(
-            -len(names) // _LEAVE_ONE_OUT
-        )  # more set-ups than that are left out several at a time
-        return Folds(
-            "leave-one-set-up-out" if size == 1 else "leave-set-ups-out",
-            tuple(np.isin(setups, names[k : k + size]) for k in range(0, len(names), size)),
-        )
-    present, poses = np.unique(poses, return_inverse=True)
-    count = len(present)
-    if count <= _LEAVE_ONE_OUT:
-        method = "leave-one-out" if count == len(poses) else "leave-one-pose-out"
-        return Folds(method, tuple(poses == i for i in range(count)))
-    return Folds(f"{_FOLDS}-fold", tuple(poses % _FOLDS == k for k in range(_FOLDS)))
-
-
-def cross_validate(
-    poses: NDArray[np.int_],
-    left_out: Folds,
-    outliers: Mask,
-    used: Mask,
-    predict_left_out: Callable[[Mask], Array],
-) -> CrossValidation:
-    """Fit without some rows, look at the error there, and go on until each row was left out once.
-
-    Args:
-        poses: shape (N,), the pose of each row.
-        left_out: Which rows are left out together.
-        outliers: shape (N,), the rows flagged by the fit to all of them.
-        used: shape (N, D), which scalars each row has.
-        predict_left_out: Takes the mask of the rows left out, fits the others from the beginning, and gives measured
-            minus predicted of the rows left out, shape (sum of the mask, D), [m] and [rad].
-    """
-    residual = np.zeros(used.shape)
-    for mask in left_out.masks:
-        residual[mask] = predict_left_out(mask)
-    return CrossValidation(
-        method=left_out.method,
-        folds=len(left_out.masks),
-        poses=poses,
-        residual=read_only(residual),
-        errors=Errors.of(residual, used),
-        errors_without_outliers=Errors.of(residual[~outliers], used[~outliers]),
-    )
 
 
 def interval_factor(freedom: float, level: float = 0.95) -> float:

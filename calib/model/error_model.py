@@ -46,13 +46,16 @@ DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 #: The set-up that a table without groups has, and its frame's unknowns.
 _ONE_FRAME: Mapping[str, tuple[str, ...]] = {"": DIRECTIONS}
 
+#: The name of a set of parameters that was given, not named.
+OWN = "own"
+
 #: An axis within this of a coordinate axis is one [rad].
 _ALIGNED = 1e-6
 
 
 def error_model(
     robot: Robot,
-    name: str,
+    name: str | Sequence[Parameter],
     *,
     frame: bool | Mapping[str, Sequence[str]] = False,
     target: bool | Sequence[str] = True,
@@ -66,7 +69,8 @@ def error_model(
         name: ``paper`` or ``dh`` (a, alpha, d, theta of each DH row), ``hayati`` (beta in place of d where axes are
             nearly parallel), ``placement`` (all six of each joint), ``zeros`` (the joint zeros only) or ``frames``
             (no error of the robot at all); behind it, each with a "+", any of the families of the
-            joints' state (`calib.families`): ``"dh+compliance"``.
+            joints' state (`calib.families`): ``"dh+compliance"``. Or the robot's own parameters themselves, each a
+            twist at a placement: a set called `OWN`.
         frame: Whether the measurement frame is estimated too: True for all six parameters of the one frame, or for
             each set-up which of `DIRECTIONS` are (none for a frame that is known).
         target: Whether the targets are, or the names of those that are.
@@ -80,7 +84,9 @@ def error_model(
         >>> len(error_model(Robot.load("ur3", base="base", tip="tool0"), "paper"))
         27
     """
-    base, families = split_name(name)
+    own = None if isinstance(name, str) else tuple(name)
+    name = name if isinstance(name, str) else OWN
+    base, families = (OWN, ()) if own is not None else split_name(name)
     frames = (_ONE_FRAME if frame else {"": ()}) if isinstance(frame, bool) else frame
     if base == "paper" and any(frames.values()):
         raise ModelError(
@@ -90,7 +96,7 @@ def error_model(
     estimated = (targets if target else ()) if isinstance(target, bool) else target
     of_frames = tuple((group, tuple(directions)) for group, directions in frames.items())
     return _assembled(
-        robot, name, base, families, of_frames, tuple(estimated), tuple(targets), rotation
+        robot, name, base, families, of_frames, tuple(estimated), tuple(targets), rotation, own
     )
 
 
@@ -104,9 +110,10 @@ def _assembled(
     estimated: tuple[str, ...],
     targets: tuple[str, ...],
     rotation: bool,
+    own: tuple[Parameter, ...] | None,
 ) -> ErrorModel:
     """`error_model` of arguments that can be remembered: folds, candidates and trials ask for the same ones."""
-    parameters = [*_own_parameters(robot, base)]
+    parameters = [*(_own_parameters(robot, base) if own is None else own)]
     for family in families:
         parameters += joint_parameters(robot, family)
     placed = frame_and_target_model(

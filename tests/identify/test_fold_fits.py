@@ -11,13 +11,12 @@ import pytest
 from calib.identify.crossvalidation import cross_validation, fold_fits, fold_means, folds_of
 from calib.identify.estimate import estimate as estimated
 from calib.identify.fitting import Fitted, Task, fit, holds_of
-from calib.identify.fitting import _solver as solver_of
 from calib.identify.problem import Problem
 from calib.identify.rows import Rows
 from calib.identify.setup import known_distances, rows_of
+from calib.identify.solvers import SOLVERS
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.model.observability import steps
 
 
 def fitted_to(scene: Any, table: Measurements, cell: Cell, model: str = "dh") -> Fitted:
@@ -56,8 +55,9 @@ def test_folds_by_the_linearised_problem_go_through_the_stages_of_a_fit(make_sce
     std = np.sqrt(np.diag(estimate.covariance))
     for mask, x in zip(masks, found, strict=True):
         first = Problem.first(problem.kinematics, problem.rows.select(~mask))
-        solve = solver_of("lm", steps(fitted.kinematics.model.units))
-        np.testing.assert_allclose(estimated(first, solve, holds).x / std, x / std, atol=0.05)
+        np.testing.assert_allclose(
+            estimated(first, SOLVERS["lm"], holds).x / std, x / std, atol=0.05
+        )
 
 
 def test_means_at_sizes_that_stay(make_scene):

@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.errors import MeasurementError
-from calib.identify.nominal import residual_of
 from calib.identify.registration import _some, _system, register, register_poses
 from calib.identify.setup import rows_of
 from calib.measure.cell import Cell
@@ -31,7 +30,7 @@ def registered(scene, table, cell):
 
 
 def rms(scene, found, rows):
-    residual = residual_of(scene.robot, found, rows)[rows.used]
+    residual = rows.residual(found.seen(scene.robot.poses(rows.joints), rows.samples))[rows.used]
     return np.sqrt(np.mean(residual**2))
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.identify.nominal import residual_of
 from calib.identify.registration import best_fit, frames_around, linear_start, pose_start
 from calib.identify.setup import rows_of
 from calib.kinds import get
@@ -25,7 +24,11 @@ def started(scene, table, cell, start):
 
 
 def worst(scene, rows, setup, found):
-    return np.abs(residual_of(scene.robot, setup.placed(*found), rows)[rows.used]).max()
+    return np.abs(
+        rows.residual(setup.placed(*found).seen(scene.robot.poses(rows.joints), rows.samples))[
+            rows.used
+        ]
+    ).max()
 
 
 def test_targets_and_translations_by_one_least_squares(make_scene, join):
