@@ -346,21 +346,6 @@ def test_an_unknown_solver_and_one_that_takes_points_only(make_scene):
         fitted(scene, scene.distances(60), FREE, solver="paper")
 
 
-def test_set_ups_that_were_not_seen_are_registered_to_their_rows(make_scene, join):
-    scene = make_scene(5, frames=3, noise=2e-5)
-    task, rows = task_of(
-        scene, join(*(scene.points(20, f) for f in range(3))), Cell(estimate_frame=True)
-    )
-    last = rows.samples.frame == 2
-    found = fit(task, rows.select(~last))
-    new, outliers = rows.select(last), np.arange(20) == 4
-    points = new.points.copy()
-    points[4] += 0.02
-    residual = found.unseen(replace(new, measured=points), rows.select(~last), outliers)
-    assert np.sqrt(np.mean(residual[~outliers] ** 2)) < 1e-4
-    np.testing.assert_allclose(residual[4], 0.02, atol=5e-4)
-
-
 def test_unseen_rows_are_judged_by_the_noise_of_their_own_kind(make_scene, join):
     scene = make_scene(6, frames=2, noise=1e-4, noise_angle=5e-4, length=4e-4, angle=2e-3)
     task, rows = task_of(

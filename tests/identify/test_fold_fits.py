@@ -152,3 +152,15 @@ def test_progress_is_told_of_each_fold(make_scene):
     outliers = fitted.estimate.outliers
     cross_validation(task, rows, outliers, lambda *at: told.append(at), fitted=fitted)
     assert told == [(k + 1, 30) for k in range(30)]
+
+
+def test_set_ups_that_were_not_seen_are_registered_to_their_good_rows(make_scene, join):
+    scene = make_scene(5, frames=3, noise=2e-5)
+    table = join(*(scene.points(20, f) for f in range(3)))
+    points = table.points.copy()
+    points[44] += 0.02
+    outliers = np.arange(60) == 44
+    fitted = fitted_to(scene, replace(table, points=points), Cell(estimate_frame=True))
+    left = cross_validation(fitted.task, rows_of_fit(fitted), outliers, fitted=fitted).residual
+    assert np.sqrt(np.mean(left[40:][~outliers[40:]] ** 2)) < 1e-4
+    np.testing.assert_allclose(left[44], 0.02, atol=5e-4)

@@ -5,13 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.identify.statistics import (
-    Errors,
-    cross_validate,
-    folds,
-    interval_factor,
-    same_poses,
-)
+from calib.identify.crossvalidation import folds
+from calib.identify.statistics import Errors, interval_factor, same_poses
 
 # The paper's Table 4: errors of rows 31 to 35 before and after calibration [mm].
 BEFORE = np.array(
@@ -155,19 +150,6 @@ def test_from_three_set_ups_on_each_is_left_out_as_a_whole(names):
         assert set(setups[mask]).isdisjoint(setups[~mask])
     assert len(left_out.masks) == min(len(names), 50)
     assert left_out.method == ("leave-one-set-up-out" if len(names) < 60 else "leave-set-ups-out")
-
-
-def test_cross_validation_puts_errors_back_in_their_rows():
-    values = np.arange(90.0).reshape(30, 3)
-    flagged = np.arange(30) == 7
-    poses, used = np.arange(30), np.ones((30, 3), dtype=bool)
-    used[29] = False
-    result = cross_validate(poses, folds(poses), flagged, used, lambda mask: values[mask])
-    np.testing.assert_array_equal(result.residual, values)
-    assert result.folds == 30
-    assert result.errors.n == 29
-    assert result.errors_without_outliers.n == 28
-    assert result.errors_without_outliers.max == pytest.approx(np.linalg.norm(values[28]))
 
 
 @pytest.mark.parametrize(
