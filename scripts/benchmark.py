@@ -64,18 +64,19 @@ def main() -> None:
         print(json.dumps(ONE[asked.one[0]](int(asked.one[1]))))
         return
     sizes = SIZES[:4] if asked.quick else SIZES
-    tables = {
-        "pass": of_passes(sizes[-1], asked.limit),
-        "fit": of_fits(sizes),
-        "whole": of_whole(sizes),
-        "studies": of_studies(100 if asked.quick else 1000),
-        "start": of_starts(3 if asked.quick else 7),
+    tables: dict[str, Callable[[], list[str]]] = {
+        "pass": lambda: of_passes(sizes[-1], asked.limit),
+        "fit": lambda: of_fits(sizes),
+        "whole": lambda: of_whole(sizes),
+        "studies": lambda: of_studies(100 if asked.quick else 1000),
+        "start": lambda: of_starts(3 if asked.quick else 7),
     }
     print(
         f"{platform.processor() or platform.machine()}, {cores()} cores, Python {platform.python_version()}\n"
     )
-    for name, lines in tables.items():
-        print("\n".join(lines), end="\n\n")
+    for name, table in tables.items():
+        lines = table()
+        print("\n".join(lines), end="\n\n", flush=True)
         if asked.write:
             write(name, lines)
 
