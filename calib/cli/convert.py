@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,12 +12,21 @@ from calib.cli.options import Base, Force, Hold, Quiet, one_of, verb
 from calib.cli.terminal import fill
 
 if TYPE_CHECKING:
-    from calib.formats.convert import Wanted
     from calib.formats.sources import Source
 
 
 #: A calibration that moves the tip further [mm] is most often the comparison of two robots.
 _FAR_MM = 50.0
+
+#: What to do with a file of each format; DH rows have one.
+_USES = {
+    "origins": "A xacro takes them with xacro.load_yaml, as the comment at the head of the file shows.",
+    "ur-yaml": "The driver takes it so:",
+    "ur-conf": "It is for programs that read a calibration.conf; what a controller does with one that it did not write "
+    "itself, ask Universal Robots.",
+    "dh": "Its head says how a row is meant. Rows alone are not the robot: 'base' goes into the frame that poses are "
+    "given in, 'tool' into the tool.",
+}
 
 
 def parse_format(name: str) -> str:
@@ -109,42 +117,40 @@ def convert(
 ) -> None:
     """See the text of `verb`."""
     from calib.cli.setup import check_outputs, parse_held
-    from calib.formats.convert import Wanted, check_options, chosen_format, write_target
+    from calib.formats.convert import FORMATS, Wanted, check_options, chosen_format, write_target
     from calib.formats.sources import Asked, read_source, source_kind
 
-    check_outputs(
-        [output],
-        [source, *(path for path in (robot, urcontrol, hash_from, update) if path)],
-        force=force,
-    )
+    inputs = [source, *(path for path in (robot, urcontrol, hash_from, update) if path)]
+    check_outputs([output], inputs, force=force)
     kind = source_kind(source)
-    chosen = chosen_format(output, to, kind)
-    wanted = Wanted(output, chosen, hash_from, update, urcontrol, overwrite=force)
+    wanted = Wanted(
+        output, chosen_format(output, to, kind), hash_from, update, urcontrol, overwrite=force
+    )
     check_options(wanted, kind)
     asked = Asked(robot, ur_model, urcontrol, base, tip, parse_held(hold or []))
     found = read_source(source, asked)
     remarks = write_target(found, wanted)
-    if not quiet:
-        typer.echo(_text(source, found, wanted, remarks))
-
-
-def _text(source: str, found: Source, wanted: Wanted, remarks: Iterable[str]) -> str:
-    """What was read, how far it is from the nominal robot, what was written and what to do with it."""
-    from calib.formats.convert import FORMATS
-
-    what = FORMATS[wanted.format].what
+    if quiet:
+        return
     paragraphs = [
         f"Read: {source}, {found.text}.",
         _moved(found),
         *found.remarks,
         *remarks,
-        f"Written: {wanted.path}, {what}. {_use(found, wanted)}",
+        f"Written: {wanted.path}, {FORMATS[wanted.format].what}. {_use(found, wanted.format)}",
     ]
-    text = "\n\n".join(
-        fill(paragraph)
-        for paragraph in dict.fromkeys(paragraphs)  # reader and writer may say the same
-    )
-    return text + (_launch(found, wanted) if wanted.format == "ur-yaml" else "")
+    # Reader and writer may say the same.
+    text = "\n\n".join(map(fill, dict.fromkeys(paragraphs)))
+    if wanted.format == "ur-yaml":
+        known = found.model is not None and found.model.known
+        arm = found.model.name.lower().replace(" ", "") if found.model and known else "TYPE"
+        here = "" if output.is_absolute() else '"$PWD"/'
+        # On lines of its own, to be copied.
+        text += (
+            f"\n\n  ros2 launch ur_robot_driver ur_control.launch.py ur_type:={arm} robot_ip:=ADDRESS \\"
+            f"\n    kinematics_params_file:={here}{shlex.quote(str(output))}"
+        )
+    typer.echo(text)
 
 
 def _moved(found: Source) -> str:
@@ -161,45 +167,19 @@ def _moved(found: Source) -> str:
         f"Over the joint limits '{found.robot.tip}' lies {mm.mean():.3f} mm (mean) and at most {mm.max():.3f} mm from "
         f"where the nominal robot has it, turned by {deg.mean():.3f} deg (mean) and at most {deg.max():.3f} deg."
     )
-    if mm.max() > _FAR_MM:
-        text += " Calibrations move it by millimetres: check that both are one robot, between the same links."
-    return text
+    doubt = " Calibrations move it by millimetres: check that both are one robot, between the same links."
+    return text + doubt * bool(mm.max() > _FAR_MM)
 
 
-def _use(found: Source, wanted: Wanted) -> str:
+def _use(found: Source, format: str) -> str:
     """What to do with the file."""
-    if wanted.format == "urdf":
-        if found.nominal is None or found.nominal is found.robot:
-            return "It is the robot as it was read."
-        if found.nominal.urdf.path is None:
-            return (
-                "It is a bare arm, without meshes and masses: for computing. To have these origins in a description "
-                "that has them, give that as --robot."
-            )
-        return "Only origins of joints differ from the nominal URDF: use it wherever that was used."
-    if wanted.format == "origins":
+    if format != "urdf":
+        return _USES.get(format, _USES["dh"])
+    if found.nominal is None or found.nominal is found.robot:
+        return "It is the robot as it was read."
+    if found.nominal.urdf.path is None:
         return (
-            "A xacro takes them with xacro.load_yaml, as the comment at the head of the file shows."
+            "It is a bare arm, without meshes and masses. To have these origins in a description that has them, give "
+            "that as --robot."
         )
-    if wanted.format == "ur-yaml":
-        return "The driver takes it so:"
-    if wanted.format == "ur-conf":
-        return (
-            "It is for programs that read a calibration.conf; what a controller does with one that it did not write "
-            "itself, ask Universal Robots."
-        )
-    return (
-        "Its head says how a row is meant. Rows alone are not the robot: 'base' goes into the frame that poses are "
-        "given in, 'tool' into the tool."
-    )
-
-
-def _launch(found: Source, wanted: Wanted) -> str:
-    """The command that starts Universal Robots' driver with a kinematics.yaml, on lines of its own to be copied."""
-    known = found.model is not None and found.model.known
-    kind = found.model.name.lower().replace(" ", "") if found.model and known else "TYPE"
-    here = "" if wanted.path.is_absolute() else '"$PWD"/'
-    return (
-        f"\n\n  ros2 launch ur_robot_driver ur_control.launch.py ur_type:={kind} robot_ip:=ADDRESS \\"
-        f"\n    kinematics_params_file:={here}{shlex.quote(str(wanted.path))}"
-    )
+    return "Only origins of joints differ from the nominal URDF: use it wherever that was used."

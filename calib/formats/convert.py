@@ -1,6 +1,7 @@
 """Writing a robot in the formats that controllers and ROS take; `calib.formats.sources` reads what comes in.
 
-A format is one row of `FORMATS`: its name, its files' endings, and the function that writes it.
+A format is one row of `FORMATS`: its name, its files' endings, the function that writes it and the options that are for
+it alone.
 """
 
 from __future__ import annotations
@@ -9,32 +10,20 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.errors import CalibError, ModelError, choices
-from calib.formats.dh_files import ENDINGS, write_dh
-from calib.formats.dh_tables import DHTables
+from calib.formats.dh_files import ENDINGS, DHTables, write_dh
 from calib.formats.origins import write_origins
 from calib.formats.sources import ROBOT, UR_CONF, Source
-from calib.formats.universal_robots import (
-    UrHash,
-    UrWritten,
-    read_ur_hash,
-    write_ur_conf,
-    write_ur_yaml,
-)
-from calib.formats.ur_dh import chain_poses
-from calib.formats.ur_files import other_keys, read_deltas, read_yaml
-from calib.formats.ur_models import UrModel
-from calib.formats.ur_mount import the_mount
+from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
+from calib.formats.ur_arms import UrModel
+from calib.formats.ur_files import Conf
 from calib.model.dh_table import HAYATI, MODIFIED, STANDARD
 from calib.model.readback import TOLERANCE, check_written, random_joint_values
 from calib.model.robot import Robot
-
-Array = NDArray[np.float64]
 
 _YAML = (".yaml", ".yml")
 
@@ -60,23 +49,22 @@ class Wanted:
     overwrite: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
+class Format(NamedTuple):
     """A format that can be written.
 
     Attributes:
-        name: As in ``--to``.
         what: What it is, in a few words.
         endings: What its files end in.
         write: Writes the robot of a source, and returns what the format cannot hold and what to mind, sentence by
             sentence.
+        option: The field of `Wanted` that is for it alone.
         any_ending: Whether a file of another ending, which belongs to no format, may be one too.
     """
 
-    name: str
     what: str
     endings: tuple[str, ...]
     write: Callable[[Source, Wanted], tuple[str, ...]]
+    option: str = ""
     any_ending: bool = True
 
 
@@ -97,14 +85,13 @@ def chosen_format(path: Path, asked: str | None, source_kind: str | None = None)
             f"{path}: a xacro is not written: its macros and arguments are not in the robot that was read. Write the "
             "flattened robot (-o robot.urdf), or the origins that your xacro can load (--to origins -o origins.yaml)."
         )
-    fitting = [one.name for one in FORMATS.values() if ending in one.endings]
+    fitting = [name for name, one in FORMATS.items() if ending in one.endings]
     if asked is None:
         if source_kind == UR_CONF and ending in _YAML:
             return "ur-yaml"
         if len(fitting) == 1:
             return fitting[0]
-        which = fitting or list(FORMATS)
-        said = ", ".join(f"--to {name} ({FORMATS[name].what})" for name in which)
+        said = ", ".join(f"--to {name} ({FORMATS[name].what})" for name in fitting or FORMATS)
         raise CalibError(
             f"{path}: '{ending}' does not say which format is wanted. Add one of: {said}."
         )
@@ -125,34 +112,19 @@ def check_options(wanted: Wanted, source_kind: str) -> None:
     Raises:
         CalibError: One that this conversion has no use for.
     """
-    reads_conf = source_kind == UR_CONF or (
-        wanted.hash_from is not None and wanted.hash_from.suffix.lower() == ".conf"
-    )
-    for option, given, used, why in (
-        ("--update", wanted.update, wanted.format == "ur-conf", "the format 'ur-conf' keeps"),
-        ("--hash-from", wanted.hash_from, wanted.format == "ur-yaml", "the format 'ur-yaml' keeps"),
-        (
-            "--urcontrol",
-            wanted.urcontrol,
-            reads_conf,
-            "a calibration.conf as SOURCE or --hash-from counts from",
-        ),
-    ):
-        if given is not None and not used:
+    unused = [one.option for name, one in FORMATS.items() if name != wanted.format and one.option]
+    conf = wanted.hash_from is not None and wanted.hash_from.suffix.lower() == ".conf"
+    if source_kind != UR_CONF and not conf:
+        unused.append("urcontrol")  # for the nominal rows of a calibration.conf
+    for option in unused:
+        if getattr(wanted, option) is not None:
             raise CalibError(
-                f"{option} {given} is for what {why}, and here nothing does. Leave it out."
+                f"--{option.replace('_', '-')} {getattr(wanted, option)} has no use in this conversion. Leave it out."
             )
 
 
 def write_target(source: Source, wanted: Wanted) -> tuple[str, ...]:
-    """Write the robot.
-
-    Args:
-        source: What was read.
-        wanted: In which format, and where.
-
-    Returns:
-        What the format cannot hold, and what to mind, sentence by sentence.
+    """Write the robot that was read; what the format cannot hold, and what to mind, sentence by sentence.
 
     Raises:
         FileError: A file cannot be read or written.
@@ -198,82 +170,42 @@ def _write_dh(convention: str, source: Source, wanted: Wanted) -> tuple[str, ...
 def _write_ur_yaml(source: Source, wanted: Wanted) -> tuple[str, ...]:
     """A kinematics.yaml with the robot's own hash."""
     nominal, arm = _arm(source, wanted)
+    hash = source.hash  # its reader has said what there is to say of it
+    remarks: tuple[str, ...] = ()
     if wanted.hash_from is not None:
-        own = read_ur_hash(wanted.hash_from, urcontrol=wanted.urcontrol, model=arm)
-    elif source.hash is not None:
-        own = UrHash(source.hash)  # its reader has said what there is to say of it
-    else:
+        own = read_ur(wanted.hash_from, urcontrol=wanted.urcontrol, model=arm)
+        hash, remarks = own.hash, own.remarks
+    if hash is None:
         raise CalibError(
             f"{wanted.path}: a kinematics.yaml has the hash of the robot's own calibration, which the ROS driver "
             "compares with what the controller reports. Give the robot's own kinematics.yaml (from ros2 launch "
             "ur_calibration calibration_correction.launch.py) or its calibration.conf as --hash-from."
         )
-
-    def write(path: Path) -> UrWritten:
-        return write_ur_yaml(
-            source.robot, nominal, path, hash=own.hash, model=arm, overwrite=wanted.overwrite
-        )
-
-    def read(path: Path, q: Array) -> Array:
-        return chain_poses(read_yaml(path).chain, q)
-
-    return own.remarks + _tried(source, wanted, write, read)
+    path, again = wanted.path, wanted.overwrite
+    written = write_ur_yaml(source.robot, nominal, path, hash=hash, model=arm, overwrite=again)
+    return remarks + written.remarks
 
 
 def _write_ur_conf(source: Source, wanted: Wanted) -> tuple[str, ...]:
     """The deltas of a calibration.conf."""
     nominal, arm = _arm(source, wanted)
-    like = None if source.conf is None else read_deltas(source.conf)
-
-    def write(path: Path) -> UrWritten:
-        return write_ur_conf(
-            source.robot,
-            nominal,
-            path,
-            update=wanted.update,
-            like=like,
-            model=arm,
-            overwrite=wanted.overwrite,
-        )
-
-    def read(path: Path, q: Array) -> Array:
-        return (arm.nominal + read_deltas(path)).poses(q)
-
-    remarks = _tried(source, wanted, write, read)
-    left_out = () if source.conf is None or wanted.update is not None else other_keys(source.conf)
-    if left_out:
-        remarks += (
-            f"{wanted.path} has the deltas alone; left out of {source.conf}: {choices(left_out)}. --update "
-            f"{source.conf} keeps its other lines.",
-        )
-    return remarks
-
-
-def _tried(
-    source: Source,
-    wanted: Wanted,
-    write: Callable[[Path], UrWritten],
-    read: Callable[[Path, Array], Array],
-) -> tuple[str, ...]:
-    """Write a file of Universal Robots after it was written elsewhere, read back and compared.
-
-    Raises:
-        ModelError: With what it has no place for put back, it is not the robot.
-    """
-    nominal, arm = _arm(source, wanted)
-    q = random_joint_values(source.robot)
-    _, mounted = the_mount(nominal, arm)
-    with TemporaryDirectory() as folder:
-        trial = write(Path(folder) / wanted.path.name)
-        flange = trial.T_base @ read(trial.path, q) @ trial.T_tool
-    made = mounted.T_base_arm @ flange @ mounted.T_flange_tip
-    off = float(np.abs(made - source.robot.poses(q)).max())
-    if not off <= trial.exact:
-        raise ModelError(
-            f"{wanted.path.name}: read back, it puts the tip of '{source.robot.name}' {off:.1e} m or rad off; "
-            f"{trial.exact:g} is allowed, so it is not written. Please report this with what was converted."
-        )
-    return write(wanted.path).remarks
+    own = None if source.conf is None else Conf.read(source.conf)
+    written = write_ur_conf(
+        source.robot,
+        nominal,
+        wanted.path,
+        update=wanted.update,
+        like=None if own is None else own.deltas,
+        model=arm,
+        overwrite=wanted.overwrite,
+    )
+    if own is None or wanted.update is not None or not own.others:
+        return written.remarks
+    return (
+        *written.remarks,
+        f"{wanted.path} has the deltas alone; left out of {source.conf}: {choices(own.others)}. --update {source.conf} "
+        "keeps its other lines.",
+    )
 
 
 def _arm(source: Source, wanted: Wanted) -> tuple[Robot, UrModel]:
@@ -291,21 +223,22 @@ def _arm(source: Source, wanted: Wanted) -> tuple[Robot, UrModel]:
     return source.nominal, source.model
 
 
-def _dh(name: str, what: str, convention: str) -> Format:
+def _dh(what: str, convention: str) -> Format:
     """A row for DH rows in a convention."""
-    return Format(name, f"DH rows{what}", ENDINGS, partial(_write_dh, convention), any_ending=False)
+    return Format(f"DH rows{what}", ENDINGS, partial(_write_dh, convention), any_ending=False)
 
 
 FORMATS: Mapping[str, Format] = {
-    one.name: one
-    for one in (
-        Format("urdf", "the URDF", (".urdf", ".xml"), _write_urdf),
-        Format("ur-yaml", "kinematics.yaml of Universal Robots' ROS driver", _YAML, _write_ur_yaml),
-        Format("ur-conf", "DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf),
-        Format("origins", "the joints' origins, for a xacro to load", _YAML, _write_origins),
-        _dh("dh", ", standard convention", STANDARD),
-        _dh("modified-dh", ", modified (Craig's) convention", MODIFIED),
-        _dh("hayati", " with Hayati's beta", HAYATI),
-    )
+    "urdf": Format("the URDF", (".urdf", ".xml"), _write_urdf),
+    "ur-yaml": Format(
+        "kinematics.yaml of Universal Robots' ROS driver", _YAML, _write_ur_yaml, "hash_from"
+    ),
+    "ur-conf": Format(
+        "DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf, "update"
+    ),
+    "origins": Format("the joints' origins, for a xacro to load", _YAML, _write_origins),
+    "dh": _dh(", standard convention", STANDARD),
+    "modified-dh": _dh(", modified (Craig's) convention", MODIFIED),
+    "hayati": _dh(" with Hayati's beta", HAYATI),
 }
-"""The formats by name."""
+"""The formats by name, as in ``--to``."""

@@ -1,7 +1,8 @@
-"""DH tables of a robot before and after its calibration, as files: CSV and Markdown in mm and deg, JSON in m and rad.
+"""The DH rows of a robot before and after its calibration as files: CSV and Markdown in mm and deg, JSON in m and rad.
 
-CSV and Markdown have as many decimals as the poses need to hold 1e-9 m and rad; the numbers as they are printed are
-put back into rows and compared with the robot before the file appears. See docs/convert.md.
+The rows are compared with the robots' poses. CSV and Markdown have as many decimals as the poses need to hold 1e-9 m
+and rad; the numbers as they are printed are put back into rows and compared too, before the file appears. See
+docs/convert.md.
 """
 
 from __future__ import annotations
@@ -11,23 +12,28 @@ import io
 import os
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.errors import FileError, choices
-from calib.formats.dh_tables import AFTER, BEFORE, CHANGE, DHTables
+from calib.errors import FileError, ModelError, choices
 from calib.formats.origins import one_line
+from calib.model.dh import dh_table, near_parallel, taken_as_parallel
 from calib.model.dh_table import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
 from calib.model.files import json_bytes, write_atomically
-from calib.model.readback import TOLERANCE
+from calib.model.readback import TOLERANCE, column_ranges, spread_between
+from calib.model.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 Record = dict[str, str]
+
+BEFORE, AFTER, CHANGE = "before", "after", "change"
+"""What the tables are called; a robot without a nominal one has a single one, ``"robot"``."""
 
 SCHEMA = "dh 1"
 """What ``schema`` says in the JSON form."""
@@ -52,6 +58,165 @@ _HEADS: Mapping[str, Mapping[str, str]] = {
         "d [mm]": "d",
     },
 }
+
+#: The numbers of a row and their units in JSON.
+_NUMBERS = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
+
+#: Joint values that poses are compared at.
+_POSES = 64
+
+#: A row's d longer than this beside nearly parallel axes is worth a remark [m].
+_FAR = 2.0
+
+
+class RowJoint(NamedTuple):
+    """What the value added to a row is: factor * value of the driver + offset [rad] or [m].
+
+    The driver is the joint itself, or the one that it mimics; None where it is held.
+    """
+
+    joint: str
+    prismatic: bool
+    driver: str | None
+    factor: float
+    offset: float
+
+    @property
+    def text(self) -> str:
+        """As a formula, such as ``"-2 * arm + 5 deg"``; of most joints the joint's own name."""
+        unit, size = ("mm", 1e3) if self.prismatic else ("deg", 180.0 / np.pi)
+        if self.driver is None:
+            return f"held at {size * self.offset:.12g} {unit}"
+        name = self.driver if self.factor == 1.0 else f"{self.factor:.12g} * {self.driver}"
+        if self.offset == 0.0:
+            return name
+        return f"{name} {'-' if self.offset < 0 else '+'} {size * abs(self.offset):.12g} {unit}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DHTables:
+    """The DH rows of a robot beside those of its nominal state; both hold the poses of their robots.
+
+    Attributes:
+        robot: The robot.
+        nominal: The same chain before the calibration; None where none was given.
+        after: The robot's rows, their free choices as in those before.
+        before: The nominal robot's rows.
+    """
+
+    robot: Robot
+    nominal: Robot | None
+    after: DHTable
+    before: DHTable | None
+
+    @classmethod
+    def of(cls, robot: Robot, nominal: Robot | None = None, convention: str = STANDARD) -> DHTables:
+        """The rows in one of `calib.model.dh_table.CONVENTIONS`, compared with the poses of both robots.
+
+        Raises:
+            ModelError: No such convention, the robots have other joints, or the rows do not hold the robot.
+        """
+        after = dh_table(robot, convention, like=nominal)
+        before = None if nominal is None else dh_table(nominal, convention)
+        tables = cls(robot, nominal, after, before)
+        off = tables.deviation(before, after)
+        allowed = TOLERANCE + _by_parallels(robot, nominal, convention)
+        if not off <= allowed:
+            raise ModelError(
+                f"{robot.urdf.source}: the rows in the convention '{convention}' put the tip up to {off:.1e} m or rad "
+                f"away from the robot '{robot.name}'; {allowed:.1e} is allowed, so nothing is written. Choose the "
+                "convention 'hayati', which has no far common normals."
+            )
+        return tables
+
+    @property
+    def joints(self) -> tuple[RowJoint, ...]:
+        """What is added to each row."""
+        robot = self.robot
+        at_zero = robot.chain_values(np.zeros(len(robot.joint_names)))[0]
+        found = []
+        for joint, row, offset in zip(robot.joints, robot.coupling, at_zero, strict=True):
+            driven = np.flatnonzero(row)
+            driver = robot.joint_names[driven[0]] if len(driven) else None
+            factor = float(row[driven[0]]) if len(driven) else 0.0
+            slides = joint.type == "prismatic"
+            found.append(RowJoint(joint.name, slides, driver, factor, float(offset) + 0.0))
+        return tuple(found)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What whoever types the rows in should know, sentence by sentence."""
+        robot, nominal, after = self.robot, self.nominal, self.after
+        remarks = []
+        if after.convention != HAYATI:
+            pairs = near_parallel(robot)
+            longest = max(abs(row.d) for row in after.rows)
+            if pairs:
+                named = ", ".join(
+                    f"'{a}' and '{b}' ({np.degrees(angle):.2g} deg)"
+                    for (a, b), angle in pairs.items()
+                )
+                far = f", here up to {longest:,.3g} m, and" if longest > _FAR else " and"
+                remarks.append(
+                    f"Axes that are nearly parallel: {named}. The common normal of such axes lies anywhere: the d and "
+                    f"theta of their rows may be large{far} cancel over the rows. Enter every digit, and all rows "
+                    "together; the convention 'hayati' has no such rows."
+                )
+            angle = max(taken_as_parallel(one) for one in (robot, nominal) if one is not None)
+            if angle > TOLERANCE:
+                cost = 1e6 * _by_parallels(robot, nominal, after.convention)
+                remarks.append(
+                    f"Axes that the URDF's rounding leaves {angle:.1e} rad out of parallel are taken as parallel, so "
+                    f"that the rows differ from the URDF by less than {cost:.2g} micrometres."
+                )
+        others = [j for j in self.joints if j.text != j.joint]
+        if others:
+            named = ", ".join(f"'{j.joint}' ({j.text})" for j in others)
+            remarks.append(f"Joints without a value of their own: {named}.")
+        return tuple(remarks)
+
+    def states(self) -> list[tuple[str, DHTable]]:
+        """The tables that a file has, by what they are called: one, or before, after and change."""
+        if self.before is None:
+            return [("robot", self.after)]
+        change = _change(self.before, self.after)
+        return [(BEFORE, self.before), (AFTER, self.after), (CHANGE, change)]
+
+    def deviation(self, before: DHTable | None, after: DHTable) -> float:
+        """The largest difference of position [m] or of an entry of the rotation between rows and robots."""
+        q = spread_between(column_ranges(self.robot), _POSES)
+        values = self.robot.chain_values(q)
+        off = float(np.abs(after.poses(values) - self.robot.poses(q)).max())
+        if before is not None and self.nominal is not None:
+            off = max(off, float(np.abs(before.poses(values) - self.nominal.poses(q)).max()))
+        return off
+
+
+def _by_parallels(robot: Robot, nominal: Robot | None, convention: str) -> float:
+    """What taking axes as parallel may cost [m]: the angle times the arm's length, there and back."""
+    if convention == HAYATI:
+        return 0.0
+    return max(
+        2.0
+        * taken_as_parallel(one)
+        * float(1.0 + np.linalg.norm(one.placements[:, :3, 3], axis=1).sum())
+        for one in (robot, nominal)
+        if one is not None
+    )
+
+
+def _change(before: DHTable, after: DHTable) -> DHTable:
+    """After - before; of the constant poses before^-1 after."""
+    rows = tuple(
+        replace(b, **{k: getattr(b, k) - getattr(a, k) for k in _NUMBERS})
+        for a, b in zip(before.rows, after.rows, strict=True)
+    )
+    return DHTable(
+        rows,
+        read_only(rigid_inverse(before.T_base_0) @ after.T_base_0),
+        read_only(rigid_inverse(before.T_n_tip) @ after.T_n_tip),
+        after.convention,
+    )
 
 
 def write_dh(tables: DHTables, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -274,11 +439,7 @@ def _json_table(table: DHTable) -> dict[str, Any]:
             {
                 "joint": row.joint,
                 "added_to": "d" if row.prismatic else "theta",
-                "theta_rad": row.theta,
-                "d_m": row.d,
-                "a_m": row.a,
-                "alpha_rad": row.alpha,
-                "beta_rad": row.beta,
+                **{f"{name}_{unit}": getattr(row, name) for name, unit in _NUMBERS.items()},
             }
             for row in table.rows
         ],

@@ -9,18 +9,20 @@ A xacro that keeps its joints' origins in a file of their own needs no other cha
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+import yaml
 from numpy.typing import NDArray
 
 from calib.errors import FileError, UrdfError, choices, did_you_mean
-from calib.formats.yaml_file import parse_yaml
 from calib.model.files import read_bytes, write_atomically
 from calib.model.robot import Robot
 from calib.units import NUMBER
@@ -48,14 +50,8 @@ _HEADER = """\
 """
 
 
-@dataclass(frozen=True, slots=True)
-class JointOrigin:
-    """The ``<origin>`` of a joint, as a URDF states it.
-
-    Attributes:
-        xyz: Translation in the parent link [m].
-        rpy: Rotation about the parent link's fixed x, y, z axes [rad], R = Rz(yaw) Ry(pitch) Rx(roll).
-    """
+class JointOrigin(NamedTuple):
+    """The ``<origin>`` of a joint, as a URDF states it: xyz [m]; rpy [rad], R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
     xyz: Triple
     rpy: Triple
@@ -209,3 +205,62 @@ def _quoted(name: str) -> str:
 def one_line(text: str) -> str:
     """A name for a comment: what could end the line, or be no character of YAML, is a question mark."""
     return "".join(character if character.isprintable() else "?" for character in text)
+
+
+# YAML
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """PyYAML's safe loader without aliases, without keys that stand twice, with the tags of ROS for angles."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:  # noqa: ANN401  PyYAML's own types
+        """A node; aliases are refused."""
+        if self.check_event(yaml.AliasEvent):
+            event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(
+                problem=f"an alias (*{event.anchor}) is not read; write the value itself",
+                problem_mark=event.start_mark,
+            )
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """A mapping; a key that stands twice is refused."""
+        seen: dict[Hashable, int] = {}
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            line = key_node.start_mark.line + 1
+            if isinstance(key, Hashable) and key in seen:
+                raise yaml.MarkedYAMLError(
+                    problem=f"'{key}' stands twice, first in line {seen[key]}; delete one of them",
+                    problem_mark=key_node.start_mark,
+                )
+            if isinstance(key, Hashable):
+                seen[key] = line
+        return super().construct_mapping(node, deep)
+
+
+def _angle(unit: float) -> Any:  # noqa: ANN401  PyYAML's constructor
+    """What reads a number behind a tag."""
+    return lambda loader, node: unit * float(loader.construct_scalar(node))
+
+
+_StrictLoader.add_constructor("!degrees", _angle(math.radians(1.0)))
+_StrictLoader.add_constructor("!radians", _angle(1.0))
+
+
+def parse_yaml(data: bytes, source: str, what: str) -> dict[Any, Any]:
+    """The outermost table of a YAML file's bytes, read strictly: what a program overlooked is an error and no number.
+
+    ``source`` is the file's name and ``what`` what it should be, for messages. Empty where the file holds no table.
+
+    Raises:
+        FileError: It is no YAML, a key stands twice, or it has an alias or a tag that is not known.
+    """
+    try:
+        table = _StrictLoader(data).get_single_data()
+    except (yaml.YAMLError, ValueError, RecursionError, ArithmeticError) as error:
+        mark = getattr(error, "problem_mark", None)
+        place = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
+        reason = getattr(error, "problem", None) or str(error).partition("\n")[0]
+        raise FileError(f"{source}{place}: this {what} cannot be read as YAML: {reason}") from error
+    return table if isinstance(table, dict) else {}

@@ -4,12 +4,14 @@
     kinematics.yaml   ->  placements  ->  Robot
 
 and back, whichever frames the robot's URDF uses, because its nominal kinematics are recognised. What a file has no
-place for is returned and said, never dropped in silence. Of which arm a file is, is in `calib.formats.ur_check`.
+place for is returned and said, never dropped in silence; what is written is read back before it appears.
 """
 
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,35 +19,40 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib.errors import FileError, ModelError
-from calib.formats.ur_check import Given, checked_distance, fits_others, hash_remarks, nearest, odd
-from calib.formats.ur_dh import (
+from calib.errors import FileError, ModelError, choices
+from calib.formats.ur_arms import (
+    MODELS,
     ROUNDING,
+    TOLERANCE,
     FullDH,
+    UrModel,
     at_flange,
     chain_poses,
     fitted_rows,
     kinematics_hash,
+    ur_model,
+    ur_robot,
 )
 from calib.formats.ur_files import (
-    not_linearised,
-    other_keys,
-    read_deltas,
-    read_yaml,
-    update_deltas,
-    write_deltas,
-    write_yaml,
+    Conf,
+    UrYaml,
+    conf_bytes,
+    kinematics_bytes,
+    parse_kinematics,
+    read_kinematics,
+    read_nominal,
 )
-from calib.formats.ur_models import MODELS, UrModel, ur_model, ur_robot
 from calib.formats.ur_mount import FARTHEST, SPREAD, Mount, distance_from, the_mount
 from calib.model.anchoring import anchored_placements, check_same_joints
+from calib.model.files import write_atomically
+from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 PathLike = str | os.PathLike[str]
 
-#: Written rows may differ from the robot by this [m and rad].
-_EXACT = 1e-9
+#: Written rows may differ from the robot by this [m and rad]; and where axes are almost parallel, which is said.
+_EXACT, _LESS_EXACT = 1e-9, 1e-6
 
 #: Decimals of mm and mrad in which 1e-9 m and rad can be seen.
 _DECIMALS = 6
@@ -53,7 +60,25 @@ _DECIMALS = 6
 #: A d is longer than an arm where a common normal stands far away [m].
 _LONG = 10.0
 
-_OWN = "Give the file of this robot's own controller."
+#: A calibration that moves the flange further is odd, and beyond the other it is worth looking whether the file fits
+#: another arm [m].
+_ODD, _SUSPECT = 0.02, 0.01
+
+#: What a file has no place for: displacements of the base and of the flange.
+_NO_BASE = (
+    "the first axis lies {}, along and about the axes of the controller's base (link 'base'), from where the base has "
+    "it. To put this right T_base_frame of the frame that poses are given in becomes T_base^-1 T_base_frame, where "
+    "T_base is this displacement."
+)
+_NO_TOOL = (
+    "the flange lies {}, along and about the axes of the controller's flange (link 'tool0'), from where the last joint "
+    "has it. To put this right T_flange_tcp of the tool becomes T_tool T_flange_tcp, where T_tool is this displacement."
+)
+
+_OWN = "Give the calibration.conf of this robot's own controller."
+
+#: Hashes as the ROS driver makes them.
+_HASH = re.compile(r"calib_[0-9]+")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +90,7 @@ class UrSource:
         robot: The same chain, calibrated.
         hash: The ROS driver's name for the calibration, ``"calib_..."``; None where the yaml has none.
         model: Which arm it is.
-        remarks: Sentences about what was read that its reader should know; most often none.
+        remarks: What the reader of the file should know, sentence by sentence; most often none.
     """
 
     nominal: Robot
@@ -73,19 +98,6 @@ class UrSource:
     hash: str | None
     model: UrModel
     remarks: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class UrHash:
-    """The name of a calibration, as the ROS driver makes it, such as ``"calib_12788084448423163542"``.
-
-    Attributes:
-        hash: The name.
-        remarks: What to mind about it, sentence by sentence; most often nothing.
-    """
-
-    hash: str
-    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,100 +111,80 @@ class UrWritten:
         T_base: shape (4, 4), [m]: a displacement of the base that the file cannot hold; the identity if there is none.
         T_tool: shape (4, 4), [m]: the same of the flange, behind the last joint.
         remarks: What to tell the user about these and about the file, sentence by sentence; none if it holds all.
-        exact: What the file may differ from the robot by [m and rad].
     """
 
     path: Path
     T_base: Array
     T_tool: Array
     remarks: tuple[str, ...]
-    exact: float = _EXACT
 
 
-def read_ur_conf(
+def read_ur(
     path: PathLike,
     *,
     urcontrol: PathLike | None = None,
     model: UrModel | str | None = None,
     robot: Robot | None = None,
 ) -> UrSource:
-    """The arm that a ``calibration.conf`` describes.
+    """The arm that a ``calibration.conf`` or a ``kinematics.yaml`` of the ROS driver describes.
 
     Args:
-        path: The file, with the deltas in ``[mounting]``.
+        path: The file; one that ends in ``.conf`` needs one of the other three.
         urcontrol: A ``urcontrol.conf`` with the nominal rows in ``[DH]``; default: those of the model.
-        model: The arm, or its name, such as ``"UR5e"``; default: what urcontrol or the robot is recognised as.
+        model: The arm, or its name, such as ``"UR5e"``; default: what urcontrol or the robot is recognised as, or else
+            the arm that a yaml's kinematics are nearest to.
         robot: The nominal robot whose URDF is corrected; default: a bare one, see `ur_robot`.
 
     Raises:
         FileError: A file cannot be read, or its numbers are not those of a calibration of this arm.
         ModelError: The model is not known, or is not that of the robot, or is not given.
     """
-    given = Given(urcontrol, model, robot)
-    arm = given.arm(path)
+    conf = content = None
+    if Path(path).suffix.lower() == ".conf":
+        conf = Conf.read(path)
+    else:
+        content = read_kinematics(path)
+    arm = _arm_of(path, urcontrol, model, robot, None if content is None else content.chain)
+    advice = "Name the right one with --ur-model, or give its URDF."
+    if urcontrol is not None:
+        advice = f"Give the urcontrol.conf of the same controller; {urcontrol} is another one's."
+    elif robot is not None:
+        advice = f"Give the URDF of the right one; {robot.urdf.source} is another one's."
+    chain_of = _chain_maker(conf, content)
     nominal = ur_robot(arm) if robot is None else robot
     _, mounted = the_mount(nominal, arm)
-    deltas = read_deltas(path)
-
-    def chain_of(one: UrModel) -> Array:
-        return (one.nominal + deltas).chain()
-
-    moved = checked_distance(path, arm, chain_of, given.advice)
-    raw = mounted.placements_of(chain_of(arm), nominal)
-    placements = anchored_placements(raw, nominal.placements, nominal.joints)
-    hash = kinematics_hash(arm.nominal + deltas)
-    remarks = _name_remark(nominal, arm, mounted) + odd(path, moved, arm)
-    if urcontrol is None:
-        remarks += fits_others(path, arm, chain_of, moved, given.named)
-    status = not_linearised(path)
-    if status:
-        remarks += (
-            f"{path} has calibration_status = {status}, which is not 2, linearised: the controller may not use these "
-            "deltas. They were taken as they are; check that the robot is calibrated.",
+    moved = _checked_distance(path, arm, chain_of, advice)
+    placements = mounted.placements_of(chain_of(arm), nominal)
+    remarks = list(_name_remark(nominal, arm, mounted))
+    if moved >= _ODD:
+        remarks.append(
+            f"{path} moves the flange by up to {1e3 * moved:.0f} mm from the nominal {arm.name}, more than "
+            "calibrations do: check that it is of this arm."
         )
-    remarks += hash_remarks(path, hash)
-    return UrSource(nominal, nominal.with_placements(placements), hash, arm, remarks)
-
-
-def read_ur_yaml(
-    path: PathLike,
-    *,
-    model: UrModel | str | None = None,
-    robot: Robot | None = None,
-) -> UrSource:
-    """The arm that a ``kinematics.yaml`` of the ROS driver describes.
-
-    Args:
-        path: The file.
-        model: The arm, or its name, such as ``"UR5e"``; default: what the robot is recognised as, or else the arm that
-            the file's kinematics are nearest to.
-        robot: The nominal robot whose URDF is corrected; default: a bare one, see `ur_robot`.
-
-    Raises:
-        FileError: The file cannot be read, or its numbers are not those of a calibration of this arm.
-        ModelError: The model is not known, or is not that of the robot.
-    """
-    given = Given(None, None if model is None else ur_model(model), robot)
-    content = read_yaml(path)
-    remarks: tuple[str, ...] = ()
-    if robot is None and model is None:
-        arm = nearest(content.chain)
-        names = [one.name for one in MODELS if one.same(arm.nominal)]
-        remarks = (
-            f"{path} does not say of which arm it is; its kinematics are those of the {' or '.join(names)}.",
-        )
+    if conf is not None:
+        hash: str | None = kinematics_hash(arm.nominal + conf.deltas)
+        placements = anchored_placements(placements, nominal.placements, nominal.joints)
+        if urcontrol is None:
+            options = [("--robot", robot), ("--ur-model", model)]
+            named = " and ".join(option for option, value in options if value is not None)
+            remarks += _fits_others(path, arm, chain_of, moved, named)
+        if conf.status:
+            remarks.append(
+                f"{path} has calibration_status = {conf.status}, which is not 2, linearised: the controller may not "
+                "use these deltas. They were taken as they are; check that the robot is calibrated."
+            )
     else:
-        arm = given.arm(path)
-    nominal = ur_robot(arm) if robot is None else robot
-    moved = checked_distance(path, arm, lambda _: content.chain, given.advice)
-    _, mounted = the_mount(nominal, arm)
-    if content.hash is None:
-        remarks += (f"{path} has no hash; the ROS driver wants the robot's own.",)
-    else:
-        remarks += hash_remarks(path, content.hash)
-    calibrated = nominal.with_placements(mounted.placements_of(content.chain, nominal))
-    remarks += _name_remark(nominal, arm, mounted) + odd(path, moved, arm)
-    return UrSource(nominal, calibrated, content.hash, arm, remarks)
+        hash = content.hash if content is not None else None
+        if robot is None and model is None:
+            names = [one.name for one in MODELS if one.same(arm.nominal)]
+            remarks.insert(
+                0,
+                f"{path} does not say of which arm it is; its kinematics are those of the {' or '.join(names)}.",
+            )
+        if hash is None:
+            remarks.append(f"{path} has no hash; the ROS driver wants the robot's own.")
+    remarks += _hash_remarks(path, hash)
+    return UrSource(nominal, nominal.with_placements(placements), hash, arm, tuple(remarks))
 
 
 def write_ur_yaml(
@@ -210,8 +202,8 @@ def write_ur_yaml(
         robot: The calibrated robot.
         nominal: The robot that it was corrected from: the arm's nominal one, or one that was calibrated before and has
             the link names of Universal Robots' descriptions.
-        path: File to write.
-        hash: The robot's own, see `read_ur_hash`: the driver compares it with what the controller reports.
+        path: File to write; it is read back and compared with the robot before it appears.
+        hash: The robot's own, that of its own file: the driver compares it with what the controller reports.
         model: The arm, or its name; default: what the nominal robot is recognised as. Give that of the source: an arm
             of a ``urcontrol.conf`` may be near to another one.
         overwrite: Whether a file that exists may be replaced.
@@ -220,17 +212,19 @@ def write_ur_yaml(
         The file, and a displacement of the flange behind the last joint, for which it has no place.
 
     Raises:
-        ModelError: The nominal robot is not a Universal Robots arm, or the robot is no correction of it.
+        ModelError: The nominal robot is not a Universal Robots arm, or the robot is no correction of it, or the file
+            does not read back.
         FileError: The file cannot be written, or the hash is none.
     """
     arm, mounted, chain = _chain_of(robot, nominal, model)
     chain = at_flange(chain)
     T_tool = np.eye(4) if np.abs(chain[6] - np.eye(4)).max() < ROUNDING else chain[6]
     kind = arm.name if arm.known else "arm"
-    comments = (
-        f"Kinematics of one Universal Robots {kind}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll).",
-    )
-    written = write_yaml(path, chain, hash, comments, overwrite=overwrite)
+    comment = f"Kinematics of one Universal Robots {kind}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll)."
+    data = kinematics_bytes(chain, hash, comment)
+    back = parse_kinematics(data, path).chain
+    _check(robot, mounted, path, lambda q: chain_poses(back, q) @ T_tool, _EXACT)
+    written = write_atomically(path, data, overwrite=overwrite)
     remarks = _name_remark(nominal, arm, mounted) + _end_remarks(written, np.eye(4), T_tool)
     return UrWritten(written, read_only(np.eye(4)), read_only(T_tool), remarks)
 
@@ -249,9 +243,8 @@ def write_ur_conf(
 
     Args:
         robot: The calibrated robot.
-        nominal: The robot that it was corrected from: the arm's nominal one, or one that was calibrated before and has
-            the link names of Universal Robots' descriptions.
-        path: File to write.
+        nominal: The robot that it was corrected from: as of `write_ur_yaml`.
+        path: File to write; it is read back and compared with the robot before it appears.
         update: A ``calibration.conf`` of this arm whose other lines are kept; default: the deltas alone.
         like: Deltas whose signs and whole turns are kept, so that what did not change is the same number; default:
             those of ``update``, or else none.
@@ -262,14 +255,16 @@ def write_ur_conf(
         The file, and displacements of the base and of the flange, for which standard DH rows have no place.
 
     Raises:
-        ModelError: The nominal robot is not a Universal Robots arm, or the robot is no correction of it.
+        ModelError: The nominal robot is not a Universal Robots arm, or the robot is no correction of it, or the file
+            does not read back.
         FileError: A file cannot be read or written.
     """
     arm, mounted, chain = _chain_of(robot, nominal, model)
+    old = None
     if update is not None:
-        like = deltas = read_deltas(update)
-        advice = "Give the calibration.conf of this robot's own controller."
-        checked_distance(update, arm, lambda one: (one.nominal + deltas).chain(), advice)
+        old = Conf.read(update)
+        _checked_distance(update, arm, _chain_maker(old, None), _OWN)
+        like = old.deltas
     fitted = fitted_rows(chain, arm.nominal, like)
     made = fitted.T_base @ fitted.rows.poses(SPREAD) @ fitted.T_tool
     missed = float(np.abs(made - chain_poses(chain, SPREAD)).max())
@@ -282,66 +277,24 @@ def write_ur_conf(
             else "two axes that are less than 0.01 microradians from parallel are taken as parallel"
         )
         remarks.append(f"The rows hold the robot to {missed:.1e} m: {reason}.")
-    if update is None:
-        written = write_deltas(path, fitted.deltas, overwrite=overwrite)
-    else:
-        written = update_deltas(update, path, fitted.deltas, overwrite=overwrite)
-        kept = other_keys(update)
-        if kept:
-            remarks.append(
-                f"{', '.join(kept)} are as in {update}: calib does not know how the controller makes them. Keep a "
-                "copy of the controller's own file."
-            )
-    remarks += _end_remarks(written, fitted.T_base, fitted.T_tool)
-    # Rows between almost parallel axes may hold less, which is said.
-    exact = 1e-6 if missed > _EXACT else _EXACT
-    return UrWritten(written, fitted.T_base, fitted.T_tool, tuple(remarks), exact)
-
-
-def read_ur_hash(
-    path: PathLike,
-    *,
-    urcontrol: PathLike | None = None,
-    model: UrModel | str | None = None,
-    robot: Robot | None = None,
-) -> UrHash:
-    """The hash of a robot's own ``kinematics.yaml`` or ``calibration.conf``, which its controller reports, too.
-
-    Args:
-        path: The file; one that ends in ``.conf`` needs one of the other three. A ``kinematics.yaml`` is held against
-            the arm that they say.
-        urcontrol: A ``urcontrol.conf`` with the nominal rows.
-        model: The arm, or its name, such as ``"UR5e"``.
-        robot: The nominal robot.
-
-    Raises:
-        FileError: The file cannot be read, has no hash, or is of another arm.
-        ModelError: The model is not known or not given.
-    """
-    given = Given(urcontrol, model, robot)
-    if Path(path).suffix.lower() == ".conf":
-        arm, deltas = given.arm(path), read_deltas(path)
-        moved = checked_distance(path, arm, lambda one: (one.nominal + deltas).chain(), _OWN)
-        hash = kinematics_hash(arm.nominal + deltas)
-        return UrHash(hash, odd(path, moved, arm) + hash_remarks(path, hash))
-    content = read_yaml(path)
-    if content.hash is None:
-        raise FileError(
-            f"{path}: there is no 'hash' in it. Give the robot's own kinematics.yaml, or its calibration.conf."
+    data = conf_bytes(fitted.deltas) if old is None else old.with_deltas(fitted.deltas)
+    back = arm.nominal + Conf.parse(data, path).deltas
+    exact = _LESS_EXACT if missed > _EXACT else _EXACT
+    _check(robot, mounted, path, lambda q: fitted.T_base @ back.poses(q) @ fitted.T_tool, exact)
+    written = write_atomically(path, data, overwrite=overwrite)
+    if old is not None and old.others:
+        remarks.append(
+            f"{', '.join(old.others)} are as in {update}: calib does not know how the controller makes them. Keep a "
+            "copy of the controller's own file."
         )
-    arm = nearest(content.chain) if given.nothing else given.arm(path)
-    moved = checked_distance(path, arm, lambda _: content.chain, _OWN)
-    return UrHash(content.hash, odd(path, moved, arm) + hash_remarks(path, content.hash))
+    remarks += _end_remarks(written, fitted.T_base, fitted.T_tool)
+    return UrWritten(written, fitted.T_base, fitted.T_tool, tuple(remarks))
 
 
 def _chain_of(
     robot: Robot, nominal: Robot, model: UrModel | str | None
 ) -> tuple[UrModel, Mount, Array]:
-    """The arm, how it is mounted, and its placements when calibrated, shape (7, 4, 4), [m].
-
-    Raises:
-        ModelError: It is no correction of the nominal robot.
-    """
+    """The arm, how it is mounted, and its placements when calibrated, shape (7, 4, 4), [m]."""
     arm, mounted = the_mount(nominal, None if model is None else ur_model(model))
     check_same_joints(robot, nominal)
     chain = mounted.chain_of(robot)
@@ -354,42 +307,145 @@ def _chain_of(
     return arm, mounted, chain
 
 
+def _check(
+    robot: Robot, mounted: Mount, path: PathLike, flange: Callable[[Array], Array], exact: float
+) -> None:
+    """Compare a file that was read back, what it has no place for put back, with the robot."""
+    q = random_joint_values(robot)
+    made = mounted.T_base_arm @ flange(q) @ mounted.T_flange_tip
+    off = float(np.abs(made - robot.poses(q)).max())
+    if not off <= exact:
+        raise ModelError(
+            f"{Path(path).name}: read back, it puts the tip of '{robot.name}' {off:.1e} m or rad off; {exact:g} is "
+            "allowed, so it is not written. Please report this with what was converted."
+        )
+
+
+# Of which arm a file is
+
+
+def _arm_of(
+    path: PathLike,
+    urcontrol: PathLike | None,
+    model: UrModel | str | None,
+    robot: Robot | None,
+    chain: Array | None,
+) -> UrModel:
+    """The arm that a file is of: as is said, or the one that the chain of a yaml is nearest to."""
+    given = None if model is None else ur_model(model)
+    if urcontrol is not None:
+        rows = read_nominal(urcontrol)
+        named = [one.name for one in MODELS if one.same(rows)]
+        if given is not None and not given.same(rows):
+            is_what = f"those of the {' or '.join(named)}" if named else "no arm's that is known"
+            raise ModelError(
+                f"The rows in [DH] of {urcontrol} are {is_what}, not those of the {given.name}. Leave the name of the "
+                "arm out, or give the urcontrol.conf of this robot's own controller."
+            )
+        names = [given.name] if given is not None else named
+        return UrModel((names or [f"arm of {Path(urcontrol).name}"])[0], rows)
+    if robot is not None:
+        return the_mount(robot, given)[0]
+    if given is None and chain is not None:
+        return min(MODELS, key=lambda one: distance_from(chain, one))
+    if given is None:
+        raise ModelError(
+            f"{path}: a calibration.conf has only what is added to an arm's nominal rows. Say of which arm it is, as "
+            "in --ur-model UR5e, or give its --urcontrol, or its nominal URDF as --robot."
+        )
+    return given
+
+
+def _chain_maker(conf: Conf | None, content: UrYaml | None) -> Callable[[UrModel], Array]:
+    """The chain that a file makes of an arm, shape (7, 4, 4), [m]; of a yaml it is the same for every arm."""
+
+    def chain_of(one: UrModel) -> Array:
+        if content is not None:
+            return content.chain
+        assert conf is not None  # it is one of the two
+        return (one.nominal + conf.deltas).chain()
+
+    return chain_of
+
+
+def _checked_distance(
+    path: PathLike, arm: UrModel, chain_of: Callable[[UrModel], Array], advice: str
+) -> float:
+    """How far a calibration moves the flange [m]: some millimetres, and centimetres that of an arm of another size."""
+    moved = distance_from(chain_of(arm), arm)
+    if moved > _SUSPECT:
+        by_arm = {one: distance_from(chain_of(one), one) for one in MODELS}
+        least = min(by_arm.values())
+        if 3.0 * least < moved:
+            names = [one.name for one, distance in by_arm.items() if distance <= 1.5 * least]
+            raise FileError(
+                f"{path}: this calibration moves the flange of {arm.said} by up to {1e3 * moved:.0f} mm, and that of "
+                f"{choices(names)} by {1e3 * least:.1f} mm only. A calibration moves it by millimetres: the file is "
+                f"of another arm. {advice}"
+            )
+    if moved > FARTHEST:
+        raise FileError(
+            f"{path}: these kinematics put the flange up to {moved:.2f} m from where that of a nominal {arm.name} is; "
+            f"a calibration moves it by millimetres. Check that the file is of {arm.said}, in metres and radians."
+        )
+    return moved
+
+
 # What is to be said of an arm
+
+
+def _fits_others(
+    path: PathLike,
+    arm: UrModel,
+    chain_of: Callable[[UrModel], Array],
+    moved: float,
+    taken_from: str,
+) -> tuple[str, ...]:
+    """A sentence about the other arms that deltas fit as well, which nothing in them tells apart."""
+    most = max(_SUSPECT, 3.0 * moved)
+    fitting = [one for one in MODELS if distance_from(chain_of(one), one) <= most]
+    apart = max((distance_from(one.nominal.chain(), arm) for one in fitting), default=0.0)
+    if apart < TOLERANCE:
+        return ()
+    return (
+        f"The deltas in {path} fit {choices(one.name for one in fitting)} alike: that it is {arm.said} is taken from "
+        f"{taken_from}. Taken for the wrong one of these, the flange is up to {1e3 * apart:.0f} mm off. The "
+        "controller's urcontrol.conf (--urcontrol) has the rows that are right.",
+    )
+
+
+def _hash_remarks(path: PathLike, hash: str | None) -> tuple[str, ...]:
+    """Sentences about a hash that is no robot's own, or of another form than the ROS driver's."""
+    names = [one.name for one in MODELS if one.default_hash == hash]
+    if names:
+        return (
+            f"{path} has the hash of the nominal {' or '.join(names)}: it is of no particular robot.",
+        )
+    if hash is not None and not _HASH.fullmatch(hash):
+        return (
+            f"The hash '{hash}' in {path} is not of the driver's form, such as 'calib_12788084448423163542': the "
+            "driver will not find it equal to the controller's.",
+        )
+    return ()
 
 
 def _name_remark(robot: Robot, arm: UrModel, mounted: Mount) -> tuple[str, ...]:
     """A sentence about a robot that is not nominal, whose base and flange were found by name."""
-    if mounted.off == mounted.turned == 0.0:
-        return ()
-    return (
+    remark = (
         f"'{robot.name}' ({robot.urdf.source}) is not the nominal {arm.name}: its flange lies up to "
         f"{1e3 * mounted.off:.2g} mm and {1e3 * mounted.turned:.2g} mrad off, because it was calibrated before or its "
-        "numbers are rounded. Its base and its flange are taken to be where the names of its links say.",
+        "numbers are rounded. Its base and its flange are taken to be where the names of its links say."
     )
+    return () if mounted.off == mounted.turned == 0.0 else (remark,)
 
 
 def _end_remarks(written: Path, T_base: Array, T_tool: Array) -> tuple[str, ...]:
     """What to do with displacements of the base and of the flange."""
-    base, tool = _displacement(T_base), _displacement(T_tool)
-    remarks = (
-        f"Not in {written}: the first axis lies {base}, along and about the axes of the controller's base (link "
-        "'base'), from where the base has it, and DH rows begin on it. To put this right move the frame that poses "
-        "are given in: T_base_frame becomes T_base^-1 T_base_frame, where T_base is this displacement.",
-        f"Not in {written}: the flange lies {tool}, along and about the axes of the controller's flange (link "
-        "'tool0'), from where the last joint has it, and there is no place for that behind the joint. To put this "
-        "right add it to the tool: T_flange_tcp becomes T_tool T_flange_tcp, where T_tool is this displacement.",
-    )
-    return tuple(said for said, lies in zip(remarks, (base, tool), strict=True) if lies)
-
-
-def _displacement(T: Array) -> str:
-    """A small displacement in words: x, y, z in mm and the rotation vector in mrad; empty below 1e-9 m and rad."""
-    # Rounded first, so that nothing is said to be -0.
-    rounded = [
-        [round(1e3 * float(value), _DECIMALS) + 0.0 for value in vector]
-        for vector in (T[:3, 3], pin.log3(T[:3, :3]))
-    ]
-    if not any(map(any, rounded)):
-        return ""
-    shift, turn = (", ".join(f"{value:.{_DECIMALS}f}" for value in vector) for vector in rounded)
-    return f"({shift}) mm and ({turn}) mrad"
+    said = []
+    for T, text in ((T_base, _NO_BASE), (T_tool, _NO_TOOL)):
+        # Rounded first, so that nothing is said to be -0.
+        vectors = [np.round(1e3 * v, _DECIMALS) + 0.0 for v in (T[:3, 3], pin.log3(T[:3, :3]))]
+        if np.any(vectors):
+            shift, turn = (", ".join(f"{value:.{_DECIMALS}f}" for value in v) for v in vectors)
+            said.append(f"Not in {written}: {text.format(f'({shift}) mm and ({turn}) mrad')}")
+    return tuple(said)

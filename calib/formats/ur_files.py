@@ -22,7 +22,6 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,14 +30,14 @@ import yaml
 from numpy.typing import NDArray
 
 from calib.errors import FileError, choices, did_you_mean
-from calib.formats.ur_dh import COLUMNS, FullDH
-from calib.formats.ur_models import LINKS
-from calib.formats.yaml_file import parse_yaml
-from calib.model.files import read_bytes, write_atomically
+from calib.formats.origins import parse_yaml
+from calib.formats.ur_arms import COLUMNS, LINKS, FullDH
+from calib.model.files import read_bytes
 from calib.model.robot import read_only
 from calib.units import NUMBER
 
 Array = NDArray[np.float64]
+PathLike = str | os.PathLike[str]
 
 MOUNTING, NOMINAL = "mounting", "DH"
 
@@ -46,10 +45,16 @@ _CONF, _CONTROL, _YAML = "calibration.conf", "urcontrol.conf", "kinematics.yaml"
 
 _DELTAS = {f"delta_{name}": name for name in COLUMNS}
 
-#: Larger values are no deltas in metres and radians. d runs away between axes that are nearly parallel, theta with it.
-_LARGEST = {
+#: The unit of each number, and what is too large for one: no delta in metres and radians, and no place on an arm. d
+#: runs away between axes that are nearly parallel, theta with it.
+_UNITS = {
+    "theta": "rad", "a": "m", "d": "m", "alpha": "rad",
+    "x": "m", "y": "m", "z": "m", "roll": "rad", "pitch": "rad", "yaw": "rad",
+}  # fmt: skip
+_LARGEST: Mapping[str, Mapping[str, float]] = {
     MOUNTING: {"theta": 8.0 * np.pi, "a": 10.0, "d": 1e9, "alpha": 0.5},
     NOMINAL: {"theta": 2.0 * np.pi, "a": 10.0, "d": 10.0, "alpha": 2.0 * np.pi},
+    _YAML: dict.fromkeys("xyz", 10.0) | dict.fromkeys(("roll", "pitch", "yaw"), 4.0 * np.pi),
 }
 
 #: A section, or a key with its value: a list, which may go on over lines, or the rest of its line. The first line may
@@ -59,12 +64,6 @@ _PART = re.compile(
     r"|(?P<key>\w+)[ \t]*=[ \t]*(?P<value>\[(?:[^\]\[=#;]|[#;][^\n]*)*\]|[^#;\r\n]*))",
     re.MULTILINE,
 )
-
-#: The keys of a link and their units.
-_UNITS = {"x": "m", "y": "m", "z": "m", "roll": "rad", "pitch": "rad", "yaw": "rad"}
-
-#: Larger values are no metres and no radians.
-_FARTHEST = {"m": 10.0, "rad": 4.0 * np.pi}
 
 #: What a hash is made of. A space or a line break in it would be another YAML.
 _HASH = re.compile(r"[\w.+-]+")
@@ -81,95 +80,90 @@ class _Entry(NamedTuple):
     end: int
 
 
-def read_deltas(path: str | os.PathLike[str]) -> FullDH:
-    """The deltas of a ``calibration.conf``: ``delta_theta``, ``delta_a``, ``delta_d`` and ``delta_alpha``.
+@dataclass(frozen=True, slots=True, eq=False)
+class Conf:
+    """A ``calibration.conf``.
 
-    Raises:
-        FileError: The file cannot be read, has no ``[mounting]``, or not six numbers for each of the four in metres
-            and radians.
+    Attributes:
+        deltas: ``delta_theta``, ``delta_a``, ``delta_d`` and ``delta_alpha``.
+        others: The other keys of ``[mounting]``, such as ``joint_checksum``.
+        status: Its ``calibration_status``, if that is not 2, linearised; else empty.
+        text: The whole file, a character for each byte, so that it goes back as it came.
     """
-    return _deltas(path, _text(path, _CONF))
+
+    deltas: FullDH
+    others: tuple[str, ...]
+    status: str
+    text: str
+
+    @classmethod
+    def read(cls, path: PathLike) -> Conf:
+        """Read a file.
+
+        Raises:
+            FileError: As `parse`, or it cannot be read.
+        """
+        return cls.parse(read_bytes(path, _CONF), path)
+
+    @classmethod
+    def parse(cls, data: bytes, path: PathLike) -> Conf:
+        """What the bytes of a file say.
+
+        Raises:
+            FileError: It has no ``[mounting]``, or not six numbers for each of the four in metres and radians.
+        """
+        text, entries = _entries(data, path, _CONF)
+        own = [entry for entry in entries if entry.section == MOUNTING]
+        status = [entry.value for entry in own if entry.key == "calibration_status"]
+        return cls(
+            FullDH(**_columns(path, text, entries, MOUNTING, _CONF, _DELTAS)),
+            tuple(dict.fromkeys(entry.key for entry in own if entry.key not in _DELTAS)),
+            status[-1][:40] if status and status[-1] != "2" else "",
+            text,
+        )
+
+    def with_deltas(self, deltas: FullDH) -> bytes:
+        """The file with other deltas, every other byte as it was."""
+        text = self.text
+        # Every place where a key stands, from the last on, so that the places before it stay where they are.
+        for entry in reversed(_found(text)):
+            if entry.section == MOUNTING and entry.key in _DELTAS:
+                was, values = (getattr(one, _DELTAS[entry.key]) for one in (self.deltas, deltas))
+                if (was != values).any():  # else it stays as it is written, digit for digit
+                    text = text[: entry.start] + _list(values) + text[entry.end :]
+        return text.encode("latin-1")
 
 
-def read_nominal(path: str | os.PathLike[str]) -> FullDH:
+def conf_bytes(deltas: FullDH) -> bytes:
+    """A ``calibration.conf`` with nothing but the deltas."""
+    lines = [f"{key} = {_list(getattr(deltas, name))}" for key, name in _DELTAS.items()]
+    return "\n".join([f"[{MOUNTING}]", *lines, ""]).encode()
+
+
+def read_nominal(path: PathLike) -> FullDH:
     """The nominal rows of a ``urcontrol.conf``: ``a``, ``d`` and ``alpha`` of ``[DH]``, and ``theta`` if it is there.
 
     Raises:
-        FileError: As for `read_deltas`.
+        FileError: As for `Conf.read`.
     """
+    text, entries = _entries(read_bytes(path, _CONTROL), path, _CONTROL)
     keys = {name: name for name in COLUMNS}
-    found = _columns(path, _text(path, _CONTROL), NOMINAL, _CONTROL, keys, optional=("theta",))
+    found = _columns(path, text, entries, NOMINAL, _CONTROL, keys, optional=("theta",))
     return FullDH(**{"theta": np.zeros(6), **found})
 
 
-def write_deltas(path: str | os.PathLike[str], deltas: FullDH, *, overwrite: bool = False) -> Path:
-    """Write a ``calibration.conf`` with nothing but the deltas.
-
-    Raises:
-        FileError: The file exists and ``overwrite`` is False, or it cannot be written.
-    """
-    lines = [f"{key} = {_list(getattr(deltas, name))}" for key, name in _DELTAS.items()]
-    text = "\n".join([f"[{MOUNTING}]", *lines, ""])
-    return write_atomically(path, text.encode(), overwrite=overwrite)
-
-
-def update_deltas(
-    source: str | os.PathLike[str],
-    path: str | os.PathLike[str],
-    deltas: FullDH,
-    *,
-    overwrite: bool = False,
-) -> Path:
-    """Write a ``calibration.conf`` with other deltas and every other byte as it is in ``source``.
-
-    Raises:
-        FileError: ``source`` cannot be read as by `read_deltas`; or the file exists and ``overwrite`` is False, or it
-            cannot be written.
-    """
-    text = _text(source, _CONF)
-    old = _deltas(source, text)
-    # Every place where a key stands, from the last on, so that the places before it stay where they are.
-    for entry in reversed(_entries(text)):
-        if entry.section == MOUNTING and entry.key in _DELTAS:
-            was, values = (getattr(one, _DELTAS[entry.key]) for one in (old, deltas))
-            if (was != values).any():  # else it stays as it is written, digit for digit
-                text = text[: entry.start] + _list(values) + text[entry.end :]
-    return write_atomically(path, text.encode("latin-1"), overwrite=overwrite)
-
-
-def other_keys(path: str | os.PathLike[str]) -> tuple[str, ...]:
-    """The keys of ``[mounting]`` beside the deltas, such as ``joint_checksum``."""
-    keys = [entry.key for entry in _entries(_text(path, _CONF)) if entry.section == MOUNTING]
-    return tuple(dict.fromkeys(key for key in keys if key not in _DELTAS))
-
-
-def not_linearised(path: str | os.PathLike[str]) -> str:
-    """The ``calibration_status`` of a file, where it has one that is not 2, linearised; else empty."""
-    found = [
-        entry.value
-        for entry in _entries(_text(path, _CONF))
-        if (entry.section, entry.key) == (MOUNTING, "calibration_status")
-    ]
-    return found[-1][:40] if found and found[-1] != "2" else ""
-
-
-def _deltas(path: str | os.PathLike[str], text: str) -> FullDH:
-    """The deltas in the text of a file."""
-    return FullDH(**_columns(path, text, MOUNTING, _CONF, _DELTAS))
-
-
-def _text(path: str | os.PathLike[str], what: str) -> str:
-    """A file's text, a character for each byte, so that it goes back as it came."""
-    data = read_bytes(path, what)
+def _entries(data: bytes, path: PathLike, what: str) -> tuple[str, list[_Entry]]:
+    """A file's text, and every ``key = value`` in its order."""
     if b"\0" in data:
         raise FileError(
             f"{path}: this is not a {what}: it has bytes that no text has. Copy it from the controller again."
         )
-    return data.decode("latin-1")
+    text = data.decode("latin-1")
+    return text, _found(text)
 
 
-def _entries(text: str) -> list[_Entry]:
-    """Every ``key = value`` in the file's order; a list may go on over the lines that follow."""
+def _found(text: str) -> list[_Entry]:
+    """Every ``key = value`` in the text's order; a list may go on over the lines that follow."""
     entries: list[_Entry] = []
     section = ""
     for part in _PART.finditer(text):
@@ -184,8 +178,9 @@ def _entries(text: str) -> list[_Entry]:
 
 
 def _columns(
-    path: str | os.PathLike[str],
+    path: PathLike,
     text: str,
+    entries: Sequence[_Entry],
     section: str,
     what: str,
     keys: Mapping[str, str],
@@ -196,62 +191,46 @@ def _columns(
     Raises:
         FileError: The section or a key is missing, a key has two values, or one is not six numbers.
     """
-    sections = list(
-        dict.fromkeys(p["section"].strip() for p in _PART.finditer(text) if p["section"])
-    )
+    sections = dict.fromkeys(p["section"].strip() for p in _PART.finditer(text) if p["section"])
     if section not in sections:
-        has = f"its sections are {choices(sections)}" if sections else "it has no section"
         raise FileError(
-            f"{path}: there is no [{section}] in it, {has}. Give the {what} of a Universal Robots controller."
+            f"{path}: there is no [{section}] in it; its sections are {choices(sections) or 'none'}. Give the {what} "
+            "of a Universal Robots controller."
         )
-    entries = [entry for entry in _entries(text) if entry.section == section]
+    own = [entry for entry in entries if entry.section == section]
     found: dict[str, _Entry] = {}
-    for entry in entries:
+    for entry in own:
         before = found.setdefault(entry.key, entry)
         if entry.key in keys and before.value.split() != entry.value.split():
             raise FileError(
                 f"{path}: {entry.key} stands in [{section}] with two values, in line {before.line} and in line "
                 f"{entry.line}; keep the one that is right."
             )
-    for key in keys:
-        if key not in found and key not in optional:
-            others = [entry.key for entry in entries if entry.key not in keys]
+    needed = {key: None for key in keys if key not in optional}
+    _check_keys(path, f"[{section}]", {entry.key: None for entry in own}, needed)
+    columns = {}
+    for key, name in keys.items():
+        if key not in found:
+            continue
+        entry = found[key]
+        where = f"{path}, line {entry.line}: {key}"
+        words = [word.strip() for word in entry.value.strip("[]").split(",")]
+        if not (entry.value.startswith("[") and entry.value.endswith("]") and len(words) == 6):
             raise FileError(
-                f"{path}: [{section}] has no {key}{did_you_mean(key, others)}; a {what} has "
-                f"{choices(k for k in keys if k not in optional)} there, six numbers each."
+                f"{where} is '{' '.join(entry.value.split())[:60]}'; a list of six numbers in brackets, one for each "
+                "joint, with commas between them is wanted."
             )
-    return {
-        name: _six(path, found[key], _LARGEST[section][name], "m" if name in ("a", "d") else "rad")
-        for key, name in keys.items()
-        if key in found
-    }
-
-
-def _six(path: str | os.PathLike[str], entry: _Entry, largest: float, unit: str) -> Array:
-    """The six numbers of an entry.
-
-    Raises:
-        FileError: They are not six, one is no finite number, or too large for its unit.
-    """
-    where = f"{path}, line {entry.line}: {entry.key}"
-    words = [word.strip() for word in entry.value.strip("[]").split(",")]
-    if not (entry.value.startswith("[") and entry.value.endswith("]") and len(words) == 6):
-        raise FileError(
-            f"{where} is '{' '.join(entry.value.split())[:60]}'; a list of six numbers in brackets, one for each "
-            "joint, with commas between them is wanted."
+        columns[name] = np.array(
+            [_number(f"{where} of joint {i}", w, section, name) for i, w in enumerate(words, 1)]
         )
-    return np.array(
-        [_number(f"{where} of joint {i}", word, largest, unit) for i, word in enumerate(words, 1)]
-    )
+    return columns
 
 
-def _number(where: str, word: str, largest: float, unit: str) -> float:
-    """A number in metres or radians.
-
-    Raises:
-        FileError: It is none, not finite, or too large for its unit.
-    """
-    number = float(word) if NUMBER.fullmatch(word) else np.inf
+def _number(where: str, word: str, section: str, name: str) -> float:
+    """A number in metres or radians, finite and not too large for what it is."""
+    number, unit, largest = np.inf, _UNITS[name], _LARGEST[section][name]
+    if NUMBER.fullmatch(word):
+        number = float(word)
     if not np.isfinite(number):
         raise FileError(f"{where} is '{word[:40]}'; a finite number [{unit}] is wanted.")
     if abs(number) > largest:
@@ -262,6 +241,21 @@ def _number(where: str, word: str, largest: float, unit: str) -> float:
     return number
 
 
+def _check_keys(
+    path: PathLike, what: str, found: object, wanted: Mapping[str, object]
+) -> Mapping[str, Any]:
+    """A table with these keys."""
+    if not isinstance(found, dict):
+        raise FileError(f"{path}: {what} has no keys with values; it must have {choices(wanted)}.")
+    for name in wanted:
+        if name not in found:
+            others = [str(key) for key in found if key not in wanted]
+            raise FileError(
+                f"{path}: {what} has no {name}{did_you_mean(name, others)}; it must have {choices(wanted)}."
+            )
+    return found
+
+
 def _list(values: Array) -> str:
     """Six numbers that read back exactly."""
     return "[ " + ", ".join(repr(float(value) + 0.0) for value in values) + "]"
@@ -270,119 +264,75 @@ def _list(values: Array) -> str:
 # kinematics.yaml
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UrYaml:
-    """What a ``kinematics.yaml`` says.
-
-    Attributes:
-        chain: shape (7, 4, 4), [m]: the six placements, and the identity for the flange; see `FullDH.chain`.
-        hash: The name of the calibration, or None.
-    """
+class UrYaml(NamedTuple):
+    """A ``kinematics.yaml``: the chain, shape (7, 4, 4) [m], its flange the identity, see `FullDH.chain`; the hash."""
 
     chain: Array
     hash: str | None
 
 
-def read_yaml(path: str | os.PathLike[str]) -> UrYaml:
+def read_kinematics(path: PathLike) -> UrYaml:
     """Read a ``kinematics.yaml``.
 
     Raises:
-        FileError: The file cannot be read, is no YAML, lacks a link or a number, has a key twice, or numbers that are
-            no metres and radians.
+        FileError: As `parse_kinematics`, or it cannot be read.
     """
-    top = parse_yaml(read_bytes(path, _YAML), str(path), _YAML)
+    return parse_kinematics(read_bytes(path, _YAML), path)
+
+
+def parse_kinematics(data: bytes, path: PathLike) -> UrYaml:
+    """What the bytes of a ``kinematics.yaml`` say.
+
+    Raises:
+        FileError: It is no YAML, lacks a link or a number, has a key twice, or numbers that are no metres and radians.
+    """
+    top = parse_yaml(data, str(path), _YAML)
     if "kinematics" not in top:
         raise FileError(
             f"{path}: there is no 'kinematics' in it{did_you_mean('kinematics', map(str, top))}, its keys are "
             f"{choices(map(str, top))}. Give the kinematics.yaml of the ROS driver (ur_calibration), or one that "
             "calib wrote."
         )
-    links = _table(path, "kinematics", top["kinematics"], LINKS)
-    chain = []
-    for link in LINKS:
-        values = _table(path, f"'{link}'", links[link], tuple(_UNITS))
+    links = _check_keys(path, "kinematics", top["kinematics"], dict.fromkeys(LINKS))
+    chain = np.tile(np.eye(4), (7, 1, 1))
+    for link, T in zip(LINKS, chain, strict=False):
+        values = _check_keys(path, f"'{link}'", links[link], _LARGEST[_YAML])
         numbers = [
-            _number(f"{path}: {key} of '{link}'", str(values[key]), _FARTHEST[unit], unit)
-            for key, unit in _UNITS.items()
+            _number(f"{path}: {key} of '{link}'", str(values[key]), _YAML, key)
+            for key in _LARGEST[_YAML]
         ]
-        T = np.eye(4)
         T[:3, :3], T[:3, 3] = pin.rpy.rpyToMatrix(*numbers[3:]), numbers[:3]
-        chain.append(T)
     hash = links.get("hash") or None
     if hash is not None and not (isinstance(hash, str) and _HASH.fullmatch(hash)):
         raise FileError(
             f"{path}: the hash is {str(hash)[:40]!r}, not one word of text such as 'calib_12788084448423163542'. Take "
             "the line from the robot's own kinematics.yaml."
         )
-    return UrYaml(read_only([*chain, np.eye(4)]), hash)
+    return UrYaml(read_only(chain), hash)
 
 
-def write_yaml(
-    path: str | os.PathLike[str],
-    chain: Array,
-    hash: str,
-    comments: Sequence[str] = (),
-    *,
-    overwrite: bool = False,
-) -> Path:
-    """Write a ``kinematics.yaml``; its numbers read back exactly.
+def kinematics_bytes(chain: Array, hash: str, comment: str = "") -> bytes:
+    """A ``kinematics.yaml``; its numbers read back exactly.
 
     Args:
-        path: File to write.
         chain: shape (6 or 7, 4, 4), [m], of which the first six are written.
         hash: The name of the robot's own calibration.
-        comments: Lines for the top of the file.
-        overwrite: Whether a file that exists may be replaced.
+        comment: The line at the top.
 
     Raises:
-        FileError: The hash is none; or the file exists and ``overwrite`` is False, or it cannot be written.
-    """
-    check_hash(hash)
-    lines = [f"# {comment}" for comment in comments]
-    lines.append("kinematics:")
-    for link, T in zip(LINKS, chain, strict=False):
-        lines.append(f"  {link}:")
-        values = (*T[:3, 3], *pin.rpy.matrixToRpy(T[:3, :3]))
-        for key, value in zip(_UNITS, values, strict=True):
-            lines.append(f"    {key}: {_yaml_number(value)}")
-    lines += [f"  hash: {hash}", ""]
-    return write_atomically(path, "\n".join(lines).encode(), overwrite=overwrite)
-
-
-def check_hash(hash: str) -> None:
-    """Refuse what the driver could not have made: a hash with spaces, none, or what YAML takes for no text.
-
-    Raises:
-        FileError: It is none.
+        FileError: The hash is one that the driver could not have made: it has spaces, or YAML takes it for no text.
     """
     if not _HASH.fullmatch(hash) or not isinstance(yaml.safe_load(hash), str):
         raise FileError(
             f"The hash '{hash}' is none of a calibration: one such as 'calib_12788084448423163542' is wanted. Take it "
             "from the robot's own kinematics.yaml or calibration.conf."
         )
-
-
-def _yaml_number(value: float) -> str:
-    """A number that every YAML reader takes for one: 1e-05 without a point is text to YAML 1.1."""
-    text = repr(float(value) + 0.0)
-    mantissa, e, exponent = text.partition("e")
-    return text if not e or "." in mantissa else f"{mantissa}.0e{exponent}"
-
-
-def _table(
-    path: str | os.PathLike[str], what: str, found: object, wanted: Sequence[str]
-) -> Mapping[str, Any]:
-    """A table with these keys.
-
-    Raises:
-        FileError: It is none, or lacks one.
-    """
-    if not isinstance(found, dict):
-        raise FileError(f"{path}: {what} has no keys with values; it must have {choices(wanted)}.")
-    for name in wanted:
-        if name not in found:
-            others = [str(key) for key in found if key not in wanted]
-            raise FileError(
-                f"{path}: {what} has no '{name}'{did_you_mean(name, others)}; it must have {choices(wanted)}."
-            )
-    return found
+    lines = [f"# {comment}"] * bool(comment) + ["kinematics:"]
+    for link, T in zip(LINKS, chain, strict=False):
+        lines.append(f"  {link}:")
+        values = (*T[:3, 3], *pin.rpy.matrixToRpy(T[:3, :3]))
+        for key, value in zip(_LARGEST[_YAML], values, strict=True):
+            # A number that every YAML reader takes for one: 1e-05 without a point is text to YAML 1.1.
+            text = re.sub(r"^(-?\d+)e", r"\1.0e", repr(float(value) + 0.0))
+            lines.append(f"    {key}: {text}")
+    return "\n".join([*lines, f"  hash: {hash}", ""]).encode()

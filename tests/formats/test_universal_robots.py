@@ -11,19 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import FileError, ModelError
 from calib.formats.universal_robots import (
-    UrHash,
-    read_ur_conf,
-    read_ur_hash,
-    read_ur_yaml,
+    read_ur,
     write_ur_conf,
     write_ur_yaml,
 )
-from calib.formats.ur_dh import FullDH
-from calib.formats.ur_files import write_deltas
-from calib.formats.ur_models import LINKS, ur_robot
+from calib.formats.ur_arms import LINKS, FullDH, UrModel, ur_model, ur_robot
 from calib.model.readback import check_written
 from calib.model.robot import Robot
-from tests.formats.ur_cases import WITH_DELTAS, rows
+from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
 
 Q = np.random.default_rng(12).uniform(-2 * np.pi, 2 * np.pi, (100, 6))
 HASH = "calib_4711"
@@ -77,7 +72,7 @@ def fk_of_yaml(path, q) -> np.ndarray:
 
 @by_name
 def test_conf_to_urdf(case, conf_of):
-    source = read_ur_conf(conf_of(case), model=case["robot"])
+    source = read_ur(conf_of(case), model=case["robot"])
     np.testing.assert_allclose(
         source.robot.poses(case["fk"]["q"]), case["fk"]["T"], rtol=0, atol=1e-9
     )
@@ -94,10 +89,10 @@ def test_conf_to_urdf(case, conf_of):
 
 @by_name
 def test_conf_to_yaml_to_urdf(case, conf_of, tmp_path):
-    source = read_ur_conf(conf_of(case), model=case["robot"])
+    source = read_ur(conf_of(case), model=case["robot"])
     written = write_ur_yaml(source.robot, source.nominal, tmp_path / "k.yaml", hash=source.hash)
     assert written.remarks == ()
-    again = read_ur_yaml(written.path, model=case["robot"])
+    again = read_ur(written.path, model=case["robot"])
     np.testing.assert_allclose(
         again.robot.poses(case["fk"]["q"]), case["fk"]["T"], rtol=0, atol=1e-9
     )
@@ -109,12 +104,12 @@ def test_conf_to_yaml_to_urdf(case, conf_of, tmp_path):
 def test_the_nominal_rows_may_come_from_urcontrol(conf_of, tmp_path):
     case = case_of("ur3_a")
     conf, urcontrol = conf_of(case), urcontrol_of(case["nominal"], tmp_path / "urcontrol.conf")
-    source = read_ur_conf(conf, urcontrol=urcontrol)
+    source = read_ur(conf, urcontrol=urcontrol)
     assert source.model.name == "UR3"
     np.testing.assert_allclose(
         source.robot.poses(case["fk"]["q"]), case["fk"]["T"], rtol=0, atol=1e-9
     )
-    assert read_ur_conf(conf, urcontrol=urcontrol, model="ur3").hash == case["driver_hash"]
+    assert read_ur(conf, urcontrol=urcontrol, model="ur3").hash == case["driver_hash"]
 
 
 @pytest.mark.parametrize(
@@ -123,7 +118,7 @@ def test_the_nominal_rows_may_come_from_urcontrol(conf_of, tmp_path):
 def test_onto_the_user_s_urdf(base, tip, conf_of, ur3):
     case = case_of("ur3_a")
     nominal = ur3.rebuilt(base=base, tip=tip)
-    source = read_ur_conf(conf_of(case), robot=nominal)
+    source = read_ur(conf_of(case), robot=nominal)
     assert source.nominal is nominal
     # Seen from the controller's base at its flange, whatever the URDF calls them.
     T = source.robot.rebuilt(base="base").poses(case["fk"]["q"])
@@ -147,14 +142,14 @@ def test_onto_the_user_s_urdf(base, tip, conf_of, ur3):
 def test_the_round_trip_of_a_conf(conf_of, tmp_path):
     for case in WITH_DELTAS:
         conf = conf_of(case)
-        source = read_ur_conf(conf, model=case["robot"])
+        source = read_ur(conf, model=case["robot"])
         for update in (None, conf):
             path = tmp_path / "again.conf"
             written = write_ur_conf(
                 source.robot, source.nominal, path, update=update, overwrite=True
             )
             assert written.remarks == ()
-            again = read_ur_conf(path, model=case["robot"])
+            again = read_ur(path, model=case["robot"])
             full = rows(case["full_dh"]).poses(Q)
             np.testing.assert_allclose(again.robot.poses(Q), full, rtol=0, atol=1e-12)
         # Updated, the file is what it was, the hash with it.
@@ -170,13 +165,13 @@ def test_what_a_yaml_has_no_place_for_is_said(base, tip, ur3, tmp_path):
     nominal = ur3.rebuilt(base=base, tip=tip)
     robot = displaced(nominal)
     written = write_ur_yaml(robot, nominal, tmp_path / "k.yaml", hash=HASH)
-    assert "behind the joint" in written.remarks[0]
+    assert "the flange lies" in written.remarks[0]
     assert "mm and" in written.remarks[0]
     assert len(written.remarks) == 1
     np.testing.assert_array_equal(written.T_base, np.eye(4))
     assert np.abs(written.T_tool[:2, 3]).max() > 1e-4
     assert abs(written.T_tool[2, 3]) < 1e-12  # along the axis the sixth joint holds it
-    again = read_ur_yaml(written.path, robot=nominal)
+    again = read_ur(written.path, robot=nominal)
     # T_base_tip = T_base_arm K(q) T_tool T_flange_tip
     flange = nominal.rebuilt(tip="tool0")
     T_flange_tip = np.linalg.inv(flange.poses(np.zeros(6))[0]) @ nominal.poses(np.zeros(6))[0]
@@ -190,7 +185,7 @@ def test_what_a_conf_has_no_place_for_is_said(tmp_path):
     written = write_ur_conf(robot, nominal, tmp_path / "calibration.conf")
     assert "the first axis lies" in written.remarks[0]
     assert "the flange lies" in written.remarks[1]
-    again = read_ur_conf(written.path, robot=nominal)
+    again = read_ur(written.path, robot=nominal)
     made = written.T_base @ again.robot.poses(Q) @ written.T_tool
     np.testing.assert_allclose(made, robot.poses(Q), rtol=0, atol=1e-11)
     # An update keeps the other lines, and says that they are the old ones.
@@ -203,22 +198,22 @@ def test_what_a_conf_has_no_place_for_is_said(tmp_path):
 
 def test_a_robot_that_was_calibrated_in_the_factory_is_corrected_further(conf_of, tmp_path):
     case = case_of("ur3_a")
-    factory = read_ur_conf(conf_of(case), model="UR3")
+    factory = read_ur(conf_of(case), model="UR3")
     robot = displaced(factory.robot, 1e-4)
     written = write_ur_yaml(robot, factory.robot, tmp_path / "k.yaml", hash=factory.hash)
     assert "is not the nominal UR3: its flange lies up to" in written.remarks[0]
-    again = read_ur_yaml(written.path, robot=factory.nominal).robot
+    again = read_ur(written.path, robot=factory.nominal).robot
     np.testing.assert_allclose(again.poses(Q) @ written.T_tool, robot.poses(Q), rtol=0, atol=1e-12)
     rows_too = write_ur_conf(robot, factory.robot, tmp_path / "c.conf")
-    back = read_ur_conf(rows_too.path, model="UR3").robot.poses(Q)
+    back = read_ur(rows_too.path, model="UR3").robot.poses(Q)
     np.testing.assert_allclose(
         rows_too.T_base @ back @ rows_too.T_tool, robot.poses(Q), rtol=0, atol=1e-12
     )
     # And its URDF takes another file.
-    on_it = read_ur_yaml(written.path, robot=factory.robot)
+    on_it = read_ur(written.path, robot=factory.robot)
     np.testing.assert_allclose(on_it.robot.poses(Q), again.poses(Q), rtol=0, atol=1e-12)
     assert "names of its links" in on_it.remarks[0]
-    on_it = read_ur_conf(conf_of({**case, "name": "own"}), robot=factory.robot)
+    on_it = read_ur(conf_of({**case, "name": "own"}), robot=factory.robot)
     np.testing.assert_allclose(on_it.robot.poses(Q), factory.robot.poses(Q), rtol=0, atol=1e-12)
 
 
@@ -251,7 +246,7 @@ def test_a_calibration_that_the_controller_does_not_use_is_said(conf_of):
     conf = conf_of(case_of("ur3_a"))
     for status, said in (("0", True), ("1", True), ("2", False)):
         conf.write_text(f"{conf.read_text()}calibration_status = {status} # 2 == Linearised\n")
-        remarks = " ".join(read_ur_conf(conf, model="UR3").remarks)
+        remarks = " ".join(read_ur(conf, model="UR3").remarks)
         assert ("which is not 2, linearised" in remarks) is said
         assert (f"calibration_status = {status}" in remarks) is said
 
@@ -272,7 +267,7 @@ def test_rows_lose_digits_where_axes_are_almost_parallel(tmp_path):
         for remark in written.remarks:
             assert remark.startswith("The rows hold the robot to")
             assert word in remark
-        back = read_ur_conf(written.path, robot=nominal).robot
+        back = read_ur(written.path, robot=nominal).robot
         np.testing.assert_allclose(back.poses(Q), robot.poses(Q), rtol=0, atol=1e-7)
 
 
@@ -283,13 +278,13 @@ def test_a_yaml_says_of_which_arm_it_may_be(tmp_path):
     source = ur_robot("UR10e")
     robot = displaced(source, 3e-4)
     path = write_ur_yaml(robot, source, tmp_path / "k.yaml", hash=HASH).path
-    found = read_ur_yaml(path)
+    found = read_ur(path)
     assert found.model.name == "UR10e"
     assert found.remarks == (
         f"{path} does not say of which arm it is; its kinematics are those of the UR10e or UR12e.",
     )
-    assert read_ur_yaml(path, model="UR12e").remarks == ()
-    assert read_ur_yaml(path, robot=source).remarks == ()
+    assert read_ur(path, model="UR12e").remarks == ()
+    assert read_ur(path, robot=source).remarks == ()
 
 
 # Hashes
@@ -298,14 +293,14 @@ def test_a_yaml_says_of_which_arm_it_may_be(tmp_path):
 def test_the_hash_of_a_robot_s_own_files(conf_of, tmp_path):
     case = case_of("ur3_a")
     conf = conf_of(case)
-    assert read_ur_hash(conf, model="ur3") == UrHash(case["driver_hash"])
-    assert read_ur_hash(conf, robot=ur_robot("ur3")) == UrHash(case["driver_hash"])
+    assert read_ur(conf, model="ur3").hash == case["driver_hash"]
+    assert read_ur(conf, robot=ur_robot("ur3")).hash == case["driver_hash"]
     robot = ur_robot("ur3")
     path = write_ur_yaml(robot, robot, tmp_path / "k.yaml", hash="calib_7").path
-    assert read_ur_hash(path) == UrHash("calib_7")
+    assert read_ur(path).hash == "calib_7"
     path.write_text(path.read_text().replace("hash:", "# hash:"))
-    with pytest.raises(FileError, match=r"no 'hash' in it\. Give the robot's own"):
-        read_ur_hash(path)
+    assert read_ur(path).hash is None
+    assert "has no hash; the ROS driver wants the robot's own" in read_ur(path).remarks[-1]
 
 
 # What is refused
@@ -315,13 +310,13 @@ def test_the_hash_of_a_robot_s_own_files(conf_of, tmp_path):
 def test_a_conf_of_an_arm_of_another_size(conf_of, model):
     # Centimetres, no more: nearly parallel axes cancel for the right upper arm only.
     with pytest.raises(FileError, match="and that of 'UR3', 'UR3e' by 3"):
-        read_ur_conf(conf_of(case_of("ur3_a")), model=model)
+        read_ur(conf_of(case_of("ur3_a")), model=model)
 
 
 def test_a_file_that_is_of_no_arm(tmp_path):
     deltas = FullDH([0.5, 0, 0, 0, 0, 0], [0] * 6, [0] * 6, [0] * 6)
     with pytest.raises(FileError, match=r"up to 0\.\d\d m from where that of a nominal UR3 is"):
-        read_ur_conf(write_deltas(tmp_path / "c.conf", deltas), model="UR3")
+        read_ur(write_deltas(tmp_path / "c.conf", deltas), model="UR3")
 
 
 def test_names_that_do_not_agree(conf_of, tmp_path, ur3):
@@ -329,16 +324,16 @@ def test_names_that_do_not_agree(conf_of, tmp_path, ur3):
     conf = conf_of(case)
     urcontrol = urcontrol_of(case["nominal"], tmp_path / "urcontrol.conf")
     with pytest.raises(ModelError, match=r"are those of the UR3, not those of the UR5"):
-        read_ur_conf(conf, urcontrol=urcontrol, model="UR5")
+        read_ur(conf, urcontrol=urcontrol, model="UR5")
     unknown = urcontrol_of({**case["nominal"], "a": [0, -0.3, 0, 0, 0, 0]}, tmp_path / "x.conf")
     with pytest.raises(ModelError, match=r"are no arm's that is known, not those of the UR5"):
-        read_ur_conf(conf, urcontrol=unknown, model="UR5")
+        read_ur(conf, urcontrol=unknown, model="UR5")
     with pytest.raises(ModelError, match=r"not the nominal kinematics of the UR5: .* the UR3"):
-        read_ur_conf(conf, model="UR5", robot=ur3)
+        read_ur(conf, model="UR5", robot=ur3)
     with pytest.raises(ModelError, match=r"kinematics of the arm of x\.conf"):
-        read_ur_conf(conf, urcontrol=unknown, robot=ur3)
+        read_ur(conf, urcontrol=unknown, robot=ur3)
     with pytest.raises(ModelError, match="'UR99' is not an arm"):
-        read_ur_yaml(conf, model="UR99")
+        read_ur(conf, model="UR99")
 
 
 def test_a_robot_that_is_no_such_arm(panda, ur3, tmp_path):
@@ -374,5 +369,141 @@ def test_the_python_of_the_page_runs(conf_of, tmp_path, monkeypatch):
     names: dict[str, object] = {}
     exec(compile(code.replace("UR5e", "UR3"), page.name, "exec"), names)
     assert names["written"].remarks == ()
-    assert read_ur_hash("kinematics.yaml").hash == case["driver_hash"]
+    assert read_ur("kinematics.yaml").hash == case["driver_hash"]
     assert Robot.load("ur5e.urdf", "base", "tool0").urdf == names["source"].robot.urdf
+
+
+@pytest.fixture
+def conf_named(tmp_path):
+    """A function that writes the calibration.conf of a robot."""
+
+    def write(name: str):
+        case = next(case for case in WITH_DELTAS if case["robot"] == name)
+        return write_deltas(tmp_path / f"{name}.conf", rows(case["delta"]))
+
+    return write
+
+
+@pytest.fixture
+def yaml_of(tmp_path, conf_named):
+    """A function that writes the kinematics.yaml of a robot."""
+
+    def write(name: str, hash: str = "calib_4711"):
+        source = read_ur(conf_named(name), model=name)
+        return write_ur_yaml(
+            source.robot, source.nominal, tmp_path / f"{name}.yaml", hash=hash
+        ).path
+
+    return write
+
+
+def urcontrol_rows(nominal: FullDH, path):
+    lines = [f"{name} = {getattr(nominal, name).tolist()}" for name in ("theta", "a", "d", "alpha")]
+    path.write_text("\n".join(["[DH]", *lines]))
+    return path
+
+
+# Deltas that fit several arms
+
+
+def test_deltas_that_fit_several_arms_are_said_to(conf_named):
+    conf = conf_named("UR3")
+    said = "fit 'UR3', 'UR3e' alike: that it is a UR3e is taken from "
+    (remark,) = read_ur(conf, model="UR3e").remarks
+    assert f"{said}--ur-model. Taken for the wrong one of these, the flange is up to " in remark
+    (remark,) = read_ur(conf, robot=ur_robot("UR3e")).remarks
+    assert f"{said}--robot. " in remark
+    (remark,) = read_ur(conf, robot=ur_robot("UR3e"), model="UR3e").remarks
+    assert f"{said}--robot and --ur-model. " in remark
+
+
+def test_the_controller_s_own_rows_say_which_arm_it_is(conf_named, tmp_path):
+    urcontrol = urcontrol_rows(ur_model("UR3").nominal, tmp_path / "urcontrol.conf")
+    assert read_ur(conf_named("UR3"), urcontrol=urcontrol).remarks == ()
+
+
+# Files of another arm
+
+
+def test_a_hash_of_another_arm_is_refused(conf_named, yaml_of):
+    for path in (conf_named("UR3"), conf_named("UR10e"), yaml_of("UR3"), yaml_of("UR10e")):
+        with pytest.raises(FileError, match=r"mm only.*Name the right one"):
+            read_ur(path, model="UR5e")
+        with pytest.raises(FileError, match="the file is of another arm"):
+            read_ur(path, robot=ur_robot("UR5e"))
+        (own,) = [name for name in ("UR3", "UR10e") if path.stem == name]
+        assert read_ur(path, model=own).hash.startswith("calib_")
+
+
+def test_a_hash_that_is_of_no_particular_robot_is_said(yaml_of):
+    path = yaml_of("UR3", ur_model("UR5e").default_hash)
+    remark = "has the hash of the nominal UR5e or UR7e: it is of no particular robot"
+    assert remark in read_ur(path, model="UR3").remarks[-1]
+    assert any(remark in said for said in read_ur(path).remarks)
+
+
+def test_a_calibration_that_is_far_off_is_said_of_its_hash(tmp_path):
+    conf = write_deltas(
+        tmp_path / "c.conf", FullDH([0] * 6, [0, 0.05, 0, 0, 0, 0], [0] * 6, [0] * 6)
+    )
+    assert "by up to 50 mm from the nominal UR10" in read_ur(conf, model="UR10").remarks[0]
+
+
+def test_another_arm_s_conf_is_not_updated(conf_named, tmp_path):
+    robot = ur_robot("UR5e")
+    for name in ("UR3", "UR10e"):
+        with pytest.raises(FileError, match=rf"{name}\.conf: .*Give the calibration\.conf of this"):
+            write_ur_conf(
+                robot, robot, tmp_path / "new.conf", update=conf_named(name), model="UR5e"
+            )
+    assert not (tmp_path / "new.conf").exists()
+
+
+# Arms that calib does not know
+
+
+def near(**changes) -> FullDH:
+    """A UR5e's rows with one number changed: column = (joint, change)."""
+    columns = {name: getattr(ur_model("UR5e").nominal, name).copy() for name in changes}
+    for name, (joint, change) in changes.items():
+        columns[name][joint] += change
+    nominal = ur_model("UR5e").nominal
+    return FullDH(
+        *(columns.get(name, getattr(nominal, name)) for name in ("theta", "a", "d", "alpha"))
+    )
+
+
+ARMS = {
+    "d1": near(d=(0, 0.012)),
+    "d6": near(d=(5, 0.0204)),
+    "theta6": near(theta=(5, 0.02)),
+    "a3": near(a=(2, -0.01)),
+    "three": near(a=(1, -0.3), theta=(1, -1.5707963)),
+}
+SMALL = FullDH(
+    [1e-4, 2e-4, 3e-4, 1e-4, 2e-4, 1e-4],
+    [1e-4, 2e-4, 3e-4, 1e-4, 2e-4, 0],
+    [3e-4, 0, 0, 2e-4, 1e-4, 1e-4],
+    [2e-4, 0, 0, 3e-4, 2e-4, 0],
+)
+
+
+@pytest.mark.parametrize("nominal", ARMS.values(), ids=ARMS)
+def test_the_writers_count_from_the_arm_of_the_source(nominal, tmp_path):
+    conf = write_deltas(tmp_path / "c.conf", SMALL)
+    source = read_ur(conf, urcontrol=urcontrol_rows(nominal, tmp_path / "u.conf"))
+    assert isinstance(source.model, UrModel)
+    assert not source.model.known
+    again = write_ur_conf(
+        source.robot, source.nominal, tmp_path / "d.conf", like=SMALL, model=source.model
+    )
+    assert again.path.read_bytes() == conf.read_bytes()
+    assert again.remarks == ()
+    written = write_ur_yaml(
+        source.robot, source.nominal, tmp_path / "k.yaml", hash=source.hash, model=source.model
+    )
+    assert written.remarks == ()
+    assert "Kinematics of one Universal Robots arm:" in written.path.read_text()
+    found = read_ur(written.path, model=source.model).robot
+    q = [0.3, -1.0, 1.2, 0.4, 0.5, -0.6]
+    assert abs(found.poses(q) - (nominal + SMALL).poses(q)).max() < 1e-12

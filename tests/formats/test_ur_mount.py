@@ -5,8 +5,7 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import ModelError
-from calib.formats.ur_dh import FullDH, chain_poses
-from calib.formats.ur_models import ur_model, ur_robot
+from calib.formats.ur_arms import FullDH, chain_poses, ur_model, ur_robot
 from calib.formats.ur_mount import mount, recognised, the_mount
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.formats.universal_robots import read_ur_conf, read_ur_yaml, write_ur_yaml
-from calib.formats.ur_files import write_deltas
-from calib.formats.ur_models import LINKS
+from calib.formats.universal_robots import read_ur, write_ur_yaml
+from calib.formats.ur_arms import LINKS
 from calib.formats.ur_mount import recognised
 from calib.model.robot import Robot
-from tests.formats.ur_cases import WITH_DELTAS, rows
+from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -105,9 +104,7 @@ def description(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("case", WITH_DELTAS, ids=lambda case: case["name"])
 def test_our_yaml_through_their_description_is_the_robot(case, description: Path, tmp_path: Path):
-    source = read_ur_conf(
-        write_deltas(tmp_path / "c.conf", rows(case["delta"])), model=case["robot"]
-    )
+    source = read_ur(write_deltas(tmp_path / "c.conf", rows(case["delta"])), model=case["robot"])
     assert source.hash is not None
     path = tmp_path / "k.yaml"
     write_ur_yaml(source.robot, source.nominal, path, hash=source.hash)
@@ -119,9 +116,7 @@ def test_our_yaml_through_their_description_is_the_robot(case, description: Path
 def test_calibrated_and_nominal_are_one_xacro_with_two_files(description: Path, tmp_path: Path):
     """What is identified on the nominal xacro goes into a yaml that the same xacro takes: nothing is flattened away."""
     case = WITH_DELTAS[0]
-    source = read_ur_conf(
-        write_deltas(tmp_path / "c.conf", rows(case["delta"])), model=case["robot"]
-    )
+    source = read_ur(write_deltas(tmp_path / "c.conf", rows(case["delta"])), model=case["robot"])
     config = description.parents[1] / "config" / case["robot"].lower()
     config.mkdir(parents=True)
     default = config / "default_kinematics.yaml"
@@ -132,7 +127,7 @@ def test_calibrated_and_nominal_are_one_xacro_with_two_files(description: Path, 
 
     given = tmp_path / "given.yaml"
     write_ur_yaml(source.robot, source.nominal, given, hash=str(source.hash))
-    corrected = read_ur_yaml(given, robot=nominal).robot
+    corrected = read_ur(given, robot=nominal).robot
     ours = tmp_path / "ours.yaml"
     write_ur_yaml(corrected, nominal, ours, hash=str(source.hash))
     again = Robot.load(f"{words} kinematics_params:={ours}", "left_base", "left_tool0")

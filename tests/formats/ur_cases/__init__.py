@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from calib.formats.ur_dh import COLUMNS, FullDH
+from calib.formats.ur_arms import COLUMNS, FullDH
+from calib.formats.ur_files import conf_bytes
 
 CASES = json.loads(Path(__file__).with_name("cases.json").read_text(encoding="utf-8"))
 CALIBRATIONS = CASES["calibrations"]
@@ -15,3 +16,9 @@ WITH_DELTAS = [case for case in CALIBRATIONS if case["delta"] is not None]
 def rows(table) -> FullDH:
     """Rows out of a case's table."""
     return FullDH(*(table[name] for name in COLUMNS))
+
+
+def write_deltas(path: Path, deltas: FullDH) -> Path:
+    """A calibration.conf of these deltas."""
+    path.write_bytes(conf_bytes(deltas))
+    return path

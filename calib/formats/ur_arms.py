@@ -1,4 +1,4 @@
-"""The DH rows of a Universal Robots arm, nominal plus deltas, and the hash that the ROS driver makes of them.
+"""The Universal Robots arms: their DH rows, nominal and with deltas, a bare URDF of each, a calibration's hash.
 
 Universal Robots writes standard (distal) DH without any row for nearly parallel axes,
 
@@ -13,17 +13,61 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from calib.errors import ModelError, choices
 from calib.model.dh_table import screw
-from calib.model.robot import read_only, rigid_inverse
+from calib.model.kernel import turns_to
+from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.model.urdf import Urdf
 
 Array = NDArray[np.float64]
 
 COLUMNS = ("theta", "a", "d", "alpha")
 """The columns of the rows."""
+
+JOINTS = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+"""The joints of Universal Robots' descriptions; a prefix may stand before them."""
+
+LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+"""What ``kinematics.yaml`` calls the six links."""
+
+#: d1, a2, a3, d4, d5, d6 [m], from Universal Robots' article "DH parameters for calculations of kinematics and
+#: dynamics" and the descriptions and solvers for ROS that cite it. The UR7e and the UR12e are the UR5e and the UR10e
+#: under the names of 2025. All but the UR8 Long, the UR15 and the UR18 give the hash that is published with them.
+_LENGTHS = {
+    "UR3": (0.1519, -0.24365, -0.21325, 0.11235, 0.08535, 0.0819),
+    "UR3e": (0.15185, -0.24355, -0.2132, 0.13105, 0.08535, 0.0921),
+    "UR5": (0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823),
+    "UR5e": (0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996),
+    "UR7e": (0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996),
+    "UR8 Long": (0.2186, -0.8989, -0.7149, 0.1824, 0.1361, 0.1434),
+    "UR10": (0.1273, -0.612, -0.5723, 0.163941, 0.1157, 0.0922),
+    "UR10e": (0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655),
+    "UR12e": (0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655),
+    "UR15": (0.2186, -0.6475, -0.5164, 0.1824, 0.1361, 0.1434),
+    "UR16e": (0.1807, -0.4784, -0.36, 0.17415, 0.11985, 0.11655),
+    "UR18": (0.2186, -0.475, -0.3389, 0.1824, 0.1361, 0.1434),
+    "UR20": (0.2363, -0.862, -0.7287, 0.201, 0.1593, 0.1543),
+    "UR30": (0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543),
+}
+
+TOLERANCE = 1e-6
+"""A robot that is an arm of the table may lie this far from it [m and rad]."""
+
+#: Half of pi as the controllers' own files write it [rad].
+_HALF_PI = 1.570796327
 
 #: Axes closer to parallel than this have no common normal that doubles could hold [rad].
 _PARALLEL = 1e-8
@@ -41,14 +85,7 @@ _SEED = 0xC70F6907
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FullDH:
-    """Six standard DH rows: T_i(q) = Rz(theta_i + q_i) Tz(d_i) Tx(a_i) Rx(alpha_i).
-
-    Attributes:
-        theta: shape (6,), [rad].
-        a: shape (6,), [m].
-        d: shape (6,), [m].
-        alpha: shape (6,), [rad].
-    """
+    """Six standard DH rows, shape (6,) each, [rad] and [m]: T_i(q) = Rz(theta_i + q_i) Tz(d_i) Tx(a_i) Rx(alpha_i)."""
 
     theta: Array
     a: Array
@@ -64,27 +101,11 @@ class FullDH:
         """Nominal plus deltas, column by column."""
         return FullDH(*(getattr(self, name) + getattr(deltas, name) for name in COLUMNS))
 
-    def __sub__(self, nominal: FullDH) -> FullDH:
-        """What to add to the nominal rows."""
-        return FullDH(*(getattr(self, name) - getattr(nominal, name) for name in COLUMNS))
-
     def poses(self, q: ArrayLike) -> Array:
-        """The flange in the controller's base, T_1(q_1) ... T_6(q_6).
-
-        Args:
-            q: shape (N, 6) or (6,), [rad].
-
-        Returns:
-            shape (N, 4, 4), [m].
-        """
-        values = np.reshape(np.asarray(q, dtype=np.float64), (-1, 6))
-        T = np.tile(np.eye(4), (len(values), 1, 1))
-        for i in range(6):
-            T = (
-                T
-                @ screw(2, self.theta[i] + values[:, i], self.d[i])
-                @ screw(0, self.alpha[i], self.a[i])
-            )
+        """The flange in the controller's base at q (N, 6) or (6,) [rad], T_1 ... T_6, shape (N, 4, 4), [m]."""
+        T = np.eye(4)[None]
+        for i, column in enumerate(np.reshape(np.asarray(q, dtype=np.float64), (-1, 6)).T):
+            T = T @ screw(2, self.theta[i] + column, self.d[i]) @ screw(0, self.alpha[i], self.a[i])
         return T
 
     def chain(self) -> Array:
@@ -105,8 +126,7 @@ class FullDH:
         return read_only(placements)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
+class Fitted(NamedTuple):
     """Rows that hold a chain, and what they cannot hold: the chain is T_base times the rows times T_tool.
 
     Attributes:
@@ -133,7 +153,7 @@ def fitted_rows(chain: Array, nominal: FullDH, like: FullDH | None = None) -> Fi
     """
     like = FullDH(*np.zeros((4, 6))) if like is None else like
     rows = nominal + like
-    frames = _frames(chain)
+    frames = frames_at_zero(chain)
     T_base = _first_frame(frames[0])
     F = T_base
     deltas = np.zeros((6, 4))
@@ -155,20 +175,19 @@ def fitted_rows(chain: Array, nominal: FullDH, like: FullDH | None = None) -> Fi
 
 
 def chain_poses(chain: Array, q: ArrayLike) -> Array:
-    """The flange in the controller's base, from placements.
-
-    Args:
-        chain: shape (7, 4, 4), [m], see the module's text.
-        q: shape (N, 6) or (6,), [rad].
-
-    Returns:
-        shape (N, 4, 4), [m].
-    """
-    values = np.reshape(np.asarray(q, dtype=np.float64), (-1, 6))
-    T = np.tile(np.eye(4), (len(values), 1, 1))
-    for i in range(6):
-        T = T @ chain[i] @ screw(2, values[:, i], 0.0)
+    """The same of placements, shape (7, 4, 4), [m]: the flange at q (N, 6) or (6,) [rad], shape (N, 4, 4), [m]."""
+    T = np.eye(4)[None]
+    for placement, column in zip(chain, np.reshape(np.asarray(q, float), (-1, 6)).T, strict=False):
+        T = T @ placement @ screw(2, column, 0.0)
     return np.asarray(T @ chain[6])
+
+
+def frames_at_zero(chain: Array) -> Array:
+    """The poses of the six joints and of the flange in the controller's base at q = 0, shape (7, 4, 4), [m]."""
+    frames = np.array(chain)
+    for i in range(1, len(frames)):
+        frames[i] = frames[i - 1] @ frames[i]
+    return frames
 
 
 def at_flange(chain: Array) -> Array:
@@ -212,14 +231,6 @@ def _murmur(data: bytes) -> int:
     return value ^ (value >> 47)
 
 
-def _frames(chain: Array) -> list[Array]:
-    """The poses of the six joints and of the flange in the controller's base at q = 0."""
-    frames = [np.array(chain[0])]
-    for placement in chain[1:]:
-        frames.append(frames[-1] @ placement)
-    return frames
-
-
 def _first_frame(first: Array) -> Array:
     """DH frame 0: the base turned and shifted least so that its z is the first axis."""
     z, point = first[:3, 2], first[:3, 3]
@@ -227,15 +238,7 @@ def _first_frame(first: Array) -> Array:
     T = np.eye(4)
     if max(np.abs(z[:2]).max(), np.abs(foot).max()) < ROUNDING and z[2] > 0:
         return T
-    # The shortest turn of z onto the axis.
-    x, y, c = z
-    T[:3, :3] = np.array(
-        [
-            [1.0 - x * x / (1.0 + c), -x * y / (1.0 + c), x],
-            [-x * y / (1.0 + c), 1.0 - y * y / (1.0 + c), y],
-            [-x, -y, c],
-        ]
-    )
+    T[:3, :3] = turns_to(z[None])[0]  # the shortest turn of z onto the axis
     T[:3, 3] = foot
     return T
 
@@ -285,3 +288,146 @@ def _last_row(local: Array, wished: Array) -> Array:
 def _near(angle: float, wished: float) -> float:
     """The angle with whole turns added so that it lies within half a turn of the one wished for [rad]."""
     return float(angle + 2.0 * np.pi * np.round((wished - angle) / (2.0 * np.pi)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UrModel:
+    """One type of arm.
+
+    Attributes:
+        name: Such as ``"UR5e"``; of an arm that calib does not know ``"arm of urcontrol.conf"``.
+        nominal: Its nominal DH rows.
+    """
+
+    name: str
+    nominal: FullDH
+
+    @property
+    def known(self) -> bool:
+        """Whether Universal Robots sells it under this name."""
+        return self.name in _LENGTHS
+
+    def same(self, rows: FullDH) -> bool:
+        """Whether rows are those of this type of arm."""
+        return all(
+            np.abs(getattr(self.nominal, name) - getattr(rows, name)).max() < TOLERANCE
+            for name in COLUMNS
+        )
+
+    @property
+    def said(self) -> str:
+        """Its name with the article: ``"a UR5e"``."""
+        return f"{'a' if self.known else 'an'} {self.name}"
+
+    @property
+    def default_hash(self) -> str:
+        """What the ROS driver makes of the nominal rows."""
+        return kinematics_hash(self.nominal)
+
+
+MODELS = tuple(
+    UrModel(
+        name,
+        FullDH(
+            theta=np.zeros(6),
+            a=np.array([0.0, a2, a3, 0.0, 0.0, 0.0]),
+            d=np.array([d1, 0.0, 0.0, d4, d5, d6]),
+            alpha=np.array([_HALF_PI, 0.0, 0.0, _HALF_PI, -_HALF_PI, 0.0]),
+        ),
+    )
+    for name, (d1, a2, a3, d4, d5, d6) in _LENGTHS.items()
+)
+"""The arms that are known."""
+
+NAMES = tuple(_LENGTHS)
+"""Their names."""
+
+
+def ur_model(name: str | UrModel) -> UrModel:
+    """The arm of that name, whatever its capitals, spaces and underscores; an arm itself is returned.
+
+    Raises:
+        ModelError: There is none.
+
+    Example:
+        >>> ur_model("ur5e").nominal.a.tolist()
+        [0.0, -0.425, -0.3922, 0.0, 0.0, 0.0]
+    """
+    if isinstance(name, UrModel):
+        return name
+    for model in MODELS:
+        if _plain(model.name) == _plain(name):
+            return model
+    raise ModelError(
+        f"'{name}' is not an arm of Universal Robots that calib knows: {choices(NAMES, limit=40)}. For another one "
+        "give its urcontrol.conf, which has the nominal rows."
+    )
+
+
+def ur_robot(model: UrModel | str) -> Robot:
+    """A bare URDF of an arm with its nominal kinematics, from ``base``, the controller's, to ``tool0``, its flange.
+
+    Links, joints and origins are those of Universal Robots' description for ROS 2, without bodies.
+
+    Raises:
+        ModelError: No arm has that name.
+
+    Example:
+        >>> ur_robot("ur5e")
+        Robot('ur5e', base to tool0, 6 joints)
+    """
+    model = ur_model(model)
+    urdf = Urdf.from_bytes(_urdf_text(model).encode(), f"the nominal {model.name}")
+    return Robot.from_urdf(urdf, base="base", tip="tool0")
+
+
+def _plain(name: str) -> str:
+    """A name without capitals, spaces, hyphens and underscores."""
+    return "".join(letter for letter in name.lower() if letter not in " -_")
+
+
+def _urdf_text(model: UrModel) -> str:
+    """The bare URDF; where nothing turns, an <origin> of the nominal rows says so exactly."""
+    lines = [
+        '<?xml version="1.0" encoding="utf-8"?>',
+        f"<!-- Kinematics of a Universal Robots {model.name}, without bodies, by calib: efforts and speeds are only",
+        "     there because a URDF must have them. -->",
+        f'<robot name="{_plain(model.name)}">',
+        '  <link name="base_link"/>',
+    ]
+    half, fixed = np.pi / 2.0, '<origin xyz="0.0 0.0 0.0" rpy="{}"/>'
+    turned = fixed.format(f"0.0 0.0 {np.pi}")
+    joints = [
+        ("base_link-base_link_inertia", "base_link", "base_link_inertia", turned),
+        ("base_link-base_fixed_joint", "base_link", "base", turned),
+    ]
+    parent = "base_link_inertia"
+    for link, joint, T in zip(LINKS, JOINTS, model.nominal.chain(), strict=False):
+        xyz, rpy = (
+            " ".join(repr(float(value) + 0.0) for value in values)
+            for values in (T[:3, 3], pin.rpy.matrixToRpy(T[:3, :3]))
+        )
+        joints.append((joint, parent, f"{link}_link", f'<origin xyz="{xyz}" rpy="{rpy}"/>'))
+        parent = f"{link}_link"
+    joints += [
+        ("wrist_3_link-ft_frame", parent, "ft_frame", fixed.format(f"{np.pi} 0.0 0.0")),
+        ("wrist_3-flange", parent, "flange", fixed.format(f"0.0 {-half} {-half}")),
+        ("flange-tool0", "flange", "tool0", fixed.format(f"{half} 0.0 {half}")),
+    ]
+    for joint, parent, child, origin in joints:
+        turns = joint in JOINTS
+        lines += [
+            f'  <link name="{child}"/>',
+            f'  <joint name="{joint}" type="{"revolute" if turns else "fixed"}">',
+            f"    {origin}",
+            f'    <parent link="{parent}"/>',
+            f'    <child link="{child}"/>',
+        ]
+        if turns:
+            bound = np.pi if joint == "elbow_joint" else 2.0 * np.pi
+            lines += [
+                '    <axis xyz="0 0 1"/>',
+                f'    <limit lower="{-bound}" upper="{bound}" effort="1000" velocity="{np.pi}"/>',
+            ]
+        lines.append("  </joint>")
+    return "\n".join([*lines, "</robot>", ""])
