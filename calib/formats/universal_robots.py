@@ -255,8 +255,7 @@ def write_ur_conf(
         The file, and displacements of the base and of the flange, for which standard DH rows have no place.
 
     Raises:
-        ModelError: The nominal robot is not a Universal Robots arm, or the robot is no correction of it, or the file
-            does not read back.
+        ModelError: As of `write_ur_yaml`.
         FileError: A file cannot be read or written.
     """
     arm, mounted, chain = _chain_of(robot, nominal, model)
