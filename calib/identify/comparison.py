@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import ModelError, choices
-from calib.identify.displacement import Compensated, Move, unknown_frame
-from calib.identify.drift import DriftTest, drift_test, own_names
+from calib.identify.drift import Compensated, DriftTest, Move, drift_test, own_names, unknown_frame
 from calib.identify.result import Calibration
 from calib.identify.result_file import read_result
 from calib.identify.verdict import NO
-from calib.measure.measurements import Measurements
 from calib.model.readback import spread_between, spread_poses
 from calib.model.robot import Robot, rigid_inverse
 
@@ -26,21 +24,14 @@ Array = NDArray[np.float64]
 DRIFT, NO_DRIFT, CANNOT_TELL = "drift", "no drift shown", "cannot tell"
 
 #: Why it cannot be told, see `Comparison.why`.
-SAME_DATA, BAD_VERDICT, NOTHING_KNOWN, OTHER_ERRORS = (
-    "same data",
-    "bad verdict",
-    "nothing known",
-    "other errors",
-)
+SAME_DATA, BAD_VERDICT = "same data", "bad verdict"
+NOTHING_KNOWN, OTHER_ERRORS = "nothing known", "other errors"
 
 #: Joint values over which moves are told.
 _POSES = 200
 
-#: Origins that differ by less than this are the same [m; rotation matrices: 1].
+#: Origins, and values of held joints, that differ by less than this are the same [m; rad; rotation matrices: 1].
 _SAME = 1e-9
-
-#: Joints are held at the same value within this [rad, m].
-_HELD = 1e-9
 
 #: What a model lacks shows in what it leaves over on its own rows: a move this many times as far has another cause.
 _FAR = 3.0
@@ -160,8 +151,9 @@ def compare(
         for letter, one in (("a", a), ("b", b))
     )
     _check_same_chain(first, second, names)
-    shown = _shown(first, robot)
-    same = _same_start(first, second)
+    shown = _shown(first.nominal, robot)
+    origins = first.nominal.origins(), second.nominal.origins()
+    same = all(np.abs(T - origins[1][name]).max() < _SAME for name, T in origins[0].items())
     alike = (
         same
         and own_names(first) == own_names(second)
@@ -169,7 +161,7 @@ def compare(
         and first.model.name == second.model.name
     )
     covered = spread_between(_covered(first.ranges, second.ranges), _POSES)
-    both = Compensated.of(first, second, covered, same_start=same)
+    both = Compensated(first, second, covered, same_start=same)
     pair = both.pair(alike=alike)
     test = drift_test(both.difference(pair), pair, both.floor)
     moves = (
@@ -177,7 +169,22 @@ def compare(
         both.move("the joint limits", spread_poses(first.nominal, _POSES), pair),
     )
     only = both.alone(0), both.alone(1)
-    why = _why_not(first, second, test, differ=any(only), moved=moves[0].moved)
+    left_over = max(one.errors["calibrated"]["estimation"].rms for one in (first, second))
+    why = ""
+    if _same_data(first, second):
+        why = SAME_DATA
+    elif any(one.verdict is not None and one.verdict.use == NO for one in (first, second)):
+        why = BAD_VERDICT
+    elif test.combinations == 0:
+        why = NOTHING_KNOWN
+    elif any(only) and test.drifted and not moves[0].moved > _FAR * left_over:
+        why = OTHER_ERRORS
+    s, t = first.setup, second.setup
+    found = bool(unknown_frame(first) or unknown_frame(second))
+    frames = [
+        dict(zip(one.groups, map(rigid_inverse, one.T_frame_base), strict=True)) for one in (s, t)
+    ]
+    targets = [dict(zip(one.targets, one.T_tip_target, strict=True)) for one in (s, t)]
     return Comparison(
         a=first,
         b=second,
@@ -190,8 +197,12 @@ def compare(
         untold=both.untold(),
         only_a=only[0],
         only_b=only[1],
-        frames=_frames(first, second),
-        targets=_targets(first, second),
+        frames=_moved(*frames, found=found, oriented=True),
+        targets=_moved(
+            *targets,
+            found=s.estimate_target or t.estimate_target,
+            oriented=s.oriented and t.oriented,
+        ),
         same_start=same,
         robot=shown,
     )
@@ -204,34 +215,29 @@ def _check_same_chain(a: Calibration, b: Calibration, names: Sequence[str]) -> N
         ModelError: Base, tip, joints, held values or the joints that carry placements differ.
     """
     r, s = a.nominal, b.nominal
+    moved = [n for n, value in r.held.items() if abs(value - s.held.get(n, value)) > _SAME]
     for what, first, second in (
         ("Base", f"'{r.base}'", f"'{s.base}'"),
         ("Tip", f"'{r.tip}'", f"'{s.tip}'"),
         ("Joints", choices(r.joint_names), choices(s.joint_names)),
         ("Joints with placements", choices(r.origins()), choices(s.origins())),
         ("Held joints", choices(r.held) or "none", choices(s.held) or "none"),
+        *((f"Value of '{name}'", f"{r.held[name]:g}", f"{s.held[name]:g}") for name in moved),
     ):
         if first != second:
             raise ModelError(
                 f"{names[0]} and {names[1]} are not of one chain. {what}: {first} in {names[0]}, {second} in "
                 f"{names[1]}. Fit both with the same --base, --tip and --hold."
             )
-    moved = [name for name, value in r.held.items() if abs(value - s.held[name]) > _HELD]
-    if moved:
-        raise ModelError(
-            f"{choices(moved)} was held at {r.held[moved[0]]:g} in {names[0]} and at {s.held[moved[0]]:g} in "
-            f"{names[1]}, so that the chains differ. Compare results of the same --hold."
-        )
 
 
-def _shown(a: Calibration, given: Robot | str | Path | None) -> Robot:
+def _shown(own: Robot, given: Robot | str | Path | None) -> Robot:
     """The robot to show.
 
     Raises:
         ModelError: Another robot was given.
         UrdfError: Its URDF cannot be read or lacks a link or joint.
     """
-    own = a.nominal
     if given is None:
         return own
     robot = (
@@ -247,12 +253,6 @@ def _shown(a: Calibration, given: Robot | str | Path | None) -> Robot:
     return robot
 
 
-def _same_start(a: Calibration, b: Calibration) -> bool:
-    """Whether both count from the same nominal origins."""
-    first, second = a.nominal.origins(), b.nominal.origins()
-    return all(np.abs(T - second[name]).max() < _SAME for name, T in first.items())
-
-
 def _covered(a: Array, b: Array) -> Array:
     """The range of each joint that both data cover, or that either does where that is none, shape (m, 2)."""
     low, high = np.fmax(a[:, 0], b[:, 0]), np.fmin(a[:, 1], b[:, 1])
@@ -263,40 +263,15 @@ def _covered(a: Array, b: Array) -> Array:
     return np.where(np.isfinite(found), found, 0.0)
 
 
-def _why_not(a: Calibration, b: Calibration, test: DriftTest, *, differ: bool, moved: float) -> str:
-    """Why it cannot be told whether the robot drifted; empty where it can.
-
-    Args:
-        a: One result.
-        b: The other.
-        test: The test of their difference.
-        differ: Whether either has errors of a kind that the other's model has not.
-        moved: How far the target moved, rms, without the noise's part [m].
-    """
-    if _same_data(a, b):
-        return SAME_DATA
-    if any(one.verdict is not None and one.verdict.use == NO for one in (a, b)):
-        return BAD_VERDICT
-    if test.combinations == 0:
-        return NOTHING_KNOWN
-    left_over = max(one.errors["calibrated"]["estimation"].rms for one in (a, b))
-    if differ and test.drifted and not moved > _FAR * left_over:
-        return OTHER_ERRORS
-    return ""
-
-
 def _same_data(a: Calibration, b: Calibration) -> bool:
-    """Whether both results are made of the same measurements."""
+    """Whether both results are made of the same measurements: of one file, or of the same numbers in memory."""
     if a.source.sha256 or b.source.sha256 or a.fit is None or b.fit is None:
         return bool(a.source.sha256) and a.source.sha256 == b.source.sha256
-    first, second = (_measured(one.fit.measurements) for one in (a, b) if one.fit is not None)
-    return all(np.array_equal(x, y, equal_nan=True) for x, y in zip(first, second, strict=True))
-
-
-def _measured(m: Measurements) -> tuple[Array, ...]:
-    """The numbers that tell measurements without a file from others."""
+    m, n = a.fit.measurements, b.fit.measurements
     nothing: Array = np.zeros(0)
-    return m.joints, m.points, nothing if m.distances is None else m.distances
+    distances = [nothing if one.distances is None else one.distances for one in (m, n)]
+    pairs = ((m.joints, n.joints), (m.points, n.points), distances)
+    return all(np.array_equal(x, y, equal_nan=True) for x, y in pairs)
 
 
 def _parameters(
@@ -304,60 +279,40 @@ def _parameters(
 ) -> tuple[ParameterDifference, ...]:
     """The robot's own parameters of either result, those of the first first."""
     nan = float("nan")
+    every = [{one.name: one for one in c.parameters} for c in (a, b)]
     result = []
     for name in dict.fromkeys((*own_names(a), *own_names(b))):
-        both = [one.parameters[one.model.index(name)] for one in (a, b) if name in one.model.names]
-        known = len(both) == 2
-        difference = both[1].delta - both[0].delta if known and same_start else nan
-        std = float(np.hypot(both[0].std, both[1].std)) if known else nan
+        first, second = (one.get(name) for one in every)
+        difference = std = nan
+        if first is not None and second is not None:
+            difference = second.delta - first.delta if same_start else nan
+            std = float(np.hypot(first.std, second.std))
+        known = [one for one in (first, second) if one is not None]
         result.append(
             ParameterDifference(
                 name=name,
-                unit=both[0].unit,
-                a=both[0].value if name in a.model.names else nan,
-                b=both[-1].value if name in b.model.names else nan,
+                unit=known[0].unit,
+                a=nan if first is None else first.value,
+                b=nan if second is None else second.value,
                 difference=difference,
                 std=std,
                 sigmas=difference / std if std > 0.0 else nan,
-                alone=all(one.identifiable for one in both),
+                alone=all(one.identifiable for one in known),
             )
         )
     return tuple(result)
 
 
-def _frames(a: Calibration, b: Calibration) -> tuple[PlaceDifference, ...]:
-    """How set-ups of the same name moved: as seen from the base."""
-    found = bool(unknown_frame(a) or unknown_frame(b))
-    s, t = a.setup, b.setup
-    return tuple(
-        PlaceDifference(name, found, *_moved(rigid_inverse(T), rigid_inverse(U)))
-        for name, T, U in _pairs((s.groups, s.T_frame_base), (t.groups, t.T_frame_base))
-    )
-
-
-def _targets(a: Calibration, b: Calibration) -> tuple[PlaceDifference, ...]:
-    """How targets of the same name moved in the tip."""
-    s, t = a.setup, b.setup
-    found, result = s.estimate_target or t.estimate_target, []
-    for name, T, U in _pairs((s.targets, s.T_tip_target), (t.targets, t.T_tip_target)):
-        shift, turn = _moved(T, U)
-        known = s.oriented and t.oriented
-        result.append(PlaceDifference(name, found, shift, turn if known else float("nan")))
+def _moved(
+    a: Mapping[str, Array], b: Mapping[str, Array], *, found: bool, oriented: bool
+) -> tuple[PlaceDifference, ...]:
+    """How poses of the same name moved; the only one of each, whatever their names."""
+    shared = [(name, a[name], b[name]) for name in a if name in b]
+    if not shared and len(a) == len(b) == 1:
+        shared = [("", next(iter(a.values())), next(iter(b.values())))]
+    result = []
+    for name, T, U in shared:
+        turn = Rotation.from_matrix(T[:3, :3].T @ U[:3, :3]).magnitude()
+        shift = float(np.linalg.norm(U[:3, 3] - T[:3, 3]))
+        result.append(PlaceDifference(name, found, shift, turn if oriented else float("nan")))
     return tuple(result)
-
-
-def _pairs(
-    first: tuple[tuple[str, ...], Array], second: tuple[tuple[str, ...], Array]
-) -> list[tuple[str, Array, Array]]:
-    """Poses of the same name; the only one of each, whatever their names."""
-    (names, poses), (others, of_other) = first, second
-    if len(names) == len(others) == 1:
-        return [(names[0] if names == others else "", poses[0], of_other[0])]
-    known = dict(zip(others, of_other, strict=True))
-    return [(n, T, known[n]) for n, T in zip(names, poses, strict=True) if n in known]
-
-
-def _moved(T: Array, U: Array) -> tuple[float, float]:
-    """Distance and angle between two poses, [m] and [rad]."""
-    turn = Rotation.from_matrix(T[:3, :3].T @ U[:3, :3]).magnitude()
-    return float(np.linalg.norm(U[:3, 3] - T[:3, 3])), float(turn)

@@ -18,8 +18,7 @@ from calib.identify.comparison import (
     Comparison,
     ParameterDifference,
 )
-from calib.identify.displacement import unknown_frame
-from calib.identify.drift import LEVEL, own_names
+from calib.identify.drift import LEVEL, own_names, unknown_frame
 from calib.identify.result import Calibration
 from calib.identify.result_fields import versions
 from calib.identify.statistics import Errors

@@ -1,4 +1,4 @@
-"""Uncertainty on demand: bootstrap, profiles, the workspace, and what robust weights did.
+"""Uncertainty on demand: bootstrap, profiles, the workspace.
 
 The covariance that comes with every calibration is that of the linearised problem with normal noise,
 
@@ -7,24 +7,19 @@ The covariance that comes with every calibration is that of the linearised probl
 with the whitened derivative A of the predictions, the rows' weights W and the priors' precisions P. What is here asks
 less, at the price of many fits; noise, prior sizes and robust weights stay as the calibration found them throughout.
 
-**Bootstrap.** Whole poses, with their repeats, are drawn with replacement within each set-up, and the parameters are
-fitted again: B. Efron, R. J. Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 (cases, which ask nothing
-of the noise) and 13.3 (percentile intervals). Where a prior takes part, drawing rows alone would leave it where it is
-and find no spread in what only the prior holds; so each sample draws the priors' means too, from the priors themselves
-(J. M. Bardsley and others, Randomize-then-optimize, SIAM Journal on Scientific Computing 36, 2014; with resampled rows
-E. Pompe, Introducing prior information in weighted likelihood bootstrap, arXiv:2103.14445, 2021). Known distances
-between set-ups are such knowledge too and are drawn about what was given. For a linear problem the samples' covariance
-is then
+**Bootstrap.** Whole poses, with their repeats, are drawn with replacement within each set-up: B. Efron, R. J.
+Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 and 13.3. Drawing rows alone would find no spread in
+what only a prior holds; so each sample draws the priors' means too, from the priors themselves (J. M. Bardsley and
+others, SIAM Journal on Scientific Computing 36, 2014; E. Pompe, arXiv:2103.14445, 2021), and known distances between
+set-ups about what was given. For a linear problem the samples' covariance is then
 
     C (sum_i A_i^T W_i r_i r_i^T W_i A_i + P) C
 
-with the known distances' part in P, which is C where the residuals r are noise as large as was found, and says more
-where they are not. With few rows for a parameter it is too wide (N. El Karoui, E. Purdom, Can we trust the bootstrap in
-high-dimensions?, JMLR 19, 2018).
+which is C where the residuals r are noise as large as was found. With few rows for a parameter it is too wide (N. El
+Karoui, E. Purdom, JMLR 19, 2018).
 
 **Profile.** The interval of one parameter where the cost, minimised over all others, has risen by no more than the
-quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 1988, section 6.1. For a linear problem
-that is estimate +- t std.
+quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 1988, section 6.1.
 """
 
 from __future__ import annotations
@@ -56,20 +51,14 @@ Array = NDArray[np.float64]
 #: Called with the number of samples done and of samples in all.
 Progress = Callable[[int, int], None]
 
-#: Nothing is gained by more samples, and their rows would not fit into memory.
-MOST_SAMPLES = 100_000
-
-#: With fewer samples than this the ends of a 95 % interval lie beyond the samples.
-FEWEST_SAMPLES = 40
+#: With fewer samples the ends of a 95 % interval lie beyond them; more tell nothing, and do not fit into memory.
+FEWEST_SAMPLES, MOST_SAMPLES = 40, 100_000
 
 #: Fewer joint values than this have no 95 % quantile.
 _FEWEST_POSES = 20
 
 #: Poses over which a bootstrap's predicted spread is told.
 _POSES = 200
-
-#: The least favourable joint values that are listed.
-_WORST = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,11 +95,7 @@ class Bootstrap:
         return np.asarray(np.std(self.x, axis=0, ddof=1))
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Percentile interval of each parameter's value, shape (p, 2), in the parameter's unit.
-
-        Args:
-            level: Probability that the interval holds the true value.
-        """
+        """Percentile interval of each parameter's value at a level of probability, shape (p, 2), in its unit."""
         check_level(level)
         tail = 0.5 * (1.0 - level)
         ends = np.quantile(self.x, (tail, 1.0 - tail), axis=0).T
@@ -118,11 +103,7 @@ class Bootstrap:
         return np.asarray(ends + (values - self.fitted.estimate.x)[:, None])
 
     def positions(self, where: Where) -> Array:
-        """Where each sample puts the target, in the measurement frame, shape (count, N, 3), [m].
-
-        Args:
-            where: N samples (see `Calibration.samples`), or joint values of shape (N, m) of the first frame and target.
-        """
+        """Where each sample puts the target, in the measurement frame, shape (count, N, 3), [m]; see `position_std`."""
         return np.array([self.fitted.kinematics.points(x, where) for x in self.x])
 
     def position_std(self, where: Where) -> Array:
@@ -131,21 +112,21 @@ class Bootstrap:
         The root of the summed variances of x, y and z, as `Calibration.position_std` has it from the covariance.
 
         Args:
-            where: As for `positions`.
+            where: N samples (see `Calibration.samples`), or joint values of shape (N, m) of the first frame and target.
         """
         samples = where if isinstance(where, Samples) else Samples.at(where)
         problem = self.fitted.estimate.problem
+        seen = _some(problem.rows.samples)
         as_one_body = not any(kind.position for kind in problem.rows.present)
-        points, moves = self._scatter(samples, as_one_body)
         if as_one_body:
-            seen = self._scatter(_some(problem.rows.samples), as_one_body)
-            moves = without_rigid_motion(points, moves, seen)
+            samples, seen = (replace(s, frame=np.zeros_like(s.frame)) for s in (samples, seen))
+        points, moves = self._scatter(samples)
+        if as_one_body:
+            moves = without_rigid_motion(points, moves, self._scatter(seen))
         return np.asarray(np.sqrt(np.sum(np.var(moves, axis=2, ddof=1), axis=1)))
 
-    def _scatter(self, samples: Samples, as_one_body: bool) -> tuple[Array, Array]:
+    def _scatter(self, samples: Samples) -> tuple[Array, Array]:
         """Mean positions and the samples' differences from them, shapes (N, 3) and (N, 3, count)."""
-        if as_one_body:
-            samples = replace(samples, frame=np.zeros_like(samples.frame))
         points = self.positions(samples)
         mean = points.mean(axis=0)
         return mean, (points - mean).transpose(1, 2, 0)
@@ -169,18 +150,13 @@ def bootstrap(
         executor: Where to fit; None: here. The samples are the same to the bit everywhere.
 
     Raises:
-        CalibError: Fewer samples than an interval needs, more than make sense, a seed below 0, or an executor that
-            loses samples.
+        CalibError: Too few or too many samples, a seed below 0, or an executor that loses samples.
         ModelError: The paper's solver made the calibration.
     """
-    if count < FEWEST_SAMPLES or seed < 0:
+    if not FEWEST_SAMPLES <= count <= MOST_SAMPLES or seed < 0:
         raise CalibError(
-            f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} samples or "
-            "more, 1000 for intervals to be trusted, and a seed of 0 or more."
-        )
-    if count > MOST_SAMPLES:
-        raise CalibError(
-            f"A bootstrap of {count} samples was asked for; more than {MOST_SAMPLES} tell nothing new. Take 1000."
+            f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} to "
+            f"{MOST_SAMPLES} samples, 1000 for intervals to be trusted, and a seed of 0 or more."
         )
     fitted = _least_squares(calibration.fitted)
     problem, start = fitted.estimate.problem, fitted.estimate.x
@@ -261,7 +237,7 @@ class WorkspaceUncertainty:
         """The largest [m]."""
         return float(np.max(self.std))
 
-    def worst(self, count: int = _WORST) -> tuple[Array, Array]:
+    def worst(self, count: int = 5) -> tuple[Array, Array]:
         """Where it is largest, in falling order: joint values, shape (count, m), and their std, shape (count,), [m]."""
         order = np.argsort(-self.std, kind="stable")[:count]
         return self.q[order], self.std[order]
@@ -289,16 +265,6 @@ def workspace_uncertainty(
         )
     q = spread_poses(calibration.nominal, count)
     return WorkspaceUncertainty(q, read_only(calibration.position_std(q, larger=larger)))
-
-
-def with_and_without(calibration: Calibration) -> Robustness:
-    """The fit with robust weights and the one with every row in full, compared; see `Robustness`.
-
-    Raises:
-        ModelError: The paper's solver made the calibration.
-    """
-    found = calibration.robustness
-    return compare(calibration.fitted) if found is None else found
 
 
 def _least_squares(fitted: Fitted) -> Fitted:

@@ -407,7 +407,7 @@ def test_other_held_values_are_refused(before: Calibration):
         replace(before, nominal=Robot.load(paper_urdf(), "base", "tool0", held={"elbow_joint": v}))
         for v in (0.1, 0.2)
     ]
-    with pytest.raises(ModelError, match=r"'elbow_joint' was held at 0\.1 in a and at 0\.2 in b"):
+    with pytest.raises(ModelError, match=r"Value of 'elbow_joint': 0\.1 in a, 0\.2 in b"):
         compare(*held)
 
 
