@@ -319,6 +319,7 @@ def test_priors_do_not_make_a_drift(before: Calibration, sizes: str):
     assert raw > 0.01  # in steps of 1 mm and 1 mrad: the results themselves do differ
 
 
+@pytest.mark.slow
 def test_false_alarms_and_power(ur3: Robot):
     """`scripts/comparison_study.py` in small: 16 pairs of measurements of robots that did not change, 6 that did."""
     arms = [Arm(ur3, seed) for seed in range(100, 116)]

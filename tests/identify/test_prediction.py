@@ -39,6 +39,7 @@ def by_lengths(ur3: Robot, truth: Robot, rng: np.random.Generator, model: str) -
     return calibrate(ur3, table, cell=Cell(model=model, target=TARGET), validate=False)
 
 
+@pytest.mark.slow
 def test_of_points_it_is_what_fits_to_other_noise_scatter_by(ur3: Robot):
     """The same poses measured 40 times."""
     q, where = random_joint_values(ur3, 30, 1), random_joint_values(ur3, 40, 9)

@@ -63,7 +63,7 @@ def of_dh(ur3: Robot) -> Calibration:
 
 @pytest.fixture(scope="module")
 def drawn_of_dh(of_dh: Calibration) -> Bootstrap:
-    return bootstrap(of_dh, 500, 1)
+    return bootstrap(of_dh, 400, 1)
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +143,7 @@ class TestBootstrap:
         assert np.mean(np.abs(found - expected)) < 0.06
         assert np.corrcoef(found.ravel(), expected.ravel())[0, 1] > 0.93
 
+    @pytest.mark.slow
     def test_intervals_hold_the_truth(self, ur3: Robot):
         """Monte Carlo: 20 robots; parameters that the data know, and points on unseen poses."""
         q, inside, inside_points = spread_poses(ur3, 20), [], []
@@ -161,6 +162,7 @@ class TestBootstrap:
         assert 0.90 < np.mean(np.concatenate(inside)) < 0.985
         assert 0.90 < np.mean(inside_points) < 0.985
 
+    @pytest.mark.slow
     def test_noise_that_differs_by_direction(self, ur3: Robot):
         """A camera, ten times worse in depth: the covariance, which has one noise, is wrong; the bootstrap is not."""
         noise = np.array([3e-5, 3e-5, 3e-4])
@@ -178,6 +180,7 @@ class TestBootstrap:
         assert np.mean(by_bootstrap) == pytest.approx(spread, rel=0.25)
         assert np.mean(by_covariance) < 0.7 * spread
 
+    @pytest.mark.slow
     def test_repeats_are_drawn_together(self, ur3: Robot):
         """Three copies of each row, taken for independent: the covariance is a third of the true one."""
         table = measured(ur3, "zeros", 40, 4, repeats=3)
@@ -186,6 +189,7 @@ class TestBootstrap:
         ratio = bootstrap(result, 300, 1).std / np.sqrt(np.diag(result.covariance))
         assert np.mean(ratio[known]) == pytest.approx(np.sqrt(3.0), rel=0.15)
 
+    @pytest.mark.slow
     def test_every_set_up_stays_in_every_sample(self, ur3: Robot):
         """One of two set-ups has four poses: drawn among all, it would be missing from one sample in fifty."""
         kinematics, x = truth(ur3, "frames", 5)
@@ -235,6 +239,7 @@ class TestBootstrap:
         with pytest.raises(ModelError, match=f"'{name}' stands at its bound, .* rad, where the"):
             profile_interval(result, name)
 
+    @pytest.mark.slow
     def test_without_priors(self, ur3: Robot):
         result = fitted(ur3, measured(ur3, "zeros", 40, 7), "zeros", priors=Priors("off"))
         ratio = bootstrap(result, 200, 1).std / np.sqrt(np.diag(result.covariance))
@@ -242,7 +247,14 @@ class TestBootstrap:
         assert np.mean(ratio[known]) == pytest.approx(1.0, abs=0.15)
 
     @pytest.mark.parametrize(
-        "kind", ["poses", "two targets", "distances", "pairs", "sockets", "planes"]
+        "kind",
+        [
+            "sockets",
+            *(
+                pytest.param(kind, marks=pytest.mark.slow)
+                for kind in ("poses", "two targets", "distances", "pairs", "planes")
+            ),
+        ],
     )
     def test_every_kind_of_row(self, make_scene, join, kind: str):
         """Parameters and, where no row tells the base's place, shapes: as the covariance has them."""
@@ -257,6 +269,7 @@ class TestBootstrap:
         assert found.measured_rms == pytest.approx(result.expected_measured, rel=0.2)
         assert found.everywhere_rms == pytest.approx(result.expected_everywhere, rel=0.2)
 
+    @pytest.mark.slow
     def test_known_distances_are_drawn_too(self, make_scene, join):
         """Sockets have their scale from them alone: they are not known better than they were said to be."""
         frames = scene_of("sockets", make_scene, join)[0].kinematics.T_frame_base
@@ -286,15 +299,10 @@ class TestBootstrap:
         with pytest.raises(CalibError, match="level of an interval is 1; it must lie between"):
             found.intervals(1.0)
 
-    @pytest.mark.parametrize(("count", "seed"), [(39, 1), (100, -1)])
+    @pytest.mark.parametrize(("count", "seed"), [(39, 1), (10**12, 1), (100, -1)])
     def test_what_cannot_be_drawn_is_refused(self, of_target: Calibration, count: int, seed: int):
         with pytest.raises(CalibError, match=f"bootstrap of {count} samples with seed {seed} was"):
             bootstrap(of_target, count, seed)
-
-
-def test_more_samples_than_make_sense_are_refused(of_dh):
-    with pytest.raises(CalibError, match=r"of 1000000000000 samples was .* Take 1000"):
-        bootstrap(of_dh, 10**12, 1)
 
 
 class TestProfile:
