@@ -39,7 +39,6 @@ from calib.identify.prediction import ParameterEstimate, without_rigid_motion
 from calib.identify.resampling import Profile, bootstrap_indices, check_level, fit_sample, profile
 from calib.identify.result import Calibration
 from calib.identify.solvers import levenberg_marquardt
-from calib.identify.support import Robustness, compare
 from calib.model.kernel import one_blas_thread
 from calib.model.kinematics import Samples, Where
 from calib.model.observability import steps

@@ -63,7 +63,7 @@ def of_dh(ur3: Robot) -> Calibration:
 
 @pytest.fixture(scope="module")
 def drawn_of_dh(of_dh: Calibration) -> Bootstrap:
-    return bootstrap(of_dh, 400, 1)
+    return bootstrap(of_dh, 500, 1)
 
 
 @pytest.fixture(scope="module")
