@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -181,8 +182,12 @@ def plan(
         )
     if body is not None and cell.tracker is not None:
         check_outside(cell.tracker, cell.boxes)
+
+    def part(what: str) -> Callable[[int, int], None] | None:
+        return None if progress is None else partial(progress, what)
+
     conditions = _conditions(robot, cell, region, T_tip_target, body)
-    pool = draw(robot, ranges, conditions, candidates, seed, _part(progress, "candidates"))
+    pool = draw(robot, ranges, conditions, candidates, seed, part("candidates"))
     choice = choose_poses(
         sensitivity,
         pool,
@@ -192,7 +197,7 @@ def plan(
         taken=measured,
         ladder=ladder,
         seed=seed,
-        progress=_part(progress, "choice"),
+        progress=part("choice"),
     )
     blind = "The reflector's direction was not looked at: nothing says where the tracker stands (--tracker)."
     notes = [blind] if cell.reflector is not None and cell.tracker is None else []
@@ -284,10 +289,3 @@ def _conditions(
     if body is not None:
         conditions.append(Condition("in collision", body.free))
     return conditions
-
-
-def _part(progress: Progress | None, what: str) -> Callable[[int, int], None] | None:
-    """The progress of one part."""
-    if progress is None:
-        return None
-    return lambda done, every: progress(what, done, every)

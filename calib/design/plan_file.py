@@ -10,7 +10,7 @@ import csv
 import io
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,66 +61,47 @@ def write_plan(
     Raises:
         FileError: The file exists and ``overwrite`` is False, or it cannot be written.
     """
+    rows = list(_rows(plan, first_row))
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_header(plan))
-    writer.writerows(_rows(plan, first_row))
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
     return write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
 
 
-def _header(plan: Plan) -> list[str]:
-    """The columns' names with their units."""
-    types = plan.robot.joint_types
+def _rows(plan: Plan, number: int) -> Iterator[dict[str, str]]:
+    """The cells of each target at each pose, by their columns."""
+    types, kind = plan.robot.joint_types, registry.get(plan.kind)
     joints = [
-        f"{name} [{'mm' if types[name] == 'prismatic' else 'deg'}]"
+        (f"{name} [mm]", 1e3) if types[name] == "prismatic" else (f"{name} [deg]", 180.0 / math.pi)
         for name in plan.robot.joint_names
     ]
-    named = ["target"] if _names_targets(plan) else []
-    measured = _measured(plan)
-    expected = [EXPECTED + name for name in measured if name not in QUATERNION]
-    return ["row", "set", "point", *named, *joints, *measured, *expected]
-
-
-def _rows(plan: Plan, first_row: int) -> Iterator[list[str]]:
-    """The cells of each target at each pose."""
-    slides = [plan.robot.joint_types[name] == "prismatic" for name in plan.robot.joint_names]
-    scale = np.where(slides, 1e3, 180.0 / math.pi)
-    kind = registry.get(plan.kind)
-    empty = [""] * len(_measured(plan))
-    factors = [_WRITTEN[one.quantity][1] for one in kind.readings]
-    number = first_row
+    written = [_WRITTEN[one.quantity] for one in kind.readings]
+    lengths = [f"{axis} [mm]" for axis in POINT] if kind.position else []
+    readings = [
+        f"{one.name} [{unit}]" for one, (unit, _) in zip(kind.readings, written, strict=True)
+    ]
+    empty = [*lengths, *(QUATERNION if kind.orientation else ()), *readings]
     for q, word, places in zip(plan.joints, plan.sets, plan.expected, strict=True):
-        joints = [_number(value) for value in (q * scale).tolist()]
         for target, place in zip(plan.targets, places, strict=True):
-            named = [target] if _names_targets(plan) else []
+            row = {"row": str(number), "set": word, "point": f"P{number}"}
+            if plan.targets != (DEFAULT_TARGET,):
+                row["target"] = target
+            for (column, scale), value in zip(joints, q.tolist(), strict=True):
+                short = round(scale * value, _DIGITS) + 0.0
+                exact = abs(scale * value - short) < _EXACT
+                row[column] = f"{short:.{_DIGITS}f}" if exact else repr(scale * value)
+            row |= dict.fromkeys(empty, "")
             seen = (1e3 * np.asarray(place)).tolist() if kind.position else []
             if kind.readings and kind.measure is not None:
                 T = np.eye(4)
                 T[:3, 3] = place
                 read = kind.measure(T[None])[0, kind.size - len(kind.readings) :]
-                seen += (read * factors).tolist()
-            expected = [f"{value + 0.0:.{_DIGITS}f}" for value in seen]
-            yield [str(number), word, f"P{number}", *named, *joints, *empty, *expected]
+                seen += (read * [factor for _, factor in written]).tolist()
+            for column, value in zip((*lengths, *readings), seen, strict=True):
+                row[EXPECTED + column] = f"{value + 0.0:.{_DIGITS}f}"
+            yield row
             number += 1
-
-
-def _measured(plan: Plan) -> list[str]:
-    """The columns of what is to be measured."""
-    kind = registry.get(plan.kind)
-    found = [f"{axis} [mm]" for axis in POINT] if kind.position else []
-    found += QUATERNION if kind.orientation else ()
-    return [*found, *(f"{one.name} [{_WRITTEN[one.quantity][0]}]" for one in kind.readings)]
-
-
-def _names_targets(plan: Plan) -> bool:
-    """Whether the rows say which target they are of."""
-    return plan.targets != (DEFAULT_TARGET,)
-
-
-def _number(value: float) -> str:
-    """A joint value in deg or mm, with all of its digits."""
-    short = round(value, _DIGITS) + 0.0
-    return f"{short:.{_DIGITS}f}" if abs(value - short) < _EXACT else repr(value)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,41 +137,30 @@ def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None
     """
     table = Table.read(path)
     values = _joint_values(table, robot, columns)
-    measured = _measured_rows(table, robot, columns or {})
-    if not any(measured):
-        measured = [True] * len(measured)
-    estimate = [word == "estimate" for word in values.sets]
-    kept = [i for i, row in enumerate(measured) if row and estimate[i]]
-    if not kept:
+    named, _ = name_columns(table, robot.joint_names, columns or {})
+    at = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
+    # By the cells alone; a row that measures nothing, of a socket or a plane, counts.
+    kind = [named["kind"].index] if "kind" in named else []
+    words = [row.cells for row in table.rows()]
+    measured = np.array(
+        [any(c[i] for i in at) or any(c[i] in ("fixed", "plane") for i in kind) for c in words]
+    )
+    measured |= not measured.any()
+    estimate = np.array(values.sets) == "estimate"
+    if not np.any(measured & estimate):
         raise MeasurementError(
             f"{table.source}: no row that is measured is 'estimate', so that no pose counts as taken. Leave out "
             "--taken, or correct the column 'set'."
         )
     return Taken(
-        joints=read_only(values.joints[_poses(values, kept)]),
-        unmeasured=tuple(row for row, seen in zip(values.rows, measured, strict=True) if not seen),
-        validation=sum(
-            seen and not fitted for seen, fitted in zip(measured, estimate, strict=True)
-        ),
+        joints=read_only(values.joints[_poses(values, np.flatnonzero(measured & estimate))]),
+        unmeasured=tuple(np.array(values.rows)[~measured].tolist()),
+        validation=int(np.sum(measured & ~estimate)),
         last_row=max(values.rows),
     )
 
 
-def _measured_rows(table: Table, robot: Robot, columns: Mapping[str, str]) -> list[bool]:
-    """Whether each row holds a measurement, by its cells alone; rows that measure nothing count as such."""
-    named, _ = name_columns(table, robot.joint_names, columns)
-    at = [named[name].index for name in (*POINT, "distance", "pair") if name in named]
-    kind = named.get("kind")
-    rest = ("fixed", "plane")
-    return [
-        not at
-        or any(row.cells[i] for i in at)
-        or (kind is not None and row.cells[kind.index] in rest)
-        for row in table.rows()
-    ]
-
-
-def _poses(values: Values, rows: list[int]) -> list[int]:
+def _poses(values: Values, rows: Iterable[int]) -> list[int]:
     """One row for each pose: of rows with the same joint values, as many as measure the same target."""
     most: Counter[bytes] = Counter()
     seen: Counter[tuple[bytes, str]] = Counter()
@@ -223,7 +193,7 @@ def read_pose_list(
         MeasurementError: The table cannot be read, or lacks a joint.
     """
     values = _joint_values(Table.read(path), robot, columns)
-    kept = _poses(values, list(range(len(values.joints))))
+    kept = _poses(values, range(len(values.joints)))
     return read_only(values.joints[kept]), tuple(values.sets[i] for i in kept)
 
 
@@ -255,58 +225,38 @@ def plan_table(plan: Plan) -> dict[str, Any]:
             "criterion": plan.criterion,
             "model": plan.model,
             "kind": plan.kind,
-            "targets": list(plan.targets),
+            "targets": plan.targets,
             "seed": plan.seed,
             "taken": len(plan.taken),
         },
         "poses": [
-            {"set": word, "joints": q.tolist(), "expected_xyz_m": places.tolist()}
+            {"set": word, "joints": q, "expected_xyz_m": places}
             for q, word, places in zip(plan.joints, plan.sets, plan.expected, strict=True)
         ],
-        "candidates": {
-            "drawn": plan.drawn,
-            "kept": plan.candidates,
-            "refused": dict(plan.refused),
-        },
+        "candidates": {"drawn": plan.drawn, "kept": plan.candidates, "refused": plan.refused},
         "forecast": forecast_table(plan.forecast),
         "before": None if plan.before is None else forecast_table(plan.before),
         "at_random": forecast_table(plan.at_random),
         "ladder": [{"planned": n, **forecast_table(one)} for n, one in plan.ladder],
         "travel": {
             "largest_joint_moves": plan.travel,
-            "blocked": [
-                {
-                    "from": one.start,
-                    "to": one.end,
-                    "by": None if one.by is None else one.by.tolist(),
-                }
-                for one in plan.blocked
-            ],
+            "blocked": [{"from": one.start, "to": one.end, "by": one.by} for one in plan.blocked],
         },
-        "notes": list(plan.notes),
+        "notes": plan.notes,
     }
 
 
 def forecast_table(forecast: Forecast) -> dict[str, Any]:
     """A forecast as nested tables in SI units."""
-    stds = forecast.parameter_std.tolist()
+    f = forecast
+    counted = ("poses", "rank", "workspace_rank", "columns", "efficiency")
+    lengths = ("rms", "rms_low", "rms_high", "quantile_95", "max", "sigma")
     return {
-        "poses": forecast.poses,
-        "rms_m": forecast.rms,
-        "rms_low_m": forecast.rms_low,
-        "rms_high_m": forecast.rms_high,
-        "quantile_95_m": forecast.quantile_95,
-        "max_m": forecast.max,
-        "sigma_m": forecast.sigma,
-        "rank": forecast.rank,
-        "workspace_rank": forecast.workspace_rank,
-        "columns": forecast.columns,
-        "efficiency": forecast.efficiency,
-        "indices": dict(forecast.indices),
+        **{name: getattr(f, name) for name in counted},
+        **{f"{name}_m": getattr(f, name) for name in lengths},
+        "indices": f.indices,
         "parameters": [
-            {"name": name, "unit": unit, "std": std, "identifiable": alone}
-            for name, unit, std, alone in zip(
-                forecast.names, forecast.units, stds, forecast.identifiable.tolist(), strict=True
-            )
+            dict(zip(("name", "unit", "std", "identifiable"), row, strict=True))
+            for row in zip(f.names, f.units, f.parameter_std, f.identifiable, strict=True)
         ],
     }

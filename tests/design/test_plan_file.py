@@ -23,6 +23,7 @@ from calib.errors import MeasurementError
 from calib.identify.result_file import write_table
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
+from calib.model.files import plain
 from calib.model.robot import Robot
 
 CELL = Cell(target=np.array([0.05, 0.07, 0.03]), model="dh")
@@ -276,7 +277,7 @@ def test_the_document_has_every_key(planned):
 def test_moves_that_collide_are_told_by_their_place_in_the_order(planned):
     moves = Blocked(0, 1, None), Blocked(2, 3, planned.joints[5])
     blocked = replace(planned, blocked=moves)
-    assert plan_table(blocked)["travel"]["blocked"] == [
+    assert plain(plan_table(blocked))["travel"]["blocked"] == [
         {"from": 0, "to": 1, "by": None},
         {"from": 2, "to": 3, "by": planned.joints[5].tolist()},
     ]
