@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from calib.cli.setup import parse_point
 from calib.errors import CalibError, choices
@@ -30,39 +31,43 @@ def add_surroundings(
     *,
     tracker: str | None = None,
     reflector: str | None = None,
-    boxes: Iterable[str] | None = None,
-    ranges: Iterable[str] | None = None,
+    boxes: Iterable[str] = (),
+    ranges: Iterable[str] = (),
+    noise: str | None = None,
 ) -> Cell:
     """The cell with what the command line says of its surroundings on top of it.
 
     A tracker or a reflector that the cell has already is moved or turned and keeps the rest; boxes and ranges are
-    added to the cell's, and win where a name is given in both.
+    added to the cell's, and win where a name is given in both. A noise is a tracker's by its distance, or one length
+    for every pose.
 
     Raises:
-        CalibError: Words that cannot be read.
+        CalibError: Words that cannot be read, or a noise by distance without a tracker.
     """
-    from dataclasses import replace
+    from calib.measure.noise import parse_noise
 
-    named = {box.name: box for box in (*cell.boxes, *parse_boxes(boxes or ()))}
-    return replace(
-        cell,
-        tracker=cell.tracker if tracker is None else parse_tracker(tracker, cell.tracker),
-        reflector=cell.reflector
-        if reflector is None
-        else parse_reflector(reflector, cell.reflector),
-        boxes=tuple(named.values()),
-        ranges={**cell.ranges, **parse_ranges(ranges or ())},
-    )
+    named = {box.name: box for box in (*cell.boxes, *parse_boxes(boxes))}
+    said: dict[str, Any] = {"boxes": tuple(named.values())}
+    said["ranges"] = {**cell.ranges, **parse_ranges(ranges)}
+    if reflector is not None:
+        said["reflector"] = parse_reflector(reflector, cell.reflector)
+    seen = cell.tracker if tracker is None else parse_tracker(tracker, cell.tracker)
+    found = None if noise is None else parse_noise(noise, "--noise")
+    if found is not None and seen is not None:
+        own = replace(found, repeatability=seen.noise.repeatability)
+        seen, said["sigma"] = replace(seen, noise=own), None
+    elif found is not None and found.per_length:
+        raise CalibError(
+            f'--noise was given as "{noise}", which grows with the distance, and nothing says where the tracker '
+            'stands; add --tracker "X Y Z UNIT", or give one length such as "0.05 mm".'
+        )
+    elif found is not None:
+        said["sigma"] = found.constant
+    return replace(cell, tracker=seen, **said)
 
 
 def parse_tracker(text: str, given: Tracker | None = None) -> Tracker:
-    """``--tracker``: a position in the robot's base, such as ``2500 0 500 mm``; the rest is the given one's.
-
-    Raises:
-        CalibError: No three numbers and a unit of length.
-    """
-    from dataclasses import replace
-
+    """``--tracker``: a position in the robot's base, such as ``2500 0 500 mm``; the rest is the given one's."""
     from calib.measure.surroundings import Tracker
 
     position = parse_point(text, "--tracker")
@@ -70,13 +75,7 @@ def parse_tracker(text: str, given: Tracker | None = None) -> Tracker:
 
 
 def parse_reflector(text: str, given: Reflector | None = None) -> Reflector:
-    """``--reflector``: the direction in the tip that it faces, such as ``0 0 1``; the rest is the given one's.
-
-    Raises:
-        CalibError: No three numbers, or all of them zero.
-    """
-    from dataclasses import replace
-
+    """``--reflector``: the direction in the tip that it faces, such as ``0 0 1``; the rest is the given one's."""
     from calib.measure.surroundings import Reflector
     from calib.model.robot import read_only
 
@@ -91,11 +90,7 @@ def parse_reflector(text: str, given: Reflector | None = None) -> Reflector:
 
 
 def parse_boxes(texts: Iterable[str]) -> tuple[Box, ...]:
-    """Each ``--box``: ``NAME: X Y Z SX SY SZ UNIT``, centre in the robot's base and edges along its axes.
-
-    Raises:
-        CalibError: Words of another form, or a name twice.
-    """
+    """Each ``--box``: ``NAME: X Y Z SX SY SZ UNIT``, centre in the robot's base and edges along its axes."""
     import numpy as np
 
     from calib.measure.surroundings import Box, checked_boxes
@@ -121,11 +116,7 @@ def parse_boxes(texts: Iterable[str]) -> tuple[Box, ...]:
 
 
 def parse_ranges(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
-    """Each ``--range``: ``JOINT=LOW..HIGH UNIT``, such as ``elbow_joint=-90..90 deg`` [rad] or [m].
-
-    Raises:
-        CalibError: Words of another form, a joint twice, or a low end that is not below the high one.
-    """
+    """Each ``--range``: ``JOINT=LOW..HIGH UNIT``, such as ``elbow_joint=-90..90 deg`` [rad] or [m]."""
     from calib.measure.quantities import parse_joint_range
 
     ranges: dict[str, tuple[float, float]] = {}
@@ -149,11 +140,7 @@ def parse_ranges(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
 
 
 def parse_start(texts: Iterable[str], robot: Robot) -> NDArray[np.float64] | None:
-    """``--start``: ``home`` (all joints at zero), or ``JOINT=VALUE UNIT`` for those that are not at zero, shape (m,).
-
-    Raises:
-        CalibError: Other words, an unknown joint, or a value in a unit that does not fit it or beyond its limits.
-    """
+    """``--start``: ``home`` (all joints at zero), or ``JOINT=VALUE UNIT`` for those that are not, shape (m,)."""
     from calib.cli.setup import parse_held
     from calib.compensate.inverse import start_values
     from calib.measure.ranges import column_limits, range_text
@@ -170,30 +157,6 @@ def parse_start(texts: Iterable[str], robot: Robot) -> NDArray[np.float64] | Non
                 f'where it stands, --start "{name}=VALUE UNIT", or leave --start out.'
             )
     return start
-
-
-def with_noise(cell: Cell, text: str | None) -> Cell:
-    """The cell with ``--noise``: a tracker's by its distance, or one length for every pose.
-
-    Raises:
-        CalibError: Words that cannot be read, or a noise by distance without a tracker.
-    """
-    from dataclasses import replace
-
-    from calib.measure.noise import parse_noise
-
-    if text is None:
-        return cell
-    noise = parse_noise(text, "--noise")
-    if cell.tracker is not None:
-        own = replace(noise, repeatability=cell.tracker.noise.repeatability)
-        return replace(cell, sigma=None, tracker=replace(cell.tracker, noise=own))
-    if noise.per_length:
-        raise CalibError(
-            f'--noise was given as "{text}", which grows with the distance, and nothing says where the tracker stands; '
-            'add --tracker "X Y Z UNIT", or give one length such as "0.05 mm".'
-        )
-    return replace(cell, sigma=noise.constant)
 
 
 def _floats(words: Iterable[str]) -> list[float]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.cli.terminal import fill, row_ranges
 from calib.design.region import Region
 from calib.design.workspace import Density
 from calib.measure.measurements import Measurements
@@ -23,9 +24,17 @@ _MOST_ROWS = 60
 #: Measured points this far from where the nominal robot puts them are mostly in another frame [m].
 _STRANGE = 0.05
 
-
 #: With a larger statistical error of a voxel's density a region is not to be relied on.
 _UNSURE = 0.12
+
+
+class Checked(NamedTuple):
+    """A table, its points in the base (N, 3), whether they were measured (N,), and where they are predicted."""
+
+    rows: Measurements
+    points: Array
+    measured: NDArray[np.bool_]
+    predicted: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,10 +49,7 @@ class Found:
         region: Its region.
         reach: The largest distance of a sample from the base's origin [m].
         seed: Of the samples.
-        like: The table that the ranges are from.
-        margin: What was added to these, in words that follow on the table's name.
-        checked: A table, its points in the base (N, 3), whether they were measured (N,), and where the nominal robot
-            puts them (N, 3), [m].
+        checked: A table whose rows are looked at; None for none.
     """
 
     robot: Robot
@@ -53,39 +59,39 @@ class Found:
     region: Region
     reach: float
     seed: int
-    like: Measurements | None
-    margin: str
-    checked: tuple[Measurements, Array, NDArray[np.bool_], Array] | None
+    checked: Checked | None
 
     @property
     def pose(self) -> Array:
         """Joint values to draw the robot at, shape (m,): the first row's, or some where the target is often."""
-        if self.checked is not None and len(self.checked[0]):
-            return read_only(self.checked[0].joints_for(self.robot.joint_names)[0])
+        if self.checked is not None and len(self.checked.rows):
+            return read_only(self.checked.rows.joints_for(self.robot.joint_names)[0])
         low, high = self.ranges.T
         q = low + np.random.default_rng(0).uniform(size=(200, len(low))) * (high - low)
         poses = self.robot.poses(q)
         needed = self.density.share_of(poses[:, :3, :3] @ self.target + poses[:, :3, 3])
         return read_only(q[np.argmin(needed)])
 
+    @property
+    def title(self) -> str:
+        """Of the pictures."""
+        return f"{self.robot.name}: where the target comes to lie, {100 * self.region.share:.4g} %"
 
-def text(found: Found, *, every_row: bool) -> str:
-    """The whole text; ``every_row``: each row of the checked table has a line."""
-    parts = [_joints_text(found), _region_text(found)]
+    @property
+    def subtitle(self) -> str:
+        """Of the pictures."""
+        return (
+            f"{self.robot.base} to {self.robot.tip}; region {volume_text(self.region.volume)}, voxels of "
+            f"{1e3 * self.density.voxel:g} mm, {self.density.samples:,} samples"
+        )
+
+
+def text(found: Found, origin: str, *, every_row: bool) -> str:
+    """The whole text; ``origin``: what the ranges are the values of; ``every_row``: a line for each row checked."""
+    parts = [_joints_text(found, origin), _region_text(found)]
     if found.checked is not None:
-        parts.append("\n".join(_rows_text(found, every_row=every_row)))
-    return "\n\n".join(parts)
-
-
-def picture_words(found: Found) -> tuple[str, str]:
-    """Title and subtitle of the pictures."""
-    region, density = found.region, found.density
-    title = f"{found.robot.name}: where the target comes to lie, {100 * region.share:.4g} %"
-    subtitle = (
-        f"{found.robot.base} to {found.robot.tip}; region {volume_text(region.volume)}, voxels of "
-        f"{1e3 * density.voxel:g} mm, {density.samples:,} samples"
-    )
-    return title, subtitle
+        parts.append(_rows_text(found, found.checked, every_row=every_row))
+    return "\n\n".join("\n".join(lines) for lines in parts)
 
 
 def volume_text(volume: float) -> str:
@@ -97,89 +103,89 @@ def volume_text(volume: float) -> str:
     return f"{1e9 * volume:.3g} mm3"
 
 
-def _joints_text(found: Found) -> str:
+def _joints_text(found: Found, origin: str) -> Iterator[str]:
     """The robot, its target and the ranges of its joints."""
     robot = found.robot
     at = " ".join(f"{1e3 * value:.6g}" for value in found.target)
     target = f"the target at {at} mm in it" if found.target.any() else "the target at its origin"
-    lines = [_wrap(f"Robot '{robot.name}', base '{robot.base}', tip '{robot.tip}', {target}."), ""]
-    lines.append(f"  {'joint':<32}takes all values from")
+    said = f"Robot '{robot.name}', base '{robot.base}', tip '{robot.tip}', {target}."
+    yield fill(said, hang="  ") + "\n"
+    yield f"  {'joint':<32}takes all values from"
     for name, ends in zip(robot.joint_names, found.ranges, strict=True):
-        lines.append(
-            f"  {name:<32}{range_text(robot, name, ends)}" if len(name) < 32 else f"  {name}"
-        )
-        if len(name) >= 32:
-            lines.append(f"  {'':<32}{range_text(robot, name, ends)}")
-    if found.like is not None:
-        rows = f"the {int(found.like.estimation.sum())} estimation rows of {found.like.source}"
-        lines.append(_wrap(f"These are the values of {rows}{found.margin}.", "  "))
-    return "\n".join(lines)
+        values = range_text(robot, name, ends)
+        yield f"  {name:<32}{values}" if len(name) < 32 else f"  {name}\n  {'':<32}{values}"
+    if origin:
+        yield fill(f"These are the values of {origin}.", "  ")
 
 
-def _region_text(found: Found) -> str:
+def _region_text(found: Found) -> Iterator[str]:
     """Extent, region, voxels."""
     density, region = found.density, found.region
-    voxels = np.count_nonzero(region.cells)
-    reached = np.count_nonzero(density.counts)
-    lines = [
-        f"  {'samples':<12}{density.samples:,}"
-        + (f" in the box, of {density.drawn:,}" if density.drawn > density.samples else "")
-        + f" (seed {found.seed})",
-        f"  {'workspace':<12}{_extent_text(density.extent)}",
-        f"  {'reach':<12}{1e3 * found.reach:.0f} mm from the base's origin",
-        f"  {'region':<12}{_extent_text(region.bounds)}",
-        f"  {'':<12}{volume_text(region.volume)}: {voxels:,} of the {reached:,} voxels that the target reaches",
-        f"  {'voxel':<12}{1e3 * density.voxel:g} mm; how often the target is in one is known to about "
-        f"{100 * density.error:.1g} %",
-    ]
-    head = (
+    yield fill(
         f"Of all places of the target {100 * region.held:.4g} % lie in this region, the smallest one that holds so "
-        f"many; in the frame of '{found.robot.base}':"
+        f"many; in the frame of '{found.robot.base}':",
+        hang="  ",
     )
-    said = [_wrap(head), *lines]
+    cut = f" in the box, of {density.drawn:,}" if density.drawn > density.samples else ""
+    voxels, reached = np.count_nonzero(region.cells), np.count_nonzero(density.counts)
+    for label, value in (
+        ("samples", f"{density.samples:,}{cut} (seed {found.seed})"),
+        ("workspace", _extent_text(density.extent)),
+        ("reach", f"{1e3 * found.reach:.0f} mm from the base's origin"),
+        ("region", _extent_text(region.bounds)),
+        (
+            "",
+            f"{volume_text(region.volume)}: {voxels:,} of the {reached:,} voxels that the target reaches",
+        ),
+        (
+            "voxel",
+            f"{1e3 * density.voxel:g} mm; how often the target is in one is known to about "
+            f"{100 * density.error:.1g} %",
+        ),
+    ):
+        yield f"  {label:<12}{value}"
     if len(found.robot.joint_names) < 3:
-        said.append(
-            _wrap(
-                "With fewer than three joints the target moves on a line or a surface; the volume is that of the "
-                "voxels along it."
-            )
+        yield fill(
+            "With fewer than three joints the target moves on a line or a surface; the volume is that of the voxels "
+            "along it.",
+            hang="  ",
         )
     if density.error > _UNSURE:
-        said.append(
-            _wrap(
-                "The voxels hold so few samples that other samples (--seed) would make another region, and less of "
-                "them would lie in this one. Give more --samples"
-                + (", or a larger --voxel." if density.samples == density.drawn else ".")
-            )
+        larger = ", or a larger --voxel" if density.samples == density.drawn else ""
+        yield fill(
+            "The voxels hold so few samples that other samples (--seed) would make another region. Give more "
+            f"--samples{larger}.",
+            hang="  ",
         )
-    return "\n".join(said)
 
 
-def _rows_text(found: Found, *, every_row: bool) -> Iterator[str]:
+def _rows_text(found: Found, checked: Checked, *, every_row: bool) -> Iterator[str]:
     """Which rows lie inside."""
-    if found.checked is None:
-        return
-    rows, points, measured, predicted = found.checked
+    rows, points, measured, predicted = checked
     inside, depth = found.region.contains(points), found.region.depth(points)
     how = "as measured" if measured.all() else "where the nominal robot puts them"
     if measured.any() and not measured.all():
         how = "as measured, or else where the nominal robot puts them"
     yield f"Targets of {rows.source}, {how}:"
     if every_row:
-        yield from _row_lines(found, inside, depth)
+        yield from _row_lines(found, checked, inside, depth)
     for word, chosen in (("estimation", rows.estimation), ("validation", rows.validation)):
+        outside = _numbers(rows, chosen & ~inside)
         if chosen.any():
-            yield _wrap(_count_text(word, rows, chosen, inside), "  ")
-    near = np.abs(depth) < 0.5 * found.region.voxel
-    if near.any():
-        yield _wrap(
-            f"The border is known to about half a voxel: rows {_numbers(rows, near)} lie so near that other samples "
-            "may put them on its other side.",
+            many = f"{np.count_nonzero(chosen & inside)} of {np.count_nonzero(chosen)} {word} rows"
+            yield fill(
+                f"{many} lie in the region" + (f"; outside: {outside}." if outside else "."), "  "
+            )
+    near = _numbers(rows, np.abs(depth) < 0.5 * found.region.voxel)
+    if near:
+        yield fill(
+            f"The border is known to about half a voxel: rows {near} lie so near that other samples may put them on "
+            "its other side.",
             "  ",
         )
     off = np.linalg.norm(points - predicted, axis=1)[measured]
     if len(off) and np.median(off) > _STRANGE:
-        yield _wrap(
+        yield fill(
             f"Note: the measured points lie {1e3 * np.median(off):.0f} mm from where the nominal robot puts the "
             "target. If they are not in the base frame, give --frame estimate; if the target is not where it is "
             "said to be, give --target.",
@@ -187,11 +193,11 @@ def _rows_text(found: Found, *, every_row: bool) -> Iterator[str]:
         )
 
 
-def _row_lines(found: Found, inside: NDArray[np.bool_], depth: Array) -> Iterator[str]:
+def _row_lines(
+    found: Found, checked: Checked, inside: NDArray[np.bool_], depth: Array
+) -> Iterator[str]:
     """A line for each row of the checked table; in a long one without those well inside."""
-    if found.checked is None:
-        return
-    rows, points, *_ = found.checked
+    rows, points = checked.rows, checked.points
     needed = found.density.share_of(points)
     shown = np.ones(len(rows), dtype=bool)
     if len(rows) > _MOST_ROWS:
@@ -212,37 +218,12 @@ def _row_lines(found: Found, inside: NDArray[np.bool_], depth: Array) -> Iterato
         yield f"  {np.count_nonzero(~shown)} more rows lie inside by a voxel or more."
 
 
-def _count_text(
-    word: str, rows: Measurements, chosen: NDArray[np.bool_], inside: NDArray[np.bool_]
-) -> str:
-    """How many rows of a set lie inside, and which do not."""
-    said = f"{np.count_nonzero(chosen & inside)} of {np.count_nonzero(chosen)} {word} rows lie in the region"
-    outside = chosen & ~inside
-    return f"{said}; outside: {_numbers(rows, outside)}." if outside.any() else f"{said}."
-
-
 def _numbers(rows: Measurements, chosen: NDArray[np.bool_]) -> str:
-    """The numbers of some rows, not too many."""
-    numbers = [str(rows.rows[i]) for i in np.flatnonzero(chosen)]
-    return ", ".join(numbers[:20]) + (f" and {len(numbers) - 20} more" if len(numbers) > 20 else "")
+    """The numbers of some rows, runs of them as one."""
+    return row_ranges(rows.rows[i] for i in np.flatnonzero(chosen))
 
 
 def _extent_text(ends: Array) -> str:
     """A box in mm."""
-    parts = [
-        f"{axis} {1e3 * low + 0.0:.0f} to {1e3 * high + 0.0:.0f}"
-        for axis, low, high in zip("xyz", ends[0], ends[1], strict=True)
-    ]
-    return ", ".join(parts) + " mm"
-
-
-def _wrap(said: str, indent: str = "") -> str:
-    """Text broken at 100 columns."""
-    return textwrap.fill(
-        said,
-        100,
-        initial_indent=indent,
-        subsequent_indent=indent or "  ",
-        break_on_hyphens=False,
-        break_long_words=False,
-    )
+    mm = np.round(1e3 * ends) + 0.0
+    return ", ".join(f"{a} {mm[0, k]:.0f} to {mm[1, k]:.0f}" for k, a in enumerate("xyz")) + " mm"

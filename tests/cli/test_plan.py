@@ -14,7 +14,7 @@ from calib.model.robot import Robot
 
 FREE = ("plan", "robot.urdf", "--base", "base", "--tip", "tool0", "--no-collisions")
 QUICK = ("--model", "zeros", "--no-validate")
-SMALL = (*FREE, "--candidates", "400", "--model", "dh", "--target", "50 70 30 mm")
+SMALL = (*FREE, "--candidates", "300", "--model", "dh", "--target", "50 70 30 mm")
 
 
 def fill_in(path: Path, count: int) -> None:
@@ -66,18 +66,7 @@ def test_from_plan_to_fit(call, shop: Path):
     assert "Written: plan.csv\n" in done.out
     step = next(line for line in done.lines if line.startswith("  3. calib fit"))
     assert step.startswith("  3. calib fit robot.urdf plan.csv --base base --tip tool0")
-    fit = (
-        "fit",
-        "robot.urdf",
-        "plan.csv",
-        "--base",
-        "base",
-        "--tip",
-        "tool0",
-        "--model",
-        "zeros",
-        "--no-validate",
-    )
+    fit = ("fit", "robot.urdf", "plan.csv", "--base", "base", "--tip", "tool0", *QUICK)
     done = call(shop, *fit)
     assert (done.code, done.out) == (1, "")
     assert done.err == (
@@ -101,18 +90,7 @@ def test_a_plan_beside_a_tracker_s_list(call, shop: Path):
         rows = list(csv.DictReader(file))
     lines = [" ".join([row["point"], *(row[f"expected {a} [mm]"] for a in "xyz")]) for row in rows]
     (shop / "list.txt").write_text("\n".join(["// Units: mm", *lines[::-1]]), encoding="utf-8")
-    fit = (
-        "fit",
-        "robot.urdf",
-        "plan.csv",
-        "--points",
-        "list.txt",
-        "--base",
-        "base",
-        "--model",
-        "zeros",
-        "--no-validate",
-    )
+    fit = ("fit", "robot.urdf", "plan.csv", "--points", "list.txt", "--base", "base", *QUICK)
     done = call(shop, *fit)
     assert (done.code, done.err) == (0, "")
     assert done.lines[0].startswith("calib ")
@@ -123,20 +101,8 @@ def test_a_plan_beside_a_tracker_s_list(call, shop: Path):
 
 
 def test_which_five_next(call, shop: Path):
-    done = call(
-        shop,
-        *SMALL,
-        "--taken",
-        "data.csv",
-        "--count",
-        "5",
-        "--validation",
-        "0",
-        "-o",
-        "next.csv",
-        "--json",
-        "next.json",
-    )
+    five = ("--taken", "data.csv", "--count", "5", "--validation", "0")
+    done = call(shop, *SMALL, *five, "-o", "next.csv", "--json", "next.json")
     assert (done.code, done.err) == (0, "")
     text = " ".join(done.out.split())
     assert "5 poses to calibrate with, beside 30 poses measured already" in text
@@ -176,7 +142,8 @@ def test_what_stands_around_the_robot(call, shop: Path):
     (shop / "cone.toml").write_text("[reflector]\nnormal = [1, 0, 0]\nacceptance_deg = 40\n")
     done = call(
         shop, "plan", "robot.urdf", "--base", "base", "--tip", "tool0", "--model", "dh", "--target", "30 0 60 mm",
-        "--candidates", "300", "--tracker", "2500 500 600 mm", "--reflector", "0 0 1", "--cell", "cone.toml",
+        "--candidates", "120", "--count", "12", "--tracker", "2500 500 600 mm", "--reflector", "0 0 1",
+        "--cell", "cone.toml",
         "--box", "table: 0 0 -45 1200 800 50 mm", "--clearance", "10 mm", "--range", "elbow_joint=-120..120 deg",
         "--margin", "10 deg", "--noise", "20 um + 5 um/m", "--start", "shoulder_lift_joint=-90 deg",
         "-o", "plan.csv", "--json", "plan.json",
@@ -205,8 +172,8 @@ def test_expected_values_in_a_frame_that_is_not_measured_in(call, shop: Path):
 
 def test_a_joint_that_slides_and_one_that_is_held(call, shop: Path):
     done = call(
-        shop, "plan", "tiago", "--tip", "arm_7_link", "--no-collisions", "--candidates", "300", "--model", "zeros",
-        "-o", "plan.csv",
+        shop, "plan", "tiago", "--tip", "arm_7_link", "--no-collisions", "--candidates", "60", "--model", "zeros",
+        "--ladder", "none", "-o", "plan.csv",
     )  # fmt: skip
     assert (done.code, done.err) == (0, "")
     assert "deg in all" not in done.out
@@ -214,8 +181,8 @@ def test_a_joint_that_slides_and_one_that_is_held(call, shop: Path):
     assert "torso_lift_joint [mm]" in header
     held = ("--hold", "torso_lift_joint=0.3 m")
     done = call(
-        shop, "plan", "tiago", "--tip", "arm_7_link", "--no-collisions", "--candidates", "300", "--model", "zeros",
-        *held, "-o", "held.csv",
+        shop, "plan", "tiago", "--tip", "arm_7_link", "--no-collisions", "--candidates", "60", "--model", "zeros",
+        "--ladder", "none", *held, "-o", "held.csv",
     )  # fmt: skip
     assert "--hold 'torso_lift_joint=0.3 m'" in done.out
     assert "torso" not in (shop / "held.csv").read_text(encoding="utf-8").splitlines()[0]
@@ -228,32 +195,20 @@ BOX = ("--box", "shell: 0 0 200 3000 3000 3000 mm")
     ("words", "said"),
     [
         (("--count", "0"), "0 poses and 5 validation poses were asked for; it takes 1 pose or more"),
-        (("--validation", "-1"), "30 poses and -1 validation poses were asked for"),
         (("--count", "6"), "6 poses give 18 numbers, and the model 'dh' has 21 parameters that can be told apart: at"),
-        (("--count", "500"), "500 poses and 5 validation poses were asked for, but only 400 candidates"),
-        (("--candidates", "0"), "only 0 candidates can be measured."),
+        (("--count", "500"), "500 poses and 5 validation poses were asked for, but only 300 candidates"),
         (("--criterion", "E"), "There is no criterion 'E'. Choose one of 'D', 'A', 'V'"),
         (("--ladder", "3,30"), "A forecast for 3 poses was asked for; it takes at least 7"),
         (("--ladder", "a"), '--ladder was given as "a"; it must be numbers of poses'),
-        (("--margin", "5"), '--margin "5": "5" is a number, an angle is wanted: "5 deg".'),
-        (("--margin=-5 deg",), 'must not be below 0.'),
         (("--margin", "400 deg"), "The margin of 400 deg to the URDF's limits leaves nothing of the range of 'sh"),
-        (("--clearance", "5"), '--clearance "5": "5" is a number, a length is wanted'),
         (("--clearance", "0.3 m"), '--clearance was given as "0.3 m"; it must be 100 mm or less'),
         (("--range", "elbow=0..1 deg"), "A range is given for the joint 'elbow', which does not move the chain"),
-        (("--start", "elbow=1 deg"), "the chain has no joint 'elbow'"),
-        (("--noise", "5 um + 1 um/m"), "nothing says where the tracker stands"),
+        (("--start", "elbow=1 deg"), "The chain has no joint 'elbow'"),
         (("--columns", "a=b"), "name it with --taken."),
         (("--taken", "cell.toml"), "cell.toml: no column for the joints"),
-        (("--taken", "none.csv"), "The table 'none.csv' does not exist"),
         (("--region", "none.json"), "region 'none.json' does not exist"),
-        (("--region", "data.csv"), "data.csv: this is not a JSON file"),
         (("--kind", "plane"), "Poses cannot be planned for the kind 'plane'"),
-        (("--model", "best"), "--model: there is no model 'best'."),
         (("--collisions", "--holder", "0 mm"), "The holder's radius is 0.0 m; it must be a number above 0."),
-        (("--box", "table"), '--box was given as "table"; it must be a name'),
-        (("--reflector", "up"), '--reflector was given as "up"; it must be a direction'),
-        (("--tracker", "1 2 m"), '--tracker was given as "1 2 m"; it must be three numbers and a unit'),
         (("--tracker", "200 0 0 m"), "None of 40960 poses drawn can be measured: 40960 out of the tracker's range."),
         (("--json", "data.csv"), "data.csv exists already; add --force"),
         (("-o", "robot.urdf", "--force"), "robot.urdf is also an input of this command"),

@@ -1,15 +1,13 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calib.cli.plan import load_for_plan, parse_ladder, read_region
-from calib.cli.surroundings_words import parse_start, with_noise
+from calib.cli.plan import parse_ladder
+from calib.cli.surroundings_words import add_surroundings, parse_start
 from calib.cli.terminal import row_ranges
-from calib.design.region import Region, RegionFile
 from calib.errors import CalibError
 from calib.measure.cell import Cell
 from calib.measure.noise import TrackerNoise
@@ -43,8 +41,8 @@ def test_starts(ur3):
         (["elbow"], "--start was given 'elbow'; it must be 'joint=value' with a unit"),
         (["elbow_joint=1"], "--start 'elbow_joint=1' is '1'; a joint's value needs a unit"),
         (["elbow_joint=1 deg"] * 2, "--start was given 'elbow_joint=1 deg'; it must be"),
-        (["elbow=1 deg"], "--start: the chain has no joint 'elbow'"),
-        (["elbow_joint=1 mm"], "--start: the value of 'elbow_joint' is a length, and the joint turns"),
+        (["elbow=1 deg"], "The chain has no joint 'elbow' to start at"),
+        (["elbow_joint=1 mm"], "is a length, and the joint turns"),
     ],
 )  # fmt: skip
 def test_starts_that_mean_nothing(ur3, texts, said):
@@ -68,15 +66,15 @@ def test_a_start_of_a_joint_that_slides(serial_urdf):
     joints = [("prismatic", (0, 0, 0.1), (0, 0, 0), (0, 0, 1))]
     robot = Robot.from_urdf(serial_urdf(joints))
     assert parse_start(["j1=20 mm"], robot).tolist() == [0.02]
-    with pytest.raises(CalibError, match=r"the value of 'j1' is an angle, and the joint slides"):
+    with pytest.raises(CalibError, match=r"is an angle, and the joint slides"):
         parse_start(["j1=20 deg"], robot)
 
 
 def test_noise():
-    assert with_noise(Cell(sigma=1e-4), None).sigma == 1e-4
-    assert with_noise(Cell(), "0.05 mm").sigma == pytest.approx(5e-5, rel=1e-15)
+    assert add_surroundings(Cell(sigma=1e-4), noise=None).sigma == 1e-4
+    assert add_surroundings(Cell(), noise="0.05 mm").sigma == pytest.approx(5e-5, rel=1e-15)
     tracker = Tracker(np.array([2.0, 0.0, 0.0]), noise=TrackerNoise(1e-5, 1e-6, 3e-5))
-    cell = with_noise(Cell(tracker=tracker, sigma=1e-4), "20 um + 5 um/m")
+    cell = add_surroundings(Cell(tracker=tracker, sigma=1e-4), noise="20 um + 5 um/m")
     assert cell.sigma is None
     assert cell.tracker is not None
     noise = cell.tracker.noise
@@ -84,38 +82,9 @@ def test_noise():
     assert noise.repeatability == 3e-5
     np.testing.assert_array_equal(cell.tracker.position, tracker.position)
     with pytest.raises(CalibError, match=r"nothing says where the tracker stands; add --tracker"):
-        with_noise(Cell(), "20 um + 5 um/m")
+        add_surroundings(Cell(), noise="20 um + 5 um/m")
     with pytest.raises(CalibError, match=r"--noise was given as \"3\"; it must be a length"):
-        with_noise(Cell(), "3")
-
-
-def test_the_tip_is_that_of_the_table(tmp_path: Path):
-    table = tmp_path / "taken.csv"
-    table.write_text("panda_joint1 [deg],panda_joint2 [deg],J [deg]\n1,2,3\n", encoding="utf-8")
-    assert len(load_for_plan("panda", Cell(), table, {}).joint_names) == 2
-    assert len(load_for_plan("panda", Cell(), table, {"J": "panda_joint3"}).joint_names) == 3
-    assert len(load_for_plan("panda", Cell(), None, {}).joint_names) > 6
-    assert load_for_plan("panda", Cell(tip="panda_link4"), table, {}).tip == "panda_link4"
-    with pytest.raises(CalibError, match=r"name it with --taken\."):
-        load_for_plan("panda", Cell(), None, {"J": "j1"})
-
-
-def test_a_region_of_this_robot_and_of_another(ur3, tmp_path: Path):
-    assert read_region(None, ur3, Cell()) == (None, [])
-    region = Region(np.zeros(3), 0.1, np.ones((2, 2, 2), dtype=bool), share=0.9, held=0.9)
-    target = np.array([0.05, 0.07, 0.03])
-    ranges = np.tile([-1.0, 1.0], (6, 1))
-    path = RegionFile.of(region, ur3, target, ranges, 100, 0).write(tmp_path / "region.json")
-    found, remarks = read_region(path, ur3, Cell(target=target))
-    assert found is not None
-    assert found.volume == pytest.approx(8e-3)
-    assert remarks == []
-    _, remarks = read_region(path, ur3, Cell(targets={"far": target + 0.2}))
-    assert len(remarks) == 1
-    assert "for a target 346 mm away from this one" in remarks[0]
-    other = Robot.load("ur3", base="base_link", tip="tool0")
-    with pytest.raises(CalibError, match="The region was made for the base 'base' of 'ur3'"):
-        read_region(path, other, Cell())
+        add_surroundings(Cell(), noise="3")
 
 
 @pytest.mark.parametrize(
