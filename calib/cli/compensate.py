@@ -327,5 +327,6 @@ def parse_sizes(text: str, option: str, otherwise: tuple[float, float]) -> tuple
     """``--limit``, ``--accept``, ``--lever``: a length [m] and an angle [rad], or what holds where one is not named."""
     from calib.cli.setup import parse_pair
 
-    length, angle = parse_pair(text, option, "10 mm 2 deg")
+    example = "0.05 mm 0.01 deg" if option == "--accept" else "10 mm 2 deg"
+    length, angle = parse_pair(text, option, example)
     return otherwise[0] if length is None else length, otherwise[1] if angle is None else angle

@@ -29,10 +29,8 @@ class _Options(CellOptions):
     target: ResultTarget = None
 
 
-_EXAMPLE = "0.5 mm 0.1 deg"
-
-#: The exit code where a tolerance was not shown to be kept.
-NOT_PASSED = 3
+#: A tolerance as it could be typed, and the exit code where one was not shown to be kept.
+_EXAMPLE, NOT_PASSED = "0.5 mm 0.1 deg", 3
 
 
 @verb("""Compare a robot with measurements, and hold its accuracy against a tolerance.
@@ -127,8 +125,7 @@ def evaluate(
     if stored is not None:
         check_chain(cell, stored, str(calibration))
         own = stored.nominal
-        base, tip = cell.base or own.base, cell.tip or own.tip
-        cell = replace(cell, base=base, tip=tip, held={**own.held, **cell.held})
+        cell = replace(cell, base=own.base, tip=own.tip, held={**own.held, **cell.held})
     arm, table = load_with_data(robot, cell, data, **asdict(read))
     check_measured(arm if stored is None else stored.uncorrected(arm), table)
     source = "as given" if stored is None or said.target is not None else "as the result has it"
@@ -144,9 +141,7 @@ def evaluate(
         judge=judge,
         limits=limits,
     )
-    written = None
-    if json is not None:
-        written = write_table(evaluated_table(found), json, overwrite=force)
+    written = None if json is None else write_table(evaluated_table(found), json, overwrite=force)
     if not quiet:
         say_ignored(table, arm)
         say(evaluated_text(found, source))

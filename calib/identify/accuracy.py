@@ -244,15 +244,9 @@ def judged_rows(
 ) -> Mask:
     """Which rows a robot is judged by, shape (N,).
 
-    Those that the calibration was not fitted to, if the table sets some of them aside or they are of five poses; and of
-    these the validation rows, if there are any and something was registered to the others. Otherwise all.
-
-    Args:
-        m: The rows.
-        told: Which rows measure something.
-        fitted: Which of them the calibration was fitted to.
-        poses: The number of each row's pose.
-        registered: Whether something was registered to the estimation rows.
+    Those that measure something and the calibration was not fitted to, if the table sets some of them aside or they are
+    of five poses; and of these the validation rows, if there are any and something was registered to the others.
+    Otherwise all. The number of each row's pose is in ``poses``.
     """
     fresh = told & ~fitted
     aside = fresh & m.validation & np.any(m.estimation)
@@ -280,10 +274,7 @@ def fitted_rows(c: Calibration, robot: Robot, measurements: Measurements, cell: 
 def known_again(c: Calibration, nominal: Evaluation, calibrated: Evaluation) -> Mask:
     """Which rows of a table are some of those that a result was fitted to, shape (N,), by what is left over in them.
 
-    Args:
-        c: The result.
-        nominal: The errors of its nominal robot in the table, with the result's own target and frame for it.
-        calibrated: The errors of the robot with the result's joint origins, target and frame.
+    The errors are those of its nominal and its corrected robot, each with the result's own targets and frames for it.
     """
     fitted = np.zeros(len(calibrated.used), dtype=bool)
     ours, theirs = calibrated.used[:, :3], c.used[:, :3]

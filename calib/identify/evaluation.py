@@ -27,11 +27,8 @@ Mask = NDArray[np.bool_]
 #: What of an earlier result can be taken for known.
 PLACES = ("frame", "target")
 
-#: What is found anew must make the rms this many times smaller, and leave this many numbers for each unknown.
-_BETTER, _NUMBERS = 3.0, 3
-
-#: Errors below this need no explanation [m].
-_SMALL = 1e-4
+#: What is found anew must make an rms above the last [m] this many times smaller, with this many numbers an unknown.
+_BETTER, _NUMBERS, _SMALL = 3.0, 3, 1e-4
 
 #: A column that every table of commands has, and how exactly the poses to send are those of the nominal robot [m].
 _COMMANDS, _EXACT = "correction position", 1e-6
@@ -116,19 +113,9 @@ def evaluate_larger(
     cell: Cell,
     which: tuple[str, ...] = PLACES,
 ) -> Evaluation | None:
-    """Compare the larger model of a result with measurements; None where it has none.
+    """Compare the larger model of a result with measurements, see `evaluate`; None where it has none.
 
-    Args:
-        c: The result.
-        robot: The robot, nominal or corrected.
-        measurements: The rows.
-        cell: The set-up; its payload wins over the result's.
-        which: Which of the larger model's frames and targets are used, see `evaluate`.
-
-    Raises:
-        UrdfError: The robot lacks one of the joints.
-        ModelError: The table has set-ups or targets that nothing is known of, or the robot is another one.
-        MeasurementError: Too few rows to register what is not known.
+    The cell's payload wins over the result's.
     """
     if c.larger is None:
         return None
@@ -178,11 +165,6 @@ def at_known(setup: Setup, known: Setup, which: tuple[str, ...] = PLACES) -> Set
 
     The only one of a result stands for the only one of a table, whatever their names are.
 
-    Args:
-        setup: Of the table.
-        known: Of the result.
-        which: Which of `PLACES` are taken from it.
-
     Raises:
         ModelError: The table has a set-up that is not known there, and the cell does not say where it stands.
     """
@@ -196,10 +178,8 @@ def at_known(setup: Setup, known: Setup, which: tuple[str, ...] = PLACES) -> Set
         return there
 
     frames, targets = setup.T_frame_base.copy(), setup.T_tip_target.copy()
-    framed, aimed = (
-        np.zeros(len(setup.groups), dtype=bool),
-        np.zeros(len(setup.targets), dtype=bool),
-    )
+    framed = np.zeros(len(setup.groups), dtype=bool)
+    aimed = np.zeros(len(setup.targets), dtype=bool)
     if "frame" in which:
         framed = found(setup.groups, known.groups, known.T_frame_base, frames)
     if "target" in which:
@@ -232,14 +212,7 @@ def hint(evaluation: Evaluation, cell: Cell) -> str:
 
 
 def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) -> str:
-    """A sentence that says which of frame and target explains the errors by far when found anew, or nothing.
-
-    Args:
-        robot: The calibrated robot.
-        measurements: Fresh rows.
-        cell: The set-up.
-        known: Frames and targets of the result.
-    """
+    """Which of frame and target explains the errors of fresh rows by far when found anew, in a sentence; or nothing."""
     before = evaluate(robot, measurements, cell, known=known)
     rms = before.errors["all"].rms
     if before.registered or not rms > _SMALL:
@@ -273,13 +246,7 @@ def moved(robot: Robot, measurements: Measurements, cell: Cell, known: Setup) ->
 
 
 def check_measured(nominal: Robot, measurements: Measurements) -> None:
-    """Refuse a table of commands whose poses to send would be taken for measured ones.
-
-    They are what the nominal robot predicts, and any tolerance would seem to be kept.
-
-    Args:
-        nominal: The nominal robot.
-        measurements: What was read from the table.
+    """Refuse a table of commands, whose poses to send the nominal robot predicts: any tolerance would seem to be kept.
 
     Raises:
         MeasurementError: The points are those of the nominal robot, with a tool and in a frame of any kind.

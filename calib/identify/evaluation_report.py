@@ -34,9 +34,6 @@ from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot
 
-#: The layout; a word, so that it is not taken for a result's.
-EVALUATION_SCHEMA = "evaluation 1"
-
 #: Residuals that differ by less are the same [m] and [rad].
 _SAME = 1e-9
 
@@ -50,42 +47,24 @@ _NAMES = {
 
 #: Attribute of a pose, and its key in the file.
 _POSE_KEYS = {
-    "rows": "rows",
-    "kind": "kind",
-    "group": "group",
-    "target": "target",
-    "ap": "ap_m",
-    "ap_xyz": "ap_xyz_m",
-    "rp": "rp_m",
-    "single": "single_m",
-    "ap_angle": "ap_rad",
-    "ap_abc": "ap_abc_rad",
-    "rp_abc": "rp_abc_rad",
-    "single_angle": "single_rad",
+    **{name: name for name in ("rows", "kind", "group", "target")},
+    **{name: f"{name}_m" for name in ("ap", "ap_xyz", "rp", "single")},
+    **{f"{name}_angle": f"{name}_rad" for name in ("ap", "single")},
+    **{name: f"{name}_rad" for name in ("ap_abc", "rp_abc")},
 }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluated:
-    """What was found.
-
-    Attributes:
-        found: The errors of ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"larger"``, as far as they are there.
-        figures: Their accuracy.
-        judged: Which of them is judged.
-        accepted: Whether the tolerance is kept; None where none was stated.
-        result: Name of the result's file; empty without one.
-        notes: What must be minded with the outcome.
-        advice: A set-up that would explain the rows far better; empty where none would.
-    """
+    """What was found, by ``"nominal"``, ``"urdf"``, ``"calibration"`` and ``"larger"`` as far as they are there."""
 
     found: Mapping[str, Evaluation]
     figures: Mapping[str, Accuracy]
     judged: str
     accepted: Acceptance | None
-    result: str
-    notes: tuple[str, ...]
-    advice: str
+    result: str  # name of its file
+    notes: tuple[str, ...]  # what must be minded with the outcome
+    advice: str  # a set-up that would explain the rows far better
 
     @property
     def name(self) -> str:
@@ -104,7 +83,7 @@ def evaluate_all(
     judge: str | None = None,
     limits: Mapping[str, Any] | None = None,
 ) -> Evaluated:
-    """Evaluate the robot as it is; and a result's nominal robot, its joint origins, and its larger model.
+    """Evaluate the robot as it is; and of a result its nominal robot, its joint origins, and its larger model.
 
     Args:
         robot: The robot.
@@ -113,8 +92,8 @@ def evaluate_all(
         c: The result.
         result: Name of its file.
         which: Which of its ``"frame"`` and ``"target"`` are used.
-        judge: Which robot is judged.
-        limits: What `calib.acceptance` is given; without a tolerance nothing is judged.
+        judge: Which robot is judged; by default the corrected one.
+        limits: What `calib.acceptance` is given; without it nothing is judged.
 
     Raises:
         CalibError: There is no such robot to be judged, or what `evaluate` and `acceptance` raise.
@@ -197,7 +176,7 @@ def evaluation_table(found: Mapping[str, Evaluation]) -> dict[str, Any]:
     frames = zip(setup.groups, setup.T_frame_base, strict=True)
     targets = zip(setup.targets, setup.T_tip_target, strict=True)
     return {
-        "schema": EVALUATION_SCHEMA,
+        "schema": "evaluation 1",  # a word, so that it is not taken for a result's
         "robot": {"name": e.robot.name, "base": e.robot.base, "tip": e.robot.tip},
         "frames": {
             **pose_table(e.T_frame_base, "frame_base_"),

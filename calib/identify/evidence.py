@@ -13,7 +13,6 @@ from calib.identify.fitting import Fitted, fit
 from calib.identify.problem import Problem
 from calib.identify.registration import ENOUGH
 from calib.identify.residual_tests import (
-    Explained,
     Stack,
     drift,
     joint_patterns,
@@ -65,13 +64,7 @@ _TELLING = 10.0
 
 
 def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidence:
-    """All that the verdict is based on.
-
-    Args:
-        result: The calibration, cross-validated.
-        rows: The rows that were fitted.
-        hint: Which set-up would explain the measurements better.
-    """
+    """All that the verdict on a cross-validated result is based on; the hint is a set-up that explains more."""
     fitted, m, larger = result.fitted, result.measurements, result.larger
     assert result.cross_validation is not None
     assert result.nominal_cross_validation is not None
@@ -154,14 +147,9 @@ def validation_errors(
 ) -> tuple[Errors, Errors, int]:
     """Errors on the validation rows, before and after, without suspects if they are few, and how many those are.
 
-    One wild row would decide the comparison; many of them are no accidents but a robot that is not met.
-
-    Args:
-        validation: shape (N,), which rows validate.
-        suspects: shape (N,), which of them the calibrated robot does not explain.
-        nominal: shape (N, D), residual of the nominal robot [m], [rad].
-        calibrated: shape (N, D), of the calibrated one.
-        used: shape (N, D), which scalars were measured.
+    One wild row would decide the comparison; many of them are no accidents but a robot that is not met. All are of
+    shape (N,) or (N, D): which rows validate, which of them the calibrated robot does not explain, the residuals of the
+    nominal and of the calibrated robot [m], [rad], and which scalars were measured.
     """
     aside = suspects & validation
     if np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation))) or np.array_equal(
@@ -258,17 +246,13 @@ def _patterns(fitted: Fitted) -> Iterator[Reason]:
         [joint.type == "prismatic" for joint in joints],
         [moved[:, [column[f"{joint.name}.zero"]]] for joint in joints],
     )
-    for i, test in found[:1]:
+    for i, one in found[:1]:
         quantity = "position" if joints[i].type == "prismatic" else "angle"
-        yield _pattern(Why.JOINT_PATTERN, test, quantity=quantity, joint=joints[i].name)
-    drifts = drift(stack, np.linspace(0.0, 1.0, len(rows)))
-    if drifts is not None:
-        yield _pattern(Why.DRIFT, drifts)
-
-
-def _pattern(why: Why, test: Explained, **more: str) -> Reason:
-    """A finding with how much of the residual it explains."""
-    return Reason.of(why, **more, share=test.share, chance=test.chance, p=test.p)
+        sure = {"share": one.share, "chance": one.chance, "p": one.p}
+        yield Reason.of(Why.JOINT_PATTERN, quantity=quantity, joint=joints[i].name, **sure)
+    test = drift(stack, np.linspace(0.0, 1.0, len(rows)))
+    if test is not None:
+        yield Reason.of(Why.DRIFT, share=test.share, chance=test.chance, p=test.p)
 
 
 def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:

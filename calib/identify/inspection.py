@@ -102,14 +102,8 @@ def _everywhere(robot: Robot, cell: Cell) -> Measurements:
     """Poses spread over the joint limits as a table of the cell's kind."""
     kind = registry.get(cell.kind or "point")
     if not kind.free:
-        why = (
-            "the target stays where it is held"
-            if kind.measure is None
-            else "a table says which are a pair"
-        )
         raise ModelError(
-            f"Poses spread over the joint limits say nothing of kind '{kind.name}': {why}. Give a table of such "
-            "rows to inspect."
+            f"Poses spread over the joint limits say nothing of kind '{kind.name}'. Give a table of such rows."
         )
     joints = spread_poses(robot)
     return Measurements(

@@ -53,44 +53,26 @@ _SOME_FREEDOM, _ROUNDING = 1e-6, 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """What further regressors explain of a residual.
-
-    Attributes:
-        F: Fisher's ratio; 0 where there is nothing to test.
-        p: Probability of such a ratio or a larger one by chance; 1 where there is nothing to test.
-        share: Part of the residual's square that they explain, 0 to 1, beyond the range of the fit's regressors.
-        chance: The part that as many random regressors explain on average.
-        columns: Number of independent further regressors.
-        freedom: Degrees of freedom of what is left after them.
-    """
+    """What further regressors explain of a residual; F is 0 and p is 1 where there is nothing to test."""
 
     F: float
     p: float
-    share: float
-    chance: float
-    columns: int
-    freedom: int
+    share: float  # of the residual's square, beyond the range of the fit's regressors
+    chance: float  # what as many random regressors explain on average
+    columns: int  # independent further regressors
+    freedom: int  # of what is left after them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stack:
-    """The whitened scalars of a fit.
+    """The whitened scalars of a fit."""
 
-    Attributes:
-        A: shape (M, p), regressors of the fit.
-        r: shape (M,), residual.
-        row_of: shape (M,), the row of each scalar.
-        component_of: shape (M,), which coordinate it is.
-        scale: shape (M,), what each was multiplied by to whiten it.
-        poses: shape (N,), the pose of each row.
-    """
-
-    A: Array
-    r: Array
-    row_of: Integers
-    component_of: Integers
-    scale: Array
-    poses: Integers
+    A: Array  # (M, p), its regressors
+    r: Array  # (M,), its residual
+    row_of: Integers  # (M,), the row of each scalar
+    component_of: Integers  # (M,), which coordinate it is
+    scale: Array  # (M,), what each was multiplied by
+    poses: Integers  # (N,), the pose of each row
 
     @property
     def ones(self) -> Array:
@@ -115,14 +97,9 @@ def joint_patterns(
 ) -> list[tuple[int, Explained]]:
     """The joints whose value the residuals follow, beyond a constant of each component; the surest first.
 
-    For each joint the regressors are functions of its value, sin q, cos q and q, or q and q^2 where it slides, times
-    the directions in which it moves the target. A table with nothing but noise gives any with `FALSE_ALARM`.
-
-    Args:
-        stack: What a fit left over.
-        joints: shape (N, m), joint values of the rows [rad or m].
-        prismatic: Whether each of the m joints slides.
-        directions: For each joint shape (M, k), what displacements of it do to the scalars, whitened.
+    For each joint the regressors are functions of its value in the rows, ``joints`` of shape (N, m), sin q, cos q and
+    q, or q and q^2 where it slides, times the directions (M, k) of what displacements of it do to the scalars. A table
+    with nothing but noise gives any with `FALSE_ALARM`.
     """
     if not len(stack.r):
         return []
@@ -189,14 +166,9 @@ def _within(stack: Stack, Z: Array) -> Explained:
 
 
 def f_test(base: Array, r: Array, Z: Array, sizes: Array, lost: int = 0) -> Explained:
-    """The F test of further regressors; the module's text has the equation.
+    """The F test of further regressors Z (M, k) beyond an orthonormal base (M, rank A); the module's text has it.
 
-    Args:
-        base: shape (M, rank A), orthonormal.
-        r: shape (M,), whitened residual.
-        Z: shape (M, k), further regressors, of any rank.
-        sizes: shape (k,), of which a column of Z is at least `CUT` if there is anything to it.
-        lost: Degrees of freedom that were taken before.
+    A column of Z below `CUT` times its size counts for nothing; ``lost`` degrees of freedom were taken before.
     """
     rest = r - base @ (base.T @ r)
     # Twice is enough to be orthogonal to rounding, where Z almost lies in the range of the base.
@@ -245,18 +217,11 @@ def _levelled(squares: NDArray[Any], freedom: NDArray[Any]) -> Array:
 def unpredicted(
     squares: Array, freedoms: Array, noises: Array, noise_freedoms: Array
 ) -> list[tuple[int, float]]:
-    """The set-ups whose errors are larger than the noise, beyond chance and by a factor that matters.
+    """The set-ups whose errors are larger than the noise, beyond chance and by a factor that matters; surest first.
 
-    Args:
-        squares: shape (G,), sum of whitened squares under the fit to the others, see `prediction_square`.
-        freedoms: shape (G,), its degrees of freedom: scalars less the set-up's own nuisance parameters.
-        noises: shape (G,), estimated variance of a whitened scalar, from the fit to the others: one that saw the
-            set-up is larger for its errors.
-        noise_freedoms: shape (G,), its degrees of freedom.
-
-    Returns:
-        Their numbers, each with its errors over those expected, rms; the surest first. With all set-ups alike there is
-        any with a probability below 1 %.
+    Of each the sum of whitened squares under the fit to the others (`prediction_square`) with its degrees of freedom,
+    and the variance of a whitened scalar in that fit, which one that saw the set-up would overstate, with its own. Each
+    is told by its number and its errors over those expected, rms. Of alike ones any is with a probability below 1 %.
     """
     testable = np.flatnonzero((freedoms > 0.0) & (noise_freedoms > 0.0) & (noises > 0.0))
     F = squares[testable] / freedoms[testable] / noises[testable]
@@ -269,15 +234,8 @@ def unpredicted(
 def prediction_square(r: Array, A: Array, covariance: Array, nuisance: Array) -> tuple[float, int]:
     """Sum of squares of a set-up's residual, in units of its prediction's own uncertainty, and its degrees of freedom.
 
-    Args:
-        r: shape (M,), whitened residual of the set-up under the fit to the others.
-        A: shape (M, p), whitened regressors of the parameters that the others know.
-        covariance: shape (p, p), of these parameters in that fit, for whitened scalars of variance 1.
-        nuisance: shape (M, k), whitened regressors of what the set-up has to itself, of any rank; the residual may be
-            taken at any value of it near enough to be linear.
-
-    Returns:
-        The sum and M less the rank of the nuisance.
+    The residual r (M,) and the regressors A (M, p) of what the others know are whitened; the covariance (p, p) is for
+    scalars of variance 1. What the set-up has to itself, ``nuisance`` (M, k) of any rank, takes up its share.
     """
     # A symmetric root of W: with A C^(1/2) = U S V^T it is I + U ((1 + S^2)^(-1/2) - 1) U^T, never made as a matrix.
     sizes, vectors = np.linalg.eigh(covariance)

@@ -62,13 +62,7 @@ Trial = tuple[float, Robot, Setup, Rows, Why, dict[str, Any]]
 def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Reason | None:
     """The set-up which explains the rows far better than the one given, if there is one.
 
-    Only tables of points of one target are looked at.
-
-    Args:
-        robot: The nominal robot.
-        cell: The set-up as given.
-        setup: Its frames and targets.
-        rows: The estimation rows.
+    Only tables of points of one target in one frame are looked at; rows are the estimation rows.
     """
     if (
         any(kind.name != "point" for kind in rows.present)
@@ -131,8 +125,7 @@ def _joint_trials(
             joints = q.copy()
             joints[:, some] *= -1.0
             listed = " and ".join(f"'{names[i]}'" for i in some)
-            why = Why.JOINT_TURNED if count == 1 else Why.JOINTS_TURNED
-            yield 1.0 + 0.2 * count, joints, why, {"joints": listed}
+            yield 1.0 + 0.2 * count, joints, Why.JOINTS_TURNED, {"joints": listed}
     for i, degrees in itertools.product(np.flatnonzero(turns).tolist(), _TURNS_DEG):
         joints = q.copy()
         joints[:, i] += np.radians(degrees)

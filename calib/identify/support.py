@@ -65,16 +65,14 @@ def outside(
 ) -> tuple[OutsideRow, ...]:
     """The rows asked for that have joint values outside the range of the measured ones.
 
-    A continuous joint's values are points on a circle: its range is what the largest gap leaves.
+    A continuous joint's values are points on a circle: its range is what the largest gap leaves. A margin of 5 % of the
+    range is allowed, the distance is from the range.
 
     Args:
         measured: shape (N, m), joint values that a fit has seen [rad or m].
         asked: shape (K, m), joint values that it should answer for.
         names: m joint names.
         types: m URDF joint types.
-
-    Returns:
-        Those rows, in the order of ``asked``; a margin of 5 % of the range is allowed, the distance is from the range.
     """
     if not len(measured) or not len(asked):
         return ()

@@ -55,40 +55,27 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What the verdict is based on.
+    """What the verdict is based on; N rows of up to D scalars [m], [rad].
 
-    Attributes:
-        nominal: Cross-validation of the nominal robot, frame and target fitted as for the calibrated one.
-        calibrated: Cross-validation of the calibrated robot.
-        scales: shape (N, D), the noise of each scalar [m], [rad].
-        used: shape (N, D), which scalars were measured.
-        repeats: shape (N,), rows of one number are repeats of one measurement.
-        pairs: shape (N,), which rows hold the distance between two poses.
-        outliers: shape (N,), the rows flagged by the fit to all of them.
-        validation: Errors on the validation rows, of the nominal and the calibrated robot; and how many more rows were
-            left out as accidents.
-        doubts: What was found besides errors.
-        notes: What is said in the end and decides nothing.
-        parameters: Number of parameters.
-        largest: Largest change of a parameter of the robot [m or rad].
-        noise: Estimated standard deviation of one length [m].
-        hint: Which set-up would explain the measurements better.
+    The nominal robot is cross-validated with frame and target fitted as for the calibrated one. Rows of one number in
+    ``repeats`` are repeats of one measurement, ``pairs`` hold the distance between two poses. ``validation`` has the
+    errors of the nominal and the calibrated robot there, and how many more rows were left out as accidents.
     """
 
     nominal: CrossValidation
     calibrated: CrossValidation
-    scales: NDArray[np.float64]
-    used: Mask
+    scales: NDArray[np.float64]  # (N, D), the noise of each scalar
+    used: Mask  # (N, D), which scalars were measured
     repeats: NDArray[np.int_]
     pairs: Mask
-    outliers: Mask
+    outliers: Mask  # (N,), flagged by the fit to all of them
     validation: tuple[Errors, Errors, int]
     parameters: int
-    largest: float
-    noise: float
-    doubts: tuple[Reason, ...] = ()
-    notes: tuple[Reason, ...] = ()
-    hint: Reason | None = None
+    largest: float  # change of a parameter of the robot [m or rad]
+    noise: float  # of one length [m]
+    doubts: tuple[Reason, ...] = ()  # what was found besides errors
+    notes: tuple[Reason, ...] = ()  # said in the end, and decide nothing
+    hint: Reason | None = None  # which set-up would explain the measurements better
 
 
 def verdict(e: Evidence) -> Verdict:
@@ -238,8 +225,7 @@ class Why(Enum):
     WRONG_UNIT = _OFF + "the {what} are {unit}: check the unit in the header."
     OTHER_BASE = _OFF + "the points are in the frame of '{link}': try --base {link}."
     OWN_FRAME = _OFF + "the points are in a frame of their own: try --frame estimate."
-    JOINT_TURNED = _OFF + "{joints} turns the other way: check the signs."
-    JOINTS_TURNED = _OFF + "{joints} turn the other way: check the signs."
+    JOINTS_TURNED = _OFF + "{joints} turned the other way: check the signs."
     JOINT_ZERO = _OFF + "{add_rad:deg.0f} deg are added to '{joint}': check its zero."
     COLUMNS_SWAPPED = _OFF + "the columns {columns} are swapped."
     # No arm has such errors.

@@ -186,11 +186,11 @@ def swap_coordinates(_, p):
 @pytest.mark.parametrize(
     ("mistake", "words"),
     [
-        (turn_one, "if 'elbow_joint' turns the other way"),
-        (turn_two, "if 'shoulder_lift_joint' and 'wrist_2_joint' turn the other way"),
+        (turn_one, "if 'elbow_joint' turned the other way"),
+        (turn_two, "if 'shoulder_lift_joint' and 'wrist_2_joint' turned the other way"),
         (
             turn_three,
-            "if 'shoulder_pan_joint' and 'wrist_1_joint' and 'wrist_3_joint' turn the other way",
+            "if 'shoulder_pan_joint' and 'wrist_1_joint' and 'wrist_3_joint' turned the other way",
         ),
         (shift_by_a_quarter, "if -90 deg are added to 'shoulder_lift_joint': check its zero"),
         (shift_by_half, "if 180 deg are added to 'wrist_1_joint': check its zero"),
@@ -210,7 +210,7 @@ def test_each_usual_mistake_is_named(ur3: Robot, table: Measurements, mistake, w
 @pytest.mark.parametrize(
     ("mistake", "words"),
     [
-        (turn_one, "if 'elbow_joint' turns the other way"),
+        (turn_one, "if 'elbow_joint' turned the other way"),
         (swap_joints, "if the columns 'shoulder_lift_joint' and 'elbow_joint' are swapped"),
     ],
 )
