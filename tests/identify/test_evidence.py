@@ -238,11 +238,10 @@ def test_few_poses(make_scene):
 
 def test_a_robot_that_is_right_is_no_better_than_frames_alone(make_scene):
     scene = arm(make_scene, 69, length=0.0, angle=0.0)
-    q = random_joint_values(scene.robot, 60, 9)
-    for model in ("auto", "dh"):
-        result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(9)), model=model)
+    table = table_of(scene, random_joint_values(scene.robot, 60, 9), np.random.default_rng(9))
+    found = {model: calibrate(scene.robot, table, model=model) for model in ("auto", "dh")}
+    for result in found.values():
         assert result.verdict.use == "do not use"
         assert next(iter(reasons(result))) == Why.NOTHING_TO_GAIN
-    auto = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(9)))
-    assert (auto.model.name, auto.larger) == ("frames", None)
-    assert auto.robot.urdf.data == scene.robot.urdf.data
+    assert (found["auto"].model.name, found["auto"].larger) == ("frames", None)
+    assert found["auto"].robot.urdf.data == scene.robot.urdf.data
