@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,56 +51,13 @@ MOST_SHAPES = 250
 MOST_NUMBERS = 12
 
 #: Fonts that draw what DejaVu Sans lacks, where they are installed.
-_FALLBACKS = (
-    "Noto Sans",
-    "Noto Sans CJK JP",
-    "Noto Sans Hebrew",
-    "Noto Emoji",
-    "Arial Unicode MS",
-    "Segoe UI Emoji",
-    "Yu Gothic",
-    "Microsoft YaHei",
-    "PingFang SC",
-)
-
-#: What a figure is drawn with, whatever a user's matplotlibrc says.
-_STYLE: dict[Any, Any] = {
-    "axes.axisbelow": True,
-    "axes.edgecolor": "#9aa7b4",
-    "axes.formatter.useoffset": False,
-    "axes.grid": True,
-    "axes.labelcolor": INK,
-    "axes.labelsize": 8.5,
-    "axes.linewidth": 0.7,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlecolor": INK,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 9.0,
-    "axes.titleweight": "bold",
-    "font.size": 8.5,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "hatch.linewidth": 0.7,
-    "legend.fontsize": 8.0,
-    "legend.frameon": False,
-    "pdf.fonttype": 42,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "calib",
-    "text.color": INK,
-    "text.parse_math": False,
-    "xtick.color": "#9aa7b4",
-    "xtick.labelcolor": SOFT,
-    "xtick.labelsize": 8.0,
-    "ytick.color": "#9aa7b4",
-    "ytick.labelcolor": SOFT,
-    "ytick.labelsize": 8.0,
-}
+_FALLBACKS = ["Noto Sans", "Noto Sans CJK JP", "Noto Sans Hebrew", "Noto Emoji", "Yu Gothic"]
+_FALLBACKS += ["Arial Unicode MS", "Segoe UI Emoji", "Microsoft YaHei", "PingFang SC"]
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Matplotlib's defaults and the figures' look, for as long as the context lasts."""
+    """Matplotlib's defaults and the figures' look, whatever a user's matplotlibrc says, within the context."""
     import matplotlib as mpl
     from matplotlib.font_manager import get_font_names
 
@@ -110,22 +67,30 @@ def styled() -> Iterator[None]:
         # A name in letters that no font has is drawn as boxes; the terminal is no place to say so.
         warnings.filterwarnings("ignore", message=".*Glyph", category=UserWarning)
         mpl.rcdefaults()
-        mpl.rcParams.update(_STYLE | {"font.family": fonts})
+        mpl.rc("font", size=8.5, family=fonts)
+        mpl.rc("text", color=INK, parse_math=False)
+        mpl.rc("axes", axisbelow=True, grid=True, edgecolor="#9aa7b4", linewidth=0.7)
+        mpl.rc("axes", labelcolor=INK, labelsize=8.5, titlecolor=INK, titlelocation="left")
+        mpl.rc("axes", titlesize=9.0, titleweight="bold")
+        mpl.rc("axes.formatter", useoffset=False)
+        mpl.rc("axes.spines", right=False, top=False)
+        mpl.rc("grid", color=GRID, linewidth=0.6)
+        mpl.rc("hatch", linewidth=0.7)
+        mpl.rc("legend", fontsize=8.0, frameon=False)
+        mpl.rc("xtick", color="#9aa7b4", labelcolor=SOFT, labelsize=8.0)
+        mpl.rc("ytick", color="#9aa7b4", labelcolor=SOFT, labelsize=8.0)
+        mpl.rc("pdf", fonttype=42)
+        mpl.rc("svg", fonttype="none", hashsalt="calib")
         yield
 
 
 def saved(figure: Figure, kind: str, title: str = "", caption: str = "", dpi: int = _DPI) -> bytes:
-    """A figure as a file: the same figure is the same bytes. Called within `styled`.
-
-    Raises:
-        FileError: ``kind`` is none of `KINDS`.
-    """
+    """A figure as a file of one of `KINDS`: the same figure is the same bytes. Called within `styled`."""
     metadata: dict[str, dict[str, Any]] = {
         "png": {"Title": title, "Description": caption},
         "svg": {"Title": title, "Description": caption, "Date": None},
         "pdf": {"Title": title, "Subject": caption, "CreationDate": None},
     }
-    check_kind(kind)
     data = io.BytesIO()
     figure.savefig(data, format=kind, dpi=dpi, metadata=metadata[kind])
     return data.getvalue()
@@ -152,16 +117,10 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
 
 def legend_above(figure: Figure, handles: Sequence[Any], columns: int = 0) -> None:
     """A legend above all panels, where it hides nothing; ``columns`` side by side, 0 for four at most."""
+    look = {"handlelength": 1.8, "handletextpad": 0.5, "columnspacing": 1.6, "borderaxespad": 0.2}
     if handles:
-        figure.legend(
-            handles=list(handles),
-            loc="outside upper left",
-            ncols=columns or min(len(handles), 4),
-            handlelength=1.8,
-            handletextpad=0.5,
-            columnspacing=1.6,
-            borderaxespad=0.2,
-        )
+        ncols = columns or min(len(handles), 4)
+        figure.legend(handles=list(handles), loc="outside upper left", ncols=ncols, **look)
 
 
 def line(label: str, **look: Any) -> Any:  # noqa: ANN401  an artist of matplotlib
@@ -185,9 +144,10 @@ def log_axis(ax: Axes, which: str) -> None:
     raised = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
     def text(value: float, _: object) -> str:
-        exponent = round(float(np.log10(value))) if value > 0.0 else 0
-        plain = f"{value:g}" if value > 0.0 else ""
-        return plain if abs(exponent) <= 3 else f"10{str(exponent).translate(raised)}"
+        if value <= 0.0:
+            return ""
+        exponent = round(float(np.log10(value)))
+        return f"{value:g}" if abs(exponent) <= 3 else f"10{str(exponent).translate(raised)}"
 
     axis = ax.xaxis if which == "x" else ax.yaxis
     (ax.set_xscale if which == "x" else ax.set_yscale)("log")
@@ -220,8 +180,7 @@ def short_names(names: Sequence[str], longest: int = 26) -> list[str]:
     return [f"{text} ({k + 1})" if texts.count(text) > 1 else text for k, text in enumerate(texts)]
 
 
-@dataclass(frozen=True, slots=True)
-class Who:
+class Who(NamedTuple):
     """How a robot's errors are drawn: a colour never stands alone."""
 
     word: str
@@ -237,23 +196,13 @@ AFTER = Who("after (calibrated)", CALIBRATED, "o", "-", "")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowKind:
-    """Rows of one kind, and how they are marked everywhere.
-
-    Attributes:
-        word: ``"estimation"``, ``"validation"`` or ``"outlier"``.
-        mask: shape (N,), which rows.
-        colour: As CSS has it.
-        marker: Of matplotlib.
-        size: Of the marker [pt].
-        filled: Whether the marker is.
-    """
+    """Rows of one kind, shape (N,), and how they are marked everywhere; markers of outliers are not filled."""
 
     word: str
     mask: Mask
     colour: str
     marker: str
     size: float
-    filled: bool
 
     @property
     def label(self) -> str:
@@ -262,17 +211,20 @@ class RowKind:
 
     def style(self, count: int | None = None) -> dict[str, Any]:
         """Of a line of markers, smaller where ``count`` of them are drawn, or all the rows, and they are many."""
-        many = (int(np.count_nonzero(self.mask)) if count is None else count) > 400
-        small = many if self.filled else np.count_nonzero(self.mask) > 40
-        edge = "none" if many else "white"
-        return {
-            "linestyle": "none",
-            "marker": self.marker,
-            "markersize": self.size * (0.5 if small else 1.0),
-            "markerfacecolor": self.colour if self.filled else "none",
-            "markeredgecolor": edge if self.filled else self.colour,
-            "markeredgewidth": 0.4 if self.filled else 1.4,
-        }
+        every = int(np.count_nonzero(self.mask))
+        many = (every if count is None else count) > 400
+        if self.word == "outlier":
+            size, face, edge, width = (
+                self.size * (0.5 if every > 40 else 1.0),
+                "none",
+                self.colour,
+                1.4,
+            )
+        else:
+            size, face, width = self.size * (0.5 if many else 1.0), self.colour, 0.4
+            edge = "none" if many else "white"
+        look = {"linestyle": "none", "marker": self.marker, "markersize": size}
+        return look | {"markerfacecolor": face, "markeredgecolor": edge, "markeredgewidth": width}
 
     def handle(self) -> Any:  # noqa: ANN401  an artist of matplotlib
         """For a legend."""
@@ -283,9 +235,9 @@ def row_kinds(c: Calibration) -> tuple[RowKind, ...]:
     """Estimation rows, validation rows, and those of either that are flagged; none is empty, none stands in two."""
     m, flagged = c.measurements, flagged_rows(c)
     kinds = (
-        RowKind("estimation", m.estimation & ~flagged, ESTIMATION, "o", 4.2, filled=True),
-        RowKind("validation", m.validation & ~flagged, VALIDATION, "D", 5.0, filled=True),
-        RowKind("outlier", flagged, OUTLIER, "x", 6.0, filled=False),
+        RowKind("estimation", m.estimation & ~flagged, ESTIMATION, "o", 4.2),
+        RowKind("validation", m.validation & ~flagged, VALIDATION, "D", 5.0),
+        RowKind("outlier", flagged, OUTLIER, "x", 6.0),
     )
     return tuple(kind for kind in kinds if np.any(kind.mask))
 
@@ -305,15 +257,7 @@ def has_axes(c: Calibration, rows: Mask | slice = slice(None)) -> bool:
 def number_points(
     ax: Axes, rows: Sequence[int], places: Array, chosen: Mask, reach: float = 5.0
 ) -> None:
-    """Row numbers beside some points, if they are few, on the side where most room is.
-
-    Args:
-        ax: The panel.
-        rows: The row numbers, N of them.
-        places: shape (N, 2), of all points, in the panel's units.
-        chosen: shape (N,), which of them carry their number.
-        reach: From the point to its number [pt].
-    """
+    """Row numbers beside some of the points of shape (N, 2), if they are few, where most room is; ``reach`` in pt."""
     there = np.isfinite(places).all(axis=1)
     chosen = chosen & there
     if not 0 < np.count_nonzero(chosen) <= MOST_NUMBERS:
@@ -345,12 +289,7 @@ def write_beside(
 
 
 def free_sides(places: Array, rows: Sequence[int]) -> list[tuple[int, int]]:
-    """On which side of some points their numbers stand: where the others leave most room, right above in doubt.
-
-    Args:
-        places: shape (N, 2), in parts of the panel.
-        rows: Which of them have numbers.
-    """
+    """On which side of some points, in parts of the panel, their numbers have most room; right above in doubt."""
     sides = ((1, 1), (-1, 1), (1, -1), (-1, -1))
     taken = places[np.isfinite(places).all(axis=1)]
     low, high = taken.min(axis=0) - 0.02, taken.max(axis=0) + 0.02

@@ -13,7 +13,6 @@ from calib.identify.statistics import CrossValidation
 from calib.show.figure_base import (
     AFTER,
     BEFORE,
-    RowKind,
     Who,
     area,
     few_ticks,
@@ -47,7 +46,9 @@ _FEWEST_IN_BOX, _MOST_DOTS = 5, 120
 #: What is left over is drawn up to so many standard deviations.
 _REACH = 5.0
 
-_MM, _DEG = (1e3, "mm"), (float(np.degrees(1.0)), "deg")
+#: Columns of the residuals, their size, factor and unit: of positions and lengths, and of orientations.
+_LENGTH = slice(0, 3), lengths_of, 1e3, "mm"
+_ANGLE = slice(3, 6), angles_of, float(np.degrees(1.0)), "deg"
 
 
 def curve_rows(c: Calibration) -> tuple[str, Mask, Array, Array]:
@@ -106,18 +107,9 @@ def curves(c: Calibration) -> Figure:
     return figure
 
 
-def by_row(c: Calibration) -> Figure:
-    """The size of each row's error of length."""
-    return _by_row(c, lengths_of, *_MM)
-
-
-def orientation_by_row(c: Calibration) -> Figure:
-    """The size of each row's error of orientation."""
-    return _by_row(c, angles_of, *_DEG)
-
-
-def _by_row(c: Calibration, size: Any, scale: float, unit: str) -> Figure:  # noqa: ANN401
-    """Before and after above; after alone below, with what left-out rows show."""
+def by_row(c: Calibration, *, turned: bool = False) -> Figure:
+    """The size of each row's error of length, or of orientation: before and after above; after alone below."""
+    _, size, scale, unit = _ANGLE if turned else _LENGTH
     before, after = (scale * size(r, c.used) for r in (c.residual_nominal, c.residual_calibrated))
     count, many = len(before), len(before) > MOST_LINES
     figure = new_figure(4.6)
@@ -142,7 +134,10 @@ def _by_row(c: Calibration, size: Any, scale: float, unit: str) -> Figure:  # no
     # Outliers far above the others stand at the edge: above they are drawn to scale.
     after = np.where(others, after, np.minimum(after, 1.25 * reach))
     for kind in kinds:
-        _stems(below, after, kind, count)
+        at = np.flatnonzero(kind.mask & np.isfinite(after))
+        if count <= _MOST_MARKERS:
+            below.vlines(at, 0.0, after[at], color=kind.colour, lw=0.9, alpha=0.6)
+        below.plot(at, after[at], **kind.style(count))
         handles.append(kind.handle())
     places = np.stack([np.arange(count), after], axis=1)
     number_points(below, c.measurements.rows, places, ~others)
@@ -158,18 +153,10 @@ def _by_row(c: Calibration, size: Any, scale: float, unit: str) -> Figure:  # no
     return figure
 
 
-def by_axis(c: Calibration) -> Figure:
-    """How errors along each axis spread."""
-    return _by_axis(c, slice(0, 3), *_MM, "along")
-
-
-def orientation_by_axis(c: Calibration) -> Figure:
-    """How errors about each axis spread."""
-    return _by_axis(c, slice(3, 6), *_DEG, "about")
-
-
-def _by_axis(c: Calibration, columns: slice, scale: float, unit: str, word: str) -> Figure:
-    """For each set of rows before and after; after alone once more below, magnified."""
+def by_axis(c: Calibration, *, turned: bool = False) -> Figure:
+    """How errors along each axis, or about it, spread: sets of rows before and after; after alone below, magnified."""
+    columns, _, scale, unit = _ANGLE if turned else _LENGTH
+    word = "about" if turned else "along"
     m, flagged = c.measurements, flagged_rows(c)
     sets = [
         (what, mask)
@@ -193,9 +180,7 @@ def _by_axis(c: Calibration, columns: slice, scale: float, unit: str, word: str)
             ax.axhline(0.0, color=INK, lw=0.7, zorder=1.5)
             ax.set_xlim(-0.6, 2.6)
             ax.grid(visible=False, axis="x")
-        lower.set_xticks(
-            range(3), ["x", "y", "z"] if word == "along" else ["about x", "about y", "about z"]
-        )
+        lower.set_xticks(range(3), [f"about {axis}" if turned else axis for axis in "xyz"])
     panels[1, 0].set_ylim(-reach, reach)
     for ax in panels[:, 0]:
         ax.set_ylabel(f"error {word} the axis [{unit}]")
@@ -207,12 +192,13 @@ def histograms(c: Calibration) -> Figure:
     """How often which size of error occurs, and whether what is left over looks like noise."""
     figure = new_figure(2.9)
     left, right = figure.subplots(1, 2)
-    (scale, unit), size = (_MM, lengths_of) if np.any(c.used[:, :3]) else (_DEG, angles_of)
+    _, size, scale, unit = _LENGTH if np.any(c.used[:, :3]) else _ANGLE
     before, after = (scale * size(r, c.used) for r in (c.residual_nominal, c.residual_calibrated))
     before, after = before[np.isfinite(before)], after[np.isfinite(after)]
     bins = _bins(before, after)
     for who, values in ((BEFORE, before), (AFTER, after)):
-        left.hist(np.maximum(values, bins[0]), bins=list(bins), **_area(who))
+        values = np.maximum(values, bins[0])
+        left.hist(values, list(bins), color=who.colour, histtype="stepfilled", lw=1.2, **_area(who))
     log_axis(left, "x")
     left.set_xlabel(f"size of the error [{unit}]")
     left.set_ylabel("rows")
@@ -237,8 +223,8 @@ def _curve(ax: Axes, values: Array, who: Who, *, largest: bool = False) -> None:
     """A curve over rows; with markers where they are few, a band where they are many."""
     look: dict[str, Any] = {"color": who.colour, "ls": who.line, "zorder": 3}
     if len(values) > MOST_LINES:
-        runs = [run[np.isfinite(values[run])] for run in _runs(len(values))]
-        runs = [run for run in runs if len(run)]
+        every = np.array_split(np.arange(len(values)), _RUNS)
+        runs = [run for run in (part[np.isfinite(values[part])] for part in every) if len(run)]
         x = [float(np.mean(run)) for run in runs]
         low, middle, high = np.transpose([np.quantile(values[r], [0.05, 0.5, 0.95]) for r in runs])
         ax.fill_between(x, low, high, color=who.colour, alpha=0.35, lw=0, zorder=2)
@@ -253,39 +239,19 @@ def _curve(ax: Axes, values: Array, who: Who, *, largest: bool = False) -> None:
     ax.plot(at, values[at], lw=1.3 if few else 0.8, mec="white", mew=0.4, **look)
 
 
-def _runs(count: int) -> list[NDArray[np.intp]]:
-    """Runs of rows that are summed up together."""
-    return list(np.array_split(np.arange(count), _RUNS))
-
-
 def _curve_handles(count: int, *, largest: bool = False) -> list[Any]:
     """The legend of before and after over so many rows."""
     few, many = count <= _MOST_MARKERS, count > MOST_LINES
-    handles = [
-        line(
-            f"{who.word}, median" if many else who.word,
-            color=who.colour,
-            ls=who.line,
-            marker=who.marker if few else "",
-            ms=4.2,
-            mec="white",
-            mew=0.4,
-        )
-        for who in (BEFORE, AFTER)
-    ]
+    handles = []
+    for who in (BEFORE, AFTER):
+        word, look = f"{who.word}, median" if many else who.word, {"mec": "white", "mew": 0.4}
+        marker = who.marker if few else ""
+        handles.append(line(word, color=who.colour, ls=who.line, marker=marker, ms=4.2, **look))
     if many:
         words = f"5 to 95 % of {round(count / _RUNS):,} rows each"
         handles.append(area(words, color=SOFT, alpha=0.35, lw=0))
         handles += [line("largest of them", color=SOFT, lw=0.6)] * largest
     return handles
-
-
-def _stems(ax: Axes, values: Array, kind: RowKind, count: int) -> None:
-    """Rows of one kind, on stems where they are few."""
-    at = np.flatnonzero(kind.mask & np.isfinite(values))
-    if count <= _MOST_MARKERS:
-        ax.vlines(at, 0.0, values[at], color=kind.colour, lw=0.9, alpha=0.6)
-    ax.plot(at, values[at], **kind.style(count))
 
 
 def _row_axis(ax: Axes, numbers: Sequence[int], ticks: int = 9) -> None:
@@ -324,7 +290,7 @@ def _boxes(ax: Axes, values: Array, shift: float, who: Who) -> None:
             manage_ticks=False,
         )
         for box in drawn["boxes"]:
-            box.set(facecolor=who.colour, alpha=0.5, edgecolor=who.colour, hatch=who.hatch, lw=1.0)
+            box.set(facecolor=who.colour, lw=1.0, **_area(who))
         for part in ("whiskers", "caps", "medians"):
             for one in drawn[part]:
                 one.set(color=INK if part == "medians" else who.colour, lw=1.4)
@@ -339,17 +305,13 @@ def _boxes(ax: Axes, values: Array, shift: float, who: Who) -> None:
 
 
 def _area(who: Who) -> dict[str, Any]:
-    """How a robot's bars are drawn."""
-    look = {"alpha": 0.5, "edgecolor": who.colour, "hatch": who.hatch, "lw": 1.2}
-    return {"histtype": "stepfilled", "color": who.colour, **look}
+    """How a robot's boxes and bars are drawn."""
+    return {"alpha": 0.5, "edgecolor": who.colour, "hatch": who.hatch}
 
 
 def _area_handles() -> list[Any]:
     """The legend of boxes and bars."""
-    return [
-        area(who.word, facecolor=who.colour, alpha=0.5, ec=who.colour, hatch=who.hatch)
-        for who in (BEFORE, AFTER)
-    ]
+    return [area(who.word, facecolor=who.colour, **_area(who)) for who in (BEFORE, AFTER)]
 
 
 def _bins(before: Array, after: Array) -> Array:
@@ -373,7 +335,8 @@ def _noise(ax: Axes, c: Calibration) -> None:
     values = left_over(c)
     count = int(np.clip(np.sqrt(len(values)) * 1.5, 8, 50))
     edges = list(np.linspace(-_REACH, _REACH, count + 1))
-    heights, _, _ = ax.hist(values, bins=edges, **_area(AFTER))
+    look = {"color": AFTER.colour, "histtype": "stepfilled", "lw": 1.2, **_area(AFTER)}
+    heights, _, _ = ax.hist(values, bins=edges, **look)
     t = np.linspace(-_REACH, _REACH, 201)
     normal = np.exp(-0.5 * t**2) / np.sqrt(2.0 * np.pi) * len(values) * 2.0 * _REACH / count
     ax.plot(t, normal, color=INK, lw=1.2, ls="--", label="normal")

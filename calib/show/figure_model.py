@@ -64,9 +64,8 @@ def shown_parameters(c: Calibration) -> tuple[ParameterEstimate, ...]:
     return (*own, *(p for p in more if p.name not in c.model.names))
 
 
-def _look(marker: str, colour: str, *, filled: bool) -> dict[str, Any]:
+def _look(marker: str, colour: str, face: str) -> dict[str, Any]:
     """A dot on its interval."""
-    face = colour if filled else "white"
     dot = {"marker": marker, "markersize": 4.6, "markerfacecolor": face, "markeredgewidth": 1.1}
     return {
         "linestyle": "none",
@@ -78,9 +77,9 @@ def _look(marker: str, colour: str, *, filled: bool) -> dict[str, Any]:
 
 
 #: How a parameter is drawn, and what that means.
-_KNOWN = _look("o", "#b85c06", filled=True), "change, 95 % interval"
-_TOGETHER = _look("o", SOFT, filled=False), "known in combination with others only"
-_BOUND = _look("s", INK, filled=True), "stopped by a bound"
+_KNOWN = _look("o", "#b85c06", "#b85c06"), "change, 95 % interval"
+_TOGETHER = _look("o", SOFT, "white"), "known in combination with others only"
+_BOUND = _look("s", INK, INK), "stopped by a bound"
 
 
 def _kind(p: ParameterEstimate) -> tuple[dict[str, Any], str]:
@@ -162,38 +161,24 @@ def correlations(c: Calibration) -> Figure:
     ax.set_xlim(-0.6, p - 1.4)
     ax.set_ylim(p - 0.4, 0.4)
     ax.set_aspect("equal")
-    if p >= _FEWEST_FOR_SCALE:
-        _scale_of_squares(ax, 72.0 * size / p)
+    if p >= _FEWEST_FOR_SCALE:  # what the sizes of squares mean, where no squares are
+        cell = 72.0 * size / p
+        mark = {"ls": "none", "marker": "s", "mfc": CALIBRATED, "mec": CALIBRATED}
+        ax.legend(
+            handles=[line(f"{v:g}", ms=0.94 * cell * np.sqrt(v), **mark) for v in (1.0, 0.5, 0.1)],
+            loc="upper right",
+            title="size of the correlation",
+            frameon=True,
+            facecolor="white",
+            edgecolor="none",
+            framealpha=1.0,
+            labelspacing=max(cell / 8.0 - 0.4, 0.4),
+        )
     ax.set_xticks(range(p - 1), names[:-1], rotation=90, size=text)
     ax.set_yticks(range(1, p), names[1:], size=text)
     ax.grid(linewidth=0.4)
     legend_above(figure, [area(word, facecolor=face, ec=edge) for word, _, face, edge in looks])
     return figure
-
-
-def _scale_of_squares(ax: Axes, cell: float) -> None:
-    """What the sizes of squares mean, where no squares are; a cell's edge is given in pt."""
-    handles = [
-        line(
-            f"{value:g}",
-            ls="none",
-            marker="s",
-            ms=0.94 * cell * np.sqrt(value),
-            mfc=CALIBRATED,
-            mec=CALIBRATED,
-        )
-        for value in (1.0, 0.5, 0.1)
-    ]
-    ax.legend(
-        handles=handles,
-        loc="upper right",
-        title="size of the correlation",
-        frameon=True,
-        facecolor="white",
-        edgecolor="none",
-        framealpha=1.0,
-        labelspacing=max(cell / 8.0 - 0.4, 0.4),
-    )
 
 
 def convergence(c: Calibration) -> Figure:
@@ -266,14 +251,14 @@ def singular_values(c: Calibration) -> Figure:
     shown = np.maximum(values, floor)
     lowest = 0.4 * float(shown.min(initial=floor if np.any(tiny) else np.inf))
     ax.vlines(at[seen], lowest, shown[seen], color=NOMINAL, lw=1.0, alpha=0.6)
-    dot = {"marker": "o", "mew": 0.4, "mec": "white", "mfc": INK}
+    dot: dict[str, Any] = {"marker": "o", "mew": 0.4, "mec": "white", "mfc": INK}
     cross = {"marker": "x", "mew": 1.4, "mec": OUTLIER}
     for mask, look, label in (
         (seen, dot, f"{o.rank} combinations that the poses determine"),
         (~seen, cross, f"{o.columns - o.rank} that move nothing measured"),
     ):
         if np.any(mask):
-            ax.plot(at[mask], shown[mask], ls="none", ms=5, label=label, **look)  # type: ignore[arg-type]
+            ax.plot(at[mask], shown[mask], ls="none", ms=5, label=label, **look)
     if np.any(seen & ~tiny):
         label = f"condition number {o.condition:,.0f}"
         ax.axhline(float(values[0] / o.condition), color=SOFT, ls="--", lw=1.0, label=label)
@@ -287,6 +272,14 @@ def singular_values(c: Calibration) -> Figure:
     return figure
 
 
+#: What models that were tried were chosen for, and how they are drawn.
+_CHOSEN = {
+    "geometry": (CALIBRATED, "", "chosen for the URDF"),
+    "larger": (CALIBRATED, "////", "chosen for the result file"),
+    "": ("#c9d2db", "", "not chosen"),
+}
+
+
 def candidates(c: Calibration) -> Figure:
     """The models that were tried: errors on left-out rows, and what the likelihood gains."""
     errors = [one.cross_validation.errors_without_outliers for one in c.candidates]
@@ -296,41 +289,32 @@ def candidates(c: Calibration) -> Figure:
     gain = np.array([one.log_likelihood for one in c.candidates])
     figure = new_figure(0.24 * len(errors) + 1.35)
     left, right = figure.subplots(1, 2, sharey=True)
-    looks = {
-        "geometry": (CALIBRATED, "", "chosen for the URDF"),
-        "larger": (CALIBRATED, "////", "chosen for the result file"),
-        "": ("#c9d2db", "", "not chosen"),
-    }
-    _bars(left, rms, c, looks, ".3f")
-    _bars(right, gain - gain.max(), c, looks, ".1f")
     names = [f"{one.name} ({one.parameters})" for one in c.candidates]
     left.set_yticks(np.arange(len(names)), names)
-    left.invert_yaxis()
     left.set_title("Error on left-out rows")
     left.set_xlabel(f"rms [{unit}]")
     right.set_title("Evidence")
     right.set_xlabel("log likelihood, less that of the best")
+    _bars(left, rms, c, ".3f")
+    _bars(right, gain - gain.max(), c, ".1f")
+    left.invert_yaxis()
     chosen = {one.chosen for one in c.candidates}
-    legend_above(
-        figure,
-        [
-            area(label, facecolor=colour, hatch=hatch, ec="white")
-            for key, (colour, hatch, label) in looks.items()
-            if key in chosen
-        ],
-    )
+    handles = [
+        area(label, facecolor=colour, hatch=hatch, ec="white")
+        for key, (colour, hatch, label) in _CHOSEN.items()
+        if key in chosen
+    ]
+    legend_above(figure, handles)
     return figure
 
 
-def _bars(
-    ax: Axes, values: Array, c: Calibration, looks: dict[str, tuple[str, str, str]], form: str
-) -> None:
+def _bars(ax: Axes, values: Array, c: Calibration, form: str) -> None:
     """A bar and its number for each candidate, to the right or, of values below zero, to the left."""
     widest = float(np.max(np.abs(values)))
     room = 1.25 * widest if widest > 0.0 else 1.0
     down = bool(np.any(values < 0.0))
     for y, (value, one) in enumerate(zip(values, c.candidates, strict=True)):
-        colour, hatch, _ = looks[one.chosen]
+        colour, hatch, _ = _CHOSEN[one.chosen]
         ax.barh(y, value, color=colour, hatch=hatch, ec="white", height=0.72)
         at = value + 0.015 * widest * (-1 if down else 1)
         text = f"{value:{form}}".replace("-", "−")

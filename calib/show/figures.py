@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,26 +38,9 @@ __all__ = ["CAPTIONS", "FIGURES", "KINDS", "Drawing", "drawings", "rendered", "w
 CAPTIONS = "captions.md"
 
 
-@dataclass(frozen=True, slots=True)
-class FigureKind:
-    """A figure that calibrations may have.
-
-    Attributes:
-        name: Its key and the stem of its file.
-        section: Where in the report it stands: with the errors, the parameters, what the measurements do not tell, the
-            models tried or the method.
-        title: Plain text.
-        caption: What is shown, on which rows, in which units, and how to read it; with the words of `_words`.
-        draw: Draws it.
-        applies: Whether a calibration has what it shows.
-    """
-
-    name: str
-    section: str
-    title: str
-    caption: str
-    draw: Callable[[Calibration], Figure]
-    applies: Callable[[Calibration], bool] = lambda _: True
+def _always(_: Calibration) -> bool:
+    """For a figure of every calibration."""
+    return True
 
 
 def _lengths(c: Calibration) -> bool:
@@ -80,9 +64,12 @@ _BY_AXIS = (
     "from 5 to 95 %; dots are single rows, or the least and the largest of many."
 )
 
-#: The figures, in a report's order.
-FIGURES = (
-    FigureKind(
+#: The figures, in a report's order: the stem of the file, where in the report it stands, the title, the caption with
+#: the words of `_words`, what draws it, and whether a calibration has what it shows.
+FIGURES: tuple[
+    tuple[str, str, str, str, Callable[[Calibration], Figure], Callable[[Calibration], bool]], ...
+] = (
+    (
         "points",
         "errors",
         "Points of the target",
@@ -90,8 +77,9 @@ FIGURES = (
         "scale. Rows that measure no position are where the calibrated robot predicts them. Of more than "
         f"{figure_space.MOST_ROWS:,} rows of a kind some are drawn, evenly spread.",
         figure_space.points,
+        _always,
     ),
-    FigureKind(
+    (
         "error-curves",
         "errors",
         "Errors before and after calibration",
@@ -100,7 +88,7 @@ FIGURES = (
         figure_errors.curves,
         _lengths,
     ),
-    FigureKind(
+    (
         "errors-by-pose",
         "errors",
         "Error by row",
@@ -108,15 +96,15 @@ FIGURES = (
         figure_errors.by_row,
         _lengths,
     ),
-    FigureKind(
+    (
         "orientation-errors-by-pose",
         "errors",
         "Orientation error by row",
         "Angle between measured and predicted orientation " + _BY_ROW.replace("{unit}", "deg"),
-        figure_errors.orientation_by_row,
+        partial(figure_errors.by_row, turned=True),
         _angles,
     ),
-    FigureKind(
+    (
         "errors-by-axis",
         "errors",
         "Position error by axis",
@@ -124,15 +112,15 @@ FIGURES = (
         figure_errors.by_axis,
         has_axes,
     ),
-    FigureKind(
+    (
         "orientation-errors-by-axis",
         "errors",
         "Orientation error by axis",
         "Errors about " + _BY_AXIS.replace("{unit}", "deg"),
-        figure_errors.orientation_by_axis,
+        partial(figure_errors.by_axis, turned=True),
         _angles,
     ),
-    FigureKind(
+    (
         "histograms",
         "errors",
         "How often which error occurs",
@@ -140,8 +128,9 @@ FIGURES = (
         "that was measured in the estimation rows, less what the calibrated robot predicts, over its estimated noise; "
         "if the model is complete, it follows the normal distribution.",
         figure_errors.histograms,
+        _always,
     ),
-    FigureKind(
+    (
         "residual-by-joint",
         "errors",
         "What is left over against each joint's value",
@@ -152,7 +141,7 @@ FIGURES = (
         figure_space.joints,
         lambda c: bool(np.any(figure_space.drawn_rows(c))),
     ),
-    FigureKind(
+    (
         "convergence",
         "method",
         "Convergence of the solver",
@@ -162,7 +151,7 @@ FIGURES = (
         figure_model.convergence,
         lambda c: len(c.solution.history) > 0,
     ),
-    FigureKind(
+    (
         "parameter-changes",
         "parameters",
         "Changes of the parameters",
@@ -172,7 +161,7 @@ FIGURES = (
         figure_model.changes,
         lambda c: len(figure_model.shown_parameters(c)) > 0,
     ),
-    FigureKind(
+    (
         "correlations",
         "parameters",
         "Correlations of the parameters",
@@ -182,7 +171,7 @@ FIGURES = (
         figure_model.correlations,
         lambda c: len(figure_model.correlation_indices(c)) > 1,
     ),
-    FigureKind(
+    (
         "singular-values",
         "unknown",
         "What the poses determine",
@@ -192,7 +181,7 @@ FIGURES = (
         figure_model.singular_values,
         lambda c: c.observability.columns > 0,
     ),
-    FigureKind(
+    (
         "candidates",
         "candidates",
         "Models tried",
@@ -203,7 +192,7 @@ FIGURES = (
         figure_model.candidates,
         lambda c: len(c.candidates) > 0,
     ),
-    FigureKind(
+    (
         "workspace-uncertainty",
         "unknown",
         "Uncertainty over the workspace",
@@ -212,6 +201,7 @@ FIGURES = (
         "mean square of the poses in each cell, in the base frame seen from three sides. The rms over the joint limits "
         f"is that of the first {SPREAD} of these poses. It knows nothing of errors that the model lacks.",
         figure_space.uncertainty,
+        _always,
     ),
 )
 
@@ -222,7 +212,8 @@ class Drawing:
 
     Attributes:
         name: Its key and the stem of its file, such as ``"errors-by-pose"``.
-        section: See `FigureKind`.
+        section: Where in the report it stands: with the errors, the parameters, what the measurements do not tell, the
+            models tried or the method.
         title: Plain text.
         caption: What is shown, on which rows, in which units, and how to read it; plain text.
         draw: Draws it, anew at each call; `rendered` makes a file of it.
@@ -234,20 +225,20 @@ class Drawing:
     caption: str
     draw: Callable[[], Figure]
 
-    @classmethod
-    def of(cls, kind: FigureKind, c: Calibration) -> Drawing:
-        """A figure of this calibration."""
-
-        def draw() -> Figure:
-            with styled():
-                return kind.draw(c)
-
-        return cls(kind.name, kind.section, kind.title, kind.caption.format(**_words(c)), draw)
-
 
 def drawings(calibration: Calibration) -> tuple[Drawing, ...]:
     """The figures that apply to a calibration, in a report's order; none is drawn yet."""
-    return tuple(Drawing.of(kind, calibration) for kind in FIGURES if kind.applies(calibration))
+    words = _words(calibration)
+
+    def drawn(draw: Callable[[Calibration], Figure]) -> Figure:
+        with styled():
+            return draw(calibration)
+
+    return tuple(
+        Drawing(name, section, title, caption.format(**words), partial(drawn, draw))
+        for name, section, title, caption, draw, applies in FIGURES
+        if applies(calibration)
+    )
 
 
 def rendered(drawing: Drawing, kind: str = "png") -> bytes:
@@ -326,19 +317,17 @@ def _words(c: Calibration) -> dict[str, str]:
     """What captions say of a calibration."""
     m = c.measurements
     estimation = rows_text(m.estimation, "estimation")
-    validation = rows_text(m.validation, "validation")
-    counted = [text for text in (estimation, validation) if not text.startswith("0 ")]
+    counted = [rows_text(m.validation, "validation")] * bool(np.any(m.validation))
     word, mask, _, _ = figure_errors.curve_rows(c)
-    rows = rows_text(mask, "validation" if word == "validation" else "estimation")
-    seen = {
-        "validation": "which the fit has not seen",
-        "left-out": "each predicted by fits that have not seen it",
-        "estimation": "which the fit has seen",
+    kind, seen = {
+        "validation": ("validation", "which the fit has not seen"),
+        "left-out": ("estimation", "each predicted by fits that have not seen it"),
+        "estimation": ("estimation", "which the fit has seen"),
     }[word]
     words = {
-        "rows": " and ".join(counted),
+        "rows": " and ".join([estimation, *counted]),
         "estimation": estimation,
-        "curve_rows": f"the {rows}, {seen}",
+        "curve_rows": f"the {rows_text(mask, kind)}, {seen}",
         "iterations": str(c.solution.iterations),
         "solver": c.solver,
         "columns": str(c.observability.columns),

@@ -16,8 +16,6 @@ from calib.show.figure_errors import (
     curves,
     histograms,
     left_over,
-    orientation_by_axis,
-    orientation_by_row,
 )
 from calib.show.rows import lengths_of
 
@@ -117,7 +115,7 @@ def test_by_pose_shows_what_left_out_rows_show(calibrations):
 
 def test_orientations_by_row_are_in_degrees(calibrations):
     c = calibrations.made("mixed")
-    top, below = orientation_by_row(c).axes
+    top, below = by_row(c, turned=True).axes
     assert top.get_ylabel() == below.get_ylabel() == "size of the error [deg]"
     before = next(iter(lines(top).values()))
     expected = np.degrees(c.errors["nominal"]["estimation"].max_angle)
@@ -126,7 +124,7 @@ def test_orientations_by_row_are_in_degrees(calibrations):
 
 def test_a_line_leads_over_rows_that_hold_nothing(calibrations):
     c = calibrations.made("mixed")
-    top, _ = orientation_by_row(c).axes
+    top, _ = by_row(c, turned=True).axes
     rows = np.flatnonzero(c.measurements.of_kind("pose"))
     for line in top.lines:
         np.testing.assert_array_equal(line.get_xdata(), rows)
@@ -151,7 +149,7 @@ def test_a_set_of_rows_without_numbers_is_left_out(calibrations):
     turned = c.measurements.of_kind("pose")
     sets = tuple("estimate" if pose else "validate" for pose in turned)
     held = calibrations.with_rows(c, replace(c.measurements, sets=sets))
-    labels = [t.get_text() for t in orientation_by_row(held).legends[0].get_texts()]
+    labels = [t.get_text() for t in by_row(held, turned=True).legends[0].get_texts()]
     assert not [label for label in labels if "validation" in label]
 
 
@@ -179,7 +177,7 @@ def test_few_rows_are_dots_and_no_boxes(calibrations):
 
 def test_orientations_are_in_degrees(calibrations):
     c = calibrations.made("mixed")
-    figure = orientation_by_axis(c)
+    figure = by_axis(c, turned=True)
     count = int(np.sum(c.measurements.of_kind("pose")))
     assert figure.axes[0].get_title(loc="left") == f"{count} estimation rows"
     assert figure.axes[0].get_ylabel() == "error about the axis [deg]"
