@@ -95,7 +95,7 @@ def check_ending(path: str | Path) -> None:
 
 
 def report_bytes(calibration: Calibration, *, command: str = "", date: str = "") -> bytes:
-    """The page, UTF-8. Nothing but its date, see `report_date`, differs between two of the same calibration."""
+    """The page, UTF-8. Nothing but its date, now or ``SOURCE_DATE_EPOCH``, differs between two of a calibration."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -103,17 +103,11 @@ def report_bytes(calibration: Calibration, *, command: str = "", date: str = "")
     )
     environment.tests["long"] = lambda text: any(len(w) > _LONGEST_WORD for w in text.split())
     source = (Path(__file__).parent / "report.html.j2").read_text(encoding="utf-8")
-    template = environment.from_string(source)
-    text = template.render(**_content(calibration, command, date or report_date()))
-    return text.encode("utf-8", "replace")
-
-
-def report_date() -> str:
-    """Now, or what ``SOURCE_DATE_EPOCH`` says, in UTC."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
     now = datetime.now(timezone.utc)
     when = datetime.fromtimestamp(int(epoch), timezone.utc) if epoch.isdecimal() else now
-    return f"{when:%Y-%m-%d %H:%M} UTC"
+    content = _content(calibration, command, date or f"{when:%Y-%m-%d %H:%M} UTC")
+    return environment.from_string(source).render(**content).encode("utf-8", "replace")
 
 
 def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
@@ -124,34 +118,64 @@ def _content(c: Calibration, command: str, date: str) -> dict[str, Any]:
     use = "none" if c.verdict is None else c.verdict.use
     # Of a text in CSS all but letters, digits and blanks are numbers, so that nothing ends it.
     footer = re.sub(r"[^A-Za-z0-9 ]", lambda found: f"\\{ord(found[0]):x} ", title[:80])
-    every, said = _combinations(c), facts(c)
+    m, v, said = c.measurements, c.cross_validation, facts(c)
+    chain = f"{c.nominal.name}, {c.nominal.base} to {c.nominal.tip}"
+    joints, estimated = len(c.nominal.joints), f"{m.estimation.sum():,}"
+    rows = f"{estimated} rows to estimate, {m.validation.sum():,} to validate"
+    without = int(np.sum(c.weights[m.estimation] <= 0.0))
+    weightless = f", {without:,} of which have no weight" * bool(without)
+    # What the measured poses cannot tell apart, and validation rows beyond the joint values that were fitted, where the
+    # verdict does not name them.
+    every = [str(one) for one in c.observability.unidentifiable]
+    rest = [f"and {len(every) - _MOST} more"] * (len(every) > _MOST)
+    outside = outside_sentence(c.outside, np.array(m.rows)[m.validation].tolist())
+    if c.verdict is not None and any(reason.why == Why.OUTSIDE for reason in c.verdict.reasons):
+        outside = ""
+    left_out = "No rows were left out in turn (no cross-validation), so there is no verdict."
     return {
         "c": c,
         "title": title,
         "footer": Markup(f'"{footer}"'),
         "date": date,
-        "heading": _heading(c, date),
+        "heading": [
+            ("Robot", f"{chain}, {joints} joint{'s' * (joints > 1)}"),
+            ("Measurements", f"{m.source or 'from memory'}: {rows}"),
+            ("Date of the report", date),
+        ],
         "verdict": (use, *_VERDICTS[use]),
         "tables": tables,
         "figures": [(one, *_picture(one)) for one in drawings(c)],
-        "larger": "" if c.larger is None else c.larger.name,
-        "pairs": "pair" in c.measurements.kinds,
-        "validates": bool(np.any(c.measurements.validation)),
-        "estimated": _estimated(c),
+        "estimated": f"{estimated} estimation rows{weightless}",
         "factor": f"{interval_factor(c.fitted.estimate.freedom):.2f}",
         "errorless": bool(errorless(c)),
         "places": [*target_sentences(c, _MOST), *frame_sentences(c, _MOST)],
         "weights": weights_text(c),
         "rank": f"Rank: {said['Rank']}",
         "unidentifiable": unidentifiable_text(c),
-        "combinations": every,
+        "combinations": every[:_MOST] + rest,
         "known_together": [
             f"{label}: {said[label]}" for label in (TOGETHER, SIZES) if label in said
         ],
         "measured": list(_measured(c, said)),
-        "outside": _outside(c),
-        "method": list(_method(c)),
-        "trace": _trace(c, command, date),
+        "outside": outside,
+        "method": [
+            f"{solver_text(c)}. {c.solution.message}",
+            f"Outliers {'have no' if c.fitted.task.robust else 'keep their'} weight in the fit.",
+            left_out if v is None else f"Errors of left-out rows: {v.method}, {v.folds} fits.",
+            _PRIORS[c.cell.priors.sizes],
+        ],
+        # What it takes to do it again.
+        "trace": [
+            ("Nominal robot", c.nominal.urdf.source or "from memory"),
+            ("  SHA-256", c.nominal.urdf.sha256),
+            ("Measurements", m.source or "from memory"),
+            ("  SHA-256", m.sha256.replace(" + ", ", ") or "-"),
+            ("Corrected robot", "as written without a target link"),
+            ("  SHA-256", c.robot.urdf.sha256),
+            ("Software", ", ".join(f"{name} {number}" for name, number in versions().items())),
+            ("Command", command or "not from the command line"),
+            ("Date of the report", date),
+        ],
     }
 
 
@@ -166,33 +190,6 @@ def _picture(drawing: Drawing) -> tuple[str, str]:
     return f"data:image/{media};base64,{text}", f"{100.0 * share:.1f}"
 
 
-def _heading(c: Calibration, date: str) -> list[tuple[str, str]]:
-    """Which robot, which rows, when."""
-    m, count = c.measurements, len(c.nominal.joints)
-    joints = f"{count} joint{'s' * (count > 1)}"
-    rows = f"{m.estimation.sum():,} rows to estimate, {m.validation.sum():,} to validate"
-    return [
-        ("Robot", f"{c.nominal.name}, {c.nominal.base} to {c.nominal.tip}, {joints}"),
-        ("Measurements", f"{m.source or 'from memory'}: {rows}"),
-        ("Date of the report", date),
-    ]
-
-
-def _estimated(c: Calibration) -> str:
-    """From which rows the parameters were estimated."""
-    m = c.measurements
-    without = int(np.sum(c.weights[m.estimation] <= 0.0))
-    more = f", {without:,} of which have no weight" if without else ""
-    return f"{m.estimation.sum():,} estimation rows{more}"
-
-
-def _combinations(c: Calibration) -> list[str]:
-    """What the measured poses cannot tell apart."""
-    every = [str(one) for one in c.observability.unidentifiable]
-    rest = len(every) - _MOST
-    return every[:_MOST] + ([f"and {rest} more"] if rest > 0 else [])
-
-
 def _measured(c: Calibration, said: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     """What was measured, and how well."""
     m = c.measurements
@@ -204,7 +201,11 @@ def _measured(c: Calibration, said: Mapping[str, str]) -> Iterator[tuple[str, st
     for what, names in (("Targets", m.targets), ("Set-ups", m.groups)):
         if len(set(names)) > 1:
             yield what, _named(tuple(dict.fromkeys(names)))
-    yield "Measurement frame", _frame(c)
+    found = sum(bool(directions) for directions in c.setup.unknown)
+    placed = c.cell.T_frame_base is not None or bool(c.cell.frames)
+    known = f"known: {'as the set-up places it' if placed else c.nominal.base}"
+    estimated = f"estimated from the rows, for {found} of {len(c.setup.groups)} set-ups"
+    yield "Measurement frame", estimated if found else known
     yield "Noise of the rows", said["Noise"]
     if m.sigma is not None or c.cell.sigma is not None:
         given = c.cell.sigma if m.sigma is None else float(np.nanmedian(m.sigma))
@@ -212,27 +213,17 @@ def _measured(c: Calibration, said: Mapping[str, str]) -> Iterator[tuple[str, st
     if SCATTER in said:
         yield SCATTER, said[SCATTER]
     if c.nominal.held:
-        held = [f"{name} at {_value(c, name, v)}" for name, v in c.nominal.held.items()]
-        yield "Joints held", ", ".join(held)
+        slides = {j.name for j in c.nominal.urdf.joints if j.type == "prismatic"}
+        held = c.nominal.held.items()
+        texts = [
+            f"{k} at {1e3 * v:.3f} mm" if k in slides else f"{k} at {np.degrees(v):.3f} deg"
+            for k, v in held
+        ]
+        yield "Joints held", ", ".join(texts)
     if m.ignored:
         yield "Columns not used", _named(m.ignored)
     what = "one standard deviation of the target's position, from the covariance of the parameters"
     yield EXPECTED, f"{said[EXPECTED].removesuffix('.')}; {what}."
-
-
-def _frame(c: Calibration) -> str:
-    """In which frame positions are given."""
-    found = sum(bool(directions) for directions in c.setup.unknown)
-    if found:
-        return f"estimated from the rows, for {found} of {len(c.setup.groups)} set-ups"
-    given = c.cell.T_frame_base is not None or bool(c.cell.frames)
-    return f"known: {'as the set-up places it' if given else c.nominal.base}"
-
-
-def _value(c: Calibration, name: str, value: float) -> str:
-    """A joint's value with its unit."""
-    slides = any(j.name == name and j.type == "prismatic" for j in c.nominal.urdf.joints)
-    return f"{1e3 * value:.3f} mm" if slides else f"{np.degrees(value):.3f} deg"
 
 
 def _named(names: Sequence[str]) -> str:
@@ -240,41 +231,3 @@ def _named(names: Sequence[str]) -> str:
     shown = ", ".join(f"'{name}'" for name in names[:_MOST_NAMES])
     rest = len(names) - _MOST_NAMES
     return shown + (f" and {rest} more" if rest > 0 else "")
-
-
-def _outside(c: Calibration) -> str:
-    """Rows for validation beyond the joint values that were fitted, where the verdict does not name them."""
-    m = c.measurements
-    said = outside_sentence(c.outside, np.array(m.rows)[m.validation].tolist())
-    reasons = () if c.verdict is None else c.verdict.reasons
-    if not said or any(reason.why == Why.OUTSIDE for reason in reasons):
-        return ""
-    return f"Validation rows beyond the joint values that were fitted: {said}."
-
-
-def _method(c: Calibration) -> Iterator[str]:
-    """How it was computed."""
-    v, robust = c.cross_validation, c.fitted.task.robust
-    yield f"{solver_text(c)}. {c.solution.message}"
-    yield f"Outliers {'have no' if robust else 'keep their'} weight in the fit."
-    if v is None:
-        yield "No rows were left out in turn (no cross-validation), so there is no verdict."
-    else:
-        yield f"Errors of left-out rows: {v.method}, {v.folds} fits."
-    yield _PRIORS[c.cell.priors.sizes]
-
-
-def _trace(c: Calibration, command: str, date: str) -> list[tuple[str, str]]:
-    """Files with their hashes, versions, the command and the date: what it takes to do it again."""
-    m, urdf = c.measurements, c.nominal.urdf
-    return [
-        ("Nominal robot", urdf.source or "from memory"),
-        ("  SHA-256", urdf.sha256),
-        ("Measurements", m.source or "from memory"),
-        ("  SHA-256", m.sha256.replace(" + ", ", ") or "-"),
-        ("Corrected robot", "as written without a target link"),
-        ("  SHA-256", c.robot.urdf.sha256),
-        ("Software", ", ".join(f"{name} {number}" for name, number in versions().items())),
-        ("Command", command or "not from the command line"),
-        ("Date of the report", date),
-    ]

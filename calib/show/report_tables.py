@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.identify.result import Calibration
-from calib.identify.statistics import Errors
 from calib.identify.summary import (
     candidate_rms,
     error_rows,
@@ -40,14 +39,8 @@ _EXACT = 1e-4
 class Table:
     """A table, all of its cells as text.
 
-    Attributes:
-        title: What it holds, its unit, and of which rows.
-        head: A label for each column.
-        rows: A text for each column, in each row; a table without rows is not shown.
-        align: ``l`` (text) or ``r`` (numbers) for each column.
-        note: Below it; may be empty.
-        groups: Labels above the head, each with the number of columns it spans; none or all columns.
-        strong: The rows that matter most, by their number from 0 on.
+    ``align`` is ``l`` (text) or ``r`` (numbers) for each column; ``groups`` are labels above the head, each with the
+    number of columns it spans; ``strong`` are the rows that matter most. A table without rows is not shown.
     """
 
     title: str
@@ -59,19 +52,31 @@ class Table:
     strong: Sequence[int] = ()
 
 
-def lengths(c: Calibration) -> Table:
-    """Errors of positions and lengths by set of rows, [mm]."""
-    rows = [(label, e) for label, e in _labelled(c) if e.n]
+def errors(c: Calibration, *, turned: bool = False) -> Table:
+    """Errors by set of rows: of positions and lengths [mm], or of orientations [deg]."""
+    rows, before = [], ""
+    for label, e in error_rows(c):
+        # Each label needs no look at the row above.
+        rest = label.strip().removeprefix("the same ")
+        before = label if rest == label else f"{before}, {rest}"
+        if e.n_angle if turned else e.n:
+            rows.append((before, e))
+    strong = [k for k, (label, _) in enumerate(rows) if ", calibrated" in label]
+    head = ("rows, robot", "number", "max", "mean", "rms")
+    if turned:
+        cells = [
+            (label, f"{e.n_angle:,}", *map(deg, (e.max_angle, e.mean_angle, e.rms_angle)))
+            for label, e in rows
+        ]
+        title = "Orientation error by set of rows [deg]"
+        return Table(title, head, cells, "lrrrr", note=left_out_text(c), strong=strong)
     along = any(np.any(np.isfinite(e.span_axis)) for _, e in rows)
     axes = 3 if along else 0
     notes = [f"{left_out_text(c)}."] * bool(left_out_text(c))
     notes += ["Span: largest minus smallest signed error along an axis of the frame."] * along
-    notes += [
-        "Left-out rows, nominal: frame and target are fitted to the others, even if given."
-    ] * _nominal_refitted(c)
     return Table(
         f"{error_title(c.used)} by set of rows [mm]",
-        ("rows, robot", "number", "max", "mean", "rms", *"xyz"[:axes]),
+        (*head, *"xyz"[:axes]),
         [
             (label, f"{e.n:,}", *map(mm, (e.max, e.mean, e.rms, *e.span_axis[:axes])))
             for label, e in rows
@@ -79,23 +84,7 @@ def lengths(c: Calibration) -> Table:
         "lrrrr" + "r" * axes,
         note=" ".join(notes),
         groups=[("", 2), ("size of the error", 3), *[("span", 3)] * along],
-        strong=_after(label for label, _ in rows),
-    )
-
-
-def angles(c: Calibration) -> Table:
-    """Errors of orientations by set of rows, [deg]."""
-    rows = [(label, e) for label, e in _labelled(c) if e.n_angle]
-    return Table(
-        "Orientation error by set of rows [deg]",
-        ("rows, robot", "number", "max", "mean", "rms"),
-        [
-            (label, f"{e.n_angle:,}", *map(deg, (e.max_angle, e.mean_angle, e.rms_angle)))
-            for label, e in rows
-        ],
-        "lrrrr",
-        note=left_out_text(c),
-        strong=_after(label for label, _ in rows),
+        strong=strong,
     )
 
 
@@ -212,12 +201,6 @@ def dh(c: Calibration) -> Table:
     hayati = " Ry(beta), with Hayati's beta between nearly parallel axes, where d is 0."
     note += hayati if tilted else "."
     note += " The rows are read off both URDFs: they give the same poses as the URDFs do."
-    # The last axis has no next one to be parallel to.
-    others = [f"{'d' if r.near_parallel else 'beta'}{k}" for k, r in enumerate(before.rows[:-1], 1)]
-    if set(others) & set(c.model.names):
-        note += (
-            " Where the model has other parameters between such axes, they differ from those above."
-        )
     for what, T, S in (
         ("Frame 0", before.T_base_0, after.T_base_0),
         ("The tip after the last row", before.T_n_tip, after.T_n_tip),
@@ -314,29 +297,6 @@ def ranges(c: Calibration) -> Table:
         note="Used: share of the range between the limits. Beyond what was measured errors may be larger."
         + (f" Measured beyond the limits of the URDF: {', '.join(beyond)}." if beyond else ""),
     )
-
-
-def _labelled(c: Calibration) -> Iterator[tuple[str, Errors]]:
-    """The sets of rows, each with a label that needs no look at the row above."""
-    before = ""
-    for label, errors in error_rows(c):
-        rest = label.strip().removeprefix("the same ")
-        before = label if rest == label else f"{before}, {rest}"
-        yield before, errors
-
-
-def _after(labels: Iterable[str]) -> tuple[int, ...]:
-    """The lines of the calibrated robot."""
-    return tuple(k for k, label in enumerate(labels) if ", calibrated" in label)
-
-
-def _nominal_refitted(c: Calibration) -> bool:
-    """Whether the nominal robot's left-out rows have another frame and target than its other rows."""
-    unknown = [bool(directions) for directions in c.setup.unknown]
-    started = np.any(unknown & c.setup.frame_given) or np.any(
-        c.setup.target_unknown & c.setup.target_given
-    )
-    return c.nominal_cross_validation is not None and bool(started)
 
 
 def _places(c: Calibration, chosen: NDArray[np.int_]) -> tuple[list[tuple[str, ...]], list[str]]:

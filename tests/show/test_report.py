@@ -17,7 +17,6 @@ from calib.errors import FileError
 from calib.identify.summary import errorless
 from calib.measure.cell import Cell
 from calib.model.dh import dh_table
-from calib.model.error_model import error_model
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
 from calib.show import report, report_tables
@@ -89,9 +88,10 @@ def page(monkeypatch):
 
 def every_table(c):
     """All the tables of a report."""
-    makers = ("lengths", "angles", "validation_rows", "larger", "dh", "origins", "flagged")
+    makers = ("errors", "validation_rows", "larger", "dh", "origins", "flagged")
     made = [getattr(report_tables, maker)(c) for maker in (*makers, "ranges")]
     made += [report_tables.parameters(c, unit) for unit in ("mm", "deg")]
+    made.append(report_tables.errors(c, turned=True))
     return [*made, *([report_tables.candidates(c)] if c.candidates else [])]
 
 
@@ -144,7 +144,7 @@ def test_nothing_in_a_name_means_anything(page, calibrations):
 
 def test_errors_by_set_are_those_of_the_result(paper_calibration):
     c = paper_calibration
-    table = report_tables.lengths(c)
+    table = report_tables.errors(c)
     found = {row[0]: row[1:] for row in table.rows}
     for who in ("nominal", "calibrated"):
         for name in ("estimation", "validation"):
@@ -175,7 +175,7 @@ def test_validation_rows_are_those_of_the_paper_s_table_4(paper_calibration):
 
 def test_orientations_have_tables_and_columns_of_their_own(calibrations):
     c = calibrations.made("poses")
-    rows = {row[0]: row for row in report_tables.angles(c).rows}
+    rows = {row[0]: row for row in report_tables.errors(c, turned=True).rows}
     wanted = np.degrees(c.errors["calibrated"]["validation"].rms_angle)
     assert float(rows["validation rows, calibrated"][-1]) == pytest.approx(wanted, abs=5.1e-5)
     table = report_tables.validation_rows(c)
@@ -190,18 +190,9 @@ def test_lengths_without_coordinates_have_one_column_each(calibrations):
     table = report_tables.validation_rows(c)
     assert [span for _, span in table.groups][-2:] == [1, 1]
     assert (*table.head[-2:], table.note) == ("size", "size", "")
-    errors = report_tables.lengths(c)
+    errors = report_tables.errors(c)
     assert errors.title == "Length error by set of rows [mm]"
     assert errors.head == ("rows, robot", "number", "max", "mean", "rms")
-
-
-def test_a_start_that_left_out_rows_do_not_keep_is_said(calibrations):
-    said = "Left-out rows, nominal: frame and target are fitted to the others, even if given."
-    c = calibrations.made("auto")
-    assert report_tables.lengths(c).note.endswith(f" {said}")
-    found = replace(c, setup=replace(c.setup, target_given=np.array([False])))
-    assert said not in report_tables.lengths(found).note
-    assert said not in report_tables.lengths(calibrations.made("two_joints")).note
 
 
 def test_parameters_with_correction_and_interval(page, paper_calibration):
@@ -263,15 +254,6 @@ def test_the_dh_rows_give_the_poses_of_both_robots(calibrations, name):
     np.testing.assert_allclose(change, difference, atol=1.1e-3)
     # Rows of one robot that is hardly changed hardly differ: no axis is turned round.
     assert np.abs(change[:, angles]).max() < 2.0
-
-
-def test_rows_that_follow_another_convention_than_the_model_say_so(calibrations):
-    said = "Where the model has other parameters between such axes, they differ from those above."
-    # The model has d between the UR3's parallel axes, where the rows have beta, as Hayati's parameters do.
-    c = calibrations.made("paper")
-    hayati = replace(c, kinematics=replace(c.kinematics, model=error_model(c.nominal, "hayati")))
-    assert said in report_tables.dh(c).note
-    assert said not in report_tables.dh(hayati).note
 
 
 def test_turned_frames_are_the_same_geometry(calibrations):
