@@ -257,9 +257,9 @@ def plan(
     if json is not None:
         write_table(plan_table(made), json, overwrite=force)
     if view is not None:
-        from calib.show.plan_view import write_plan_view
+        from calib.show.design_view import plan_page
 
-        write_plan_view(made, view, overwrite=force)
+        plan_page(made).write(view, overwrite=force)
     if not quiet:
         said = (*notes_of(made, before, taken), *remarks)
         written = [f"Written: {path}" for path in (output, json, view) if path is not None]

@@ -214,30 +214,29 @@ def _write(
 ) -> Iterator[Path]:
     """Write region, picture and page as far as they are asked for."""
     from calib.design.region import RegionFile
-    from calib.show.figure_region import Marked, write_picture
+    from calib.show.figure_region import Marked, RegionView, write_picture
 
-    checked, words = found.checked, (found.title, found.subtitle)
-    marked = checked and Marked(checked.points, checked.rows.rows, checked.rows.validation)
-    robot, target, density, region = found.robot, found.target, found.density, found.region
+    checked, region = found.checked, found.region
     if output is not None:
-        file = RegionFile.of(region, robot, target, found.ranges, density.drawn, found.seed)
+        many, seed = found.density.drawn, found.seed
+        file = RegionFile.of(region, found.robot, found.target, found.ranges, many, seed)
         yield file.write(output, overwrite=force)
+    shown = RegionView(
+        robot=found.robot,
+        q=found.pose,
+        target=found.target,
+        density=found.density,
+        region=region,
+        title=found.title,
+        text=found.subtitle,
+        marked=checked and Marked(checked.points, checked.rows.rows, checked.rows.validation),
+    )
     if picture is not None:
-        title, subtitle = words
-        yield write_picture(
-            density,
-            region,
-            picture,
-            title=title,
-            subtitle=subtitle,
-            marked=marked,
-            overwrite=force,
-        )
+        yield write_picture(shown, picture, overwrite=force)
     if view is not None:
-        from calib.show.region_view import RegionView, write_region_view
+        from calib.show.design_view import region_page
 
-        scene = RegionView(robot, found.pose, target, density, region, *words, marked)
-        yield write_region_view(scene, view, overwrite=force)
+        yield region_page(shown).write(view, overwrite=force)
 
 
 def _next(robot: str, found: Found, options: dict[str, list[str]]) -> str:

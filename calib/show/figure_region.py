@@ -17,6 +17,7 @@ from calib.design.region import Region
 from calib.design.workspace import Density
 from calib.errors import FileError, choices
 from calib.model.files import write_atomically
+from calib.model.robot import Robot
 from calib.show.figure_base import KINDS, line, number_points, saved, styled, write_beside
 from calib.show.figure_space import VIEWS
 from calib.show.rows import ESTIMATION, INK, LITTLE_TO_MUCH, VALIDATION
@@ -62,55 +63,55 @@ def check_ending(path: str | Path) -> str:
     return kind
 
 
-def write_picture(
-    density: Density,
-    region: Region,
-    path: str | Path,
-    *,
-    title: str,
-    subtitle: str = "",
-    marked: Marked | None = None,
-    overwrite: bool = False,
-) -> Path:
-    """Write the figure of a region.
+@dataclass(frozen=True, slots=True, eq=False)
+class RegionView:
+    """What a picture or a page of a region shows.
 
-    Args:
+    Attributes:
+        robot: The nominal robot.
+        q: shape (m,), [rad] or [m], how it stands.
+        target: shape (3,), in the tip [m].
         density: The density.
         region: A region of it.
-        path: File to write; its ending says which of `KINDS`.
-        title: Heading, plain text.
-        subtitle: A line below it, plain text.
+        title: The heading, plain text.
+        text: A line below it, plain text.
         marked: Points of a table; None for none.
-        overwrite: Whether a file that exists may be replaced.
+    """
+
+    robot: Robot
+    q: Array
+    target: Array
+    density: Density
+    region: Region
+    title: str
+    text: str = ""
+    marked: Marked | None = None
+
+
+def write_picture(view: RegionView, path: str | Path, *, overwrite: bool = False) -> Path:
+    """Write the figure of a region; the file's ending says which of `KINDS`.
 
     Raises:
         FileError: Another ending, or the file exists or cannot be written.
     """
     kind = check_ending(path)
     with styled():
-        figure = draw_region(density, region, title=title, subtitle=subtitle, marked=marked)
-        data = saved(figure, kind, title, subtitle, dpi=150)
+        data = saved(draw_region(view), kind, view.title, view.text, dpi=150)
     return write_atomically(Path(path), data, overwrite=overwrite)
 
 
-def draw_region(
-    density: Density,
-    region: Region,
-    *,
-    title: str,
-    subtitle: str = "",
-    marked: Marked | None = None,
-) -> Figure:
-    """The figure of a region; see `write_picture`. It belongs to no window and no global state."""
+def draw_region(view: RegionView) -> Figure:
+    """The figure of a region; it belongs to no window and no global state."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+    density, region, marked = view.density, view.region, view.marked
     wide = np.ptp(density.extent, axis=0).max() > 10.0
     scale, unit = (1.0, "m") if wide else (1e3, "mm")
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08, rect=(0, 0.01, 1, 0.9))
     figure = Figure(figsize=(13.0, 9.2), layout=layout)
-    figure.text(0.02, 0.965, title, size=15, weight="bold", va="center")
-    figure.text(0.02, 0.932, subtitle, size=10, color=_GREY, va="center")
+    figure.text(0.02, 0.965, view.title, size=15, weight="bold", va="center")
+    figure.text(0.02, 0.932, view.text, size=10, color=_GREY, va="center")
     axes = figure.subplots(2, 3)
     centre = _middle_voxel(density)
     limits = _limits(density, marked)

@@ -16,7 +16,7 @@ from calib.errors import FileError
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Box, Tracker
 from calib.model.readback import random_joint_values
-from calib.show.plan_view import plan_page, write_plan_view
+from calib.show.design_view import plan_page
 from calib.show.rows import BEAM
 
 
@@ -139,15 +139,15 @@ def test_any_robot_is_drawn(request, fixture):
 
 
 def test_an_existing_file_is_kept(planned, tmp_path):
-    path = write_plan_view(planned, tmp_path / "plan.html")
+    path = plan_page(planned).write(tmp_path / "plan.html")
     with pytest.raises(FileError, match="exists already"):
-        write_plan_view(planned, path)
-    assert write_plan_view(planned, path, overwrite=True).read_bytes() == plan_page(planned).html
+        plan_page(planned).write(path)
+    assert plan_page(planned).write(path, overwrite=True).read_bytes() == plan_page(planned).html
 
 
 @pytest.mark.slow
 def test_chromium_draws_it_without_a_complaint(browser, planned, tmp_path):
-    path = write_plan_view(planned, tmp_path / "plan.html")
+    path = plan_page(planned).write(tmp_path / "plan.html")
     with browser.open(path.as_uri()) as tab:
         pixels = tab.screenshot().reshape(-1, 3).astype(int)
         assert tab.console == []

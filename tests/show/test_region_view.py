@@ -17,8 +17,8 @@ from calib.errors import FileError
 from calib.measure.measurements import Measurements
 from calib.measure.ranges import joint_ranges
 from calib.model.robot import Robot
-from calib.show.figure_region import Marked
-from calib.show.region_view import RegionView, region_page, write_region_view
+from calib.show.design_view import region_page
+from calib.show.figure_region import Marked, RegionView
 
 
 @pytest.fixture(scope="module")
@@ -147,15 +147,15 @@ def test_names_are_no_html(view):
 
 
 def test_the_same_view_is_the_same_file_and_one_that_exists_is_kept(view, page, tmp_path):
-    path = write_region_view(view, tmp_path / "view.html")
+    path = region_page(view).write(tmp_path / "view.html")
     assert path.read_bytes() == page.html
     with pytest.raises(FileError, match="exists already"):
-        write_region_view(view, path)
+        region_page(view).write(path)
 
 
 @pytest.mark.slow
 def test_chromium_shows_robot_bands_and_rows_and_calls_nobody(browser, view, tmp_path):
-    path = write_region_view(view, tmp_path / "view.html")
+    path = region_page(view).write(tmp_path / "view.html")
     with browser.open(path.as_uri()) as tab:
         picture = tab.screenshot().astype(int)
         assert tab.console == []
