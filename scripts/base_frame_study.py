@@ -23,13 +23,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from calib.base_frame.axes import nominal_axes
+from calib.base_frame.checks import positive
 from calib.base_frame.files import carried
 from calib.base_frame.fits import fit_circle, fit_plane
-from calib.base_frame.frame import BaseFrame, base_frame, nominal_axes_frame
+from calib.base_frame.frame import BaseFrame, base_frame, nominal_axes, nominal_axes_frame
 from calib.base_frame.survey import survey
 from calib.base_frame.sweeps import Sweep
-from calib.base_frame.turning import positive
 from calib.calibration import calibrate
 from calib.data import paper_urdf
 from calib.errors import CalibError

@@ -1,25 +1,29 @@
-"""Whether sweeps can be those of the joints that they are said to be, and sentences on what their residuals show."""
+"""Whether sweeps can be those of the joints that they are said to be, how well joints turned, and what residuals show.
+
+With the joint's values q the angle of a point about the axis is
+
+    phi = phi_0 + (1 + gain) q + sin sin(q) + cos cos(q) + noise / radius
+
+where gain and the once-per-turn terms are what `calib.families` calls a joint's gain and eccentricity. A circle whose
+centre is not known exactly turns once per turn too: the centre's covariance is part of theirs.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc, ndtr
+from scipy.special import fdtrc, ndtr, stdtrit
 
-from calib.base_frame.axes import Line, Nominal, between
-from calib.base_frame.fits import Circle, Plane, fit_circle, fit_plane
-from calib.base_frame.scatter import LEVEL
+from calib.base_frame.fits import LEVEL, Circle, Plane
+from calib.base_frame.frame import Line, Nominal, between
 from calib.base_frame.sweeps import Sweep, Sweeps
-from calib.base_frame.turning import Turning
 from calib.errors import MeasurementError, choices
 from calib.model.robot import Robot, rigid_inverse
 
 Array = NDArray[np.float64]
-
-#: Points that stay within this do not move, rms about their mean [m].
-STILL_M = 1e-3
 
 #: Beside the joint that turns, no other may by more than the first [rad]; it turns by more than the second.
 STILL_RAD, TURNED_RAD = float(np.radians(0.1)), float(np.radians(1.0))
@@ -30,29 +34,119 @@ ANGLE_RAD, DISTANCE_M = float(np.radians(5.0)), 20e-3
 #: Times the standard deviation of a circle's centre, beside `DISTANCE_M`.
 _SIGMAS = 6.0
 
+#: Joint values and points may disagree by this much, rms, before they are of different sweeps [rad].
+_DISAGREE_RAD = float(np.radians(3.0))
+
+#: Of all turning, how much goes one way in a sweep.
+_ONE_WAY = 0.8
+
+#: A once-per-turn term is told from a gain on longer arcs than this [rad].
+_LONG_RAD = float(np.radians(150.0))
+
 _ORDER = (
-    "Without joint values the rows of a sweep stand in the order of increasing joint angle: turn the order of one of "
-    "them round, or give the joints' values in columns."
+    "Without joint values the rows of a sweep stand in the order of increasing joint angle: turn their order round, or "
+    "give the joints' values in columns."
 )
-_SIGN = "The sign of one joint's values is not the URDF's: turn it round, there and in all other tables."
+
+
+# The sense of turning, and how well a joint turned
+
+
+@dataclass(frozen=True, slots=True)
+class Turning:
+    """How a joint turned against its own values.
+
+    Attributes:
+        rms: Of what the terms leave [rad].
+        gain: Relative error of the gear [rad/rad]; positive: it turns further than it says.
+        gain_std: Its standard deviation.
+        eccentricity: Amplitude of the once-per-turn error [rad]; NaN on an arc too short to tell.
+        eccentricity_std: Its standard deviation.
+        gain_found: Whether the gain is no chance.
+        eccentricity_found: Whether the once-per-turn error is none.
+    """
+
+    rms: float
+    gain: float
+    gain_std: float
+    eccentricity: float
+    eccentricity_std: float
+    gain_found: bool
+    eccentricity_found: bool
+
+
+def positive(sweep: Sweep, circle: Circle) -> Circle:
+    """The circle with its normal so that the joint's positive sense turns about it.
+
+    Raises:
+        MeasurementError: The points do not turn with the joint's values, or there are none and the rows go both ways.
+    """
+    angles = circle.angles[circle.used]
+    if sweep.joints is not None and sweep.joint is not None:
+        values = sweep.joints[circle.used, sweep.joint]
+        rest = [float(_about_mean(angles - sign * values).std()) for sign in (1.0, -1.0)]
+        if min(rest) > _DISAGREE_RAD:
+            raise MeasurementError(
+                f"{sweep.where}: the points turn otherwise than the joint's column says, by {np.degrees(min(rest)):.3g}"
+                " deg rms. Check that joint values and points are of the same rows, and the column's unit."
+            )
+        return circle if rest[0] <= rest[1] else circle.turned()
+    steps = np.angle(np.exp(1j * np.diff(angles)))
+    turned = float(steps.sum())
+    if abs(turned) < _ONE_WAY * float(np.abs(steps).sum()):
+        raise MeasurementError(
+            f"{sweep.where}: the points go round both ways, and their order must tell the sense of turning. {_ORDER}"
+        )
+    return circle if turned > 0.0 else circle.turned()
+
+
+def turning(sweep: Sweep, circle: Circle) -> Turning | None:
+    """How well the joint turned; None without joint values or with too few points.
+
+    Args:
+        sweep: With joint values.
+        circle: Its circle, normal in the positive sense.
+    """
+    if sweep.joints is None or sweep.joint is None:
+        return None
+    q, angles = sweep.joints[circle.used, sweep.joint], circle.angles[circle.used]
+    columns = [np.ones_like(q), q - q.mean()]
+    if np.ptp(q) > _LONG_RAD:
+        columns += [np.sin(q), np.cos(q)]
+    X = np.column_stack(columns)
+    freedom = len(q) - X.shape[1]
+    if freedom < 1:
+        return None
+    y = _about_mean(angles - q)
+    inverse = np.linalg.inv(X.T @ X)
+    x = inverse @ (X.T @ y)
+    left = y - X @ x
+    # The centre's displacement moves each angle by its part along the tangent.
+    moved = np.column_stack([np.sin(angles), -np.cos(angles)]) / circle.radius
+    P = inverse @ X.T @ moved
+    covariance = inverse * float(left @ left) / freedom + P @ circle.covariance[:2, :2] @ P.T
+    gain, gain_std = float(x[1]), float(np.sqrt(covariance[1, 1]))
+    amplitude, amplitude_std, found = np.nan, np.nan, False
+    if len(x) == 4:
+        amplitude = float(np.hypot(x[2], x[3]))
+        amplitude_std = float(np.sqrt(0.5 * np.trace(covariance[2:, 2:])))
+        size = x[2:] @ np.linalg.solve(covariance[2:, 2:], x[2:])
+        # Two numbers at once: an F of 2, whose tail is that of the gain's t.
+        found = bool(fdtrc(2, freedom, 0.5 * size) < LEVEL / 2.0)
+    limit = -float(stdtrit(freedom, LEVEL / 4.0))
+    rms = float(np.sqrt(np.mean(left**2)))
+    return Turning(
+        rms, gain, gain_std, amplitude, amplitude_std, abs(gain) > limit * gain_std, found
+    )
+
+
+def _about_mean(angles: Array) -> Array:
+    """Angles about their mean direction, in [-pi, pi)."""
+    mean = np.angle(np.exp(1j * angles).mean())
+    return np.asarray((angles - mean + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 # Refusals
-
-
-def check_moves(sweep: Sweep) -> None:
-    """Refuse a sweep whose points stay where they are.
-
-    Raises:
-        MeasurementError: They do.
-    """
-    off = sweep.points - sweep.points.mean(axis=0)
-    spread = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-    if spread < STILL_M:
-        raise MeasurementError(
-            f"{sweep.where}: the points stay within {1e3 * spread:.2g} mm of their mean: the joint did not turn, or "
-            "the target sits on its axis. Turn the joint as far as it goes, with the target well off the axis."
-        )
 
 
 def check_joint(sweep: Sweep, joint_names: tuple[str, ...]) -> None:
@@ -69,57 +163,14 @@ def check_joint(sweep: Sweep, joint_names: tuple[str, ...]) -> None:
             "Give a column for each joint of the chain, in their order, or none."
         )
     ranges = np.ptp(sweep.joints, axis=0)
-    name, own = joint_names[sweep.joint], float(ranges[sweep.joint])
-    ranges[sweep.joint] = 0.0
+    own, ranges[sweep.joint] = float(ranges[sweep.joint]), 0.0
     other, most = joint_names[int(np.argmax(ranges))], float(ranges.max())
-    if own < TURNED_RAD:
-        message = f"{sweep.where}: by its column the joint '{name}' turns by {np.degrees(own):.3g} deg only"
-        if most > max(own, STILL_RAD):
-            message += f", and '{other}' by {np.degrees(most):.4g} deg. Name the joint that turns as its sweep."
-        else:
-            message += ". A sweep turns one joint, as far as it can."
-        raise MeasurementError(message)
-    if most > STILL_RAD:
+    if own < TURNED_RAD or most > STILL_RAD:
         raise MeasurementError(
-            f"{sweep.where}: beside '{name}' the joint '{other}' moves by {np.degrees(most):.3g} deg. In a "
-            "sweep one joint turns and all others stand still; name the joint that turns, or measure it again."
+            f"{sweep.where}: by its column the joint '{joint_names[sweep.joint]}' turns by {np.degrees(own):.3g} deg, "
+            f"and '{other}' by {np.degrees(most):.3g} deg. In a sweep one joint turns, as far as it can, and all "
+            "others stand still; name the joint that turns, or measure it again."
         )
-
-
-def check_side(sweep: Sweep, plane: Plane, first: Circle, robot: Robot | None) -> tuple[str, ...]:
-    """Whether axis 1 points away from the plane, towards the circle, as the URDF's does; else a sentence, or a refusal.
-
-    Args:
-        sweep: Of joint 1.
-        plane: The mounting plane.
-        first: The circle of joint 1.
-        robot: If there is one.
-
-    Raises:
-        MeasurementError: With a robot and without joint values: then the order of the rows is the wrong way round.
-    """
-    slope = np.sign(first.normal @ plane.normal)
-    height = float((first.center - plane.point) @ plane.normal) * slope
-    if robot is not None:
-        T = rigid_inverse(robot.T_root_base) @ robot.placements[0]
-        height *= float(np.sign((T[:3, :3] @ np.asarray(robot.joints[0].axis))[2]))
-    if height > 0.0:
-        return ()
-    if robot is not None and sweep.joints is None:
-        raise MeasurementError(
-            f"{sweep.where}: seen from the plane the joint turns the other way than in the URDF. Without joint values "
-            "the rows stand in the order of increasing joint angle: turn their order round, or give the joints' values "
-            "in columns."
-        )
-    if robot is not None:
-        return (
-            f"{sweep.where}: the circle lies below the plane z = 0 of the base. If the robot stands on that plane, the "
-            "joint's sign differs from the URDF's.",
-        )
-    return (
-        f"{sweep.where}: z points from the circle towards the plane. If the robot stands on it and joint 1 turns "
-        "anticlockwise seen from above, the rows are in the order of decreasing joint angle.",
-    )
 
 
 def check_pairs(
@@ -150,104 +201,113 @@ def check_pairs(
             continue
         names = f"'{sweeps.label(k)}' and '{sweeps.label(k + 1)}'"
         if not far and abs(np.pi - angle - wanted_angle) < ANGLE_RAD:
-            message = (
+            sign = "The sign of one joint's values is not the URDF's: turn it round, in all tables."
+            raise MeasurementError(
                 f"{sweeps.source}: the joints {names} turn the other way round to each other than in the URDF of "
-                f"'{robot.name}'. {_ORDER if sweeps.sweeps[-1].joints is None else _SIGN}"
+                f"'{robot.name}'. {_ORDER if sweeps.sweeps[-1].joints is None else sign}"
             )
-        else:
-            message = (
-                f"{sweeps.source}: the axes of {names} are {np.degrees(angle):.1f} deg and {1e3 * distance:.1f} mm "
-                f"apart; in the URDF of '{robot.name}' from '{robot.base}' to '{robot.tip}' they are "
-                f"{np.degrees(wanted_angle):.1f} deg and {1e3 * wanted_distance:.1f} mm. One of the two sweeps is of "
-                "another joint, or the robot or its chain is another one: check what was turned, and --robot, --base."
-            )
-        raise MeasurementError(message)
+        raise MeasurementError(
+            f"{sweeps.source}: the axes of {names} are {np.degrees(angle):.1f} deg and {1e3 * distance:.1f} mm apart; "
+            f"in the URDF of '{robot.name}' from '{robot.base}' to '{robot.tip}' they are "
+            f"{np.degrees(wanted_angle):.1f} deg and {1e3 * wanted_distance:.1f} mm. One of the two sweeps is of "
+            "another joint, or the robot or its chain is another one: check what was turned, and --robot, --base."
+        )
 
 
 # Findings
 
 
-def circle_findings(sweep: Sweep, circle: Circle, label: str) -> tuple[str, ...]:
-    """Sentences on a joint's sweep: gross rows, neighbours that err alike, noise that is larger than stated."""
-    used = circle.used
-    gross = ~(used if not used.all() else fit_circle(sweep.points, sweep.sigma).used)
-    found = [*_gross(sweep, np.linalg.norm(circle.residuals, axis=1), gross, used)]
-    for which, name in enumerate(("radially", "axially")):
-        e = circle.residuals[used, which]
-        correlation = float(e[1:] @ e[:-1] / (e @ e)) if np.any(e) else 0.0
-        if len(e) >= 10 and ndtr(-correlation * np.sqrt(len(e))) < 0.5 * LEVEL:
-            found.append(
-                f"{sweep.where}: neighbouring points of '{label}' err alike {name} (correlation {correlation:.2f}): "
-                "that is no noise, so the stated uncertainty is too small. Look for a worn bearing, play, bending, "
-                "drift, or a target or tracker that moved."
-            )
-    return (*found, *_too_large(sweep, circle))
+def side_findings(sweep: Sweep, plane: Plane, first: Circle, robot: Robot | None) -> Iterator[str]:
+    """A sentence, or a refusal, where axis 1 does not point from the plane towards its circle, as the URDF's does.
 
+    Args:
+        sweep: Of joint 1.
+        plane: The mounting plane.
+        first: The circle of joint 1.
+        robot: If there is one.
 
-def plane_findings(sweep: Sweep, plane: Plane) -> tuple[str, ...]:
-    """Sentences on the plane: gross rows, a surface that is no plane, noise that is larger than stated."""
-    used = plane.used
-    gross = ~(used if not used.all() else fit_plane(sweep.points, sweep.sigma).used)
-    found = [*_gross(sweep, np.abs(plane.residuals[:, 0]), gross, used)]
-    bent, tail = _bent(sweep, plane)
-    if tail < LEVEL:
-        found.append(
-            f"{sweep.where}: the surface is not flat but bent, by {1e3 * bent:.2g} mm over its points. "
-            "Touch it where the robot stands on it."
+    Raises:
+        MeasurementError: With a robot and without joint values: then the order of the rows is the wrong way round.
+    """
+    height = float((first.point - plane.point) @ plane.normal)
+    height *= float(np.sign(first.normal @ plane.normal))
+    if robot is not None:
+        T = rigid_inverse(robot.T_root_base) @ robot.placements[0]
+        height *= float(np.sign((T[:3, :3] @ np.asarray(robot.joints[0].axis))[2]))
+    if height > 0.0:
+        return
+    if robot is None:
+        yield (
+            f"{sweep.where}: z points from the circle towards the plane. If the robot stands on it and joint 1 turns "
+            "anticlockwise seen from above, the rows are in the order of decreasing joint angle."
         )
-    return (*found, *_too_large(sweep, plane))
-
-
-def turning_findings(name: str, turned: Turning | None) -> tuple[str, ...]:
-    """Sentences on a joint whose angle is not what it says."""
-    found = []
-    if turned is not None and turned.gain_found:
-        found.append(
-            f"'{name}' turns {1e3 * abs(turned.gain):.3f} mrad per rad {'further' if turned.gain > 0 else 'less'} than "
-            f"its values say (standard deviation {1e3 * turned.gain_std:.3f} mrad): a gear gain (--model dh+gain)."
+    elif sweep.joints is None:
+        raise MeasurementError(
+            f"{sweep.where}: seen from the plane the joint turns the other way than in the URDF. {_ORDER}"
         )
-    if turned is not None and turned.eccentricity_found:
-        found.append(
-            f"'{name}' is off by {1e3 * turned.eccentricity:.3f} mrad once per turn (standard deviation "
-            f"{1e3 * turned.eccentricity_std:.3f} mrad): an eccentric encoder (--model dh+eccentricity), or a target "
-            "that moved on its link in the middle of the sweep."
+    else:
+        yield (
+            f"{sweep.where}: the circle lies below the plane z = 0 of the base. If the robot stands on that plane, the "
+            "joint's sign differs from the URDF's."
         )
-    return tuple(found)
 
 
-def _gross(
-    sweep: Sweep, off: Array, gross: NDArray[np.bool_], used: NDArray[np.bool_]
+def findings(
+    sweep: Sweep, figure: Plane, label: str, turned: Turning | None = None
 ) -> Iterator[str]:
-    """The gross rows, and whether they were left out."""
-    for i in np.flatnonzero(gross):
+    """Sentences on a sweep: gross rows, neighbours that err alike, a bent surface, noise, a joint's own errors."""
+    used, scatter = figure.used, figure.scatter
+    off = np.linalg.norm(figure.residuals, axis=1)
+    for i in np.flatnonzero(figure.gross):
         yield (
             f"{sweep.source}, {sweep.counted} {sweep.rows[i]} (sweep '{sweep.name}') is {1e3 * off[i]:.3g} mm off and "
             f"{'counts all the same' if used[i] else 'left out'}: measure it again."
+        )
+    for e, way in zip(figure.residuals[used].T, ("radially", "axially"), strict=False):
+        correlation = float(e[1:] @ e[:-1] / (e @ e)) if np.any(e) else 0.0
+        tail = ndtr(-correlation * np.sqrt(len(e)))
+        if isinstance(figure, Circle) and len(e) >= 10 and tail < 0.5 * LEVEL:
+            yield (
+                f"{sweep.where}: neighbouring points of '{label}' err alike {way} (correlation {correlation:.2f}): "
+                "that is no noise, so the stated uncertainty is too small. Look for a worn bearing, play, bending, "
+                "drift, or a target or tracker that moved."
+            )
+    bent, tail = (0.0, 1.0) if isinstance(figure, Circle) else _bent(sweep, figure)
+    if tail < LEVEL:
+        yield (
+            f"{sweep.where}: the surface is not flat but bent, by {1e3 * bent:.2g} mm over its points. Touch it where "
+            "the robot stands on it."
+        )
+    if scatter.contradicted and scatter.given is not None:
+        yield (
+            f"{sweep.where}: the points scatter by {1e3 * scatter.estimate:.3g} mm, sigma says "
+            f"{1e3 * scatter.given:.3g} mm. The uncertainty is that of the scatter."
+        )
+    if turned is not None and turned.gain_found:
+        yield (
+            f"'{label}' turns {1e3 * abs(turned.gain):.3f} mrad per rad {'further' if turned.gain > 0 else 'less'} "
+            f"than its values say (standard deviation {1e3 * turned.gain_std:.3f} mrad): a gear gain (--model dh+gain)."
+        )
+    if turned is not None and turned.eccentricity_found:
+        yield (
+            f"'{label}' is off by {1e3 * turned.eccentricity:.3f} mrad once per turn (standard deviation "
+            f"{1e3 * turned.eccentricity_std:.3f} mrad): an eccentric encoder (--model dh+eccentricity), or a target "
+            "that moved on its link in the middle of the sweep."
         )
 
 
 def _bent(sweep: Sweep, plane: Plane) -> tuple[float, float]:
     """By how much a quadratic surface through the points bends [m], and the tail of its F test."""
     used = plane.used
-    local = (sweep.points[used] - plane.point) @ plane.basis
-    x, y = local[:, 0], local[:, 1]
+    x, y, z = ((sweep.points[used] - plane.point) @ plane.basis).T
     root = np.ones(len(x)) if sweep.sigma is None else 1.0 / sweep.sigma[used]
-    Q = np.linalg.qr(root[:, None] * np.column_stack([np.ones_like(x), x, y]))[0]
     square = np.column_stack([x * x, x * y, y * y])
-    left, bowl = (a - Q @ (Q.T @ a) for a in (root * local[:, 2], root[:, None] * square))
+    flat = root[:, None] * np.column_stack([np.ones_like(x), x, y])
+    Q = np.linalg.qr(flat)[0]
+    left, bowl = (a - Q @ (Q.T @ a) for a in (root * z, root[:, None] * square))
     b, _, rank, _ = np.linalg.lstsq(bowl, left, rcond=1e-8)
     drop, freedom = float(left @ (bowl @ b)), len(x) - 6
     if freedom < 3 or rank == 0 or drop <= 0.0:
         return 0.0, 1.0
     rest = max(float(left @ left) - drop, np.finfo(np.float64).eps * float(left @ left))
     return float(np.ptp(square @ b)), float(fdtrc(rank, freedom, drop / rank / (rest / freedom)))
-
-
-def _too_large(sweep: Sweep, figure: Circle | Plane) -> Iterator[str]:
-    """Whether the residuals contradict the noise that was given."""
-    scatter = figure.scatter
-    if scatter.contradicted and scatter.given is not None:
-        yield (
-            f"{sweep.where}: the points scatter by {1e3 * scatter.estimate:.3g} mm, sigma says "
-            f"{1e3 * scatter.given:.3g} mm. The uncertainty is that of the scatter."
-        )

@@ -4,16 +4,20 @@ A point p lies off a circle (centre c, unit normal n, radius r) by two distances
 
     radial = |p - c - axial n| - r          axial = n . (p - c)
 
-and the fit is the minimum of the weighted sum of their squares, found by Levenberg-Marquardt from Taubin's algebraic
-circle (G. Taubin, 1991). Under equal noise in x, y, z that is the maximum-likelihood fit, and its centre has no
-essential bias on short arcs either (A. Al-Sharadqah and N. Chernov, Electronic Journal of Statistics 3, 2009). A plane
-is the total least-squares one. Uncertainties are covariances of small displacements along the columns (u, v, normal)
-of the figure's own basis.
+and the fit is the minimum of the weighted sum of their squares. Under equal noise in x, y, z that is the
+maximum-likelihood fit, and its centre has no essential bias on short arcs either (A. Al-Sharadqah and N. Chernov,
+Electronic Journal of Statistics 3, 2009). A plane is the total least-squares one. Uncertainties are covariances of
+small displacements along the columns (u, v, normal) of the figure's own basis, sigma^2 (J^T W J)^-1.
 
+A gross point is one whose own displacement explains so much that chance does not: with the point's k residuals e and
+their block H of the hat matrix, giving the point its own displacement lowers the sum of squares by e^T (I - H)^-1 e,
+which over the rest is F(k, dof - k). The largest of N points counts where N times its tail is below 0.001; then the
+point is left out, the fit made again, and the next one looked at.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -21,15 +25,28 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.special import chdtrc, fdtrc
 
-from calib.base_frame.scatter import Fit, Mask, Scatter, judged
 from calib.errors import CalibError
 from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: Fewest points: those that determine the figure and one more, or there is nothing to tell the noise from.
 FEWEST = 4
+
+#: Points that stay within this do not move, rms about their mean [m].
+STILL_M = 1e-3
+
+#: No instrument is better than this, and without noise there is no covariance [m].
+FLOOR_M = 1e-9
+
+#: Chance of a finding where there is nothing but noise.
+LEVEL = 1e-3
+
+#: At most this share of the points is gross; more of them are no outliers.
+_SHARE = 0.1
 
 # Lines and spots: spread along the second axis, in that along the first one or in the noise.
 _THIN = 1e-9
@@ -38,10 +55,41 @@ _IN_NOISE = 1.5
 # Of a radius that is not known to this share of itself neither is the centre.
 _VAGUE = 0.25
 
-_TOO_SHORT = (
-    "the arc is too short for its noise: no circle can be told from others. Let the joint turn further, or fix the "
-    "target further from its axis"
-)
+_FURTHER = "Let the joint turn further, or fix the target further from its axis"
+_TOO_SHORT = f"the arc is too short for its noise: no circle can be told from others. {_FURTHER}"
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """The noise of a fit's points.
+
+    Attributes:
+        estimate: Standard deviation of one coordinate from the residuals [m].
+        freedom: The degrees of freedom it is estimated with.
+        given: The one that was given, root of the mean square over the points [m]; None where none was.
+    """
+
+    estimate: float
+    freedom: int
+    given: float | None
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the residuals are larger than the given noise makes them, at `LEVEL`."""
+        if self.given is None:
+            return False
+        return bool(chdtrc(self.freedom, self.freedom * (self.estimate / self.given) ** 2) < LEVEL)
+
+    @property
+    def sigma(self) -> float:
+        """What the covariance is made with: the noise as given, if it was and the residuals allow it [m]."""
+        sigma = self.estimate if self.given is None or self.contradicted else self.given
+        return max(sigma, FLOOR_M)
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of ``sigma``; infinite where it was given."""
+        return float(self.freedom) if self.given is None or self.contradicted else np.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +102,8 @@ class Plane:
         covariance: shape (3, 3), of the displacement along the normal at ``point`` [m] and of the normal's tilt towards
             u and v [rad].
         residuals: Signed distances of all points, shape (N, 1) [m].
-        used: Which points the plane is fitted to, shape (N,); the others are gross.
+        used: Which points the plane is fitted to, shape (N,).
+        gross: Which points are gross, used or not, shape (N,).
         scatter: What is known of the noise.
     """
 
@@ -63,50 +112,40 @@ class Plane:
     covariance: Array
     residuals: Array
     used: Mask
+    gross: Mask
     scatter: Scatter
 
     @property
     def normal(self) -> Array:
-        """Unit normal, shape (3,); its sense means nothing."""
+        """Unit normal, shape (3,); a circle's positive angles turn about it."""
         return self.basis[:, 2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Circle:
+class Circle(Plane):
     """A circle through N points; what the points do along it is not part of the fit.
 
+    Its ``point`` is the centre, u points from there to the middle of the arc. Residuals are radial and axial, shape
+    (N, 2) [m]; the covariance, shape (6, 6), is of the centre's displacement along u, v, normal [m], of the normal's
+    tilt towards u and v [rad], and of the radius [m].
+
     Attributes:
-        center: shape (3,) [m].
-        basis: Columns u, v, normal; shape (3, 3). u points from the centre to the middle of the arc.
         radius: [m].
-        covariance: shape (6, 6), of the centre's displacement along u, v, normal [m], of the normal's tilt towards u
-            and v [rad], and of the radius [m].
-        residuals: Radial and axial distances of all points, shape (N, 2) [m].
         angles: Of the points about the normal, from u, in (-pi, pi], shape (N,) [rad].
-        used: Which points the circle is fitted to, shape (N,); the others are gross.
-        scatter: What is known of the noise.
     """
 
-    center: Array
-    basis: Array
     radius: float
-    covariance: Array
-    residuals: Array
     angles: Array
-    used: Mask
-    scatter: Scatter
 
     @property
-    def normal(self) -> Array:
-        """Unit normal, shape (3,): positive angles turn about it."""
-        return self.basis[:, 2]
+    def center(self) -> Array:
+        """The centre, shape (3,) [m]."""
+        return self.point
 
     @property
     def arc(self) -> float:
         """The angle that the points cover: a full turn less the largest gap between neighbours [rad]."""
-        angles = np.sort(self.angles[self.used])
-        gaps = np.diff(angles, append=angles[0] + 2.0 * np.pi)
-        return float(2.0 * np.pi - gaps.max())
+        return 2.0 * np.pi - _largest_gap(self.angles[self.used])[1]
 
     def turned(self) -> Circle:
         """The same circle with the opposite normal."""
@@ -122,12 +161,14 @@ class Circle:
         )
 
 
-class Ring(NamedTuple):
-    """A circle without its uncertainty: centre (3,) [m], unit normal (3,), radius [m]."""
+class Fit(NamedTuple):
+    """A figure through some of the points: residuals (N, k) [m] and their Jacobian (N, k, p) are of all of them."""
 
-    center: Array
-    normal: Array
-    radius: float
+    residuals: Array
+    jacobian: Array
+    point: Array
+    basis: Array
+    radius: float = np.inf
 
 
 def fit_plane(points: Array, sigma: Array | None = None, *, robust: bool = True) -> Plane:
@@ -136,69 +177,45 @@ def fit_plane(points: Array, sigma: Array | None = None, *, robust: bool = True)
     Args:
         points: shape (N, 3), [m].
         sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: alike, found from the residuals.
-        robust: Whether gross points are left out; see `calib.base_frame.scatter`.
+        robust: Whether gross points are left out.
 
     Raises:
         CalibError: Fewer than four points, or points on a line.
     """
-    _check_count(points, "a plane")
-    found = judged(partial(_plane_fit, points), sigma, len(points), robust=robust)
-    point, basis = found.figure
-    return Plane(
-        read_only(point),
-        read_only(basis),
-        found.covariance,
-        found.residuals,
-        found.used,
-        found.scatter,
-    )
+    found, more = _judged(_plane_fit, points, sigma, "a plane", robust=robust)
+    return Plane(read_only(found.point), read_only(found.basis), *more)
 
 
 def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True) -> Circle:
-    """The circle of least orthogonal distances.
-
-    Args:
-        points: shape (N, 3), [m].
-        sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: alike, found from the residuals.
-        robust: Whether gross points are left out; see `calib.base_frame.scatter`.
+    """The circle of least orthogonal distances; arguments as for `fit_plane`.
 
     Raises:
         CalibError: Fewer than four points, points on a line, or an arc too short for its noise.
     """
-    _check_count(points, "a circle")
     try:
-        found = judged(partial(_circle_fit, points), sigma, len(points), robust=robust)
+        found, more = _judged(_circle_fit, points, sigma, "a circle", robust=robust)
     except np.linalg.LinAlgError as error:  # the radius has no effect that the centre has not
         raise CalibError(_TOO_SHORT) from error
-    ring = found.figure
-    if not 0.0 <= found.covariance[5, 5] <= (_VAGUE * ring.radius) ** 2:
+    if not 0.0 <= more[0][5, 5] <= (_VAGUE * found.radius) ** 2:
         raise CalibError(_TOO_SHORT)
-    basis = circle_basis(points[found.used], ring)
     return Circle(
-        read_only(ring.center),
-        read_only(basis),
-        ring.radius,
-        found.covariance,
-        found.residuals,
-        read_only(_angles(points, ring.center, basis)),
-        found.used,
-        found.scatter,
+        read_only(found.point),
+        read_only(found.basis),
+        *more,
+        found.radius,
+        read_only(_angles(points, found.point, found.basis)),
     )
 
 
-def circle_residuals(points: Array, ring: Ring, basis: Array) -> tuple[Array, Array]:
-    """Radial and axial distances, and their Jacobian.
+def circle_residuals(
+    points: Array, center: Array, basis: Array, radius: float
+) -> tuple[Array, Array]:
+    """Radial and axial distances of points (N, 3) from a circle, shape (N, 2) [m], and their Jacobian (N, 2, 6).
 
-    Args:
-        points: shape (N, 3), [m].
-        ring: The circle.
-        basis: Columns u, v, normal; shape (3, 3).
-
-    Returns:
-        shape (N, 2) [m], and shape (N, 2, 6): by the centre's displacement along u, v, normal, the normal's tilt
-        towards u and v, and the radius.
+    By the centre's displacement along u, v, normal, the columns of the basis, the normal's tilt towards u and v, and
+    the radius.
     """
-    local = (points - ring.center) @ basis
+    local = (points - center) @ basis
     axial = local[:, 2]
     across = np.hypot(local[:, 0], local[:, 1])
     # A point on the axis has no direction in the plane; any will do.
@@ -209,146 +226,161 @@ def circle_residuals(points: Array, ring: Ring, basis: Array) -> tuple[Array, Ar
     J[:, 0, 5] = -1.0
     J[:, 1, 2] = -1.0
     J[:, 1, 3:5] = local[:, :2]
-    return np.stack([across - ring.radius, axial], axis=1), J
+    return np.stack([across - radius, axial], axis=1), J
 
 
-def circle_basis(points: Array, ring: Ring) -> Array:
-    """Columns u, v, normal of a circle; u from its centre towards the middle of an arc, for a whole one anywhere."""
-    across = _frame(ring.normal, points[0] - ring.center)
-    angles = np.sort(_angles(points, ring.center, across))
-    gaps = np.diff(angles, append=angles[0] + 2.0 * np.pi)
-    last = int(np.argmax(gaps))  # the arc begins behind the largest gap
-    middle = angles[last] + gaps[last] + 0.5 * (2.0 * np.pi - gaps[last])
-    return _frame(ring.normal, across @ np.array([np.cos(middle), np.sin(middle), 0.0]))
+def all_but_gross(fit: Callable[[Mask], Fit], weights: Array) -> Mask:
+    """Which points are not gross, shape (N,), by the fit to those used and the weights of all points, shape (N,)."""
+    used = np.ones(len(weights), dtype=np.bool_)
+    for _ in range(max(1, int(_SHARE * len(weights)))):
+        residuals, jacobian, *_ = fit(used)
+        count, k, p = jacobian[used].shape
+        rest = count * k - p - k
+        if rest < k + 1:
+            break
+        root = np.sqrt(weights[used])
+        e = root[:, None] * residuals[used]
+        J = (root[:, None, None] * jacobian[used]).reshape(-1, p)
+        Q = np.linalg.qr(J)[0].reshape(count, k, p)
+        free = np.eye(k) - Q @ np.swapaxes(Q, 1, 2)
+        # A point that alone holds a direction of the fit has no residual there to judge it by.
+        judged = np.linalg.eigvalsh(free)[:, 0] > 1e-6
+        drop = np.zeros(count)
+        own = np.linalg.solve(free[judged], e[judged][..., None])[..., 0]
+        drop[judged] = np.einsum("ni,ni->n", e[judged], own)
+        worst, whole = int(np.argmax(drop)), float(np.sum(e**2))
+        left = max(whole - drop[worst], np.finfo(np.float64).eps * whole)
+        if drop[worst] <= 0.0 or count * fdtrc(k, rest, drop[worst] / k / (left / rest)) >= LEVEL:
+            break
+        used[np.flatnonzero(used)[worst]] = False
+    return used
 
 
-def taubin_circle(points: Array, weights: Array) -> Ring:
-    """Taubin's algebraic circle in the points' least-squares plane, where the fit begins.
-
-    A (x^2 + y^2) + B x + C y + D = 0 by least squares of its left side, its mean squared gradient being 1.
-
-    Args:
-        points: shape (N, 3), [m].
-        weights: shape (N,).
-    """
-    mean, basis, spread = _principal_axes(points, weights)
-    scale = float(np.hypot(spread[0], spread[1]))
-    xy = (points - mean) @ basis[:, :2] / scale
-    square = (xy**2).sum(axis=1)
-    height = float(weights @ square / weights.sum())
-    design = np.column_stack([(square - height) / (2.0 * np.sqrt(height)), xy])
-    a, b, c = np.linalg.svd(np.sqrt(weights)[:, None] * design, full_matrices=False)[2][2]
-    a /= 2.0 * np.sqrt(height)
-    if abs(a) < 1e-12:  # a straight line
-        raise CalibError(_TOO_SHORT)
-    center = -np.array([b, c]) / (2.0 * a)
-    radius = float(np.sqrt((b * b + c * c) / (4.0 * a * a) + height))
-    return Ring(mean + scale * basis[:, :2] @ center, basis[:, 2], scale * radius)
-
-
-# The fits
-
-
-def _plane_fit(points: Array, weights: Array, used: Mask) -> Fit[tuple[Array, Array]]:
-    """The plane of the points used: a point and the basis."""
-    point, basis, spread = _principal_axes(points[used], weights[used])
-    _check_spread(
-        spread,
-        "no plane lies through them alone. Touch it at places that are well apart, not in a row",
+def _judged(
+    figure: Callable[[Array, Array, Mask], Fit],
+    points: Array,
+    sigma: Array | None,
+    what: str,
+    *,
+    robust: bool,
+) -> tuple[Fit, tuple[Array, Array, Mask, Mask, Scatter]]:
+    """A fit, its covariance and residuals, which points are used and which are gross, and the noise."""
+    if len(points) < FEWEST:
+        raise CalibError(
+            f"there are {len(points)} points, {what} with its uncertainty needs {FEWEST} at least and should have 10 "
+            "or more. Measure more"
+        )
+    # Their harmonic mean is 1: of the noise's variance, in its own unit.
+    weights = np.asarray(
+        np.ones(len(points)) if sigma is None else np.mean(sigma**2) / sigma**2, dtype=np.float64
     )
+    fit = partial(figure, points, weights)
+    clean = all_but_gross(fit, weights)
+    used = clean if robust else np.ones_like(clean)
+    found = fit(used)
+    J = found.jacobian[used].reshape(-1, found.jacobian.shape[-1])
+    w = np.repeat(weights[used], found.residuals.shape[1])
+    e = found.residuals[used].ravel()
+    given = None if sigma is None else float(np.sqrt(np.mean(sigma**2)))
+    freedom = len(e) - J.shape[1]
+    scatter = Scatter(float(np.sqrt(w @ e**2 / freedom)), freedom, given)
+    # Lengths beside angles: scaled before the inversion.
+    norm = np.sqrt(w @ J**2)
+    inverse = np.linalg.inv((J / norm).T @ (w[:, None] * (J / norm))) / np.outer(norm, norm)
+    covariance = read_only(scatter.sigma**2 * inverse)
+    gross = ~clean
+    for mask in (used, gross):
+        mask.setflags(write=False)
+    return found, (covariance, read_only(found.residuals), used, gross, scatter)
+
+
+def _plane_fit(points: Array, weights: Array, used: Mask) -> Fit:
+    """The plane of the points used."""
+    place = "no plane lies through them alone. Touch it at places that are well apart, not in a row"
+    point, basis = _principal_axes(points[used], weights[used], place)
     local = (points - point) @ basis
     J = np.concatenate([-np.ones((len(points), 1)), local[:, :2]], axis=1)[:, None, :]
-    return Fit(local[:, 2:], J, (point, basis))
+    return Fit(local[:, 2:], J, point, basis)
 
 
-def _circle_fit(points: Array, weights: Array, used: Mask) -> Fit[Ring]:
-    """The circle of the points used."""
-    _check_spread(
-        _principal_axes(points[used], weights[used])[2],
-        "no circle lies through them. Let the joint turn further, or fix the target further from its axis",
-    )
-    ring = _solve(points[used], weights[used])
-    residuals, J = circle_residuals(points, ring, circle_basis(points[used], ring))
-    return Fit(residuals, J, ring)
+def _circle_fit(points: Array, weights: Array, used: Mask) -> Fit:
+    """The circle of the points used: Levenberg-Marquardt from the algebraic circle in their plane, in its radius."""
+    some, w = points[used], weights[used]
+    mean, axes = _principal_axes(some, w, f"no circle lies through them. {_FURTHER}")
+    # x^2 + y^2 = 2 a x + 2 b y + c
+    xy = (some - mean) @ axes[:, :2]
+    design = np.column_stack([2.0 * xy, np.ones(len(xy))])
+    a, b, c = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)[0]
+    start, size = mean + axes @ [a, b, 0.0], float(np.sqrt(a * a + b * b + c))
+    B = _basis(some, start, axes)
+    local, root = (some - start) / size, np.sqrt(w / w.mean())[:, None]
 
-
-def _solve(points: Array, weights: Array) -> Ring:
-    """Levenberg-Marquardt from Taubin's circle, in units of its radius and about its centre."""
-    start = taubin_circle(points, weights)
-    local = (points - start.center) / start.radius
-    B = circle_basis(points, start)
-    root = np.sqrt(weights / weights.mean())[:, None]
-
-    def at(x: Array) -> tuple[Ring, Array]:
-        """The circle displaced by x, and its basis."""
+    def at(x: Array) -> tuple[Array, Array, float]:
+        """Centre, basis and radius of the circle displaced by x."""
         n = B @ np.array([x[3], x[4], 1.0])
-        ring = Ring(B @ x[:3], n / np.linalg.norm(n), 1.0 + float(x[5]))
-        return ring, _frame(ring.normal, B[:, 0])
+        return B @ x[:3], _frame(n / np.linalg.norm(n), B[:, 0]), 1.0 + float(x[5])
 
-    def residuals(x: Array) -> Array:
-        return np.asarray((root * circle_residuals(local, *at(x))[0]).ravel())
-
-    def jacobian(x: Array) -> Array:
-        """By x, from that by small displacements of the displaced circle."""
-        ring, basis = at(x)
-        J = circle_residuals(local, ring, basis)[1]
-        moved = np.zeros((6, 6))
-        moved[:3, :3] = basis.T @ B
-        moved[3:5, 3:5] = basis[:, :2].T @ B[:, :2] / np.sqrt(1.0 + x[3] ** 2 + x[4] ** 2)
-        moved[5, 5] = 1.0
-        return np.asarray((root[..., None] * (J @ moved)).reshape(-1, 6))
-
-    eps = np.finfo(np.float64).eps
+    eps = float(np.finfo(np.float64).eps)
     try:
         found = least_squares(
-            residuals, np.zeros(6), jacobian, method="lm", xtol=eps, ftol=eps, gtol=eps
+            lambda x: (root * circle_residuals(local, *at(x))[0]).ravel(),
+            np.zeros(6),
+            # By displacements of the circle at x, which span what those of x do: the minimum is the same.
+            lambda x: (root[..., None] * circle_residuals(local, *at(x))[1]).reshape(-1, 6),
+            method="lm",
+            xtol=eps,
+            ftol=eps,
+            gtol=eps,
         )
     except (ValueError, np.linalg.LinAlgError) as error:  # on its way to a circle of no size
         raise CalibError(_TOO_SHORT) from error
     if found.status <= 0:
         raise CalibError(_TOO_SHORT)
-    ring, _ = at(found.x)
-    return Ring(start.center + start.radius * ring.center, ring.normal, start.radius * ring.radius)
+    center, basis, radius = at(found.x)
+    center, radius = start + size * center, size * radius
+    basis = _basis(some, center, basis)
+    return Fit(*circle_residuals(points, center, basis, radius), center, basis, radius)
 
 
-def _check_count(points: Array, what: str) -> None:
-    """Refuse too few points."""
-    if len(points) < FEWEST:
+def _principal_axes(points: Array, weights: Array, consequence: str) -> tuple[Array, Array]:
+    """Weighted mean (3,) [m] and principal axes (3, 3), the longest first; points on a spot or a line are refused."""
+    mean: Array = weights @ points / weights.sum()
+    share = np.sqrt(weights / weights.sum())
+    _, spread, rows = np.linalg.svd(share[:, None] * (points - mean), full_matrices=False)
+    if np.linalg.norm(spread) < STILL_M:
         raise CalibError(
-            f"there are {len(points)} points, {what} with its uncertainty needs {FEWEST} at least and "
-            "should have 10 or more. Measure more"
+            f"the points stay within {1e3 * np.linalg.norm(spread):.2g} mm of their mean: {consequence}"
         )
-
-
-def _check_spread(spread: Array, consequence: str) -> None:
-    """Refuse points on a spot or on a line, as far as their noise tells."""
     if spread[1] <= max(_THIN * spread[0], _IN_NOISE * spread[2]):
         raise CalibError(
             f"the points lie on a line (they spread over {1e3 * spread[0]:.3g} mm along it and {1e3 * spread[1]:.3g} "
             f"mm across): {consequence}"
         )
-
-
-def _principal_axes(points: Array, weights: Array) -> tuple[Array, Array, Array]:
-    """Weighted mean (3,) [m], principal axes (3, 3), the longest first, and standard deviations along them (3,) [m]."""
-    mean: Array = weights @ points / weights.sum()
-    share = np.sqrt(weights / weights.sum())
-    _, spread, rows = np.linalg.svd(share[:, None] * (points - mean), full_matrices=False)
     basis = rows.T.copy()
-    if np.linalg.det(basis) < 0.0:
-        basis[:, 2] *= -1.0
-    return mean, basis, spread
+    basis[:, 2] *= np.sign(np.linalg.det(basis))
+    return mean, basis
+
+
+def _basis(points: Array, center: Array, basis: Array) -> Array:
+    """The basis of a circle, about its normal, with u towards the middle of the arc."""
+    start, gap = _largest_gap(_angles(points, center, basis))
+    middle = start + gap + 0.5 * (2.0 * np.pi - gap)  # the arc begins behind the largest gap
+    return _frame(basis[:, 2], basis @ np.array([np.cos(middle), np.sin(middle), 0.0]))
+
+
+def _largest_gap(angles: Array) -> tuple[float, float]:
+    """Where the largest gap between neighbouring angles begins, and how large it is [rad]."""
+    ordered = np.sort(angles)
+    gaps = np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
+    k = int(np.argmax(gaps))
+    return float(ordered[k]), float(gaps[k])
 
 
 def _frame(normal: Array, near: Array) -> Array:
     """A right-handed basis, columns u, v, normal, with u as near as possible to a direction; shape (3, 3)."""
-    n = normal / np.linalg.norm(normal)
-    u = near - n * (n @ near)
-    if np.linalg.norm(u) < 1e-12 * max(1.0, float(np.linalg.norm(near))):  # any other will do
-        u = np.eye(3)[int(np.argmin(np.abs(n)))]
-        u = u - n * (n @ u)
+    u = near - normal * (normal @ near)
     u = u / np.linalg.norm(u)
-    return np.column_stack([u, np.cross(n, u), n])
+    return np.column_stack([u, np.cross(normal, u), normal])
 
 
 def _angles(points: Array, center: Array, basis: Array) -> Array:

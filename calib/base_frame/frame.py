@@ -23,24 +23,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv, ndtri
 
-from calib.base_frame.axes import Line
 from calib.base_frame.fits import Circle, Plane
-from calib.errors import CalibError
-from calib.model.robot import read_only, rigid_inverse
+from calib.errors import CalibError, UrdfError, choices
+from calib.model.dh import DHRow, DHTable, dh_table, rows_between, zero_poses
+from calib.model.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
+
+#: The numbers of a DH row, in the order in which they are given here, and their units.
+NUMBERS = {"a": "m", "alpha": "rad", "d": "m", "theta": "rad", "beta": "rad"}
 
 #: Axis 1 closer than this to the plane does not meet it anywhere near [rad].
 SLANT_RAD = float(np.radians(30.0))
 
-#: Axes 1 and 2 closer than this to parallel say nothing of y [rad].
+#: Axes closer than this to parallel have their common normal anywhere, and 1 and 2 say nothing of y [rad].
 PARALLEL_RAD = float(np.radians(5.0))
 
 #: Draws of the frame's error, for a quantile to about 1 %, and their seed: the same every time.
@@ -50,27 +53,111 @@ _DRAWS, _SEED = 10_000, 19350101
 _STEP = 3e-6
 
 
+class Line(NamedTuple):
+    """A point (3,) [m] and a unit vector (3,): an axis, or a plane and its normal."""
+
+    point: Array
+    direction: Array
+
+    def moved(self, T: Array) -> Line:
+        """The same line seen from another frame, by the pose of its own there."""
+        return Line(T[:3, :3] @ self.point + T[:3, 3], T[:3, :3] @ self.direction)
+
+
+class Nominal(NamedTuple):
+    """What a URDF says of the axes, in the base at zero: the line of each joint, and the DH rows (Hayati's)."""
+
+    lines: tuple[Line, ...]
+    table: DHTable
+
+    @property
+    def rows(self) -> Array:
+        """The numbers of the rows, shape (n, 5) [m, rad]."""
+        return _numbers(self.table.rows)
+
+
+def nominal_axes(robot: Robot) -> Nominal:
+    """The axes of a robot of which each joint turns and has a column of its own.
+
+    Raises:
+        UrdfError: A joint slides, is held or follows another one, or joints move the base.
+    """
+    n = len(robot.joints)
+    other = [
+        j.name for j in robot.joints if j.type == "prismatic" or j.name not in robot.joint_names
+    ]
+    free = robot.coupling.shape == (n, n) and np.array_equal(robot.coupling, np.eye(n))
+    if other or not free or robot.base_moves:
+        what = f"the joints {choices(other)} slide, are held or follow others"
+        if not other:
+            what = f"joints move the base '{robot.base}' itself, or follow each other"
+        raise UrdfError(
+            f"'{robot.name}' from '{robot.base}' to '{robot.tip}': {what}; a base frame needs a chain of joints that "
+            "turn one by one. Choose --base and --tip so that only such joints lie between them."
+        )
+    placed = zip(zero_poses(robot)[0], robot.joints, strict=True)
+    lines = (Line(T[:3, 3], T[:3, :3] @ np.asarray(joint.axis)) for T, joint in placed)
+    return Nominal(tuple(lines), dh_table(robot))
+
+
+def axis_rows(lines: Sequence[Line], nominal: Nominal | None = None) -> Array:
+    """a, alpha, d, theta, beta of the rows from each axis to the next, shape (n - 1, 5) [m, rad].
+
+    The last row of a robot leads to its tip, which no axis says anything of.
+
+    Args:
+        lines: The axes in the base at zero, n of them.
+        nominal: Those of the URDF, for the choices that the convention leaves open.
+    """
+    return _numbers(rows_between(lines, None if nominal is None else nominal.table))
+
+
+def _numbers(rows: Sequence[DHRow]) -> Array:
+    """The numbers of rows, shape (rows, 5) [m, rad]."""
+    return np.array([[getattr(row, name) for name in NUMBERS] for row in rows]).reshape(-1, 5)
+
+
+def between(first: Line, second: Line) -> tuple[float, float]:
+    """The angle between two axes, in [0, pi], and their shortest distance [rad, m]."""
+    cross = np.cross(first.direction, second.direction)
+    sine = float(np.linalg.norm(cross))
+    angle = float(np.arctan2(sine, first.direction @ second.direction))
+    apart = second.point - first.point
+    if sine < np.sin(PARALLEL_RAD):
+        return angle, float(np.linalg.norm(np.cross(apart, first.direction)))
+    return angle, float(abs(apart @ cross) / sine)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class BaseFrame:
     """A base frame and how well it is known.
 
     Attributes:
         T_tracker_base: Pose of the base in the tracker's frame, shape (4, 4) [m].
-        covariance: shape (6, 6), of the twist xi (displacement [m], rotation [rad], in the base's axes) in
-            T_tracker_base exp(xi).
-        parts: What plane, circle 1 and circle 2 contribute to the covariance, shape (3, 6, 6).
+        parts: What plane, circle 1 and circle 2 contribute to the covariance, shape (6, 6) each.
         dofs: The degrees of freedom of each part; infinite where the noise was given.
     """
 
     T_tracker_base: Array
-    covariance: Array
     parts: tuple[Array, ...]
     dofs: tuple[float, ...]
 
     @property
+    def covariance(self) -> Array:
+        """Of the twist xi (displacement [m], rotation [rad], in the base's axes) in T_tracker_base exp(xi), (6, 6)."""
+        return np.sum(self.parts, axis=0)
+
+    @property
     def dof(self) -> float:
-        """Degrees of freedom of the covariance as a whole, see `effective_dof`; infinite where the noise was given."""
-        return effective_dof(self.parts, self.dofs)
+        """Degrees of freedom of the covariance as a whole; infinite where the noise was given.
+
+            1 / dof = 1/6 sum_k tr(M_k^2) / dof_k,     M_k = C^-1/2 C_k C^-1/2
+
+        With it 6 F(6, dof) has the mean of the squared distance to the first order in 1 / dof_k.
+        """
+        M = np.linalg.solve(self.covariance, np.array(self.parts))
+        share = float(np.sum(np.trace(M @ M, axis1=1, axis2=2) / self.dofs))
+        return np.inf if share == 0.0 else 6.0 / share
 
     @property
     def T_base_tracker(self) -> Array:
@@ -90,11 +177,7 @@ class BaseFrame:
     def std_at(self, points: ArrayLike) -> Array:
         """What the frame's uncertainty makes of points of the base, along its axes, shape (N, 3) or (3,) [m]."""
         given = np.asarray(points, dtype=np.float64)
-        p = given.reshape(-1, 3)
-        G = np.zeros((len(p), 3, 6))
-        G[:, :, :3] = np.eye(3)
-        for k in range(3):
-            G[:, :, 3 + k] = np.cross(np.eye(3)[k], p)
+        G = np.array([np.hstack([np.eye(3), -pin.skew(p)]) for p in given.reshape(-1, 3)])
         variance = np.einsum("nij,jk,nik->ni", G, self.covariance, G)
         return np.asarray(np.sqrt(variance).reshape(given.shape))
 
@@ -119,28 +202,15 @@ class BaseFrame:
 
     def _draws(self) -> Array:
         """Errors of the frame that the measurements allow for, shape (draws, 6); see the module's text."""
-        xi = np.zeros((_DRAWS, 6))
-        # In units of the standard deviations: lengths stand beside angles.
-        scale = np.outer(self.std, self.std)
-        for part, (wider, normal) in zip(self.parts, _standard_draws(self.dofs), strict=True):
-            values, vectors = np.linalg.eigh(part / scale)
+        rng = np.random.default_rng(_SEED)
+        xi, std = np.zeros((_DRAWS, 6)), self.std
+        for part, dof in zip(self.parts, self.dofs, strict=True):
+            wider = 1.0 if np.isinf(dof) else np.sqrt(dof / rng.chisquare(dof, size=(_DRAWS, 1)))
+            # In units of the standard deviations: lengths stand beside angles.
+            values, vectors = np.linalg.eigh(part / np.outer(std, std))
             root = vectors * np.sqrt(np.maximum(values, 0.0))
-            xi += wider * (normal @ root.T)
-        return xi * self.std
-
-
-@lru_cache(maxsize=4)
-def _standard_draws(dofs: tuple[float, ...]) -> tuple[tuple[Array, Array], ...]:
-    """For each part how much wider than normal its errors are, shape (draws, 1) or (), and normal draws, (draws, 6).
-
-    They depend on the degrees of freedom alone and are kept: a frame is asked for its limits more than once.
-    """
-    rng = np.random.default_rng(_SEED)
-    drawn = []
-    for dof in dofs:
-        wider = 1.0 if np.isinf(dof) else np.sqrt(dof / rng.chisquare(dof, size=(_DRAWS, 1)))
-        drawn.append((read_only(wider), read_only(rng.normal(size=(_DRAWS, 6)))))
-    return tuple(drawn)
+            xi += wider * (rng.normal(size=(_DRAWS, 6)) @ root.T)
+        return xi * std
 
 
 def base_frame(
@@ -169,21 +239,17 @@ def base_frame(
     """
     X = turned_about_z(-q1) @ rigid_inverse(np.eye(4) if T_base_axes is None else T_base_axes)
     lowered = mounting_plane(plane, first, plane_offset)
-    lines = [Line(circle.center, circle.normal) for circle in (first, second)]
-    T = axes_frame(lowered, *lines) @ X
+    circles = (first, second)
+    T = axes_frame(lowered, *(Line(c.point, c.normal) for c in circles)) @ X
 
     def moved(mounting: Line, axes: Sequence[Line]) -> Array:
         """The frame's displacement with that of the figures, as a twist in its own axes."""
         M = rigid_inverse(T) @ axes_frame(mounting, *axes) @ X
         return np.concatenate([M[:3, 3], 0.5 * (M - M.T)[[2, 0, 1], [1, 2, 0]]])
 
-    parts = propagated(moved, plane, lowered, (first, second))
-    return BaseFrame(
-        read_only(T),
-        read_only(np.sum(parts, axis=0)),
-        tuple(read_only(part) for part in parts),
-        tuple(figure.scatter.dof for figure in (plane, first, second)),
-    )
+    parts = propagated(moved, plane, lowered, circles)
+    dofs = tuple(figure.scatter.dof for figure in (plane, *circles))
+    return BaseFrame(read_only(T), tuple(read_only(part) for part in parts), dofs)
 
 
 def propagated(
@@ -200,43 +266,25 @@ def propagated(
         mounting: The mounting plane, parallel to it.
         circles: Whose centres and normals are the axes.
     """
-    lines = [mounting, *(Line(circle.center, circle.normal) for circle in circles)]
-    # Columns of the figures' bases along which a point moves, then two towards which the direction tilts.
-    figures: list[tuple[Array, tuple[int, ...], Array]] = [(plane.basis, (2,), plane.covariance)]
-    figures += [(circle.basis, (0, 1, 2), circle.covariance[:5, :5]) for circle in circles]
+    lines = [mounting, *(Line(circle.point, circle.normal) for circle in circles)]
     parts = []
-    for i, (basis, along, covariance) in enumerate(figures):
-        columns = []
-        for k in range(len(covariance)):
-            both = []
-            for step in (_STEP, -_STEP):
-                point, direction = lines[i]
-                if k < len(along):
-                    point = point + step * basis[:, along[k]]
-                else:
-                    direction = direction + step * basis[:, k - len(along)]
-                    direction = direction / np.linalg.norm(direction)
-                one = [*lines[:i], Line(point, direction), *lines[i + 1 :]]
-                both.append(result(one[0], one[1:]))
-            columns.append((both[0] - both[1]) / (2.0 * _STEP))
+    for i, figure in enumerate((plane, *circles)):
+        # Columns of the basis along which the point moves, then two towards which the direction tilts.
+        along = figure.basis[:, 2:] if i == 0 else figure.basis
+        moves = [(column, np.zeros(3)) for column in along.T]
+        moves += [(np.zeros(3), column) for column in figure.basis[:, :2].T]
+
+        def at(step: float, shift: Array, tilt: Array, i: int = i) -> Array:
+            """The result with one figure displaced."""
+            direction = lines[i].direction + step * tilt
+            one = list(lines)
+            one[i] = Line(lines[i].point + step * shift, direction / np.linalg.norm(direction))
+            return result(one[0], one[1:])
+
+        columns = [(at(_STEP, *move) - at(-_STEP, *move)) / (2.0 * _STEP) for move in moves]
         D = np.column_stack(columns)
-        parts.append(D @ covariance @ D.T)
+        parts.append(D @ figure.covariance[: len(moves), : len(moves)] @ D.T)
     return parts
-
-
-def effective_dof(parts: Sequence[Array], dofs: Sequence[float]) -> float:
-    """The degrees of freedom of a sum of covariances that are each known up to a scale.
-
-        1 / dof = 1/6 sum_k tr(M_k^2) / dof_k,     M_k = C^-1/2 C_k C^-1/2
-
-    With it 6 F(6, dof) has the mean of the squared distance to the first order in 1 / dof_k.
-    """
-    inverse = np.linalg.inv(np.sum(parts, axis=0))
-    share = sum(
-        float(np.trace(inverse @ part @ inverse @ part)) / dof
-        for part, dof in zip(parts, dofs, strict=True)
-    )
-    return np.inf if share == 0.0 else len(inverse) / share
 
 
 def mounting_plane(plane: Plane, first: Circle, offset: float) -> Line:
@@ -245,7 +293,7 @@ def mounting_plane(plane: Plane, first: Circle, offset: float) -> Line:
     Raises:
         CalibError: There is an offset, and the circle lies in the measured plane.
     """
-    height = float(plane.normal @ (first.center - plane.point))
+    height = float(plane.normal @ (first.point - plane.point))
     if offset and abs(height) < 2.0 * abs(offset):
         raise CalibError(
             f"the circle of joint 1 lies {1e3 * abs(height):.3g} mm from the measured plane: that is too near to tell "
@@ -298,7 +346,6 @@ def nominal_axes_frame(first: Line, second: Line) -> Array:
 
 def turned_about_z(angle: float) -> Array:
     """A rotation about z, shape (4, 4)."""
-    c, s = np.cos(angle), np.sin(angle)
     T = np.eye(4)
-    T[:2, :2] = [[c, -s], [s, c]]
+    T[:3, :3] = pin.utils.rotate("z", angle)
     return T

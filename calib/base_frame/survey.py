@@ -9,34 +9,35 @@ says so, the axis is turned back about theirs first:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.base_frame import checks
-from calib.base_frame.axes import NUMBERS, Line, axis_rows, nominal_axes
+from calib.base_frame.checks import Turning, positive, turning
 from calib.base_frame.fits import Circle, Plane, fit_circle, fit_plane
 from calib.base_frame.frame import (
+    NUMBERS,
     BaseFrame,
+    Line,
     axes_frame,
+    axis_rows,
     base_frame,
     mounting_plane,
+    nominal_axes,
     nominal_axes_frame,
     propagated,
     turned_about_z,
 )
 from calib.base_frame.sweeps import Sweep, Sweeps
-from calib.base_frame.turning import Turning, positive, turning
 from calib.errors import CalibError, MeasurementError, choices
 from calib.model.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,27 +123,25 @@ def survey(
     """
     nominal = None if robot is None else nominal_axes(robot)
     touched, swept = _all_there(sweeps)
-    plane = _at(touched.where, partial(fit_plane, touched.points, touched.sigma, robust=robust))
-    circles = [_circle(sweep, sweeps.joint_names, robust=robust) for sweep in swept]
+    with _at(touched.where):
+        plane = fit_plane(touched.points, touched.sigma, robust=robust)
+    circles = []
+    for sweep in swept:
+        checks.check_joint(sweep, sweeps.joint_names)
+        with _at(sweep.where):
+            circle = fit_circle(sweep.points, sweep.sigma, robust=robust)
+        circles.append(positive(sweep, circle))
     joints = [sweep.joint for sweep in swept if sweep.joint is not None]
     run = next((i for i, k in enumerate(joints) if i != k), len(joints))
     given = [sweep.joints.mean(axis=0) for sweep in swept if sweep.joints is not None]
     values = given if len(given) == len(swept) else None
     q1 = 0.0 if values is None else float(values[1][0])
     T_base_axes = np.eye(4) if nominal is None else nominal_axes_frame(*nominal.lines[:2])
-    where = f"{sweeps.source}, sweeps {choices(s.name for s in (touched, *swept[:2]))}"
-    mounting = _at(where, partial(mounting_plane, plane, circles[0], plane_offset))
-    frame = _at(
-        where,
-        lambda: base_frame(
-            plane,
-            circles[0],
-            circles[1],
-            q1=q1,
-            plane_offset=plane_offset,
-            T_base_axes=T_base_axes,
-        ),
-    )
+    with _at(f"{sweeps.source}, sweeps {choices(s.name for s in (touched, *swept[:2]))}"):
+        mounting = mounting_plane(plane, circles[0], plane_offset)
+        frame = base_frame(
+            plane, *circles[:2], q1=q1, plane_offset=plane_offset, T_base_axes=T_base_axes
+        )
 
     def geometry(plane: Line, axes: Sequence[Line]) -> Array:
         """Points and directions of all axes in the base, then the DH rows, as one vector."""
@@ -151,34 +150,37 @@ def survey(
         lines = [axis.moved(rigid_inverse(T)) for axis in axes]
         return np.concatenate([np.ravel(lines), axis_rows(home, nominal).ravel()])
 
-    lines = [Line(circle.center, circle.normal) for circle in circles]
-    findings = checks.check_side(swept[0], plane, circles[0], robot)
+    lines = [Line(circle.point, circle.normal) for circle in circles]
+    findings = [*checks.side_findings(swept[0], plane, circles[0], robot)]
     if robot is not None and nominal is not None:
         checks.check_pairs(sweeps, robot, nominal, _at_zero(lines[:run], values), circles)
-    numbers = geometry(mounting, lines)
-    covariance = np.sum(propagated(geometry, plane, mounting, circles), axis=0)
+    numbers = read_only(geometry(mounting, lines))
+    covariance = read_only(np.sum(propagated(geometry, plane, mounting, circles), axis=0))
     axes = tuple(
-        _axis(sweeps, sweep, circle, numbers[6 * i :], covariance[6 * i :, 6 * i :])
-        for i, (sweep, circle) in enumerate(zip(swept, circles, strict=True))
-    )
-    start = 6 * len(axes)
-    found = numbers[start:].reshape(-1, len(NUMBERS))
-    std = np.sqrt(np.diag(covariance))[start:].reshape(found.shape)
-    rows = tuple(
-        AxisRow(
-            sweeps.label(i),
-            read_only(row),
-            read_only(std[i]),
-            None if nominal is None else read_only(nominal.rows[i]),
+        JointAxis(
+            joint,
+            sweeps.label(joint),
+            sweep,
+            circle,
+            numbers[k : k + 3],
+            numbers[k + 3 : k + 6],
+            covariance[k : k + 6, k : k + 6],
+            turning(sweep, circle),
         )
+        for k, joint, sweep, circle in zip(
+            range(0, 6 * len(swept), 6), joints, swept, circles, strict=True
+        )
+    )
+    found = numbers[6 * len(axes) :].reshape(-1, len(NUMBERS))
+    std = read_only(np.sqrt(np.diag(covariance))[6 * len(axes) :].reshape(found.shape))
+    rows = tuple(
+        AxisRow(sweeps.label(i), row, std[i], None if nominal is None else nominal.rows[i])
         for i, row in enumerate(found)
     )
-    findings += checks.plane_findings(touched, plane)
+    findings += checks.findings(touched, plane, touched.name)
     for axis in axes:
-        findings += checks.circle_findings(axis.sweep, axis.circle, axis.name)
-    for axis in axes:
-        findings += checks.turning_findings(axis.name, axis.turning)
-    return Survey(frame, plane, touched, axes, rows, values is not None, findings)
+        findings += checks.findings(axis.sweep, axis.circle, axis.name, axis.turning)
+    return Survey(frame, plane, touched, axes, rows, values is not None, tuple(findings))
 
 
 def _all_there(sweeps: Sweeps) -> tuple[Sweep, list[Sweep]]:
@@ -195,20 +197,13 @@ def _all_there(sweeps: Sweeps) -> tuple[Sweep, list[Sweep]]:
     return plane, [sweep for sweep in sweeps.sweeps if sweep.joint is not None]
 
 
-def _at(where: str, made: Callable[[], _T]) -> _T:
-    """What is made; if it cannot be, the error says of which sweeps."""
+@contextmanager
+def _at(where: str) -> Iterator[None]:
+    """An error of what is made in the block says of which sweeps."""
     try:
-        return made()
+        yield
     except CalibError as error:
         raise MeasurementError(f"{where}: {error}.") from error
-
-
-def _circle(sweep: Sweep, joint_names: tuple[str, ...], *, robust: bool) -> Circle:
-    """The circle of a sweep, its normal in the joint's positive sense."""
-    checks.check_joint(sweep, joint_names)
-    checks.check_moves(sweep)
-    circle = _at(sweep.where, partial(fit_circle, sweep.points, sweep.sigma, robust=robust))
-    return positive(sweep, circle)
 
 
 def _at_zero(axes: Sequence[Line], values: Sequence[Array] | None) -> list[Line]:
@@ -226,20 +221,3 @@ def _at_zero(axes: Sequence[Line], values: Sequence[Array] | None) -> list[Line]
             point, direction = axis.point + R @ (point - axis.point), R @ direction
         result.append(Line(point, direction))
     return result
-
-
-def _axis(
-    sweeps: Sweeps, sweep: Sweep, circle: Circle, numbers: Array, covariance: Array
-) -> JointAxis:
-    """The axis of a joint, from where its numbers begin."""
-    assert sweep.joint is not None
-    return JointAxis(
-        sweep.joint,
-        sweeps.label(sweep.joint),
-        sweep,
-        circle,
-        read_only(numbers[:3]),
-        read_only(numbers[3:6]),
-        read_only(covariance[:6, :6]),
-        turning(sweep, circle),
-    )

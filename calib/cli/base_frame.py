@@ -16,6 +16,7 @@ from calib.cli.options import (
     RobotTip,
     verb,
 )
+from calib.errors import CalibError
 
 if TYPE_CHECKING:
     from calib.model.robot import Robot
@@ -101,10 +102,9 @@ def base_frame(
     quiet: Quiet = False,
 ) -> None:
     """See the text of `verb`."""
-    from calib.base_frame.files import carried, cell_text, survey_table
+    from calib.base_frame.files import carried, carried_text, cell_text, survey_table, survey_text
     from calib.base_frame.survey import survey
     from calib.base_frame.sweeps import read_sweeps
-    from calib.base_frame.text import carried_text, survey_text
     from calib.cli.setup import check_outputs, parse_amount, parse_columns, parse_sweeps
     from calib.identify.result_file import write_table
     from calib.measure.measurements import Measurements
@@ -139,8 +139,6 @@ def base_frame(
 
 def _check_call(carry: Path | None, carry_points: Path | None, output: Path | None) -> None:
     """Refuse options that need each other."""
-    from calib.errors import CalibError
-
     if (carry is None) != (output is None) or (carry_points is not None and carry is None):
         raise CalibError(
             "--carry names the table to carry into the base frame and -o the file to write it to: give both, or "
@@ -150,7 +148,6 @@ def _check_call(carry: Path | None, carry_points: Path | None, output: Path | No
 
 def _load(robot: str | None, base: str | None, tip: str | None) -> Robot | None:
     """The robot, if one is named."""
-    from calib.errors import CalibError
     from calib.model.robot import Robot
 
     if robot is not None:

@@ -11,7 +11,6 @@ from calib.base_frame.files import (
     carried,
     cell_text,
     survey_table,
-    tracker_place,
 )
 from calib.base_frame.survey import Survey, survey
 from calib.errors import MeasurementError
@@ -86,7 +85,7 @@ def test_the_cell_file_has_the_tracker_s_place_ready_to_be_used(tmp_path, found)
     )
     place = Cell.read(path).tracker.position
     np.testing.assert_allclose(T[:3, :3] @ place + T[:3, 3], np.zeros(3), atol=1e-4)
-    np.testing.assert_allclose(tracker_place(found.frame), place, atol=1e-4)
+    np.testing.assert_allclose(found.frame.T_base_tracker[:3, 3], place, atol=1e-4)
 
 
 def test_the_table_has_everything(found):

@@ -9,18 +9,20 @@ from scipy.stats import chi2
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
-from calib.base_frame.axes import Line
 from calib.base_frame.fits import Circle, Plane, fit_circle, fit_plane
 from calib.base_frame.frame import (
     BaseFrame,
+    Line,
     axes_frame,
+    axis_rows,
     base_frame,
-    effective_dof,
+    between,
+    nominal_axes,
     nominal_axes_frame,
     turned_about_z,
 )
-from calib.errors import CalibError
-from calib.model.robot import rigid_inverse
+from calib.errors import CalibError, UrdfError
+from calib.model.robot import Robot, rigid_inverse
 
 SIGMA = 33e-6
 T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
@@ -151,19 +153,19 @@ def test_a_plane_of_four_points_widens_the_region_as_its_one_degree_of_freedom_d
 
 def test_draws_agree_with_the_exact_quantiles_where_there_are_any():
     C = np.diag([1e-8, 2e-8, 3e-8, 1e-9, 2e-9, 3e-9])
-    frame = BaseFrame(np.eye(4), C, (C, 0.0 * C, 0.0 * C), (17.0, 3.0, np.inf))
+    frame = BaseFrame(np.eye(4), (C, 0.0 * C, 0.0 * C), (17.0, 3.0, np.inf))
     assert frame.limit(0.95) == pytest.approx(6.0 * fisher.ppf(0.95, 6, 17.0), rel=0.03)
     assert frame.within(0.95) == pytest.approx(student.ppf(0.975, 17.0) * frame.std, rel=0.03)
-    given = BaseFrame(np.eye(4), C, (0.5 * C, 0.5 * C, 0.0 * C), (np.inf,) * 3)
+    given = BaseFrame(np.eye(4), (0.5 * C, 0.5 * C, 0.0 * C), (np.inf,) * 3)
     assert given.within(0.95) == pytest.approx(1.959964 * given.std, rel=1e-5)
 
 
 def test_degrees_of_freedom():
-    C = np.diag([1.0, 2.0, 3.0])
-    assert effective_dof([C], [17.0]) == pytest.approx(17.0)
-    assert effective_dof([0.5 * C, 0.5 * C], [20.0, 20.0]) == pytest.approx(40.0)
-    assert effective_dof([C, 1e-12 * C], [17.0, 3.0]) == pytest.approx(17.0)
-    assert effective_dof([C], [np.inf]) == np.inf
+    C = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    assert BaseFrame(np.eye(4), (C,), (17.0,)).dof == pytest.approx(17.0)
+    assert BaseFrame(np.eye(4), (0.5 * C, 0.5 * C), (20.0, 20.0)).dof == pytest.approx(40.0)
+    assert BaseFrame(np.eye(4), (C, 1e-12 * C), (17.0, 3.0)).dof == pytest.approx(17.0)
+    assert BaseFrame(np.eye(4), (C,), (np.inf,)).dof == np.inf
 
 
 def test_points_are_carried_and_know_how_well():
@@ -201,3 +203,70 @@ def test_what_makes_no_frame():
         nominal_axes_frame(up, up)
     with pytest.raises(CalibError, match=r"^axis 1 stands at 0 deg"):
         axes_frame(up, Line(np.zeros(3), np.array([1.0, 0.0, 0.0])), up)
+
+
+def rows_of(nominal) -> np.ndarray:
+    return np.asarray(nominal.rows[:-1])
+
+
+def disturbed(robot: Robot, seed: int, size: float = 3e-3) -> Robot:
+    rng = np.random.default_rng(seed)
+    placements = robot.placements.copy()
+    for i in range(1, len(placements) - 1):
+        placements[i] = placements[i] @ pin.exp6(size * rng.normal(size=6)).homogeneous
+    return robot.with_placements(placements)
+
+
+def test_of_exact_axes_they_are_those_of_the_urdf(ur3, panda):
+    for robot in (ur3, panda):
+        nominal = nominal_axes(robot)
+        assert axis_rows(nominal.lines, nominal) == pytest.approx(rows_of(nominal), abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_of_true_axes_they_are_those_of_the_true_robot_up_to_the_choices(ur3, panda, seed):
+    for robot in (ur3, panda):
+        true = nominal_axes(disturbed(robot, seed))
+        found = axis_rows(true.lines, nominal_axes(robot))
+        assert np.abs(found - rows_of(nominal_axes(robot))).max() < 0.05
+        assert axis_rows(true.lines) == pytest.approx(rows_of(true), abs=1e-9)
+
+
+def test_points_may_be_anywhere_on_the_axes(ur3):
+    nominal = nominal_axes(disturbed(ur3, 1))
+    moved = [line._replace(point=line.point + 0.3 * line.direction) for line in nominal.lines]
+    assert axis_rows(moved, nominal) == pytest.approx(axis_rows(nominal.lines, nominal), abs=1e-12)
+
+
+def test_chains_that_cannot_be_swept():
+    with pytest.raises(
+        UrdfError,
+        match="the joints 'torso_lift_joint' slide, are held or follow others; a base frame needs a chain",
+    ):
+        nominal_axes(Robot.load("tiago", tip="arm_7_link"))
+    held = Robot.load("ur3", base="base", tip="tool0", held={"elbow_joint": 0.1})
+    with pytest.raises(UrdfError, match="the joints 'elbow_joint' slide, are held or follow"):
+        nominal_axes(held)
+    moving = Robot.load("ur3", base="forearm_link", tip="tool0")
+    assert len(nominal_axes(moving).lines) == 3
+    hand = Robot.load("ur3", base="tool0", tip="base")
+    with pytest.raises(UrdfError, match="joints move the base 'tool0' itself"):
+        nominal_axes(hand)
+
+
+X, Y, Z = np.eye(3)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "angle", "distance"),
+    [
+        (Line(0 * X, Z), Line(0.3 * X + 7 * Z, Z), 0.0, 0.3),
+        (Line(0 * X, Z), Line(0.3 * X + 7 * Z, -Z), 180.0, 0.3),
+        (Line(0 * X, Z), Line(0.2 * Y + 0.1 * X, X), 90.0, 0.2),
+        (Line(0 * X, Z), Line(5 * Z, X), 90.0, 0.0),
+    ],
+)
+def test_between(first: Line, second: Line, angle: float, distance: float):
+    found = between(first, second)
+    assert np.degrees(found[0]) == pytest.approx(angle)
+    assert found[1] == pytest.approx(distance)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.base_frame.axes import nominal_axes
+from calib.base_frame.frame import nominal_axes
 from calib.base_frame.sweeps import PLANE, Sweep, Sweeps
 from calib.model.files import write_atomically
 from calib.model.robot import Robot, read_only, rigid_inverse
