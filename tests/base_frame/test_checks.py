@@ -203,16 +203,17 @@ def test_gain_and_eccentricity_are_found_with_their_uncertainty():
     q = np.radians(np.linspace(-135.0, 135.0, 40))
     said = q / 1.002
     found = []
-    for seed in range(300):
+    for seed in range(60):
         swept = replace(turned(q, seed=seed), joints=np.column_stack([0 * q, said]))
         found.append(turning(swept, positive(swept, fit_circle(swept.points))))
     gains = np.array([t.gain for t in found])
     assert gains.mean() == pytest.approx(2e-3, abs=1e-5)
-    assert gains.std() == pytest.approx(np.mean([t.gain_std for t in found]), rel=0.15)
+    assert gains.std() == pytest.approx(np.mean([t.gain_std for t in found]), rel=0.35)
     assert all(t.gain_found for t in found)
     assert sum(t.eccentricity_found for t in found) <= 2
 
 
+@pytest.mark.slow
 def test_without_errors_nothing_is_found():
     q = np.radians(np.linspace(-135.0, 135.0, 40))
     found = []
