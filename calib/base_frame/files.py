@@ -142,9 +142,9 @@ def _sweeps_text(survey: Survey) -> list[str]:
             gain = f"{1e3 * t.gain:+.4f} +-{1e3 * t.gain_std:.4f}"
             turned.append(f"  {name:<32}{1e3 * t.rms:>11.4f}{gain:>22}{once:>24}")
     if turned:
-        head = f"{'Turned against its own values':<34}{'rms [mrad]':>11}{'gain [mrad/rad]':>22}"
-        turned = ["", f"{head}{'once per turn [mrad]':>24}", *turned]
-    return lines + turned
+        title = f"{'Turned against its own values':<34}{'rms [mrad]':>11}{'gain [mrad/rad]':>22}"
+        lines += ["", f"{title}{'once per turn [mrad]':>24}", *turned]
+    return lines
 
 
 def _row_text(row: AxisRow) -> list[str]:

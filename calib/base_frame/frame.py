@@ -145,7 +145,7 @@ class BaseFrame:
     @property
     def covariance(self) -> Array:
         """Of the twist xi (displacement [m], rotation [rad], in the base's axes) in T_tracker_base exp(xi), (6, 6)."""
-        return np.sum(self.parts, axis=0)
+        return np.asarray(np.sum(self.parts, axis=0))
 
     @property
     def dof(self) -> float:
