@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
     from calib.measure.cell import Cell, GroupDistance, Priors
     from calib.measure.measurements import Measurements
-    from calib.measure.noise import TrackerNoise
-    from calib.measure.surroundings import Box, Reflector, Tracker
+    from calib.measure.surroundings import Box, Reflector, Tracker, TrackerNoise
     from calib.model.robot import Robot
     from calib.model.torques import Payload
     from calib.show.live import show
@@ -115,7 +114,7 @@ _MODULES = {
     "Survey": "calib.base_frame.survey",
     "Sweeps": "calib.base_frame.sweeps",
     "Tracker": "calib.measure.surroundings",
-    "TrackerNoise": "calib.measure.noise",
+    "TrackerNoise": "calib.measure.surroundings",
     "Trials": "calib.simulate.study",
     "acceptance": "calib.identify.acceptance",
     "bootstrap": "calib.identify.uncertainty",

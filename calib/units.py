@@ -1,4 +1,4 @@
-"""Units at the edges: SI inside calib (m, rad, Nm, N), these units in files and commands."""
+"""Units at the edges: SI inside calib (m, rad, Nm, N), these units in files and commands, beside or above numbers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, TypeGuard
+
+import numpy as np
 
 from calib.errors import CalibError, choices
 
@@ -140,3 +142,94 @@ def parse_header(text: str) -> tuple[str, Unit | None]:
     """
     name, symbol = split_header(text)
     return name, None if symbol is None else find_unit(symbol)
+
+
+# Numbers with their unit beside them, as cell files and command lines give them
+
+#: The quantities that a text can be, as a message says them.
+LENGTH, ANGLE, COMPLIANCE, PLAIN = "a length", "an angle", "a compliance", "a number"
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether a value is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number that no float is
+        return False
+
+
+def parse_quantity(text: object) -> tuple[float, str]:
+    """A number and its unit, in SI units, and what quantity it is: ``"0.5 mm"``, ``"1e-5 rad/Nm"``.
+
+    Returns:
+        The value [m], [rad], [rad/Nm] or [m/N], or a plain number; and ``"a length"``, ``"an angle"``,
+        ``"a compliance"`` or ``"a number"``.
+
+    Raises:
+        CalibError: No number, or an unknown unit.
+
+    Example:
+        >>> parse_quantity("0.5 mm")
+        (0.0005, 'a length')
+    """
+    if is_number(text):
+        return float(text), PLAIN
+    match = re.fullmatch(rf"\s*({NUMBER.pattern})\s*(\S.*?)?\s*", str(text))
+    if match is None or not isinstance(text, str) or not math.isfinite(float(match[1])):
+        raise CalibError(f'{text!r} is no number with a unit, such as "0.5 mm"')
+    number = float(match[1])
+    if match[2] is None:
+        return number, PLAIN
+    top, slash, bottom = (part.strip() for part in match[2].partition("/"))
+    if slash:
+        if (bottom, UNITS[top].quantity if top in UNITS else "") in (
+            ("Nm", "angle"),
+            ("N", "length"),
+        ):
+            return number * UNITS[top].to_si, COMPLIANCE
+        raise CalibError(
+            f"'{match[2]}' is no unit of compliance; a joint's is in 'rad/Nm', or 'm/N' where it slides"
+        )
+    unit = find_unit(match[2])
+    return number * unit.to_si, ANGLE if unit.quantity == "angle" else f"a {unit.quantity}"
+
+
+def parse_joint_value(value: object, where: str) -> float:
+    """The value of a joint with its unit, such as ``"30 deg"`` or ``"0.3 m"``, in rad or m.
+
+    Returns:
+        An `Angle` or a `Length`: it is known later whether the joint turns or slides.
+
+    Raises:
+        CalibError: No number with a unit of length or angle; the text says ``where`` it was given.
+    """
+    try:
+        number, kind = parse_quantity(value)
+    except CalibError as error:
+        raise CalibError(f'{where}: {error}. Write "30 deg" or "0.3 m".') from error
+    if kind not in (LENGTH, ANGLE):
+        raise CalibError(
+            f'{where} is {value!r}; a joint\'s value needs a unit of angle or length: "30 deg" or "0.3 m".'
+        )
+    return Length(number) if kind == LENGTH else Angle(number)
+
+
+def parse_joint_range(value: object, where: str) -> tuple[float, float]:
+    """The least and the largest value of a joint, such as ``["-90 deg", "90 deg"]``, [rad] or [m].
+
+    Raises:
+        CalibError: Not two values of a joint, or an angle and a length; the text says ``where`` they were given.
+    """
+    if not isinstance(value, (list, tuple)) or len(value) != 2:
+        raise CalibError(
+            f'{where} is {value!r}; it must be the least and the largest value, such as ["-90 deg", "90 deg"] or '
+            '["0 mm", "300 mm"].'
+        )
+    low, high = (parse_joint_value(one, where) for one in value)
+    if type(low) is not type(high):
+        raise CalibError(
+            f"{where} is from {value[0]!r} to {value[1]!r}; one is an angle and one a length."
+        )
+    return low, high

@@ -34,7 +34,7 @@ from calib.data import paper_urdf
 from calib.errors import CalibError
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.measure.noise import TrackerNoise
+from calib.measure.surroundings import TrackerNoise
 from calib.model.error_model import error_model
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, read_only, rigid_inverse

@@ -86,7 +86,7 @@ def parse_pair(text: str, option: str, example: str) -> tuple[float | None, floa
     Raises:
         CalibError: Anything else, a value below zero, or two of one kind; the text has the option and the example.
     """
-    from calib.measure.quantities import ANGLE, LENGTH, parse_quantity
+    from calib.units import ANGLE, LENGTH, parse_quantity
 
     found: dict[str, float] = {}
     parts = re.findall(r"[^\s,]+\s*[A-Za-zµμ]+", text)
@@ -114,13 +114,13 @@ def parse_amount(
     Raises:
         CalibError: Anything else.
     """
-    from calib.measure.quantities import NUMBER, parse_quantity
+    from calib.units import PLAIN, parse_quantity
 
     try:
         value, kind = parse_quantity(text.strip())
     except CalibError as error:
         raise CalibError(f'{option} "{text}": {error}. Write "{example}".') from error
-    if kind != wanted and not (value == 0.0 and kind == NUMBER):
+    if kind != wanted and not (value == 0.0 and kind == PLAIN):
         raise CalibError(f'{option} "{text}": that is {kind}, {wanted} is wanted: "{example}".')
     if value < 0.0 and not signed:
         raise CalibError(f'{option} "{text}" must not be below 0.')
@@ -183,7 +183,7 @@ def parse_held(pairs: Iterable[str], option: str = "--hold") -> dict[str, float]
     Raises:
         CalibError: A pair without an equals sign, a name twice, or a value without a unit.
     """
-    from calib.measure.quantities import parse_joint_value
+    from calib.units import parse_joint_value
 
     wanted = "'joint=value' with a unit of angle or length, such as 'torso_lift_joint=0.3 m', and each joint once"
     found = _pairs(pairs, option, wanted)

@@ -27,7 +27,7 @@ from calib.errors import CalibError, choices, did_you_mean
 
 if TYPE_CHECKING:
     from calib.measure.cell import Cell
-    from calib.measure.noise import TrackerNoise
+    from calib.measure.surroundings import TrackerNoise
     from calib.model.parameters import Parameter
     from calib.simulate.disturbances import Encoder, MovedTarget, Outliers
 
@@ -352,7 +352,7 @@ def noise_of(cell: Cell, noise: str | None, repeatability: str | None) -> Tracke
     Raises:
         CalibError: Anything else.
     """
-    from calib.measure.noise import TrackerNoise, parse_noise
+    from calib.measure.surroundings import TrackerNoise, parse_noise
 
     found = TrackerNoise() if cell.tracker is None else cell.tracker.noise
     if noise is None and cell.sigma is not None:

@@ -44,7 +44,7 @@ def add_surroundings(
     Raises:
         CalibError: Words that cannot be read, or a noise by distance without a tracker.
     """
-    from calib.measure.noise import parse_noise
+    from calib.measure.surroundings import parse_noise
 
     named = {box.name: box for box in (*cell.boxes, *parse_boxes(boxes))}
     said: dict[str, Any] = {"boxes": tuple(named.values())}
@@ -117,7 +117,7 @@ def parse_boxes(texts: Iterable[str]) -> tuple[Box, ...]:
 
 def parse_ranges(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
     """Each ``--range``: ``JOINT=LOW..HIGH UNIT``, such as ``elbow_joint=-90..90 deg`` [rad] or [m]."""
-    from calib.measure.quantities import parse_joint_range
+    from calib.units import parse_joint_range
 
     ranges: dict[str, tuple[float, float]] = {}
     for text in texts:

@@ -32,11 +32,11 @@ from calib.design.solids import (
     rod,
 )
 from calib.errors import CalibError, choices
-from calib.measure.cell_parts import is_number
 from calib.measure.surroundings import Box, Reflector, Tracker, checked_boxes
 from calib.model.chain import full_configurations, full_model, link_frame
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot
+from calib.units import is_number
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -26,8 +26,8 @@ from scipy import ndimage
 
 from calib.design.region import Region, checked_box, checked_points, no_box, voxel_of
 from calib.errors import CalibError
-from calib.measure.cell_parts import vector
 from calib.measure.ranges import joint_ranges
+from calib.measure.surroundings import vector
 from calib.model.robot import Robot, read_only
 
 Array = NDArray[np.float64]

@@ -14,7 +14,8 @@ from calib.identify.result import Calibration
 from calib.identify.setup import Setup, rows_of
 from calib.identify.setup_check import better_setup
 from calib.identify.statistics import Errors
-from calib.measure.cell import DIRECTIONS, Cell
+from calib.kinds import DIRECTIONS
+from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.kernel import one_blas_thread
 from calib.model.kinematics import Samples

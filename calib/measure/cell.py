@@ -7,7 +7,7 @@ docs/cell.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -18,18 +18,25 @@ from numpy.typing import ArrayLike, NDArray
 
 import calib.kinds as registry
 from calib.errors import CalibError, choices
-from calib.measure import cell_parts as parts
+from calib.families import family_of
+from calib.kinds import DIRECTIONS
 from calib.measure.cell_file import read_cell_file
-from calib.measure.cell_parts import PRIOR_SIZES, GroupDistance, Priors
 from calib.measure.checks import FARTHEST, SIGMAS
-from calib.measure.surroundings import Box, Reflector, Tracker, checked_boxes, checked_ranges
+from calib.measure.surroundings import (
+    POSE,
+    VECTOR,
+    Box,
+    Reflector,
+    Tracker,
+    as_pose,
+    as_rotation,
+    as_vector,
+    checked_boxes,
+    kept,
+)
 from calib.model.robot import read_only
 from calib.model.torques import Payload
-
-__all__ = ["DIRECTIONS", "PRIOR_SIZES", "REPEATS", "Cell", "GroupDistance", "Priors"]
-
-#: The directions in which a measurement frame can be unknown, `Cell.frame_directions`.
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+from calib.units import is_number
 
 #: The model that lets the data choose.
 AUTO = "auto"
@@ -37,10 +44,226 @@ AUTO = "auto"
 #: What `Cell.repeats` may be.
 REPEATS = ("weighted", "average", "independent")
 
-_PRIORS = Priors()
+#: What `Priors.sizes` may be.
+PRIOR_SIZES = ("data", "given", "off")
 
-#: Standard gravity, downwards along z of the URDF's root [m/s^2].
-_GRAVITY = read_only((0.0, 0.0, -9.81))
+#: A prior outside of these says nothing, or is a constraint; their squares would leave the range of numbers.
+PRIORS = (1e-15, 1e6)
+
+
+def _is_positive(value: object) -> bool:
+    """Whether a value is a positive finite number."""
+    return is_number(value) and bool(value > 0)
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Priors:
+    """How large a robot's errors are expected to be: zero-mean normal distributions, a size for each family.
+
+    Attributes:
+        sizes: ``"data"``: the sizes are found from the measurements, starting at those given; ``"given"``: they are
+            those given; ``"off"``: none, plain least squares, but for a leash on what no measurement determines.
+        given: Standard deviations by family that are other than its row of the registry has, in the family's unit.
+
+    Example:
+        >>> Priors("given", length=1e-3).of("length")
+        0.001
+    """
+
+    sizes: str
+    given: tuple[tuple[str, float], ...]
+
+    def __init__(self, sizes: str = "data", **given: float) -> None:
+        """Sizes by name: ``Priors("given", length=1e-3, compliance=2e-6)``.
+
+        Raises:
+            CalibError: An unknown word or family, or a size that is no standard deviation.
+        """
+        if sizes not in PRIOR_SIZES:
+            raise CalibError(
+                f"Priors of the kind '{sizes}' were asked for; choose one of {choices(PRIOR_SIZES)}."
+            )
+        for name, value in given.items():
+            unit = family_of(name).unit.symbol
+            if not _is_positive(value):
+                raise CalibError(
+                    f"The prior's {name} is {value} {unit}; it must be positive. Use sizes 'off' for none."
+                )
+            if not PRIORS[0] <= value <= PRIORS[1]:
+                raise CalibError(
+                    f"The prior's {name} is {value:g}; it lies between {PRIORS[0]:g} and {PRIORS[1]:g} in SI units."
+                )
+        object.__setattr__(self, "sizes", sizes)
+        others = {name: value for name, value in given.items() if value != family_of(name).prior}
+        object.__setattr__(self, "given", tuple(sorted(others.items())))
+
+    def with_sizes(self, sizes: str) -> Priors:
+        """The same standard deviations, used otherwise: ``"data"``, ``"given"`` or ``"off"``."""
+        return Priors(sizes, **dict(self.given))
+
+    def of(self, family: str) -> float:
+        """The standard deviation of a family's errors, in its unit: as given, or that of its row of the registry."""
+        return dict(self.given).get(family, family_of(family).prior)
+
+
+@dataclass(frozen=True, slots=True)
+class GroupDistance:
+    """A known distance between the fixed points of two groups, such as two sockets on one plate.
+
+    Attributes:
+        first: Name of a group. It may hold one ``*``, which then stands for any text.
+        second: Name of another one; its ``*`` stands for the same text.
+        length: [m].
+        sigma: Standard deviation of the length [m].
+
+    Example:
+        >>> plate = GroupDistance("*/left", "*/right", length=0.2, sigma=1e-5)
+        >>> plate.pairs(["1/left", "1/right", "2/left", "2/right"])
+        (('1/left', '1/right'), ('2/left', '2/right'))
+    """
+
+    first: str
+    second: str
+    length: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        """Refuse names that cannot be matched and lengths that are none."""
+        names = (self.first, self.second)
+        said = f"The distance between the groups {self.first!r} and {self.second!r}"
+        if not all(isinstance(name, str) and name.strip() for name in names):
+            raise CalibError(f"{said}: each must be a name.")
+        stars = [name.count("*") for name in names]
+        if stars not in ([0, 0], [1, 1]):
+            raise CalibError(
+                f"{said}: '*' stands for the same text in both; write it once in each name, or in neither."
+            )
+        if self.first == self.second:
+            raise CalibError(f"{said}: a group has one fixed point; name two different groups.")
+        for name in ("length", "sigma"):
+            if not _is_positive(getattr(self, name)):
+                raise CalibError(
+                    f"{said}: its {name} is {getattr(self, name)!r} m; it must be a positive number."
+                )
+
+    def pairs(self, groups: Iterable[str]) -> tuple[tuple[str, str], ...]:
+        """The pairs of these groups that the distance is between, each once, in the groups' order."""
+        present = tuple(dict.fromkeys(groups))
+        if "*" not in self.first:
+            both = self.first in present and self.second in present
+            return ((self.first, self.second),) if both else ()
+        before, _, after = self.first.partition("*")
+        found = []
+        for group in present:
+            middle = group[len(before) : len(group) - len(after)]
+            # Compared as a whole: the parts before and behind the star may not overlap.
+            other = self.second.replace("*", middle)
+            if group == f"{before}{middle}{after}" and other in present and other != group:
+                found.append((group, other))
+        return tuple(found)
+
+
+def _between(low: float, high: float) -> Callable[[Any], float | None]:
+    """A number in a range; one that knows its unit keeps it."""
+
+    def convert(value: Any) -> float | None:  # noqa: ANN401
+        """The number, or None."""
+        if not is_number(value) or not low <= value <= high:
+            return None
+        return value if isinstance(value, float) else float(value)
+
+    return convert
+
+
+def _of(kind: type) -> Callable[[Any], Any]:
+    """A value of a type."""
+    return lambda value: value if isinstance(value, kind) else None
+
+
+def _names(value: Any) -> tuple[str, ...] | None:  # noqa: ANN401
+    """A tuple of texts; one text alone is none."""
+    good = isinstance(value, (tuple, list)) and all(isinstance(word, str) for word in value)
+    return tuple(value) if good else None
+
+
+def _directions(value: Any) -> tuple[str, ...] | None:  # noqa: ANN401
+    """Some of the directions of a frame, in their order."""
+    given = _names(value) or ()
+    good = given and set(given) <= set(DIRECTIONS) and len(set(given)) == len(given)
+    return tuple(d for d in DIRECTIONS if d in given) if good else None
+
+
+def _distances(value: Any) -> tuple[GroupDistance, ...] | None:  # noqa: ANN401
+    """Known distances."""
+    return tuple(value) if all(isinstance(one, GroupDistance) for one in value) else None
+
+
+def _tie(value: Any) -> tuple[str, float] | None:  # noqa: ANN401
+    """Another parameter and a factor."""
+    name, factor = value
+    good = isinstance(value, (tuple, list)) and isinstance(name, str) and is_number(factor)
+    return (name, float(factor)) if good and factor else None
+
+
+def _bounds(value: Any) -> tuple[float, float] | None:  # noqa: ANN401
+    """The least and the largest change; an infinite one is none."""
+    low, high = (float(one) for one in value)
+    return (low, high) if low <= 0.0 <= high and low != high else None
+
+
+def _range(value: Any) -> tuple[float, float] | None:  # noqa: ANN401
+    """The least and the largest value of a joint; numbers that know their unit keep it."""
+    low, high = (one if isinstance(one, float) else float(one) for one in value)
+    return (low, high) if is_number(low) and is_number(high) and low < high else None
+
+
+_SIGMA = "a positive number, from {:g} to {:g} {}; without it, it is found from the data"
+
+#: What each attribute of a cell must be, and what gives the value that is kept; None is kept where it is the default.
+_FIELDS: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
+    **dict.fromkeys(("model", "base", "tip"), ("a text", _of(str))),
+    **dict.fromkeys(("estimate_target", "estimate_frame"), ("True or False", _of(bool))),
+    "target": (f"{VECTOR} [m], none beyond {FARTHEST:g}", as_vector),
+    "T_frame_base": (POSE, as_pose),
+    "sigma": (_SIGMA.format(*SIGMAS, "m"), _between(*SIGMAS)),
+    "sigma_angle": (_SIGMA.format(*SIGMAS, "rad"), _between(*SIGMAS)),
+    "priors": ("of type Priors", _of(Priors)),
+    "frozen": ("a tuple of names", _names),
+    "target_rotation": ("a 3 x 3 right-handed rotation", as_rotation),
+    "frame_directions": (f"some of {choices(DIRECTIONS)}, each once", _directions),
+    "payload": ("of type Payload", _of(Payload)),
+    "gravity": (f"{VECTOR} [m/s^2]", as_vector),
+    "distances": ("a tuple of GroupDistance", _distances),
+    "repeats": (f"one of {choices(REPEATS)}", lambda v: v if v in REPEATS else None),
+    "boxes": ("a tuple of Box", checked_boxes),
+    "tracker": ("of type Tracker", _of(Tracker)),
+    "reflector": ("of type Reflector", _of(Reflector)),
+}
+
+#: The same of each value of the attributes that are mappings from names.
+_NAMED: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
+    "targets": _FIELDS["target"],
+    "frames": _FIELDS["T_frame_base"],
+    "ties": ("another parameter and a factor that is not zero, such as ('a2', 1.0)", _tie),
+    "bounds": (
+        "the least and the largest change from the nominal value, such as (-0.001, 0.001), with 0 between them. To "
+        "keep a parameter at its nominal value, freeze it",
+        _bounds,
+    ),
+    "parameter_priors": (
+        f"a positive number, from {PRIORS[0]:g} to {PRIORS[1]:g}. Freeze a parameter to keep it",
+        _between(*PRIORS),
+    ),
+    "held": (
+        f"a number [rad] or [m], not beyond {FARTHEST:g}",
+        _between(-FARTHEST, FARTHEST),
+    ),
+    "ranges": (
+        "the least and the largest value [rad or m], the first less than the second. To keep a joint where it is, hold "
+        "it (--hold)",
+        _range,
+    ),
+}
 
 
 def _none() -> Mapping[str, Any]:
@@ -94,7 +317,7 @@ class Cell:
     T_frame_base: NDArray[np.float64] | None = None
     estimate_frame: bool = False
     sigma: float | None = None
-    priors: Priors = _PRIORS
+    priors: Priors = field(default_factory=Priors)
     model: str = AUTO
     frozen: tuple[str, ...] = ()
     base: str | None = None
@@ -109,7 +332,7 @@ class Cell:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=_none)
     parameter_priors: Mapping[str, float] = field(default_factory=_none)
     payload: Payload | None = None
-    gravity: NDArray[np.float64] = field(default_factory=lambda: _GRAVITY)
+    gravity: NDArray[np.float64] = field(default_factory=lambda: read_only((0.0, 0.0, -9.81)))
     distances: tuple[GroupDistance, ...] = ()
     repeats: str = "weighted"
     held: Mapping[str, float] = field(default_factory=_none)
@@ -120,22 +343,20 @@ class Cell:
 
     def __post_init__(self) -> None:
         """Check each value, and what belongs together; keep read-only copies."""
-        for name, kind in _TYPES.items():
-            value = getattr(self, name)
-            if not isinstance(value, kind) and (value is not None or name not in _OPTIONAL):
-                raise CalibError(
-                    f"A cell's {name} must be of type {kind.__name__}; {value!r} was given."
-                )
-        for name, check in _CHECKS.items():
-            value = getattr(self, name)
-            if value is not None or name not in _OPTIONAL:
-                object.__setattr__(self, name, check(value))
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value is not None or f.default is not None:
+                object.__setattr__(self, f.name, _checked(f.name, value))
         if self.target is None and not self.targets and not self.estimate_target:
             raise CalibError(
                 'The target is said to be known but is not given. Give it (--target "x y z mm", or target_mm in the '
                 "cell file) or let it be estimated."
             )
         for name, (other, _) in self.ties.items():
+            if other == name or other in self.ties:
+                raise CalibError(
+                    f"'{name}' is tied to '{other}', which is tied itself; tie both to one that is not."
+                )
             if name in self.frozen:
                 raise CalibError(f"'{name}' is both frozen and tied to '{other}'; choose one.")
             for what, given in (("bounds", self.bounds), ("a prior", self.parameter_priors)):
@@ -160,7 +381,9 @@ class Cell:
         """
         values = read_cell_file(path)
         try:
-            return cls(**values)
+            sizes, given = values.pop("priors")
+            found = tuple(GroupDistance(**one) for one in values.pop("distances", ()))
+            return cls(**values, priors=Priors(sizes, **given), distances=found)
         except CalibError as error:
             raise CalibError(f"{path}: {error}") from error
 
@@ -169,103 +392,24 @@ class Cell:
         return replace(self, target=read_only(np.asarray(target)), estimate_target=estimate)
 
 
+def _checked(name: str, value: Any) -> Any:  # noqa: ANN401
+    """The value of an attribute as it is kept."""
+    if name == "kind":
+        return registry.get(value).name
+    if name not in _NAMED:
+        return kept(value, f"A cell's {name}", *_FIELDS[name])
+    given = kept(value, f"A cell's {name}", "a mapping from names", _by_name)
+    return MappingProxyType(
+        {k: kept(v, f"'{k}' in a cell's {name}", *_NAMED[name]) for k, v in given.items()}
+    )
+
+
+def _by_name(value: Any) -> Mapping[str, Any] | None:  # noqa: ANN401
+    """A mapping whose keys are names."""
+    good = isinstance(value, Mapping) and all(isinstance(k, str) and k.strip() for k in value)
+    return value if good else None
+
+
 def _cell(values: dict[str, Any]) -> Cell:
     """A cell from its values by name, see `Cell.__reduce__`."""
     return Cell(**values)
-
-
-def _sigma(value: Any, what: str, unit: str) -> float:  # noqa: ANN401
-    """A standard deviation that some instrument has."""
-    if not parts.is_positive(value) or not SIGMAS[0] <= value <= SIGMAS[1]:
-        raise CalibError(
-            f"The noise {what} is {value!r} {unit}; it must be a positive number, from {SIGMAS[0]:g} to {SIGMAS[1]:g} "
-            f"{unit}. Leave it out: it is found from the data."
-        )
-    return float(value)
-
-
-def _directions(value: Any) -> tuple[str, ...]:  # noqa: ANN401
-    """Some of the directions of a frame, in their order."""
-    given = parts.words(value, "frame's directions")
-    wrong = [d for d in given if d not in DIRECTIONS or given.count(d) > 1]
-    if wrong or not given:
-        said = f"{choices(dict.fromkeys(wrong))} was given" if wrong else "none was given"
-        raise CalibError(
-            f"The frame's directions are some of {choices(DIRECTIONS)}, each once; {said}."
-        )
-    return tuple(d for d in DIRECTIONS if d in given)
-
-
-def _repeats(value: Any) -> str:  # noqa: ANN401
-    """One of `REPEATS`."""
-    if value not in REPEATS:
-        raise CalibError(f"Repeats were asked for as {value!r}; choose one of {choices(REPEATS)}.")
-    return str(value)
-
-
-def _distances(value: Any) -> tuple[GroupDistance, ...]:  # noqa: ANN401
-    """Known distances."""
-    if not isinstance(value, (tuple, list)) or not all(isinstance(d, GroupDistance) for d in value):
-        raise CalibError(f"The distances are a tuple of GroupDistance; {value!r} was given.")
-    return tuple(value)
-
-
-def _held(value: Any, what: str) -> float:  # noqa: ANN401
-    """The value of a joint; one that knows its unit keeps it."""
-    if not parts.is_number(value) or abs(value) > FARTHEST:
-        raise CalibError(
-            f"{what} is {value!r}; it must be a number [rad] or [m], not beyond {FARTHEST:g}."
-        )
-    return value if isinstance(value, float) else float(value)
-
-
-def _prior(value: Any, what: str) -> float:  # noqa: ANN401
-    """The standard deviation of a parameter."""
-    if not parts.is_positive(value):
-        raise CalibError(
-            f"{what} is {value!r}; it must be a positive number. Freeze it to keep it."
-        )
-    parts.check_prior(value, what)
-    return float(value)
-
-
-#: What may be left out.
-_OPTIONAL = (
-    *("target", "T_frame_base", "sigma", "target_rotation", "sigma_angle", "payload", "tracker"),
-    *("reflector", "kind", "base", "tip"),
-)
-
-#: The types of the attributes that need no other check.
-_TYPES: Mapping[str, type] = {
-    **dict.fromkeys(("model", "kind", "base", "tip"), str),
-    **dict.fromkeys(("estimate_target", "estimate_frame"), bool),
-    "priors": Priors,
-    "payload": Payload,
-    "tracker": Tracker,
-    "reflector": Reflector,
-}
-
-#: The check of each other attribute, which gives the value that is kept.
-_CHECKS: Mapping[str, Callable[[Any], Any]] = {
-    "target": lambda v: parts.vector(v, "target"),
-    "T_frame_base": lambda v: parts.pose(v, "T_frame_base"),
-    "sigma": lambda v: _sigma(v, "sigma", "m"),
-    "frozen": lambda v: parts.words(v, "frozen parameters"),
-    "targets": lambda v: parts.each(v, "targets", parts.vector, "target '{}'"),
-    "target_rotation": lambda v: parts.rotation(v, "target's orientation"),
-    "frames": lambda v: parts.each(v, "frames", parts.pose, "The frame of '{}'"),
-    "frame_directions": _directions,
-    "sigma_angle": lambda v: _sigma(v, "sigma of angles", "rad"),
-    "kind": lambda v: registry.get(v).name,
-    "ties": parts.ties,
-    "bounds": parts.bounds,
-    "parameter_priors": lambda v: parts.each(
-        v, "priors of single parameters", _prior, "The prior of '{}'"
-    ),
-    "gravity": lambda v: parts.vector(v, "gravity", "m/s^2"),
-    "distances": _distances,
-    "repeats": _repeats,
-    "held": lambda v: parts.each(v, "held joints", _held, "The value of the held joint '{}'"),
-    "boxes": checked_boxes,
-    "ranges": checked_ranges,
-}

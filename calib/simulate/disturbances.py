@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, choices
-from calib.measure.cell_parts import vector
+from calib.measure.surroundings import vector
 
 Array = NDArray[np.float64]
 

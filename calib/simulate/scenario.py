@@ -20,10 +20,9 @@ import calib.kinds as registry
 from calib.errors import CalibError, choices
 from calib.kinds import Kind
 from calib.measure.cell import Cell
-from calib.measure.cell_parts import vector
 from calib.measure.measurements import Measurements
-from calib.measure.noise import TrackerNoise
 from calib.measure.ranges import column_limits, joint_ranges, range_text
+from calib.measure.surroundings import TrackerNoise, vector
 from calib.measure.table import SETS
 from calib.model.robot import Robot, read_only
 from calib.simulate.disturbances import Encoder, MovedTarget, Outliers, stream

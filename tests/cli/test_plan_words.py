@@ -10,8 +10,7 @@ from calib.cli.surroundings_words import add_surroundings, parse_start
 from calib.cli.terminal import row_ranges
 from calib.errors import CalibError
 from calib.measure.cell import Cell
-from calib.measure.noise import TrackerNoise
-from calib.measure.surroundings import Tracker
+from calib.measure.surroundings import Tracker, TrackerNoise
 from calib.model.robot import Robot
 
 

@@ -8,8 +8,7 @@ import pytest
 import calib.cli.simulate as words
 from calib.errors import CalibError
 from calib.measure.cell import Cell
-from calib.measure.noise import TrackerNoise
-from calib.measure.surroundings import Tracker
+from calib.measure.surroundings import Tracker, TrackerNoise
 from calib.model.error_model import error_model
 from calib.simulate.disturbances import Encoder, Outliers
 

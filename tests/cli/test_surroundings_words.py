@@ -9,8 +9,7 @@ import pytest
 from calib.cli import surroundings_words as words
 from calib.errors import CalibError
 from calib.measure.cell import Cell
-from calib.measure.noise import TrackerNoise
-from calib.measure.surroundings import Box, Reflector, Tracker
+from calib.measure.surroundings import Box, Reflector, Tracker, TrackerNoise
 
 
 def test_a_tracker():

@@ -24,7 +24,8 @@ from calib.cli.setup import (
 )
 from calib.errors import CalibError
 from calib.families import joint_families
-from calib.measure.cell import DIRECTIONS, Cell
+from calib.kinds import DIRECTIONS
+from calib.measure.cell import Cell
 from calib.model.error_model import MODELS
 from calib.model.torques import Payload
 from calib.units import Angle, Length

@@ -16,8 +16,7 @@ from calib.identify.prediction import without_rigid_motion
 from calib.identify.setup import FIRST_SIGMA_ANGLE
 from calib.measure.cell import Cell, Priors
 from calib.measure.measurements import Measurements
-from calib.measure.noise import TrackerNoise
-from calib.measure.surroundings import Tracker
+from calib.measure.surroundings import Tracker, TrackerNoise
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.readback import random_joint_values, spread_poses
 from calib.model.torques import Payload, gravity_load

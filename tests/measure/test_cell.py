@@ -15,12 +15,11 @@ from hypothesis import strategies as st
 from calib.errors import CalibError, FileError
 from calib.measure.cell import Cell, GroupDistance, Priors
 from calib.measure.cell_file import fields as keys
-from calib.measure.noise import TrackerNoise
-from calib.measure.quantities import parse_quantity
 from calib.measure.ranges import joint_ranges
+from calib.measure.surroundings import TrackerNoise
 from calib.model.robot import Robot
 from calib.model.torques import Payload
-from calib.units import UNITS
+from calib.units import UNITS, parse_quantity
 
 DISTANCE = """
 [[distances]]
@@ -182,10 +181,13 @@ def test_the_byte_order_mark_of_an_editor_is_skipped(tmp_path: Path):
         ("target_mm = [1, 2, nan]", "'target_mm' is [1, 2, nan]; it must be three numbers."),
         ('target = "known"', "The target is said to be known but is not given."),
         ("[frame]\nx = 1", "'frame' is {'x': 1}; it must be 'known', 'estimate' or a list of dir"),
-        ('frame = ["u"]', "'x', 'y', 'z', 'rx', 'ry', 'rz', each once; 'u'"),
-        ("frame = []", "each once; none was given."),
-        ("sigma_angle_deg = -1", "The noise sigma of angles is -0.017"),
-        ("sigma_mm = 0", "The noise sigma is 0.0 m; it must be a positive number"),
+        (
+            'frame = ["u"]',
+            "frame_directions is ('u',); it must be some of 'x', 'y', 'z', 'rx', 'ry', 'rz', each once.",
+        ),
+        ("frame = []", "frame_directions is (); it must be some of"),
+        ("sigma_angle_deg = -1", "sigma_angle is -0.017"),
+        ("sigma_mm = 0", "sigma is 0.0; it must be a positive number"),
         ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a number."),
         ('kind = "ball"', "'ball' is not a kind of measurement; allowed are 'point', 'pose', "),
         ('repeats = "often"', "'repeats' is 'often'; it must be 'weighted', 'average' or"),
@@ -193,14 +195,14 @@ def test_the_byte_order_mark_of_an_editor_is_skipped(tmp_path: Path):
         ("prior_angle_mrad = nan", "'prior_angle_mrad' is nan; it must be a number."),
         ("targets_mm = [1, 2, 3]", "'targets_mm' is [1, 2, 3]; it must be a table."),
         ("[targets_mm]\nup = [1, 2]", "'up' in [targets_mm] is [1, 2]; it must be three numbers."),
-        ("[targets_mm]\n' ' = [1, 2, 3]", "The targets must be a mapping from names; "),
+        ("[targets_mm]\n' ' = [1, 2, 3]", "it must be a mapping from names."),
         ("[frames]\na = 1", "'a' in [frames] is 1; write a table [frames.a] with xyz_mm and"),
         ("[frames.a]\nxyz = [1, 2, 3]", "[frames.a] has an unknown key 'xyz' (did you mean"),
         ("[frames.a]\nxyz_mm = 1", "'xyz_mm' in [frames.a] is 1; it must be three numbers."),
         ("[ties]\nmodel = 'dh'", "'model' stands in the table [ties]; the cell's own keys must"),
         ("[ties]\na1 = ['a2', 'a3']", "'a1' in [ties] is ['a2', 'a3']; it must be another"),
-        ("[ties]\na1 = ['a2', 0]", "The tie of 'a1' is ('a2', 0.0); it must be another parameter"),
-        ("[ties]\na1 = 'a1'", "'a1' is tied to itself; name another parameter."),
+        ("[ties]\na1 = ['a2', 0]", "'a1' in a cell's ties is ('a2', 0.0); it must be another"),
+        ("[ties]\na1 = 'a1'", "'a1' is tied to 'a1', which is tied itself"),
         ("[ties]\na1 = 'a2'\na2 = 'a3'", "'a1' is tied to 'a2', which is tied itself"),
         ("freeze = ['a1']\n[ties]\na1 = 'a2'", "'a1' is both frozen and tied to 'a2'"),
         ("[ties]\na1 = 'a2'\n[bounds]\na1 = '1 mm'", "'a1' has bounds and is tied to 'a2'"),
@@ -208,11 +210,14 @@ def test_the_byte_order_mark_of_an_editor_is_skipped(tmp_path: Path):
         ("[bounds]\na1 = true", "'a1' in [bounds]: True is no number with a unit, such as"),
         ("[bounds]\na1 = '1 furlong'", "'furlong' is not a unit that calib knows: "),
         ("[bounds]\na1 = ['1 mm']", "'a1' in [bounds] is ['1 mm']; it must be one value, or the"),
-        ("[bounds]\na1 = '-1 mm'", "The bounds of 'a1' are (0.001, -0.001); they must be"),
+        ("[bounds]\na1 = '-1 mm'", "'a1' in a cell's bounds is (0.001, -0.001); it must be"),
         ("[bounds]\n'j.zero' = 0.1", 'which is a number; write "0.5 mm" or "1 mrad".'),
         ("[parameter_priors]\n'j.gain' = '1 mm'", "'j.gain' in [parameter_priors] is '1 mm', w"),
         ("[parameter_priors]\n'j.compliance' = '1 mm/Nm'", "'mm/Nm' is no unit of compliance"),
-        ("[parameter_priors]\na1 = '-1 mm'", "The prior of 'a1' is -0.001; it must be a positive"),
+        (
+            "[parameter_priors]\na1 = '-1 mm'",
+            "'a1' in a cell's parameter_priors is -0.001; it must be a positive",
+        ),
         ("[held]\nlift = 0.3", "'lift' in [held] is 0.3; a joint's value needs a unit of angle"),
         ("[payload]\nmass = 3", "[payload] has an unknown key 'mass' (did you mean 'mass_kg'"),
         ("[payload]\ncom_mm = [1, 2, 3]", "[payload] lacks 'mass_kg'."),
@@ -232,7 +237,7 @@ def test_the_byte_order_mark_of_an_editor_is_skipped(tmp_path: Path):
         (2 * "[[boxes]]\nname = 'a'\nsize_mm = [1, 2, 3]\nxyz_mm = [0, 0, 0]\n", "name of its own"),
         ("[ranges]\na = '1 deg'", "'a' in [ranges] is '1 deg'; it must be the least and the"),
         ("[ranges]\na = ['1 deg', '2 mm']", "one is an angle and one a length."),
-        ("[ranges]\na = ['1 m', '1 mm']", "The range of the joint 'a' is (1.0, 0.001)"),
+        ("[ranges]\na = ['1 m', '1 mm']", "'a' in a cell's ranges is (1.0, 0.001)"),
     ],
 )
 def test_bad_values_are_named_with_what_is_allowed(tmp_path: Path, text: str, said: str):
@@ -258,40 +263,51 @@ def test_a_file_that_cannot_be_read(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("name", "wrong", "must"),
     [
-        ({"target": (1.0, 2.0)}, "The target must be three finite numbers x, y, z [m]; (1.0, 2.0)"),
-        ({"target": np.array([0.0, np.nan, 1.0])}, "[m]; [0.0, nan, 1.0] was given."),
-        ({"target": (0.1, -1e300, 0)}, "The target holds 1e+300 m; nothing in a robot cell"),
-        ({"T_frame_base": np.diag([1.0, 1.0, -1.0, 1.0])}, "with a right-handed rotation"),
-        ({"T_frame_base": 2.0 * np.eye(4)}, "with a right-handed rotation"),
-        ({"T_frame_base": [[1.0], [1.0, 2.0]]}, "[m]; [[1.0], [1.0, 2.0]] was given."),
-        ({"sigma": -1e-4}, "The noise sigma is -0.0001 m; it must be a positive number"),
-        ({"sigma": 1e-300}, "The noise sigma is 1e-300 m"),
-        ({"sigma_angle": 1e300}, "sigma of angles is 1e+300 rad"),
-        ({"held": {"lift": 1e300}}, "held joint 'lift' is 1e+300"),
-        ({"held": {"lift": "0.3 m"}}, "held joint 'lift' is '0.3 m'"),
-        ({"parameter_priors": {"d1": 1e-300}}, "The prior of 'd1' is 1e-300; it lies between"),
-        ({"parameter_priors": {"a1": 0.0}}, "The prior of 'a1' is 0.0; it must be a positive"),
-        ({"frozen": "d2"}, "The frozen parameters are a tuple of names; 'd2' was given."),
-        ({"model": None}, "A cell's model must be of type str; None was given."),
-        ({"priors": "off"}, "A cell's priors must be of type Priors; 'off' was given."),
-        ({"kind": 1}, "A cell's kind must be of type str; 1 was given."),
-        ({"targets": [1.0]}, "The targets must be a mapping from names; [1.0] was given."),
-        ({"targets": {"a": (0.0, 1.0)}}, "The target 'a' must be three finite numbers"),
-        ({"frames": {"a": np.eye(3)}}, "The frame of 'a' must be a 4 x 4 pose"),
-        ({"target_rotation": -np.eye(3)}, "orientation must be a 3 x 3 right-handed rotation"),
-        ({"frame_directions": "x"}, "The frame's directions are a tuple of names; 'x' was given."),
-        ({"ties": {"a1": "a2"}}, "The tie of 'a1' is 'a2'; it must be another parameter"),
-        ({"bounds": {"a1": (0.0, float("nan"))}}, "The bounds of 'a1' are (0.0, nan)"),
-        ({"gravity": 9.81}, "The gravity must be three finite numbers x, y, z [m/s^2]; 9.81 was"),
-        ({"distances": [("a", "b", 1.0)]}, "The distances are a tuple of GroupDistance"),
-        ({"repeats": True}, "Repeats were asked for as True; choose one of"),
+        ("target", (1.0, 2.0), "three finite numbers x, y, z [m]"),
+        ("target", [0.0, float("nan"), 1.0], "three finite numbers x, y, z [m]"),
+        ("target", (0.1, -1e300, 0), "none beyond 1e+06"),
+        ("T_frame_base", np.diag([1.0, 1.0, -1.0, 1.0]), "with a right-handed rotation"),
+        ("T_frame_base", 2.0 * np.eye(4), "with a right-handed rotation"),
+        ("T_frame_base", [[1.0], [1.0, 2.0]], "a 4 x 4 pose"),
+        ("sigma", -1e-4, "a positive number"),
+        ("sigma", 1e-300, "a positive number, from 1e-15 to 1e+06 m"),
+        ("sigma_angle", 1e300, "a positive number, from 1e-15 to 1e+06 rad"),
+        ("held", {"lift": 1e300}, "a number [rad] or [m], not beyond 1e+06"),
+        ("held", {"lift": "0.3 m"}, "a number [rad] or [m]"),
+        ("parameter_priors", {"d1": 1e-300}, "a positive number, from 1e-15"),
+        ("frozen", "d2", "a tuple of names"),
+        ("model", None, "a text"),
+        ("priors", "off", "of type Priors"),
+        ("targets", [1.0], "a mapping from names"),
+        ("targets", {"a": (0.0, 1.0)}, "three finite numbers"),
+        ("frames", {"a": np.eye(3)}, "a 4 x 4 pose"),
+        ("target_rotation", -np.eye(3), "a 3 x 3 right-handed rotation"),
+        ("frame_directions", "x", "some of 'x', 'y', "),
+        ("ties", {"a1": "a2"}, "another parameter and a factor"),
+        ("bounds", {"a1": (0.0, float("nan"))}, "the least and the largest change"),
+        ("gravity", 9.81, "three finite numbers x, y, z [m/s^2]"),
+        ("distances", [("a", "b", 1.0)], "a tuple of GroupDistance"),
+        ("repeats", True, "one of 'weighted', "),
+        ("tracker", (1, 2, 3), "of type Tracker"),
+        ("reflector", (0, 0, 1), "of type Reflector"),
+        ("ranges", [1.0], "a mapping from names"),
+        ("ranges", {"a": 1.0}, "the least and the largest value"),
+        ("ranges", {"a": (2.0, 1.0)}, "the first less than the second"),
+        ("ranges", {"a": (0.0, float("inf"))}, "the least and the largest value"),
+        ("ranges", {"a": (0.0, 1.0, 2.0)}, "the least and the largest value"),
     ],
 )
-def test_a_cell_that_is_built_wrongly(wrong: dict[str, Any], said: str):
-    with pytest.raises(CalibError, match=re.escape(said)):
-        Cell(**wrong)
+def test_a_cell_that_is_built_wrongly(name: str, wrong: Any, must: str):
+    said = rf"a cell's {name} is .*; it must be .*{re.escape(must)}"
+    with pytest.raises(CalibError, match=rf"(?i){said}"):
+        Cell(**{name: wrong})
+
+
+def test_a_kind_that_there_is_not():
+    with pytest.raises(CalibError, match="'ball' is not a kind of measurement; allowed are"):
+        Cell(kind="ball")
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calib.errors import CalibError
-from calib.measure.quantities import parse_joint_value
 from calib.measure.ranges import joint_ranges
+from calib.units import parse_joint_value
 
 
 def refused(kind: type[CalibError], text: str):

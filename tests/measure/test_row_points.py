@@ -9,7 +9,7 @@ from calib import data
 from calib.errors import MeasurementError
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.measure.row_points import predicted_points, read_rows, row_points
+from calib.measure.ranges import predicted_points, read_rows, row_points
 from calib.model.robot import Robot
 
 TARGET = np.array(data.PAPER_TARGET)

@@ -9,8 +9,7 @@ import pytest
 
 from calib.base_frame.sweeps import read_sweeps
 from calib.errors import CalibError, MeasurementError
-from calib.measure.noise import parse_noise
-from calib.measure.quantities import parse_joint_value
+from calib.units import parse_joint_value
 
 POSE = "a [deg],x [mm],y [mm],z [mm],qx,qy,qz,qw"
 
@@ -74,15 +73,6 @@ def test_a_cell_of_a_sweep_that_is_no_number(tmp_path, cell):
         f"t.csv, line 2 (row 1), column 'y [mm]': {said}. Correct it, or remove the row.",
     ):
         read_sweeps(path)
-
-
-def test_a_noise_without_a_number():
-    with refused(
-        CalibError,
-        '--noise was given as "1.2.3 mm", where a number cannot be read; write it such as "0.05 mm" '
-        'or "15 um + 6 um/m".',
-    ):
-        parse_noise("1.2.3 mm", "--noise")
 
 
 def test_a_joint_value_without_a_number():

@@ -7,8 +7,7 @@ import pytest
 
 from calib.errors import CalibError
 from calib.measure.cell import Cell
-from calib.measure.noise import TrackerNoise
-from calib.measure.surroundings import Tracker
+from calib.measure.surroundings import Tracker, TrackerNoise
 from calib.model.readback import column_ranges
 from calib.model.robot import Robot, rigid_inverse
 from calib.simulate.scenario import DEFAULT_TRACKER, Scenario, outside_limits

@@ -10,7 +10,7 @@ from calib.calibration import calibrate
 from calib.errors import CalibError, ModelError
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.measure.noise import TrackerNoise
+from calib.measure.surroundings import TrackerNoise
 from calib.model.readback import random_joint_values
 from calib.simulate.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulate.truth import draw_truth, tracker_pose
@@ -271,7 +271,7 @@ def test_set_ups_are_dealt_out_in_turn_and_tours_repeat(ur3, q):
         ({"kind": "best"}, "'best' is not a kind"),
         ({"sigma_angle": -1.0}, "noise of an angle is -1.0 rad"),
         ({"visits": 0}, "visited 0 times"),
-        ({"drift": (1.0, 2.0)}, "drift must be three finite numbers"),
+        ({"drift": (1.0, 2.0)}, "drift is (1.0, 2.0); it must be three finite numbers"),
     ],
 )
 def test_what_a_cell_cannot_be(truth, values, said):

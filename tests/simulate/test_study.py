@@ -10,7 +10,7 @@ import pytest
 from calib.errors import CalibError
 from calib.identify.calibration import calibrate
 from calib.measure.cell import Cell
-from calib.measure.noise import TrackerNoise
+from calib.measure.surroundings import TrackerNoise
 from calib.model.robot import Robot
 from calib.simulate.disturbances import Outliers
 from calib.simulate.scenario import Scenario
