@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from calib.cli.options import Force, Hold, Quiet, RobotFile, verb
+from calib.cli.options import Columns, Force, Hold, Quiet, RobotFile, verb
 from calib.errors import CalibError
 
 if TYPE_CHECKING:
@@ -162,13 +162,7 @@ def compensate(
         ),
     ] = None,
     hold: Hold = None,
-    columns: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar='"NAME IN TABLE=NAME [UNIT]"',
-            help="Rename a column of the table, and give its unit if it has none. Can be repeated.",
-        ),
-    ] = None,
+    columns: Columns = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -227,13 +221,7 @@ def robots_of(
     links: tuple[str | None, str | None],
     held: dict[str, float],
 ) -> Robots:
-    """The two robots of a call.
-
-    Without a result, a tip that is not named is the end of the longest chain whose joints are columns of the program.
-
-    Raises:
-        CalibError: Neither a result nor a URDF or both, a file cannot be read, or the robots are not one.
-    """
+    """The two robots of a call; without a result the default tip is that of a chain whose joints are in the program."""
     from calib.cli.compensate_text import Robots
     from calib.cli.setup import check_chain
     from calib.compensate.nominal_actual import differing_joint
@@ -275,11 +263,7 @@ def robots_of(
 
 
 def _tool_of(text: str | None, robots: Robots) -> NDArray[np.float64] | str | None:
-    """What is to arrive: a pose in the tip, the name of a target of the result, or the tip.
-
-    Raises:
-        CalibError: The words mean nothing, or a corrected URDF carries no target.
-    """
+    """What is to arrive: a pose in the tip, the name of a target of the result, or the tip."""
     from calib.cli.setup import with_target_link
     from calib.measure.cell import Cell
     from calib.model.robot import Robot

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -32,8 +33,8 @@ MM, DEG = 1e3, float(np.degrees(1.0))
 #: What a controller misses by above this, sent as a pose and not as joint values, is worth a line [m], [rad].
 _WORTH = 1e-7
 
-#: Rows of the table of corrections; and corrections that differ by less are the same [rad or m].
-_ROWS, _TIE = 5, 1e-9
+#: Rows and joints of the table of corrections; and corrections that differ by less are the same [deg or mm].
+_ROWS, _JOINTS, _TIE = 5, 7, 1e-6
 
 #: Columns and rows that are named at most, and rows with a reason each.
 _COLUMNS, _NAMED, _REASONS = 12, 8, 50
@@ -100,9 +101,7 @@ def text(
     of_target = tool is not None and tool.startswith(TARGET)
     poses = send != "joints"
     notes = _notes(found, robots, of_target=of_target, poses=poses, in_base=poses_in == BASE)
-    rows, one = _reasons(found), found.reached.sum() == len(found) - 1
-    head = f"{len(rows)} {'row has' if one else f'of {len(found)} rows have'} no command, and "
-    head += f"{'is' if one else 'are'} empty in the table:"
+    rows = _reasons(found)
     after = "Nothing was written; -o commands.csv writes the commands."
     if written is not None:
         more = " Do not send corrected poses to a controller that was given the corrected model."
@@ -113,10 +112,12 @@ def text(
         _expected(robots, of_target=of_target, larger=larger),
         _asked(found, tool, poses_in),
         _errors(found, poses=poses),
-        _joints(found),
-        _largest(found),
+        *_corrections(found),
         *map(fill, filter(None, notes)),
-        "\n".join([head, *rows]) if rows else "",
+        "\n".join(
+            [f"{_have(found, len(rows))} no command; the table has empty cells:", *rows]
+            * bool(rows)
+        ),
         _warnings(found, larger=larger),
         after,
     ]
@@ -125,11 +126,8 @@ def text(
 
 def no_commands(found: Commands, *, skip: bool) -> str:
     """The message that names each row without a command and why it has none; with ``skip`` no row has one."""
-    count, every = int((~found.reached).sum()), len(found)
-    head = f"{count} of {every} rows {'has' if count == 1 else 'have'} no command"
-    if count == every:
-        head = "the row has no command" if every == 1 else f"none of the {every} rows has a command"
     rows = _reasons(found)
+    count = len(rows)
     if count > _REASONS:
         labels = np.array(found.program.labels)[~found.reached].tolist()
         rows = [*rows[:_REASONS], f"  and rows {_listed(labels[_REASONS:], count)}"]
@@ -137,9 +135,36 @@ def no_commands(found: Commands, *, skip: bool) -> str:
         "Check --tool, --poses-in and the units; --accept takes rows of which little is left, --match position or "
         "weighted those that cannot be reached exactly."
     )
-    if not skip and count < every:
+    if not skip and count < len(found):
         advice += " --skip leaves these rows empty and writes the others."
-    return "\n".join([f"{head}, and nothing was written:", *rows, fill(advice)])
+    head = f"{_have(found, count)} no command, and nothing was written:"
+    return "\n".join([head, *rows, fill(advice)])
+
+
+def _have(found: Commands, count: int) -> str:
+    """``3 of 9 rows have``."""
+    return f"{count} of {len(found)} rows {'has' if count == 1 else 'have'}"
+
+
+def _table(
+    title: str,
+    heads: Iterable[str],
+    rows: Iterable[tuple[str, Iterable[float], str]],
+    digits: int = 4,
+    widths: tuple[int, int] = (58, 10),
+) -> str:
+    """Labelled numbers in columns, "-" where there is none, and words behind them."""
+    wide, cell = widths
+    lines = [f"{title:<{wide}}" + "".join(f"{head:>{cell}}" for head in heads)]
+    for label, values, behind in rows:
+        cells = [
+            f"{round(float(v), digits) + 0.0:>{cell}.{digits}f}"
+            if np.isfinite(v)
+            else f"{'-':>{cell}}"
+            for v in values
+        ]
+        lines.append(f"{label:<{wide}}" + "".join(cells) + behind)
+    return "\n".join(lines)
 
 
 def _expected(robots: Robots, *, of_target: bool, larger: bool) -> str:
@@ -157,41 +182,30 @@ def _expected(robots: Robots, *, of_target: bool, larger: bool) -> str:
         own = of if verdict is None else f"{own}. The commands and the errors are of {of}"
     elif result.larger is not None:
         own += ", without the larger model that it has"
-    lines = [f"Verdict: {verdict.use if verdict else 'none'}", fill(f"of {name}, {own}.", "  ")]
+    said = [f"of {name}, {own}."]
     if verdict is None:
-        lines.append(
-            fill(
-                "The result was not validated (calib fit --no-validate): how far it can be relied on is not known.",
-                "  ",
-            )
+        said.append(
+            "The result was not validated (calib fit --no-validate): how far it can be relied on is not known."
         )
-        return "\n".join(lines)
+        return "\n".join(["Verdict: none", *(fill(one, "  ") for one in said)])
     if verdict.use != "use":
-        lines += [fill(str(reason), "  ") for reason in verdict.reasons]
+        said += map(str, verdict.reasons)
     if verdict.use == "do not use":
-        lines.append(
-            fill("Commands made with this result may be worse than none. Calibrate anew.", "  ")
-        )
+        said.append("Commands made with this result may be worse than none. Calibrate anew.")
+    lines = [f"Verdict: {verdict.use}", *(fill(one, "  ") for one in said)]
     errors, crossed = result.errors, part.cross_validation
     unseen = [
         ("validation rows, with the nominal robot", errors["nominal"]["validation"]),
         ("validation rows", errors["larger" if larger else "calibrated"]["validation"]),
-        ("left-out rows", crossed.errors_without_outliers if crossed is not None else None),
+        *([("left-out rows", crossed.errors_without_outliers)] if crossed is not None else []),
     ]
-    rows = [
-        f"{label:<58}" + "".join(f"{MM * value:>10.3f}" for value in (one.max, one.mean, one.rms))
-        for label, one in unseen
-        if one is not None and one.n
-    ]
+    rows = [(label, MM * np.array([e.max, e.mean, e.rms]), "") for label, e in unseen if e.n]
     if rows:
-        head = f"{'Position error of the result [mm]':<58}{'max':>10}{'mean':>10}{'rms':>10}"
-        expect = "Expect errors of this size on the robot. What is computed below leaves them out."
-        if not of_target:
-            expect = (
-                "These are errors of the target that was measured, not of this tool, which may miss by more. What is "
-                "computed below leaves them out."
-            )
-        lines += ["", head, *rows, fill(expect)]
+        whose = "These are errors of the target that was measured; this tool may miss by more."
+        expect = "Expect errors of this size on the robot." if of_target else whose
+        heads = ("max", "mean", "rms")
+        lines += ["", _table("Position error of the result [mm]", heads, rows, 3)]
+        lines.append(fill(f"{expect} What is computed below leaves them out."))
     return "\n".join(lines)
 
 
@@ -218,73 +232,60 @@ def _errors(found: Commands, *, poses: bool) -> str:
     rows = found.reached
     count = int(rows.sum())
     angles = bool(np.isfinite(found.missed[rows, 1]).any())
-    head = f"By the calibrated model, over {count} row{'s' * (count != 1)} with commands"
-    lines = [
-        f"{head:<58}{'max mm':>10}{'mean mm':>10}" + f"{'max deg':>10}{'mean deg':>10}" * angles
-    ]
     # A controller with a redundant joint may come to other joint values than those that were meant.
     other = poses and bool((np.abs(found.left_by_pose - found.left)[rows] > _WORTH).any())
-    for label, values, shown in (
-        ("the tool would miss without correction by", found.missed, True),
-        ("it misses with it by", found.left, True),
-        ("it misses by, if sent as a pose", found.left_by_pose, other),
-        ("standard deviation of where it arrives (covariance)", found.std, True),
-        ("the pose to send is moved by", found.pose_corrections, True),
-    ):
-        if shown and np.isfinite(values[rows]).any():
-            cells = [_most_and_mean(scale * values[rows, i]) for i, scale in ((0, MM), (1, DEG))]
-            lines.append(f"{label:<58}" + "".join(cells[: 1 + angles]))
-    return "\n".join(lines)
+    table = [
+        ("the tool would miss without correction by", found.missed),
+        ("it misses with it by", found.left),
+        *[("it misses by, if sent as a pose", found.left_by_pose)] * other,
+        ("standard deviation of where it arrives (covariance)", found.std),
+        ("the pose to send is moved by", found.pose_corrections),
+    ]
+    return _table(
+        f"By the calibrated model, over {count} row{'s' * (count != 1)} with commands",
+        ("max mm", "mean mm", "max deg", "mean deg")[: 2 + 2 * angles],
+        [
+            (
+                label,
+                [*_most_and_mean(MM * own[rows, 0]), *_most_and_mean(DEG * own[rows, 1]) * angles],
+                "",
+            )
+            for label, own in table
+            if np.isfinite(own[rows]).any()
+        ],
+    )
 
 
-def _most_and_mean(values: Array) -> str:
+def _most_and_mean(values: Array) -> tuple[float, ...]:
     """Largest and mean of those that there are."""
     there = values[np.isfinite(values)]
-    return f"{there.max():>10.4f}{there.mean():>10.4f}" if there.size else f"{'-':>10}{'-':>10}"
+    return (float(there.max()), float(there.mean())) if there.size else (math.nan, math.nan)
 
 
-def _scales(robot: Robot) -> list[tuple[float, str]]:
-    """What the value of each joint is printed in."""
+def _corrections(found: Commands) -> Iterator[str]:
+    """How far each joint is moved; and the corrections of all rows, or of those where a joint is moved most."""
+    robot, labels = found.nominal, found.program.labels
     slides = [robot.joint_types[name] == "prismatic" for name in robot.joint_names]
-    return [(MM, "mm") if slide else (DEG, "deg") for slide in slides]
-
-
-def _joints(found: Commands) -> str:
-    """How far each joint is moved."""
-    changes = np.abs(found.joint_corrections)
-    if not np.isfinite(changes).any():
-        return ""
-    lines = [f"{'Correction of each joint':<58}{'max':>10}{'mean':>10}   in"]
-    robot = found.nominal
-    for name, column, (scale, unit) in zip(
-        robot.joint_names, changes.T, _scales(robot), strict=True
-    ):
-        # The first of those that differ by rounding.
-        row = int(np.flatnonzero(column >= np.nanmax(column) - _TIE)[0])
-        where = found.program.labels[row][:16]
-        lines.append(f"  {f'{name[:48]} [{unit}]':<56}{_most_and_mean(scale * column)}   {where}")
-    return "\n".join(lines)
-
-
-def _largest(found: Commands) -> str:
-    """The corrections of all rows, or of those where a joint is moved most."""
-    changes = np.array([scale for scale, _ in _scales(found.nominal)]) * found.joint_corrections
-    shown, head = np.flatnonzero(found.reached), "Corrections [mm, deg]"
+    changes = np.where(slides, MM, DEG) * found.joint_corrections
+    sizes = np.abs(changes)
+    if np.isfinite(changes).any():
+        rows = []
+        for name, slide, size in zip(robot.joint_names, slides, sizes.T, strict=True):
+            # The first of those that differ by rounding.
+            at = int(np.flatnonzero(size >= np.nanmax(size) - _TIE)[0])
+            label = f"  {name[:48]} [{'mm' if slide else 'deg'}]"
+            rows.append((label, _most_and_mean(size), f"   {labels[at][:16]}"))
+        yield _table("Correction of each joint", ("max", "      mean   in"), rows)
+    shown, title = np.flatnonzero(found.reached), "Corrections [mm, deg]"
     if len(shown) > _ROWS:
-        most = np.nan_to_num(np.abs(changes[shown])).max(axis=1)
+        most = np.nan_to_num(sizes[shown]).max(axis=1)
         # Those that differ by rounding stay in their order.
         shown = shown[np.argsort(-most.round(6), kind="stable")[:_ROWS]]
-        head = "Largest corrections [mm,deg]"
-    columns = changes[:, :7]
-    lines = [
-        f"{head:<28}{'pose mm':>9}"
-        + "".join(f"{f'joint {i + 1}':>9}" for i in range(columns.shape[1]))
-    ]
-    for i in shown:
-        values = [MM * found.pose_corrections[i, 0], *columns[i]]
-        cells = [f"{round(v, 4) + 0.0:>9.4f}" if np.isfinite(v) else f"{'-':>9}" for v in values]
-        lines.append(f"{found.program.labels[i][:26]:<28}" + "".join(cells))
-    return "\n".join(lines)
+        title = "Largest corrections [mm,deg]"
+    heads = ["pose mm", *(f"joint {i + 1}" for i in range(len(slides)))][: 1 + _JOINTS]
+    moved = MM * found.pose_corrections[:, 0]
+    lines = [(labels[i][:26], [moved[i], *changes[i, :_JOINTS]], "") for i in shown]
+    yield _table(title, heads, lines, widths=(28, 9))
 
 
 def _notes(
@@ -391,8 +392,7 @@ def _warnings(found: Commands, *, larger: bool) -> str:
             kinds.setdefault(warned.code, []).append((label, str(warned)))
     if not kinds:
         return ""
-    count = sum(map(bool, found.warnings))
-    lines = [f"{count} of {len(found)} rows {'has' if count == 1 else 'have'} a warning:"]
+    lines = [f"{_have(found, sum(map(bool, found.warnings)))} a warning:"]
     for (label, what), *others in kinds.values():
         names = _listed([other for other, _ in others], _NAMED)
         more = f"; and {len(others)} more row{'s' * (len(others) > 1)}: {names}" if others else ""

@@ -163,12 +163,11 @@ def _moved(found: Source) -> str:
     if found.robot is found.nominal:
         return "This is a nominal robot: there is no calibration in it."
     mm, deg = 1e3 * apart[0], np.degrees(apart[1])
-    text = (
+    doubt = " Calibrations move it by millimetres: check that both are one robot, between the same links."
+    return (
         f"Over the joint limits '{found.robot.tip}' lies {mm.mean():.3f} mm (mean) and at most {mm.max():.3f} mm from "
         f"where the nominal robot has it, turned by {deg.mean():.3f} deg (mean) and at most {deg.max():.3f} deg."
-    )
-    doubt = " Calibrations move it by millimetres: check that both are one robot, between the same links."
-    return text + doubt * bool(mm.max() > _FAR_MM)
+    ) + doubt * bool(mm.max() > _FAR_MM)
 
 
 def _use(found: Source, format: str) -> str:

@@ -46,11 +46,9 @@ well as can be, an angle counting as a length."""
 
 _ROWS = {POSE: 6, POSITION: 3, AXIS: 5, WEIGHTED: 6}
 
-#: No joint moves further than this in one step [rad or m].
-_LONGEST_STEP = 0.3
-
-#: A row rests when its next step is shorter than this [rad or m], or lowers its squared error by a smaller share.
-_STILL, _STALLED = 1e-12, 1e-9
+#: No joint moves further than this in one step [rad or m]; a row rests when its next step is shorter than the second or
+#: lowers its squared error by a smaller share than the third.
+_LONGEST_STEP, _STILL, _STALLED = 0.3, 1e-12, 1e-9
 
 #: An error below this is rounding [m]; what the pull of a redundant arm adds to it is none.
 _NOTHING = 1e-13
@@ -64,20 +62,16 @@ _FIRST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e3
 #: A joint this near to its limit is at it; and joint values may pass their limits by so much [rad or m].
 _AT_LIMIT, _ROUNDING = 1e-12, 1e-9
 
-#: So many joints at their limits are told apart, all sets of them tried.
-_TRIED = 4
-
-#: What an error [m^2] weighs against a distance from the start [rad^2 or m^2] where sets are compared.
-_ERROR_WEIGHT = 1e6
+#: So many joints at their limits are told apart, all sets of them tried; and what an error [m^2] weighs against a
+#: distance from the start [rad^2 or m^2] where these are compared.
+_TRIED, _ERROR_WEIGHT = 4, 1e6
 
 #: Singular values below this, relative to the largest, are zero.
 _RANK = 1e-9
 
-#: A row follows the one before if no joint moves further than this [rad or m]; else all solutions are looked at.
-_NEAR = 0.5
-
-#: The same inside of a block of rows, the longest block, and the steps that what is near may take.
-_VERY_NEAR, _LONGEST_BLOCK, _FEW_STEPS = 0.1, 256, 15
+#: A row follows the one before if no joint moves further than this [rad or m], inside of a block of rows than the
+#: second; else all solutions are looked at. The longest block, and the steps that what is near may take.
+_NEAR, _VERY_NEAR, _LONGEST_BLOCK, _FEW_STEPS = 0.5, 0.1, 256, 15
 
 #: Sets of joint values that a solution is looked for from, and in how many steps.
 _SPREAD, _STEPS = 48, 30
@@ -339,12 +333,7 @@ def following(
 
     A path is followed in blocks, which grow as long as all goes well: rows of a block start at the row before it.
 
-    Args:
-        arm: The nominal arm.
-        T_wanted: shape (N, 4, 4), T_base_tool [m].
-        start: shape (m,), where the first row starts [rad] or [m].
-        matching: What of the poses is to be reached.
-        progress: Called with the number of rows done and of all.
+    ``T_wanted`` (N, 4, 4) is in the base; ``progress`` is called with the number of rows done and of all.
     """
     low, high = full_ranges(arm.robot).T
     unit = qmc.Sobol(len(low), scramble=False).random_base2(6)[:_SPREAD]

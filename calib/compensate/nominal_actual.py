@@ -140,8 +140,7 @@ class Pair:
         nominal: The nominal robot, with the tool where the controller has it.
         actual: The calibrated robot, with the tool where it is.
         T_frame_base: shape (4, 4), the base in the frame that poses are given and sent in [m].
-        target: Name of the target that the tool is; None where it is none.
-        set_up: Name of the set-up whose frame it is; None where it is none.
+        target, set_up: Names of the target that the tool is, of the set-up whose frame it is; None where it is none.
         result: What is known of the actual robot and how far to trust it; None where two robots were given.
     """
 

@@ -8,7 +8,7 @@ may be missing, and columns that mean nothing here are kept.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -118,12 +118,7 @@ class Program:
 
     @classmethod
     def of_poses(cls, T_wanted: ArrayLike, q: ArrayLike | None = None) -> Program:
-        """A program of poses of the tool.
-
-        Args:
-            T_wanted: shape (N, 4, 4) or (4, 4), [m].
-            q: shape (N, m) or (m,), where to start looking for joint values [rad] or [m].
-        """
+        """A program of poses of the tool, shape (N, 4, 4) or (4, 4), [m]; ``q`` (N, m) is where to start looking."""
         poses = np.reshape(np.asarray(T_wanted, dtype=np.float64), (-1, 4, 4))
         starts = None if q is None else np.atleast_2d(np.asarray(q, dtype=np.float64))
         return cls(_counted(len(poses)), starts, poses)
@@ -132,8 +127,7 @@ class Program:
     def of_points(cls, points: ArrayLike, q: ArrayLike | None = None) -> Program:
         """A program of positions of the tool, shape (N, 3) or (3,) [m], orientation left free; ``q`` as of poses."""
         poses = _unturned(np.reshape(np.asarray(points, dtype=np.float64), (-1, 3)))
-        starts = None if q is None else np.atleast_2d(np.asarray(q, dtype=np.float64))
-        return cls(_counted(len(poses)), starts, poses, oriented=False)
+        return replace(cls.of_poses(poses, q), oriented=False)
 
 
 def _counted(count: int) -> tuple[str, ...]:

@@ -87,13 +87,8 @@ def reasons_of(
 ) -> list[str]:
     """For each row why it has no command; empty where it has one.
 
-    Args:
-        pair: The two robots.
-        matching: What is matched.
-        starts: The actual robot at the joint values of the nominal one.
-        solved: The same at those that bring it there.
-        left: shape (N, 2), what is left of the error there [m], [rad].
-        allowed: What may be.
+    ``starts`` and ``solved`` are the actual robot at the nominal joint values and at those to command; ``left`` (N, 2)
+    is what is left of the error there [m], [rad], ``allowed`` what may be.
     """
     robot, count = pair.actual.robot, len(pair.actual.robot.joint_names)
     low, high = column_limits(robot).T
@@ -145,20 +140,9 @@ def warnings_of(
 ) -> tuple[tuple[Warned, ...], ...]:
     """For each row what to know of its command.
 
-    Args:
-        pair: The two robots.
-        program: What was asked for.
-        matching: What is matched.
-        T_wanted: shape (N, 4, 4), poses of the tool in the base [m].
-        starts: Joint values of the nominal robot.
-        solved: Joint values of the actual one.
-        reached: Which rows have a command, shape (N,).
-        nominal_reaches: Which poses the nominal robot reaches, shape (N,).
-        missed: shape (N, 2), how far the actual robot misses at the nominal joint values [m], [rad].
-        left: The same at those to command.
-        left_by_pose: The same if poses are sent.
-        accept: What may be left [m], [rad].
-        limit: Corrections of the pose larger than this are warned of [m], [rad].
+    ``T_wanted`` (N, 4, 4) and ``starts`` are in the base and of the nominal robot, ``solved`` is of the actual one.
+    ``missed``, ``left`` and ``left_by_pose`` (N, 2) [m], [rad]: how far that misses without a command, with it, and if
+    poses are sent; ``accept``: what may be left; ``limit``: corrections of the pose that are warned of.
     """
     robot, shown = pair.actual.robot, np.array([1e3, 180.0 / np.pi])
     said: list[list[Warned]] = [[] for _ in program.labels]

@@ -17,7 +17,7 @@ import numpy as np
 from calib.errors import CalibError, ModelError, choices
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
 from calib.formats.origins import write_origins
-from calib.formats.sources import ROBOT, UR_CONF, Source
+from calib.formats.sources import ROBOT, UR_CONF, YAML, Source
 from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
 from calib.formats.ur_arms import UrModel
 from calib.formats.ur_files import Conf
@@ -25,20 +25,13 @@ from calib.model.dh_table import HAYATI, MODIFIED, STANDARD
 from calib.model.readback import TOLERANCE, check_written, random_joint_values
 from calib.model.robot import Robot
 
-_YAML = (".yaml", ".yml")
-
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What is to be written, and where.
+    """What is to be written, one of `FORMATS`, and where.
 
-    Attributes:
-        path: The file.
-        format: One of `FORMATS`.
-        hash_from: A file of the robot's own, whose hash a kinematics.yaml keeps.
-        update: A ``calibration.conf`` whose other lines are kept.
-        urcontrol: The robot's ``urcontrol.conf``.
-        overwrite: Whether a file that exists may be replaced.
+    ``hash_from``: a file of the robot's own, whose hash a kinematics.yaml keeps; ``update``: a ``calibration.conf``
+    whose other lines are kept; ``urcontrol``: the robot's ``urcontrol.conf``.
     """
 
     path: Path
@@ -50,15 +43,10 @@ class Wanted:
 
 
 class Format(NamedTuple):
-    """A format that can be written.
+    """A format that can be written: what it is, its files' endings, and what `write_target` calls.
 
-    Attributes:
-        what: What it is, in a few words.
-        endings: What its files end in.
-        write: Writes the robot of a source, and returns what the format cannot hold and what to mind, sentence by
-            sentence.
-        option: The field of `Wanted` that is for it alone.
-        any_ending: Whether a file of another ending, which belongs to no format, may be one too.
+    ``option``: the field of `Wanted` that is for it alone; ``any_ending``: whether a file of an ending that belongs to
+    no format may be one too.
     """
 
     what: str
@@ -87,7 +75,7 @@ def chosen_format(path: Path, asked: str | None, source_kind: str | None = None)
         )
     fitting = [name for name, one in FORMATS.items() if ending in one.endings]
     if asked is None:
-        if source_kind == UR_CONF and ending in _YAML:
+        if source_kind == UR_CONF and ending in YAML:
             return "ur-yaml"
         if len(fitting) == 1:
             return fitting[0]
@@ -231,12 +219,12 @@ def _dh(what: str, convention: str) -> Format:
 FORMATS: Mapping[str, Format] = {
     "urdf": Format("the URDF", (".urdf", ".xml"), _write_urdf),
     "ur-yaml": Format(
-        "kinematics.yaml of Universal Robots' ROS driver", _YAML, _write_ur_yaml, "hash_from"
+        "kinematics.yaml of Universal Robots' ROS driver", YAML, _write_ur_yaml, "hash_from"
     ),
     "ur-conf": Format(
         "DH deltas of a Universal Robots controller", (".conf",), _write_ur_conf, "update"
     ),
-    "origins": Format("the joints' origins, for a xacro to load", _YAML, _write_origins),
+    "origins": Format("the joints' origins, for a xacro to load", YAML, _write_origins),
     "dh": _dh(", standard convention", STANDARD),
     "modified-dh": _dh(", modified (Craig's) convention", MODIFIED),
     "hayati": _dh(" with Hayati's beta", HAYATI),

@@ -70,10 +70,7 @@ _FAR = 2.0
 
 
 class RowJoint(NamedTuple):
-    """What the value added to a row is: factor * value of the driver + offset [rad] or [m].
-
-    The driver is the joint itself, or the one that it mimics; None where it is held.
-    """
+    """What is added to a row: factor * value of the driver (the joint, or what it mimics; None: held) + offset."""
 
     joint: str
     prismatic: bool
@@ -97,11 +94,7 @@ class RowJoint(NamedTuple):
 class DHTables:
     """The DH rows of a robot beside those of its nominal state; both hold the poses of their robots.
 
-    Attributes:
-        robot: The robot.
-        nominal: The same chain before the calibration; None where none was given.
-        after: The robot's rows, their free choices as in those before.
-        before: The nominal robot's rows.
+    ``nominal`` is the same chain before the calibration, or None; the free choices of ``after`` are as in ``before``.
     """
 
     robot: Robot
@@ -179,8 +172,18 @@ class DHTables:
         """The tables that a file has, by what they are called: one, or before, after and change."""
         if self.before is None:
             return [("robot", self.after)]
-        change = _change(self.before, self.after)
-        return [(BEFORE, self.before), (AFTER, self.after), (CHANGE, change)]
+        before, after = self.before, self.after
+        # After - before; of the constant poses before^-1 after.
+        rows = tuple(
+            replace(b, **{k: getattr(b, k) - getattr(a, k) for k in _NUMBERS})
+            for a, b in zip(before.rows, after.rows, strict=True)
+        )
+        ends = (
+            rigid_inverse(before.T_base_0) @ after.T_base_0,
+            rigid_inverse(before.T_n_tip) @ after.T_n_tip,
+        )
+        change = DHTable(rows, *map(read_only, ends), after.convention)
+        return [(BEFORE, before), (AFTER, after), (CHANGE, change)]
 
     def deviation(self, before: DHTable | None, after: DHTable) -> float:
         """The largest difference of position [m] or of an entry of the rotation between rows and robots."""
@@ -202,20 +205,6 @@ def _by_parallels(robot: Robot, nominal: Robot | None, convention: str) -> float
         * float(1.0 + np.linalg.norm(one.placements[:, :3, 3], axis=1).sum())
         for one in (robot, nominal)
         if one is not None
-    )
-
-
-def _change(before: DHTable, after: DHTable) -> DHTable:
-    """After - before; of the constant poses before^-1 after."""
-    rows = tuple(
-        replace(b, **{k: getattr(b, k) - getattr(a, k) for k in _NUMBERS})
-        for a, b in zip(before.rows, after.rows, strict=True)
-    )
-    return DHTable(
-        rows,
-        read_only(rigid_inverse(before.T_base_0) @ after.T_base_0),
-        read_only(rigid_inverse(before.T_n_tip) @ after.T_n_tip),
-        after.convention,
     )
 
 

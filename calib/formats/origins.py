@@ -67,12 +67,7 @@ class JointOrigin(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Origins:
-    """Origins by the name of their joint, as an origins file holds them.
-
-    Attributes:
-        joints: Names and origins in the file's order.
-        source: Name of the file or of the URDF, for messages.
-    """
+    """Origins by the name of their joint, in the file's order; ``source`` is the file or the URDF, for messages."""
 
     joints: tuple[tuple[str, JointOrigin], ...]
     source: str
@@ -120,41 +115,25 @@ def write_origins(robot: Robot, path: str | os.PathLike[str], *, overwrite: bool
         FileError: The file exists and ``overwrite`` is False, it cannot be written, or YAML cannot hold the names.
     """
     origins = origins_of(robot)
-    header = _HEADER.format(
-        name=one_line(robot.name),
-        base=one_line(robot.base),
-        tip=one_line(robot.tip),
-        file=one_line(Path(path).name),
-        section=_SECTION,
-        joint=one_line(origins.joints[0][0]),
-    )
+    names = (robot.name, robot.base, robot.tip, Path(path).name, origins.joints[0][0])
+    name, base, tip, file, joint = map(one_line, names)
+    header = _HEADER.format(name=name, base=base, tip=tip, file=file, section=_SECTION, joint=joint)
     data = origins.to_yaml(header)
-    if parse_origins(data, str(path)).joints != origins.joints:
+    if read_origins(path, data).joints != origins.joints:
         raise FileError(
             f"{path}: the origins of '{robot.name}' do not read back; rename its joints in the URDF."
         )
     return write_atomically(path, data, overwrite=overwrite)
 
 
-def read_origins(path: str | os.PathLike[str]) -> Origins:
-    """Read an origins file.
+def read_origins(path: str | os.PathLike[str], data: bytes | None = None) -> Origins:
+    """What an origins file says, or will say that is to be written.
 
     Raises:
         FileError: It cannot be read, or is no origins file; the text names file, joint and key.
     """
-    return parse_origins(read_bytes(path, "origins file"), str(path))
-
-
-def parse_origins(data: bytes, source: str) -> Origins:
-    """The origins in a file's bytes.
-
-    Args:
-        data: The file.
-        source: Its name, for messages.
-
-    Raises:
-        FileError: It is no origins file; the text names file, joint and key.
-    """
+    source = str(path)
+    data = read_bytes(path, "origins file") if data is None else data
     table = parse_yaml(data, source, "origins file").get(_SECTION)
     if not isinstance(table, dict) or not table:
         raise FileError(

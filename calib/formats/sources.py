@@ -30,15 +30,9 @@ UR_CONF, UR_YAML, RESULT, ORIGINS, ROBOT = "ur-conf", "ur-yaml", "result", "orig
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What goes with a source.
+    """What goes with a source: the nominal robot (URDF, xacro or name), or the name of an arm of Universal Robots.
 
-    Attributes:
-        robot: URDF, xacro or name of the nominal robot.
-        ur_model: Name of an arm of Universal Robots.
-        urcontrol: Its ``urcontrol.conf``.
-        base: Base link; default that of the source.
-        tip: Tip link; default that of the source.
-        held: Joints that stay where they are [rad or m].
+    Base and tip are those of the source where they are not named; ``held`` are joints that stay [rad or m].
     """
 
     robot: str | None = None
@@ -62,9 +56,8 @@ class Source:
         text: What was read, in a few words: ``"calibration of a UR5e, calib_12345"``.
         robot: The robot.
         nominal: The same chain with nominal kinematics; None where nothing is known of it.
-        hash: The ROS driver's name for the calibration, where the source is a file of Universal Robots and has it.
-        model: Which arm of Universal Robots it is, if one.
-        conf: The ``calibration.conf`` that was read, if it is one.
+        hash, model, conf: The ROS driver's name for the calibration, which arm of Universal Robots it is, and the
+            ``calibration.conf`` that was read; None of other sources.
         remarks: What its reader should know, sentence by sentence.
     """
 
@@ -219,13 +212,13 @@ class Kind(NamedTuple):
     read: Callable[[str, str, Asked], Source]
 
 
-_YAML = (".yaml", ".yml")
+YAML = (".yaml", ".yml")
 
 KINDS = {
     UR_CONF: Kind((".conf",), "", _universal_robots),
-    UR_YAML: Kind(_YAML, "kinematics", _universal_robots),
+    UR_YAML: Kind(YAML, "kinematics", _universal_robots),
     RESULT: Kind((".json",), "", _result),
-    ORIGINS: Kind(_YAML, "origins", _origins),
+    ORIGINS: Kind(YAML, "origins", _origins),
     ROBOT: Kind(("", ".urdf", ".xml"), "", _robot),
 }
 """What can be read, by name; `calib.formats.convert.FORMATS` is what can be written."""
@@ -239,13 +232,13 @@ def source_kind(source: str) -> str:
     """
     ending = "" if is_xacro(source) else Path(source).suffix.lower()
     keys: tuple[str, ...] = ()
-    if ending in _YAML:
+    if ending in YAML:
         keys = tuple(map(str, parse_yaml(read_bytes(source, "YAML file"), source, "YAML file")))
     for name, kind in KINDS.items():
         if ending in kind.endings and (not kind.key or kind.key in keys):
             return name
     found = f"its ending is '{ending}'"
-    if ending in _YAML:
+    if ending in YAML:
         found = f"it has neither 'kinematics' nor 'origins', but {choices(keys) or 'no keys'}"
     raise FileError(
         f"{source}: this is none of what 'calib convert' reads; {found}. Give a calibration.conf or a kinematics.yaml "

@@ -38,7 +38,6 @@ from calib.formats.ur_files import (
     UrYaml,
     conf_bytes,
     kinematics_bytes,
-    parse_kinematics,
     read_kinematics,
     read_nominal,
 )
@@ -86,8 +85,7 @@ class UrSource:
     """What a file of Universal Robots says about an arm.
 
     Attributes:
-        nominal: The robot given, or a bare arm as the data sheet has it, ``base`` to ``tool0``.
-        robot: The same chain, calibrated.
+        nominal, robot: The robot given, or a bare arm, ``base`` to ``tool0``; and the same chain, calibrated.
         hash: The ROS driver's name for the calibration, ``"calib_..."``; None where the yaml has none.
         model: Which arm it is.
         remarks: What the reader of the file should know, sentence by sentence; most often none.
@@ -108,8 +106,7 @@ class UrWritten:
 
     Attributes:
         path: The file.
-        T_base: shape (4, 4), [m]: a displacement of the base that the file cannot hold; the identity if there is none.
-        T_tool: shape (4, 4), [m]: the same of the flange, behind the last joint.
+        T_base, T_tool: shape (4, 4), [m]: displacements of the base and of the flange that the file cannot hold.
         remarks: What to tell the user about these and about the file, sentence by sentence; none if it holds all.
     """
 
@@ -222,7 +219,7 @@ def write_ur_yaml(
     kind = arm.name if arm.known else "arm"
     comment = f"Kinematics of one Universal Robots {kind}: lengths in m, angles in rad, R = Rz(yaw) Ry(pitch) Rx(roll)."
     data = kinematics_bytes(chain, hash, comment)
-    back = parse_kinematics(data, path).chain
+    back = read_kinematics(path, data).chain
     _check(robot, mounted, path, lambda q: chain_poses(back, q) @ T_tool, _EXACT)
     written = write_atomically(path, data, overwrite=overwrite)
     remarks = _name_remark(nominal, arm, mounted) + _end_remarks(written, np.eye(4), T_tool)
@@ -277,7 +274,7 @@ def write_ur_conf(
         )
         remarks.append(f"The rows hold the robot to {missed:.1e} m: {reason}.")
     data = conf_bytes(fitted.deltas) if old is None else old.with_deltas(fitted.deltas)
-    back = arm.nominal + Conf.parse(data, path).deltas
+    back = arm.nominal + Conf.read(path, data).deltas
     exact = _LESS_EXACT if missed > _EXACT else _EXACT
     _check(robot, mounted, path, lambda q: fitted.T_base @ back.poses(q) @ fitted.T_tool, exact)
     written = write_atomically(path, data, overwrite=overwrite)

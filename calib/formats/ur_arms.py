@@ -127,13 +127,9 @@ class FullDH:
 
 
 class Fitted(NamedTuple):
-    """Rows that hold a chain, and what they cannot hold: the chain is T_base times the rows times T_tool.
+    """Rows that hold a chain, nominal plus deltas, and what they cannot hold: the chain is T_base rows T_tool.
 
-    Attributes:
-        deltas: What is added to the nominal rows.
-        rows: Nominal plus deltas, as their sum is rounded.
-        T_base: shape (4, 4), [m]: the first axis tilted and shifted in the controller's base.
-        T_tool: shape (4, 4), [m]: the flange tilted and shifted across the last axis.
+    T_base is the first axis tilted and shifted in the controller's base, T_tool the flange across the last axis [m].
     """
 
     deltas: FullDH
@@ -143,13 +139,10 @@ class Fitted(NamedTuple):
 
 
 def fitted_rows(chain: Array, nominal: FullDH, like: FullDH | None = None) -> Fitted:
-    """The standard DH rows of a chain, each worked out in the frame that the rounded rows before it give.
+    """The standard DH rows of a chain (7, 4, 4), each worked out in the frame that the rounded rows before it give.
 
-    Args:
-        chain: shape (7, 4, 4), [m], see the module's text.
-        nominal: The rows that deltas are added to.
-        like: Deltas that make the choices which the convention leaves open: of the two senses of a common normal and
-            of an angle's whole turns the nearest, of parallel axes the d. Default: none, the nominal rows make them.
+    ``like`` are deltas that make the choices which the convention leaves open: of the two senses of a common normal and
+    of an angle's whole turns the nearest, of parallel axes the d. Without them the nominal rows do.
     """
     like = FullDH(*np.zeros((4, 6))) if like is None else like
     rows = nominal + like
@@ -202,7 +195,7 @@ def at_flange(chain: Array) -> Array:
 def kinematics_hash(rows: FullDH) -> str:
     """What the ROS driver calls a controller's kinematics: ``"calib_"`` and a hash of its DH rows.
 
-    The driver prints theta, d, a and alpha of one joint after the other with six digits and takes the standard
+    It prints theta, d, a and alpha of one joint after the other with six digits and takes the standard
     library's hash of that text, which in GNU's library is MurmurHash64A.
 
     Example:
@@ -294,9 +287,7 @@ def _near(angle: float, wished: float) -> float:
 class UrModel:
     """One type of arm.
 
-    Attributes:
-        name: Such as ``"UR5e"``; of an arm that calib does not know ``"arm of urcontrol.conf"``.
-        nominal: Its nominal DH rows.
+    ``name`` is such as ``"UR5e"``; of an arm that calib does not know ``"arm of urcontrol.conf"``.
     """
 
     name: str

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -97,26 +97,18 @@ class Conf:
     text: str
 
     @classmethod
-    def read(cls, path: PathLike) -> Conf:
-        """Read a file.
+    def read(cls, path: PathLike, data: bytes | None = None) -> Conf:
+        """What a file says, or will say that is to be written.
 
         Raises:
-            FileError: As `parse`, or it cannot be read.
+            FileError: It cannot be read, has no ``[mounting]``, or not six numbers for each of the four in metres and
+                radians.
         """
-        return cls.parse(read_bytes(path, _CONF), path)
-
-    @classmethod
-    def parse(cls, data: bytes, path: PathLike) -> Conf:
-        """What the bytes of a file say.
-
-        Raises:
-            FileError: It has no ``[mounting]``, or not six numbers for each of the four in metres and radians.
-        """
-        text, entries = _entries(data, path, _CONF)
-        own = [entry for entry in entries if entry.section == MOUNTING]
+        text = _text(read_bytes(path, _CONF) if data is None else data, path, _CONF)
+        own = [entry for entry in _entries(text) if entry.section == MOUNTING]
         status = [entry.value for entry in own if entry.key == "calibration_status"]
         return cls(
-            FullDH(**_columns(path, text, entries, MOUNTING, _CONF, _DELTAS)),
+            FullDH(**_columns(path, text, MOUNTING, _CONF, _DELTAS)),
             tuple(dict.fromkeys(entry.key for entry in own if entry.key not in _DELTAS)),
             status[-1][:40] if status and status[-1] != "2" else "",
             text,
@@ -126,7 +118,7 @@ class Conf:
         """The file with other deltas, every other byte as it was."""
         text = self.text
         # Every place where a key stands, from the last on, so that the places before it stay where they are.
-        for entry in reversed(_found(text)):
+        for entry in reversed(_entries(text)):
             if entry.section == MOUNTING and entry.key in _DELTAS:
                 was, values = (getattr(one, _DELTAS[entry.key]) for one in (self.deltas, deltas))
                 if (was != values).any():  # else it stays as it is written, digit for digit
@@ -146,23 +138,22 @@ def read_nominal(path: PathLike) -> FullDH:
     Raises:
         FileError: As for `Conf.read`.
     """
-    text, entries = _entries(read_bytes(path, _CONTROL), path, _CONTROL)
+    text = _text(read_bytes(path, _CONTROL), path, _CONTROL)
     keys = {name: name for name in COLUMNS}
-    found = _columns(path, text, entries, NOMINAL, _CONTROL, keys, optional=("theta",))
+    found = _columns(path, text, NOMINAL, _CONTROL, keys, optional=("theta",))
     return FullDH(**{"theta": np.zeros(6), **found})
 
 
-def _entries(data: bytes, path: PathLike, what: str) -> tuple[str, list[_Entry]]:
-    """A file's text, and every ``key = value`` in its order."""
+def _text(data: bytes, path: PathLike, what: str) -> str:
+    """A file's text, a character for each byte."""
     if b"\0" in data:
         raise FileError(
             f"{path}: this is not a {what}: it has bytes that no text has. Copy it from the controller again."
         )
-    text = data.decode("latin-1")
-    return text, _found(text)
+    return data.decode("latin-1")
 
 
-def _found(text: str) -> list[_Entry]:
+def _entries(text: str) -> list[_Entry]:
     """Every ``key = value`` in the text's order; a list may go on over the lines that follow."""
     entries: list[_Entry] = []
     section = ""
@@ -180,24 +171,19 @@ def _found(text: str) -> list[_Entry]:
 def _columns(
     path: PathLike,
     text: str,
-    entries: Sequence[_Entry],
     section: str,
     what: str,
     keys: Mapping[str, str],
     optional: tuple[str, ...] = (),
 ) -> dict[str, Array]:
-    """The six numbers of each of these keys in a section, by their column.
-
-    Raises:
-        FileError: The section or a key is missing, a key has two values, or one is not six numbers.
-    """
+    """The six numbers of each of these keys in a section, by their column."""
     sections = dict.fromkeys(p["section"].strip() for p in _PART.finditer(text) if p["section"])
     if section not in sections:
         raise FileError(
             f"{path}: there is no [{section}] in it; its sections are {choices(sections) or 'none'}. Give the {what} "
             "of a Universal Robots controller."
         )
-    own = [entry for entry in entries if entry.section == section]
+    own = [entry for entry in _entries(text) if entry.section == section]
     found: dict[str, _Entry] = {}
     for entry in own:
         before = found.setdefault(entry.key, entry)
@@ -271,22 +257,14 @@ class UrYaml(NamedTuple):
     hash: str | None
 
 
-def read_kinematics(path: PathLike) -> UrYaml:
-    """Read a ``kinematics.yaml``.
+def read_kinematics(path: PathLike, data: bytes | None = None) -> UrYaml:
+    """What a ``kinematics.yaml`` says, or will say that is to be written.
 
     Raises:
-        FileError: As `parse_kinematics`, or it cannot be read.
+        FileError: It cannot be read, lacks a link or a number, has a key twice, or numbers that are no metres and
+            radians.
     """
-    return parse_kinematics(read_bytes(path, _YAML), path)
-
-
-def parse_kinematics(data: bytes, path: PathLike) -> UrYaml:
-    """What the bytes of a ``kinematics.yaml`` say.
-
-    Raises:
-        FileError: It is no YAML, lacks a link or a number, has a key twice, or numbers that are no metres and radians.
-    """
-    top = parse_yaml(data, str(path), _YAML)
+    top = parse_yaml(read_bytes(path, _YAML) if data is None else data, str(path), _YAML)
     if "kinematics" not in top:
         raise FileError(
             f"{path}: there is no 'kinematics' in it{did_you_mean('kinematics', map(str, top))}, its keys are "

@@ -52,13 +52,11 @@ class Mount:
     """How a URDF's frames are fixed to those of an arm: T_base_tip = T_base_arm chain(q) T_flange_tip.
 
     Attributes:
-        T_base_arm: shape (4, 4), [m]: the controller's base in the robot's base.
-        T_flange_tip: shape (4, 4), [m]: the robot's tip in the controller's flange.
+        T_base_arm, T_flange_tip: shape (4, 4), [m]: the controller's base in the robot's, the tip in its flange.
         T_arm_joint: shape (6, 4, 4), [m]: each joint's frame in the arm's frame of that joint, see `FullDH.chain`; a
             motion along and about the axis.
-        off: How far the flange lies from the nominal arm's, at most [m], where the robot is not nominal, and base and
-            flange are where the links' names say; else 0.
-        turned: How far it is turned against it, at most [rad], likewise.
+        off, turned: How far the flange lies from the nominal arm's, at most [m], [rad], where the robot is not nominal,
+            and base and flange are where the links' names say; else 0.
     """
 
     T_base_arm: Array
@@ -86,9 +84,8 @@ class Mount:
 def recognised(robot: Robot) -> tuple[UrModel, ...]:
     """The arms whose nominal kinematics a robot has, wherever its base and its tip are fixed to them.
 
-    So any description is recognised, whichever frames it uses: ``base``, ``base_link`` or ``base_link_inertia``,
-    ``wrist_3_link``, ``flange``, ``tool0`` or a tool behind it. Arms sold under two names are both in the result. An
-    arm whose base or flange is a little beside where its links' names have it is calibrated, and not nominal.
+    Arms sold under two names are both in it. An arm whose base or flange is a little beside where its links' names have
+    it is calibrated, and not nominal.
     """
     return tuple(model for model in MODELS if mount(robot, model) is not None)
 
@@ -125,14 +122,10 @@ def mount(robot: Robot, model: UrModel) -> Mount | None:
 
 
 def the_mount(robot: Robot, model: UrModel | None = None) -> tuple[UrModel, Mount]:
-    """The arm that a robot is, and how its frames are fixed to the arm's.
+    """The arm that a robot is (that it must be, if one is given), and how its frames are fixed to the arm's.
 
     A robot that is calibrated already, such as the URDF that the ROS driver makes, is taken for the arm that it is
     nearest to if its links have the names of Universal Robots' descriptions.
-
-    Args:
-        robot: The robot.
-        model: The arm that it must be; default: the first that it is recognised as.
 
     Raises:
         ModelError: It is not that arm, or none.
@@ -142,28 +135,23 @@ def the_mount(robot: Robot, model: UrModel | None = None) -> tuple[UrModel, Moun
         mounted = mount(robot, candidate)
         if mounted is not None:
             return candidate, mounted
-    if not recognised(robot):
-        for T_base_arm, T_flange_tip in _named_frames(robot):
-            arm = rigid_inverse(T_base_arm) @ robot.poses(SPREAD) @ rigid_inverse(T_flange_tip)
-            off = {one: np.abs(arm - one.nominal.poses(SPREAD)).max() for one in wanted}
-            nearest = min(wanted, key=lambda one: float(off[one]))
-            if off[nearest] < CALIBRATED:
-                return nearest, _named_mount(robot, nearest, T_base_arm, T_flange_tip, arm)
     names = [other.name for other in recognised(robot)]
+    for T_base_arm, T_flange_tip in () if names else _named_frames(robot):
+        arm = rigid_inverse(T_base_arm) @ robot.poses(SPREAD) @ rigid_inverse(T_flange_tip)
+        off = [float(np.abs(arm - one.nominal.poses(SPREAD)).max()) for one in wanted]
+        if min(off) < CALIBRATED:
+            nearest = wanted[int(np.argmin(off))]
+            return nearest, _named_mount(robot, nearest, T_base_arm, T_flange_tip, arm)
+    chain = f"The robot '{robot.name}' from '{robot.base}' to '{robot.tip}'"
     if model is not None:
-        is_what = (
-            f"has those of the {' and the '.join(names)}"
-            if names
-            else "has those of no Universal Robots arm"
-        )
+        others = f"the {' and the '.join(names)}" if names else "no Universal Robots arm"
         raise ModelError(
-            f"The robot '{robot.name}' from '{robot.base}' to '{robot.tip}' has not the nominal kinematics of the "
-            f"{model.name}: it {is_what}. Name the arm that the URDF describes, or give the URDF of the {model.name}."
+            f"{chain} has not the nominal kinematics of the {model.name}: it has those of {others}. Name the arm that "
+            f"the URDF describes, or give the URDF of the {model.name}."
         )
     raise ModelError(
-        f"The robot '{robot.name}' from '{robot.base}' to '{robot.tip}' has the nominal kinematics of no Universal "
-        f"Robots arm that calib knows ({choices(NAMES, limit=40)}), nor their links' names. Give the arm's nominal "
-        "URDF, and a base and a tip with all six joints between them."
+        f"{chain} has the nominal kinematics of no Universal Robots arm that calib knows ({choices(NAMES, limit=40)}), "
+        "nor their links' names. Give the arm's nominal URDF, and a base and a tip with all six joints between them."
     )
 
 
@@ -174,10 +162,7 @@ def distance_from(chain: Array, arm: UrModel) -> float:
 
 
 def _beside_names(robot: Robot, T_base_arm: Array, T_flange_tip: Array) -> bool:
-    """Whether base or flange lie a little beside where the links' names have them.
-
-    The axes alone do not show an error of the first joint's zero or height, nor of the last one's.
-    """
+    """Whether base or flange lie a little beside where the links' names have them, which no axis shows."""
     for named_base, named_flange in _named_frames(robot):
         for T, named in ((T_base_arm, named_base), (T_flange_tip, named_flange)):
             off = np.abs(rigid_inverse(named) @ T - np.eye(4))
@@ -231,12 +216,7 @@ def _on_axis(T: Array, axis: Array, near: float = 0.0) -> Array:
 
 
 def _named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
-    """The controller's base in the robot's base and the robot's tip in the flange, as the links' names have them.
-
-    Yields:
-        T_base_arm and T_flange_tip, shape (4, 4) each, [m]: every pair that the names allow, the likeliest first: the
-        robot's own base and tip, where these are among the names.
-    """
+    """T_base_arm and T_flange_tip, every pair that the links' names allow, the robot's own base and tip first."""
     names = [joint.name for joint in robot.joints]
     prefix = names[0].removesuffix(JOINTS[0])
     if names != [prefix + joint for joint in JOINTS] or robot.joint_names != tuple(names):
@@ -258,11 +238,9 @@ def _named_frames(robot: Robot) -> Iterator[tuple[Array, Array]]:
 
 def _between(robot: Robot, base: str, tip: str) -> Robot | None:
     """The robot between two links, None unless there are both with the same joints between them."""
-    if base not in robot.urdf.links or tip not in robot.urdf.links:
-        return None
     try:
         other = robot.rebuilt(base=base, tip=tip)
-    except UrdfError:  # no joint between them
+    except UrdfError:  # no such link, or no joint between them
         return None
     same = [joint.name for joint in other.joints] == [joint.name for joint in robot.joints]
     return other if same and not other.base_moves else None

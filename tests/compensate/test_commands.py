@@ -34,7 +34,7 @@ def controller(
     return solve(Arm.of(nominal, tool), T_send, near, POSE, column_limits(nominal)).q
 
 
-@pytest.mark.parametrize("name", ["ur3", "panda"])
+@pytest.mark.parametrize("name", ["ur3", pytest.param("panda", marks=pytest.mark.slow)])
 def test_the_true_robot_arrives_by_joints_and_by_poses(name, request):
     nominal = request.getfixturevalue(name)
     true, tool = off(nominal), turned(5, 0.2)

@@ -219,7 +219,7 @@ def test_standard_rows_are_those_that_the_factory_wrote(case, tmp_path):
 def test_a_file_that_reads_back_as_another_robot_is_not_written(shop, tmp_path, monkeypatch):
     found = read_source(str(shop / "result.json"), Asked())
     nothing = SimpleNamespace(deltas=FullDH(*np.zeros((4, 6))))
-    monkeypatch.setattr(Conf, "parse", lambda *_: nothing)
+    monkeypatch.setattr(Conf, "read", lambda *_: nothing)
     with pytest.raises(ModelError, match=r"k\.conf: read back, .* 1e-09 is allowed"):
         write_target(found, Wanted(tmp_path / "k.conf", "ur-conf"))
     assert list(tmp_path.iterdir()) == []

@@ -14,7 +14,6 @@ from calib.formats.origins import (
     JointOrigin,
     Origins,
     origins_of,
-    parse_origins,
     parse_yaml,
     read_origins,
     write_origins,
@@ -96,7 +95,7 @@ triples = st.tuples(numbers, numbers, numbers)
 @given(st.dictionaries(names, st.builds(JointOrigin, triples, triples), min_size=1, max_size=3))
 def test_any_numbers_and_names_read_back(joints: dict[str, JointOrigin]):
     origins = Origins(tuple(joints.items()), "o.yaml")
-    assert parse_origins(origins.to_yaml(), "o.yaml") == origins
+    assert read_origins("o.yaml", origins.to_yaml()) == origins
 
 
 @pytest.mark.parametrize("name", ["yes", "null", "1.5", "a: b", "#", "it's", 'say "a"', "ü", "~"])

@@ -84,7 +84,7 @@ def test_what_an_editor_may_have_done_to_it(conf):
 
 
 def test_written_deltas_read_back_exactly():
-    back = Conf.parse(conf_bytes(DELTAS), "new.conf").deltas
+    back = Conf.read("new.conf", conf_bytes(DELTAS)).deltas
     for name in COLUMNS:
         assert (getattr(back, name) == getattr(DELTAS, name)).all()
 
@@ -101,7 +101,7 @@ def test_an_update_keeps_every_other_byte(conf):
     conf.write_bytes(CONF.replace("\n", "\r\n").encode() + b"name = caf\xe9\r\n")
     before = conf.read_bytes()
     after = Conf.read(conf).with_deltas(DELTAS)
-    back = Conf.parse(after, conf).deltas
+    back = Conf.read(conf, after).deltas
     for name in COLUMNS:
         assert (getattr(back, name) == getattr(DELTAS, name)).all()
     kept = [line for line in before.splitlines() if not line.startswith((b"delta_", b"   0.68"))]
