@@ -134,8 +134,7 @@ def workspace(
     from calib.cli.terminal import progress_bar
     from calib.cli.workspace_text import Checked, Found, text
     from calib.design.workspace import Density, sample_workspace
-    from calib.measure.ranges import joint_ranges
-    from calib.measure.row_points import predicted_points, read_rows, row_points
+    from calib.measure.ranges import joint_ranges, predicted_points, read_rows, row_points
     from calib.measure.table import Table
     from calib.model.robot import Robot
     from calib.show.figure_region import check_ending

@@ -178,11 +178,11 @@ class DHTables:
             replace(b, **{k: getattr(b, k) - getattr(a, k) for k in _NUMBERS})
             for a, b in zip(before.rows, after.rows, strict=True)
         )
-        ends = (
-            rigid_inverse(before.T_base_0) @ after.T_base_0,
-            rigid_inverse(before.T_n_tip) @ after.T_n_tip,
+        base, tool = (
+            read_only(rigid_inverse(a) @ b)
+            for a, b in ((before.T_base_0, after.T_base_0), (before.T_n_tip, after.T_n_tip))
         )
-        change = DHTable(rows, *map(read_only, ends), after.convention)
+        change = DHTable(rows, base, tool, after.convention)
         return [(BEFORE, before), (AFTER, after), (CHANGE, change)]
 
     def deviation(self, before: DHTable | None, after: DHTable) -> float:
