@@ -102,7 +102,7 @@ def test_as_few_poses_as_there_can_be_are_chosen_well(ur3, some, criterion):
     f = choose_poses(s, some, count=9, criterion=criterion, ladder=()).forecast
     assert f.rank == 27
     if criterion == "V":
-        assert f.rms < other.rms
+        assert f.rms <= other.rms  # it starts from that choice
     assert f.rms < 3.5 * SIGMA
 
 
