@@ -7,10 +7,9 @@ write them, whose names do: ``plane_1``, ``joint1_03``. A sweep is called ``plan
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,22 +17,16 @@ from numpy.typing import NDArray
 
 from calib.errors import MeasurementError, choices
 from calib.measure.layout import Layout
-from calib.measure.points_file import PARTS, Points, match_points, read_points
+from calib.measure.points_file import PARTS, Points, read_points
 from calib.measure.table import (
     ORIENTATION,
-    POINT,
-    Column,
-    Row,
     Table,
-    check_cells,
     close_names,
     list_columns,
     name_columns,
-    place,
     reserved,
-    with_unit,
 )
-from calib.measure.values import WrongUnits
+from calib.measure.values import Values
 from calib.model.robot import read_only
 
 Array = NDArray[np.float64]
@@ -137,7 +130,7 @@ def read_sweeps(
         raise MeasurementError(
             "No file of sweeps was given. Give a table, or a list of points (--points)."
         )
-    return _from_points(listed, tuple(joint_names or ()), words or {})
+    return _from_points(listed, _Names(tuple(joint_names or ()), words or {}))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,16 +143,12 @@ class _Names:
     def __post_init__(self) -> None:
         """Refuse words of the user's that stand for no sweep."""
         for word, wanted in self.words.items():
-            if self._meant(wanted) is None:
-                raise MeasurementError(self.refusal(f"--sweep maps '{word}'", wanted))
+            if self.number(wanted) is None:
+                raise self.refused(f"--sweep maps '{word}'", wanted)
 
     def number(self, word: str) -> int | None:
         """The joint that a word names, from 0; -1 for the plane; None for any other word."""
-        return self._meant(self.words.get(word, word))
-
-    def _meant(self, word: str) -> int | None:
-        """The same of a word that is no user's own."""
-        plain = word.strip()
+        plain = self.words.get(word, word).strip()
         if plain.casefold() == PLANE:
             return _PLANE_NUMBER
         if plain in self.joint_names:
@@ -169,32 +158,54 @@ class _Names:
             return None
         return int(match[1]) - 1
 
-    def refusal(self, where: str, word: str) -> str:
-        """What to say of a word that names no sweep."""
+    def refused(self, where: str, word: str) -> MeasurementError:
+        """The error of a word that names no sweep."""
         close = close_names(word, [PLANE, *self.joint_names])
         hint = f" Close to it: {choices(close)}." if close else ""
-        count = len(self.joint_names)
-        joints = f"a joint's name ({choices(self.joint_names)}), or " if count else ""
-        last = f" to 'joint {count}'" if count > 1 else ""
-        names = (
-            ""
-            if count
-            else " Joints go by their names where --robot or columns of joint values tell them."
-        )
-        return (
-            f"{where}: '{word}' is not a sweep; allowed are '{PLANE}', {joints}a joint's number, 'joint 1'{last}."
-            f'{hint}{names} Correct it, or map it: --sweep "{word}=joint 1".'
+        joints = f"a joint's name ({choices(self.joint_names)}), or " if self.joint_names else ""
+        return MeasurementError(
+            f"{where}: '{word}' is not a sweep; allowed are '{PLANE}', {joints}a joint's number, 'joint 1'.{hint} "
+            f'Correct it, or map it: --sweep "{word}=joint 1".'
         )
 
+    def split(
+        self,
+        found: Sequence[str],
+        points: Array,
+        rows: Sequence[int],
+        source: str,
+        counted: str,
+        sigma: Array | None = None,
+        joints: Array | None = None,
+    ) -> tuple[Sweep, ...]:
+        """The rows by the words found there, the plane first."""
+        numbers = np.array([self.number(word) for word in found])
+        sweeps = []
+        for number in sorted(set(numbers.tolist())):
+            at = np.flatnonzero(numbers == number).tolist()
+            plane = number == _PLANE_NUMBER
+            sweeps.append(
+                Sweep(
+                    None if plane else number,
+                    found[at[0]],
+                    read_only(points[at]),
+                    None if sigma is None else read_only(sigma[at]),
+                    None if joints is None or plane else read_only(joints[at]),
+                    tuple(rows[i] for i in at),
+                    source,
+                    counted,
+                )
+            )
+        return tuple(sweeps)
 
-def _from_points(points: Points, joint_names: tuple[str, ...], words: Mapping[str, str]) -> Sweeps:
+
+def _from_points(points: Points, names: _Names) -> Sweeps:
     """The sweeps of a list of points by their names."""
     if not points.names:
         raise MeasurementError(
             f"{points.source}: the points have no names, which would say what sweep they are of. Name them 'plane_1', "
             "'joint1_01' and so on, or give a table with a column 'sweep'."
         )
-    names = _Names(joint_names, words)
     found = []
     for name, line in zip(points.names, points.lines, strict=True):
         parts = [part.strip() for part in name.split(PARTS)]
@@ -204,10 +215,29 @@ def _from_points(points: Points, joint_names: tuple[str, ...], words: Mapping[st
         word = next((word for word in candidates if names.number(word) is not None), None)
         if word is None:
             where = f"{points.source}, line {line}: the point '{name}'"
-            raise MeasurementError(names.refusal(where, candidates[0] if candidates else name))
+            raise names.refused(where, candidates[0] if candidates else name)
         found.append(word)
-    sweeps = _split(names, found, points.points, None, None, points.lines, points.source, "line")
-    return Sweeps(sweeps, joint_names, points.source, points.sha256)
+    sweeps = names.split(found, points.points, points.lines, points.source, "line")
+    return Sweeps(sweeps, names.joint_names, points.source, points.sha256)
+
+
+@dataclass(frozen=True, slots=True)
+class _Filled(Table):
+    """A table in which rows of the plane have a zero where their joint values are left empty."""
+
+    sweep: int
+    joints: tuple[int, ...]
+    known: _Names
+
+    def blocks(self) -> Iterator[tuple[list[int], list[list[str]]]]:
+        """The data rows."""
+        for lines, block in Table.blocks(self):
+            for cells in block:
+                whole = len(cells) == len(self.header)
+                if whole and self.known.number(cells[self.sweep].strip()) == _PLANE_NUMBER:
+                    for k in self.joints:
+                        cells[k] = cells[k].strip() or "0"
+            yield lines, block
 
 
 def _from_table(
@@ -225,117 +255,33 @@ def _from_table(
             f"{table.source}: no column 'sweep', which says for each row what was measured: 'plane', or the joint that "
             f'turned. {list_columns(table)} Another name is mapped by --columns "name in the table=sweep".'
         )
-    joints = _joint_columns(table, named, joint_names)
-    xyz = () if points is not None else _point_columns(table, named)
-    sigma = (with_unit(table, named["sigma"], "length"),) if "sigma" in named else ()
-    none = dict.fromkeys(("orientation", "distance", "sigma_angle"), ())
-    blocks = {"joints": joints, "points": xyz, "sigma": sigma, **none}
-    layout = Layout({}, (), blocks, ("point",), ())
-    joint_names = tuple(joint_names) if joint_names is not None else layout.joint_names
-    names, numbers = _Names(joint_names, words), named.get("row")
-    grid, found, rows, labels, lines = [], [], [], [], []
-    for row in table.rows():
-        check_cells(table, row, numbers)
-        word = row.cells[sweep.index]
-        number = names.number(word)
-        if number is None:
-            raise MeasurementError(names.refusal(place(table, row, numbers, sweep), word))
-        free = joints if number == _PLANE_NUMBER else ()
-        grid.append([_number(table, row, c, numbers, free=c in free) for c in layout.numbers])
-        found.append(word)
-        lines.append(row.line)
-        rows.append(_row_number(row, numbers))
-        labels.append(row.cells[named["point"].index] if "point" in named else "")
-    if not grid:
-        raise MeasurementError(f"{table.source}: the table has a header and no rows below it")
-    values = np.array(grid, dtype=np.float64).reshape(len(grid), -1)
-    WrongUnits(table.source, layout, values, tuple(lines), tuple(rows)).check()
-    values = values * np.array([column.to_si for column in layout.numbers])
-    if points is None:
-        where, sha256 = values[:, layout.span("points")], table.sha256
-    else:
-        where = match_points(points, table.source, rows, labels if "point" in named else None)
-        sha256 = f"{table.sha256} + {points.sha256}"
-    noise = values[:, layout.span("sigma")[0]] if sigma else None
-    turned = values[:, layout.span("joints")] if joints else None
-    sweeps = _split(names, found, where, noise, turned, rows, table.source, "row")
+    taken = (*reserved(), *ORIENTATION)
+    angles = {n: c for n, c in named.items() if n not in taken and c.unit}
+    joint_names = tuple(
+        joint_names
+        if joint_names is not None
+        else (n for n, c in angles.items() if c.unit and c.unit.quantity == "angle")
+    )
+    there = joint_names if any(name in named for name in joint_names) else ()
+    types = dict.fromkeys(there, "revolute")
+    apart = points is not None
+    layout = Layout.find(table, there, types, columns, "point", points_elsewhere=apart)
+    layout = replace(layout, groups=(sweep,))
+    names = _Names(joint_names, words)
+    at = tuple(column.index for column in layout.blocks["joints"])
+    filled = _Filled(**asdict(table), sweep=sweep.index, joints=at, known=names)
+    values = Values.read(filled, layout, points)
+    for row, word in zip(values.rows, values.groups, strict=True):
+        if names.number(word) is None:
+            raise names.refused(f"{table.source}, row {row}, column '{sweep.label}'", word)
+    sha256 = table.sha256 if points is None else f"{table.sha256} + {points.sha256}"
+    sweeps = names.split(
+        values.groups,
+        values.points,
+        values.rows,
+        table.source,
+        "row",
+        values.sigma,
+        values.joints if there else None,
+    )
     return Sweeps(sweeps, joint_names, table.source, sha256)
-
-
-def _joint_columns(
-    table: Table, named: Mapping[str, Column], joint_names: Sequence[str] | None
-) -> tuple[Column, ...]:
-    """The columns of joint values: of all joints named, or of none."""
-    if joint_names is None:
-        taken = (*reserved(), *ORIENTATION)
-        return tuple(
-            c for n, c in named.items() if n not in taken and c.unit and c.unit.quantity == "angle"
-        )
-    there = [name for name in joint_names if name in named]
-    if there and len(there) < len(joint_names):
-        missing = [name for name in joint_names if name not in named]
-        raise MeasurementError(
-            f"{table.source}: there are columns for the joints {choices(there)} and none for {choices(missing)}. Give "
-            'the values of all joints of the chain, or of none (--columns "name=-" leaves a column out).'
-        )
-    return tuple(with_unit(table, named[n], "angle", f"revolute joint '{n}'") for n in there)
-
-
-def _point_columns(table: Table, named: Mapping[str, Column]) -> tuple[Column, ...]:
-    """The columns x, y, z."""
-    missing = [name for name in POINT if name not in named]
-    if missing:
-        raise MeasurementError(
-            f"{table.source}: no column for the measured point's {choices(missing)}. {list_columns(table)} The header "
-            f"of such a column is '{missing[0]} [mm]'; another name is mapped by --columns \"name in the "
-            f'table={missing[0]}".'
-        )
-    return tuple(with_unit(table, named[name], "length") for name in POINT)
-
-
-def _row_number(row: Row, numbers: Column | None) -> int:
-    """The row's number: the user's own, if it is one."""
-    text = "" if numbers is None else row.cells[numbers.index]
-    return int(text) if text.isdecimal() and len(text) < 19 else row.ordinal
-
-
-def _number(table: Table, row: Row, column: Column, numbers: Column | None, *, free: bool) -> float:
-    """The number in a cell; NaN for an empty one that need not be filled in."""
-    text = row.cells[column.index]
-    if text == "" and free:
-        return math.nan
-    try:
-        value = float(text.replace(",", ".") if table.separator == ";" else text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or "_" in text:
-        said = "the cell is empty" if text == "" else f"'{text}' is not a finite number"
-        raise MeasurementError(
-            f"{place(table, row, numbers, column)}: {said}. Correct it, or remove the row."
-        )
-    return value
-
-
-def _split(
-    names: _Names,
-    found: Sequence[str],
-    points: Array,
-    sigma: Array | None,
-    joints: Array | None,
-    rows: Sequence[int],
-    source: str,
-    counted: str,
-) -> tuple[Sweep, ...]:
-    """The rows by their sweeps, the plane first."""
-    numbers = [names.number(word) for word in found]
-    sweeps = []
-    for number in sorted({n for n in numbers if n is not None}):
-        at = [i for i, n in enumerate(numbers) if n == number]
-        joint = None if number == _PLANE_NUMBER else number
-        values = None if joints is None or joint is None else read_only(joints[at])
-        noise = None if sigma is None else read_only(sigma[at])
-        own = tuple(rows[i] for i in at)
-        sweeps.append(
-            Sweep(joint, found[at[0]], read_only(points[at]), noise, values, own, source, counted)
-        )
-    return tuple(sweeps)

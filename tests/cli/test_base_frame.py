@@ -177,7 +177,7 @@ def test_quiet_and_force(call, bench: Path):
         (("sweeps.csv", *ROBOT, "--carry", "swept.txt", "-o", "o.csv"), "swept.txt: "),
         (
             ("sweeps.csv", "--robot", "panda", "--cell-out", "f.toml"),
-            "sweeps.csv, line 22 (row 21), column",
+            "sweeps.csv, row 21, column",
         ),
     ],
 )
