@@ -129,13 +129,7 @@ def parse_ranges(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
                 'as "elbow_joint=-90..90 deg", and each joint once.'
             )
         low, high = f"{match[1]} {match[2] or match[4]}", f"{match[3]} {match[4]}"
-        pair = parse_joint_range((low, high), f'--range "{text}"')
-        if not pair[0] < pair[1]:
-            raise CalibError(
-                f'--range was given as "{text}", where {low} is not less than {high}. Give the least value first; hold '
-                "a joint that stays where it is (--hold)."
-            )
-        ranges[name] = pair
+        ranges[name] = parse_joint_range((low, high), f'--range "{text}"')
     return ranges
 
 

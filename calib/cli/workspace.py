@@ -145,10 +145,6 @@ def workspace(
         check_ending(picture)
     if margin and like is None:
         raise CalibError("--margin widens the ranges of a table; name the table with --like.")
-    if not 0.0 < share <= 1.0:
-        raise CalibError(
-            f"--share was given as {share:g}; it must be greater than 0 and at most 1, such as 0.95."
-        )
     box = None if within is None else parse_within(within)
     edge = None if voxel is None else parse_amount(voxel, "--voxel", "a length", "20 mm")
     setup = read_cell(cell, base=base, tip=tip, target=target, frame=frame, hold=hold)

@@ -126,12 +126,8 @@ def planning_ranges(
 ) -> Array:
     """Lowest and highest joint values to plan with, shape (m, 2), [rad] or [m].
 
-    Those of `calib.measure.ranges.joint_ranges`, less a margin to the URDF's limits.
-
-    Args:
-        robot: The robot.
-        narrowed: Ranges by joint.
-        margin: Distance to the URDF's limits [rad]; of sliding joints 5 mm, if it is not 0.
+    Those of `calib.measure.ranges.joint_ranges`, less a margin to the URDF's limits [rad]; of sliding joints 5 mm, if
+    the margin is not 0.
 
     Raises:
         CalibError: An unknown joint, a range that leaves the limits, or one of which the margin leaves nothing.

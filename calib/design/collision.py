@@ -101,13 +101,11 @@ class CollisionModel:
 
         Raises:
             UrdfError: A mesh cannot be found or read, or no link has geometry.
-            CalibError: A clearance that is none; a box with a link's name; a box that swallows the robot, or a plane
-                that its tip never leaves.
+            CalibError: A holder without a radius; a box with a link's name or that swallows the robot, or a plane that
+                its tip never leaves.
         """
         boxes, targets = checked_boxes(tuple(boxes)), targets or {}
-        if not is_number(clearance) or not clearance >= 0.0:
-            raise CalibError(f"The clearance is {clearance!r} m; it must be a number, 0 or more.")
-        if not is_number(holder_radius) or not holder_radius > 0.0:
+        if not holder_radius > 0.0:
             raise CalibError(
                 f"The holder's radius is {holder_radius!r} m; it must be a number above 0."
             )

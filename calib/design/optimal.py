@@ -242,14 +242,7 @@ class Basis:
     def of(
         cls, mean_information: Array, precision: Array, weight: Array | None, known: Array
     ) -> Basis:
-        """From the mean information of a candidate.
-
-        Args:
-            mean_information: shape (p, p), mean of A^T A over the pool.
-            precision: shape (p,), 1 / tau^2 of each parameter's prior, 0 for none.
-            weight: shape (p, p), W or B of the criterion; None for ``D``.
-            known: shape (p, p), information of poses that are measured already.
-        """
+        """From the mean A^T A of the pool, the priors' precision, W or B, and the information of poses taken."""
         scale = np.sqrt(np.diag(mean_information))
         # What moves nothing but for rounding is not scaled up: a target on an axis does not tell that joint's angle.
         moves = scale > _ROUNDING * scale.max()
@@ -275,16 +268,7 @@ def choose(blocks: Array, basis: Basis, count: int, seed: int, restarts: int = R
     """The best found design of ``count`` different candidates.
 
     Exchanges on a short list from several random starts; the best of these is then exchanged with all candidates.
-
-    Args:
-        blocks: shape (n, d, r), of the pool.
-        basis: What is known, and the criterion.
-        count: Poses to choose; at most n.
-        seed: The same seed makes the same choice.
-        restarts: Random starts.
-
-    Returns:
-        shape (count,), indices into the pool.
+    ``blocks``, shape (n, d, r), are the derivatives of the pool along the basis.
     """
     rng = np.random.default_rng(seed)
     short = short_list(blocks, basis, max(SHORT, count))
@@ -304,17 +288,10 @@ def choose(blocks: Array, basis: Basis, count: int, seed: int, restarts: int = R
 
 
 def grow(blocks: Array, basis: Basis, start: Indices, count: int) -> Indices:
-    """A design with more poses: the best is added until there are enough, then all are exchanged.
-
-    Args:
-        blocks: shape (n, d, r), of the pool.
-        basis: What is known, and the criterion.
-        start: Indices of a smaller design.
-        count: Poses wanted.
-    """
+    """A design with more poses: the best is added until there are enough, then all are exchanged."""
     chosen = start.tolist()
     while len(chosen) < count:
-        C = np.linalg.inv(_information(blocks, basis, chosen))
+        C = np.linalg.inv(basis.known + information(blocks[chosen]))
         gain = _gains(blocks, C, basis.target)
         gain[chosen] = -1.0
         chosen.append(int(np.argmax(gain)))
@@ -322,26 +299,17 @@ def grow(blocks: Array, basis: Basis, start: Indices, count: int) -> Indices:
 
 
 def exchange(blocks: Array, basis: Basis, start: Indices) -> tuple[Indices, float]:
-    """Exchange each pose of a design for the best candidate until nothing gets better.
-
-    Args:
-        blocks: shape (n, d, r), of the pool.
-        basis: What is known, and the criterion.
-        start: Indices of the first design, all different.
-
-    Returns:
-        The design's indices, and its cost: -log det M, or tr(W C).
-    """
+    """Exchange each pose of a design for the best candidate until nothing gets better; also its cost."""
     chosen = start.tolist()
-    least = _cost(_information(blocks, basis, chosen), basis)
+    least = _cost(basis.known + information(blocks[chosen]), basis)
     k, unchanged = 0, 0
     while unchanged < len(chosen):
         others = chosen[:k] + chosen[k + 1 :]
-        C = np.linalg.inv(_information(blocks, basis, others))
+        C = np.linalg.inv(basis.known + information(blocks[others]))
         gain = _gains(blocks, C, basis.target)
         gain[others] = -1.0
         trial = [*chosen[:k], int(np.argmax(gain)), *chosen[k + 1 :]]
-        cost = _cost(_information(blocks, basis, trial), basis)
+        cost = _cost(basis.known + information(blocks[trial]), basis)
         # By the cost, not the gain: without one of few poses little is known, and rounding would go in circles.
         if cost < least - _LEAST_GAIN * (1.0 if basis.target is None else abs(least)):
             chosen, least, unchanged = trial, cost, 0
@@ -356,20 +324,12 @@ def short_list(blocks: Array, basis: Basis, count: int) -> Indices:
 
     The multiplicative algorithm (S. Silvey, D. Titterington, B. Torsney, 1978) moves the weights of candidates
     towards the optimal ones, w_i <- w_i s_i / mean(s); there, s is largest on the support.
-
-    Args:
-        blocks: shape (n, d, r), of the pool.
-        basis: What is known, and the criterion.
-        count: Length of the list.
     """
-    n, _, r = blocks.shape
+    n, rows, r = blocks.shape
     if n <= count:
         return np.arange(n)
-    flat = blocks.reshape(-1, r)
-    rows = blocks.shape[1]
-    weights = np.full(n, 1.0 / n)
-    power = 1.0 if basis.target is None else 0.5
-    s = weights
+    flat, power = blocks.reshape(-1, r), 1.0 if basis.target is None else 0.5
+    s = weights = np.full(n, 1.0 / n)
     for _ in range(_RANKING_STEPS):
         information = (flat * np.repeat(weights, rows)[:, None]).T @ flat
         C = np.linalg.inv(information + _LEASH * np.eye(r))
@@ -383,11 +343,6 @@ def short_list(blocks: Array, basis: Basis, count: int) -> Indices:
         weights = weights * (s / (weights @ s)) ** power
         weights /= weights.sum()
     return np.sort(np.argsort(-s, kind="stable")[:count])
-
-
-def _information(blocks: Array, basis: Basis, chosen: Sequence[int]) -> Array:
-    """M of a design in the basis, shape (r, r)."""
-    return basis.known + information(blocks[list(chosen)])
 
 
 def _gains(blocks: Array, C: NDArray[np.floating[Any]], target: Array | None) -> Array:

@@ -125,12 +125,7 @@ def read_taken(path: str | Path, robot: Robot, columns: Mapping[str, str] | None
     """The poses of a table that a fit would estimate from: those measured, of the set ``estimate``.
 
     A table in which nothing is measured, such as a plan or a list of poses, counts whole: it is still to be driven.
-    Rows that measure several targets at one pose are one pose.
-
-    Args:
-        path: A plan or a table of measurements; the joint values and which cells are empty are all that is read.
-        robot: The robot.
-        columns: Names of the table to names of calib, see `Measurements.read`.
+    Rows that measure several targets at one pose are one pose. ``columns`` is as in `Measurements.read`.
 
     Raises:
         MeasurementError: The table cannot be read, or lacks a joint.
@@ -179,12 +174,7 @@ def read_pose_list(
 ) -> tuple[Array, tuple[str, ...]]:
     """The poses of a table, and the set of each; what was measured there is not read, and may be missing.
 
-    Rows that measure several targets at one pose are one pose.
-
-    Args:
-        path: CSV with a column for each of ``robot.joint_names``, and a column ``set`` if there is one.
-        robot: The robot.
-        columns: Names of the table to names of calib, see `Measurements.read`.
+    Rows that measure several targets at one pose are one pose. ``columns`` is as in `Measurements.read`.
 
     Returns:
         shape (N, m), [rad] or [m], read-only; and N words, ``"estimate"`` or ``"validate"``.

@@ -172,18 +172,13 @@ class Density:
         """The fewest voxels that hold a share of the samples: those of the highest density first.
 
         Raises:
-            CalibError: The share is not greater than 0 and at most 1, or a single voxel holds more than it.
+            CalibError: The share is not greater than 0 and at most 1.
         """
         if not 0.0 < share <= 1.0:
             raise CalibError(
                 f"The share is {share:g}; it must be greater than 0 and at most 1, such as 0.95."
             )
         order, held = self._by_density()
-        if share < held[0] < 1.0:
-            raise CalibError(
-                f"The share is {share:g}, and the densest voxel of {1e3 * self.voxel:g} mm alone holds {held[0]:.2g}: "
-                "the region would be empty. Give a larger share, or smaller voxels with more samples."
-            )
         # Sums of counts are exact, so that 0.95 of 100 samples is 95 of them.
         last = int(np.searchsorted(held, share * (1.0 - 1e-12)))
         cells = np.zeros(self.counts.size, dtype=np.bool_)

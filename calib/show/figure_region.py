@@ -35,13 +35,7 @@ _PALE, _GREY = "#9aa7b4", "#4a5866"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marked:
-    """Points of a table.
-
-    Attributes:
-        points: shape (N, 3), in the base frame [m].
-        rows: Their row numbers.
-        validation: shape (N,), whether a row is held back to validate with.
-    """
+    """Points of a table, shape (N, 3), in the base frame [m], their row numbers, and which are to validate."""
 
     points: Array
     rows: tuple[int, ...]
@@ -182,15 +176,9 @@ def _panel(
 
 
 def outline(inside: Mask, low: Array, step: float) -> Array:
-    """The edges between the cells of a plane grid that are inside and those that are not.
+    """Start and end, shape (K, 2, 2), of each edge between cells of a plane grid inside and those that are not.
 
-    Args:
-        inside: shape (n, m).
-        low: shape (2,), the grid's least corner.
-        step: Edge of a cell.
-
-    Returns:
-        shape (K, 2, 2): start and end of each edge.
+    ``low``, shape (2,), is the grid's least corner, ``step`` the edge of a cell.
     """
     padded = np.pad(inside, 1)
     along = np.argwhere(padded[1:, :] != padded[:-1, :])  # edges in the second direction
