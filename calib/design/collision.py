@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -36,7 +37,6 @@ from calib.measure.surroundings import Box, Reflector, Tracker, checked_boxes
 from calib.model.chain import full_configurations, full_model, link_frame
 from calib.model.readback import spread_poses
 from calib.model.robot import Robot
-from calib.units import is_number
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -114,8 +114,8 @@ class CollisionModel:
             raise CalibError(
                 f"A box has the name of a link of the robot: {choices(same)}. Give it another one."
             )
-        parts, from_visuals, unchecked = read_solids(robot.urdf, package_dirs)
-        links = list(parts)
+        links, from_visuals, unchecked = read_solids(robot.urdf, package_dirs)
+        parts = list(links)
         for name, place in targets.items():
             T, half = rod(np.zeros(3), np.asarray(place, dtype=np.float64))
             holder = hppfcl.Capsule(holder_radius, 2.0 * half)
@@ -238,14 +238,10 @@ class CollisionModel:
         return full_configurations(self._scene.model, self.robot.urdf_values(q))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """What the tracker sees at N poses; each is shape (N,), True where the target is seen.
+class Sight(NamedTuple):
+    """Whether the target is within the tracker's range, faces it, and has nothing in the beam, shape (N,) each.
 
-    Attributes:
-        range: Not too near and not too far.
-        cone: The tracker stands inside the reflector's cone.
-        beam: Nothing stands in the beam; True too where range or cone refuse the pose, for it is not looked at there.
+    The beam is not looked at, and True, where range or cone refuse the pose.
     """
 
     range: Mask

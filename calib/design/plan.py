@@ -93,11 +93,7 @@ class Plan:
     notes: tuple[str, ...]
 
     def places(self, q: Array) -> Array:
-        """Where the nominal robot puts each target in the base, shape (N, targets, 3), [m].
-
-        Args:
-            q: shape (N, m), joint values, [rad] or [m].
-        """
+        """Where the nominal robot puts each target in the base at q, shape (N, m); shape (N, targets, 3), [m]."""
         poses = self.robot.poses(q)[:, None] @ self.T_tip_target
         return np.asarray(poses[:, :, :3, 3])
 
@@ -180,8 +176,8 @@ def plan(
             holder_radius=holder_radius,
             floor=floor,
         )
-    if body is not None and cell.tracker is not None:
-        check_outside(cell.tracker, cell.boxes)
+        if cell.tracker is not None:
+            check_outside(cell.tracker, cell.boxes)
 
     def part(what: str) -> Callable[[int, int], None] | None:
         return None if progress is None else partial(progress, what)
@@ -280,9 +276,8 @@ def _conditions(
 
         conditions.append(Condition("out of the tracker's range", lambda q: seen(q, "range")))
         if cell.reflector is not None:
-            conditions.append(
-                Condition("with the reflector turned away", lambda q: seen(q, "cone"))
-            )
+            away = "with the reflector turned away"
+            conditions.append(Condition(away, lambda q: seen(q, "cone")))
         # A beam is one rod against all links; they among themselves take ten times as long.
         if body is not None:
             conditions.append(Condition("with something in the beam", lambda q: seen(q, "beam")))

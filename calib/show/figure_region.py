@@ -35,7 +35,7 @@ _PALE, _GREY = "#9aa7b4", "#4a5866"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marked:
-    """Points of a table, shape (N, 3), in the base frame [m], their row numbers, and which are to validate."""
+    """Points of a table, shape (N, 3), in the base [m], their row numbers, and which are to validate with."""
 
     points: Array
     rows: tuple[int, ...]
