@@ -106,25 +106,16 @@ def calibrate(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fits:
-    """What `calibrate` makes its result of.
+    """What `calibrate` makes its result of."""
 
-    Attributes:
-        fitted: The fit of the geometry.
-        larger: That of the larger model, if there is one.
-        candidates: The ladder they were chosen from; empty for a model that was named.
-        every: All rows of the table.
-        rows: Those that were fitted.
-        hint: What set-up would explain the measurements far better, if one does.
-        seconds: How long the fits took.
-    """
-
-    fitted: Fitted
-    larger: Fitted | None
+    fitted: Fitted  # The fit of the geometry
+    larger: Fitted | None  # That of the larger model, if there is one
+    # The ladder they were chosen from; empty for a model that was named
     candidates: tuple[Candidate, ...]
-    every: Rows
-    rows: Rows
-    hint: Reason | None
-    seconds: float
+    every: Rows  # All rows of the table
+    rows: Rows  # Those that were fitted
+    hint: Reason | None  # What set-up would explain the measurements far better, if one does
+    seconds: float  # How long the fits took
 
 
 @one_blas_thread()

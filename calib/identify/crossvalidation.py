@@ -53,24 +53,14 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Folds:
-    """Which rows are left out together.
+    """Which rows are left out together."""
 
-    Attributes:
-        method: What it is called.
-        masks: Of the rows left out, each of shape (N,).
-    """
-
-    method: str
-    masks: tuple[Mask, ...]
+    method: str  # What it is called
+    masks: tuple[Mask, ...]  # Of the rows left out, each of shape (N,)
 
 
 def folds(poses: NDArray[np.int_], setups: NDArray[np.int_] | None = None) -> Folds:
-    """Which rows are left out together: a whole set-up, or all of one pose, or every tenth pose where there are many.
-
-    Args:
-        poses: shape (N,), the pose of each row, see `same_poses`; some of the numbers may be missing.
-        setups: shape (N,), the set-up of each row; from three on, each is left out in turn.
-    """
+    """Which rows are left out together: whole set-ups, or all of one pose, or every tenth pose where there are many."""
     if setups is not None and len(np.unique(setups)) >= _FEWEST_SETUPS:
         names = np.unique(setups)
         size = -(
@@ -125,13 +115,6 @@ def cross_validation(
     beginning, but for registration and kinematics, and the robot itself predicts its rows. Where the robot is not the
     linearised one there, with the paper's solver, at bounds and with few rows, it is fitted from the beginning.
 
-    Args:
-        task: What to fit.
-        rows: All rows.
-        outliers: shape (N,), flagged by the fit to all rows.
-        progress: Called after each fit.
-        fitted: The fit to all rows; None to fit each fold from the beginning.
-
     Raises:
         MeasurementError: Too few rows to leave any out.
     """
@@ -182,16 +165,7 @@ def _refitted(task: Task, kept: Rows, every: int) -> Fitted:
 def _left_over(
     T_base_tip: Array, placed: Setup, rows: Rows, mask: Mask, seen: Mask, outliers: Mask
 ) -> Array:
-    """Measured minus predicted of left-out rows; frames and targets that only they see are registered to them.
-
-    Args:
-        T_base_tip: shape (n, 4, 4), at the rows left out.
-        placed: Frames and targets of the fit without them.
-        rows: All rows.
-        mask: shape (N,), those left out.
-        seen: shape (N,), those that the fit saw.
-        outliers: shape (N,), rows that are not registered to.
-    """
+    """Measured minus predicted of left-out rows; frames and targets that only they see are registered to them."""
     left, samples = rows.select(mask), rows.samples
     frames = np.isin(np.arange(len(placed.groups)), samples.frame[seen])
     targets = np.isin(np.arange(len(placed.targets)), samples.target[seen])
@@ -288,10 +262,6 @@ def linear_cross_validation(fitted: Fitted, outliers: Mask | None = None) -> Cro
     """Cross-validation on the linearised problem, with the sizes, the noise and the weights of the fit to all rows.
 
     No fit is repeated: without the fold the normal equations lack its rows. For comparing candidates.
-
-    Args:
-        fitted: The fit to all rows.
-        outliers: shape (N,), rows that errors are also told without; None for those that this fit flags.
     """
     task, problem, estimate = fitted.task, fitted.estimate.problem, fitted.estimate
     rows, model = problem.rows, fitted.kinematics.model
@@ -330,12 +300,6 @@ def fold_fits(
 
     Each fold goes through the same stages as a fit from the beginning (`calib.identify.estimate.staged`): weights by
     medians, then noise and sizes by restricted likelihood. Registration and kinematics are not repeated.
-
-    Args:
-        fitted: The fit to all rows.
-        holds: Its priors.
-        linear: Its problem, linearised at the solution.
-        masks: The rows left out, each of shape (N,).
 
     Returns:
         The parameters, counted from where those of the fit to all rows are, shape (F, p); and the degrees of freedom of

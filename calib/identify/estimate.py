@@ -53,35 +53,20 @@ ROUNDS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """The result of `estimate`.
+    """The result of `estimate`."""
 
-    Attributes:
-        x: shape (p,), offsets from the registered start [m, rad, ...].
-        problem: The problem in its last form: weights, scales and prior precision as found.
-        solution: The solver's, all stages one after the other.
-        covariance: shape (p, p), of x.
-        scores: shape (N,), how far each row lies from what the others predict.
-        flag_limit: The score above which a row is named as an outlier.
-        freedom: Degrees of freedom left for the noise.
-        noise: Found noise of each instrument over the one given.
-        sizes: Size of the errors of each family; empty without priors.
-        weights: shape (N,), robust weights, repeats not shared out.
-        log_likelihood: The restricted one, at these sizes.
-        at_bound: Parameters that stand at a bound.
-    """
-
-    x: Array
-    problem: Problem
-    solution: Solution
-    covariance: Array
-    scores: Array
-    flag_limit: float
-    freedom: float
-    noise: tuple[float, ...]
-    sizes: Mapping[str, float]
-    weights: Array
-    log_likelihood: float
-    at_bound: tuple[int, ...] = ()
+    x: Array  # shape (p,), offsets from the registered start [m, rad, ...]
+    problem: Problem  # The problem in its last form: weights, scales and prior precision as found
+    solution: Solution  # The solver's, all stages one after the other
+    covariance: Array  # shape (p, p), of x
+    scores: Array  # shape (N,), how far each row lies from what the others predict
+    flag_limit: float  # The score above which a row is named as an outlier
+    freedom: float  # Degrees of freedom left for the noise
+    noise: tuple[float, ...]  # Found noise of each instrument over the one given
+    sizes: Mapping[str, float]  # Size of the errors of each family; empty without priors
+    weights: Array  # shape (N,), robust weights, repeats not shared out
+    log_likelihood: float  # The restricted one, at these sizes
+    at_bound: tuple[int, ...] = ()  # Parameters that stand at a bound
 
     @property
     def outliers(self) -> NDArray[np.bool_]:
@@ -212,13 +197,6 @@ def staged(
 ) -> tuple[Stage, Array]:
     """Weights, noise and sizes from the first stage on, until they settle, for each fit of the stage.
 
-    Args:
-        stage: `Stage.first`.
-        linear_at: The problem linearised at the solution with a stage's weights and sizes.
-        poses: shape (N,), the pose of each row.
-        repeats: What repeats of a pose count for.
-        robust: Whether rows may lose their weight.
-
     Returns:
         The last stage, and the degrees of freedom of the first fit, shape (B,): where they are few no row loses its
         weight.
@@ -256,10 +234,6 @@ def plain_estimate(problem: Problem, solution: Solution) -> Estimate:
     It minimises the sum of |r_i|^4. For normal noise in three coordinates that spreads the parameters by 7/5 of least
     squares' covariance: the second derivative is 10 sigma^2 J^T J in the mean and the gradient's covariance
     140 sigma^6 J^T J; so the squares left over are sigma^2 (3 N - 3/5 rank) in the mean.
-
-    Args:
-        problem: With weights of 1 and no prior.
-        solution: Where that solver stopped, x in [m, rad].
     """
     linear = problem.linear(solution.x)
     holds = Holds.of(problem.kinematics.model, Priors("off"))

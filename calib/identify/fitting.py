@@ -36,44 +36,29 @@ PAPER = "paper"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """What is fitted, but for the rows.
+    """What is fitted, but for the rows."""
 
-    Attributes:
-        robot: The nominal robot.
-        cell: What is known, and how to estimate.
-        setup: Frames and targets as given.
-        model: Name of the parameter set and families, or the robot's own parameters themselves.
-        distances: Known distances between set-ups.
-        solver: A name of `calib.identify.solvers.SOLVERS`, `PAPER`, or a solver itself.
-        robust: Whether outliers lose their weight.
-        lenient: Whether the cell may name parameters that this model lacks, because it is one of several.
-    """
-
-    robot: Robot
-    cell: Cell
-    setup: Setup
+    robot: Robot  # The nominal robot
+    cell: Cell  # What is known, and how to estimate
+    setup: Setup  # Frames and targets as given
+    # Name of the parameter set and families, or the robot's own parameters themselves
     model: str | Sequence[Parameter]
-    distances: tuple[KnownDistance, ...] = ()
+    distances: tuple[KnownDistance, ...] = ()  # Known distances between set-ups
+    # A name of `calib.identify.solvers.SOLVERS`, `PAPER`, or a solver itself
     solver: str | Solver = "lm"
-    robust: bool = True
+    robust: bool = True  # Whether outliers lose their weight
+    # Whether the cell may name parameters that this model lacks, because it is one of several
     lenient: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """One fit: the registered start and the estimate from there.
+    """One fit: the registered start and the estimate from there."""
 
-    Attributes:
-        task: What was asked.
-        setup: Frames and targets at the start.
-        kinematics: Of the nominal robot with these.
-        estimate: The parameters from there, with their weights and sizes.
-    """
-
-    task: Task
-    setup: Setup
-    kinematics: Kinematics
-    estimate: Estimate
+    task: Task  # What was asked
+    setup: Setup  # Frames and targets at the start
+    kinematics: Kinematics  # Of the nominal robot with these
+    estimate: Estimate  # The parameters from there, with their weights and sizes
 
     def placed(self) -> Setup:
         """Frames and targets at the solution."""

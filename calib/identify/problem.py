@@ -42,26 +42,16 @@ _LENGTHS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """A calibration as numbers.
+    """A calibration as numbers."""
 
-    Attributes:
-        kinematics: The nominal robot under its error model.
-        rows: The measurements.
-        scales: shape (N, D), standard deviation of each scalar, [m] and [rad].
-        weights: shape (N,), of the rows, between 0 and 1.
-        precision: shape (p,), 1 / tau_k^2; 0 for a parameter without prior.
-        centre: shape (p,), the priors' means.
-        distances: Known distances between frames.
-        smallest: Smallest noise believed of each instrument, in units of its sigma as given.
-    """
-
-    kinematics: Kinematics
-    rows: Rows
-    scales: Array
-    weights: Array
-    precision: Array
-    centre: Array
-    distances: tuple[KnownDistance, ...]
+    kinematics: Kinematics  # The nominal robot under its error model
+    rows: Rows  # The measurements
+    scales: Array  # shape (N, D), standard deviation of each scalar, [m] and [rad]
+    weights: Array  # shape (N,), of the rows, between 0 and 1
+    precision: Array  # shape (p,), 1 / tau_k^2; 0 for a parameter without prior
+    centre: Array  # shape (p,), the priors' means
+    distances: tuple[KnownDistance, ...]  # Known distances between frames
+    # Smallest noise believed of each instrument, in units of its sigma as given
     smallest: tuple[float, ...]
     _last: list[Linear] = field(default_factory=list, repr=False)
 
@@ -227,24 +217,16 @@ class Linear:
     """The problem linearised at x: the residual at x + s is r - A s, in units of each scalar's sigma as given.
 
     It is fitted with several sets of weights at a time, see `calib.identify.variance`: B of them.
-
-    Attributes:
-        x: shape (p,).
-        columns: shape (p + 1, D, N), A and behind it r; samples last, as `calib.model.kernel` has them.
-        used: shape (N, D), which scalars there are.
-        instruments: shape (N, D), which noise each has; -1 for none.
-        smallest: Smallest noise believed of each instrument, in units of its sigma.
-        C: shape (K, p), of the known distances, whitened.
-        z: shape (K,), what C x should be.
     """
 
-    x: Array
+    x: Array  # shape (p,)
+    # shape (p + 1, D, N), A and behind it r; samples last, as `calib.model.kernel` has them
     columns: Array
-    used: Mask
-    instruments: NDArray[np.int8]
-    smallest: tuple[float, ...]
-    C: Array
-    z: Array
+    used: Mask  # shape (N, D), which scalars there are
+    instruments: NDArray[np.int8]  # shape (N, D), which noise each has; -1 for none
+    smallest: tuple[float, ...]  # Smallest noise believed of each instrument, in units of its sigma
+    C: Array  # shape (K, p), of the known distances, whitened
+    z: Array  # shape (K,), what C x should be
     _parts: tuple[tuple[slice, Array | None], ...] = field(init=False, repr=False)
     _told: list[tuple[Array, Linearised]] = field(init=False, repr=False)
 

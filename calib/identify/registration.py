@@ -56,12 +56,6 @@ def register(robot: Robot, setup: Setup, rows: Rows, *, tolerance: float = 1e-12
 
     What is not to be estimated stays as given, and so does what no row sees.
 
-    Args:
-        robot: The nominal robot.
-        setup: What is known.
-        rows: The rows.
-        tolerance: See `calib.identify.solvers.levenberg_marquardt`.
-
     Raises:
         MeasurementError: Too few rows to find what is asked for.
     """
@@ -115,11 +109,6 @@ def nominal_setup(T_base_tip: Array, setup: Setup, rows: Rows) -> Setup:
 
     Rows that lie far from the others take no part: one gross row would move target and frame, and with them the errors
     of the nominal robot on every other row.
-
-    Args:
-        T_base_tip: shape (N, 4, 4), poses of the nominal robot [m].
-        setup: What is known.
-        rows: N rows.
 
     Raises:
         MeasurementError: Too few rows to find what was not given.
@@ -271,11 +260,6 @@ def linear_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Ar
     It does where each frame's rotation is known, every row measures a position in it, and the targets' rotations do not
     matter: R_f (R_i t + p_i) + s_f = m_i.
 
-    Args:
-        setup: What is known.
-        T_base_tip: shape (N, 4, 4), of the nominal robot [m].
-        rows: The rows.
-
     Returns:
         T_frame_base, shape (F, 4, 4), and T_tip_target, shape (T, 4, 4), [m].
     """
@@ -372,12 +356,7 @@ def _with_unknown(setup: Setup, unknown: tuple[tuple[str, ...], ...]) -> Setup:
 
 
 def best_fit(points: Array, seen: Array) -> Array:
-    """The pose that carries points to where they were seen best (W. Kabsch, 1976), shape (4, 4), [m].
-
-    Args:
-        points: shape (N, 3).
-        seen: shape (N, 3).
-    """
+    """The pose that carries points to where they were seen best (W. Kabsch, 1976), shape (4, 4), [m]."""
     centre, middle = points.mean(axis=0), seen.mean(axis=0)
     T = np.eye(4)
     T[:3, :3] = _nearest_rotation((seen - middle).T @ (points - centre))
@@ -410,15 +389,7 @@ def _both_rotations(R_i: Array, M_i: Array) -> tuple[Array, Array]:
 def turned_targets(
     setup: Setup, T_frame_base: Array, T_tip_target: Array, T_base_tip: Array, rows: Rows
 ) -> Array:
-    """The targets with the mean rotation that their poses were seen with, shape (T, 4, 4).
-
-    Args:
-        setup: What is unknown.
-        T_frame_base: shape (F, 4, 4), [m].
-        T_tip_target: shape (T, 4, 4), [m].
-        T_base_tip: shape (N, 4, 4), of the nominal robot [m].
-        rows: The rows.
-    """
+    """The targets with the mean rotation that their poses were seen with, shape (T, 4, 4)."""
     result: Array = T_tip_target.copy()
     R_frame_tip = T_frame_base[rows.samples.frame][:, :3, :3] @ T_base_tip[:, :3, :3]
     oriented = rows.where(lambda kind: kind.orientation)

@@ -188,12 +188,7 @@ _STEP = 1e-4
 
 
 def fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool]:
-    """The parameters of one sample, and whether its fit converged.
-
-    Args:
-        fitted: The fit.
-        drawn: How often each row counts, and standard normal numbers for the priors and the known distances.
-    """
+    """The parameters of one sample, and whether its fit converged."""
     problem, start = fitted.estimate.problem, fitted.estimate.x
     count, normal = drawn
     held = problem.precision > 1.0 / _LEASH**2

@@ -50,24 +50,14 @@ _POINT = 3
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Scores between which the weight falls from 1 to 0; of one table or of several, shape (B, 1).
+    """Scores between which the weight falls from 1 to 0; of one table or of several, shape (B, 1)."""
 
-    Attributes:
-        full: Below it a row counts in full.
-        flagged: Above it a row does not count and is named as an outlier.
-    """
-
-    full: Array
-    flagged: Array
+    full: Array  # Below it a row counts in full
+    flagged: Array  # Above it a row does not count and is named as an outlier
 
     @classmethod
     def of(cls, rows: ArrayLike, freedom: ArrayLike) -> Limits:
-        """The limits for a table.
-
-        Args:
-            rows: Number of rows.
-            freedom: Degrees of freedom that the noise was estimated with.
-        """
+        """The limits for a table."""
         freedom, clean = np.maximum(freedom, 1.0), 1.0 - _FALSE_ALARM / np.maximum(rows, 10)
         return cls(*(np.sqrt(3.0 * fdtri(3.0, freedom, p)) for p in (_FULL, clean)))
 
@@ -156,15 +146,7 @@ def _squares_by_eigenvalues(residual: Array, leverage: Array, weights: Array) ->
 def scores(
     residual: Array, jacobian: Array, covariance: Array, weights: Array, used: Mask
 ) -> Array:
-    """The score of each row of one fit, shape (N,): `deleted_norms` told as those of a point; 0 without scalars.
-
-    Args:
-        residual: shape (N, D), in units of each scalar's sigma.
-        jacobian: shape (N, D, p), likewise.
-        covariance: shape (p, p), of the parameters.
-        weights: shape (N,).
-        used: shape (N, D), which scalars there are.
-    """
+    """The score of each row of one fit, shape (N,): `deleted_norms` told as those of a point; 0 without scalars."""
     every = np.ones((1, *residual.shape))
     norms = deleted_norms(residual[None], jacobian, covariance[None], weights[None], every)[0]
     return as_of_a_point(norms, np.sum(used, axis=1))
@@ -189,13 +171,7 @@ def as_of_a_point(row_scores: Array, scalars: Integers) -> Array:
 
 
 def median_noise(row_scores: Array, used: Mask, kept: Mask | None = None) -> Array:
-    """The noise that makes the median score what it is for normal noise, shape (B,): outliers cannot move it.
-
-    Args:
-        row_scores: shape (B, N), norms in units of the sigma given.
-        used: shape (N, D), which scalars each row has.
-        kept: shape (B, N), the rows that count; None for all.
-    """
+    """The noise that makes the median score what it is for normal noise, shape (B,): outliers cannot move it."""
     scalars = np.sum(used, axis=1)
     typical = np.sqrt(chdtri(np.maximum(np.arange(used.shape[1] + 1), 1), 0.5))[scalars]
     there = np.broadcast_to(scalars > 0 if kept is None else kept & (scalars > 0), row_scores.shape)

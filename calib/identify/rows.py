@@ -24,30 +24,22 @@ _ANGLES = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """The rows of one fit.
+    """The rows of one fit."""
 
-    Attributes:
-        samples: Joint values, frame and target of each of N rows.
-        kinds: shape (N,), numbers of the kinds in the registry `calib.kinds`; `NONE` for the second row of a pair.
-        measured: shape (N, K), what was measured, as `calib.kinds.Kind` says; zero in columns that a row's kind lacks.
-        partner: shape (N,), the other row of a pair; -1 elsewhere.
-        sigma: shape (N,), standard deviation of one length as given or first assumed [m].
-        sigma_angle: shape (N,), of one angle [rad].
-        poses: shape (N,), rows of one number are repeats: one pose, one target, one frame.
-        blocks: shape (N,), rows of one number are left out together: one pose, and both rows of a pair.
-        width: Columns of a residual: 6 with angles, 3 with positions, else 1.
-        used: shape (N, width), which columns of each row hold a scalar.
-    """
-
-    samples: Samples
+    samples: Samples  # Joint values, frame and target of each of N rows
+    # shape (N,), numbers of the kinds in the registry `calib.kinds`; `NONE` for the second row of a pair
     kinds: NDArray[np.int_]
+    # shape (N, K), what was measured, as `calib.kinds.Kind` says; zero in columns that a row's kind lacks
     measured: Array
-    partner: NDArray[np.int_]
-    sigma: Array
-    sigma_angle: Array
+    partner: NDArray[np.int_]  # shape (N,), the other row of a pair; -1 elsewhere
+    sigma: Array  # shape (N,), standard deviation of one length as given or first assumed [m]
+    sigma_angle: Array  # shape (N,), of one angle [rad]
+    # shape (N,), rows of one number are repeats: one pose, one target, one frame
     poses: NDArray[np.int_]
+    # shape (N,), rows of one number are left out together: one pose, and both rows of a pair
     blocks: NDArray[np.int_]
-    width: int = field(init=False)
+    width: int = field(init=False)  # Columns of a residual: 6 with angles, 3 with positions, else 1
+    # shape (N, width), which columns of each row hold a scalar
     used: Mask = field(init=False, repr=False)
     _parts: tuple[_Part, ...] = field(init=False, repr=False)
     _instruments: tuple[NDArray[np.int8], NDArray[np.bool_]] = field(init=False, repr=False)
@@ -142,11 +134,7 @@ class Rows:
         )
 
     def residual(self, T_frame_target: Array) -> Array:
-        """Measured minus predicted, shape (N, width), [m] and [rad].
-
-        Args:
-            T_frame_target: shape (N, 4, 4), predicted [m].
-        """
+        """Measured minus predicted, shape (N, width), [m] and [rad]."""
         result = np.zeros((len(self), self.width))
         for part in self._parts:
             T = self._seen(part, T_frame_target)
@@ -155,13 +143,7 @@ class Rows:
         return result
 
     def derivative(self, T_frame_target: Array, twists: Array) -> Array:
-        """The derivative of what is predicted, minus that of the residual, shape (N, width, p).
-
-        Args:
-            T_frame_target: shape (N, 4, 4), [m].
-            twists: shape (N, 6, p), of the targets, linear then angular, along the frame's axes, see
-                `calib.model.kinematics.Kinematics.twists`; shape (N, 3, p) does where no kind measures an orientation.
-        """
+        """The derivative of what is predicted, minus that of the residual, shape (N, width, p)."""
         result = None
         for part in self._parts:
             measured = self.measured[part.rows, : part.kind.size]
@@ -192,17 +174,11 @@ class Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """The rows of one kind.
+    """The rows of one kind."""
 
-    Attributes:
-        kind: Of the rows.
-        rows: Which they are; a slice for all of them.
-        columns: Those of the residual that hold the kind's scalars.
-    """
-
-    kind: Kind
-    rows: NDArray[np.int_] | slice
-    columns: NDArray[np.int_]
+    kind: Kind  # Of the rows
+    rows: NDArray[np.int_] | slice  # Which they are; a slice for all of them
+    columns: NDArray[np.int_]  # Those of the residual that hold the kind's scalars
 
     @classmethod
     def of(cls, kind: Kind, mask: Mask) -> _Part:
@@ -220,10 +196,6 @@ def evenly(rows: Rows, most: int) -> Mask:
     """All rows, or about so many, the same share of each frame, target and kind, shape (N,); whole pairs.
 
     Which ones is drawn at random, always alike: tables have cycles, and every tenth row may be of one kind of pose.
-
-    Args:
-        rows: The rows.
-        most: How many; of each frame, target and kind at least a hundred, as long as these are not more than that.
     """
     if len(rows) <= most:
         return np.ones(len(rows), dtype=bool)

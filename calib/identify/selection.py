@@ -47,51 +47,31 @@ _NO_LOAD = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One model on the ladder.
+    """One model on the ladder."""
 
-    Attributes:
-        name: Its set and families.
-        parameters: Number of parameters.
-        log_likelihood: Restricted log likelihood.
-        cross_validation: Errors on left-out rows, on the linearised problem; of the rows that have a weight, where
-            errors are without outliers.
-        sizes: Size of the errors of each family.
-        chosen: ``"geometry"``, ``"larger"`` or ``""``.
-        needed: What it had to gain over a smaller one in log likelihood.
-    """
-
-    name: str
-    parameters: int
-    log_likelihood: float
+    name: str  # Its set and families
+    parameters: int  # Number of parameters
+    log_likelihood: float  # Restricted log likelihood
+    # Errors on left-out rows, on the linearised problem; of the rows that have a weight, where errors are without
+    # outliers
     cross_validation: CrossValidation
-    sizes: dict[str, float]
-    chosen: str = ""
-    needed: float = _STEP
+    sizes: dict[str, float]  # Size of the errors of each family
+    chosen: str = ""  # ``"geometry"``, ``"larger"`` or ``""``
+    needed: float = _STEP  # What it had to gain over a smaller one in log likelihood
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection:
-    """What `select` chose.
+    """What `select` chose."""
 
-    Attributes:
-        geometry: Name of the set that goes into the URDF.
-        larger: Name of the larger model; "" where the data support none.
-        candidates: All that were fitted, in order.
-        common: The fit that the weights are from, with weights of its own.
-    """
-
-    geometry: str
-    larger: str
-    candidates: tuple[Candidate, ...]
-    common: Fitted
+    geometry: str  # Name of the set that goes into the URDF
+    larger: str  # Name of the larger model; "" where the data support none
+    candidates: tuple[Candidate, ...]  # All that were fitted, in order
+    common: Fitted  # The fit that the weights are from, with weights of its own
 
 
 def select(task: Task, rows: Rows) -> Selection:
     """Choose geometry and larger model for some rows.
-
-    Args:
-        task: What to fit; its model does not matter.
-        rows: The rows.
 
     Raises:
         ModelError: The cell names a parameter that no model of the ladder has.

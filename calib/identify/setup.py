@@ -33,51 +33,32 @@ FIRST_SIGMA, FIRST_SIGMA_ANGLE = 1e-4, 1e-3
 
 @dataclass(frozen=True, slots=True)
 class KnownDistance:
-    """A known distance between the origins of two frames, such as two sockets on one bar.
+    """A known distance between the origins of two frames, such as two sockets on one bar."""
 
-    Attributes:
-        first: Number of a frame.
-        second: Number of the other.
-        length: Their distance [m].
-        sigma: Its standard deviation [m].
-    """
-
-    first: int
-    second: int
-    length: float
-    sigma: float
+    first: int  # Number of a frame
+    second: int  # Number of the other
+    length: float  # Their distance [m]
+    sigma: float  # Its standard deviation [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
-    """Frames and targets, by the number that rows refer to them with.
+    """Frames and targets, by the number that rows refer to them with."""
 
-    Attributes:
-        groups: Names of the set-ups; one frame each.
-        targets: Names of the targets.
-        T_frame_base: shape (F, 4, 4), pose of the base in each frame [m].
-        T_tip_target: shape (T, 4, 4), pose of each target in the tip [m].
-        unknown: For each frame the directions that are estimated.
-        frame_given: Whether the poses of the frames are the ones that were given; else they are to be found.
-        target_unknown: shape (T,), whether a target is estimated.
-        target_given: shape (T,), whether a target's place was given.
-        rotation: Whether targets are frames, because orientations were measured, or points.
-        own_axes: shape (F,), whether a frame's directions are its own axes; else they are the base's. A plane is known
-            along and about its own axes only.
-        oriented: Whether the targets' orientations are known, measured or given.
-    """
-
-    groups: tuple[str, ...]
-    targets: tuple[str, ...]
-    T_frame_base: Array
-    T_tip_target: Array
-    unknown: tuple[tuple[str, ...], ...]
+    groups: tuple[str, ...]  # Names of the set-ups; one frame each
+    targets: tuple[str, ...]  # Names of the targets
+    T_frame_base: Array  # shape (F, 4, 4), pose of the base in each frame [m]
+    T_tip_target: Array  # shape (T, 4, 4), pose of each target in the tip [m]
+    unknown: tuple[tuple[str, ...], ...]  # For each frame the directions that are estimated
+    # Whether the poses of the frames are the ones that were given; else they are to be found
     frame_given: NDArray[np.bool_]
-    target_unknown: NDArray[np.bool_]
-    target_given: NDArray[np.bool_]
-    rotation: bool
+    target_unknown: NDArray[np.bool_]  # shape (T,), whether a target is estimated
+    target_given: NDArray[np.bool_]  # shape (T,), whether a target's place was given
+    rotation: bool  # Whether targets are frames, because orientations were measured, or points
+    # shape (F,), whether a frame's directions are its own axes; else they are the base's. A plane is known along and
+    # about its own axes only
     own_axes: NDArray[np.bool_]
-    oriented: bool = False
+    oriented: bool = False  # Whether the targets' orientations are known, measured or given
 
     @property
     def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:
@@ -133,12 +114,7 @@ class Setup:
         return result
 
     def as_known(self, frames: NDArray[np.bool_], targets: NDArray[np.bool_]) -> Setup:
-        """The same, with some frames and targets taken for known.
-
-        Args:
-            frames: shape (F,), whether a frame is known where it stands.
-            targets: shape (T,), likewise.
-        """
+        """The same, with some frames and targets taken for known."""
         unknown = tuple(
             () if known else directions
             for known, directions in zip(frames, self.unknown, strict=True)
@@ -150,11 +126,6 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) ->
     """What a cell says of the frames and targets of a table.
 
     Sockets, planes and anchors are always unknown where the cell does not give their group's frame.
-
-    Args:
-        cell: The set-up.
-        measurements: The table.
-        kinds: shape (N,), of its rows.
 
     Raises:
         ModelError: The cell names a set-up or a target that the table lacks, or all of a frame stay unknown to it.
@@ -205,10 +176,6 @@ def along_own_axes(model: ErrorModel, setup: Setup) -> ErrorModel:
 
     A frame is displaced in the base, T_frame_base D: with the rotation R of T_frame_base the twist of a unit along one
     of its own axes e is R^T e.
-
-    Args:
-        model: With the set-up's frames.
-        setup: Frames where they start.
     """
     turned = {}
     for f, name in enumerate(setup.frame_unknowns):
@@ -221,10 +188,6 @@ def targets_along_tip(model: ErrorModel, setup: Setup) -> ErrorModel:
     """The model with the positions of targets along the tip's axes, in which they are given and told.
 
     A target is displaced in its own frame, T_tip_target D; its angles stay about its own axes.
-
-    Args:
-        model: With the set-up's targets.
-        setup: Targets where they start.
     """
     turned = {}
     for t, name in enumerate(setup.target_names):
@@ -235,13 +198,7 @@ def targets_along_tip(model: ErrorModel, setup: Setup) -> ErrorModel:
 
 
 def turned_at(model: ErrorModel, turned: Mapping[str, Array], units: tuple[str, ...]) -> ErrorModel:
-    """The model with the directions at some places turned, of parameters of these units.
-
-    Args:
-        model: The model.
-        turned: For each of these places a rotation, shape (3, 3).
-        units: Of the parameters that are meant.
-    """
+    """The model with the directions at some places turned, of parameters of these units."""
     if not turned:
         return model
 

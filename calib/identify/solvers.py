@@ -25,21 +25,14 @@ System = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True, slots=True)
 class Iteration:
-    """One trial step.
+    """One trial step."""
 
-    Attributes:
-        cost: E before the step.
-        mu: The damping that the step was computed with; 0 for SciPy, which has a trust region instead.
-        gain: Actual over predicted decrease of E; None where the solver does not tell.
-        step: Length of the step, in the solver's units.
-        accepted: Whether x moved.
-    """
-
-    cost: float
+    cost: float  # E before the step
+    # The damping that the step was computed with; 0 for SciPy, which has a trust region instead
     mu: float
-    gain: float | None
-    step: float
-    accepted: bool
+    gain: float | None  # Actual over predicted decrease of E; None where the solver does not tell
+    step: float  # Length of the step, in the solver's units
+    accepted: bool  # Whether x moved
 
 
 @dataclass(frozen=True, slots=True, eq=False)

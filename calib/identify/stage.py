@@ -48,32 +48,23 @@ _TELLING_REPEATS = 6.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Holds:
-    """What holds parameters besides the measurements: families with a size each, single priors, bounds.
+    """What holds parameters besides the measurements: families with a size each, single priors, bounds."""
 
-    Attributes:
-        names: The families' names.
-        families: shape (K, p), which parameters belong to each.
-        start: The sizes to begin with.
-        precision: shape (p,), of parameters with a prior of their own, and of frames and targets.
-        centre: shape (p,), the priors' means: 0 but for parameters at a bound, and for a target or frame that was said
-            to be elsewhere than where it was registered.
-        flat: shape (p,), frames and targets without a prior of their own: what holds them is none.
-        adapts: Whether the sizes are found from the data.
-        off: Whether there are no priors but the leash.
-        limits: shape (p, 2), lowest and highest value of each parameter; None without.
-        fixed: Parameters that stand at a bound.
-    """
-
-    names: tuple[str, ...]
-    families: Mask
-    start: tuple[float, ...]
+    names: tuple[str, ...]  # The families' names
+    families: Mask  # shape (K, p), which parameters belong to each
+    start: tuple[float, ...]  # The sizes to begin with
+    # shape (p,), of parameters with a prior of their own, and of frames and targets
     precision: Array
+    # shape (p,), the priors' means: 0 but for parameters at a bound, and for a target or frame that was said to be
+    # elsewhere than where it was registered
     centre: Array
+    # shape (p,), frames and targets without a prior of their own: what holds them is none
     flat: Mask
-    adapts: bool
-    off: bool
+    adapts: bool  # Whether the sizes are found from the data
+    off: bool  # Whether there are no priors but the leash
+    # shape (p, 2), lowest and highest value of each parameter; None without
     limits: Array | None = None
-    fixed: tuple[int, ...] = ()
+    fixed: tuple[int, ...] = ()  # Parameters that stand at a bound
 
     @classmethod
     def of(
@@ -83,14 +74,7 @@ class Holds:
         single: Mapping[str, float] | None = None,
         nominal: Array | None = None,
     ) -> Holds:
-        """From the cell's priors.
-
-        Args:
-            model: The error model.
-            priors: Sizes by family.
-            single: Standard deviations of single parameters, by name.
-            nominal: shape (p,), where each parameter's change is 0; None: where x is.
-        """
+        """From the cell's priors."""
         single = single or {}
         placed = model.family(FRAME, TARGET)
         std = np.array([single.get(name, np.nan) for name in model.names])
@@ -115,13 +99,6 @@ class Holds:
 
         A change counts from the nominal value. That of a target or a frame is where the cell says it is, which is not
         where registration puts it and where the estimation starts.
-
-        Args:
-            cell: With priors and bounds.
-            model: The parameters.
-            given: Frames and targets as given.
-            started: As registered, where x = 0.
-            lenient: Whether the cell may name parameters that this model lacks.
 
         Raises:
             ModelError: A bound or a prior for a parameter that the model lacks, or for that of a target or frame that
@@ -196,23 +173,14 @@ def _nominal(given: Setup, started: Setup, model: ErrorModel, asked: set[int]) -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
-    """Weights, noise and prior sizes at one time of an estimation, or of B at a time that lack some rows each.
+    """Weights, noise and prior sizes at one time of an estimation, or of B at a time that lack some rows each."""
 
-    Attributes:
-        holds: What holds the parameters.
-        kept: shape (B, N), the rows that each has.
-        weights: shape (B, N), robust weights; 0 for rows that are not there.
-        share: shape (B, N), what a row counts for beside its repeats.
-        noise: shape (B, C), of each instrument, in units of the sigma given.
-        sizes: shape (B, K), of each family.
-    """
-
-    holds: Holds
-    kept: Mask
-    weights: Array
-    share: Array
-    noise: Array
-    sizes: Array
+    holds: Holds  # What holds the parameters
+    kept: Mask  # shape (B, N), the rows that each has
+    weights: Array  # shape (B, N), robust weights; 0 for rows that are not there
+    share: Array  # shape (B, N), what a row counts for beside its repeats
+    noise: Array  # shape (B, C), of each instrument, in units of the sigma given
+    sizes: Array  # shape (B, K), of each family
 
     @classmethod
     def first(

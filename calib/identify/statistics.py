@@ -60,10 +60,6 @@ class Errors:
     def of(cls, residual: Array, used: Mask | None = None) -> Errors:
         """From residuals, measured minus predicted.
 
-        Args:
-            residual: shape (N, D), lengths [m] in the first three columns and angles [rad] in three more.
-            used: shape (N, D), which of them there are; None for all.
-
         Example:
             >>> errors = Errors.of(np.array([[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.0]]))
             >>> round(errors.mean, 6), round(errors.rms, 6)

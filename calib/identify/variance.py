@@ -38,21 +38,13 @@ STEPS_DOWN, STEPS_UP = 3.0, 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What is known of the parameters besides the measurements.
+    """What is known of the parameters besides the measurements."""
 
-    Attributes:
-        precision: shape (B, p) or (p,), 1 / tau^2 of priors; 0 where there is none.
-        centre: shape (p,), the means of these priors.
-        H: shape (p, p), C^T C of whitened constraints C x = z, the linearised.
-        g: shape (p,), C^T z.
-        zz: z^T z.
-    """
-
-    precision: Array
-    centre: Array
-    H: Array
-    g: Array
-    zz: float = 0.0
+    precision: Array  # shape (B, p) or (p,), 1 / tau^2 of priors; 0 where there is none
+    centre: Array  # shape (p,), the means of these priors
+    H: Array  # shape (p, p), C^T C of whitened constraints C x = z, the linearised
+    g: Array  # shape (p,), C^T z
+    zz: float = 0.0  # z^T z
 
     @classmethod
     def of(
@@ -81,19 +73,12 @@ class Known:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
-    """Weighted normal equations of the linearised measurements: all that the likelihood needs.
+    """Weighted normal equations of the linearised measurements: all that the likelihood needs."""
 
-    Attributes:
-        H: shape (B, C, p, p), A_c^T W A_c of each instrument.
-        g: shape (B, C, p), A_c^T W y_c.
-        yy: shape (B, C), y_c^T W y_c.
-        count: shape (B, C), number of scalar measurements, by weight.
-    """
-
-    H: Array
-    g: Array
-    yy: Array
-    count: Array
+    H: Array  # shape (B, C, p, p), A_c^T W A_c of each instrument
+    g: Array  # shape (B, C, p), A_c^T W y_c
+    yy: Array  # shape (B, C), y_c^T W y_c
+    count: Array  # shape (B, C), number of scalar measurements, by weight
 
     def at(self, which: NDArray[np.int_]) -> Linearised:
         """Some of the problems."""
@@ -129,11 +114,6 @@ class Linearised:
         """The restricted log likelihood of noise and sizes, but for a constant of the flat parameters, shape (B,).
 
         -1/2 [sum_c N_c log sigma_c^2 - sum_k log precision_k + log det M + y^T P y], with the posterior's precision M.
-
-        Args:
-            noise: shape (B, C), sigma of each instrument.
-            known: All priors, at their sizes.
-            own: shape (B, p), the part of the precisions that is a prior's, not a hold on flat parameters.
         """
         M, _ = self._equations(noise, known)
         scale = 1.0 / np.sqrt(_diagonal(M) + 1e-300)
