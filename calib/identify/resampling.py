@@ -15,7 +15,14 @@ from calib.identify.fitting import Fitted
 from calib.identify.solvers import levenberg_marquardt
 from calib.model.observability import steps
 
+Array = NDArray[np.float64]
 Integers = NDArray[np.int_]
+
+#: A prior wider than this is no prior but a hold on what nothing determines; its mean stays [m, rad].
+_LEASH = 1.0
+
+#: A fit of a sample ends with steps below this, in steps of 1 mm and 1 mrad.
+_STEP = 1e-4
 
 #: Steps are doubled this many times before an end of the interval counts as open: about 1000 standard deviations.
 _DOUBLINGS = 10
@@ -33,9 +40,7 @@ _TOLERANCE = 1e-4
 def bootstrap_indices(
     blocks: NDArray[np.generic], count: int, seed: int, *, strata: NDArray[np.generic] | None = None
 ) -> Integers:
-    """How often each row is drawn in each bootstrap sample, whole blocks at a time.
-
-    As many blocks are drawn as there are, with replacement.
+    """How often each row is drawn in each sample: as many blocks as there are, with replacement.
 
     Args:
         blocks: shape (N,), label of what is drawn together: the pose where it was repeated, or the set-up.
@@ -46,10 +51,6 @@ def bootstrap_indices(
 
     Returns:
         shape (count, N), how often each row counts.
-
-    Example:
-        >>> bootstrap_indices(np.array([0, 0, 1, 2]), count=2, seed=1).shape
-        (2, 4)
     """
     rng = np.random.default_rng(seed)
     _, label = np.unique(blocks, return_inverse=True)
@@ -109,8 +110,14 @@ def profile(
         (0.02, 1.98)
     """
     check_level(level)
-    _check_start(value, std)
-    rise = _rise(level, freedom)
+    if not (np.isfinite(value) and np.isfinite(std) and std > 0.0):
+        raise CalibError(
+            f"A profile starts at an estimate with its standard deviation, not at {value:g} with {std:g}: the "
+            "parameter may not be identifiable. Profile one that is, or give a step of a likely size"
+        )
+    rise = float(2.0 * gammaincinv(0.5, level))
+    if np.isfinite(freedom):
+        rise = float(fdtri(1.0, max(freedom, 1.0), level))
     for _ in range(_RESTARTS):
         least = cost_at(value)
         low, lower_at = _end(cost_at, value, -std, least, rise)
@@ -150,41 +157,12 @@ def _end(
     return float(np.copysign(np.inf, step)), None
 
 
-def _rise(level: float, freedom: float) -> float:
-    """How much the cost may rise within the interval."""
-    if np.isinf(freedom):
-        return float(2.0 * gammaincinv(0.5, level))
-    return float(fdtri(1.0, max(freedom, 1.0), level))
-
-
 def check_level(level: float) -> None:
-    """Refuse a level of an interval that is no probability.
-
-    Raises:
-        CalibError: It is not between 0 and 1.
-    """
+    """Refuse a level of an interval that is no probability."""
     if not 0.0 < level < 1.0:
         raise CalibError(
             f"The level of an interval is {level:g}; it must lie between 0 and 1, such as 0.95."
         )
-
-
-def _check_start(value: float, std: float) -> None:
-    """Refuse a start that has no profile."""
-    if not (np.isfinite(value) and np.isfinite(std) and std > 0.0):
-        raise CalibError(
-            f"A profile starts at an estimate with its standard deviation, not at {value:g} with {std:g}: the "
-            "parameter may not be identifiable. Profile one that is, or give a step of a likely size"
-        )
-
-
-Array = NDArray[np.float64]
-
-#: A prior wider than this is no prior but a hold on what nothing determines; its mean stays [m, rad].
-_LEASH = 1.0
-
-#: A fit of a sample ends with steps below this, in steps of 1 mm and 1 mrad.
-_STEP = 1e-4
 
 
 def fit_sample(fitted: Fitted, drawn: tuple[Array, Array]) -> tuple[Array, bool]:

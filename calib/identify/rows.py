@@ -14,6 +14,7 @@ from calib.kinds import Kind
 from calib.model.kinematics import Samples
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int_]
 
 #: The number in place of a kind's of rows that say nothing themselves: the second ones of pairs.
 NONE = -1
@@ -28,36 +29,52 @@ class Rows:
 
     samples: Samples  # Joint values, frame and target of each of N rows
     # shape (N,), numbers of the kinds in the registry `calib.kinds`; `NONE` for the second row of a pair
-    kinds: NDArray[np.int_]
+    kinds: Integers
     # shape (N, K), what was measured, as `calib.kinds.Kind` says; zero in columns that a row's kind lacks
     measured: Array
-    partner: NDArray[np.int_]  # shape (N,), the other row of a pair; -1 elsewhere
+    partner: Integers  # shape (N,), the other row of a pair; -1 elsewhere
     sigma: Array  # shape (N,), standard deviation of one length as given or first assumed [m]
     sigma_angle: Array  # shape (N,), of one angle [rad]
     # shape (N,), rows of one number are repeats: one pose, one target, one frame
-    poses: NDArray[np.int_]
+    poses: Integers
     # shape (N,), rows of one number are left out together: one pose, and both rows of a pair
-    blocks: NDArray[np.int_]
+    blocks: Integers
     width: int = field(init=False)  # Columns of a residual: 6 with angles, 3 with positions, else 1
     # shape (N, width), which columns of each row hold a scalar
     used: Mask = field(init=False, repr=False)
+    # Which noise each scalar has, shape (N, width), numbered from 0, lengths first, -1 where no scalar is; and which
+    # of these noises are angles, shape (instruments,). Rows of different kinds were measured with different
+    # instruments, and lengths and angles of one kind have each a noise of their own
+    instruments: tuple[NDArray[np.int8], Mask] = field(init=False, repr=False)
+    # The kinds that there are, in the order of their numbers; which rows they have (a slice for all), and in which
+    # columns of the residual
     _parts: tuple[_Part, ...] = field(init=False, repr=False)
-    _instruments: tuple[NDArray[np.int8], NDArray[np.bool_]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Work out once what every evaluation of a fit asks for."""
-        present = [int(k) for k in np.unique(self.kinds) if k != NONE]
-        parts = tuple(_Part.of(registry.at(k), self.kinds == k) for k in present)
-        width = max((int(part.columns[-1]) + 1 for part in parts), default=1)
-        used = np.zeros((len(self.kinds), width), dtype=bool)
-        for part in parts:
-            used[part.of_all(len(used)), part.columns] = True
+        rows, parts = np.arange(len(self.kinds))[:, None], []
+        for k in np.flatnonzero(np.bincount(self.kinds - NONE)[1:]).tolist():
+            kind, own = registry.at(k), self.kinds == k
+            columns = np.r_[: kind.lengths, _ANGLES : _ANGLES + kind.angles]
+            parts.append((kind, slice(None) if np.all(own) else np.flatnonzero(own), columns))
+        width = max((int(columns[-1]) + 1 for _, _, columns in parts), default=1)
+        index = np.full((len(rows), width), -1, dtype=np.int8)
+        number = 0
+        for angles in (False, True):
+            for _, own, columns in parts:
+                wanted = columns[(columns >= _ANGLES) == angles]
+                index[rows[own], wanted] = number
+                number += bool(len(wanted))
+        turned = sum(bool(kind.angles) for kind, _, _ in parts)
+        instruments = index, np.arange(number) >= number - turned
+        used = index >= 0
         used.setflags(write=False)
+        index.setflags(write=False)
         for name, value in (
             ("width", width),
             ("used", used),
-            ("_parts", parts),
-            ("_instruments", _instruments(used, parts)),
+            ("instruments", instruments),
+            ("_parts", tuple(parts)),
         ):
             object.__setattr__(self, name, value)
 
@@ -82,29 +99,17 @@ class Rows:
         result[:, _ANGLES:] = self.sigma_angle[:, None]
         return result
 
-    @property
-    def instruments(self) -> tuple[NDArray[np.int8], NDArray[np.bool_]]:
-        """Which noise each scalar has, and which of these noises are angles.
-
-        Rows of different kinds were measured with different instruments, and lengths and angles of one kind have each
-        a noise of their own.
-
-        Returns:
-            shape (N, width), numbered from 0, lengths first; -1 where no scalar stands; and shape (instruments,).
-        """
-        return self._instruments
-
     def where(self, test: Callable[[Kind], bool]) -> Mask:
         """The rows of kinds that pass a test, such as ``lambda kind: kind.position``, shape (N,)."""
         result = np.zeros(len(self), dtype=bool)
-        for part in self._parts:
-            result[part.rows] = test(part.kind)
+        for kind, own, _ in self._parts:
+            result[own] = test(kind)
         return result
 
     @property
     def present(self) -> tuple[Kind, ...]:
         """The kinds that there are, in the order of their numbers."""
-        return tuple(part.kind for part in self._parts)
+        return tuple(kind for kind, _, _ in self._parts)
 
     @property
     def points(self) -> Array:
@@ -136,60 +141,46 @@ class Rows:
     def residual(self, T_frame_target: Array) -> Array:
         """Measured minus predicted, shape (N, width), [m] and [rad]."""
         result = np.zeros((len(self), self.width))
-        for part in self._parts:
-            T = self._seen(part, T_frame_target)
-            own = part.kind.residual_of(self.measured[part.rows, : part.kind.size], T)
-            result[part.of_all(len(self)), part.columns] = own
+        numbers = np.arange(len(self))[:, None]
+        for kind, own, columns in self._parts:
+            seen = self._seen(kind, own, T_frame_target)
+            result[numbers[own], columns] = kind.residual_of(self.measured[own, : kind.size], seen)
         return result
 
     def derivative(self, T_frame_target: Array, twists: Array) -> Array:
-        """The derivative of what is predicted, minus that of the residual, shape (N, width, p)."""
-        result = None
-        for part in self._parts:
-            measured = self.measured[part.rows, : part.kind.size]
-            T, moved = self._seen(part, T_frame_target), self._seen(part, twists)
-            own = part.kind.derivative(measured, T, moved)
-            if isinstance(part.rows, slice) and own.shape[1] == self.width:
-                return own
-            if result is None:
-                result = np.zeros((len(self), self.width, twists.shape[2]))
-            result[part.of_all(len(self)), part.columns] = own
-        return np.zeros((len(self), self.width, twists.shape[2])) if result is None else result
+        """The derivative of what is predicted, minus that of the residual, shape (N, width, p).
+
+        ``twists``, shape (N, 6, p), are the targets', linear then angular, along the frame's axes, see
+        `calib.model.kinematics.Kinematics.twists`; shape (N, 3, p) does where no kind measures an orientation.
+        """
+        shape, numbers = (len(self), self.width, twists.shape[2]), np.arange(len(self))[:, None]
+        result: Array | None = None
+        for kind, own, columns in self._parts:
+            T, moved = (self._seen(kind, own, values) for values in (T_frame_target, twists))
+            found = kind.derivative(self.measured[own, : kind.size], T, moved)
+            if found.shape == shape:
+                return found  # the only kind, and all columns
+            result = np.zeros(shape) if result is None else result
+            result[numbers[own], columns] = found
+        return np.zeros(shape) if result is None else result
 
     def as_measured_at(self, T_frame_target: Array) -> Rows:
         """The rows with what a perfect instrument reads at these poses, shape (N, 4, 4), [m]."""
         measured = self.measured.copy()
-        for part in self._parts:
-            if part.kind.measure is not None:
-                seen = part.kind.measure(self._seen(part, T_frame_target))
-                measured[part.rows, : part.kind.size] = seen
+        for kind, own, _ in self._parts:
+            if kind.measure is not None:
+                measured[own, : kind.size] = kind.measure(self._seen(kind, own, T_frame_target))
         return replace(self, measured=measured)
 
-    def _seen(self, part: _Part, values: Array) -> Array:
+    def _seen(self, kind: Kind, own: Integers | slice, values: Array) -> Array:
         """The values of the rows of one kind; of a paired kind those of both its rows."""
-        if not part.kind.paired:
-            return values[part.rows]
-        return np.stack([values[part.rows], values[self.partner[part.rows]]], axis=1)
+        if not kind.paired:
+            return values[own]
+        return np.stack([values[own], values[self.partner[own]]], axis=1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """The rows of one kind."""
-
-    kind: Kind  # Of the rows
-    rows: NDArray[np.int_] | slice  # Which they are; a slice for all of them
-    columns: NDArray[np.int_]  # Those of the residual that hold the kind's scalars
-
-    @classmethod
-    def of(cls, kind: Kind, mask: Mask) -> _Part:
-        """The rows of a mask."""
-        columns = [*range(kind.lengths), *range(_ANGLES, _ANGLES + kind.angles)]
-        rows = slice(None) if np.all(mask) else np.flatnonzero(mask)
-        return cls(kind, rows, np.array(columns, dtype=np.int_))
-
-    def of_all(self, count: int) -> NDArray[np.int_]:
-        """The rows' numbers, shape (M, 1), to index with beside ``columns``."""
-        return np.arange(count)[self.rows][:, None]
+#: A kind, its rows and its columns, see `Rows`.
+_Part = tuple[Kind, Integers | slice, Integers]
 
 
 def evenly(rows: Rows, most: int) -> Mask:
@@ -243,18 +234,3 @@ def without_outliers(rows: Rows, outliers: Mask) -> Mask:
     """The rows to register with, shape (N,): not the outliers, unless they are more than half of a set-up's rows."""
     kept = ~outliers
     return with_partners(rows, kept if keeps_frames(rows, kept) else ~np.zeros_like(kept))
-
-
-def _instruments(
-    used: Mask, parts: tuple[_Part, ...]
-) -> tuple[NDArray[np.int8], NDArray[np.bool_]]:
-    """See `Rows.instruments`."""
-    index = np.full(used.shape, -1, dtype=np.int8)
-    lengths = [part for part in parts if part.kind.lengths]
-    angles = [part for part in parts if part.kind.angles]
-    for number, part in enumerate([*lengths, *angles]):
-        turned = part.columns >= _ANGLES
-        own = part.columns[turned if number >= len(lengths) else ~turned]
-        index[part.of_all(len(used)), own] = number
-    index.setflags(write=False)
-    return index, np.arange(len(lengths) + len(angles)) >= len(lengths)

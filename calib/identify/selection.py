@@ -13,7 +13,6 @@ What they left over may have hidden a larger geometry: with one of them found, t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +33,6 @@ LADDER = ("frames", "zeros", "dh", "hayati", "placement")
 #: there, twice the gain follows half a chi-squared distribution of one degree of freedom: fewer than 1 in 1,000 pass.
 #: With few numbers its tail is heavier, and a step must gain more: `_STEP` (1 + `_FEW` / numbers left).
 _STEP, _FEW = 5.0, 20.0
-
-#: Errors on left-out rows may be worse by this share: rounding, and what any two models differ by.
-_NO_WORSE = 1.0
 
 #: Without priors a larger candidate must lower errors on left-out rows to this share.
 _CLEARLY = 0.95
@@ -84,16 +80,31 @@ def select(task: Task, rows: Rows) -> Selection:
     tried: dict[str, Candidate] = {}
     # Without priors the likelihood would be that of errors of metres: then left-out rows alone decide.
     step = _STEP * (1.0 + _FEW / max(rows.count - task.setup.count, 1))
-    supported = partial(_better, step=step)
-    better = supported if task.cell.priors.sizes != "off" else _better_on_left_out_rows
+    off = task.cell.priors.sizes == "off"
+
+    def better(one: Candidate, than: Candidate) -> bool:
+        """Whether the data support a larger candidate in place of a smaller one."""
+        # Each row in units of its own scale would let one instrument decide; lengths and angles are asked one by one.
+        a, b = (c.cross_validation.errors_without_outliers for c in (one, than))
+        share = _CLEARLY if off else 1.0
+        lower = a.rms <= share * b.rms or (b.n_angle and a.rms_angle <= share * b.rms_angle)
+        return bool(lower and (off or one.log_likelihood >= than.log_likelihood + step))
 
     def candidate(name: str) -> Candidate | None:
-        if name not in tried:
-            try:
-                fitted = fit(replace(task, model=name), rows, weights, common.setup)
-            except MeasurementError:
-                return None  # more parameters than numbers, and no priors
-            tried[name] = _candidate(name, fitted)
+        if name in tried:
+            return tried[name]
+        try:
+            fitted = fit(replace(task, model=name), rows, weights, common.setup)
+        except MeasurementError:
+            return None  # more parameters than numbers, and no priors
+        tried[name] = Candidate(
+            name=name,
+            parameters=len(fitted.kinematics.model),
+            log_likelihood=fitted.estimate.log_likelihood,
+            # Rows without weight are the same for all candidates; what each flags by itself is not.
+            cross_validation=linear_cross_validation(fitted, fitted.estimate.weights <= 0.0),
+            sizes=dict(fitted.estimate.sizes),
+        )
         return tried[name]
 
     best: Candidate | None = None
@@ -110,7 +121,9 @@ def select(task: Task, rows: Rows) -> Selection:
             best = one
     assert best is not None, "the weights are of a model that there are enough rows for"
     geometry = best
-    families = [f for f in joint_families() if not FAMILIES[f].loaded or _has_load(rows)]
+    load = rows.samples.load
+    loaded = load is not None and bool(np.max(np.abs(load), initial=0.0) > _NO_LOAD)
+    families = [f for f in joint_families() if loaded or not FAMILIES[f].loaded]
     while True:
         names = _steps(best.name, geometries, families)
         passed = [c for c in map(candidate, names) if c is not None and better(c, best)]
@@ -140,9 +153,6 @@ def _common(task: Task, rows: Rows) -> Fitted:
 
     What a smaller model leaves over is shared by the repeats of a pose. Weights of its own would thus let it answer for
     fewer numbers than a larger one, and their likelihoods would be those of different data.
-
-    Raises:
-        MeasurementError: There are too few for any.
     """
     # Rows are enough for any model that its priors hold; without priors for one of as many parameters at most.
     enough = [
@@ -154,60 +164,17 @@ def _common(task: Task, rows: Rows) -> Fitted:
 
 
 def _check_names(task: Task) -> None:
-    """Refuse names in the cell that no model of the ladder has.
-
-    Raises:
-        ModelError: There is one.
-    """
+    """Refuse names in the cell that no model of the ladder has."""
     if not (task.cell.frozen or task.cell.ties or task.cell.bounds or task.cell.parameter_priors):
         return
     cell = replace(task.cell, frozen=(), ties={})
     every = "+".join(("placement", *joint_families()))
-    known: set[str] = set()
-    for model in (every, "dh", "hayati", "zeros"):
-        known |= set(model_of(replace(task, cell=cell, model=model)).names)
-    named = {*task.cell.frozen, *task.cell.bounds, *task.cell.parameter_priors}
-    for name, (other, _) in task.cell.ties.items():
-        named |= {name, other}
-    strange = sorted(named - known)
+    tasks = [replace(task, cell=cell, model=one) for one in (every, "dh", "hayati", "zeros")]
+    known = {name for one in tasks for name in model_of(one).names}
+    named = {*task.cell.frozen, *task.cell.bounds, *task.cell.parameter_priors, *task.cell.ties}
+    strange = sorted(({other for other, _ in task.cell.ties.values()} | named) - known)
     if strange:
         raise ModelError(
             f"No model has the parameters {choices(strange)}. 'calib inspect --model dh' (or another) lists what there "
             "is."
         )
-
-
-def _candidate(name: str, fitted: Fitted) -> Candidate:
-    """One step of the ladder."""
-    estimate = fitted.estimate
-    return Candidate(
-        name=name,
-        parameters=len(fitted.kinematics.model),
-        log_likelihood=estimate.log_likelihood,
-        # Rows without weight are the same for all candidates; what each flags by itself is not.
-        cross_validation=linear_cross_validation(fitted, estimate.weights <= 0.0),
-        sizes=dict(estimate.sizes),
-    )
-
-
-def _better(one: Candidate, than: Candidate, step: float = _STEP) -> bool:
-    """Whether the data support a larger candidate in place of a smaller one."""
-    if one.log_likelihood < than.log_likelihood + step:
-        return False
-    # Each row in units of its own scale would let one instrument decide; lengths and angles are asked one by one.
-    a, b = (c.cross_validation.errors_without_outliers for c in (one, than))
-    return bool(
-        a.rms <= _NO_WORSE * b.rms or (b.n_angle and a.rms_angle <= _NO_WORSE * b.rms_angle)
-    )
-
-
-def _better_on_left_out_rows(one: Candidate, than: Candidate) -> bool:
-    """Whether a larger candidate predicts left-out rows better by more than two models always differ."""
-    a, b = (c.cross_validation.errors_without_outliers for c in (one, than))
-    return bool(a.rms < _CLEARLY * b.rms or (b.n_angle and a.rms_angle < _CLEARLY * b.rms_angle))
-
-
-def _has_load(rows: Rows) -> bool:
-    """Whether gravity, payload or measured torques load any joint."""
-    load = rows.samples.load
-    return load is not None and bool(np.max(np.abs(load), initial=0.0) > _NO_LOAD)

@@ -132,7 +132,18 @@ def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) ->
     """
     groups = tuple(dict.fromkeys(measurements.groups))
     targets = tuple(dict.fromkeys(measurements.targets))
-    _check_names(cell, groups, targets, measurements.source)
+    ends = {name for pair in cell.distances for name in (pair.first, pair.second)}
+    for what, column, named, known in (
+        ("gives frames for", "group", cell.frames, groups),
+        ("gives targets for", "target", cell.targets, targets),
+        ("states distances between", "group", sorted(e for e in ends if "*" not in e), groups),
+    ):
+        strange = [name for name in named if name not in known]
+        if strange:
+            raise ModelError(
+                f"{measurements.source}: the cell {what} {choices(strange)}; the table's column '{column}' has "
+                f"{choices(known)}."
+            )
     unknown, frames, frame_given, own_axes = [], [], [], []
     of_group = np.array([groups.index(g) for g in measurements.groups])
     for g, group in enumerate(groups):
@@ -177,11 +188,9 @@ def along_own_axes(model: ErrorModel, setup: Setup) -> ErrorModel:
     A frame is displaced in the base, T_frame_base D: with the rotation R of T_frame_base the twist of a unit along one
     of its own axes e is R^T e.
     """
-    turned = {}
-    for f, name in enumerate(setup.frame_unknowns):
-        if setup.own_axes[f]:
-            turned[frame_place(name)] = setup.T_frame_base[f, :3, :3].T
-    return turned_at(model, turned, ("m", "rad"))
+    frames = zip(setup.frame_unknowns, setup.own_axes, setup.T_frame_base, strict=True)
+    turned = {frame_place(name): T[:3, :3].T for name, own, T in frames if own}
+    return _turned_at(model, turned, ("m", "rad"))
 
 
 def targets_along_tip(model: ErrorModel, setup: Setup) -> ErrorModel:
@@ -189,15 +198,14 @@ def targets_along_tip(model: ErrorModel, setup: Setup) -> ErrorModel:
 
     A target is displaced in its own frame, T_tip_target D; its angles stay about its own axes.
     """
-    turned = {}
-    for t, name in enumerate(setup.target_names):
-        R = setup.T_tip_target[t, :3, :3]
-        if not np.array_equal(R, np.eye(3)):
-            turned[target_place(name)] = R.T
-    return turned_at(model, turned, ("m",))
+    targets = zip(setup.target_names, setup.T_tip_target[:, :3, :3], strict=True)
+    turned = {target_place(n): R.T for n, R in targets if not np.array_equal(R, np.eye(3))}
+    return _turned_at(model, turned, ("m",))
 
 
-def turned_at(model: ErrorModel, turned: Mapping[str, Array], units: tuple[str, ...]) -> ErrorModel:
+def _turned_at(
+    model: ErrorModel, turned: Mapping[str, Array], units: tuple[str, ...]
+) -> ErrorModel:
     """The model with the directions at some places turned, of parameters of these units."""
     if not turned:
         return model
@@ -208,35 +216,8 @@ def turned_at(model: ErrorModel, turned: Mapping[str, Array], units: tuple[str, 
         direction = (turned[one.place] @ one.direction.reshape(2, 3).T).T.ravel()
         return replace(one, direction=read_only(direction))
 
-    return replace(
-        model,
-        parameters=tuple(turn(one) for one in model.parameters),
-        terms=tuple(turn(one) for one in model.terms),
-    )
-
-
-def _check_names(
-    cell: Cell, groups: tuple[str, ...], targets: tuple[str, ...], source: str
-) -> None:
-    """Refuse frames and targets of names that the table does not have."""
-    for what, given, known in (
-        ("frames", cell.frames, groups),
-        ("targets", cell.targets, targets),
-    ):
-        strange = [name for name in given if name not in known]
-        if strange:
-            column = "group" if what == "frames" else "target"
-            raise ModelError(
-                f"{source}: the cell gives {what} for {choices(strange)}; the table's column '{column}' has "
-                f"{choices(known)}."
-            )
-    ends = {name for pair in cell.distances for name in (pair.first, pair.second)}
-    strange = sorted(name for name in ends if "*" not in name and name not in groups)
-    if strange:
-        raise ModelError(
-            f"{source}: the cell states distances between groups {choices(strange)}; the table has "
-            f"{choices(groups)}."
-        )
+    parameters, terms = (tuple(map(turn, some)) for some in (model.parameters, model.terms))
+    return replace(model, parameters=parameters, terms=terms)
 
 
 def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows, Setup]:
@@ -255,11 +236,13 @@ def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows,
     partner = np.where(kinds == NONE, -1, partner)
     setup = setup_of(cell, m, kinds)
     blocks = same_poses(q)
+    # The load on the joints takes its time to work out: a model may be fitted that asks for it, or not.
+    counts = cell.model == AUTO or any(FAMILIES[f].loaded for f in split_name(cell.model)[1])
     samples = Samples(
         q=q,
         frame=_numbers(m.groups, setup.groups),
         target=_numbers(m.targets, setup.targets),
-        load=_load(robot, m, cell, q) if _load_counts(cell) else None,
+        load=_load(robot, m, cell, q) if counts else None,
     )
     rows = Rows(
         samples=samples,
@@ -331,11 +314,8 @@ def _joined(labels: NDArray[np.int_], pairs: Sequence[tuple[int, int]]) -> NDArr
     one, other = labels[np.array(pairs)].T
     graph = coo_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
     _, component = connected_components(graph, directed=False)
-    # By the smallest label of each component, as if each pair's larger one had been renamed.
-    smallest = np.full(count, count)
-    np.minimum.at(smallest, component, np.arange(count))
-    joined = smallest[component[labels]]
-    return np.unique(joined, return_inverse=True)[1].reshape(-1)
+    # Components are numbered in the order of their smallest labels.
+    return np.unique(component[labels], return_inverse=True)[1].reshape(-1)
 
 
 def _measured(m: Measurements, kinds: NDArray[np.int_]) -> Array:
@@ -366,11 +346,6 @@ def _partners(m: Measurements) -> NDArray[np.int_]:
             "between two rows needs both of them, in the same set."
         )
     return partner
-
-
-def _load_counts(cell: Cell) -> bool:
-    """Whether a model may be fitted that asks for the load on the joints, which takes its time to work out."""
-    return cell.model == AUTO or any(FAMILIES[f].loaded for f in split_name(cell.model)[1])
 
 
 def _load(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,13 +199,6 @@ def scipy_least_squares(
 ) -> Solution:
     """SciPy's ``least_squares`` (trust-region reflective, exact SVD steps).
 
-    Args:
-        system: Residual and Jacobian.
-        x0: shape (p,), start.
-        step_size: shape (p,), the scale of each parameter (``x_scale``).
-        step_tolerance: Not used.
-        iterations: Limit of evaluations.
-
     Raises:
         SolverError: The residual at the start is not finite.
     """
@@ -271,11 +263,7 @@ def _column_norms(J: Array) -> Array:
 
 
 def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
-    """The square triangle of [J, -r]: |J dx + r|^2 = |R dx - rhs|^2 + constant.
-
-    Returns:
-        R, shape (p, p), and rhs, shape (p,).
-    """
+    """R, (p, p), and rhs, (p,), of the triangle of [J, -r]: |J dx + r|^2 = |R dx - rhs|^2 + constant."""
     p = J.shape[1]
     both = np.empty((len(r), p + 1), order="F")  # as LAPACK wants it
     both[:, :p], both[:, p] = J, -r
@@ -287,21 +275,11 @@ def _triangle(J: Array, r: Array) -> tuple[Array, Array]:
 
 def triangle(A: Array) -> Array:
     """The triangle R of A = Q R, of as many rows as A has rows or columns; A is overwritten if laid out by columns."""
-    R = _packed(A)
-    return R * _upper(*R.shape)
-
-
-@lru_cache(maxsize=64)
-def _upper(rows: int, columns: int) -> Array:
-    """1 on and above the diagonal, 0 below."""
-    return np.triu(np.ones((rows, columns)))
+    return np.triu(_packed(A))
 
 
 def _packed(A: Array) -> Array:
-    """The triangle R of A = Q R, with Q's reflections below it: `numpy.linalg.qr` without what it does besides.
-
-    A is overwritten if it is laid out by columns.
-    """
+    """The triangle R of A = Q R, with Q's reflections below it: `numpy.linalg.qr` without what it does besides."""
     if not A.size:  # LAPACK refuses it
         return np.zeros((min(A.shape), A.shape[1]))
     packed, _, _, _ = dgeqrf(A, overwrite_a=1)
@@ -321,5 +299,4 @@ def _damped_step(R: Array, rhs: Array, damping: Array) -> Array:
             "The damped step has no unique solution: a parameter has no effect, and the damping is zero. Start with a "
             "damping above 0."
         )
-    result: Array = dx
-    return result
+    return np.asarray(dx)

@@ -126,7 +126,7 @@ def test_known_frames_and_targets_lose_their_unknowns(scene, join):
         (Cell(targets={"ball": np.zeros(3)}), "targets for 'ball'.*column 'target' has 't0'"),
         (
             Cell(distances=(GroupDistance("0", "left", 1.0, 1e-5),)),
-            "distances between groups 'left'; the table has '0'",
+            "distances between 'left'; the table's column 'group' has '0'",
         ),
     ],
 )
