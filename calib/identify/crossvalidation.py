@@ -119,12 +119,10 @@ def cross_validation(
         MeasurementError: Too few rows to leave any out.
     """
     left_out = folds_of(task, rows)
-    found = {} if fitted is None else _without_folds(fitted, left_out.masks)
+    found = {} if fitted is None else _without_folds(fitted, left_out.masks, outliers)
     residuals = []
     for k, mask in enumerate(left_out.masks):
-        without = found[k] if k in found else _refitted(task, rows.select(~mask), len(rows))
-        T_base_tip = without.tip_poses(rows.samples.select(mask))
-        residuals.append(_left_over(T_base_tip, without.placed(), rows, mask, ~mask, outliers))
+        residuals.append(found[k] if k in found else _refitted(task, rows, mask, outliers))
         if progress is not None:
             progress(k + 1, len(left_out.masks))
     return _validated(rows, left_out, residuals, outliers)
@@ -147,19 +145,25 @@ def _validated(
     )
 
 
-def _refitted(task: Task, kept: Rows, every: int) -> Fitted:
-    """A fit from the beginning to the rows that are kept.
+def _refitted(task: Task, rows: Rows, mask: Mask, outliers: Mask) -> Array:
+    """What a fit from the beginning to the other rows leaves over at those left out.
 
     Raises:
-        MeasurementError: They are too few.
+        MeasurementError: The others are too few.
     """
     try:
-        return fit(task, kept)
+        return _unseen(fit(task, rows.select(~mask)), rows, mask, outliers)
     except MeasurementError as error:
         raise MeasurementError(
-            f"Cross-validation leaves out {every - len(kept)} of {every} rows at a time, and the others are too few: "
+            f"Cross-validation leaves out {mask.sum()} of {len(rows)} rows at a time, and the others are too few: "
             f"{error} Or do without validation (--no-validate)."
         ) from error
+
+
+def _unseen(fitted: Fitted, rows: Rows, mask: Mask, outliers: Mask) -> Array:
+    """What a fit leaves over at the rows that it did not see."""
+    T_base_tip = fitted.tip_poses(rows.samples.select(mask))
+    return _left_over(T_base_tip, fitted.placed(), rows, mask, ~mask, outliers)
 
 
 def _left_over(
@@ -176,14 +180,22 @@ def _left_over(
     return left.residual(placed.seen(T_base_tip, left.samples))
 
 
-def _without_folds(fitted: Fitted, masks: tuple[Mask, ...]) -> dict[int, Fitted]:
-    """The fit with the parameters without each fold, by its number, where the linearised problem gives them."""
+def _without_folds(fitted: Fitted, masks: tuple[Mask, ...], outliers: Mask) -> dict[int, Array]:
+    """What is left over at the rows of folds, by their numbers, where the linearised problem gives the parameters."""
     task, estimate = fitted.task, fitted.estimate
     if task.solver == "paper" or estimate.at_bound:
         return {}
     problem, model = estimate.problem, fitted.kinematics.model
     rows, scales = problem.rows, problem.rows.scales
-    chosen = [k for k, mask in enumerate(masks) if _enough(rows, ~mask, len(model))]
+    chosen = []
+    for k, mask in enumerate(masks):
+        # The rows that are kept must be many for the parameters, in each set-up, and of every kind there is.
+        count = np.sum(rows.used & ~mask[:, None], axis=1)
+        scalars = np.bincount(rows.samples.frame, count)
+        few = np.sum(count) < len(model) + FEWEST_FREEDOM
+        few |= bool(np.any((scalars > 0.0) & (scalars < _FEWEST_SCALARS)))
+        if not few and len(np.unique(rows.kinds[~mask])) == len(np.unique(rows.kinds)):
+            chosen.append(k)
     if not chosen:
         return {}
     holds = holds_of(task, model, fitted.setup)
@@ -196,23 +208,16 @@ def _without_folds(fitted: Fitted, masks: tuple[Mask, ...]) -> dict[int, Fitted]
     found = {}
     for k, one in zip(np.array(chosen)[good].tolist(), x[good], strict=True):
         # The robot itself must be the linearised one at the rows that were kept.
-        apart = (linear.residual(one) * scales - problem.residual(one)) / problem.scales
+        residual = problem.residual(one)
+        apart = (linear.residual(one) * scales - residual) / problem.scales
         kept = rows.used & (~masks[k] & (estimate.weights > 0.0))[:, None]
-        if np.sqrt(np.mean(apart[kept] ** 2)) < _LINEAR:
-            found[k] = replace(fitted, estimate=replace(estimate, x=one))
+        if not np.sqrt(np.mean(apart[kept] ** 2)) < _LINEAR:
+            continue
+        found[k] = residual[masks[k]]
+        if np.any(only_there(model, fitted.setup, rows, masks[k])):
+            without = replace(fitted, estimate=replace(estimate, x=one))
+            found[k] = _unseen(without, rows, masks[k], outliers)
     return found
-
-
-def _enough(rows: Rows, kept: Mask, parameters: int) -> bool:
-    """Whether the rows that are kept are many for the parameters, in each set-up, and of every kind there is."""
-    count = np.sum(rows.used[kept], axis=1)
-    if np.sum(count) < parameters + FEWEST_FREEDOM:
-        return False
-    scalars = np.bincount(rows.samples.frame[kept], count)
-    if np.any((scalars > 0.0) & (scalars < _FEWEST_SCALARS)):
-        return False
-    kinds = rows.kinds
-    return len(np.unique(kinds[kept])) == len(np.unique(kinds))
 
 
 def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossValidation:
