@@ -57,11 +57,7 @@ class Calibration(CalibrationValues):
 
     @classmethod
     def read_json(cls, path: str | Path) -> Calibration:
-        """Read a result that `write_json` or ``calib fit --json`` wrote; it has no ``fit``.
-
-        Raises:
-            FileError: It cannot be read, is no result of this version of calib, or damaged.
-        """
+        """Read a result that `write_json` or ``calib fit --json`` wrote; `FileError` where that cannot be."""
         from calib.identify.result_file import read_result
 
         return _of(cls, read_result(path))
@@ -108,11 +104,7 @@ class Calibration(CalibrationValues):
         return self.checked_urdf(target_link=target_link).write(path, overwrite=overwrite)
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the result as JSON; the keys are documented in docs/result-json.md.
-
-        Raises:
-            FileError: The file exists, or cannot be written.
-        """
+        """Write the result as JSON, see docs/result-json.md; `FileError` where that cannot be."""
         from calib.identify.result_file import write_result
 
         return write_result(self, path, overwrite=overwrite)
@@ -160,11 +152,7 @@ class Comparison(ComparisonValues):
         return comparison_table(self)
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the comparison as JSON.
-
-        Raises:
-            FileError: The file exists, or cannot be written.
-        """
+        """Write the comparison as JSON; `FileError` where that cannot be."""
         from calib.identify.result_file import write_table
 
         return write_table(self.table(), path, overwrite=overwrite)

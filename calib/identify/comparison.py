@@ -41,15 +41,8 @@ _FAR = 3.0
 class ParameterDifference:
     """One of the robot's parameters in both results, in its unit; NaN where a result has it not.
 
-    Attributes:
-        name: Such as ``"a2"``.
-        unit: Of all numbers but ``sigmas``.
-        a: Value in the first result.
-        b: Value in the second.
-        difference: b less a; NaN where they count from different nominal robots.
-        std: sqrt(C_a + C_b) of this parameter; NaN at a bound.
-        sigmas: ``difference / std``.
-        alone: Whether both data determine it by itself; otherwise priors share out what they know in combinations.
+    ``difference`` is b less a, NaN where they count from different nominal robots; ``std`` is sqrt(C_a + C_b), NaN at a
+    bound, ``sigmas`` their ratio; ``alone`` says whether both data determine it by itself.
     """
 
     name: str
@@ -64,13 +57,10 @@ class ParameterDifference:
 
 @dataclass(frozen=True, slots=True)
 class PlaceDifference:
-    """How a frame or a target moved.
+    """How far a frame stands elsewhere in the base, or a target in the tip, [m] and [rad].
 
-    Attributes:
-        name: Of the set-up or target; empty for the only one.
-        found: Whether it was estimated in either result.
-        shift: How far the tracker (or socket, or plane) stands elsewhere in the base, or the target in the tip [m].
-        turn: By what angle it is turned [rad]; NaN for a target whose orientation is not known.
+    ``found`` says whether it was estimated in either result; the name is empty for the only one, and the turn NaN for
+    a target whose orientation is not known.
     """
 
     name: str
@@ -209,11 +199,7 @@ def compare(
 
 
 def _check_same_chain(a: Calibration, b: Calibration, names: Sequence[str]) -> None:
-    """Refuse results of different chains.
-
-    Raises:
-        ModelError: Base, tip, joints, held values or the joints that carry placements differ.
-    """
+    """Refuse results of chains that differ in base, tip, joints, held values or the joints with placements."""
     r, s = a.nominal, b.nominal
     moved = [n for n, value in r.held.items() if abs(value - s.held.get(n, value)) > _SAME]
     for what, first, second in (
@@ -232,12 +218,7 @@ def _check_same_chain(a: Calibration, b: Calibration, names: Sequence[str]) -> N
 
 
 def _shown(own: Robot, given: Robot | str | Path | None) -> Robot:
-    """The robot to show.
-
-    Raises:
-        ModelError: Another robot was given.
-        UrdfError: Its URDF cannot be read or lacks a link or joint.
-    """
+    """The robot to show, the results' own or one that was given; another one is refused."""
     if given is None:
         return own
     robot = (

@@ -101,16 +101,15 @@ def _own_steps(c: Calibration) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimated:
-    """One estimate under the common priors, in the coordinates of the test.
+    """One estimate under the common priors Q, of r coordinates of the test and p parameters.
 
     Attributes:
-        effect: shape (r, p), what a unit of each of p parameters does to each of r coordinates.
-        covariance: shape (p, p), C of these parameters.
-        noise: shape (p, p), the part of C that is the noise's: C - C P C over all parameters of the fit.
-        pull: shape (p, p), C P.
+        effect: shape (r, p), what a unit of each parameter does to each coordinate.
+        covariance: shape (p, p), C; ``noise`` (p, p) is the part of it that is the noise's, C - C Q C over all
+            parameters of the fit, and ``pull`` (p, p) is C Q.
         prior: shape (p,), variance of the prior of each parameter.
         freedom: Degrees of freedom that the noise was estimated with.
-        shift: shape (p,), how far the estimate lies from that of the result, x_q - x; not used by the test itself.
+        shift: shape (p,), x_q - x; not used by the test itself.
     """
 
     effect: Array
@@ -261,15 +260,10 @@ def drift_test(difference: Array, pair: Pair, floor: float) -> DriftTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """How far the target lies elsewhere at some joint values.
+    """How far the target lies elsewhere at some joint values: rms, noise included, and at most [m].
 
-    Attributes:
-        where: The joint values in words.
-        rms: Over them, noise included [m].
-        max: At most [m].
-        noise: What the noise of both results alone would show, rms [m].
-        std: Standard deviation of ``rms`` [m].
-        rms_angle: The rms of the turns [rad]; NaN where orientations were not measured.
+    ``noise`` is what the noise of both results alone would show, rms [m], ``std`` the standard deviation of ``rms``,
+    and ``rms_angle`` the rms of the turns [rad], NaN where orientations were not measured.
     """
 
     where: str

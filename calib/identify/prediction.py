@@ -27,11 +27,8 @@ from calib.model.torques import Payload, gravity_load
 
 Array = NDArray[np.float64]
 
-#: Poses over which expected errors are averaged; more do not change them.
-_MOST_EXPECTED = 1000
-
-#: Measured poses that say what a motion of the base makes up for; more do not change it.
-_ENOUGH = 20_000
+#: Poses over which expected errors are averaged, and that say what a motion of the base makes up for: more change none.
+_MOST_EXPECTED, _ENOUGH = 1000, 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,14 +36,10 @@ class ParameterEstimate:
     """One parameter of the result, in its unit.
 
     Attributes:
-        name: Its name.
-        unit: ``"m"``, ``"rad"``, ``"1"``, ``"m/m"``, ``"rad/Nm"`` or ``"m/N"``.
+        name: Its name; its unit is ``"m"``, ``"rad"``, ``"1"``, ``"m/m"``, ``"rad/Nm"`` or ``"m/N"``.
         nominal: The value before; None for a target that was not given.
-        value: The value after.
+        value: The value after, with its standard deviation ``std`` and its 95 % interval from ``low`` to ``high``.
         delta: The change; for a target that was not given, from where registration put it.
-        std: Standard deviation of the value.
-        low: Lower end of the 95 % interval of the value.
-        high: Upper end.
         identifiable: Whether the measurements determine it; otherwise they know it in combinations only.
         at_bound: Whether it was stopped by a bound; std and interval are then not to be told, NaN.
         prior_std: Standard deviation of the prior on its change that the fit ended with; NaN where there was none.
@@ -151,25 +144,14 @@ class Larger(Solved):
         return self.model.name
 
     def load(self, nominal: Robot, q: Array, payload: Payload | None = None) -> Array:
-        """The load that gravity puts on the joints, shape (N, n), [Nm] or [N].
-
-        Args:
-            nominal: The nominal robot.
-            q: shape (N, m), joint values [rad] or [m].
-            payload: What the tip carries; None: what it carried when it was calibrated.
-        """
+        """The load of gravity on the joints at q, shape (N, m); shape (N, n), [Nm] or [N]; payload None: its own."""
         return gravity_load(nominal, q, payload or self.payload, self.gravity)
 
 
 def parameter_estimates(
     fitted: Fitted, observability: Observability
 ) -> tuple[ParameterEstimate, ...]:
-    """Nominal value, value and interval of each parameter.
-
-    Args:
-        fitted: The fit.
-        observability: Of the rows that were fitted.
-    """
+    """Nominal value, value and interval of each parameter; the observability is that of the rows that were fitted."""
     estimate, given = fitted.estimate, fitted.task.setup
     x, deviations = estimate.x, np.sqrt(np.diag(estimate.covariance))
     reach = interval_factor(estimate.freedom)
@@ -242,13 +224,7 @@ def correlations(c: Solved, above: float) -> list[tuple[str, str, float]]:
 
 
 def base_motion(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
-    """The motion of the base that makes up best for a unit of each of the p parameters, shape (6, p).
-
-    Args:
-        kinematics: Of the fit.
-        x: shape (p,), its parameters.
-        samples: The poses that were measured.
-    """
+    """The motion of the base that makes up best for a unit of each parameter x (p,) over some poses, shape (6, p)."""
     some = samples.select(np.linspace(0, len(samples) - 1, min(len(samples), _ENOUGH)).astype(int))
     poses, twists = _in_base(kinematics, x, some)
     return read_only(best_motion(poses[:, :3, 3], twists[:, :3]))
@@ -259,12 +235,7 @@ def expected_error(
 ) -> float:
     """Standard deviation of the predicted position over some samples, rms [m].
 
-    Args:
-        kinematics: Of the fit.
-        x: shape (p,), its parameters.
-        covariance: shape (p, p), of ``x``.
-        samples: Joint values, each with its frame and target; the first thousand count.
-        motion: shape (6, p), of the base, where the measurements do not tell where that stands; None for none.
+    With the covariance (p, p) of the parameters (p,); in the base, less a motion of it (6, p), where there is one.
     """
     chosen = samples.select(slice(0, _MOST_EXPECTED))
     std = _spread(kinematics, x, covariance, chosen, motion is not None, motion)
@@ -309,7 +280,7 @@ def tells_place(kinds: Iterable[str]) -> bool:
 def without_rigid_motion(
     points: Array, moves: Array, seen: tuple[Array, Array] | None = None
 ) -> Array:
-    """Moves of points, less the rigid motion that best makes up for them, shape (N, 3, k).
+    """Moves of points (N, 3), less the rigid motion that best makes up for them, shape (N, 3, k).
 
     Args:
         points: shape (N, 3), [m].
@@ -321,12 +292,7 @@ def without_rigid_motion(
 
 
 def best_motion(points: Array, moves: Array) -> Array:
-    """The rigid motions that best make up for moves of points, shape (6, k): of the origin, then turns [rad].
-
-    Args:
-        points: shape (N, 3), [m].
-        moves: shape (N, 3, k), k moves of them, [m] or [m per unit].
-    """
+    """The rigid motions (6, k), of the origin and turns, that best make up for moves (N, 3, k) of points (N, 3)."""
     middle = points.mean(axis=0)
     columns = np.zeros((len(points), 3, 6))
     columns[:, :, :3] = np.eye(3)
@@ -339,10 +305,5 @@ def best_motion(points: Array, moves: Array) -> Array:
 
 
 def moved_by(motion: Array, points: Array) -> Array:
-    """What rigid motions do to points, shape (N, 3, k).
-
-    Args:
-        motion: shape (6, k), see `best_motion`.
-        points: shape (N, 3), [m].
-    """
+    """What rigid motions (6, k) do to points (N, 3), shape (N, 3, k)."""
     return np.asarray(motion[:3] + np.cross(motion[3:].T, points[:, None]).transpose(0, 2, 1))

@@ -41,15 +41,7 @@ _BETWEEN = 73
 
 @dataclass(frozen=True, slots=True)
 class RowNames:
-    """What each row of the measurements is.
-
-    Attributes:
-        numbers: Of the rows, as a person sees them in the table.
-        sets: ``"estimate"`` or ``"validate"``.
-        kinds: What a row measures, such as ``"point"``.
-        groups: Its set-up.
-        targets: Its target.
-    """
+    """What each row of the measurements is: its number in the table, its set, kind, set-up and target."""
 
     numbers: tuple[int, ...]
     sets: tuple[str, ...]
@@ -279,11 +271,7 @@ class Calibration(Solved):
         }
 
     def parameter(self, name: str) -> ParameterEstimate:
-        """One parameter by its exact name; of the geometry, or of the larger model if only that has it.
-
-        Raises:
-            ModelError: No such parameter.
-        """
+        """One parameter by its exact name; of the geometry, or of the larger model if only that has it."""
         larger = self.larger
         if larger is not None and name in larger.model.names and name not in self.model.names:
             return larger.parameters[larger.model.index(name)]
@@ -306,13 +294,9 @@ class Calibration(Solved):
         group: str | None = None,
         payload: Payload | None = None,
     ) -> Samples:
-        """Joint values as a prediction takes them, with the load that gravity and payload put on the joints.
+        """Joint values, shape (N, m) or (m,), as a prediction takes them, with the load on the joints.
 
-        Args:
-            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
-            target: Name of the target; the first where None.
-            group: Name of the set-up whose frame is meant; the first where None.
-            payload: What the tip carries; None: what it carried when it was calibrated.
+        Target and set-up are the first where None; the payload is what the tip carried when it was calibrated.
 
         Raises:
             ModelError: No such target or set-up.
@@ -399,8 +383,7 @@ class Calibration(Solved):
             q: shape (N, m), joint values [rad] or [m].
             T_tip_tool: shape (4, 4), the tool in the tip [m]; known exactly, unless it is a target.
             target: Name of the target that the tool is; its estimate is then part of what is not sure.
-            group: Name of the set-up in whose frame the pose is asked for; where it stands is part of it, too. None:
-                in the base.
+            group: Name of the set-up in whose frame, estimated or not, the pose is asked for. None: in the base.
 
         Returns:
             shape (N, 2), standard deviations: of the position [m], of the angle [rad].
@@ -418,12 +401,7 @@ class Calibration(Solved):
         return part.pose_std(samples, in_base=group is None)
 
     def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
-        """T_base_tip by the larger model, or by the corrected origins where there is none, shape (N, 4, 4), [m].
-
-        Args:
-            q: shape (N, m), joint values [rad] or [m].
-            payload: What the tip carries; None: what it carried when it was calibrated.
-        """
+        """T_base_tip by the larger model, or the corrected origins where there is none; q (N, m), shape (N, 4, 4)."""
         if self.larger is None:
             return self.robot.poses(np.atleast_2d(np.asarray(q, dtype=np.float64)))
         return self.larger.tips(self.samples(q, payload=payload))

@@ -18,7 +18,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.families import FAMILIES, family_of
+from calib.families import FAMILIES
 from calib.identify.prediction import Outlier, ParameterEstimate
 from calib.identify.robust import Repeats
 from calib.identify.selection import Candidate
@@ -111,20 +111,20 @@ NUMBER, NUMBERS = Part(number), Part(numbers)
 FLAGS = Part(lambda found: np.array(found, dtype=bool))
 WORDS = many(TEXT)
 
+
+def plain(part: Part, *names: str) -> tuple[Field, ...]:
+    """Attributes that stand under their own names."""
+    return tuple((name, name, part) for name in names)
+
+
 _LENGTHS: tuple[Field, ...] = (
     ("n", "n", WHOLE),
-    ("max", "max_m", NUMBER),
-    ("mean", "mean_m", NUMBER),
-    ("rms", "rms_m", NUMBER),
-    ("mean_axis", "mean_xyz_m", NUMBERS),
-    ("rms_axis", "rms_xyz_m", NUMBERS),
-    ("span_axis", "span_xyz_m", NUMBERS),
+    *((name, f"{name}_m", NUMBER) for name in ("max", "mean", "rms")),
+    *((f"{name}_axis", f"{name}_xyz_m", NUMBERS) for name in ("mean", "rms", "span")),
 )
 _ANGLES: tuple[Field, ...] = (
     ("n_angle", "n_rad", WHOLE),
-    ("max_angle", "max_rad", NUMBER),
-    ("mean_angle", "mean_rad", NUMBER),
-    ("rms_angle", "rms_rad", NUMBER),
+    *((f"{name}_angle", f"{name}_rad", NUMBER) for name in ("max", "mean", "rms")),
 )
 #: Of one set of rows: angles only where there are any.
 ERRORS = Part(
@@ -149,25 +149,16 @@ SIZES = Part(
 )
 PARAMETER = record(
     ParameterEstimate,
-    ("name", "name", TEXT),
-    ("unit", "unit", TEXT),
+    *plain(TEXT, "name", "unit"),
     ("nominal", "nominal", optional(EXACT)),
-    ("value", "value", NUMBER),
-    ("delta", "delta", NUMBER),
-    ("std", "std", NUMBER),
-    ("low", "low", NUMBER),
-    ("high", "high", NUMBER),
-    ("identifiable", "identifiable", FLAG),
-    ("at_bound", "at_bound", FLAG),
-    ("prior_std", "prior_std", NUMBER),
-    ("push", "push", NUMBER),
+    *plain(NUMBER, "value", "delta", "std", "low", "high"),
+    *plain(FLAG, "identifiable", "at_bound"),
+    *plain(NUMBER, "prior_std", "push"),
 )
 OUTLIER = record(
     Outlier, ("row", "row", WHOLE), ("residual", "residual_m", NUMBER), ("score", "score", NUMBER)
 )
-BEYOND = record(
-    Beyond, ("joint", "joint", TEXT), ("prismatic", "prismatic", FLAG), ("by", "by", EXACT)
-)
+BEYOND = record(Beyond, *plain(TEXT, "joint"), *plain(FLAG, "prismatic"), *plain(EXACT, "by"))
 OUTSIDE = record(OutsideRow, ("index", "index", WHOLE), ("beyond", "joints", many(BEYOND)))
 REASON = record(
     Reason,
@@ -210,52 +201,39 @@ CANDIDATE = record(
 #: The fit with the weights of doubtful rows lowered and the one without, compared.
 ROBUSTNESS: tuple[Field, ...] = (
     ("lowered", "weights_lowered", FLAG),
-    ("moved_rms", "moved_rms_m", ONLY),
-    ("moved_max", "moved_max_m", ONLY),
+    *((name, f"{name}_m", ONLY) for name in ("moved_rms", "moved_max")),
     ("errors_lowered", "lowered", ERRORS),
     ("errors_full", "full", ERRORS),
     ("flagged", "flagged", FLAGS),
     ("moved", "moved_m", NUMBERS),
-    ("change", "change", NUMBERS),
-    ("std", "std", NUMBERS),
+    *plain(NUMBERS, "change", "std"),
 )
 COMBINATION = record(
     Combination,
-    ("names", "names", WORDS),
+    *plain(WORDS, "names", "units"),
     ("steps", "steps", many(EXACT)),
-    ("units", "units", WORDS),
     (str, "text", ONLY),
 )
 OBSERVABILITY: tuple[Field, ...] = (
-    ("rank", "rank", WHOLE),
-    ("columns", "columns", WHOLE),
+    *plain(WHOLE, "rank", "columns"),
     ("condition", "condition", Part(lambda found: np.inf if found is None else float(found))),
     ("indices", "indices", Part(lambda found: {k: number(v) for k, v in found.items()})),
     ("singular_values", "singular_values", NUMBERS),
     ("unidentifiable", "unidentifiable", many(COMBINATION)),
 )
 STEP = record(
-    Iteration,
-    ("cost", "cost", EXACT),
-    ("mu", "mu", NUMBER),
-    ("gain", "gain", NUMBER),
-    ("step", "step", EXACT),
-    ("accepted", "accepted", FLAG),
+    Iteration, *plain(EXACT, "cost", "step"), *plain(NUMBER, "mu", "gain"), *plain(FLAG, "accepted")
 )
 SOLUTION: tuple[Field, ...] = (
     ("iterations", "iterations", ONLY),
     ("evaluations", "evaluations", WHOLE),
-    ("status", "status", TEXT),
-    ("message", "message", TEXT),
+    *plain(TEXT, "status", "message"),
     ("cost", "cost", EXACT),
     ("history", "history", many(STEP)),
 )
 _TERM: tuple[Field, ...] = (
-    ("name", "name", TEXT),
-    ("unit", "unit", TEXT),
-    ("place", "place", TEXT),
+    *plain(TEXT, "name", "unit", "place", "family"),
     ("direction", "direction", NUMBERS),
-    ("family", "family", TEXT),
     ("nominal", "nominal", EXACT),
     ("factor", "factor", Part(table=lambda factor: None if factor is None else factor.name)),
 )
@@ -275,7 +253,11 @@ def left_out_of(found: Json, poses: NDArray[np.int_], residual: Array) -> CrossV
 
 def model_of(found: Json, names: Sequence[str]) -> ErrorModel:
     """An error model with these parameters from its table; further terms follow them."""
-    terms = tuple(_term_of(one) for one in found["terms"])
+    factors = {f.name: f for row in FAMILIES.values() for f in row.factors}
+    terms = tuple(
+        Parameter(factor=one["factor"] and factors[one["factor"]], **values(one, _TERM))
+        for one in found["terms"]
+    )
     places = tuple(found["places"])
     if found["mixing"] is None:
         return ErrorModel(found["set"], places, terms)
@@ -283,14 +265,6 @@ def model_of(found: Json, names: Sequence[str]) -> ErrorModel:
     mixing = np.array(found["mixing"], dtype=np.float64).reshape(len(terms), len(names))
     parameters = tuple(by_name[name] for name in names)
     return ErrorModel(found["set"], places, parameters, terms, read_only(mixing))
-
-
-def _term_of(found: Json) -> Parameter:
-    """A parameter from its table; the factor is that of its family."""
-    factor = found["factor"]
-    if factor is not None:
-        factor = next(one for one in family_of(found["family"]).factors if one.name == factor)
-    return Parameter(factor=factor, **values(found, _TERM))
 
 
 def pose_table(T: Array, prefix: str = "") -> dict[str, Any]:
@@ -349,9 +323,5 @@ def places_of(found: Json, *, rotation: bool) -> Setup:
 
 def versions() -> dict[str, str]:
     """What computed the result."""
-    packages = ("pin", "numpy", "scipy")
-    return {
-        "calib": __version__,
-        "python": platform.python_version(),
-        **{name: importlib.metadata.version(name) for name in packages},
-    }
+    packages = {name: importlib.metadata.version(name) for name in ("pin", "numpy", "scipy")}
+    return {"calib": __version__, "python": platform.python_version(), **packages}

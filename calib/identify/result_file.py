@@ -86,9 +86,7 @@ _LARGER: tuple[Field, ...] = (
 )
 _RESULT: tuple[Field, ...] = (
     (lambda _: SCHEMA, "schema", ONLY),
-    ("nominal.name", "robot.name", ONLY),
-    ("nominal.base", "robot.base", ONLY),
-    ("nominal.tip", "robot.tip", ONLY),
+    *((f"nominal.{name}", f"robot.{name}", ONLY) for name in ("name", "base", "tip")),
     ("nominal.joint_names", "robot.joints", Part(table=list)),
     (lambda c: _held_table(c.nominal), "robot.held", ONLY),
     (lambda c: _ranges_table(c), "robot.ranges", ONLY),
@@ -97,7 +95,11 @@ _RESULT: tuple[Field, ...] = (
     ("T_frame_base", "frames.", Part(table=lambda T: fields.pose_table(T, "frame_base_"))),
     ("frame_estimated", "frames.frame_estimated", FLAG),
     ("target", "frames.target_m", ONLY),
-    (lambda c: _target_given(c), "frames.target_given_m", ONLY),
+    (
+        lambda c: c.nominal_setup.T_tip_target[0, :3, 3] if c.setup.target_given[0] else None,
+        "frames.target_given_m",
+        ONLY,
+    ),
     ("setup.estimate_target", "frames.target_estimated", ONLY),
     (
         lambda c: list(np.array(c.setup.targets)[c.setup.target_given]),
@@ -155,20 +157,12 @@ def result_table(c: Calibration) -> dict[str, Any]:
 def write_result(
     c: Calibration, path: str | Path, *, overwrite: bool = False, extra: Json | None = None
 ) -> Path:
-    """Write a calibration as JSON, with further keys if any (see `calib.cli.fit`).
-
-    Raises:
-        FileError: The file exists, or cannot be written.
-    """
+    """Write a calibration as JSON, with further keys if any; `FileError` where that cannot be."""
     return write_table(result_table(c) | dict(extra or {}), path, overwrite=overwrite)
 
 
 def write_table(table: Json, path: str | Path, *, overwrite: bool = False) -> Path:
-    """Write nested tables of plain values and arrays as JSON, missing numbers as null.
-
-    Raises:
-        FileError: The file exists, or cannot be written.
-    """
+    """Write nested tables of plain values and arrays as JSON, missing numbers as null; `FileError` as above."""
     return write_atomically(Path(path), json_bytes(table), overwrite=overwrite)
 
 
@@ -262,11 +256,7 @@ def _calibration(found: Json, folder: Path) -> Calibration:
 
 
 def _checked(c: Calibration) -> Calibration:
-    """The same, unless what belongs together does not.
-
-    Raises:
-        ValueError: Numbers are missing or contradict each other.
-    """
+    """The same; a `ValueError` where numbers are missing or contradict each other."""
     C, p = c.covariance, len(c.x)
     std = np.sqrt(np.where(np.diag(C) > 0.0, np.diag(C), 1.0))
     R = C / std[:, None] / std
@@ -315,11 +305,6 @@ def _ranges_table(c: Calibration) -> list[dict[str, Any]]:
         {"joint": j.name, "low": low, "high": high, "unit": "m" if j.type == "prismatic" else "rad"}
         for j, (low, high) in zip(c.nominal.inputs, c.ranges, strict=True)
     ]
-
-
-def _target_given(c: Calibration) -> Array | None:
-    """Where the first target was said to be, shape (3,), [m]."""
-    return c.nominal_setup.T_tip_target[0, :3, 3] if c.setup.target_given[0] else None
 
 
 def _validated_table(c: Calibration) -> dict[str, Any] | None:

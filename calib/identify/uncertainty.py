@@ -106,9 +106,7 @@ class Bootstrap:
         return np.array([self.fitted.kinematics.points(x, where) for x in self.x])
 
     def position_std(self, where: Where) -> Array:
-        """Standard deviation of the predicted position over the samples, shape (N,), [m].
-
-        The root of the summed variances of x, y and z, as `Calibration.position_std` has it from the covariance.
+        """Standard deviation of the predicted position over the samples, see `Calibration.position_std`, shape (N,).
 
         Args:
             where: N samples (see `Calibration.samples`), or joint values of shape (N, m) of the first frame and target.
@@ -142,7 +140,7 @@ def bootstrap(
     """Fit the geometry again to rows drawn with replacement, whole poses within each set-up; see the module's text.
 
     Args:
-        calibration: The calibration.
+        calibration: The calibration, in memory.
         count: Number of samples; 200 for standard deviations, 1000 for intervals.
         seed: The samples are the same for the same seed.
         progress: Called after each sample.
@@ -247,12 +245,11 @@ def workspace_uncertainty(
 ) -> WorkspaceUncertainty:
     """Standard deviation of predicted positions, sqrt(trace(J C J^T)), over the joint limits.
 
-    The joint values are a Sobol sequence over the limits (one turn or one metre where there are none). It knows
-    nothing of errors that the model lacks, and joint values far from the measured ones are where those show.
+    It knows nothing of errors that the model lacks, and joint values far from the measured ones are where those show.
 
     Args:
         calibration: The calibration.
-        count: Number of joint values.
+        count: Number of joint values, a Sobol sequence over the limits (one turn or one metre where there are none).
         larger: Whether to use the larger model, where there is one.
 
     Raises:
@@ -267,11 +264,7 @@ def workspace_uncertainty(
 
 
 def _least_squares(fitted: Fitted) -> Fitted:
-    """The fit, refused where it is not the least cost of its own problem.
-
-    Raises:
-        ModelError: The paper's solver made it.
-    """
+    """The fit, refused where the paper's solver made it: it is not the least cost of its own problem."""
     if fitted.task.solver == "paper":
         raise ModelError(
             "The solver 'paper' minimises fourth powers, of which there is neither bootstrap nor profile here. Choose "
