@@ -14,9 +14,9 @@ import threading
 import webbrowser
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
+from types import SimpleNamespace
 from typing import Any, Literal, overload
 
 import meshcat
@@ -109,7 +109,13 @@ class Viewer:
             )
         shown = puppets(replace(self._one, q=values[None]), self._visuals)
         robots = {who: floats(packed(puppet.poses[:1])) for who, puppet in shown.items()}
-        self._window.send(_Pose(label, robots))
+        # meshcat's server keeps it for later windows as it keeps a transform.
+        told = {
+            "type": "set_transform",
+            "path": "/pose",
+            "pose": {"label": label, "robots": robots},
+        }
+        self._window.send(SimpleNamespace(lower=lambda: told))
 
     def open(self) -> bool:
         """Open the page in the browser; False if none was found."""
@@ -135,31 +141,13 @@ class Viewer:
         """The viewer, to be closed at the end of the block."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close it."""
         self.close()
 
     def __repr__(self) -> str:
         """Where the page is."""
         return f"<Viewer {self.url if self._window.thread.is_alive() else 'closed'}>"
-
-
-@dataclass(frozen=True, slots=True)
-class _Pose:
-    """The robots at a pose, as a command that meshcat's server keeps for later windows as it keeps a transform."""
-
-    label: str
-    robots: dict[str, str]
-
-    def lower(self) -> dict[str, Any]:
-        """The command as a message."""
-        pose = {"label": self.label, "robots": self.robots}
-        return {"type": "set_transform", "path": "/pose", "pose": pose}
 
 
 class _Window:
@@ -250,7 +238,6 @@ class _Page(RequestHandler):
 
     def get(self) -> None:
         """Send it."""
-        self.set_header("Content-Type", "text/html; charset=utf-8")
         self.set_header("Cache-Control", "no-store")
         self.write(self._page)
 
@@ -319,7 +306,17 @@ def show(
     Raises:
         ModelError: It is no calibration and no robot, or the robots have different joints.
     """
-    view = _view_of_anything(shown, other)
+    if isinstance(shown, Calibration) and other is None:
+        view = view_of(shown)
+    elif isinstance(shown, Robot) and (other is None or isinstance(other, Robot)):
+        names = (("First", shown.urdf.source), ("Second", (other or shown).urdf.source))
+        view = view_of_robots(shown, other, names=names)
+    else:
+        given = repr(shown) if other is None else f"{shown!r} and {other!r}"
+        raise ModelError(
+            f"show takes a Calibration, a Robot or two Robots; {given} was given. Make them with calib.calibrate(...) "
+            "or calib.Robot.load(...)."
+        )
     if live:
         viewer = Viewer(view)
         viewer.open()
@@ -327,18 +324,3 @@ def show(
     page = view_page(view).write(Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
     webbrowser.open(page.as_uri())
     return page
-
-
-def _view_of_anything(shown: Calibration | Robot, other: Robot | None) -> View:
-    """The view of what a user hands over."""
-    if isinstance(shown, Calibration) and other is None:
-        return view_of(shown)
-    if isinstance(shown, Robot) and (other is None or isinstance(other, Robot)):
-        second = shown if other is None else other
-        names = (("First", shown.urdf.source), ("Second", second.urdf.source))
-        return view_of_robots(shown, other, names=names)
-    given = " and ".join(repr(one) for one in (shown, other)[: 1 + (other is not None)])
-    raise ModelError(
-        f"show takes a Calibration, a Robot or two Robots; {given} was given. Make them with calib.calibrate(...) or "
-        "calib.Robot.load(...)."
-    )

@@ -22,9 +22,6 @@ from calib.model.urdf import Urdf
 
 Array = NDArray[np.float64]
 
-#: What reaches farther than this from its link is a mistake of the file: beside it the robot could not be seen [m].
-_FARTHEST = 1e6
-
 #: All the meshes of a robot together are drawn with about this many triangles at most.
 MOST_TRIANGLES = 250_000
 
@@ -105,8 +102,6 @@ def read_visuals(urdf: Urdf) -> tuple[tuple[Visual, ...], tuple[str, ...]]:
     visuals, warnings = [], []
     for one in shapes:
         shape, problem = _shape(one, folders, most)
-        if shape is not None and np.max(np.abs(one.T_link_shape[:3, 3])) > _FARTHEST:
-            shape, problem = None, f"a visual of link '{one.link}' is too far away and left out"
         warnings += [problem] * bool(problem)
         visuals.append(Visual(one.link, one.T_link_shape, shape))
     return tuple(visuals), tuple(dict.fromkeys(warnings))
@@ -195,8 +190,6 @@ def _shape(visual: LinkShape, folders: Sequence[Path], most_faces: int) -> tuple
         sizes, tag = visual.sizes, visual.geometry.tag
         if sizes is None:
             return None, f"a visual of link '{visual.link}' has no geometry that can be drawn"
-        if max(sizes) > _FARTHEST:
-            return None, f"a visual of link '{visual.link}' is too large and left out"
         if tag == "box":
             return Box((sizes[0], sizes[1], sizes[2])), ""
         return Sphere(sizes[0]) if tag == "sphere" else Cylinder(sizes[0], sizes[1]), ""
@@ -225,10 +218,7 @@ def _read(
     """A mesh's vertices and faces, or None and why it cannot be drawn."""
     if path is None:
         return None, "was not found"
-    mesh, problem = read_mesh(path, scale)
-    if mesh is not None and (reach := np.abs(mesh[0]).max()) > _FARTHEST:
-        return None, f"reaches {reach:.0e} m far"
-    return mesh, problem
+    return read_mesh(path, scale)
 
 
 @lru_cache(maxsize=64)
