@@ -84,11 +84,7 @@ class Odd:
 
 
 def odd_ones(rows: Sequence[FleetRow]) -> tuple[tuple[Odd, ...], tuple[str, ...]]:
-    """The odd ones of a fleet, in the order of the robots and the farthest off first; and what could not be said.
-
-    Args:
-        rows: All robots.
-    """
+    """The odd ones of a fleet, in the order of the robots and the farthest off first; and what could not be said."""
     done = [row for row in rows if row.status == DONE]
     found, notes = list(_same_data(done)), []
     kinds = dict.fromkeys(row.kind for row in done)
@@ -140,10 +136,8 @@ def _figures(rows: list[FleetRow]) -> Iterator[Odd]:
     for name, x in sizes.items():
         log = np.log(x, where=x > 0.0, out=np.full(len(x), math.nan))
         z = scores(log, np.zeros(len(x)), _LOG_FLOOR, once)
-        unit, usual = (
-            "rad" if name == "sigma_angle" else "m",
-            float(np.exp(np.nanmedian(log[once]))),
-        )
+        usual = float(np.exp(np.nanmedian(log[once])))
+        unit = "rad" if name == "sigma_angle" else "m"
         yield from _flagged(rows, _FIGURES[name], unit, x, usual, z, bound)
     known = [{p.name: p for p in row.parameters} for row in rows]
     told = Counter(

@@ -31,6 +31,21 @@ CREASE = np.deg2rad(35.0)
 #: A mesh in which so many pairs of corners share a vertex is drawn with flat faces: it has fans of thousands.
 _MOST_PAIRS = 5_000_000
 
+#: Radius of a stick figure's rods, as a part of the robot's size.
+STICK = 0.018
+
+#: The movers beside the links, in this order, last.
+FRAMES = ("base", "tip", "target")
+
+#: At most so many poses are looked at for what the shapes reach; the origins of links are at all of them.
+_REACHED = 60
+
+#: The 26 directions to a cube's corners, edges and faces.
+_DIRECTIONS = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+
+#: The corners of a cube about the origin.
+_CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+
 
 @dataclass(frozen=True, slots=True)
 class Box:
@@ -74,13 +89,7 @@ Shape = Box | Cylinder | Sphere | Triangles
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visual:
-    """One shape of one link.
-
-    Attributes:
-        link: The link's name.
-        T_link_shape: shape (4, 4), [m], pose of the shape in the link.
-        shape: None where it is missing: its mesh cannot be found or read.
-    """
+    """One shape of one link, at T_link_shape of shape (4, 4), [m]; None where its mesh cannot be found or read."""
 
     link: str
     T_link_shape: Array
@@ -234,31 +243,9 @@ def _drawn(
     return triangles, "" if triangles else "is empty", cell
 
 
-#: Radius of a stick figure's rods, as a part of the robot's size.
-STICK = 0.018
-
-#: The movers beside the links, in this order, last.
-FRAMES = ("base", "tip", "target")
-
-#: At most so many poses are looked at for what the shapes reach; the origins of links are at all of them.
-_REACHED = 60
-
-#: The 26 directions to a cube's corners, edges and faces.
-_DIRECTIONS = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
-
-#: The corners of a cube about the origin.
-_CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """A shape that is fixed to a mover.
-
-    Attributes:
-        mover: The mover's number.
-        shape: What is drawn.
-        T_mover_shape: shape (4, 4), [m].
-    """
+    """A shape that is fixed to the mover of a number, at T_mover_shape of shape (4, 4), [m]."""
 
     mover: int
     shape: Shape
@@ -335,13 +322,12 @@ class Puppet:
         poses = np.stack([*moved, T_stage_base, T_tip, T_tip @ T_tip_target], axis=1)
         origins = np.stack([(T_stage_root @ T)[:, :3, 3] for T in in_root.values()], axis=1)
         radius = STICK * span(origins[0])
+        balls = [Visual(link, np.eye(4), Sphere(1.6 * radius)) for link in links if link in sticks]
         parts = [
             Part(number[v.link], v.shape, v.T_link_shape)
-            for v in visuals
-            if v.shape is not None and v.link in shown
+            for v in (*visuals, *balls)
+            if v.shape is not None and v.link in number
         ]
-        ball = Sphere(1.6 * radius)
-        parts += [Part(number[link], ball, np.eye(4)) for link in links if link in sticks]
         rods = tuple((number[joint.parent], number[joint.child]) for joint in joints)
         return cls(links, tuple(parts), rods, radius, read_only(poses), read_only(origins))
 
@@ -374,15 +360,7 @@ class Puppet:
 
 
 def root_poses(robot: Robot, q: Array) -> dict[str, Array]:
-    """T_root_link of every link of the URDF at many poses, each joint where `Robot.urdf_values` says.
-
-    Args:
-        robot: The robot.
-        q: shape (N, m), [rad] or [m], in the order of ``robot.joint_names``.
-
-    Returns:
-        By link, shape (N, 4, 4), [m].
-    """
+    """T_root_link of every link of the URDF at poses of shape (N, m), by link, shape (N, 4, 4), [m]."""
     model = full_model(robot.urdf)
     data = model.createData()
     frames = [link_frame(model, link) for link in robot.urdf.links]

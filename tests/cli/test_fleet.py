@@ -114,15 +114,6 @@ def test_failed_and_odd_ones_are_told(call, arms_shop: Path):
     assert {key for one in odd for key in one} == said
 
 
-def test_a_small_fleet_says_that_it_is_small(call, arms_shop: Path):
-    manifest(arms_shop, "a,robot.urdf,arm-0.csv")
-    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK)
-    assert (
-        "What is usual cannot be told of 1 robot; it takes 5. Only data given twice are looked for."
-        in done.lines
-    )
-
-
 def test_a_row_s_own_words_win(call, arms_shop: Path):
     (arms_shop / "sub").mkdir()
     (arms_shop / "cell.toml").write_text('model = "dh"\n')
@@ -258,23 +249,6 @@ def test_an_option_that_is_wrong_refuses_the_run(call, arms_shop: Path, words, s
     assert not (arms_shop / "r").exists()
 
 
-def test_a_base_that_some_robots_have_is_no_wrong_one(call, arms_shop: Path):
-    other = (arms_shop / "robot.urdf").read_text().replace('"base"', '"bottom"')
-    (arms_shop / "other.urdf").write_text(other)
-    manifest(
-        arms_shop,
-        "a,gone.urdf,arm-0.csv,",
-        "b,other.urdf,arm-0.csv,",
-        "c,robot.urdf,arm-0.csv,",
-        "d,other.urdf,arm-1.csv,bottom",
-        header="name,robot,data,base",
-    )
-    done = call(arms_shop, "fleet", "m.csv", "--out", "r", *QUICK)
-    assert done.code == 1
-    assert "2 of 4 robots calibrated" in done.out
-    assert "  b: m.csv, line 3: other.urdf has no link 'base'" in done.out
-
-
 def test_a_reason_that_many_have_is_printed_once(call, arms_shop: Path):
     words = ("fleet", "m.csv", "--out", "r", *QUICK)
     assert call(arms_shop, *words).code == 0
@@ -303,6 +277,7 @@ def test_a_robot_that_fails_later_keeps_its_result(call, arms_shop: Path):
     assert rows[2]["status"] == "failed; the folder holds the result of earlier inputs"
 
 
+@pytest.mark.slow
 def test_what_robots_are_compared_by_is_shown(call, arms_shop: Path):
     for k in range(2):
         path = arms_shop / f"arm-{k}.csv"

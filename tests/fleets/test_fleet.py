@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from calib.errors import CalibError
-from calib.fleets.fleet import FleetOptions, FleetRobot, fleet, urdf_reader
+from calib.fleets.fleet import FleetOptions, FleetRobot, fleet
 from calib.fleets.record import DONE, FAILED, STALE, FleetRow, csv_bytes
 from tests.fleets.arms import CELL, arms, files
 
@@ -166,16 +166,12 @@ def test_names_of_two_robots_are_refused(one, two, shop, tmp_path):
         fleet(robots, tmp_path / "out", QUICK)
 
 
+@pytest.mark.slow
 def test_a_report_has_the_command(shop, tmp_path):
     options = replace(QUICK, reports=True, command="calib fleet m.csv")
     fleet(robots_of(shop, 1), tmp_path / "out", options)
     page = (tmp_path / "out" / "arm-0" / "report.html").read_text()
     assert re.search(r"calib fleet m\.csv\s+#\s+arm-0", re.sub(r"<[^>]+>", "", page))
-
-
-def test_urdfs_that_robots_share_are_read_once(shop):
-    read = urdf_reader()
-    assert read(str(shop / "robot.urdf")) is read(str(shop / "robot.urdf"))
 
 
 def test_a_table_says_nothing_where_there_is_nothing():

@@ -69,15 +69,6 @@ def test_the_odd_ones_are_found_with_their_reasons():
     assert odd[3].z < 0.0
 
 
-def test_a_large_offset_hides_no_other():
-    rows = fleet_of(40)
-    for k, size in ((3, 10.0), (4, 0.01)):
-        rows[k] = replace(
-            rows[k], parameters=(FleetParameter("p0", "m", size, 1e-5), *rows[k].parameters[1:])
-        )
-    assert [(one.name, one.figure) for one in odd_ones(rows)[0]] == [("r3", "p0"), ("r4", "p0")]
-
-
 def test_too_few_say_nothing_but_the_same_data():
     rows = fleet_of(FEWEST - 1)
     rows[0] = replace(rows[0], nominal_rms=1.0, measured=rows[1].measured)

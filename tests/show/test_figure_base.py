@@ -9,14 +9,13 @@ import sys
 from xml.etree import ElementTree
 
 import matplotlib as mpl
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
 from calib.errors import FileError
-from calib.show.figure_base import few_ticks, log_axis, new_figure, short_names
+from calib.show.figure_base import log_axis, new_figure, short_names
 from calib.show.figures import Drawing, rendered
 
 NASTY = "<b>$\\frac{a}{$</b> & \"x' 関節\n"
@@ -100,12 +99,6 @@ def test_numbers_of_a_logarithmic_axis_are_no_formulas(value, text):
     ax = sketch().axes[0]
     log_axis(ax, "y")
     assert ax.yaxis.get_major_formatter()(value, 0) == text
-
-
-def test_ticks_are_round():
-    ticks = few_ticks(4).tick_values(-437.0, 389.0)
-    assert len(ticks) <= 6
-    np.testing.assert_allclose(np.diff(ticks), 250.0)
 
 
 names = st.text(st.characters(exclude_categories=()), max_size=120)

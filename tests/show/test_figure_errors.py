@@ -83,11 +83,6 @@ def test_a_length_among_points_has_a_size_and_no_axis(calibrations):
     assert first[1] == pytest.approx(1e3 * abs(c.residual_nominal[31, 0]))
 
 
-def test_stretches_of_validation_rows_are_shaded_if_they_are_few(calibrations):
-    c = calibrations.made("paper")
-    assert [patch.get_x() for patch in by_row(c).axes[1].patches] == [29.5]
-
-
 def test_by_pose_an_outlier_stands_at_the_edge_and_is_numbered(calibrations):
     c = calibrations.made("with_outliers")
     top, below = by_row(c).axes
@@ -168,19 +163,6 @@ def test_boxes_are_of_the_rows(calibrations):
     dots = np.concatenate([line.get_ydata() for line in lower.lines if line.get_marker() == "o"])
     assert len(dots) == 3 * 28
     assert np.abs(dots).max() < lower.get_ylim()[1]
-
-
-def test_few_rows_are_dots_and_no_boxes(calibrations):
-    figure = by_axis(calibrations.made("three_rows"))
-    assert [len(ax.patches) for ax in figure.axes] == [0, 0]
-
-
-def test_orientations_are_in_degrees(calibrations):
-    c = calibrations.made("mixed")
-    figure = by_axis(c, turned=True)
-    count = int(np.sum(c.measurements.of_kind("pose")))
-    assert figure.axes[0].get_title(loc="left") == f"{count} estimation rows"
-    assert figure.axes[0].get_ylabel() == "error about the axis [deg]"
 
 
 def test_every_row_is_in_the_histogram(calibrations):

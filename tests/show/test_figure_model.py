@@ -90,23 +90,6 @@ def test_squares_are_as_large_as_the_correlations(calibrations):
     assert [text.get_text() for text in ax.get_yticklabels()] == names[1:]
 
 
-def test_what_the_poses_do_not_determine_has_no_correlation(calibrations):
-    c = calibrations.made("paper")
-    chosen = correlation_indices(c)
-    assert [p.identifiable for p in c.parameters].count(True) == len(chosen)
-    assert correlation_indices(calibrations.made("three_rows")) == []
-
-
-def test_names_of_every_kind_stand_at_the_axes(calibrations):
-    c = calibrations.made("hostile_names")
-    for figure in (changes(c), correlations(c)):
-        for ax in figure.axes:
-            labels = [text.get_text() for text in ax.get_yticklabels()]
-            assert len(set(labels)) == len(labels)
-            assert all(len(label) <= 30 for label in labels)
-            assert not any(text.get_parse_math() for text in ax.get_yticklabels())
-
-
 def test_the_cost_of_each_iteration_is_drawn(calibrations):
     c = calibrations.made("paper")
     figure = convergence(c)
@@ -179,22 +162,3 @@ def test_the_ladder_names_every_model_and_marks_the_chosen(calibrations):
     assert {text.get_text() for text in left.texts} == {f"{value:.3f}" for value in rms}
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels == ["chosen for the URDF", "not chosen"]
-
-
-def test_models_of_orientations_alone_are_compared_in_degrees(calibrations):
-    c = calibrations.made("auto")
-    turned = tuple(
-        replace(
-            one,
-            cross_validation=replace(
-                one.cross_validation,
-                errors_without_outliers=replace(
-                    one.cross_validation.errors_without_outliers, n=0, rms=np.nan, rms_angle=0.01
-                ),
-            ),
-        )
-        for one in c.candidates
-    )
-    left = candidates(replace(c, candidates=turned)).axes[0]
-    assert left.get_xlabel() == "rms [deg]"
-    assert left.patches[0].get_width() == pytest.approx(np.degrees(0.01))

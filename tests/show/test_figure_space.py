@@ -65,16 +65,6 @@ def test_the_papers_figure_7_shows_every_point_from_three_sides(calibrations):
     assert labels == ["28 estimation rows", "5 validation rows", "2 outliers", "base"]
 
 
-def test_a_base_that_is_not_shown_is_not_in_the_legend(calibrations):
-    figure = points(calibrations.made("one_row"))
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["1 estimation row"]
-
-
-def test_a_flat_cloud_has_some_height(calibrations):
-    figure = points(calibrations.made("two_joints"))
-    assert np.ptp(figure.axes[2].get_ylim()) > 0.2 * np.ptp(figure.axes[2].get_xlim())
-
-
 def test_points_of_many_rows_are_thinned(calibrations):
     c = calibrations.many_rows(6000)
     found = dots(points(c).axes[1])

@@ -14,7 +14,6 @@ from calib.errors import FileError, ModelError
 from calib.identify.uncertainty import workspace_uncertainty
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.measure.surroundings import Tracker
 from calib.model.readback import column_ranges, random_joint_values
 from calib.model.robot import Robot
 from calib.show.page import write_page
@@ -27,7 +26,7 @@ from calib.show.view import (
     view_of,
     view_of_robots,
 )
-from tests.show.calibrations import made, with_cell, with_rows
+from tests.show.calibrations import made, with_rows
 
 
 def test_what_is_left_out_is_filled_in(ur3, disturb):
@@ -136,12 +135,6 @@ def test_without_validation_rows_an_outlier_is_not_shown_first(result):
     assert view.kinds[view.start] == "estimation"
 
 
-def test_without_cross_validation_there_is_no_verdict(result):
-    view = view_of(replace(result, verdict=None), cloud=False)
-    assert view.verdict == ""
-    assert view.note == "No verdict: nothing was cross-validated."
-
-
 def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_stands(result):
     T = np.eye(4)
     T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
@@ -151,14 +144,6 @@ def test_measured_points_are_shown_in_the_base_frame_and_the_tracker_where_it_st
     view = view_of(with_rows(replace(result, setup=setup), moved), cloud=False)
     np.testing.assert_allclose(view.measured, result.measurements.points, atol=1e-12)
     np.testing.assert_allclose(view.instruments, np.tile(np.linalg.inv(T), (35, 1, 1)), atol=1e-12)
-
-
-def test_the_cell_s_tracker_is_shown_where_points_are_in_the_base(result):
-    cell = replace(result.cell, tracker=Tracker(np.array([2.5, 0.3, 0.8])))
-    view = view_of(with_cell(result, cell), cloud=False)
-    np.testing.assert_array_equal(
-        view.instruments, np.tile(translated([2.5, 0.3, 0.8]), (35, 1, 1))
-    )
 
 
 def test_the_page_is_a_file(result, tmp_path):
