@@ -392,29 +392,6 @@ def test_a_result_not_to_be_used_says_so_even_when_quiet(call, folder: Path, tmp
     assert "the verdict of bad.json is 'do not use'" in done.err
 
 
-def test_poses_in_the_frame_that_was_measured_in(call, large: Path, tmp_path: Path):
-    # The same place, said in the frames of both set-ups: the tracker stood 0.3 m further along x.
-    write(large / "there.csv", "x [mm],y [mm],z [mm]", "600,-200,300")
-    sent = []
-    for name, file in (("left", "points.csv"), ("right", "there.csv")):
-        path = tmp_path / f"{name}.csv"
-        words = (
-            "compensate",
-            "robot.urdf",
-            file,
-            *RESULT,
-            "--tool",
-            "target",
-            "--poses-in",
-            name,
-            "-o",
-            path,
-        )
-        assert call(large, *words).code == 0
-        sent.append([float(table(path)[0][f"{joint}_joint [deg]"]) for joint in JOINTS])
-    assert np.abs(np.subtract(*sent)).max() < 0.1
-
-
 def test_with_which_target_the_wanted_poses_were_computed(call, examples, folder: Path):
     # Stated before the fit: that is what the controller has, and what the program was made with.
     shutil.copy(examples.folder / "demo" / "calibration.json", folder)

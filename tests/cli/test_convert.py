@@ -38,12 +38,6 @@ def test_a_kinematics_yaml_of_a_calibration_conf(examples):
     ]
 
 
-def test_a_corrected_kinematics_yaml_keeps_the_hash(examples):
-    text = (examples.folder / "corrected.yaml").read_text()
-    assert "calib_4455573973530731233" in text
-    assert text != (examples.folder / "kinematics.yaml").read_text()
-
-
 def test_rows_as_a_table(examples):
     done = examples.starting("calib convert result.json --to modified-dh")
     assert "Written: rows.csv, DH rows, modified (Craig's) convention." in said(done.out)
@@ -54,17 +48,6 @@ def test_rows_as_a_table(examples):
     rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
     assert [row["table"] for row in rows] == ["before"] * 8 + ["after"] * 8 + ["change"] * 8
     assert rows[1]["joint"] == "shoulder_pan_joint"
-
-
-def test_rows_as_markdown(examples):
-    done = examples.starting("calib convert corrected.urdf")
-    assert done.lines[0] == "Read: corrected.urdf, 'ur3', 'base' to 'tool0', 6 joints."
-    assert "nearly parallel" not in done.out
-    text = (examples.folder / "rows.md").read_text()
-    assert "beta [deg] |" in text
-    assert [line for line in text.splitlines() if line.startswith("## ")] == [
-        "## Before", "## After", "## Change",
-    ]  # fmt: skip
 
 
 # Other conversions

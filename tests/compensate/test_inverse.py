@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
@@ -192,20 +192,6 @@ def test_few_joints_weigh_position_against_angle(serial_urdf):
     assert np.median(left[10.0][:, 1]) > 1e-3
 
 
-def test_a_slow_row_does_not_hold_up_the_others(ur3):
-    arm = Arm.of(ur3, np.eye(4))
-    q = well(arm, 3, POSE)
-    wanted = Arm.of(off(ur3), np.eye(4)).poses(q)
-    hopeless = wanted[:1].copy()
-    hopeless[0, :3, 3] += 5.0
-    alone = solve(arm, wanted, q, POSE, None)
-    together = solve(
-        arm, np.concatenate([wanted, hopeless]), np.concatenate([q, q[:1]]), POSE, None
-    )
-    assert np.array_equal(together.q[:3], alone.q)
-    assert POSE.misses(together.T_base_tool, np.concatenate([wanted, hopeless]))[3, 0] > 1.0
-
-
 TWIST = st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6).map(np.array)
 
 
@@ -217,6 +203,7 @@ def stack(*poses: np.ndarray) -> np.ndarray:
     return np.stack(poses)
 
 
+@settings(max_examples=25)
 @given(TWIST, TWIST)
 def test_moving_by_the_error_arrives(first, second):
     now, wanted = stack(pose(first)), stack(pose(second))
@@ -227,6 +214,7 @@ def test_moving_by_the_error_arrives(first, second):
     assert moved == pytest.approx(wanted[0], abs=1e-12)
 
 
+@settings(max_examples=25)
 @given(TWIST, TWIST)
 def test_the_axis_arrives_by_the_least_turn(first, second):
     now, wanted = stack(pose(first)), stack(pose(second))
@@ -267,17 +255,6 @@ def test_misses_are_a_distance_and_the_angle_that_is_matched():
     assert np.isnan(Matching("position", 1.0).misses(now, wanted)[0, 1])
 
 
-def test_an_unknown_name_is_refused_with_those_there_are():
-    with pytest.raises(ModelError, match="matched by 'poses'; choose one of 'pose', 'position'"):
-        Matching("poses", 1.0)
-
-
-@pytest.mark.parametrize("lever", [0.0, -1.0, np.nan, np.inf])
-def test_a_lever_is_a_length(lever):
-    with pytest.raises(ModelError, match="length greater than 0"):
-        Matching("weighted", lever)
-
-
 POSE = Matching("pose", 0.01)
 
 START = np.radians([-20.0, -80.0, 60.0, -70.0, -90.0, 10.0])
@@ -294,13 +271,6 @@ def path(arm: Arm, count: int) -> np.ndarray:
     poses = np.tile(arm.poses(START[None])[0], (count, 1, 1))
     poses[:, :3, 3] += np.linspace(0.0, 1.0, count)[:, None] * [0.1, 0.15, -0.05]
     return poses
-
-
-def test_near_is_the_solution_next_to_what_is_given(arm):
-    wanted = path(arm, 5)
-    found = solve(arm, wanted, np.tile(START, (5, 1)), POSE, column_limits(arm.robot))
-    assert found.T_base_tool == pytest.approx(wanted, abs=1e-12)
-    assert np.abs(found.q - START).max() < 0.7
 
 
 def test_a_path_is_followed_in_one_branch(arm):

@@ -12,7 +12,7 @@ from calib.identify.prediction import Larger
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.readback import random_joint_values
-from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.model.robot import Robot, read_only
 from calib.model.torques import GRAVITY, Payload, gravity_load
 from tests.compensate.arms import off, turned
 from tests.show.calibrations import made
@@ -86,27 +86,6 @@ def test_joints_that_err_with_their_state(case, families):
     assert twists == pytest.approx(differences(arm, q), abs=tolerance)
 
 
-def test_the_payload_that_is_given_wins(ur3):
-    found = larger(ur3, "+compliance")
-    q = random_joint_values(ur3, 5)
-    heavy = Payload(20.0)
-    arm = Arm.of_larger(found, ur3, np.eye(4), heavy)
-    assert arm.poses(q) == pytest.approx(
-        Arm.of_larger(replace(found, payload=heavy), ur3, np.eye(4)).poses(q), abs=1e-15
-    )
-    assert np.abs(arm.poses(q) - Arm.of_larger(found, ur3, np.eye(4)).poses(q)).max() > 1e-5
-
-
-def test_a_calibrated_robot_is_an_arm_too(ur3):
-    true = off(ur3)
-    q = random_joint_values(ur3, 5)
-    model = error_model(ur3, "placement", target=False)
-    x = np.random.default_rng(1).normal(size=len(model))
-    x *= np.where(np.array(model.units) == "m", 0.5e-3, 2e-3)
-    straight = Kinematics(ur3, model, np.eye(4), np.eye(4)).poses(x, q)
-    assert Arm.of(true, np.eye(4)).poses(q) == pytest.approx(straight, abs=1e-12)
-
-
 def test_of_a_calibration_whichever_of_its_robots_is_given(ur3):
     found = made("paper")
     q = random_joint_values(ur3, 5)
@@ -161,13 +140,6 @@ def test_of_two_robots(ur3):
     # The true robot is asked between the nominal one's links.
     wrist = ur3.rebuilt(tip="wrist_3_link")
     assert pair_of(true, wrist).actual.robot.tip == "wrist_3_link"
-
-
-def test_a_point_is_a_tool_that_is_not_turned(ur3):
-    pair = pair_of(off(ur3), ur3, tool=[0.1, 0.0, 0.2])
-    inside = rigid_inverse(off(ur3).poses(np.zeros(6))[0]) @ pair.actual.poses(np.zeros((1, 6)))[0]
-    assert inside[:3, 3] == pytest.approx([0.1, 0.0, 0.2], abs=1e-12)
-    assert inside[:3, :3] == pytest.approx(np.eye(3), abs=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -35,15 +35,6 @@ def test_of_poses_and_points():
     assert not points.oriented
 
 
-def test_its_arrays_are_its_own():
-    q = np.zeros((2, 3))
-    program = Program.of_joints(q)
-    q[:] = 1.0
-    assert program.q.max() == 0.0
-    with pytest.raises(ValueError, match="read-only"):
-        program.q[0, 0] = 1.0
-
-
 @pytest.mark.parametrize(
     ("make", "said"),
     [
@@ -179,15 +170,6 @@ def test_the_three_forms_of_an_orientation_are_one(tmp_path_factory, roll, pitch
         )
         assert np.abs(program.T_wanted[0, :3, :3] - R.as_matrix()).max() < 1e-14
         assert program.T_wanted[0, :3, 3] == pytest.approx([0.3, 0.2, 0.1])
-
-
-def test_kuka_s_a_b_c_are_mapped(read):
-    names = {"A": "yaw [deg]", "B": "pitch [deg]", "C": "roll [deg]"}
-    names |= {"X": "x [mm]", "Y": "y [mm]", "Z": "z [mm]"}
-    program = read("X,Y,Z,A,B,C", "300,200,100,30,20,10", columns=names)
-    R = Rotation.from_euler("ZYX", [30, 20, 10], degrees=True).as_matrix()
-    assert program.T_wanted is not None
-    assert program.T_wanted[0, :3, :3] == pytest.approx(R, abs=1e-15)
 
 
 def test_decimal_commas_between_semicolons(read):

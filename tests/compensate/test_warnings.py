@@ -3,7 +3,6 @@ from __future__ import annotations
 import re
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from calib.compensate.commands import commands
@@ -132,6 +131,7 @@ def test_near_a_singularity_is_said(ur3):
         assert float(said_degrees) == pytest.approx(np.degrees(worst), rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_solution_in_another_branch_is_none(ur3):
     # Across the wrist's singularity: the true robot's lies on its other side.
     q = np.tile(GOOD, (120, 1))
@@ -299,40 +299,3 @@ def test_another_robot_is_refused(ur3):
 def test_sizes_that_are_none_are_refused(ur3, arguments, named):
     with pytest.raises(ModelError, match=named):
         commands(off(ur3), Program.of_joints(GOOD), nominal=ur3, **arguments)
-
-
-#: Three joints that slide and a wrist: the pole of the wrist is a singularity.
-GANTRY = """<robot name="gantry"><link name="l0"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="l4"/>
-<link name="l5"/><link name="l6"/>
-{}
-</robot>"""
-JOINT = (
-    '<joint name="{name}" type="{kind}"><parent link="l{i}"/><child link="l{j}"/><origin xyz="{xyz}"/>'
-    '<axis xyz="{axis}"/><limit lower="-9" upper="9" effort="1" velocity="1"/></joint>'
-)
-
-
-@pytest.fixture(scope="module")
-def gantry() -> Robot:
-    joints = [
-        ("slide_x", "prismatic", "0 0 1", "1 0 0"),
-        ("slide_y", "prismatic", "0 0 0", "0 1 0"),
-        ("slide_z", "prismatic", "0 0 0", "0 0 1"),
-        ("roll", "revolute", "0 0 0.1", "0 0 1"),
-        ("bend", "revolute", "0 0 0.1", "0 1 0"),
-        ("spin", "revolute", "0 0 0.5", "0 0 1"),
-    ]
-    text = "\n".join(
-        JOINT.format(name=name, kind=kind, xyz=xyz, axis=axis, i=i, j=i + 1)
-        for i, (name, kind, xyz, axis) in enumerate(joints)
-    )
-    return Robot.from_urdf(Urdf.from_bytes(GANTRY.format(text).encode(), "g.urdf"), "l0", "l6")
-
-
-def test_how_far_a_sliding_joint_may_have_to_go_is_said_in_millimetres(gantry: Robot):
-    placements = gantry.placements.copy()
-    placements[4] = placements[4] @ pin.exp6(np.array([1e-3, 2e-3, 0, 1e-3, 0, 2e-3])).homogeneous
-    q = np.array([[0.1, 0.2, 0.3, 0.2, 0.004, 0.1]])
-    found = commands(gantry.with_placements(placements), Program(("row 1",), q=q), nominal=gantry)
-    said = " ".join(map(str, found.warnings[0]))
-    assert re.search(r"near a singularity: 1 mm of the tool may take \S+ mm of 'slide_[xyz]'", said)

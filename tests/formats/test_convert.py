@@ -23,7 +23,7 @@ from calib.formats.convert import (
     chosen_format,
     write_target,
 )
-from calib.formats.sources import KINDS, Asked, Source, read_source, source_kind
+from calib.formats.sources import Asked, Source, read_source, source_kind
 from calib.formats.universal_robots import write_ur_conf
 from calib.formats.ur_arms import FullDH, ur_model
 from calib.formats.ur_files import Conf
@@ -304,21 +304,6 @@ def test_how_far_a_source_is_from_its_nominal_robot(shop):
 
 
 # What a source is
-
-
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [
-        ("calibration.conf", "ur-conf"),
-        ("kinematics.yaml", "ur-yaml"),
-        ("origins.yaml", "origins"),
-        ("result.json", "result"),
-        ("corrected.urdf", "robot"),
-    ],
-)
-def test_the_kind_of_a_source(shop, name, kind):
-    assert source_kind(str(shop / name)) == kind
-    assert kind in KINDS
 
 
 def test_other_files_are_no_sources(tmp_path):

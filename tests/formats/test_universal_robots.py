@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-import yaml
-from scipy.spatial.transform import Rotation
 
 from calib.errors import FileError, ModelError
 from calib.formats.universal_robots import (
@@ -15,7 +13,7 @@ from calib.formats.universal_robots import (
     write_ur_conf,
     write_ur_yaml,
 )
-from calib.formats.ur_arms import LINKS, FullDH, UrModel, ur_model, ur_robot
+from calib.formats.ur_arms import FullDH, UrModel, ur_model, ur_robot
 from calib.model.readback import check_written
 from calib.model.robot import Robot
 from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
@@ -52,21 +50,6 @@ def displaced(robot: Robot, size: float = 1e-3, seed: int = 9) -> Robot:
     )
 
 
-def fk_of_yaml(path, q) -> np.ndarray:
-    """The flange as ROS computes it: PyYAML, and rotations by another library."""
-    table = yaml.safe_load(path.read_text())["kinematics"]
-    T = np.tile(np.eye(4), (len(q), 1, 1))
-    for i, link in enumerate(LINKS):
-        origin = np.eye(4)
-        origin[:3, 3] = [table[link][key] for key in "xyz"]
-        angles = [table[link][key] for key in ("roll", "pitch", "yaw")]
-        origin[:3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
-        turn = np.tile(np.eye(4), (len(q), 1, 1))
-        turn[:, :3, :3] = Rotation.from_euler("z", q[:, [i]]).as_matrix()
-        T = T @ origin @ turn
-    return T
-
-
 # calibration.conf
 
 
@@ -85,20 +68,6 @@ def test_conf_to_urdf(case, conf_of):
     moved = source.robot.placements[:, :3, 3] - source.nominal.placements[:, :3, 3]
     assert np.linalg.norm(moved, axis=1).max() < 0.02
     check_written(source.robot, rows(case["full_dh"]).poses(Q[:20]), Q[:20])
-
-
-@by_name
-def test_conf_to_yaml_to_urdf(case, conf_of, tmp_path):
-    source = read_ur(conf_of(case), model=case["robot"])
-    written = write_ur_yaml(source.robot, source.nominal, tmp_path / "k.yaml", hash=source.hash)
-    assert written.remarks == ()
-    again = read_ur(written.path, model=case["robot"])
-    np.testing.assert_allclose(
-        again.robot.poses(case["fk"]["q"]), case["fk"]["T"], rtol=0, atol=1e-9
-    )
-    assert again.hash == case["driver_hash"]
-    by_ros = fk_of_yaml(written.path, np.array(case["fk"]["q"]))
-    np.testing.assert_allclose(by_ros, case["fk"]["T"], rtol=0, atol=1e-8)
 
 
 def test_the_nominal_rows_may_come_from_urcontrol(conf_of, tmp_path):

@@ -52,13 +52,6 @@ def test_the_old_description_with_other_frames(name, base, tip, arm):
     np.testing.assert_allclose(robot.poses(Q), poses, rtol=0, atol=1e-8)
 
 
-def test_the_paper_s_robot_is_a_ur3(ur3):
-    model, mounted = the_mount(ur3)
-    assert model.name == "UR3"
-    np.testing.assert_allclose(mounted.T_base_arm, np.eye(4), rtol=0, atol=1e-14)
-    np.testing.assert_allclose(mounted.T_flange_tip, np.eye(4), rtol=0, atol=1e-9)
-
-
 def test_arms_of_two_names_have_both():
     assert [model.name for model in recognised(ur_robot("UR7e"))] == ["UR5e", "UR7e"]
     assert the_mount(ur_robot("UR7e"), ur_model("UR7e"))[0].name == "UR7e"
@@ -80,12 +73,6 @@ def corrected(robot: Robot, size: float = 1e-3) -> Robot:
             [P @ pin.exp6(t).homogeneous for P, t in zip(robot.placements, twists, strict=True)]
         )
     )
-
-
-def test_a_corrected_arm_is_not_a_nominal_one(ur3):
-    robot = corrected(ur3, 1e-5)
-    assert recognised(robot) == ()
-    assert mount(robot, ur_model("UR3")) is None
 
 
 @pytest.mark.parametrize("name", ["ur3", "ur5e"])
