@@ -11,7 +11,6 @@ from calib.model.dh import DHTable, dh_table, zero_poses
 from calib.model.error_model import (
     DIRECTIONS,
     error_model,
-    frame_and_target_model,
 )
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
@@ -143,16 +142,6 @@ def test_zeros_turn_revolute_and_move_prismatic_joints():
 # Families behind the set
 
 
-def test_families_stand_behind_the_set_and_before_frame_and_target(ur3):
-    model = error_model(ur3, "dh+compliance+gain", frame=True)
-    assert model.name == "dh+compliance+gain"
-    assert model.families == (LENGTH, ANGLE, ZERO, GAIN, COMPLIANCE)
-    kinds = [p.family for p in model.parameters]
-    assert kinds[24:36] == [COMPLIANCE] * 6 + [GAIN] * 6
-    assert kinds[36:] == [FRAME] * 6 + [TARGET] * 3
-    assert model.names[:24] == error_model(ur3, "dh", target=False).names
-
-
 @pytest.mark.parametrize("name", ["paper", "dh", "hayati", "placement", "zeros", "frames"])
 def test_every_set_takes_every_family(ur3, name):
     whole = error_model(ur3, "+".join((name, *joint_families())), target=False)
@@ -183,13 +172,6 @@ def test_a_family_without_a_set_lists_the_sets(ur3):
         error_model(ur3, "gain")
 
 
-def test_no_urdf_holds_errors_of_the_joints_state(ur3):
-    model = error_model(ur3, "zeros+gain+eccentricity+compliance")
-    x = np.full(len(model), 0.01)
-    x[model.family(ZERO)] = 0
-    assert model.apply(ur3, x).urdf.data == ur3.urdf.data
-
-
 # Several frames and targets, by name
 
 
@@ -217,19 +199,6 @@ def test_frames_and_targets_by_name(ur3):
     np.testing.assert_array_equal(top.direction, np.eye(6)[5])
 
 
-def test_only_some_targets_are_estimated(ur3):
-    model = error_model(ur3, "frames", targets=("ball", "cone"), target=("cone",))
-    assert model.names == ("target_x[cone]", "target_y[cone]", "target_z[cone]")
-    assert model.places[-2:] == ("(target)ball", "(target)cone")
-    none = error_model(ur3, "frames", targets=("ball", "cone"), target=False)
-    assert (none.names, none.places) == ((), model.places)
-
-
-def test_an_estimated_target_that_there_is_none_of_is_refused(ur3):
-    with pytest.raises(ModelError, match=r"no places '\(target\)cup'; it has .*'\(target\)ball'"):
-        error_model(ur3, "frames", targets=("ball",), target=("cup",))
-
-
 def test_targets_of_poses_have_six_parameters(ur3):
     model = error_model(ur3, "frames", targets=("ball", "cone"), target=("cone",), rotation=True)
     assert model.names == tuple(f"target_{d}[cone]" for d in DIRECTIONS)
@@ -255,23 +224,6 @@ def test_the_paper_knows_every_frame(ur3):
     with pytest.raises(ModelError, match="knows the measurement frame"):
         error_model(ur3, "paper", frame={"left": (), "right": ("x",)})
     assert len(error_model(ur3, "paper", frame={"left": (), "right": ()})) == 27
-
-
-def test_frame_and_target_alone(ur3):
-    model = frame_and_target_model(
-        {"a": (), "b": ("z", "rx", "ry")}, ("t",), known_targets=("s", "t"), rotation=True
-    )
-    assert model.places == ("(frame)a", "(frame)b", TIP, "(target)s", "(target)t")
-    whole = error_model(
-        ur3,
-        "frames",
-        frame={"a": (), "b": ("z", "rx", "ry")},
-        targets=("s", "t"),
-        target=("t",),
-        rotation=True,
-    )
-    assert model.names == whole.names
-    assert frame_and_target_model({"": ()}, ("t",)).places == (FRAME, TIP, "(target)t")
 
 
 # Chains of two branches, chains that start with a joint, and joints that follow others
@@ -356,20 +308,6 @@ def test_no_parameter_stands_where_the_urdf_holds_none(chains, which, name):
     assert {t.place for t in error_model(robot, name, target=False).terms} <= held
 
 
-def test_d_and_theta_of_a_bare_base_act_behind_its_joint(chains):
-    robot = chains["ur3 turned round, bare"]
-    model = error_model(robot, "dh", target=False)
-    second = robot.joints[1].name
-    # before a and alpha, as in the row's product
-    assert model.names[:4] == ("d1", "theta1", "a1", "alpha1")
-    assert [p.place for p in model.parameters[:4]] == [second] * 4
-    assert error_model(robot, "zeros", target=False).parameters[0].place == second
-    # the six of the first placement are left out, and the first axis' are in the second one's
-    names = error_model(robot, "placement", target=False).names
-    assert not any(name.startswith(f"{robot.joints[0].name}.") for name in names)
-    assert len(names) == 30
-
-
 def test_a_skew_axis_has_a_zero_of_its_own_among_the_placement_s(serial_urdf):
     robot = Robot.from_urdf(
         serial_urdf(
@@ -432,15 +370,6 @@ def test_zeros_of_followers_are_tied_to_their_driver_s():
     np.testing.assert_allclose(
         model.apply(robot, x).poses(q), robot.poses(q + np.array([0.1, 0.0])), rtol=0, atol=1e-14
     )
-
-
-def test_held_joints_keep_their_own_zeros():
-    held = {"torso_lift_joint": 0.2, "head_1_joint": -0.3}
-    robot = Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link", held=held)
-    assert not set(held) & set(robot.joint_names)
-    names = error_model(robot, "zeros", target=False).names
-    assert names == tuple(f"{joint.name}.zero" for joint in robot.joints)
-    assert "head_1_joint.zero" in names
 
 
 # Exactness: a DH offset is a displacement of a placement, and no approximation
@@ -514,11 +443,6 @@ def test_apply_and_kinematics_agree(ur3, name):
     q = np.random.default_rng(0).uniform(-3, 3, (4, 6))
     poses = Kinematics(ur3, model, np.eye(4), T_tip_target).poses(x, q)
     np.testing.assert_allclose(poses, model.apply(ur3, x).poses(q) @ T_tip_target, atol=1e-14)
-
-
-def test_apply_leaves_frame_and_target_out(ur3):
-    model = error_model(ur3, "frames", frame=True)
-    assert model.apply(ur3, np.full(9, 0.01)).urdf.data == ur3.urdf.data
 
 
 def test_a_tip_that_carries_no_correction_drops_the_last_a_and_alpha():

@@ -200,20 +200,6 @@ def test_every_column_with_several_frames_and_targets(robots, which, name, at):
     assert_columns_equal_their_differences(kinematics, x, samples)
 
 
-def test_a_frame_or_target_moves_its_own_samples_only(robots):
-    kinematics, samples = several(robots["tiago_held"], "frames")
-    model, x = kinematics.model, finite_x(kinematics.model)
-    _, twists = kinematics.twists(x, samples)
-    for k, parameter in enumerate(model.parameters):
-        moved = np.any(twists[:, :, k], axis=1)
-        if parameter.family == FRAME:
-            number = model.places.index(parameter.place)
-            np.testing.assert_array_equal(moved, samples.frame == number)
-        else:
-            number = ["(target)ball", "(target)fixed", "(target)cone"].index(parameter.place)
-            np.testing.assert_array_equal(moved, samples.target == number)
-
-
 @pytest.mark.parametrize("which", ["ur3", "mimic", "talos_head_to_arm"])
 def test_several_frames_and_targets_are_each_as_if_alone(robots, which):
     # A row's frame and target are the only ones that it knows of.
@@ -380,17 +366,6 @@ def test_the_jacobian_at_x_is_that_of_the_displaced_robot(ur3):
     moved = model.apply(ur3, x)
     _, at_zero = Kinematics(moved, model, np.eye(4), np.eye(4)).twists(np.zeros(6), q)
     np.testing.assert_allclose(at_x, at_zero, atol=1e-12)
-
-
-def test_one_set_of_joint_values_and_none(ur3):
-    model = error_model(ur3, "paper")
-    kinematics, q = seen(ur3, model), some_q(ur3, 1)
-    assert kinematics.poses(np.zeros(27), q[0]).shape == (1, 4, 4)
-    np.testing.assert_array_equal(
-        kinematics.twists(np.zeros(27), q[0])[1], kinematics.twists(np.zeros(27), q)[1]
-    )
-    assert kinematics.poses(np.zeros(27), np.zeros((0, 6))).shape == (0, 4, 4)
-    assert kinematics.twists(np.zeros(27), np.zeros((0, 6)))[1].shape == (0, 6, 27)
 
 
 def test_another_number_of_frames_or_targets_than_the_model_has_is_refused(ur3):

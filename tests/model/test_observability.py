@@ -198,17 +198,6 @@ def test_joints_without_load_show_no_compliance(ur3):
         assert texts == [f"{joint}_joint.compliance at all" for joint in idle]
 
 
-def test_eccentricity_at_two_values_of_its_joint_is_its_zero(ur3):
-    q = random_q()
-    q[:, 2] = np.where(np.arange(100) % 2, 0.3, np.pi - 0.3)  # one sine: a zero; two cosines
-    model = error_model(ur3, "zeros+eccentricity")
-    texts = [str(c) for c in analysed(jacobian_of(ur3, model, q), model).unidentifiable]
-    expected = (
-        f"elbow_joint.zero and elbow_joint.sin together (+1 mrad, {-1 / np.sin(0.3):+.3g} mrad)"
-    )
-    assert expected in texts
-
-
 # The paper's table
 
 
@@ -314,32 +303,7 @@ def test_the_five_indices():
     assert result.identifiable.all()
 
 
-def test_the_unit_of_the_measurements_changes_nothing(ur3, paper_table):
-    model = error_model(ur3, "paper")
-    in_m = jacobian_of(ur3, model, paper_table.joints)
-    a, b = analysed(in_m, model), analysed(1000 * in_m, model)
-    assert a.rank == b.rank
-    assert [str(c) for c in a.unidentifiable] == [str(c) for c in b.unidentifiable]
-    np.testing.assert_allclose(b.singular_values[:21], 1000 * a.singular_values[:21], rtol=1e-12)
-    np.testing.assert_allclose(a.condition, b.condition)
-    np.testing.assert_array_equal(a.identifiable, b.identifiable)
-
-
-def test_turned_coordinates_and_another_order_of_rows_change_nothing(ur3, paper_table):
-    model = error_model(ur3, "paper")
-    jacobian = jacobian_of(ur3, model, paper_table.joints)
-    Q = np.linalg.qr(np.random.default_rng(0).normal(size=(105, 105)))[0]
-    a, b = analysed(jacobian, model), analysed(Q @ jacobian, model)
-    np.testing.assert_allclose(a.singular_values[:21], b.singular_values[:21], rtol=1e-10)
-    assert [str(c) for c in a.unidentifiable] == [str(c) for c in b.unidentifiable]
-
-
 # Few rows, none, wrong sizes
-
-
-def test_no_parameters():
-    result = analyse(np.zeros((6, 0)), [], [])
-    assert (result.columns, result.rank, result.unidentifiable) == (0, 0, ())
 
 
 @pytest.mark.parametrize(

@@ -127,28 +127,6 @@ def test_numbers_in_every_form_of_xml():
     assert (j.mimic_multiplier, j.mimic_offset) == (1.0, 0.0)
 
 
-def test_limits_and_axes_of_types_that_have_none_are_not_read():
-    more = '<axis xyz="0 0 0"/><limit lower="x" upper="y"/>'
-    j = parse(robot(joint(more=more))).joints[0]
-    np.testing.assert_array_equal(j.axis, [1, 0, 0])
-    assert (j.lower, j.upper) == (None, None)
-
-
-def test_joint_tags_elsewhere_do_not_count():
-    other = '<joint name="j" type="?"><origin xyz="7 7 7"/></joint>'
-    text = robot(
-        f"<gazebo>{other}</gazebo><transmission>{other}</transmission>",
-        f"<ros2_control><x>{other}</x></ros2_control><gazebo><![CDATA[{other}]]></gazebo>",
-        f"<!-- {other} -->",
-        joint(more='<origin xyz="1 1 1"/><safety><origin xyz="8 8 8"/></safety>'),
-        f"<ros2_control>{other}</ros2_control>",
-    )
-    urdf = parse(text)
-    np.testing.assert_array_equal(urdf.joint("j").xyz, [1, 1, 1])
-    moved = urdf.with_origins({"j": pose([1, 1, 2])})
-    assert moved.data == text.replace('xyz="1 1 1"', 'xyz="1.0 1.0 2.0"').encode()
-
-
 TREE = robot(
     joint("j1", "w", "a"),
     joint("j2", "a", "b"),
@@ -186,17 +164,12 @@ def test_unknown_names_are_answered_with_the_known_ones():
 
 REFUSED = {
     "empty": ("", "r.urdf is empty; a URDF is wanted"),
-    "blank": ("\ufeff \n", "is empty"),
     "csv": ("q1 [deg],q2 [deg],x [mm]\n1,2,3\n", "line 1, column 1; it starts with no"),
-    "text": ("hello", "it starts with no '<'"),
     "unclosed": (
         "<robot>\n <link></robot>",
         "r.urdf is not XML: mismatched tag, line 2, column 10",
     ),
-    "twice": ('<robot name="a" name="b"/>', "duplicate attribute, line 1, column 17"),
     "sdf": ("<sdf version='1.7'/>", "line 1: the outermost element is <sdf>, it looks like SDF"),
-    "mjcf": ("\n<mujoco/>", "line 2: the outermost element is <mujoco>, it looks like MJCF"),
-    "other": ("<html/>", "is <html>; a URDF has <robot>"),
     "xacro macro": (
         robot('\n<xacro:macro name="m"/>', joint()),
         "r.urdf, line 2: 'xacro:macro' belongs to xacro, not URDF; expand it first: xacro "
@@ -206,7 +179,6 @@ REFUSED = {
         robot("<x:if/>", joint(), root='<robot xmlns:x="http://www.ros.org/wiki/xacro">'),
         "'x:if' belongs to xacro",
     ),
-    "xacro attribute": (robot('<link name="c" xacro:if="1"/>', joint()), "'xacro:if' belongs to"),
     "xacro number": (
         robot(joint(more='<origin xyz="0 0 ${d1}"/>')),
         "joint 'j': xyz of <origin> is '0 0 ${d1}', 3 finite numbers wanted; this is xacro, expand",
@@ -218,27 +190,11 @@ REFUSED = {
     ),
     "link twice": (robot(joint(), links="aba"), "a second link 'a', the first is in line 1"),
     "no name": (robot('<joint type="fixed"/>'), 'a <joint> has no name; give it name="..."'),
-    "no link name": (robot("<link/>", joint()), "a <link> has no name"),
-    "self-closing": (
-        robot('<joint name="j" type="fixed"/>'),
-        """joint 'j' lacks <parent link="...">""",
-    ),
-    "no child": (
-        robot('<joint name="j" type="fixed"><parent link="a"/></joint>'),
-        """joint 'j' lacks <child link="...">""",
-    ),
-    "empty parent": (robot(joint(parent="")), """joint 'j' lacks <parent link="...">"""),
-    "empty mimic": (robot(joint(more="<mimic/>")), """joint 'j' lacks <mimic joint="...">"""),
     "mimic by a word": (
         robot(joint(more='<mimic joint="k" multiplier="half"/>')),
         "joint 'j': multiplier of <mimic> is 'half', a finite number wanted",
     ),
-    "mimic offset by two": (
-        robot(joint(more='<mimic joint="k" offset="1 2"/>')),
-        "joint 'j': offset of <mimic> is '1 2', a finite number wanted",
-    ),
     "two origins": (robot(joint(more="<origin/><origin/>")), "joint 'j' has 2 <origin>; keep one"),
-    "two parents": (robot(joint(more='<parent link="b"/>')), "joint 'j' has 2 <parent>"),
     "no such link": (
         robot(joint(child="arm_lnk"), '<link name="arm_link"/>'),
         "joint 'j' names the link 'arm_lnk', which does not exist (did you mean 'arm_link'?)",
@@ -248,10 +204,6 @@ REFUSED = {
         "link 'b' is the child of both 'j' and 'l'; a URDF is a tree",
     ),
     "ring": (robot(joint(), joint("k", "b", "a")), "the joints 'j', 'k' form a loop"),
-    "ring aside": (
-        robot(joint(), joint("k", "c", "d"), joint("l", "d", "c"), links="abcd"),
-        "the joints 'k', 'l' form a loop",
-    ),
     "two roots": (robot(joint(), links="abc"), "r.urdf has 2 root links: 'a', 'c'; join them"),
     "type": (
         robot(joint(kind="hinge")),
@@ -261,13 +213,8 @@ REFUSED = {
         robot("\n" + joint(more='\n<origin rpy="0 zero 0"/>')),
         "r.urdf, line 3: joint 'j': rpy of <origin> is '0 zero 0', 3 finite numbers wanted",
     ),
-    "too few": (robot(joint(more='<origin xyz="0 0"/>')), "is '0 0', 3 finite numbers wanted"),
-    "no number": (robot(joint(more='<origin xyz=""/>')), "is '', 3 finite numbers wanted"),
     "comma": (robot(joint(more='<origin xyz="0,1 0 0"/>')), "is '0,1 0 0', 3 finite"),
-    "underscore": (robot(joint(more='<origin xyz="1_0 0 0"/>')), "is '1_0 0 0', 3 finite"),
-    "odd space": (robot(joint(more='<origin xyz="1\u00a00 0 0"/>')), "3 finite numbers wanted"),
     "nan": (robot(joint(more='<origin xyz="nan 0 0"/>')), "is 'nan 0 0', 3 finite"),
-    "overflow": (robot(joint(more='<origin xyz="1e999 0 0"/>')), "is '1e999 0 0', 3 finite"),
     "axis": (
         robot(joint(kind="revolute", more='<axis xyz="0 0 0"/>')),
         """joint 'j': the axis is zero; give its direction, xyz="0 0 1" for example""",
@@ -280,14 +227,11 @@ REFUSED = {
         '<?xml version="1.0" encoding="shift_jis"?><robot/>',
         "cannot be used (multi-byte",
     ),
-    "no encoding": ('<?xml version="1.0" encoding="nonsense"?><robot/>', "save it as UTF-8"),
     "not latin": (
         b"<robot>\xe9</robot>",
         "line 1, column 8; mend the file there, and save it as UTF-8",
     ),
     "utf-16": (robot(joint()).encode("utf-16"), "r.urdf is in UTF-16 or UTF-32; save it as UTF-8"),
-    "utf-16 bare": (robot(joint()).encode("utf-16-be"), "is in UTF-16 or UTF-32"),
-    "utf-32": (robot(joint()).encode("utf-32"), "is in UTF-16 or UTF-32"),
 }
 
 
