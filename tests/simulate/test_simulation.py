@@ -271,7 +271,7 @@ def test_set_ups_are_dealt_out_in_turn_and_tours_repeat(ur3, q):
         ({"kind": "best"}, "'best' is not a kind"),
         ({"sigma_angle": -1.0}, "noise of an angle is -1.0 rad"),
         ({"visits": 0}, "visited 0 times"),
-        ({"drift": (1.0, 2.0)}, "drift is (1.0, 2.0); it must be three finite numbers"),
+        ({"drift": (1.0, 2.0)}, "drift is .*; it must be three finite numbers"),
     ],
 )
 def test_what_a_cell_cannot_be(truth, values, said):
