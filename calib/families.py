@@ -11,8 +11,7 @@ times a known number of that state, its factor:
 No URDF can hold those. Sources: J. Hollerbach, W. Khalil, M. Gautier, Handbook of Robotics, ch. 6 (gain, compliance);
 the once-per-turn error is what an encoder disc that is off its axis shows.
 
-`register` adds a family from outside. The registry is the one table of calib that can grow while a program runs: rows
-are added, never changed, and a process that reads a result with a family of its own registers that family first.
+`register` adds a family from outside: rows are added, never changed, and each process registers its own first.
 """
 
 from __future__ import annotations

@@ -155,8 +155,7 @@ class Kind:
 def register(kind: Kind) -> None:
     """Add a kind of measurement: tables, fits, simulations and files of this process know it from then on.
 
-    A table that a program adds to, on purpose: a name once in it means the same to all, and nothing can be replaced
-    or taken out again. Worker processes register what they need themselves, on import.
+    Nothing can be replaced or taken out again. Worker processes register what they need themselves, on import.
 
     Raises:
         CalibError: There is a kind, or a column, of this name.

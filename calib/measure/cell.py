@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -369,7 +370,7 @@ class Cell:
         """To another process and back: read-only mappings travel as dicts, and are checked again there."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         plain = {k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in values.items()}
-        return _cell, (plain,)
+        return partial(Cell, **plain), ()
 
     @classmethod
     def read(cls, path: str | Path) -> Cell:
@@ -408,8 +409,3 @@ def _by_name(value: Any) -> Mapping[str, Any] | None:  # noqa: ANN401
     """A mapping whose keys are names."""
     good = isinstance(value, Mapping) and all(isinstance(k, str) and k.strip() for k in value)
     return value if good else None
-
-
-def _cell(values: dict[str, Any]) -> Cell:
-    """A cell from its values by name, see `Cell.__reduce__`."""
-    return Cell(**values)

@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from itertools import compress
 from pathlib import Path
 from types import MappingProxyType
@@ -169,8 +170,8 @@ class Measurements:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process and back: a read-only mapping travels as a dict."""
-        values = {f: getattr(self, f) for f in self.__dataclass_fields__}
-        return _measurements, ({**values, "readings": dict(self.readings)},)
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return partial(Measurements, **{**values, "readings": dict(self.readings)}), ()
 
     @classmethod
     def read(
@@ -393,11 +394,6 @@ _WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "po
 
 #: The arrays with an entry a row.
 _ARRAYS = ("joints", "points", "sigma", "rotations", "distances", "sigma_angle", "torques")
-
-
-def _measurements(values: dict[str, Any]) -> Measurements:
-    """Measurements from their values by name, see `Measurements.__reduce__`."""
-    return Measurements(**values)
 
 
 def _read_only(values: ArrayLike) -> NDArray[np.float64]:

@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import CalibError, FileError, MeasurementError, choices
+from calib.errors import FileError, MeasurementError, choices
 from calib.measure.checks import better_unit, check_signs, implausible
 from calib.measure.table import close_names
 from calib.model.files import read_bytes
-from calib.units import Unit, find_unit, symbols
+from calib.units import UNITS, Unit, symbols
 
 #: Between collection, group and point.
 PARTS = "::"
@@ -69,16 +69,15 @@ class Points:
     lines: tuple[int, ...]
     source: str
     sha256: str
-    _at: dict[str, list[int]] = field(init=False, repr=False)
-    _at_last: dict[str, list[int]] = field(init=False, repr=False)
+    _at: dict[str, list[int]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Where each name stands, whole and by its last part, for tables of many rows."""
-        for name, function in (("_at", str), ("_at_last", _last)):
+        """Where each name stands, whole or by its last part, for tables of many rows."""
+        for function in (_last, str):
             found: dict[str, list[int]] = {}
             for i, whole in enumerate(self.names):
                 found.setdefault(function(whole), []).append(i)
-            object.__setattr__(self, name, found)
+            self._at.update(found)  # a whole name wins
 
     def __len__(self) -> int:
         """The number of points, N."""
@@ -90,7 +89,7 @@ class Points:
         Raises:
             MeasurementError: several have.
         """
-        hits = self._at.get(name) or self._at_last.get(name) or []
+        hits = self._at.get(name, [])
         if len(hits) > 1:
             whole = [self.names[i] for i in hits]
             lines = ", ".join(str(self.lines[i]) for i in hits[:8])
@@ -125,8 +124,7 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
         raise MeasurementError(str(error)) from error
     remarks, headings, separator, lines = _take_apart(_decode(data, source), source)
     named, at = _columns(headings, separator, lines, source)
-    values = _numbers(lines, at, source)
-    metres = _in_metres(lines, values, _find_unit(remarks, unit, source), source)
+    metres = _metres(lines, at, _find_unit(remarks, unit, source), source)
     sign = " " if separator == " " else PARTS
     names = tuple(sign.join(line.cells[i] for i in named) for line in lines) if named else ()
     where = tuple(line.number for line in lines)
@@ -206,13 +204,11 @@ class _Line(NamedTuple):
 
 def _decode(data: bytes, source: str) -> str:
     """Text of bytes as measuring programs write them: UTF-8, UTF-16 with its mark, else Windows' own."""
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        text = data.decode("utf-16", errors="replace")
-    else:
-        try:
-            text = data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = data.decode("cp1252", errors="replace")
+    utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        text = data.decode("utf-16" if utf16 else "utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", errors="replace")
     if "\0" in text:
         raise MeasurementError(
             f"{source}: this is not a text file. Export the points as text (ASCII)."
@@ -296,8 +292,17 @@ def _columns(
             raise MeasurementError(_no_point(short, source))
         return named, at
     start = _first_number(lines, source)
-    names = {line.cells[:start] for line in lines}
-    if len(names) < len(lines) and _is_count(lines, start, source):
+    # Whole numbers there, and three more behind, name the points, unless the names before do.
+    counted = all(
+        line.cells[start].isdigit() and _has_point(line.cells, start + 1) for line in lines
+    )
+    if counted and len({line.cells[:start] for line in lines}) < len(lines):
+        rest = [cell for line in lines for cell in line.cells[start + 1 : start + 4]]
+        if all(cell.lstrip("+-").isdigit() for cell in rest):
+            raise MeasurementError(
+                f"{source}, line {lines[0].number}: all are whole numbers, so the point's number "
+                "cannot be told from x. Write a header line above the points, 'name x y z'."
+            )
         start += 1
     return list(range(start)), [start, start + 1, start + 2]
 
@@ -325,21 +330,6 @@ def _first_number(lines: Sequence[_Line], source: str) -> int:
     raise MeasurementError(_no_point(bad, source))
 
 
-def _is_count(lines: Sequence[_Line], start: int, source: str) -> bool:
-    """Whether the first column of numbers names the points: whole numbers, and three more behind."""
-    if not all(_has_point(line.cells, start + 1) for line in lines):
-        return False
-    if not all(line.cells[start].isdigit() for line in lines):
-        return False
-    rest = [cell for line in lines for cell in line.cells[start + 1 : start + 4]]
-    if all(cell.lstrip("+-").isdigit() for cell in rest):
-        raise MeasurementError(
-            f"{source}, line {lines[0].number}: all are whole numbers, so the point's number "
-            "cannot be told from x. Write a header line above the points, 'name x y z'."
-        )
-    return True
-
-
 def _no_point(line: _Line, source: str) -> str:
     """What to say of a line that does not fit the others."""
     return (
@@ -348,20 +338,32 @@ def _no_point(line: _Line, source: str) -> str:
     )
 
 
-def _numbers(lines: Sequence[_Line], at: Sequence[int], source: str) -> NDArray[np.float64]:
-    """The coordinates as written, shape (N, 3)."""
+def _metres(
+    lines: Sequence[_Line], at: Sequence[int], unit: Unit, source: str
+) -> NDArray[np.float64]:
+    """The coordinates, shape (N, 3), [m], read-only; refused when they cannot be in this unit."""
     signs: dict[str, int] = {}  # decimal sign: the first line that has it
     values = np.empty((len(lines), 3))
     for i, line in enumerate(lines):
         cells = [line.cells[j] if j < len(line.cells) else "" for j in at]
         if not _has_point(cells, 0):
             raise MeasurementError(_no_point(line, source))
-        for sign in ".,":
-            if any(sign in cell for cell in cells):
-                signs.setdefault(sign, line.number)
+        for sign in (sign for sign in ".," if any(sign in cell for cell in cells)):
+            signs.setdefault(sign, line.number)
         values[i] = [float(cell.replace(",", ".")) for cell in cells]
     check_signs(source, signs)
-    return values
+    metres = values * unit.to_si
+    row, what = implausible(metres, unit)
+    if what:
+        value = float(values[row][np.argmax(np.abs(values[row]))])
+        better = better_unit(value, unit)
+        fix = f"If it is in {better}, say so: '# Units: {better}'." if better else "Correct it."
+        raise MeasurementError(
+            f"{source}, line {lines[row].number}: {value:.10g} was read as "
+            f"{value * unit.to_si:.6g} m, {what}. {fix}"
+        )
+    metres.setflags(write=False)
+    return metres
 
 
 def _unit_of(remark: str) -> str:
@@ -381,45 +383,22 @@ def _unit_of(remark: str) -> str:
 def _find_unit(remarks: Sequence[str], given: str | None, source: str) -> Unit:
     """The unit of the coordinates, from the file or as given; both agree."""
     named = list(dict.fromkeys(filter(None, map(_unit_of, remarks))))
+    allowed = f"allowed are {choices(symbols('length'))}"
     message = ""
     if len(named) > 1:
         message = f"its remarks name several units of length, {choices(named)}. Leave one, as in '# Units: mm'."
     elif given is None and not named:
         message = (
             "the unit of the points is not in it. Write a first line '# Units: mm', or give it "
-            f"(--points-unit mm); allowed are {choices(symbols('length'))}."
+            f"(--points-unit mm); {allowed}."
+        )
+    elif {given or named[0], *named} - set(symbols("length")):
+        message = f"'{given or named[0]}' is not a unit of length; {allowed}"
+    elif given and named and given != named[0]:
+        message = (
+            f"the file says that its points are in {named[0]}, and {given} was given. "
+            "Leave the unit out, or correct the file."
         )
     if message:
         raise MeasurementError(f"{source}: {message}")
-    try:
-        unit = find_unit(named[0] if given is None else given)
-    except CalibError as error:
-        raise MeasurementError(f"{source}: {error}") from error
-    if unit.quantity != "length":
-        raise MeasurementError(
-            f"{source}: '{unit.symbol}' is not a unit of length; allowed are {choices(symbols('length'))}"
-        )
-    if named and unit.symbol != named[0]:
-        raise MeasurementError(
-            f"{source}: the file says that its points are in {named[0]}, and {unit.symbol} was given. "
-            "Leave the unit out, or correct the file."
-        )
-    return unit
-
-
-def _in_metres(
-    lines: Sequence[_Line], values: NDArray[np.float64], unit: Unit, source: str
-) -> NDArray[np.float64]:
-    """The coordinates in metres; refused when they cannot be in this unit."""
-    metres = values * unit.to_si
-    row, what = implausible(metres, unit)
-    if what:
-        value = float(values[row][np.argmax(np.abs(values[row]))])
-        better = better_unit(value, unit)
-        fix = f"If it is in {better}, say so: '# Units: {better}'." if better else "Correct it."
-        raise MeasurementError(
-            f"{source}, line {lines[row].number}: {value:.10g} was read as "
-            f"{value * unit.to_si:.6g} m, {what}. {fix}"
-        )
-    metres.setflags(write=False)
-    return metres
+    return UNITS[given or named[0]]

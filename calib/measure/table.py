@@ -21,7 +21,7 @@ from typing import NamedTuple
 import calib.kinds as registry
 from calib.errors import CalibError, FileError, MeasurementError, choices
 from calib.model.files import read_bytes
-from calib.units import Quantity, Unit, find_unit, parse_header, split_header, symbols
+from calib.units import NUMBER, Quantity, Unit, find_unit, parse_header, split_header, symbols
 
 SEPARATORS = (",", ";", "\t")
 
@@ -125,14 +125,15 @@ class Table:
             raise MeasurementError(
                 f"{path}: the file is empty. A table begins with a header line, {_EXAMPLE}"
             )
-        separator = _separator(line)
+        separator = max(SEPARATORS, key=line.count)  # in a tie, the first: the comma
         try:
-            header = tuple(cell.strip() for cell in _cells(line, separator, strict=True))
+            read = csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True)
+            header = tuple(cell.strip() for cell in next(read))
         except csv.Error as error:
             raise MeasurementError(
                 f'{source}: not a CSV table ({error}). Check the double quotes (") in its header.'
             ) from error
-        if all(_is_number(cell) for cell in header):
+        if all(NUMBER.fullmatch(cell) for cell in header):
             raise MeasurementError(
                 f"{source}: the first line holds numbers where the header should stand (a line "
                 f"that begins with # is a comment). A table begins with a header line, {_EXAMPLE}"
@@ -208,34 +209,6 @@ def _kept(text: str) -> Iterator[tuple[int, str]]:
         for at, line in enumerate(io.StringIO(text), 1)
         if line.strip(" \t,;\n") and not line.lstrip().startswith(("#", '"#'))
     )
-
-
-def _cells(line: str, separator: str, *, strict: bool) -> list[str]:
-    """The cells of one line; ``strict`` refuses quotes that do not close."""
-    return next(csv.reader([line], delimiter=separator, skipinitialspace=True, strict=strict))
-
-
-def _separator(header: str) -> str:
-    """The sign that splits a header line into the most cells with a unit, then the most cells."""
-
-    def score(sign: str) -> tuple[int, int]:
-        """How well a sign splits the header; most of them do it wrongly, hence not strict."""
-        try:
-            cells = _cells(header, sign, strict=False)
-        except csv.Error:  # a cell longer than is read
-            return 0, 0
-        return sum(cell.rstrip().endswith("]") for cell in cells), len(cells)
-
-    return max(SEPARATORS, key=score)  # in a tie, the first: the comma
-
-
-def _is_number(cell: str) -> bool:
-    """Whether a cell is a number."""
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 # Columns
