@@ -140,12 +140,7 @@ class Kind:
         return 3 * self.position + 9 * self.orientation + len(self.readings)
 
     def residual_of(self, measured: Array, T_frame_target: Array) -> Array:
-        """Measured minus predicted, shape (n, s), [m] and [rad].
-
-        Args:
-            measured: shape (n, k).
-            T_frame_target: shape (n, 4, 4), of a paired kind (n, 2, 4, 4).
-        """
+        """Measured, shape (n, k), minus predicted at poses, (n, 4, 4), of a paired kind (n, 2, 4, 4); shape (n, s)."""
         if self.residual is not None:
             return self.residual(measured, T_frame_target)
         assert self.measure is not None
@@ -213,11 +208,6 @@ def _of_position(_measured: Array, _T: Array, twists: Array) -> Array:
     return twists[:, :3]
 
 
-def _pose(T: Array) -> Array:
-    """Positions and rotations, shape (n, 12)."""
-    return np.hstack([_place(T), T[:, :3, :3].reshape(-1, 9)])
-
-
 def _turned(measured: Array, T: Array) -> Rotation:
     """M R^T: the rotations that are left over."""
     M = measured[:, 3:12].reshape(-1, 3, 3)
@@ -254,20 +244,9 @@ def _log_derivative(rotation: Rotation) -> Array:
     return result
 
 
-def _distance(T: Array) -> Array:
-    """Distances from the frame's origin, shape (n, 1)."""
-    return np.asarray(np.linalg.norm(_place(T), axis=1, keepdims=True))
-
-
 def _distance_derivative(_measured: Array, T: Array, twists: Array) -> Array:
     """The derivative of a distance."""
     return np.asarray(np.einsum("ni,nip->np", unit(_place(T)), twists[:, :3])[:, None])
-
-
-def _between(T: Array) -> Array:
-    """Distances between the targets of two rows, shape (n, 1)."""
-    p = _place(T)
-    return np.asarray(np.linalg.norm(p[:, 0] - p[:, 1], axis=1, keepdims=True))
 
 
 def _between_derivative(_measured: Array, T: Array, twists: Array) -> Array:
@@ -285,11 +264,6 @@ def _anchor(points: Array, measured: Array, T_frame_base: Array) -> Array:
     rhs = np.sum(p**2, axis=1) - measured[:, 0] ** 2
     anchor = np.linalg.lstsq(A, rhs, rcond=1e-9)[0][:3] + centre
     return _standing(T_frame_base, anchor)
-
-
-def _socket(points: Array, _measured: Array, T_frame_base: Array) -> Array:
-    """The frame in the socket."""
-    return _standing(T_frame_base, np.asarray(points.mean(axis=0)))
 
 
 def _standing(T_frame_base: Array, place: Array) -> Array:
@@ -342,7 +316,7 @@ for _kind in (
         name="pose",
         words="position and orientation of the target",
         units=("m",) * 3 + ("rad",) * 3,
-        measure=_pose,
+        measure=lambda T: np.hstack([_place(T), T[:, :3, :3].reshape(-1, 9)]),
         residual=_pose_residual,
         derivative=_pose_derivative,
         position=True,
@@ -352,7 +326,7 @@ for _kind in (
         name="distance",
         words="distance from the target to an anchor",
         units=("m",),
-        measure=_distance,
+        measure=lambda T: np.linalg.norm(_place(T), axis=1, keepdims=True),
         derivative=_distance_derivative,
         readings=_LENGTH,
         directions=("x", "y", "z"),
@@ -364,7 +338,7 @@ for _kind in (
         name="pair",
         words="distance between the target's places at two poses",
         units=("m",),
-        measure=_between,
+        measure=lambda T: np.linalg.norm(T[:, 0, :3, 3] - T[:, 1, :3, 3], axis=1, keepdims=True),
         derivative=_between_derivative,
         readings=_LENGTH,
         paired=True,
@@ -379,7 +353,7 @@ for _kind in (
         directions=("x", "y", "z"),
         own_frame=True,
         fewest=2,
-        locate=_socket,
+        locate=lambda points, _, T_frame_base: _standing(T_frame_base, points.mean(axis=0)),
         place="Socket",
     ),
     Kind(

@@ -213,7 +213,7 @@ def _kinds_in(table: Table, column: Column, numbers: Column | None) -> tuple[str
 
 def _guess_kind(named: Mapping[str, Column]) -> str:
     """The kind of all rows from the columns that there are."""
-    if any(all(name in named for name in names) for names in (QUATERNION, ROTATION_VECTOR)):
+    if any(named.keys() >= set(names) for names in (QUATERNION, ROTATION_VECTOR)):
         return "pose"
     every = [registry.get(name) for name in registry.names()]
     fitting = [k for k in every if k.readings and all(one.name in named for one in k.readings)]

@@ -12,42 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 from calib.errors import CalibError, choices
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.measure.table import Table
+from calib.measure.table import POINT, Table, name_columns
 from calib.model.readback import column_ranges
 from calib.model.robot import Robot, read_only, rigid_inverse
-from calib.units import split_header, unit_fault
+from calib.model.urdf_joints import UrdfJoint
+from calib.units import unit_fault
 
 Array = NDArray[np.float64]
 
 #: A range may pass a limit by this, for rounding: 360 deg is not quite 6.28318 rad [rad or m].
 _ROUNDING = 1e-4
-
-
-def ranges_of(joints: ArrayLike, margin: float | Array = 0.0, limits: Array | None = None) -> Array:
-    """The ranges that measured joint values span.
-
-    Args:
-        joints: shape (N, m), [rad] or [m].
-        margin: What is added at both ends [rad or m]; one number, or one for each joint.
-        limits: shape (m, 2): the margin ends there; a value that was measured beyond stays in.
-
-    Returns:
-        shape (m, 2), lowest and highest value of each joint, read-only.
-
-    Raises:
-        CalibError: No rows, or a margin below zero.
-    """
-    values = np.atleast_2d(np.asarray(joints, dtype=np.float64))
-    if not values.size:
-        raise CalibError("No rows were given to take the ranges of joints from; give one at least.")
-    if not np.all(np.asarray(margin) >= 0.0):
-        raise CalibError(f"The margin is {margin}; it must not be below zero.")
-    least, most = values.min(axis=0), values.max(axis=0)
-    low, high = least - margin, most + margin
-    if limits is not None:
-        low = np.minimum(least, np.maximum(low, limits[:, 0]))
-        high = np.maximum(most, np.minimum(high, limits[:, 1]))
-    return read_only(np.stack([low, high], axis=1))
 
 
 @lru_cache(maxsize=16)
@@ -56,11 +30,16 @@ def column_limits(robot: Robot) -> Array:
 
     Joints of the chain that mimic a column's joint must stay inside their limits too.
     """
-    limits = np.array([_limits(joint.lower, joint.upper) for joint in robot.inputs])
+
+    def ends_of(joint: UrdfJoint) -> tuple[float, float]:
+        low, high = joint.lower, joint.upper
+        return -np.inf if low is None else low, np.inf if high is None else high
+
+    limits = np.array([ends_of(joint) for joint in robot.inputs])
     offset = robot.chain_values(np.zeros(len(limits)))[0]
     for row, joint, at_zero in zip(robot.coupling, robot.joints, offset, strict=True):
         for column in np.flatnonzero(row):
-            ends = (np.array(_limits(joint.lower, joint.upper)) - at_zero) / row[column]
+            ends = (np.array(ends_of(joint)) - at_zero) / row[column]
             low, high = max(limits[column, 0], ends.min()), min(limits[column, 1], ends.max())
             if low < high:
                 limits[column] = low, high
@@ -108,8 +87,17 @@ def joint_ranges(
         CalibError: A joint that the chain does not have, a range that is empty, leaves the limits, or has
             a unit that is not the joint's.
     """
-    limits = column_limits(robot)
-    ranges = np.array(full_ranges(robot) if like is None else ranges_of(like, margin, limits))
+    limits, ranges = column_limits(robot), np.array(full_ranges(robot))
+    if like is not None:
+        values = np.atleast_2d(np.asarray(like, dtype=np.float64))
+        if not values.size:
+            raise CalibError(
+                "No rows were given to take the ranges of joints from; give one at least."
+            )
+        least, most = values.min(axis=0), values.max(axis=0)
+        # The margin ends at a limit; a value that was measured beyond it stays in.
+        ranges[:, 0] = np.minimum(least, np.maximum(least - margin, limits[:, 0]))
+        ranges[:, 1] = np.maximum(most, np.minimum(most + margin, limits[:, 1]))
     for name, (low, high) in (given or {}).items():
         if name not in robot.joint_names:
             raise CalibError(
@@ -120,7 +108,7 @@ def joint_ranges(
         if fault is not None:
             raise CalibError(f"The range given for the joint '{name}' {fault}.")
         column = robot.joint_names.index(name)
-        said = _text(robot, name, low, high)
+        said = range_text(robot, name, (low, high))
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise CalibError(
                 f"The range of '{name}' is {said}, which is empty; give the lower end first. A joint that stands "
@@ -128,30 +116,17 @@ def joint_ranges(
             )
         if low < limits[column, 0] - _ROUNDING or high > limits[column, 1] + _ROUNDING:
             raise CalibError(
-                f"The range of '{name}' is {said}; its limits in the URDF are {_text(robot, name, *limits[column])}. "
+                f"The range of '{name}' is {said}; its limits in the URDF are {range_text(robot, name, limits[column])}. "
                 "Give a range inside."
             )
         ranges[column] = max(low, limits[column, 0]), min(high, limits[column, 1])
     return read_only(ranges)
 
 
-def range_text(robot: Robot, name: str, ends: Array) -> str:
+def range_text(robot: Robot, name: str, ends: Array | tuple[float, float]) -> str:
     """A joint's range in words, such as ``-90 to 90 deg`` or ``0 to 300 mm``."""
-    return _text(robot, name, float(ends[0]), float(ends[1]))
-
-
-def _text(robot: Robot, name: str, low: float, high: float) -> str:
-    """Two values of a joint with their unit."""
     scale, unit = (1e3, "mm") if robot.joint_types[name] == "prismatic" else (180.0 / np.pi, "deg")
-    return f"{scale * low:.6g} to {scale * high:.6g} {unit}"
-
-
-def _limits(lower: float | None, upper: float | None) -> tuple[float, float]:
-    """A joint's limits, infinite where there are none."""
-    return -np.inf if lower is None else lower, np.inf if upper is None else upper
-
-
-_AXES = {"x", "y", "z"}
+    return f"{scale * ends[0]:.6g} to {scale * ends[1]:.6g} {unit}"
 
 
 def read_rows(
@@ -210,11 +185,7 @@ def predicted_points(robot: Robot, rows: Measurements, cell: Cell, target: Array
 
 def _has_positions(table: Table, columns: Mapping[str, str]) -> bool:
     """Whether a table has columns x, y and z, and a number in any of their cells."""
-    names = []
-    for label in table.header:
-        name = split_header(label)[0]
-        names.append(split_header(columns.get(name, columns.get(label, name)))[0].lower())
-    places = [i for i, name in enumerate(names) if name in _AXES]
-    if {names[i] for i in places} != _AXES:
-        return False
-    return any(row.cells[i] for row in table.rows() for i in places if i < len(row.cells))
+    named, _ = name_columns(table, (), columns)
+    at = [named[name].index for name in POINT if name in named]
+    rows = table.rows() if len(at) == len(POINT) else ()
+    return any(row.cells[i] for row in rows for i in at if i < len(row.cells))

@@ -8,7 +8,7 @@ import pytest
 from calib import data
 from calib.errors import CalibError
 from calib.measure.measurements import Measurements
-from calib.measure.ranges import column_limits, full_ranges, joint_ranges, range_text, ranges_of
+from calib.measure.ranges import column_limits, full_ranges, joint_ranges, range_text
 from calib.model.readback import column_ranges
 from calib.model.robot import Robot
 from calib.model.urdf import Urdf
@@ -80,16 +80,6 @@ def test_given_ranges_may_go_beyond_one_turn_but_not_beyond_limits(leg, ur3):
     np.testing.assert_array_equal(wide[3], [-2 * np.pi, 2 * np.pi])
 
 
-def test_ranges_of_rows_with_a_margin():
-    joints = np.array([[0.1, 2.0], [0.3, -1.0]])
-    np.testing.assert_allclose(ranges_of(joints), [[0.1, 0.3], [-1.0, 2.0]])
-    wider = ranges_of(joints, np.array([0.01, 0.5]))
-    np.testing.assert_allclose(wider, [[0.09, 0.31], [-1.5, 2.5]])
-    limits = np.array([[0.095, 0.25], [-np.inf, np.inf]])
-    # A margin ends at a limit; what was measured beyond it was reached.
-    np.testing.assert_allclose(ranges_of(joints, 0.1, limits), [[0.095, 0.3], [-1.1, 2.1]])
-
-
 def test_ranges_of_the_paper_s_rows(ur3):
     m = Measurements.read(data.paper_measurements(), ur3.joint_names, ur3.joint_types)
     q = m.joints_for(ur3.joint_names)[m.estimation]
@@ -134,8 +124,6 @@ def test_ranges_that_cannot_be_are_refused(leg, given, said):
         joint_ranges(leg, given)
 
 
-def test_no_rows_and_negative_margins_are_refused():
+def test_no_rows_are_refused(ur3):
     with pytest.raises(CalibError, match="No rows were given to take the ranges"):
-        ranges_of(np.zeros((0, 3)))
-    with pytest.raises(CalibError, match=r"margin is -0.1; it must not be below zero"):
-        ranges_of(np.zeros((2, 3)), -0.1)
+        joint_ranges(ur3, like=np.zeros((0, 6)))
