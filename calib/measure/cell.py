@@ -369,7 +369,9 @@ class Cell:
     def __reduce__(self) -> tuple[Any, ...]:
         """To another process and back: read-only mappings travel as dicts, and are checked again there."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        plain = {k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in values.items()}
+        plain: dict[str, Any] = {
+            k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in values.items()
+        }
         return partial(Cell, **plain), ()
 
     @classmethod

@@ -116,8 +116,8 @@ def joint_ranges(
             )
         if low < limits[column, 0] - _ROUNDING or high > limits[column, 1] + _ROUNDING:
             raise CalibError(
-                f"The range of '{name}' is {said}; its limits in the URDF are {range_text(robot, name, limits[column])}. "
-                "Give a range inside."
+                f"The range of '{name}' is {said}; its limits in the URDF are "
+                f"{range_text(robot, name, limits[column])}. Give a range inside."
             )
         ranges[column] = max(low, limits[column, 0]), min(high, limits[column, 1])
     return read_only(ranges)
