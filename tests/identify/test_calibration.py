@@ -145,7 +145,7 @@ def seen_from_elsewhere(
     return replace(table, points=table.points @ T[:3, :3].T + T[:3, 3]), T
 
 
-@pytest.mark.parametrize(("model", "near"), [("auto", None), ("dh", None), ("auto", np.eye(4))])
+@pytest.mark.parametrize(("model", "near"), [("auto", None), ("dh", np.eye(4))])
 def test_where_an_unknown_frame_stands_does_not_change_the_fit(ur3, table, model, near):
     """Every row's error, seen or left out, and the robot; the frame found is moved with the points."""
     cell = Cell(estimate_frame=True, model=model, T_frame_base=near)
@@ -153,8 +153,7 @@ def test_where_an_unknown_frame_stands_does_not_change_the_fit(ur3, table, model
     norms = np.linalg.norm(printed.residual_calibrated, axis=1)
     unseen = np.linalg.norm(printed.cross_validation.residual, axis=1)
     assert 1e3 * printed.errors["calibrated"]["validation"].rms <= 0.35
-    moves = [(5e-3, 1.0, seed) for seed in range(4)] + [(3.0, 120.0, 4)]
-    for length, degrees, seed in moves:
+    for length, degrees, seed in ((5e-3, 1.0, 0), (3.0, 120.0, 4)):
         moved, T = seen_from_elsewhere(table, length, degrees, seed)
         result = calibrate(ur3, moved, cell=cell, validate=seed == 0)
         assert result.model.name == printed.model.name
@@ -338,7 +337,7 @@ def test_a_gross_row_does_not_spoil_the_nominal_robots_errors(ur3, table):
     points = table.points.copy()
     points[3] += [5.0, 0.0, 0.0]
     wild = replace(table, points=points)
-    for cell in (Cell(), Cell(estimate_frame=True)):
+    for cell in (Cell(model="zeros"), Cell(model="zeros", estimate_frame=True)):
         clean = calibrate(ur3, table, cell=cell, validate=False).errors["nominal"]["validation"]
         spoilt = calibrate(ur3, wild, cell=cell, validate=False).errors["nominal"]["validation"]
         assert spoilt.rms == pytest.approx(clean.rms, abs=0.2e-3)
@@ -380,6 +379,7 @@ def test_joints_named_like_coordinates_of_target_and_frame_can_be_frozen_and_tie
         result.parameter("target_arm.x")
 
 
+@pytest.mark.slow
 def test_suspects_are_judged_by_their_own_number(virtual):
     """30 rows to fit and 400 clean ones to validate: a false suspect in few tables."""
     rng = np.random.default_rng(21)
@@ -395,6 +395,7 @@ def test_suspects_are_judged_by_their_own_number(virtual):
     assert with_suspects <= 2
 
 
+@pytest.mark.slow
 def test_the_model_that_lacks_something_is_said(virtual):
     """Axes 2, 3 and 4 tilted towards each other and joint 1 tilted in its base: dh with a known frame lacks both."""
     robot = virtual.kinematics.robot
@@ -437,6 +438,7 @@ def test_a_robot_that_is_right_already_is_to_be_kept(ur3, virtual):
     assert verdict.reasons[0].code == "nothing_to_gain"
 
 
+@pytest.mark.slow
 def test_expected_errors_are_those_of_the_covariance(virtual):
     """Monte Carlo: what is expected over the joint limits is what the errors there are."""
     rng = np.random.default_rng(25)

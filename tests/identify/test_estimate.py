@@ -91,6 +91,7 @@ def test_combinations_of_a_full_truth_agree_to_first_order(virtual, paper_cell, 
     assert np.abs(jacobian.reshape(-1, 27) @ difference).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_intervals_and_predicted_uncertainty_hold_what_they_say(virtual, paper_cell):
     """Monte Carlo: 95 % intervals of parameters and of predicted points, N = 30, offsets and noise drawn each time."""
     rng = np.random.default_rng(11)
@@ -247,11 +248,11 @@ def test_with_an_unknown_frame_too(virtual, model):
 
 
 @pytest.mark.parametrize("solver", ["lm", "scipy"])
-@pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-7, 1e-6])
+@pytest.mark.parametrize("noise", [0.0, 1e-7])
 def test_noise_below_any_instruments_does_not_take_every_row_for_an_outlier(
     virtual, paper_cell, solver, noise
 ):
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         x = virtual.offsets(rng, 1e-3, 5e-3)
         data = virtual.rows(rng, x, 15, noise)

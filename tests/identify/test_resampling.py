@@ -126,6 +126,7 @@ def test_a_parameter_without_a_standard_deviation_has_no_profile(value, std):
         profile(abs, value, std)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say():
     """The rate of a decay fitted to 12 noisy points, noise known: 300 runs."""
     rng = np.random.default_rng(9)

@@ -166,6 +166,7 @@ def test_score_and_information_against_the_likelihood(count, more):
     np.testing.assert_allclose(information, information.T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
 def test_the_information_is_the_covariance_of_the_score(count):
     rng = np.random.default_rng(3)
