@@ -113,7 +113,9 @@ def test_what_the_api_pages_describe_exists_and_has_its_fields_described(page: s
     for entry in entries:
         module, _, last = entry.rpartition(".")
         thing = getattr(importlib.import_module(module), last)
-        if dataclasses.is_dataclass(thing) and isinstance(thing, type):
+        assert thing.__doc__
+        # What lies inside a result may say all of itself in a line.
+        if page == "api.rst" and dataclasses.is_dataclass(thing) and isinstance(thing, type):
             said = "".join(base.__doc__ or "" for base in thing.__mro__[:-1])
             for field in dataclasses.fields(thing):
                 described = re.search(rf"^ +{field.name}:", said, re.MULTILINE)
