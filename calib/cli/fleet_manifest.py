@@ -26,13 +26,7 @@ OPTIONAL = (*_SETUP, "points", "points_unit", "columns")
 def read_manifest(
     path: Path, setup: FitOptions, columns: Sequence[str], points_unit: str | None
 ) -> tuple[FleetRobot, ...]:
-    """The robots of a manifest, none of them read yet.
-
-    Args:
-        path: The manifest.
-        setup: What the command line says of all of them; a row's own cells win.
-        columns: Likewise, as ``--columns`` has it.
-        points_unit: Likewise.
+    """The robots of a manifest, none of them read yet; a row's own cells win over what the command line says of all.
 
     Raises:
         CalibError: It cannot be read, a column is missing, unknown or there twice, a row has no name, robot or data, or

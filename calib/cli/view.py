@@ -139,15 +139,7 @@ def asked_view(
 ) -> View:
     """The view that a call asks for: robots, poses, targets, and the errors that `calib evaluate` finds.
 
-    Args:
-        robot: The first robot's URDF, or its name.
-        other: The second one's.
-        data: The table.
-        calibration: The result file.
-        cell: The set-up.
-        table: How the table is read.
-        found: Which of ``"frame"`` and ``"target"`` are those of the result, for the line does not say them.
-        quiet: Whether rows and columns that are not used go without saying.
+    ``found`` are those of ``"frame"`` and ``"target"`` that the result says, for the line does not.
 
     Raises:
         CalibError: A file cannot be read, or they do not fit together.

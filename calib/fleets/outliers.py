@@ -155,16 +155,9 @@ def _figures(rows: list[FleetRow]) -> Iterator[Odd]:
 
 
 def scores(x: Array, std: Array, floor: float, once: Mask | None = None) -> Array:
-    """How far each value is from the median, in scales; see the module's text.
+    """How far each value of shape (n,) is from the median, in scales of its std or a floor at least.
 
-    Args:
-        x: shape (n,), NaN where there is none.
-        std: shape (n,), standard deviation of each.
-        floor: The least scale.
-        once: shape (n,), which count in median and MAD; None: all.
-
-    Returns:
-        shape (n,), NaN where there is no value.
+    Those that ``once`` says count in median and MAD, all by default.
     """
     counted = np.ones(len(x), dtype=bool) if once is None else once
     away = x - np.nanmedian(x[counted])

@@ -173,13 +173,7 @@ _COLUMNS = {
 def fleet_table(
     rows: Sequence[FleetRow], odd: Sequence[Any], notes: Sequence[str]
 ) -> dict[str, Any]:
-    """A fleet as nested tables of plain values, SI units, the unit in the keys.
-
-    Args:
-        rows: The robots.
-        odd: What is odd about which of them; dataclasses of plain values.
-        notes: What else a person should know.
-    """
+    """A fleet as nested tables of plain values, SI units, the unit in the keys."""
     robots = [{k + _UNITS.get(k, ""): v for k, v in asdict(row).items()} for row in rows]
     found = {"schema": SCHEMA, "robots": robots, "odd": [asdict(one) for one in odd]}
     result: dict[str, Any] = plain({**found, "notes": list(notes)})

@@ -190,14 +190,9 @@ def drawn_rows(c: Calibration) -> Mask:
 
 
 def along_joints(c: Calibration, chosen: Mask) -> Array:
-    """The part of what is left over that lies along each joint's motion of the target, NaN where it moves nothing.
+    """The part of what is left over of some rows, none a pair's, that lies along each joint's motion of the target.
 
-    Args:
-        c: The calibration.
-        chosen: shape (N,), M of the rows, none of them a pair's.
-
-    Returns:
-        shape (M, m), [m], for the robot's m joints.
+    Shape (M, m), [m], for M rows and the robot's m joints; NaN where a joint moves nothing.
     """
     m = c.measurements
     q = m.joints_for(c.nominal.joint_names)[chosen]
@@ -240,9 +235,6 @@ def _boxes(limits: Array) -> tuple[float, Any, tuple[Any, Any, Any]]:
 
     From above and from the front share x, from the front and from the side share z, as in drawings. A box is left,
     bottom, width and height, in parts of the figure.
-
-    Args:
-        limits: shape (2, 3), what is shown [m].
     """
     x, y, z = (float(value) for value in limits[1] - limits[0])
     across = WIDTH - _LEFT - _BETWEEN - _RIGHT

@@ -80,15 +80,7 @@ _ENDS = (0.02, 0.98)
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A line of the legend that shows and hides a part of the scene.
-
-    Attributes:
-        text: What it is.
-        colour: As CSS has it.
-        nodes: Which nodes below `SCENE`, blanks between them.
-        kind: A class of the style sheet, ``"dot"`` for a round mark.
-        on: Whether it is shown at first.
-    """
+    """A line of the legend that shows and hides nodes below `SCENE`, with blanks between them."""
 
     text: str
     colour: str
@@ -105,14 +97,9 @@ def filled_page(
     live: bool = False,
     **content: Any,  # noqa: ANN401  what the template names
 ) -> bytes:
-    """The page about a scene, UTF-8.
+    """The page about a scene's message, UTF-8, by ``"page.html"`` or a template that extends it.
 
-    Args:
-        template: ``"page.html"``, or one that extends it.
-        scene: The scene's message.
-        table: What the script of a page of robots is told; None for a page without one.
-        live: Whether the page listens to the server that it came from.
-        content: What the template is filled with: ``title``, ``text``, ``keys``, ``grid`` and ``warnings`` at least.
+    ``table`` is what the script of a page of robots is told; a ``live`` page listens to the server that it came from.
     """
     import jinja2
     from markupsafe import Markup
@@ -170,17 +157,10 @@ def single_page(
     text: str,
     legend: str,
 ) -> Page:
-    """A page of one robot at one pose, and what else is drawn about it.
+    """A page of one robot at a pose q of shape (m,), and of what is drawn at points of shape (K, 3) in the base.
 
-    Args:
-        robot: The robot.
-        q: shape (m,), [rad] or [m], how it stands.
-        points: shape (K, 3), in the base, of what else is to be seen [m].
-        draw: Draws below the node given, in the base frame, things about as large as the size given [m], and returns
-            their lines of the legend.
-        title: The heading.
-        text: Sentences below it.
-        legend: What the legend says of the robot.
+    ``draw`` draws below the node given, in the base frame, things about as large as the size given [m], and returns
+    their lines of the legend.
 
     Raises:
         UrdfError: Pinocchio cannot build a model of the URDF.
@@ -209,11 +189,7 @@ def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = 
 
 
 def view_page(view: View, *, live: bool = False) -> Page:
-    """Draw a view.
-
-    Args:
-        view: The view; of many poses some hundred are shown.
-        live: Whether the page listens to the server that it came from.
+    """Draw a view; a ``live`` page listens to the server that it came from. Many poses are thinned out.
 
     Raises:
         UrdfError: Pinocchio cannot build a model of a URDF.
@@ -286,13 +262,10 @@ def puppets(view: View, visuals: Mapping[str, Sequence[Visual]]) -> dict[str, Pu
 class Layout:
     """Where everything goes on the stage [m].
 
-    Attributes:
-        offsets: Where each robot stands when they stand side by side, shape (3,).
-        foot: shape (3,), below the middle of a robot, towards the camera: where its label stands.
-        size: Diagonal of one robot and the points that it reaches.
-        grid: Edge of a square of the floor.
-        side: The camera when they stand side by side; its centre is the scene's origin.
-        over: The camera when one is laid over the other.
+    ``offsets`` say where each robot stands when they stand side by side, as the camera ``side`` sees them, whose
+    centre is the scene's origin; ``over`` is the camera when one is laid over the other. A label stands at the
+    ``foot``, below the middle of a robot; ``size`` is the diagonal of one robot and the points that it reaches,
+    ``grid`` a square of the floor.
     """
 
     offsets: Mapping[str, Array]

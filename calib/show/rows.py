@@ -49,13 +49,7 @@ def measured_in_base(m: Measurements, T_frame_base: Array) -> Array:
 
 
 def target_places(c: Calibration, q: Array, T_tip_target: Array) -> Array:
-    """Where the calibrated robot puts the target, in the base, shape (N, 3), [m].
-
-    Args:
-        c: The calibration.
-        q: shape (N, m), [rad] or [m], in the order of ``robot.joint_names``.
-        T_tip_target: shape (N, 4, 4), [m].
-    """
+    """Where the calibrated robot puts the target at q of shape (N, m), in the base, shape (N, 3), [m]."""
     T = c.robot.poses(q)
     return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], T_tip_target[:, :3, 3]) + T[:, :3, 3])
 

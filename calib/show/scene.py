@@ -154,13 +154,9 @@ def new_scene() -> tuple[SceneWindow, meshcat.Visualizer]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """A camera that looks at a point.
+    """A camera that looks at a centre [m] from a distance; it holds what lies within a radius about the centre [m].
 
-    Attributes:
-        centre: shape (3,), [m], what it looks at.
-        axes: shape (3, 3), rows: right, up, towards the camera.
-        distance: From the centre, [m].
-        radius: Of a sphere about the centre that holds the scene, [m].
+    The rows of ``axes`` of shape (3, 3) point right, up and towards the camera.
     """
 
     centre: Array
@@ -176,11 +172,7 @@ class Camera:
 
 
 def row_direction(points: Array) -> Array:
-    """A horizontal direction to look from in which an arm spreads out, shape (3,), a unit vector.
-
-    Args:
-        points: shape (N, 3), the origins of its links.
-    """
+    """A horizontal direction to look from in which an arm with joints at points spreads out, shape (3,)."""
     flat = points[:, :2] - points[:, :2].mean(axis=0)
     _, values, axes = np.linalg.svd(flat, full_matrices=True)
     spread = axes[0] if values[0] > 0 else np.array([0.0, 1.0])
@@ -192,12 +184,10 @@ def row_direction(points: Array) -> Array:
 
 
 def look_at(points: Array, back: Array, between: tuple[float, float] = (-0.69, 0.75)) -> Camera:
-    """The nearest camera in a direction that sees all points where no text stands, on a 16:9 screen.
+    """The nearest camera that sees all points of shape (N, 3) where no text stands, on a 16:9 screen.
 
-    Args:
-        points: shape (N, 3), [m].
-        back: shape (3,), horizontal unit vector from the scene to the camera.
-        between: Where text at the foot ends and where that of the heading begins; the picture is from -1 to 1.
+    ``back`` is a horizontal unit vector from the scene to the camera; text at the foot ends and that of the heading
+    begins at ``between``, the picture being from -1 to 1.
     """
     lower, upper = np.array([-_WIDTH, between[0]]), np.array([_WIDTH, between[1]])
     towards = np.cos(_DOWN) * back + np.sin(_DOWN) * np.array([0.0, 0.0, 1.0])
@@ -232,13 +222,8 @@ def draw_stage(
 ) -> None:
     """Camera, lights, background, floor and grid; the scene's origin is what the camera looks at.
 
-    Args:
-        root: The whole scene.
-        camera: From where it is seen.
-        size: Of what is drawn [m].
-        floor: Height of the floor in the frame of the camera's centre [m].
-        grid: Edge of a square of the floor [m].
-        through: shape (3,), a point above which a line of the grid passes [m].
+    ``size`` is that of what is drawn, ``floor`` the height of the floor in the frame of the camera's centre, ``grid``
+    the edge of a square of it, and above the point ``through`` of shape (3,) a line of the grid passes [m].
     """
     towards, right = camera.axes[2], camera.axes[0]
     lens = mc.PerspectiveCamera(fov=FOV_DEG, aspect=16 / 9, near=0.02 * size, far=100 * size)
@@ -310,16 +295,10 @@ def _send(node: meshcat.Visualizer, message: dict[str, Any]) -> None:
 def draw_puppet(
     group: meshcat.Visualizer, puppet: Puppet, pose: int, colour: str, ball: float, *, front: bool
 ) -> None:
-    """One robot at a pose, each part below its mover, with its target and the rod that carries it.
+    """One robot at the pose of a number, each part below its mover, with its target and the rod that carries it.
 
-    Args:
-        group: The node that it goes below.
-        puppet: The robot.
-        pose: The pose's number.
-        colour: As CSS has it.
-        ball: Radius of the target's ball [m]; 0 for none.
-        front: Whether it is drawn a little towards the eye. Where one robot is laid over the other, surfaces a fraction
-            of a millimetre apart would flicker otherwise.
+    The target's ball has the radius ``ball`` [m], 0 for none. ``front`` draws a little towards the eye: where one
+    robot is laid over the other, surfaces a fraction of a millimetre apart would flicker otherwise.
     """
     at, robot, material = puppet.poses[pose], group["robot"], solid(colour, front=front)
     for mover in sorted({part.mover for part in puppet.parts}):
@@ -346,14 +325,7 @@ def draw_puppet(
 
 
 def draw_points(node: meshcat.Visualizer, points: Array, colour: str, radius: float) -> None:
-    """Points as balls, or as dots where they are many; without shadows.
-
-    Args:
-        node: The node that they go below.
-        points: shape (N, 3), [m].
-        colour: As CSS has it.
-        radius: Of a ball [m].
-    """
+    """Points of shape (N, 3) as balls of a radius, or as dots where they are many [m]; without shadows."""
     if len(points) > _MOST_BALLS:
         draw_cloud(node["dots"], points, colour, 1.2 * radius)
         return

@@ -71,13 +71,7 @@ class Sphere:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangles:
-    """A triangle mesh as a graphics card takes it.
-
-    Attributes:
-        vertices: shape (V, 3), float32, [m].
-        normals: shape (V, 3), int8, outward unit normals times 127.
-        faces: shape (F, 3), uint16 or uint32, indices of vertices.
-    """
+    """A triangle mesh as a graphics card takes it: vertices [m], outward normals times 127, faces as indices."""
 
     vertices: NDArray[np.float32]
     normals: NDArray[np.int8]
@@ -131,12 +125,8 @@ def same_visuals(one: Urdf, other: Urdf) -> bool:
 def shaded(vertices: Array, faces: NDArray[np.int64]) -> Triangles | None:
     """A mesh with normals that are smooth except across creases; None if no face has an area.
 
-    The normal at a corner is the mean, weighted by the angle there, of the faces at its vertex that are
-    turned by less than `CREASE` against its own face. A vertex on a crease is doubled.
-
-    Args:
-        vertices: shape (V, 3), [m]; equal ones are welded.
-        faces: shape (F, 3).
+    The normal at a corner is the mean, weighted by the angle there, of the faces at its vertex that are turned by
+    less than `CREASE` against its own face. Equal vertices of shape (V, 3) are welded; one on a crease is doubled.
     """
     mesh = trimesh.Trimesh(vertices.astype(np.float32), faces)
     mesh.update_faces(mesh.area_faces > 0.0)
@@ -171,14 +161,9 @@ def clustered(
 ) -> tuple[Array, NDArray[np.int64], float]:
     """A mesh with at most so many faces: the vertices in each cell of a grid become their mean.
 
-    Args:
-        vertices: shape (V, 3), [m].
-        faces: shape (F, 3).
-        most_faces: The cell grows until no more faces are left than this.
-
     Returns:
-        The vertices, the faces and the edge of a cell, [m]: no vertex moved farther than its diagonal; 0 if
-        the mesh was small enough.
+        The vertices, the faces and the edge of a cell [m]: no vertex moved farther than its diagonal; 0 if the mesh was
+        small enough.
     """
     merged, means, cell = faces, vertices, 0.0
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
@@ -270,13 +255,9 @@ class Part:
 class Puppet:
     """What of one robot is drawn, and where it is.
 
-    Attributes:
-        links: The links that are movers; the frames of `FRAMES` come after them.
-        parts: The shapes.
-        rods: Pairs of movers with a rod from the origin of one to that of the other.
-        radius: Of a rod [m].
-        poses: shape (N, L, 4, 4), of each mover at each pose, on the stage [m].
-        origins: shape (N, K, 3), of all links of the URDF [m].
+    Movers are the ``links``, and behind them the frames of `FRAMES`; ``poses`` of shape (N, L, 4, 4) has where each
+    of them is on the stage at each pose, ``origins`` of shape (N, K, 3) where all links of the URDF are [m]. ``rods``
+    are pairs of movers with a rod of a ``radius`` from the origin of one to that of the other.
     """
 
     links: tuple[str, ...]
@@ -295,14 +276,7 @@ class Puppet:
         T_stage_base: Array,
         T_tip_target: Array,
     ) -> Puppet:
-        """A robot at many poses.
-
-        Args:
-            robot: The robot.
-            q: shape (N, m), [rad] or [m], in the order of ``robot.joint_names``.
-            visuals: What it looks like.
-            T_stage_base: shape (N, 4, 4), where it stands [m].
-            T_tip_target: shape (N, 4, 4) or (4, 4), [m].
+        """A robot at poses q of shape (N, m), standing at T_stage_base of shape (N, 4, 4) [m].
 
         Raises:
             UrdfError: Pinocchio cannot build a model of the URDF.
@@ -343,10 +317,7 @@ class Puppet:
         return np.concatenate([self.origins[n], *corners])
 
     def reach(self) -> Array:
-        """Points that hold the robot at all its poses, shape (K, 3), [m].
-
-        The origins of all movers at every pose, and the corners of the boxes about what moves with each at some poses.
-        """
+        """Points that hold the robot at all its poses, shape (K, 3), [m]: movers' origins, boxes about parts."""
         count = min(len(self.poses), _REACHED)
         some = self.poses[np.linspace(0, len(self.poses) - 1, count).round().astype(int)]
         points = [self.poses[:, :, :3, 3].reshape(-1, 3)]
