@@ -54,16 +54,10 @@ _ORDER = (
 
 @dataclass(frozen=True, slots=True)
 class Turning:
-    """How a joint turned against its own values.
+    """How a joint turned against its own values: relative error of the gear, and amplitude once per turn [rad].
 
-    Attributes:
-        rms: Of what the terms leave [rad].
-        gain: Relative error of the gear [rad/rad]; positive: it turns further than it says.
-        gain_std: Its standard deviation.
-        eccentricity: Amplitude of the once-per-turn error [rad]; NaN on an arc too short to tell.
-        eccentricity_std: Its standard deviation.
-        gain_found: Whether the gain is no chance.
-        eccentricity_found: Whether the once-per-turn error is none.
+    With standard deviations, whether they are no chance, and the rms of what they leave [rad]. The gain is positive
+    where it turns further than it says; the eccentricity is NaN on an arc too short to tell.
     """
 
     rms: float
@@ -101,12 +95,7 @@ def positive(sweep: Sweep, circle: Circle) -> Circle:
 
 
 def turning(sweep: Sweep, circle: Circle) -> Turning | None:
-    """How well the joint turned; None without joint values or with too few points.
-
-    Args:
-        sweep: With joint values.
-        circle: Its circle, normal in the positive sense.
-    """
+    """How well the joint turned about its circle; None without joint values or with too few points."""
     if sweep.joints is None or sweep.joint is None:
         return None
     q, angles = sweep.joints[circle.used, sweep.joint], circle.angles[circle.used]
@@ -180,14 +169,7 @@ def check_pairs(
     lines: Sequence[Line],
     circles: Sequence[Circle],
 ) -> None:
-    """Refuse axes that stand to each other as no two of this robot do.
-
-    Args:
-        sweeps: For messages.
-        robot: Likewise.
-        nominal: The URDF's axes.
-        lines: The first axes at zero, in any frame.
-        circles: Of the same, for the uncertainty.
+    """Refuse axes at zero, of circles, in any frame, that stand to each other as no two of this robot do.
 
     Raises:
         MeasurementError: The angle or the distance between two neighbours is far from the URDF's.
@@ -219,12 +201,6 @@ def check_pairs(
 
 def side_findings(sweep: Sweep, plane: Plane, first: Circle, robot: Robot | None) -> Iterator[str]:
     """A sentence, or a refusal, where axis 1 does not point from the plane towards its circle, as the URDF's does.
-
-    Args:
-        sweep: Of joint 1.
-        plane: The mounting plane.
-        first: The circle of joint 1.
-        robot: If there is one.
 
     Raises:
         MeasurementError: With a robot and without joint values: then the order of the rows is the wrong way round.

@@ -56,13 +56,7 @@ def carried(measurements: Measurements, frame: BaseFrame) -> Measurements:
 
 
 def survey_text(survey: Survey, source: str, robot: Robot | None) -> list[str]:
-    """All that is printed of a survey: the frame, the sweeps, the DH rows, what was found.
-
-    Args:
-        survey: The survey.
-        source: The name of the file of sweeps.
-        robot: Whose base the frame is; None: that of the axes.
-    """
+    """All that is printed of a survey of a file: the frame, the robot's or the axes', sweeps, DH rows, findings."""
     lines = [*_frame_text(survey.frame, source, robot), "", *_sweeps_text(survey), ""]
     if survey.rows:
         beside = ", and nominal in brackets" if survey.rows[0].nominal is not None else ""
@@ -184,11 +178,7 @@ def _fill(text: str) -> str:
 def cell_text(survey: Survey, source: str, base: str | None = None, tip: str | None = None) -> str:
     """The base frame as a cell file, with which measurements in the tracker's frame can be used as they are.
 
-    Args:
-        survey: With the frame.
-        source: Name of the file of sweeps, for the comment.
-        base: The base link; None: none is named.
-        tip: The tip link, likewise.
+    ``source``, the file of sweeps, stands in a comment; base and tip are links, if they are named.
     """
     T, std, place = (
         survey.frame.T_tracker_base,

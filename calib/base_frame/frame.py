@@ -103,11 +103,8 @@ def nominal_axes(robot: Robot) -> Nominal:
 def axis_rows(lines: Sequence[Line], nominal: Nominal | None = None) -> Array:
     """a, alpha, d, theta, beta of the rows from each axis to the next, shape (n - 1, 5) [m, rad].
 
-    The last row of a robot leads to its tip, which no axis says anything of.
-
-    Args:
-        lines: The axes in the base at zero, n of them.
-        nominal: Those of the URDF, for the choices that the convention leaves open.
+    The last row of a robot leads to its tip, which no axis says anything of. The n axes are in the base at zero; those
+    of the URDF make the choices that the convention leaves open.
     """
     return _numbers(rows_between(lines, None if nominal is None else nominal.table))
 
@@ -258,14 +255,7 @@ def propagated(
     mounting: Line,
     circles: Sequence[Circle],
 ) -> list[Array]:
-    """What the uncertainty of the plane and of each circle contributes to the covariance of a result.
-
-    Args:
-        result: From the mounting plane and the axes to numbers, shape (k,).
-        plane: As measured.
-        mounting: The mounting plane, parallel to it.
-        circles: Whose centres and normals are the axes.
-    """
+    """What plane and circles contribute to the covariance of a result, shape (k,), of mounting plane and axes."""
     lines = [mounting, *(Line(circle.point, circle.normal) for circle in circles)]
     parts = []
     for i, figure in enumerate((plane, *circles)):

@@ -68,13 +68,9 @@ class JointAxis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisRow:
-    """The DH row from one joint's axis to the next: a, alpha, d, theta, beta, as in `calib.model.dh.DHRow`.
+    """The DH row from one joint's axis to the next: a, alpha, d, theta, beta, as in `calib.model.dh.DHRow`, shape (5,).
 
-    Attributes:
-        joint: Name of the joint that the row's angle belongs to.
-        values: shape (5,) [m, rad].
-        std: Their standard deviations; 0 for what is zero by convention.
-        nominal: Those of the URDF; None without one.
+    Standard deviations are 0 for what is zero by convention; ``nominal`` is the URDF's row, None without one.
     """
 
     joint: str
@@ -207,12 +203,7 @@ def _at(where: str) -> Iterator[None]:
 
 
 def _at_zero(axes: Sequence[Line], values: Sequence[Array] | None) -> list[Line]:
-    """Axes that follow each other from the first, turned back to the joints' zero; see the module's text.
-
-    Args:
-        axes: In any frame.
-        values: Of all joints in each axis's sweep, shape (n,) each [rad]; None: all are at zero.
-    """
+    """Axes in any frame, turned back to the joints' zero from the values in each one's sweep; see the module's text."""
     result: list[Line] = []
     for k, (point, direction) in enumerate(axes):
         for j, axis in enumerate(result):

@@ -3,23 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from calib.cli.options import (
-    Base,
-    Columns,
-    Force,
-    PointsUnit,
-    Quiet,
-    RobotTip,
-    verb,
-)
+from calib.cli.options import Base, Columns, Force, PointsUnit, Quiet, RobotTip, verb
 from calib.errors import CalibError
-
-if TYPE_CHECKING:
-    from calib.model.robot import Robot
 
 
 @verb("""Find the robot's base frame in the tracker's from points on its mounting plane and sweeps of joints 1 and 2.
@@ -109,11 +98,20 @@ def base_frame(
     from calib.identify.result_file import write_table
     from calib.measure.measurements import Measurements
     from calib.model.files import write_atomically
+    from calib.model.robot import Robot
 
-    _check_call(carry, carry_points, output)
+    if (carry is None) != (output is None) or (carry_points is not None and carry is None):
+        raise CalibError(
+            "--carry names the table to carry into the base frame and -o the file to write it to: give both, or "
+            "neither; --carry-points is the list of points of the first."
+        )
+    if robot is None and (base is not None or tip is not None):
+        raise CalibError(
+            "--base and --tip are links of a robot; name it with --robot, or leave them out."
+        )
     inputs = [p for p in (data, points, carry, carry_points, robot) if p is not None]
     check_outputs([output, cell_out, json], inputs, force=force)
-    arm = _load(robot, base, tip)
+    arm = None if robot is None else Robot.load(robot, base, tip)
     names, types = (None, None) if arm is None else (arm.joint_names, arm.joint_types)
     called, renamed = parse_sweeps(sweep or []), parse_columns(columns or [])
     sweeps = read_sweeps(data, names, renamed, points, points_unit, called)
@@ -135,25 +133,3 @@ def base_frame(
     if not quiet:
         for line in (*lines, *(f"Written: {path}" for path in written)):
             typer.echo(line)
-
-
-def _check_call(carry: Path | None, carry_points: Path | None, output: Path | None) -> None:
-    """Refuse options that need each other."""
-    if (carry is None) != (output is None) or (carry_points is not None and carry is None):
-        raise CalibError(
-            "--carry names the table to carry into the base frame and -o the file to write it to: give both, or "
-            "neither; --carry-points is the list of points of the first."
-        )
-
-
-def _load(robot: str | None, base: str | None, tip: str | None) -> Robot | None:
-    """The robot, if one is named."""
-    from calib.model.robot import Robot
-
-    if robot is not None:
-        return Robot.load(robot, base, tip)
-    if base is not None or tip is not None:
-        raise CalibError(
-            "--base and --tip are links of a robot; name it with --robot, or leave them out."
-        )
-    return None

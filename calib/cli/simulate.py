@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from calib.measure.cell import Cell
     from calib.measure.surroundings import TrackerNoise
     from calib.model.parameters import Parameter
-    from calib.simulate.disturbances import Encoder, MovedTarget, Outliers
+    from calib.simulate.truth import Encoder, MovedTarget, Outliers
 
 _NONE = "none"
 
@@ -295,11 +295,7 @@ def simulate(
 
 
 def sizes_of(cell: Cell, sizes: str | None, *, named: bool) -> Mapping[str, float] | None:
-    """``--sizes``: ``length 0.5 mm, angle 3 mrad`` or ``none``; else none beside named errors, the cell's, or typical.
-
-    Raises:
-        CalibError: No such family, one twice, or a value that is no size of it.
-    """
+    """``--sizes``: ``length 0.5 mm, angle 3 mrad`` or ``none``; else none with named errors, the cell's, or typical."""
     from calib.families import FAMILIES
 
     if sizes is None and not named:
@@ -320,11 +316,7 @@ def sizes_of(cell: Cell, sizes: str | None, *, named: bool) -> Mapping[str, floa
 
 
 def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tuple[str, float], ...]:
-    """``--error`` as values of single errors, in their units: ``elbow_joint.rx=2 mrad`` each.
-
-    Raises:
-        CalibError: A pair without an equals sign, a name twice or not among those known, or a value with another unit.
-    """
+    """``--error`` as values of single errors, in their units: ``elbow_joint.rx=2 mrad`` each."""
     from calib.families import unit_of
 
     units = {parameter.name: parameter.unit for parameter in known}
@@ -347,11 +339,7 @@ def parse_errors(pairs: Iterable[str], known: Iterable[Parameter]) -> tuple[tupl
 
 
 def noise_of(cell: Cell, noise: str | None, repeatability: str | None) -> TrackerNoise | None:
-    """The noise that the line says, ``15 um + 6 um/m``, ``0.05 mm`` or ``none``, else the cell's; None: none at all.
-
-    Raises:
-        CalibError: Anything else.
-    """
+    """The noise that the line says, ``15 um + 6 um/m``, ``0.05 mm`` or ``none``, else the cell's; None: none at all."""
     from calib.measure.surroundings import TrackerNoise, parse_noise
 
     found = TrackerNoise() if cell.tracker is None else cell.tracker.noise
@@ -370,11 +358,7 @@ def noise_of(cell: Cell, noise: str | None, repeatability: str | None) -> Tracke
 
 
 def angle_noise_of(cell: Cell, said: str | None, *, any_noise: bool) -> float:
-    """The noise of an orientation: as said, the cell's, or a tracker's 6D probe's; none where there is no noise.
-
-    Raises:
-        CalibError: No angle, or no kind that measures one.
-    """
+    """The noise of an orientation: as said, the cell's, or a tracker's 6D probe's; none where there is no noise."""
     from calib.kinds import get as kind_of
 
     if said is not None:
@@ -390,7 +374,7 @@ def angle_noise_of(cell: Cell, said: str | None, *, any_noise: bool) -> float:
 
 def parse_encoder(texts: Iterable[str]) -> Encoder:
     """``--encoder``: the step of joints that turn, ``0.001 deg``, and of those that slide, ``0.01 mm``."""
-    from calib.simulate.disturbances import Encoder
+    from calib.simulate.truth import Encoder
 
     steps = ", ".join(texts)
     length, angle = parse_pair(steps, "--encoder", "0.001 deg") if steps else (None, None)
@@ -398,12 +382,8 @@ def parse_encoder(texts: Iterable[str]) -> Encoder:
 
 
 def parse_outliers(text: str | None, size: str | None = None) -> Outliers | None:
-    """``--outliers``: a number of rows, ``3``, or a share of them, ``5 %``; and ``--outlier-size``.
-
-    Raises:
-        CalibError: Neither, a share above 100 %, or no size.
-    """
-    from calib.simulate.disturbances import Outliers
+    """``--outliers``: a number of rows, ``3``, or a share of them, ``5 %``; and ``--outlier-size``."""
+    from calib.simulate.truth import Outliers
 
     if text is None and size is not None:
         raise CalibError(
@@ -424,12 +404,8 @@ def parse_outliers(text: str | None, size: str | None = None) -> Outliers | None
 
 
 def parse_moved(text: str | None) -> MovedTarget | None:
-    """``--moved-target``: ``25: 0 0 0.5 mm``, or with the target's name, ``25 upper: 0 0 0.5 mm``.
-
-    Raises:
-        CalibError: Anything else.
-    """
-    from calib.simulate.disturbances import MovedTarget
+    """``--moved-target``: ``25: 0 0 0.5 mm``, or with the target's name, ``25 upper: 0 0 0.5 mm``."""
+    from calib.simulate.truth import MovedTarget
 
     if text is None:
         return None

@@ -33,8 +33,15 @@ def simulated_text(scenario: Scenario, made: Simulated, q: Array) -> str:
     if held_back := int(table.validation.sum()):
         rows += f" ({len(table) - held_back} to estimate from, {held_back} to validate with)"
     lines = [fill(f"Simulated: robot '{robot.name}', {robot.base} to {robot.tip}, {rows}."), ""]
+    measured = [("Each row measures", f"the {scenario.kind.words}")]
+    for label, names in (
+        ("Targets at each pose", made.truth.targets),
+        ("Set-ups in turn", made.truth.groups),
+    ):
+        measured += [(label, ", ".join(names))] if len(names) > 1 else []
+    measured += [("Visits of each pose", str(scenario.visits))] if scenario.visits > 1 else []
     for label, value in (
-        *_measured(scenario, made),
+        *measured,
         *_errors(made),
         *_places(scenario, made),
         *_disturbances(scenario, made),
@@ -42,17 +49,6 @@ def simulated_text(scenario: Scenario, made: Simulated, q: Array) -> str:
     ):
         lines.append(fill(f"{label:<{_LABEL - 1}} {value}", "", " " * _LABEL))
     return "\n".join(lines)
-
-
-def _measured(scenario: Scenario, made: Simulated) -> Iterator[tuple[str, str]]:
-    """What each row is."""
-    yield "Each row measures", f"the {scenario.kind.words}"
-    if len(made.truth.targets) > 1:
-        yield "Targets at each pose", ", ".join(made.truth.targets)
-    if len(made.truth.groups) > 1:
-        yield "Set-ups in turn", ", ".join(made.truth.groups)
-    if scenario.visits > 1:
-        yield "Visits of each pose", str(scenario.visits)
 
 
 def _errors(made: Simulated) -> Iterator[tuple[str, str]]:

@@ -25,8 +25,15 @@ from calib.measure.ranges import column_limits, joint_ranges, range_text
 from calib.measure.surroundings import TrackerNoise, vector
 from calib.measure.table import SETS
 from calib.model.robot import Robot, read_only
-from calib.simulate.disturbances import Encoder, MovedTarget, Outliers, stream
-from calib.simulate.truth import TARGET_ERROR, Truth, draw_truth
+from calib.simulate.truth import (
+    TARGET_ERROR,
+    Encoder,
+    MovedTarget,
+    Outliers,
+    Truth,
+    draw_truth,
+    stream,
+)
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int_]
@@ -342,12 +349,8 @@ class VirtualCell:
     def _read(self, T: Array, seen: Array, apart: Array, partner: Rows | None, seed: int) -> Array:
         """What the instrument reads in each row, as `calib.kinds.Kind` says, shape (R, k).
 
-        Args:
-            T: shape (R, 4, 4), true poses of the targets [m].
-            seen: The same with drift and the robot's own noise [m].
-            apart: shape (R, 3), noise and outliers of the instrument [m]; of lengths the first columns count.
-            partner: The other row of each row's pair.
-            seed: Of the random numbers.
+        ``seen`` are the true poses T with drift and the robot's own noise, ``apart`` (R, 3) is the instrument's noise
+        with outliers [m]; of lengths its first columns count.
         """
         kind = self.scenario.kind
         assert kind.measure is not None

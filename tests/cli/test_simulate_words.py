@@ -10,7 +10,7 @@ from calib.errors import CalibError
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Tracker, TrackerNoise
 from calib.model.error_model import error_model
-from calib.simulate.disturbances import Encoder, Outliers
+from calib.simulate.truth import Encoder, Outliers
 
 CELL = Cell()
 TRACKER = Tracker(np.array([2.0, 1.0, 0.5]), noise=TrackerNoise(1e-5, 1e-6, 0.0))

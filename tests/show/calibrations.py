@@ -20,8 +20,8 @@ from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only
 from calib.model.torques import Payload
 from calib.model.urdf import Urdf
-from calib.simulate.disturbances import Outliers
 from calib.simulate.scenario import Scenario
+from calib.simulate.truth import Outliers
 
 #: Names that break what does not escape them: HTML, mathtext, Markdown, quotes, lines, width, letters and direction.
 HOSTILE = (

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import CalibError
-from calib.simulate.disturbances import (
+from calib.simulate.truth import (
     STREAMS,
     Encoder,
     MovedTarget,

@@ -12,8 +12,7 @@ from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.measure.surroundings import TrackerNoise
 from calib.model.readback import random_joint_values
-from calib.simulate.disturbances import Encoder, MovedTarget, Outliers
-from calib.simulate.truth import draw_truth, tracker_pose
+from calib.simulate.truth import Encoder, MovedTarget, Outliers, draw_truth, tracker_pose
 from tests.simulate.cells import changed, virtual
 
 MANY = "placement+gain+eccentricity+compliance"

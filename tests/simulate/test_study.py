@@ -12,7 +12,6 @@ from calib.identify.calibration import calibrate
 from calib.measure.cell import Cell
 from calib.measure.surroundings import TrackerNoise
 from calib.model.robot import Robot
-from calib.simulate.disturbances import Outliers
 from calib.simulate.scenario import Scenario
 from calib.simulate.study import (
     VERIFIED,
@@ -21,6 +20,7 @@ from calib.simulate.study import (
     study,
     verification_poses,
 )
+from calib.simulate.truth import Outliers
 
 TARGET = np.array([-0.06997, 0.07020, 0.02252])
 

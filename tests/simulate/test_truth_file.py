@@ -14,9 +14,8 @@ from calib.measure.cell import Cell
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot
 from calib.model.torques import Payload, gravity_load
-from calib.simulate.disturbances import Encoder, MovedTarget, Outliers
 from calib.simulate.scenario import Scenario
-from calib.simulate.truth import tracker_pose
+from calib.simulate.truth import Encoder, MovedTarget, Outliers, tracker_pose
 from calib.simulate.truth_file import SCHEMA, write_true_urdf, write_truth
 
 MANY = "placement+gain+eccentricity+compliance"
