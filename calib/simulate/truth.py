@@ -24,6 +24,7 @@ import calib.kinds as registry
 from calib.errors import CalibError, ModelError, choices, did_you_mean
 from calib.families import FAMILIES, family_of, unit_of
 from calib.measure.cell import Cell
+from calib.measure.surroundings import vector
 from calib.measure.table import DEFAULT_TARGET
 from calib.model.error_model import error_model, split_name
 from calib.model.kinematics import Kinematics, Samples
@@ -388,7 +389,7 @@ class Outliers:
 class MovedTarget:
     """A target, or all of them (None), that sit elsewhere from some row on, as if they had been knocked.
 
-    ``row`` is the number of the first row, from 1, that finds it moved; ``by``, shape (3,), is along the tip's axes [m].
+    ``row`` is the number of the first row, from 1, that finds it moved; ``by``, shape (3,), is in the tip [m].
     """
 
     row: int

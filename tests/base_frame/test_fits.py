@@ -48,7 +48,7 @@ def local_errors(circle: Circle, basis: np.ndarray = B) -> np.ndarray:
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     st.integers(0, 10_000),
     st.floats(20.0, 360.0),
@@ -207,7 +207,7 @@ def test_arcs_of_which_no_radius_can_be_told():
     def around(t: np.ndarray) -> np.ndarray:
         return 0.3 * np.column_stack([np.cos(t), np.sin(t), 0.0 * t])
 
-    noisy = [around(rng.uniform(-0.5, 0.5, 9)) + 0.07 * rng.normal(size=(9, 3)) for _ in range(40)]
+    noisy = [around(rng.uniform(-0.5, 0.5, 9)) + 0.07 * rng.normal(size=(9, 3)) for _ in range(12)]
     assert too_short in {told(points) for points in noisy}
 
 
@@ -262,28 +262,6 @@ def test_an_arc_too_short_for_its_noise():
     with pytest.raises(CalibError, match=r"^the arc is too short for its noise: no circle"):
         fit_circle(arc(9.0), np.full(40, 1e-3))
     assert fit_circle(arc(9.0), np.full(40, 1e-5)).radius == pytest.approx(0.3, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("points", "said"),
-    [
-        (disc(3), "there are 3 points, a plane with its uncertainty needs 4"),
-        (
-            np.linspace(0, 1, 9)[:, None] * np.ones(3),
-            "the points lie on a line .* Touch it at places",
-        ),
-    ],
-)
-def test_planes_that_are_none(points: np.ndarray, said: str):
-    with pytest.raises(CalibError, match=said):
-        fit_plane(points)
-
-
-def test_results_cannot_be_written_to():
-    circle, plane = fit_circle(arc(90.0)), fit_plane(disc())
-    for array in (circle.center, circle.basis, circle.covariance, circle.used, plane.point):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 0.0
 
 
 def line_problem(x: np.ndarray, y: np.ndarray):

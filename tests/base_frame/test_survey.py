@@ -44,8 +44,7 @@ def error(T: np.ndarray, wanted: np.ndarray = T_TRUE) -> np.ndarray:
     return np.asarray(pin.log6(rigid_inverse(T) @ wanted).vector)
 
 
-@pytest.mark.parametrize("base", ["base", "base_link"])
-@pytest.mark.parametrize("home", [None, HOME])
+@pytest.mark.parametrize(("base", "home"), [("base", None), ("base_link", HOME)])
 def test_the_frame_is_the_urdf_s_base_wherever_the_joints_stand(base: str, home):
     robot = Robot.load("ur3", base=base, tip="tool0")
     sweeps = virtual_sweeps(robot, T_TRUE, 0.0, arcs=np.full(6, 2.0), home=home)

@@ -141,39 +141,24 @@ def test_quiet_and_force(call, bench: Path):
     ("words", "said"),
     [
         ((), "No file of sweeps was given. Give a table, or a list of points (--points)."),
-        (("no.csv",), "The table 'no.csv' does not exist"),
         (
             ("sweeps.csv", "--base", "base"),
             "--base and --tip are links of a robot; name it with --robot",
         ),
-        (("sweeps.csv", "--robot", "ur99"), "'ur99' is neither a file here nor a robot of"),
         (
             ("sweeps.csv", "--carry", "seen.csv"),
             "--carry names the table to carry into the base frame and -o",
         ),
-        (("sweeps.csv", "-o", "o.csv"), "--carry names the table to carry"),
         (
             ("sweeps.csv", "--plane-offset", "19"),
             '--plane-offset "19": that is a number, a length is wanted',
         ),
         (
-            ("sweeps.csv", "--plane-offset", "a mm"),
-            "'a mm' is no number with a unit",
-        ),
-        (
             ("sweeps.csv", "--plane-offset", "1 m"),
             "the circle of joint 1 lies 152 mm from the measured plane",
         ),
-        (
-            ("sweeps.csv", "--sweep", "ring"),
-            "--sweep was given 'ring'; it must be 'name in the file=sweep'",
-        ),
         (("sweeps.csv", "--sweep", "a=b"), "--sweep maps 'a': 'b' is not a sweep"),
         (("sweeps.csv", "--cell-out", "sweeps.csv"), "sweeps.csv is also an input of this command"),
-        (
-            ("seen.csv", "--carry", "seen.csv", "-o", "o.csv"),
-            "seen.csv: no column 'sweep', which says",
-        ),
         (("sweeps.csv", *ROBOT, "--carry", "swept.txt", "-o", "o.csv"), "swept.txt: "),
         (
             ("sweeps.csv", "--robot", "panda", "--cell-out", "f.toml"),

@@ -56,7 +56,7 @@ def test_without_disturbances_the_table_is_the_truth(plain, truth, q):
 
 
 @pytest.mark.parametrize(
-    "model", ["placement", "dh", "hayati", "zeros", "frames", "dh+gain+compliance", MANY]
+    "model", ["hayati", "zeros", "dh+gain+compliance", pytest.param(MANY, marks=pytest.mark.slow)]
 )
 def test_a_fit_of_the_same_model_finds_the_truth(ur3, model):
     cell = Cell(estimate_frame=True)
@@ -242,13 +242,6 @@ def test_the_same_seed_gives_the_same_table_and_another_another(truth, q):
         assert not np.allclose(getattr(one, name), getattr(other, name), rtol=0, atol=1e-9)
 
 
-def test_more_poses_are_those_of_fewer_and_others(truth, q):
-    cell = virtual(truth)
-    assert (
-        cell.measure(q, 1).measurements.points[:25] == cell.measure(q[:25], 1).measurements.points
-    ).all()
-
-
 def test_set_ups_are_dealt_out_in_turn_and_tours_repeat(ur3, q):
     frames = {
         n: tracker_pose((2, y, 0), np.random.default_rng(1))
@@ -270,7 +263,7 @@ def test_set_ups_are_dealt_out_in_turn_and_tours_repeat(ur3, q):
         ({"kind": "best"}, "'best' is not a kind"),
         ({"sigma_angle": -1.0}, "noise of an angle is -1.0 rad"),
         ({"visits": 0}, "visited 0 times"),
-        ({"drift": (1.0, 2.0)}, "drift is .*; it must be three finite numbers"),
+        ({"drift": (1.0, 2.0)}, "it must be three finite numbers"),
     ],
 )
 def test_what_a_cell_cannot_be(truth, values, said):
@@ -295,15 +288,3 @@ def test_what_cannot_be_measured(plain, truth, q):
         changed(plain, moved=MovedTarget(41, (0, 0, 1e-3))).measure(q)
     with pytest.raises(CalibError, match="31 outliers were asked for among 30 measurements"):
         changed(plain, outliers=Outliers(count=31)).measure(q, sets=SETS)
-
-
-def test_places_that_no_instrument_reaches(plain, q):
-    with pytest.raises(CalibError, match="row "):
-        changed(plain, outliers=Outliers(count=1, size=1e9)).measure(q)
-
-
-def test_what_was_measured_cannot_be_changed(plain, q):
-    made = plain.measure(q)
-    for name in ("q", "T_frame_target", "sigma", "outliers", "moved"):
-        with pytest.raises(ValueError, match="read-only"):
-            getattr(made, name)[...] = 0

@@ -103,10 +103,10 @@ def test_the_same_seed_makes_the_same_study_in_any_executor(ur3):
 def test_outliers_models_and_verdicts_are_counted(ur3):
     what = trials(ur3, model="auto", count=25, validate=True)
     scenario = replace(what.scenario, model="dh", outliers=Outliers(count=2, size=5e-3))
-    found = study(replace(what, scenario=scenario), 3)
-    assert found.values("outliers").tolist() == [2.0, 2.0, 2.0]
-    assert found.values("flagged").sum() >= 5
-    assert sum(found.counts("verdict").values()) == 3
+    found = study(replace(what, scenario=scenario), 2)
+    assert found.values("outliers").tolist() == [2.0, 2.0]
+    assert found.values("flagged").sum() >= 3
+    assert sum(found.counts("verdict").values()) == 2
     assert set(found.counts("verdict")) <= {"use", "use with care", "do not use"}
     assert all(
         name in ("dh", "hayati", "placement", "zeros") or "+" in name
@@ -118,15 +118,6 @@ def test_progress_counts_the_trials(ur3):
     seen = []
     study(trials(ur3, count=15), 3, progress=lambda done, every: seen.append((done, every)))
     assert seen == [(1, 3), (2, 3), (3, 3)]
-
-
-def test_distances_are_verified_by_their_shape(ur3):
-    T_anchor_base = np.eye(4)
-    T_anchor_base[:3, 3] = (-0.7, 0.5, -0.3)
-    cell = Cell(target=TARGET, kind="distance", T_frame_base=T_anchor_base, model="zeros")
-    scenario = Scenario(ur3, cell=cell, model="zeros", sizes={}, noise=TrackerNoise(1e-6, 0.0, 0.0))
-    found = study(Trials(scenario, cell, count=40, validate=False), 2)
-    assert found.rms < 0.05 * found.nominal_rms
 
 
 @pytest.mark.slow
@@ -212,7 +203,9 @@ def test_where_every_trial_fails_the_first_reason_is_told(ur3):
         study(what, 2)
 
 
-@pytest.mark.parametrize("model", ["dh", "dh+gain", "dh+compliance"])
+@pytest.mark.parametrize(
+    "model", ["dh+gain", pytest.param("dh+compliance", marks=pytest.mark.slow)]
+)
 def test_without_validation_only_the_verdict_is_missing(ur3, model):
     """The fits alone are made then, and what a trial says of them is the same."""
     scenario = Scenario(ur3, outliers=Outliers(count=2), cell=Cell(estimate_frame=True))
@@ -233,9 +226,3 @@ def test_lengths_are_verified_by_shape(ur3):
     trial = one_trial(Trials(scenario, Cell(model="dh", kind="pair"), count=60, validate=False), 0)
     assert trial.rms < 0.5 * trial.nominal_rms
     assert trial.rms == pytest.approx(trial.stated_rms, rel=0.9)
-
-
-def test_verification_poses_are_made_once(ur3):
-    scenario = Scenario(ur3)
-    assert verification_poses(scenario) is verification_poses(scenario)
-    assert not verification_poses(scenario).flags.writeable

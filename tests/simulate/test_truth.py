@@ -3,16 +3,27 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.errors import CalibError, ModelError
+from calib.errors import CalibError
 from calib.families import FAMILIES
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Tracker
 from calib.model.error_model import error_model
 from calib.model.readback import random_joint_values
 from calib.model.robot import Robot, rigid_inverse
-from calib.simulate.truth import TARGET_ERROR, draw_truth, tracker_pose
+from calib.simulate.truth import (
+    STREAMS,
+    TARGET_ERROR,
+    Encoder,
+    MovedTarget,
+    Outliers,
+    draw_truth,
+    stream,
+    tracker_pose,
+)
 
 MANY = "placement+gain+eccentricity+compliance"
 
@@ -31,7 +42,7 @@ def test_the_true_robot_is_the_geometry_alone(ur3):
     assert np.abs(truth.tip_poses(q) - truth.robot.poses(q))[:, :3, 3].max() > 1e-5
 
 
-@pytest.mark.parametrize("model", ["placement", "dh", "hayati", "zeros"])
+@pytest.mark.parametrize("model", ["placement", "hayati"])
 def test_two_independent_readers_agree_with_the_true_urdf(ur3, model, tmp_path):
     yourdfpy = pytest.importorskip("yourdfpy")
     truth = draw_truth(ur3, model, seed=5)
@@ -87,40 +98,6 @@ def test_single_errors_win_over_drawn_ones(ur3):
     expected = ur3.placements.copy()
     expected[2] = expected[2] @ turn
     assert only.robot.placements == pytest.approx(expected, abs=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("errors", "said"),
-    [
-        (
-            {"elbow.rx": 1.0},
-            r"no error 'elbow.rx' in the model 'placement' \(did you mean 'elbow_j",
-        ),
-        (
-            {"elbow_joint.rx": np.nan},
-            "The error 'elbow_joint.rx' is nan; it must be a finite number",
-        ),
-    ],
-)
-def test_wrong_single_errors(ur3, errors, said):
-    with pytest.raises(CalibError, match=said):
-        draw_truth(ur3, "placement", errors=errors)
-
-
-@pytest.mark.parametrize(
-    ("model", "name", "value"),
-    [
-        ("placement", "elbow_joint.x", -1.1),
-        ("zeros", "elbow_joint.zero", 7.0),
-        ("frames+gain", "elbow_joint.gain", 2.0),
-        ("frames+compliance", "elbow_joint.compliance", 1e9),
-    ],
-)
-def test_errors_that_are_none(ur3, model, name, value):
-    with pytest.raises(
-        CalibError, match=f"The error '{name}' is .* not an error but another robot"
-    ):
-        draw_truth(ur3, model, errors={name: value})
 
 
 def test_what_a_cell_says_of_single_errors_holds(ur3):
@@ -189,22 +166,24 @@ def test_a_true_urdf_of_another_base(serial_urdf):
     assert truth.nominal_errors(q) == pytest.approx(1e-3)
 
 
-def test_a_true_urdf_of_another_robot(ur3, panda):
-    with pytest.raises(ModelError, match="they must be the same"):
-        draw_truth(ur3, true_robot=panda)
-
-
-def test_a_true_urdf_with_another_axis(ur3):
+def test_what_is_no_truth(ur3, panda):
     data = ur3.urdf.data.replace(b'<axis xyz="0 1 0"/>', b'<axis xyz="0 1 0.001"/>', 1)
-    assert data != ur3.urdf.data
-    other = ur3.rebuilt(type(ur3.urdf).from_bytes(data, "bent.urdf"))
-    with pytest.raises(ModelError, match=r"'bent.urdf' has another type or <axis>"):
-        draw_truth(ur3, true_robot=other)
-
-
-def test_a_true_urdf_and_errors_of_the_geometry(ur3):
-    with pytest.raises(ModelError, match="which the true robot states already"):
-        draw_truth(ur3, true_robot=ur3, errors={"elbow_joint.rx": 1e-3})
+    bent = ur3.rebuilt(type(ur3.urdf).from_bytes(data, "bent.urdf"))
+    for said, more in (
+        (
+            r"'elbow.rx' in the model 'placement' \(did you mean 'elbow_j",
+            {"errors": {"elbow.rx": 1.0}},
+        ),
+        ("is nan; it must be a finite number", {"errors": {"elbow_joint.rx": np.nan}}),
+        ("not an error but another robot", {"errors": {"elbow_joint.x": -1.1}}),
+        ("The size of errors in length is -1", {"sizes": {"length": -1.0}}),
+        ("The error of the target is -1", {"target_error": -1.0}),
+        ("they must be the same", {"true_robot": panda}),
+        (r"'bent.urdf' has another type or <axis>", {"true_robot": bent}),
+        ("the true robot states already", {"true_robot": ur3, "errors": {"elbow_joint.rx": 1e-3}}),
+    ):
+        with pytest.raises(CalibError, match=said):
+            draw_truth(ur3, "placement", **more)
 
 
 def test_the_target_is_drawn_about_where_it_is_said_to_be(ur3):
@@ -278,8 +257,74 @@ def test_a_chain_with_a_sliding_joint_a_mimic_joint_and_two_branches():
     assert seen.nominal_errors(q).min() > 1e-4
 
 
-def test_a_truth_cannot_be_changed(ur3):
-    truth = draw_truth(ur3)
-    for name in ("x", "T_frame_base", "T_tip_target", "said_T_tip_target"):
-        with pytest.raises(ValueError, match="read-only"):
-            getattr(truth, name)[...] = 0.0
+@pytest.mark.parametrize(
+    ("outliers", "among", "number"),
+    [
+        (Outliers(share=0.2), 30, 6),
+        (Outliers(share=0.001), 30, 1),
+        (Outliers(share=0.0), 30, 0),
+        (Outliers(share=1.0), 7, 7),
+        (Outliers(count=0), 30, 0),
+        (Outliers(count=3), 3, 3),
+    ],
+)
+def test_how_many(outliers, among, number):
+    chosen = outliers.choose(range(100, 100 + among), seed=1)
+    assert len(chosen) == len(set(chosen)) == number
+    assert chosen == sorted(chosen)
+    assert set(chosen) <= set(range(100, 100 + among))
+
+
+def test_more_outliers_are_those_of_fewer_and_others():
+    few = Outliers(count=3).choose(range(50), seed=4)
+    assert set(few) < set(Outliers(count=8).choose(range(50), seed=4))
+    assert few != Outliers(count=3).choose(range(50), seed=5)
+
+
+def test_a_target_is_moved_from_its_row_on():
+    rows = MovedTarget(3, (0, 0, 1e-3)).rows(["a", "b", "a", "b", "a"])
+    assert rows.tolist() == [False, False, True, True, True]
+    only = MovedTarget(3, (0, 0, 1e-3), "b").rows(["a", "b", "a", "b", "a"])
+    assert only.tolist() == [False, False, False, True, False]
+
+
+def test_a_moved_target_that_does_not_fit():
+    for row in (0, 6):
+        with pytest.raises(CalibError, match=f"before row {row}; the table has the rows 1 to 5"):
+            MovedTarget(row, (0, 0, 1e-3)).rows(["a"] * 5)
+    with pytest.raises(CalibError, match="'c' is to move; there are 'a', 'b'"):
+        MovedTarget(2, (0, 0, 1e-3), "c").rows(["a", "b"])
+
+
+@given(
+    st.lists(st.floats(-6.0, 6.0), min_size=1, max_size=8),
+    st.floats(1e-6, 0.1),
+    st.integers(0, 1000),
+)
+def test_what_is_read_is_at_most_half_a_step_from_where_the_robot_stands(values, step, seed):
+    q = np.array([values])
+    encoder = Encoder(angle=step)
+    slides = [False] * len(values)
+    stood, read = encoder.measure(q, slides, seed)
+    assert np.abs(stood - q).max() <= 0.5 * step * (1 + 1e-9)
+    assert np.abs(read - stood).max() <= 0.5 * step + 1e-12
+    assert np.abs(read / step - np.round(read / step)).max() < 1e-6
+
+
+def test_joints_that_slide_have_a_step_of_their_own():
+    q = np.full((1000, 3), 0.1234567)
+    slides = [False, True, False]
+    for encoder, moved in ((Encoder(1e-3, 0.0), [0, 2]), (Encoder(0.0, 1e-4), [1])):
+        off = encoder.measure(q, slides, 1)[0] - q
+        assert [k for k in range(3) if off[:, k].any()] == moved
+    # evenly within the step, so that its standard deviation is a step over the root of twelve
+    assert off[:, 1].std() == pytest.approx(1e-4 / np.sqrt(12), rel=0.05)
+
+
+def test_each_purpose_has_numbers_of_its_own():
+    drawn = [tuple(stream(1, purpose).normal(size=3)) for purpose in STREAMS]
+    assert len(set(drawn)) == len(STREAMS)
+    assert tuple(stream(1, STREAMS[0]).normal(size=3)) == drawn[0]
+    assert tuple(stream(2, STREAMS[0]).normal(size=3)) != drawn[0]
+    with pytest.raises(CalibError, match="The seed is -1"):
+        stream(-1, "errors")
