@@ -91,10 +91,7 @@ class Calibration(CalibrationValues):
     ) -> Path:
         """Write the corrected URDF, the geometry alone, after reading it back with Pinocchio and yourdfpy.
 
-        Args:
-            path: Where to.
-            overwrite: Whether an existing file may be replaced.
-            target_link: Whether to add a link ``calib_target`` at the target, fixed to the tip.
+        With ``target_link`` it has a link ``calib_target`` at the target, fixed to the tip.
 
         Raises:
             UrdfError: A reader disagrees with the model in memory by more than 1e-9 m or rad.

@@ -229,16 +229,11 @@ def _table(parameters: list[ParameterDifference]) -> list[str]:
         if len(name) > _LONGEST_NAME:
             lines.append(wrap(name))
             name = ""
-        cells = (
-            (scale * p.a, 11, "-.4"),
-            (scale * p.b, 11, "-.4"),
-            (scale * p.difference, 10, "+.4"),
-            (scale * p.std, 9, "-.4"),
-            (p.sigmas, 8, "+.1"),
-        )
+        a, b, difference, std = (scale * v for v in (p.a, p.b, p.difference, p.std))
+        cells = (a, 11, "-.4"), (b, 11, "-.4"), (difference, 10, "+.4"), (std, 9, "-.4")
         texts = [
             f"{f'{round(v, int(form[2])) + 0.0:{form}f}' if np.isfinite(v) else '-':>{columns}}"
-            for v, columns, form in cells
+            for v, columns, form in (*cells, (p.sigmas, 8, "+.1"))
         ]
         lines.append(f"{name:<{width}}{''.join(texts)} {unit}{'' if p.alone else ' *'}")
     if not all(p.alone for p in parameters):
@@ -254,12 +249,9 @@ def _table(parameters: list[ParameterDifference]) -> list[str]:
 
 def _places(c: Comparison) -> str:
     """How frames and targets moved: no drift of the robot's."""
-    frame = "Measurement frame" if c.a.tells_place else "Set-up"
-    lines = []
-    for what, where, places in (
-        (frame, c.a.nominal.base, c.frames),
-        ("Target", c.a.nominal.tip, c.targets),
-    ):
+    frame, lines = "Measurement frame" if c.a.tells_place else "Set-up", []
+    both = (frame, c.a.nominal.base, c.frames), ("Target", c.a.nominal.tip, c.targets)
+    for what, where, places in both:
         for place in places[:_MOST_PLACES]:
             name = f"{what} '{place.name}'" if place.name else what
             angle = three(float(np.degrees(place.turn)))

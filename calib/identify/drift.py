@@ -1,21 +1,18 @@
 """Whether two estimates of one robot differ by more than their noise, and how far its target lies elsewhere.
 
-**The difference.** Of two results' predictions of one target,
+**The difference** of two results' predictions of one target in the base, with the target t of the first result, is
 
-    delta(q) = T_b(q) t - T_a(q) t  =  J_b x_b - J_a x_a  to first order
+    delta(q) = T_b(q) t - T_a(q) t  =  J_b x_b - J_a x_a  to first order.
 
-in the base, with the target t of the first result. Where a fit found the base's place in the measurement frame from its
-own data, a motion of the whole robot, such as a drift of the first joint's zero, cannot be told from a tracker that
+Where a fit found the base's place from its own data, a motion of the whole robot cannot be told from a tracker that
 stands elsewhere; where it found the target, a shift that is constant in the tip cannot be told from a target mounted
 anew. The part of delta that such motions G make up for best, by least squares over some joint values, is taken off,
 there and at any other joint values. Measured orientations count as what they do at the end of a lever of 100 mm.
 
-**The test.**
-What both are off by is their noise and what their priors pull them by, and sizes of priors are found from the data, so
-that two fits of one robot may pull differently: one may find that there are no errors of some kind, and leave these at
-zero. Both are brought to common priors first. A result is x with the covariance C = (H + P)^-1, where H is what the
-data know and P the priors' precision, and the data push against the priors by s, which is P x where x is the least of
-all squares. Under other priors Q that would be, to first order,
+**The test.** Priors pull, and their sizes are found from the data: two fits of one robot may be pulled differently. So
+both are brought to common priors first. A result is x with the covariance C = (H + P)^-1, where H is what the data know
+and P the priors' precision, and the data push against the priors by s, which is P x where x is the least of all
+squares. Under other priors Q that would be, to first order,
 
     C_q = (C^-1 + Q - P)^-1,        x_q = x + C_q (s - Q x).
 
@@ -174,13 +171,10 @@ def _under(one: Calibration, more: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """Two estimates, and what the difference of an unchanged robot's spreads by.
+    """Two estimates of the same coordinates, and what the difference of an unchanged robot's spreads by.
 
-    Attributes:
-        a: One.
-        b: The other, of the same coordinates.
-        alike: Whether both have the same parameters under priors with the same mean; otherwise they are taken to err
-            independently of each other, which is too much rather than too little.
+    ``alike`` says whether both have the same parameters under priors with the same mean; otherwise they are taken to
+    err independently of each other, which is too much rather than too little.
     """
 
     a: Estimated
@@ -213,14 +207,10 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class DriftTest:
-    """The test of one difference.
+    """The test of one difference: k combinations that the data of both know, d^T V^-1 d over them, and nu.
 
-    Attributes:
-        combinations: Number k of combinations that the data of both know.
-        chi_square: d^T V^-1 d over them.
-        freedom: Degrees of freedom nu of the noise.
-        p: Probability of such a difference, or a larger one, where nothing has changed.
-        sigma: The same as standard deviations of a normal distribution, one-sided; 0 where p > 0.5.
+    ``p`` is the probability of such a difference, or a larger one, where nothing has changed; ``sigma`` the same as
+    standard deviations of a normal distribution, one-sided, 0 where p > 0.5.
     """
 
     combinations: int
@@ -282,11 +272,8 @@ class Move:
 class Seen:
     """Both results at N joint values q, shape (N, m), [rad] or [m]; D = 3, or 6 where orientations count [m].
 
-    Attributes:
-        difference: shape (N, D), b less a.
-        effects: Of each result what a unit of its own parameters does, shape (N D, p).
-        slopes: The same at the results, not at the nominal robot: what follows a change of priors.
-        gauge: shape (N D, g), what frames and targets would make up for.
+    ``difference`` (N, D) is b less a; ``effects`` (N D, p) what a unit of each result's own parameters does, ``slopes``
+    the same at the results, not at the nominal robot; ``gauge`` (N D, g) what frames and targets would make up for.
     """
 
     def __init__(self, a: Calibration, b: Calibration, q: Array) -> None:

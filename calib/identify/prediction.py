@@ -64,12 +64,10 @@ class ParameterEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A row that does not belong to the others.
+    """A row, by its number in the table, that does not belong to the others.
 
-    Attributes:
-        row: The row's number as a person sees it.
-        residual: Norm of measured minus predicted length [m]; NaN where none was measured.
-        score: How far it lies from what the other rows predict, in standard deviations.
+    The residual is the norm of measured minus predicted length [m], NaN where none was measured; the score how far the
+    row lies from what the others predict, in standard deviations.
     """
 
     row: int
@@ -82,8 +80,7 @@ class Solved:
     """What was found of one error model.
 
     Attributes:
-        kinematics: The nominal robot under it, with frames and targets where the estimation started: where ``x`` counts
-            from.
+        kinematics: The nominal robot under it, with frames and targets where ``x`` counts from.
         x: shape (p,), offsets from the registered start [m, rad].
         covariance: shape (p, p), of ``x``.
         sizes: Size of the errors of each family that the data showed, in its unit; empty without priors.
@@ -111,9 +108,7 @@ class Solved:
     def pose_std(self, samples: Samples, *, in_base: bool = False) -> Array:
         """Standard deviations of predicted poses, sqrt(trace(J C J^T)), shape (N, 2): position [m] and angle [rad].
 
-        Args:
-            samples: N joint values, each with its frame and target.
-            in_base: Whether poses are asked for in the base, less ``base_motion``; else in the sample's own frame.
+        In the base they are less ``base_motion``; else they are in each sample's own frame.
         """
         return _spread(self.kinematics, self.x, self.covariance, samples, in_base, self.base_motion)
 

@@ -76,11 +76,7 @@ class Source:
 class Fit:
     """The solved problem, for those who want to go on from it: what a result in memory has beside its values.
 
-    Attributes:
-        measurements: All rows.
-        cell: As given.
-        geometry: The fit of the geometry, which the URDF holds.
-        larger: That of the larger model, if there is one.
+    Rows and cell are as given; ``geometry`` is the fit of what the URDF holds, ``larger`` that of the larger model.
     """
 
     measurements: Measurements
@@ -148,14 +144,12 @@ class Calibration(Solved):
         frozen: Parameters that were kept at their nominal values.
         ties: Parameters that follow others: for each the other's name and the factor.
         sizes_from: Where the sizes of the priors are from: ``"data"``, ``"given"``, or ``"off"`` without priors.
-        nominal_setup: Frames and targets that the nominal robot's errors are computed with: as given, and registered
-            where they were not.
+        nominal_setup: Frames and targets of the nominal robot's errors: as given, and registered where they were not.
         solver: Name of the solver.
         solution: Where it stopped, with its history.
         seconds: Time that choosing a model, registration and estimation took; NaN where it is not to be told.
         freedom: Degrees of freedom left for the noise.
-        sigma: Estimated standard deviation of one measured length of a good row (median over rows) [m]; NaN where no
-            length was measured.
+        sigma: Standard deviation of one measured length (median over rows) [m]; NaN where none was measured.
         sigma_angle: Of one measured angle [rad]; NaN where none was.
         residual_nominal: shape (N, D), measured minus predicted by the nominal robot, all rows: lengths [m] in the
             first columns, angles [rad] in three more where poses were measured.
@@ -167,15 +161,13 @@ class Calibration(Solved):
         flag_limit: The score above which a row is flagged.
         outliers: The estimation rows flagged; they have no weight where the fit was robust.
         suspects: The validation rows beyond such a limit, for their number; they never have a weight.
-        robustness: What lowering the weights of doubtful rows did, or would do; None where no row is flagged, and with
-            the solver ``"paper"``.
+        robustness: What lowering the weights of doubtful rows does; None where none is flagged, or by ``"paper"``.
         repeats: Scatter of rows that repeat a pose; None where none does.
         outside: The rows for validation whose joint values lie outside of the range that was fitted.
         expected_measured: Standard deviation of the predicted point at the measured poses, rms [m]. From the
             covariance, so it knows nothing of errors that the model lacks.
         expected_everywhere: The same over joint values spread over the limits [m].
-        nominal_cross_validation: The same of the nominal robot, with target (and frame, if it is estimated) fitted to
-            the other rows.
+        nominal_cross_validation: Of the nominal robot, its target (and frame, if estimated) fitted to the other rows.
         observability: Rank, and what the measured poses cannot tell apart.
         candidates: The ladder of models that ``auto`` chose from; empty for a model that was named.
         larger: The larger model, if one was chosen or asked for.

@@ -350,12 +350,11 @@ def _rows_table(c: Calibration) -> list[dict[str, Any]]:
 
 def _used_of(rows: Sequence[Json]) -> Mask:
     """Which scalars were measured, shape (N, D): a row's lengths stand in the first columns."""
-    lengths = [len(one["residual_nominal_m"]) for one in rows]
-    angles = [len(one.get("residual_nominal_rad", ())) for one in rows]
-    width = max([1, *lengths, *(3 + turned for turned in angles if turned)])
-    column = np.arange(width)
-    of_lengths = column < np.minimum(np.array(lengths), 3)[:, None]
-    return np.asarray(of_lengths | ((column >= 3) & (column < 3 + np.array(angles)[:, None])))
+    lengths = np.array([len(one["residual_nominal_m"]) for one in rows])[:, None]
+    angles = np.array([len(one.get("residual_nominal_rad", ())) for one in rows])[:, None]
+    column = np.arange(6)
+    used = np.where(column < 3, column < lengths, column - 3 < angles)
+    return used[:, : max([1, *(1 + np.flatnonzero(used.any(axis=0)))])]
 
 
 def _residuals_of(rows: Sequence[Mapping[str, Any]], who: str, used: Mask) -> Array:

@@ -1,11 +1,7 @@
 """Uncertainty on demand: bootstrap, profiles, the workspace.
 
-The covariance that comes with every calibration is that of the linearised problem with normal noise,
-
-    C = (A^T W A + P)^-1
-
-with the whitened derivative A of the predictions, the rows' weights W and the priors' precisions P. What is here asks
-less, at the price of many fits; noise, prior sizes and robust weights stay as the calibration found them throughout.
+The covariance that comes with every calibration, C = (A^T W A + P)^-1, is that of the linearised problem with normal
+noise. What is here asks less, at the price of many fits; noise, prior sizes and robust weights stay as they were found.
 
 **Bootstrap.** Whole poses, with their repeats, are drawn with replacement within each set-up: B. Efron, R. J.
 Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 and 13.3. Drawing rows alone would find no spread in
@@ -15,8 +11,9 @@ set-ups about what was given. For a linear problem the samples' covariance is th
 
     C (sum_i A_i^T W_i r_i r_i^T W_i A_i + P) C
 
-which is C where the residuals r are noise as large as was found. With few rows for a parameter it is too wide (N. El
-Karoui, E. Purdom, JMLR 19, 2018).
+with the whitened derivative A of the predictions, the rows' weights W and the priors' precisions P, which is C where
+the residuals r are noise as large as was found. With few rows for a parameter it is too wide (N. El Karoui, E. Purdom,
+JMLR 19, 2018).
 
 **Profile.** The interval of one parameter where the cost, minimised over all others, has risen by no more than the
 quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 1988, section 6.1.
@@ -173,15 +170,9 @@ def bootstrap(
 
 @one_blas_thread()
 def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -> Profile:
-    """The interval of one parameter from the profile of the cost; see the module's text.
+    """The interval of one parameter, in its unit, from the profile of the cost; see the module's text.
 
-    Args:
-        calibration: The calibration.
-        name: A parameter of the geometry, or of the larger model if only that has it.
-        level: Probability that the interval holds the true value.
-
-    Returns:
-        Ends in the parameter's unit; infinite where the measurements set no limit.
+    An end is infinite where the measurements set no limit. A parameter that the geometry lacks is the larger model's.
 
     Raises:
         ModelError: No such parameter, it stands at a bound, or the paper's solver made the calibration.
@@ -209,12 +200,7 @@ def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorkspaceUncertainty:
-    """How sure predicted positions are over the joint limits.
-
-    Attributes:
-        q: shape (count, m), joint values spread evenly over the limits, [rad] or [m].
-        std: shape (count,), standard deviation of the predicted position there [m].
-    """
+    """How sure predicted positions are, std (count,) [m], at joint values q (count, m) spread over the joint limits."""
 
     q: Array
     std: Array
