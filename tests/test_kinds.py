@@ -202,6 +202,7 @@ def test_rows_of_angles_alone_stand_beside_points(ur3):
     assert np.all(np.isfinite(result.residual_calibrated[result.used]))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("own")
 def test_poses_are_inspected_and_planned_for_a_kind_from_outside(ur3, tmp_path):
     line = np.array([[0, 1, 0, 0.2], [0, 0, 1, 0.6], [1, 0, 0, 0], [0, 0, 0, 1.0]])

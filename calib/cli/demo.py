@@ -83,21 +83,18 @@ def demo(
 def _against_the_paper(result: Calibration, as_paper: Calibration) -> str:
     """The errors on rows 31 to 35 beside those that the paper prints, [mm]."""
 
-    def row(label: str, values: tuple[float, float, float]) -> str:
-        return f"{label:<58}" + "".join(f"{v:>10.3f}" for v in values)
-
     def measured(c: Calibration, who: str) -> tuple[float, float, float]:
         errors = c.errors[who]["validation"]
         return 1e3 * errors.max, 1e3 * errors.mean, 1e3 * errors.rms
 
+    rows = (
+        ("nominal, as the paper prints it", _PAPER["before"]),
+        ("nominal, here", measured(result, "nominal")),
+        ("calibrated, as the paper prints it", _PAPER["after"]),
+        ("calibrated, the paper's algorithm here", measured(as_paper, "calibrated")),
+        ("calibrated, calib", measured(result, "calibrated")),
+    )
     head = f"{'Position error on rows 31 to 35 [mm]':<58}{'max':>10}{'mean':>10}{'rms':>10}"
     return "\n".join(
-        [
-            head,
-            row("nominal, as the paper prints it", _PAPER["before"]),
-            row("nominal, here", measured(result, "nominal")),
-            row("calibrated, as the paper prints it", _PAPER["after"]),
-            row("calibrated, the paper's algorithm here", measured(as_paper, "calibrated")),
-            row("calibrated, calib", measured(result, "calibrated")),
-        ]
+        [head, *(f"{name:<58}" + "".join(f"{v:>10.3f}" for v in values) for name, values in rows)]
     )

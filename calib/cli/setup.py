@@ -391,13 +391,7 @@ def say_ignored(measurements: Measurements, robot: Robot) -> None:
 def executor_of(
     workers: int | None, dask: str | None, count: int | None, *, default: int | None = None
 ) -> Iterator[Executor | None]:
-    """Where jobs run; None: in this process, one after the other.
-
-    Args:
-        workers: As many processes; None: ``default``.
-        dask: Or the address of a scheduler, whose workers need calib in the same version.
-        count: Number of jobs; None: there are none.
-        default: As many if nothing is said; None: as many as there are cores.
+    """Where ``count`` jobs run, by default in so many processes or one a core; None: in this one, one after the other.
 
     Raises:
         CalibError: Both were given, or there is no such scheduler.

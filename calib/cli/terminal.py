@@ -86,13 +86,7 @@ def _written_out(control: re.Match[str]) -> str:
 
 
 def fill(text: str, indent: str = "", hang: str = "") -> str:
-    """Text broken at 100 columns, and nowhere within a name.
-
-    Args:
-        text: One paragraph.
-        indent: Before every line.
-        hang: Before every line but the first, behind that.
-    """
+    """One paragraph broken at 100 columns, nowhere within a name; ``hang`` is before every line but the first."""
     return textwrap.fill(
         text,
         WIDTH,
@@ -120,11 +114,7 @@ def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
 
 @contextmanager
 def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """A bar on stderr for each stage of the work in the block; None where nobody is watching.
-
-    Args:
-        quiet: Whether the user wants none.
-    """
+    """A bar on stderr for each stage of the work in the block; None where nobody is watching."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -144,11 +134,6 @@ def stages_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
 
 @contextmanager
 def progress_bar(label: str, *, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """The same for work in one stage.
-
-    Args:
-        label: What is counted.
-        quiet: Whether the user wants none.
-    """
+    """The same for work in one stage, ``label``."""
     with stages_bar(quiet=quiet) as advance:
         yield None if advance is None else partial(advance, label)

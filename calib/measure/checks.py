@@ -76,13 +76,7 @@ def no_rotation(matrices: Array) -> Mask:
 
 
 def implausible(metres: Array, unit: Unit, *, near: bool = True) -> tuple[int, str]:
-    """The row of shape (N, k) that is furthest from the origin, and why it cannot be in a robot cell; "" if it can.
-
-    Args:
-        metres: In SI units.
-        unit: In which it was written: a larger one than metres cannot be meant.
-        near: Whether all being close to the origin is a fault.
-    """
+    """The row of (N, k) [m] furthest from the origin, and why it cannot be there, or all so ``near``; "" if it can."""
     distance = np.hypot.reduce(metres, axis=1)  # does not square: a huge number stays one
     row = int(np.argmax(distance))
     if not distance[row] <= FAR_M:
@@ -171,11 +165,6 @@ def check_joint_names(
 def check_words(where: Where, words: Mapping[str, Sequence[str]], count: int) -> None:
     """Refuse words that are not allowed; each different one is looked at once, for there may be a million rows.
 
-    Args:
-        where: The rows.
-        words: Those of ``sets``, ``targets``, ``groups``, ``kinds`` and ``pairs``.
-        count: How many of each there must be.
-
     Raises:
         MeasurementError: with the row and what is allowed.
     """
@@ -217,16 +206,7 @@ def numbers(
     limits: tuple[float, float] = REACH,
     columns: Sequence[str] = (),
 ) -> Array | None:
-    """A read-only copy of an array, NaN in rows that do not measure it; None if none is left.
-
-    Args:
-        where: The rows.
-        name: Of the array, for messages.
-        values: shape (N, *tail), in SI units; None where there are none.
-        tail: The shape of one row's.
-        told: shape (N,), the rows that measure it.
-        limits: Between which the values are.
-        columns: The names of the columns, for messages.
+    """A read-only copy of an array (N, *tail) in SI units, NaN in rows that do not measure it; None if none is left.
 
     Raises:
         MeasurementError: another shape, or a number of a row that is not finite, or outside of the limits.
@@ -307,10 +287,6 @@ def check_whole(where: Where, words: Mapping[str, Sequence[str]]) -> None:
     """Refuse, in a table as it was read, pairs of other than two rows and groups with too few.
 
     A selection of rows may have both.
-
-    Args:
-        where: The rows.
-        words: Those of ``sets``, ``groups`` and ``pairs``.
 
     Raises:
         MeasurementError: with the word or the group, and its rows.

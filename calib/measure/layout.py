@@ -102,15 +102,7 @@ class Layout:
         *,
         points_elsewhere: bool = False,
     ) -> Layout:
-        """Find the columns.
-
-        Args:
-            table: the table, whose rows are looked at only if it has a column ``kind``.
-            joint_names: see `Measurements.read`, as for the next three.
-            joint_types: a joint's URDF type by its name.
-            columns: names of the table to names of calib.
-            kind: the kind of all rows.
-            points_elsewhere: the measured points stand in another file; this one only names them.
+        """Find the columns, see `Measurements.read`; with ``points_elsewhere`` the rows only name their points.
 
         Raises:
             MeasurementError: a column is missing, there twice, without a unit or in a wrong one.

@@ -134,13 +134,7 @@ def read_points(path: str | Path, unit: str | None = None) -> Points:
 def match_points(
     points: Points, source: str, rows: Sequence[int], names: Sequence[str] | None
 ) -> NDArray[np.float64]:
-    """The point of each row of a table, shape (M, 3), [m].
-
-    Args:
-        points: of a file.
-        source: the table's file name.
-        rows: the numbers of the rows that have a point, M of them.
-        names: their points' names; None takes the points in the order of the file.
+    """The point of each of M rows of a table, shape (M, 3), [m], by their names; by their order where names are None.
 
     Raises:
         MeasurementError: a row's point is not there, or is that of another row; or the counts differ.

@@ -28,13 +28,7 @@ ACCEPTANCE = math.radians(30.0)
 
 
 def kept(value: Any, what: str, must: str, convert: Callable[[Any], Any]) -> Any:  # noqa: ANN401
-    """A value as it is kept.
-
-    Args:
-        value: As given.
-        what: What it is, for the message.
-        must: What it must be, likewise.
-        convert: Gives the value that is kept; None, a TypeError or a ValueError refuse it.
+    """A value as it is kept: ``convert`` gives it, or refuses it by None, a TypeError or a ValueError; ``what`` is it.
 
     Raises:
         CalibError: It is refused.

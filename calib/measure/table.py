@@ -220,14 +220,7 @@ def reserved() -> tuple[str, ...]:
 
 
 def place(table: Table, row: Row, numbers: Column | None, column: Column | None = None) -> str:
-    """Where a cell stands, as a person sees it: file, line, row number, column.
-
-    Args:
-        table: The file.
-        row: The line.
-        numbers: The column ``row``, if there is one.
-        column: The cell's column; None for the whole row.
-    """
+    """Where a cell stands, as a person sees it: file, line, row number, column."""
     number = str(row.ordinal)
     if numbers is not None and numbers.index < len(row.cells):
         number = row.cells[numbers.index] or number
@@ -364,14 +357,7 @@ def _renamed(table: Table, column: Column, wanted: str) -> Column:
 def with_unit(
     table: Table, column: Column, quantity: Quantity, what: str = "", common: str = ""
 ) -> Column:
-    """The column, which must be in a unit of this quantity.
-
-    Args:
-        table: for the message.
-        column: as found.
-        quantity: what it measures.
-        what: in a few words, for the message.
-        common: the unit to propose, where it is not the quantity's usual one.
+    """The column, which must be in a unit of this quantity; ``what`` it is, and the ``common`` unit to propose.
 
     Raises:
         MeasurementError: it has no unit, or one of another quantity.

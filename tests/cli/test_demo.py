@@ -59,6 +59,7 @@ def test_the_files(examples, demo):
     assert report.count(b"<figure ") >= 10
 
 
+@pytest.mark.slow
 def test_force_folders_of_folders_and_quiet(call, tmp_path: Path):
     folder = tmp_path / "neuer ordner" / "démo"
     folder.mkdir(parents=True)

@@ -358,7 +358,6 @@ def test_force_overwrites(call, shop):
     ("words", "said"),
     [
         (("none.urdf", "data.csv"), "URDF 'none.urdf' does not exist; check the name and"),
-        (("~/robot.urdf", "data.csv"), "URDF '~/robot.urdf' does not exist; check the name"),
         (("none", "data.csv"), "'none' is neither a file here nor a robot of example-robot-data"),
         (("robot.urdf", "none.csv"), "The table 'none.csv' does not exist; check the name and"),
         (("data.csv", "robot.urdf"), "data.csv is not XML"),
@@ -370,19 +369,9 @@ def test_force_overwrites(call, shop):
             "--model: there is no model 'best'. It is 'auto',",
         ),
         (
-            ("robot.urdf", "data.csv", "--model", "dh+love"),
-            "there is no model 'dh+love'. It is 'auto'",
-        ),
-        (
-            ("robot.urdf", "data.csv", "--frame", "tracker"),
-            '--frame was given as "tracker"; it must',
-        ),
-        (("robot.urdf", "data.csv", "--hold", "elbow_joint=1"), "a joint's value needs a unit of"),
-        (
             ("robot.urdf", "data.csv", "--hold", "lift=1 m"),
             "joint 'lift', to be held at 1, does not",
         ),
-        (("robot.urdf", "data.csv", "--payload", "5"), '--payload was given as "5"; it must be a'),
         (
             ("robot.urdf", "data.csv", "--points", "no.txt"),
             "The list of points 'no.txt' does not exist",
@@ -392,7 +381,6 @@ def test_force_overwrites(call, shop):
         (("robot.urdf", "data.csv", "--kind", "best"), "'best' is not a kind of measurement;"),
         (("robot.urdf", "data.csv", "--fix-target"), "The target is said to be known but is not"),
         (("robot.urdf", "data.csv", "--target", "1 2 3"), 'given as "1 2 3"; it must be three num'),
-        (("robot.urdf", "data.csv", "--target", "1 2 3 kg"), "'kg' is no unit of length. Choose"),
         (("robot.urdf", "data.csv", "--freeze", "d9"), "No model has the parameters 'd9'. 'calib"),
         (
             ("robot.urdf", "data.csv", "--freeze", "d9", "--model", "dh"),
@@ -408,7 +396,6 @@ def test_force_overwrites(call, shop):
             "The solver 'paper' minimises fourth powers",
         ),
         (("robot.urdf", "data.csv", "--columns", "J1"), "--columns was given 'J1'; it must be"),
-        (("robot.urdf", "data.csv", "--columns", "J=x"), "there is no column 'J', which --columns"),
         (("panda", "data.csv"), "data.csv: no column for the joints 'panda_joint1', "),
         (
             ("robot.urdf", "data.csv", "--model", "paper", "--frame", "estimate"),
@@ -429,6 +416,7 @@ def test_errors_are_one_line(call, shop, words: tuple[str, ...], said: str):
     assert not (shop / "c.urdf").exists()
 
 
+@pytest.mark.slow
 def test_debug_shows_the_trace_before_the_line(run, shop):
     done = run(shop, "fit", "robot.urdf", "none.csv", "--debug")
     assert done.code == 1
@@ -436,6 +424,7 @@ def test_debug_shows_the_trace_before_the_line(run, shop):
     assert done.err.splitlines()[-1].startswith("calib: The table 'none.csv' does not exist")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="/dev/full is Linux's")
 def test_a_full_disk_behind_the_text_does_not_cost_the_files(shop, program):
     with Path("/dev/full").open("w") as full:
