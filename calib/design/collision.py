@@ -51,14 +51,12 @@ HOLDER_RADIUS = 0.020
 BEAM, NEST = 0.010, 0.030
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class CollisionModel:
     """A robot and boxes around it, ready to be asked at which joint values they touch.
 
     Attributes:
         robot: The robot.
-        boxes: In the robot's base; they move with it where joints of the chain move the base.
-        clearance: Least distance between what is checked [m].
         pairs: The names of what is checked (links, targets, boxes, the plane), those that touch most often first.
         ignored: The names of those that are not, and why.
         close: Those that are always closer than the clearance; they are refused only where they touch.
@@ -66,8 +64,6 @@ class CollisionModel:
     """
 
     robot: Robot
-    boxes: tuple[Box, ...]
-    clearance: float
     pairs: tuple[tuple[str, str], ...]
     ignored: Mapping[tuple[str, str], str]
     close: tuple[tuple[str, str], ...]
@@ -91,7 +87,7 @@ class CollisionModel:
 
         Args:
             robot: The robot; its URDF names the meshes.
-            boxes: In the robot's base.
+            boxes: In the robot's base; they move with it where joints of the chain move the base.
             clearance: Least distance between all that is checked [m].
             package_dirs: Folders in which ``package://`` meshes are looked for before all others.
             targets: Places in the tip by name, shape (3,), [m]; each and what holds it joins the check.
@@ -167,11 +163,7 @@ class CollisionModel:
             ),
         ):
             notes += [f"{said}: {', '.join(names)}."] if names else []
-        return cls(robot, boxes, float(clearance), pairs, ignored, close, tuple(notes), scene, beam)
-
-    def __repr__(self) -> str:
-        """In one line."""
-        return f"CollisionModel({self.robot!r}, {len(self.boxes)} boxes, {len(self.pairs)} pairs)"
+        return cls(robot, pairs, ignored, close, tuple(notes), scene, beam)
 
     def free(self, q: ArrayLike) -> Mask:
         """Where the robot touches neither itself nor a box, and keeps its clearance, shape (N,).

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calib.design.plan import Plan
 from calib.design.workspace import Density
-from calib.measure.surroundings import Box, Tracker
+from calib.measure.surroundings import Box
 from calib.show.figure_region import RegionView
 from calib.show.page import Key, single_page
 from calib.show.rows import BEAM, ESTIMATION, LITTLE_TO_MUCH, NOMINAL, VALIDATION
@@ -93,20 +93,16 @@ def _draw_around(scene: meshcat.Visualizer, plan: Plan, places: Array, size: flo
         draw_boxes(scene["around"], [box.size for box in boxes], poses, _AROUND)
         keys.append(Key(", ".join(box.name for box in boxes), _AROUND, "around"))
     if tracker is not None:
-        draw_lines(scene["sight"], _beams(places, size, tracker), BEAM, 0.7)
+        # The last piece of each line of sight.
+        points = places.reshape(-1, 3)
+        towards = tracker.position - points
+        length = np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+        ends = points + towards / length * np.minimum(length, _SIGHT * size)
+        draw_lines(scene["sight"], np.stack([points, ends], axis=1), BEAM, 0.7)
         keys.append(Key("towards the tracker", BEAM, "sight"))
         if np.linalg.norm(tracker.position) < _NEAR * size:
             draw_points(scene["tracker"], tracker.position[None], BEAM, 2.0 * _BALL * size)
     return keys
-
-
-def _beams(places: Array, size: float, tracker: Tracker) -> Array:
-    """The last piece of each line of sight, shape (N, 2, 3), [m]."""
-    points = places.reshape(-1, 3)
-    towards = tracker.position - points
-    length = np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
-    ends = points + towards / length * np.minimum(length, _SIGHT * size)
-    return np.stack([points, ends], axis=1)
 
 
 def _corners(box: Box) -> Array:

@@ -107,7 +107,9 @@ def draw_region(view: RegionView) -> Figure:
     figure.text(0.02, 0.965, view.title, size=15, weight="bold", va="center")
     figure.text(0.02, 0.932, view.text, size=10, color=_GREY, va="center")
     axes = figure.subplots(2, 3)
-    centre = _middle_voxel(density)
+    # The voxel at the mean of the samples.
+    index = np.indices(density.counts.shape).reshape(3, -1)
+    centre = np.round(index @ density.counts.ravel() / density.samples).astype(np.intp)
     limits = _limits(density, marked)
     images = {}
     for column, (i, j, name) in enumerate(VIEWS):
@@ -237,14 +239,6 @@ def _mark(axes: Any, marked: Marked, inside: Mask, figure: Figure) -> None:  # n
         handletextpad=0.3,
         columnspacing=1.4,
     )
-
-
-def _middle_voxel(density: Density) -> NDArray[np.intp]:
-    """The voxel at the mean of the samples, shape (3,)."""
-    sides = [np.arange(n) for n in density.counts.shape]
-    sums = [density.counts.sum(axis=tuple({0, 1, 2} - {axis})) for axis in range(3)]
-    means = [(side @ total) / total.sum() for side, total in zip(sides, sums, strict=True)]
-    return np.round(means).astype(np.intp)
 
 
 def _limits(density: Density, marked: Marked | None) -> Array:
