@@ -271,12 +271,6 @@ class Workspace:
         measured, located = sensitivity.measured(q), sensitivity.located(q)
         return cls(measured, located, sensitivity.analysed(q, measured).rank)
 
-    @property
-    def mean_square(self) -> Array:
-        """B: the mean over poses and targets of J^T J, shape (p, p), [m^2 per unit^2]."""
-        targets = self.located.shape[1] // 3
-        return np.asarray(information(self.located) / (len(self.located) * targets))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forecast:

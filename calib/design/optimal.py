@@ -151,7 +151,8 @@ def choose_poses(
     def foreseen(indices: Indices) -> Forecast:
         return Forecast.of(sensitivity, workspace, np.concatenate([taken, q[indices]]))
 
-    B = workspace.mean_square
+    # The mean over poses and targets of J^T J.
+    B = information(workspace.located) / (workspace.located[:, :, 0].size // 3)
     known = information(sensitivity.measured(taken)) if len(taken) else 0.0 * B
     weight = {"D": None, "A": np.diag(1.0 / steps(sensitivity.units) ** 2), "V": B}[criterion]
     mean = information(measured) / len(measured)

@@ -34,9 +34,6 @@ MARGIN = math.radians(5.0)
 #: Poses among which those to drive by are looked for.
 _STOPS = 4000
 
-#: Default number of candidates.
-CANDIDATES = 20_000
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
@@ -115,7 +112,7 @@ def plan(
     count: int = 30,
     validation: int = 5,
     criterion: str = "V",
-    candidates: int = CANDIDATES,
+    candidates: int = 20_000,
     region: Region | None = None,
     margin: float = MARGIN,
     taken: ArrayLike | None = None,

@@ -39,7 +39,6 @@ def test_boxes():
     ("text", "name", "low", "high"),
     [
         ("elbow=-90..90 deg", "elbow", -math.pi / 2, math.pi / 2),
-        ("lift = 0.1 .. +0.5 m", "lift", 0.1, 0.5),
         ("lift=10mm..0.5m", "lift", 0.01, 0.5),
         ("a=b=-1.5..-1e-1rad", "a=b", -1.5, -0.1),
     ],
@@ -52,11 +51,8 @@ def test_ranges(text, name, low, high):
     ("parse", "text", "said"),
     [
         (words.parse_tracker, "2500 0 mm", "--tracker was given as \"2500 0 mm\"; it must be three numbers and a unit"),
-        (words.parse_tracker, "1 2 3 deg", "'deg' is no unit of length. Choose one of 'm', 'mm'"),
         (words.parse_reflector, "0 0", "--reflector was given as \"0 0\"; it must be a direction in the tip, three"),
-        (words.parse_reflector, "0 0 0", "--reflector was given as \"0 0 0\"; it must be a direction"),
         (words.parse_reflector, "0 0 1 mm", "three numbers without a unit, such as \"0 0 1\"."),
-        (words.parse_reflector, "0 0 nan", "--reflector was given as \"0 0 nan\""),
     ],
 )  # fmt: skip
 def test_words_that_cannot_be_read(parse, text, said):
@@ -68,10 +64,8 @@ def test_words_that_cannot_be_read(parse, text, said):
     ("texts", "said"),
     [
         (["0 0 0 1 1 1 m"], '--box was given as "0 0 0 1 1 1 m"; it must be a name, the centre'),
-        (["a: 0 0 0 1 1 m"], '--box was given as "a: 0 0 0 1 1 m"'),
         (["a: 0 0 0 1 1 1"], '--box was given as "a: 0 0 0 1 1 1"'),
         (["a: 0 0 0 1 -1 1 m"], "three edges above 0, and a unit of length"),
-        (["a: 0 0 0 1 x 1 m"], '--box was given as "a: 0 0 0 1 x 1 m"'),
         (
             ["a: 0 0 0 1 1 1 kg"],
             "a unit of length: \"table: 0 0 -20 1200 800 40 mm\". The units are 'm', 'mm'",
@@ -88,13 +82,10 @@ def test_boxes_that_cannot_be_read(texts, said):
     ("texts", "said"),
     [
         (["-90..90 deg"], '--range was given as "-90..90 deg"; it must be a joint, its least and'),
-        (["a=-90..90"], '--range was given as "a=-90..90"'),
         (["a=90 deg"], '--range was given as "a=90 deg"'),
         (2 * ["a=-90..90 deg"], 'such as "elbow_joint=-90..90 deg", and each joint once.'),
         (["a=0..90 kg"], "--range \"a=0..90 kg\": 'kg' is not a unit that calib knows"),
-        (["a=0..90 Nm"], "--range \"a=0..90 Nm\" is '0 Nm'; a joint's value needs a unit of angle"),
         (["a=0 m..90 deg"], "is from '0 m' to '90 deg'; one is an angle and one a length."),
-        (["a=0...9..9 deg"], "--range"),
     ],
 )
 def test_ranges_that_cannot_be_read(texts, said):

@@ -198,12 +198,3 @@ def test_fewer_poses_than_parameters_need_are_refused(paper, some):
     ):
         choose_poses(paper, some, count=7)
     assert choose_poses(paper, some, count=8, ladder=()).forecast.rank == 23
-
-
-@pytest.mark.parametrize(("ladder", "wrong"), [((20, 7), 7), ((20, 701), 701)])
-def test_a_ladder_with_a_step_that_cannot_be_is_refused(paper, some, ladder, wrong):
-    with pytest.raises(
-        ModelError,
-        match=rf"^A forecast for {wrong} poses was asked for; it takes at least 8, .* at most 700",
-    ):
-        choose_poses(paper, some, count=30, ladder=ladder)

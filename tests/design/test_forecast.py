@@ -14,7 +14,6 @@ from calib.design.forecast import (
     Sensitivity,
     Workspace,
     covariance_root,
-    held,
 )
 from calib.model.observability import analyse
 
@@ -220,8 +219,3 @@ def test_a_finer_instrument_is_as_much_better(finer):
     assert g.sigma == pytest.approx(finer * f.sigma)
     assert g.mean_variance == pytest.approx(f.mean_variance, rel=1e-4)
     assert g.rank == f.rank == 6
-
-
-def test_a_prior_of_one_parameter_leaves_the_leash_to_the_others():
-    s = sensitivity(np.array([4.0, 0.0, 0.0, 25.0, 0.0, 0.0, 0.0]))
-    assert held(s.precision).tolist() == [4.0, 1.0, 1.0, 25.0, 1.0, 1.0, 1.0]

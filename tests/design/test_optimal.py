@@ -169,20 +169,6 @@ def test_the_v_optimal_quadratic_regression_is_half_in_the_middle():
     np.testing.assert_allclose(chosen, np.repeat([-1.0, 0.0, 1.0], [3, 6, 3]), atol=1e-15)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("criterion", ["D", "A", "V"])
-def test_the_best_of_all_designs_with_as_many_numbers_as_parameters_is_found(criterion):
-    for seed in range(5):
-        A = pool(150 + seed, 10, 2, 8, spread=1.0)
-        size = np.sqrt(np.diag(information(A) / len(A)))
-        weight = {"D": None, "A": np.diag(size**2), "V": information(A) / len(A)}[criterion]
-        basis = basis_of(A, criterion, weight=weight)
-        costs = {c: cost(information(A[list(c)]), weight) for c in combinations(range(10), 4)}
-        found = choose(A @ basis.directions, basis, 4, seed, restarts=60)
-        best = min(costs.values())
-        assert costs[tuple(sorted(found.tolist()))] <= best + 1e-3 * abs(best)
-
-
 # Kiefer and Wolfowitz
 
 

@@ -11,7 +11,7 @@ import calib
 from calib.data import PAPER_TARGET
 from calib.design.plan import Plan, plan
 from calib.design.region import Region
-from calib.errors import CalibError, ModelError
+from calib.errors import CalibError
 from calib.measure.cell import Cell, Priors
 from calib.measure.surroundings import Box, Reflector, Tracker
 from tests.design.fcl_scene import bodies, objects, touch
@@ -45,12 +45,12 @@ REGION = Region(np.full(3, -0.8), 0.05, (_AWAY > 0.25) & (_AWAY < 0.6), 0.95, 0.
 
 @pytest.fixture(scope="module")
 def full(ur3) -> Plan:
-    return plan(ur3, FULL, count=15, validation=4, candidates=800, region=REGION, seed=1)
+    return plan(ur3, FULL, count=15, validation=4, candidates=300, region=REGION, seed=1)
 
 
 @pytest.fixture(scope="module")
 def bare(ur3) -> Plan:
-    return plan(ur3, BARE, count=15, validation=4, candidates=800, collisions=False)
+    return plan(ur3, BARE, count=15, validation=4, candidates=300, collisions=False)
 
 
 def points(robot, q) -> np.ndarray:
@@ -116,9 +116,9 @@ def test_targets_and_their_holders_stay_out_of_a_box_and_above_the_mounting_plan
         made = plan(
             robot,
             replace(cell, boxes=boxes),
-            count=12,
+            count=8,
             validation=8,
-            candidates=200,
+            candidates=60,
             ladder=(),
             **options,
         )
@@ -142,8 +142,8 @@ def test_those_that_were_refused_are_counted_by_reason(full, bare):
         "in collision",
     ]
     assert all(count > 0 for count in full.refused.values())
-    assert full.candidates == 800
-    assert full.drawn - sum(full.refused.values()) >= 800
+    assert full.candidates == 300
+    assert full.drawn - sum(full.refused.values()) >= 300
     assert bare.refused == {}
 
 
@@ -166,7 +166,7 @@ def test_poses_are_added_to_those_taken(ur3, bare):
         BARE,
         count=5,
         validation=0,
-        candidates=800,
+        candidates=300,
         collisions=False,
         taken=bare.estimation,
         ladder=(),
@@ -218,14 +218,8 @@ def test_several_targets_are_all_in_sight(ur3):
     ("cell", "given", "words"),
     [
         (BARE, {"count": 7}, r"7 poses give 21 numbers.*at least 8 poses are needed"),
-        (BARE, {"count": 0}, "it takes 1 pose or more"),
-        (BARE, {"count": 298}, r"298 poses and 5 .* only 300 candidates"),
-        (BARE, {"criterion": "E"}, "no criterion 'E'"),
         (BARE, {"ladder": (9, 500)}, "A forecast for 500 poses"),
-        (BARE, {"margin": 7.0}, r"margin of 401.* deg .* leaves nothing .*'shoulder_pan_joint'"),
         (BARE, {"taken": np.zeros((3, 5))}, "6 joints"),
-        (replace(BARE, kind="plane"), {}, "planned for the kind 'plane'"),
-        (replace(BARE, model="nonsense"), {}, "'nonsense'"),
         (replace(BARE, ranges={"nonsense": (0.0, 1.0)}), {}, "'nonsense', which does not move"),
         (
             replace(FULL, tracker=Tracker(np.array([9.0, 0.0, 0.0]), 0.0, 2.0)),
@@ -243,12 +237,6 @@ def test_what_cannot_be_planned_is_refused(ur3, cell, given, words):
     usual = {"count": 12, "candidates": 300, "collisions": False}
     with pytest.raises(CalibError, match=words):
         plan(ur3, cell, **(usual | given))
-
-
-def test_a_box_that_swallows_the_robot_is_refused(ur3):
-    cell = replace(BARE, boxes=(box("cage", (3.0, 3.0, 3.0), (0.0, 0.0, 0.0)),))
-    with pytest.raises((CalibError, ModelError), match="cage"):
-        plan(ur3, cell, count=12, candidates=300)
 
 
 def test_a_reflector_that_is_not_looked_at_is_said(ur3, full, bare):

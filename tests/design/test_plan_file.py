@@ -23,7 +23,6 @@ from calib.errors import MeasurementError
 from calib.identify.result_file import write_table
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
-from calib.model.files import plain
 from calib.model.robot import Robot
 
 CELL = Cell(target=np.array([0.05, 0.07, 0.03]), model="dh")
@@ -274,15 +273,6 @@ def test_the_document_has_every_key(planned):
     assert documented == set(keys(plan_table(blocked)))
 
 
-def test_moves_that_collide_are_told_by_their_place_in_the_order(planned):
-    moves = Blocked(0, 1, None), Blocked(2, 3, planned.joints[5])
-    blocked = replace(planned, blocked=moves)
-    assert plain(plan_table(blocked))["travel"]["blocked"] == [
-        {"from": 0, "to": 1, "by": None},
-        {"from": 2, "to": 3, "by": planned.joints[5].tolist()},
-    ]
-
-
 # Poses alone
 
 HEADER = (
@@ -296,14 +286,6 @@ def test_the_paper_s_table(ur3, paper_table):
     assert (q == paper_table.joints).all()
     assert sets == paper_table.sets
     assert not q.flags.writeable
-
-
-def test_a_plan_that_is_not_filled_in_yet(ur3, tmp_path):
-    path = tmp_path / "plan.csv"
-    path.write_text(f"{HEADER}\nestimate,a,1,2,3,4,5,6,,,\nvalidate,a,2,3,4,5,6,7,,,\n")
-    q, sets = read_pose_list(path, ur3)
-    assert q == pytest.approx(np.radians([[1, 2, 3, 4, 5, 6], [2, 3, 4, 5, 6, 7]]))
-    assert sets == ("estimate", "validate")
 
 
 def test_targets_of_one_pose_are_one_pose_and_repeats_are_several(ur3, tmp_path):

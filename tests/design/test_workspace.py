@@ -286,10 +286,3 @@ def test_a_box_out_of_reach_is_refused_with_what_is_in_reach():
         match=r"none of 1,000 samples lies in the box from 2000 2000 2000 to 3000 3000 3000 mm\. They lie ",
     ):
         Density.of(POINTS, box=box)
-
-
-def test_no_points_are_refused():
-    with pytest.raises(CalibError, match="No points were given to count"):
-        Density.of(np.zeros((0, 3)))
-    with pytest.raises(CalibError, match=r"finite numbers of shape \(N, 3\)"):
-        Density.of([[0.0, np.inf, 0.0]])

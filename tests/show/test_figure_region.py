@@ -159,14 +159,6 @@ def test_files_that_cannot_be_written_are_refused(density, region, tmp_path):
     for name in ("a.jpg", "a", "png"):
         with pytest.raises(FileError, match=r"choose one of '\.png', '\.svg', '\.pdf'"):
             write_picture(shown(density, region, title="t"), tmp_path / name)
-    path = tmp_path / "a.png"
-    path.write_text("mine")
-    with pytest.raises(FileError, match="exists already"):
-        write_picture(shown(density, region, title="t"), path)
-    assert path.read_text() == "mine"
-    write_picture(shown(density, region, title="t"), path, overwrite=True)
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
 
 
 def test_no_window_no_state_and_nothing_printed(tmp_path):

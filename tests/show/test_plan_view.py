@@ -12,7 +12,6 @@ import umsgpack
 
 from calib import data
 from calib.design.plan import plan
-from calib.errors import FileError
 from calib.measure.cell import Cell
 from calib.measure.surroundings import Box, Tracker
 from calib.model.readback import random_joint_values
@@ -136,13 +135,6 @@ def test_any_robot_is_drawn(request, fixture):
     )
     page = plan_page(made)
     assert len(moved(scene_of(page), r"estimate/\d+")) == 4
-
-
-def test_an_existing_file_is_kept(planned, tmp_path):
-    path = plan_page(planned).write(tmp_path / "plan.html")
-    with pytest.raises(FileError, match="exists already"):
-        plan_page(planned).write(path)
-    assert plan_page(planned).write(path, overwrite=True).read_bytes() == plan_page(planned).html
 
 
 @pytest.mark.slow

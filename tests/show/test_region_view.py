@@ -13,7 +13,6 @@ from markupsafe import escape
 
 from calib import data
 from calib.design.workspace import Density, sample_workspace
-from calib.errors import FileError
 from calib.measure.measurements import Measurements
 from calib.measure.ranges import joint_ranges
 from calib.model.robot import Robot
@@ -144,13 +143,6 @@ def test_names_are_no_html(view):
     page = region_page(replace(view, title=hostile, text=hostile))
     assert hostile.encode() not in page.html
     assert escape(hostile).encode() in page.html
-
-
-def test_the_same_view_is_the_same_file_and_one_that_exists_is_kept(view, page, tmp_path):
-    path = region_page(view).write(tmp_path / "view.html")
-    assert path.read_bytes() == page.html
-    with pytest.raises(FileError, match="exists already"):
-        region_page(view).write(path)
 
 
 @pytest.mark.slow
