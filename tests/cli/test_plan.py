@@ -138,8 +138,8 @@ def test_what_stands_around_the_robot(call, shop: Path):
     (shop / "cone.toml").write_text("[reflector]\nnormal = [1, 0, 0]\nacceptance_deg = 60\n")
     done = call(
         shop, "plan", "robot.urdf", "--base", "base", "--tip", "tool0", "--model", "dh", "--target", "30 0 60 mm",
-        "--candidates", "60", "--count", "10", "--ladder", "none", "--tracker", "2500 500 600 mm", "--reflector", "0 0 1",
-        "--cell", "cone.toml",
+        "--candidates", "60", "--count", "10", "--ladder", "none", "--tracker", "2500 500 600 mm",
+        "--reflector", "0 0 1", "--cell", "cone.toml",
         "--box", "table: 0 0 -45 1200 800 50 mm", "--clearance", "2 mm", "--range", "elbow_joint=-120..120 deg",
         "--margin", "10 deg", "--noise", "20 um + 5 um/m", "--start", "shoulder_lift_joint=-90 deg",
         "-o", "plan.csv", "--json", "plan.json",
