@@ -106,12 +106,7 @@ def odd_ones(rows: Sequence[FleetRow]) -> tuple[tuple[Odd, ...], tuple[str, ...]
 
 
 def limit(robots: int, figures: int, chance: float = CHANCE) -> float:
-    """The |z| beyond which a figure is flagged.
-
-    Args:
-        robots: Number of robots, n.
-        figures: Number of figures compared, k.
-        chance: How often a fleet without odd ones has one flagged.
+    """The |z| beyond which one of k figures of one of n robots is flagged.
 
     Example:
         >>> [round(limit(n, 30), 1) for n in (5, 20, 200)]

@@ -209,14 +209,10 @@ def translated(point: ArrayLike) -> Array:
 
 
 def view_of(calibration: Calibration, *, cloud: bool = True) -> View:
-    """The view of a calibration: every row a pose.
+    """The view of a calibration: every row a pose, with the ``cloud`` of how well positions are known if asked for.
 
     Shown first is the one where the nominal robot is furthest off, of the validation rows if there are any, flagged
     ones aside.
-
-    Args:
-        calibration: The calibration.
-        cloud: Whether to compute how well positions are known over the workspace.
     """
     c, m = calibration, calibration.measurements
     flagged = frozenset(np.array(m.rows)[flagged_rows(c)].tolist())

@@ -112,15 +112,6 @@ def test_an_error_of_a_joint_stands_in_its_own_panel_in_full(calibrations, j):
     assert np.all(np.abs(parts) <= sizes * (1 + 1e-6))
 
 
-def test_a_part_is_never_more_than_the_whole(calibrations):
-    for name in ("prismatic", "many_parameters", "distances", "mixed"):
-        c = calibrations.made(name)
-        parts = along_joints(c, every(c))
-        assert parts.shape == (len(c.measurements), len(c.nominal.joint_names))
-        sizes = np.linalg.norm(np.where(c.used, c.residual_calibrated, 0.0)[:, :3], axis=1)
-        assert np.nanmax(np.abs(parts) - sizes[:, None]) < 1e-12
-
-
 def test_of_a_distance_all_is_along_the_beam(calibrations):
     c = calibrations.made("distances")
     parts = along_joints(c, every(c))
@@ -197,18 +188,3 @@ def test_many_rows_are_thinned_but_not_the_outliers(calibrations):
     assert np.count_nonzero(chosen) <= MOST_ROWS + len(c.outliers) + len(c.suspects)
     rows = set(np.array(c.measurements.rows)[chosen])
     assert {one.row for one in c.outliers} <= rows
-
-
-def test_lengths_between_two_rows_belong_to_neither(calibrations):
-    c = calibrations.made("distances")
-    assert np.any(drawn_rows(c))
-    m = c.measurements
-    count = len(m) - len(m) % 2
-    pairs = replace(
-        m.select(np.arange(len(m)) < count),
-        kinds=("pair",) * count,
-        pairs=tuple(f"p{k // 2}" for k in range(count)),
-        distances=np.repeat(m.distances[:count:2], 2),
-    )
-    mask = np.arange(len(m)) < count
-    assert not np.any(drawn_rows(calibrations.with_rows(replace(c, used=c.used[mask]), pairs)))

@@ -134,16 +134,6 @@ def test_a_live_page_may_talk_to_this_computer_and_to_nobody_else():
     assert [a for tag, a in Reader(make()).tags if tag == "body"] == [{}]
 
 
-def test_a_key_says_what_it_shows_and_whether_it_does_at_first():
-    keys = [Key("a<b", "#123456", "x y"), Key("c", "", "z", "dot", on=False)]
-    page = make(keys=keys).decode()
-    assert 'checked data-show="x y"' in page
-    assert "a&lt;b" in page
-    assert '<input type="checkbox" data-show="z"><i class="dot"' in page
-    assert "Floor squares 0.1 m" in page
-    assert "Floor squares 20 mm" in make(grid=0.02).decode()
-
-
 def test_a_page_of_one_robot_holds_it_and_what_is_drawn(gantry):
     sizes = []
 

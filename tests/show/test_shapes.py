@@ -242,35 +242,12 @@ def test_a_fine_cylinder_is_smooth_and_a_coarse_one_is_not():
     assert len(shaded(*cylinder(6)).vertices) == 24  # turned by 60 deg: every corner twice
 
 
-def test_equal_vertices_are_welded_and_slivers_left_out():
-    soup = CUBE[CUBE_FACES].reshape(-1, 3)
-    faces = np.arange(36).reshape(-1, 3)
-    extra = np.array([[0, 0, 1], [0, 1, 1]])
-    mesh = shaded(soup, np.concatenate([faces, extra]))
-    reference = shaded(CUBE, CUBE_FACES)
-    assert len(mesh.vertices) == 24
-    assert len(mesh.faces) == len(reference.faces)
-
-
 def test_a_fan_with_very_many_faces_has_unit_normals():
     vertices, _ = cylinder(2000)
     top = np.concatenate([vertices[2000:], [[0, 0, 1]]])
     i = np.arange(2000)
     mesh = shaded(top, np.stack([i, (i + 1) % 2000, 0 * i + 2000], 1))
     np.testing.assert_array_equal(mesh.normals, np.tile([0, 0, 127], (len(mesh.normals), 1)))
-
-
-def test_large_meshes_have_wide_indices():
-    n = 200
-    x, y = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
-    vertices = np.stack([x, y, np.sin(x) * 20 + np.cos(y) * 20], -1).reshape(-1, 3).astype(float)
-    i = (x[:-1, :-1] * n + y[:-1, :-1]).ravel()
-    faces = np.concatenate([np.stack([i, i + n, i + n + 1], 1), np.stack([i, i + n + 1, i + 1], 1)])
-    mesh = shaded(vertices, faces)
-    assert len(mesh.vertices) > 65536
-    assert mesh.faces.dtype == np.uint32
-    assert mesh.faces.max() == len(mesh.vertices) - 1
-    assert shaded(CUBE, CUBE_FACES).faces.dtype == np.uint16
 
 
 @settings(max_examples=30, deadline=None)
