@@ -227,7 +227,7 @@ def test_rows_that_cannot_be_reached(call, folder: Path):
     assert not (folder / "c.csv").exists()
     skipped = call(folder, *words, "--skip")
     assert (skipped.code, skipped.err) == (0, "")
-    assert "1 row has no command, and is empty in the table: row b: the true robot" in said(skipped)
+    assert "1 of 2 rows has no command; the table has empty cells: row b: the true" in said(skipped)
     assert [row["status"][:10] for row in table(folder / "c.csv")] == ["ok", "no command"]
     write(
         folder / "far.csv",
@@ -235,9 +235,7 @@ def test_rows_that_cannot_be_reached(call, folder: Path):
         *["-40,-85,75,-120,-45,0,900,900,900"] * 60,
     )
     none = refused(call(folder, *words, "--skip", "--force"))
-    assert none.startswith(
-        "calib: none of the 60 rows has a command, and nothing was written: row 1: "
-    )
+    assert none.startswith("calib: 60 of 60 rows have no command, and nothing was written: row 1: ")
     assert "row 50: the true robot" in none
     assert "and rows 51 to 60" in none
     assert "or measured ones (--given joints)?" in none
