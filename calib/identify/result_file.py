@@ -52,7 +52,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: The layout of a result.
-SCHEMA = 2
+SCHEMA = 3
 
 #: By how much correlations may be wrong.
 _ROUNDING = 1e-6

@@ -157,7 +157,7 @@ def test_the_values_are_those_of_the_calibration(
     result_json: dict[str, Any], default_result: Calibration
 ):
     c = default_result
-    assert result_json["schema"] == 2
+    assert result_json["schema"] == 3
     for who, sets in c.errors.items():
         for name, errors in sets.items():
             stored = result_json["errors"][who][name]
@@ -500,11 +500,11 @@ def test_what_is_not_json(tmp_path: Path, data: bytes):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["{}", "[]", "null", '{"schema": 1}'])
+@pytest.mark.parametrize("text", ["{}", "[]", "null", '{"schema": 2}'])
 def test_another_schema(tmp_path: Path, text: str):
     path = tmp_path / "r.json"
     path.write_text(text, encoding="utf-8")
-    said = r"r\.json: its 'schema' is (None|1); a result of calib .* has 2\..*calib fit ROBOT DATA --json r"
+    said = r"r\.json: its 'schema' is (None|2); a result of calib .* has 3\..*calib fit ROBOT DATA --json r"
     with pytest.raises(FileError, match=said):
         read_result(path)
 
