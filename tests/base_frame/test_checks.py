@@ -78,15 +78,6 @@ def test_a_gross_row_is_named_left_out_or_not():
     assert kept[0].endswith("mm off and counts all the same: measure it again.")
 
 
-def test_neighbours_that_err_alike():
-    move = np.zeros((N, 3))
-    move[:, 0] = 1e-4 * np.sin(
-        2.0 * np.pi * np.arange(N) / 13.0
-    )  # 18 times per turn: not looked for
-    (said,) = found(sweep(60.0, move=move))
-    assert "neighbouring points of 'pan' err alike radially (correlation 0." in said
-
-
 def test_sigma_that_is_too_small():
     (said,) = found(sweep(200.0, sigma=1e-5))
     assert "the points scatter by 0.029 mm" in said

@@ -229,13 +229,6 @@ def test_another_robot(panda, without):
         survey(without, panda)
 
 
-def test_an_offset_larger_than_the_height(ur3, without):
-    with pytest.raises(
-        MeasurementError, match="the circle of joint 1 lies 152 mm from the measured plane"
-    ):
-        survey(without, ur3, plane_offset=0.1)
-
-
 def test_a_z_that_points_down_is_a_finding_where_no_robot_says_otherwise(without, with_values, ur3):
     down = other(without, 1, points=without.sweeps[1].points[::-1])
     (said,) = survey(down).findings

@@ -75,16 +75,8 @@ def test_the_next_command_works_as_it_is_printed(simulate, call, shop: Path):
 
 
 def test_the_same_seed_gives_the_same_files_and_another_others(simulate, shop: Path):
-    words = (
-        "--outliers",
-        "2",
-        "--encoder",
-        "0.001 deg",
-        "--model",
-        "placement+gain+compliance",
-        "--payload",
-        "2 kg",
-    )
+    words = (*["--outliers", "2", "--model", "placement+gain+compliance"], "--payload", "2 kg")
+    words += ("--encoder", "0.001 deg")
     for name, seed in (("a", "5"), ("b", "5"), ("c", "6")):
         assert simulate("-o", f"{name}.csv", "--seed", seed, *words).code == 0
     for suffix in (".csv", "_truth.json"):

@@ -82,7 +82,7 @@ def test_planned_poses_and_those_of_a_file(simulate):
 
 
 def test_without_noise_there_is_no_forecast(simulate):
-    words = (
+    words = [
         "--study",
         "2",
         "--count",
@@ -93,7 +93,7 @@ def test_without_noise_there_is_no_forecast(simulate):
         "zeros",
         "--workers",
         "1",
-    )
+    ]
     done = simulate(*words)
     assert (done.code, done.err) == (0, "")
     assert "forecast" not in done.out
@@ -104,25 +104,16 @@ def test_without_noise_there_is_no_forecast(simulate):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (
-            ("--planned", "-o", "t.csv"),
-            "'--planned' is for a study of many robots; add --study 200",
-        ),
-        (("--study", "2", "-o", "t.csv"), "A study writes no table and no truth; leave '-o' out."),
-        (("--study", "2", "--fit-model", "dhh"), "--fit-model: there is no model 'dhh'"),
-        (
-            ("--study", "2", "--planned", "--poses", "data.csv"),
-            "--poses gives the poses; leave --count and --planned out",
-        ),
-        (
-            ("--study", "2", "--planned", "--count", "4", "--workers", "1"),
-            "None of the 2 trials came to an end.",
-        ),
+        ("--planned -o t.csv", "'--planned' is for a study of many robots; add --study 200"),
+        ("--study 2 -o t.csv", "A study writes no table and no truth; leave '-o' out."),
+        ("--study 2 --fit-model dhh", "--fit-model: there is no model 'dhh'"),
+        ("--study 2 --planned --poses data.csv", "--poses gives the poses; leave --count and"),
+        ("--study 2 --planned --count 4 --workers 1", "None of the 2 trials came to an end."),
     ],
 )
 def test_what_does_not_go_together_is_refused(simulate, shop: Path, words, said):
     before = sorted(shop.iterdir())
-    done = simulate(*words)
+    done = simulate(*words.split())
     assert done.code == 1
     assert said in done.err
     assert done.err.count("\n") == 1

@@ -8,15 +8,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import calib
-from calib.errors import FileError
 from calib.measure.cell import Cell
 from calib.model.readback import random_joint_values
-from calib.model.robot import Robot
 from calib.model.torques import Payload, gravity_load
 from calib.simulate.scenario import Scenario
 from calib.simulate.truth import Encoder, MovedTarget, Outliers, tracker_pose
-from calib.simulate.truth_file import SCHEMA, write_true_urdf, write_truth
+from calib.simulate.truth_file import SCHEMA, write_truth
 
 MANY = "placement+gain+eccentricity+compliance"
 FRAMES = {n: tracker_pose((2, y, 0), np.random.default_rng(1)) for n, y in (("a", 1), ("b", -1))}
@@ -134,15 +131,6 @@ def test_events_and_instrument(path, made):
     assert sigma == made.sigma.tolist()
 
 
-def test_the_true_urdf(ur3, made, tmp_path):
-    path = write_true_urdf(made.truth, tmp_path / "true.urdf")
-    q = random_joint_values(ur3, 10)
-    again = Robot.load(path, "base", "tool0").poses(q)
-    assert again == pytest.approx(made.truth.robot.poses(q), abs=1e-12)
-    with pytest.raises(FileError, match="exists already"):
-        write_true_urdf(made.truth, path)
-
-
 DOC = Path(__file__).parents[2] / "docs" / "simulation.md"
 
 
@@ -157,10 +145,3 @@ def test_the_document_has_every_key_and_no_other(path):
             value = said[key][0] if isinstance(said[key], list) else said[key]
             if isinstance(value, dict):
                 assert set(value) <= set(re.findall(r"`(\w+)", content)), key
-
-
-def test_the_document_s_python_runs(ur3):
-    text = DOC.read_text(encoding="utf-8")
-    names = {"calib": calib, "robot": ur3}
-    exec(re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0], names)
-    assert 0.0 < np.abs(names["error"]).max() < 1e-3
