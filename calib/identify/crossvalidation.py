@@ -87,7 +87,13 @@ def folds_of(task: Task, rows: Rows) -> Folds:
         MeasurementError: Too few rows to leave any out.
     """
     setups = joined_setups(rows, task.distances)
-    whole = _turned_elsewhere(rows, setups) and _base_elsewhere(task.setup, rows, setups)
+    # Each target whose orientation was measured must be so in two set-ups: one alone cannot be predicted.
+    turned, targets = rows.where(lambda kind: kind.orientation), rows.samples.target
+    seen = [len(np.unique(setups[turned & (targets == t)])) for t in np.unique(targets[turned])]
+    # No set-up, or more than one, must be measured in a known frame: one alone tells where the base stands.
+    known = np.array([len(unknown) < len(DIRECTIONS) for unknown in task.setup.unknown])
+    points = rows.where(lambda kind: kind.position) & known[rows.samples.frame]
+    whole = min(seen, default=2) > 1 and len(np.unique(setups[points])) != 1
     result = folds(_blocks(rows), setups if whole else None)
     if len(result.masks) < 2:
         raise MeasurementError(
@@ -240,22 +246,6 @@ def nominal_cross_validation(task: Task, rows: Rows, outliers: Mask) -> CrossVal
         placed = nominal_setup(T_base_tip[kept], setup, rows.select(kept))
         residuals.append(_left_over(T_base_tip[mask], placed, rows, mask, kept, outliers))
     return _validated(rows, left_out, residuals, outliers)
-
-
-def _turned_elsewhere(rows: Rows, setups: NDArray[np.int_]) -> bool:
-    """Whether each target whose orientation was measured was so in two set-ups: one alone cannot be predicted."""
-    turned = rows.where(lambda kind: kind.orientation)
-    targets = rows.samples.target
-    return all(
-        len(np.unique(setups[turned & (targets == t)])) > 1 for t in np.unique(targets[turned])
-    )
-
-
-def _base_elsewhere(setup: Setup, rows: Rows, setups: NDArray[np.int_]) -> bool:
-    """Whether no set-up, or more than one, is measured in a known frame: one alone tells where the base stands."""
-    known = np.array([len(unknown) < len(DIRECTIONS) for unknown in setup.unknown])
-    points = rows.where(lambda kind: kind.position)
-    return len(np.unique(setups[points & known[rows.samples.frame]])) != 1
 
 
 def _blocks(rows: Rows) -> NDArray[np.int_]:

@@ -85,13 +85,9 @@ def estimate(
 ) -> Estimate:
     """Estimate the parameters of a problem that has been registered.
 
-    Args:
-        problem: `Problem.first`.
-        solver: The solver, see `calib.identify.solvers`.
-        holds: Priors and bounds.
-        repeats: What repeats of a pose count for: ``"weighted"``, ``"average"`` or ``"independent"``.
-        robust: Whether rows may lose their weight; outliers are named either way.
-        weights: shape (N,), weights that stay, repeats shared out, of an estimation before; None to find them.
+    problem is `Problem.first`, solver one of `calib.identify.solvers`. repeats says what repeats of a pose count for:
+    ``"weighted"``, ``"average"`` or ``"independent"``; robust, whether rows may lose their weight, outliers are named
+    either way; weights, shape (N,), are those of an estimation before that stay, repeats shared out.
     """
     if weights is not None:
         repeats, robust = "independent", False  # shared out before

@@ -82,11 +82,8 @@ def fit(
 ) -> Fitted:
     """Register and estimate.
 
-    Args:
-        task: What to fit.
-        rows: The rows to fit.
-        weights: shape (N,), weights that stay, repeats shared out; None to find them.
-        started: Frames and targets where `registered` puts them, of another fit to these rows; None to register.
+    weights, shape (N,), stay, repeats shared out; None to find them. started is where `registered` puts frames and
+    targets, of another fit to these rows; None to register.
 
     Raises:
         ModelError: Unknown solver, parameter set or parameter.

@@ -159,9 +159,8 @@ class Problem:
         rows = self._whitened(self.linear(x).columns)
         measured = rows.shape[1]
         last = measured + len(held)
-        both = np.zeros(
-            (self.size + 1, last + len(between))
-        )  # by columns in memory, as solvers want it
+        # By columns in memory, as solvers want it.
+        both = np.zeros((self.size + 1, last + len(between)))
         both[:-1, :measured], both[-1, :measured] = -rows[:-1], rows[-1]
         both[held, measured + np.arange(len(held))] = -root
         both[-1, measured:last] = -root * (x - self.centre)[held]
@@ -186,18 +185,15 @@ class Problem:
     def paper_system(self, nominal: Array, unit: Array, X: Array) -> tuple[Array, Array]:
         """The paper's error e_i = |dP_i|^2 [mm^2] and its derivative, at its absolute parameters X.
 
-        Args:
-            nominal: shape (p,), the nominal values [m, rad].
-            unit: shape (p,), 1e3 for a length and 1 for an angle: the paper's mm and rad.
-            X: shape (p,), [mm] and [rad].
+        nominal, shape (p,), are the nominal values [m, rad]; unit is 1e3 for a length and 1 for an angle; X is in mm
+        and rad.
 
         Returns:
             shape (N,), [mm^2], and shape (N, p).
         """
         residual, jacobian = self.residual_and_jacobian(X / unit - nominal)
-        residual_mm = 1e3 * residual
-        jacobian_mm = 1e3 * jacobian / unit
-        e = np.einsum("ij,ij->i", residual_mm, residual_mm)
+        residual_mm, jacobian_mm = 1e3 * residual, 1e3 * jacobian / unit
+        e = np.sum(residual_mm**2, axis=1)
         return e, -2.0 * np.einsum("ij,ijk->ik", residual_mm, jacobian_mm)
 
 

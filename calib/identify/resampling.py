@@ -42,12 +42,8 @@ def bootstrap_indices(
 ) -> Integers:
     """How often each row is drawn in each sample: as many blocks as there are, with replacement.
 
-    Args:
-        blocks: shape (N,), label of what is drawn together: the pose where it was repeated, or the set-up.
-        count: Number of samples.
-        seed: The samples are the same for the same seed.
-        strata: shape (N,), labels within which blocks are drawn apart, so that every set-up stays in every sample;
-            None: all together.
+    blocks, shape (N,), labels what is drawn together: the pose where it was repeated, or the set-up. Within strata,
+    labels of shape (N,), blocks are drawn apart, so that every set-up stays in every sample.
 
     Returns:
         shape (count, N), how often each row counts.

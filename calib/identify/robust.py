@@ -72,12 +72,8 @@ def deleted_norms(
 ) -> Array:
     """How far each row lies from what the others predict, in standard deviations, shape (B, N); see the module's text.
 
-    Args:
-        residual: shape (B, N, D), in units of each scalar's sigma, of B fits.
-        jacobian: shape (N, D, p), likewise.
-        covariance: shape (B, p, p), of the parameters.
-        weights: shape (B, N).
-        factors: shape (B, N, D) or (1, N, D), what residual and jacobian are multiplied by.
+    residual, shape (B, N, D), of B fits, and jacobian, shape (N, D, p), are in units of each scalar's sigma, and
+    multiplied by factors, shape (B or 1, N, D); covariance has the shape (B, p, p), weights (B, N).
     """
     norms = np.empty(weights.shape)
 
@@ -209,14 +205,10 @@ def repeats(
 ) -> Repeats:
     """Scatter within repeats and their correlation, by the method of moments.
 
-    Args:
-        residual: shape (N, D), measured minus predicted, components 0 to 2 in one unit and those from 3 on in one; what
-            is not used may be NaN.
-        used: shape (N, D), which scalars there are.
-        poses: shape (N,), the pose of each row (and its target, set-up: whatever is repeated as a whole).
-        weights: shape (N,), robust weights: 0 for outliers, 1 for good rows.
-        fitted: Number of parameters that the fit took from all the scalars. They make the means of poses smaller than
-            their errors; without them rho is found too small.
+    residual, shape (N, D), is measured minus predicted, components 0 to 2 in one unit and those from 3 on in one;
+    used, of its shape, says which there are, the others may be NaN. poses, shape (N,), is what is repeated as a whole,
+    weights are robust ones, 0 for outliers. fitted is the number of parameters that the fit took from all scalars:
+    they make the means of poses smaller than their errors, and without them rho is found too small.
 
     Returns:
         The scatter about the mean of each pose, which holds whatever the model lacks, and rho.
@@ -242,10 +234,7 @@ def pose_means(values: Array, weights: Array, poses: Integers) -> tuple[Array, I
     With the weights that `calib.identify.stage.Stage.sharing` gives to repeats they have the variance of one row, and
     are independent of each other, however much the repeats share.
 
-    Args:
-        values: shape (N, ...), whitened.
-        weights: shape (N,), above 0, repeats shared out.
-        poses: shape (N,), the pose of each row.
+    values, shape (N, ...), are whitened; weights, shape (N,), above 0, repeats shared out.
 
     Returns:
         shape (K, ...), and shape (K,), the first row of each pose.

@@ -151,13 +151,8 @@ def paper_levenberg_marquardt(
     1e17). The damped step is solved as stacked least squares, which is the same step in exact arithmetic, because
     J^T J is singular here.
 
-    Args:
-        system: e(X), shape (m,), and de/dX, shape (m, p), at the *absolute* parameters X in the paper's mm and rad.
-        x0: shape (p,), nominal X.
-        mu: First damping, 0.01 in the paper.
-        nu: Factor of the damping, 2 to 3 in the paper.
-        epsilon: Precision, 1e-6 in the paper.
-        iterations: Limit of trial steps; the paper has none.
+    The system is e(X), shape (m,), and de/dX, shape (m, p), at the *absolute* parameters X in the paper's mm and rad;
+    x0 the nominal X. mu, nu (2 to 3) and epsilon are the paper's; it has no limit of iterations.
 
     Raises:
         SolverError: ``nu`` outside 2 to 3, or the error at the start is not finite.

@@ -126,8 +126,7 @@ class CrossValidation:
 def same_poses(joints: Array) -> NDArray[np.int_]:
     """Which pose each row was measured at: repeats of a pose get the same number, from 0 on.
 
-    Args:
-        joints: shape (N, n), [rad] or [m]; rows within `_SAME_POSE` of another in every joint are repeats of it.
+    joints has the shape (N, n), [rad] or [m]; rows within `_SAME_POSE` of another in every joint are repeats of it.
 
     Returns:
         shape (N,).

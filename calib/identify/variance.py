@@ -140,17 +140,11 @@ def sizes_by_reml(
 ) -> tuple[Array, Array]:
     """The sizes that maximise the restricted marginal likelihood, by damped Fisher scoring on their logarithms.
 
-    Args:
-        data: The linearised measurements.
-        families: shape (K, p), which parameters belong to each family.
-        noise: shape (B, C), sigma of each instrument to begin with, of a scalar of weight 1, over the sigma given.
-        sizes: shape (B, K), tau of each family to begin with, in the parameters' unit.
-        smallest_noise: Lower bound of each sigma.
-        noise_spread: How far a sigma may be from 1, as the standard deviation of a normal prior on log sigma. It
-            decides where rows are too few to tell noise from error, and is not felt where they are not.
-        known: Priors whose sizes are given and stay, and constraints.
-        bounds: Smallest and largest size of each family.
-        iterations: Limit; a few are enough from a good start.
+    families, shape (K, p), says which parameters belong to each; noise, shape (B, C), of each instrument over the
+    sigma given, and sizes, shape (B, K), are where to begin, with a smallest noise of each instrument and bounds of
+    each family's size. noise_spread is how far a sigma may be from 1, as the standard deviation of a normal prior on
+    log sigma: it decides where rows are too few to tell noise from error, and is not felt where they are not. known
+    are priors that stay.
 
     Returns:
         Noise and sizes, of the same shapes.
