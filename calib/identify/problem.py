@@ -81,10 +81,6 @@ class Problem:
         """Measured minus predicted, shape (N, D), [m] and [rad]."""
         return self.rows.residual(self.kinematics.poses(x, self.rows.samples))
 
-    def jacobian(self, x: Array) -> Array:
-        """The derivative of the *prediction*, minus that of the residual, shape (N, D, p)."""
-        return self.residual_and_jacobian(x)[1]
-
     def residual_and_jacobian(self, x: Array) -> tuple[Array, Array]:
         """Measured minus predicted, shape (N, D), and the derivative of the *prediction*, shape (N, D, p)."""
         linear, scales = self.linear(x), self.rows.scales

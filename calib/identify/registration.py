@@ -339,7 +339,9 @@ def pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Arra
         # The target seen most often from this frame tells both; the others follow from the frame.
         t = int(np.bincount(target[own]).argmax())
         own = own[target[own] == t]
-        R_f, R_t = _both_rotations(T_base_tip[own, :3, :3], _orientations(rows, own))
+        R_f, R_t = _both_rotations(
+            T_base_tip[own, :3, :3], rows.measured[own, 3:12].reshape(-1, 3, 3)
+        )
         T_frame_base[f, :3, :3] = R_f
         if t not in done:
             T_tip_target[t, :3, :3] = R_t
@@ -347,12 +349,7 @@ def pose_start(setup: Setup, T_base_tip: Array, rows: Rows) -> tuple[Array, Arra
     turned = setup.placed(T_frame_base, T_tip_target)
     T_tip_target = turned_targets(turned, T_frame_base, T_tip_target, T_base_tip, rows)
     known = tuple(tuple(x for x in d if x in "xyz") for d in setup.unknown)
-    return linear_start(_with_unknown(turned, known), T_base_tip, rows)
-
-
-def _with_unknown(setup: Setup, unknown: tuple[tuple[str, ...], ...]) -> Setup:
-    """The set-up with other unknown directions, and targets as points."""
-    return replace(setup, unknown=unknown, rotation=False)
+    return linear_start(replace(turned, unknown=known, rotation=False), T_base_tip, rows)
 
 
 def best_fit(points: Array, seen: Array) -> Array:
@@ -396,14 +393,11 @@ def turned_targets(
     for t in range(len(setup.targets)):
         own = (rows.samples.target == t) & oriented
         if np.any(own) and setup.target_unknown[t]:
-            mean = np.einsum("nji,njk->ik", R_frame_tip[own], _orientations(rows, own))
+            mean = np.einsum(
+                "nji,njk->ik", R_frame_tip[own], rows.measured[own, 3:12].reshape(-1, 3, 3)
+            )
             result[t, :3, :3] = _nearest_rotation(mean)
     return result
-
-
-def _orientations(rows: Rows, own: NDArray[np.generic]) -> Array:
-    """The measured orientations of some rows, shape (n, 3, 3)."""
-    return rows.measured[own, 3:12].reshape(-1, 3, 3)
 
 
 def _carried(T: Array, points: Array) -> Array:

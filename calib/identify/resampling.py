@@ -64,17 +64,11 @@ def bootstrap_indices(
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """An interval from the profile of the cost.
+    """An interval from the profile of the cost."""
 
-    Attributes:
-        low: Lower end; minus infinity where the cost does not rise enough.
-        high: Upper end; infinity where the cost does not rise enough.
-        level: Probability that the interval holds the true value.
-    """
-
-    low: float
-    high: float
-    level: float
+    low: float  # Lower end; minus infinity where the cost does not rise enough
+    high: float  # Upper end; infinity where the cost does not rise enough
+    level: float  # Probability that the interval holds the true value
 
 
 def profile(

@@ -184,20 +184,14 @@ def cauchy_weights(row_scores: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Repeats:
-    """Scatter within repeats, and how much of the residual they share.
+    """Scatter within repeats, and how much of the residual they share."""
 
-    Attributes:
-        within: shape (G,), standard deviation of a component of a repeat, for each group of components (position,
-            orientation), in the residual's unit; NaN without repeats.
-        freedoms: shape (G,), its degrees of freedom; 0 without repeats.
-        freedom: Their sum.
-        rho: Intraclass correlation of all groups together, 0 to 1; 0 without repeats.
-    """
-
+    # shape (G,), standard deviation of a component of a repeat, for each group of components (position, orientation),
+    # in the residual's unit; NaN without repeats
     within: Array
-    freedoms: Array
-    freedom: float
-    rho: float
+    freedoms: Array  # shape (G,), its degrees of freedom; 0 without repeats
+    freedom: float  # Their sum
+    rho: float  # Intraclass correlation of all groups together, 0 to 1; 0 without repeats
 
 
 def repeats(

@@ -36,23 +36,14 @@ class Iteration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Where a solver stopped.
+    """Where a solver stopped."""
 
-    Attributes:
-        x: shape (p,).
-        cost: E(x).
-        status: ``"converged"`` or ``"stopped"`` (at the limit of iterations).
-        message: Why, in a sentence.
-        evaluations: Number of calls of the system.
-        history: One entry a trial step.
-    """
-
-    x: Array
-    cost: float
-    status: str
-    message: str
-    evaluations: int
-    history: tuple[Iteration, ...]
+    x: Array  # shape (p,)
+    cost: float  # E(x)
+    status: str  # ``"converged"`` or ``"stopped"`` (at the limit of iterations)
+    message: str  # Why, in a sentence
+    evaluations: int  # Number of calls of the system
+    history: tuple[Iteration, ...]  # One entry a trial step
 
     @property
     def iterations(self) -> int:

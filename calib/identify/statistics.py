@@ -27,34 +27,23 @@ _HASH = np.random.default_rng(0).integers(1, 2**63, 256, dtype=np.uint64) | np.u
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errors:
-    """Errors of a set of rows, as in the paper's Tables 4 and 5: of lengths, and of angles where poses were measured.
+    """Errors of a set of rows, as in the paper's Tables 4 and 5: of lengths, and of angles where there are any."""
 
-    Attributes:
-        n: Number of rows with a measured length.
-        max: Largest error, the norm of measured minus predicted position, or the size of that of a distance [m]; NaN
-            where n = 0, as all that follows.
-        mean: Mean of the norms [m].
-        rms: Root mean square of the norms [m].
-        mean_axis: shape (3,), mean signed error along x, y, z [m]; NaN where not all rows have three coordinates.
-        rms_axis: shape (3,), likewise.
-        span_axis: shape (3,), largest minus smallest signed error along x, y, z, likewise.
-        n_angle: Number of rows with a measured orientation.
-        max_angle: Largest angle between measured and predicted orientation [rad]; NaN where n_angle = 0.
-        mean_angle: Mean of these angles [rad].
-        rms_angle: Their root mean square [rad].
-    """
-
-    n: int
+    n: int  # Number of rows with a measured length
+    # Largest error, the norm of measured minus predicted position, or the size of that of a distance [m]; NaN where n
+    # = 0, as all that follows
     max: float
-    mean: float
-    rms: float
+    mean: float  # Mean of the norms [m]
+    rms: float  # Root mean square of the norms [m]
+    # shape (3,), mean signed error along x, y, z [m]; NaN where not all rows have three coordinates
     mean_axis: Array
-    rms_axis: Array
-    span_axis: Array
-    n_angle: int = 0
+    rms_axis: Array  # shape (3,), likewise
+    span_axis: Array  # shape (3,), largest minus smallest signed error along x, y, z, likewise
+    n_angle: int = 0  # Number of rows with a measured orientation
+    # Largest angle between measured and predicted orientation [rad]; NaN where n_angle = 0
     max_angle: float = np.nan
-    mean_angle: float = np.nan
-    rms_angle: float = np.nan
+    mean_angle: float = np.nan  # Mean of these angles [rad]
+    rms_angle: float = np.nan  # Their root mean square [rad]
 
     @classmethod
     def of(cls, residual: Array, used: Mask | None = None) -> Errors:
@@ -68,59 +57,37 @@ class Errors:
         used = np.ones(residual.shape, dtype=bool) if used is None else used
         there = np.any(used[:, :3], axis=1)
         turned = np.any(used[:, 3:], axis=1)
-        lengths, axes = residual[there, :3], read_only(np.full(3, np.nan))
-        _, longest, mean, rms = _of_norms(np.linalg.norm(lengths, axis=1))
-        count, widest, mean_angle, rms_angle = _of_norms(
-            np.linalg.norm(residual[turned, 3:], axis=1)
+        lengths, axes = residual[there, :3], [np.full(3, np.nan)] * 3
+        if residual.shape[1] >= 3 and np.any(there) and np.all(used[there, :3]):
+            mean, rms = lengths.mean(axis=0), np.sqrt(np.mean(lengths**2, axis=0))
+            axes = [mean, rms, np.ptp(lengths, axis=0)]
+        of_lengths, of_angles = (
+            _of_norms(np.linalg.norm(one, axis=1)) for one in (lengths, residual[turned, 3:])
         )
-        whole = residual.shape[1] >= 3 and np.any(there) and bool(np.all(used[there, :3]))
-        return cls(
-            n=len(lengths),
-            max=longest,
-            mean=mean,
-            rms=rms,
-            mean_axis=read_only(lengths.mean(axis=0)) if whole else axes,
-            rms_axis=read_only(np.sqrt(np.mean(lengths**2, axis=0))) if whole else axes,
-            span_axis=read_only(np.ptp(lengths, axis=0)) if whole else axes,
-            n_angle=count,
-            max_angle=widest,
-            mean_angle=mean_angle,
-            rms_angle=rms_angle,
-        )
+        return cls(*of_lengths, *map(read_only, axes), *of_angles)
 
 
 def _of_norms(norms: Array) -> tuple[int, float, float, float]:
     """Number, largest, mean and root mean square; NaN where there are none."""
     if len(norms) == 0:
         return 0, np.nan, np.nan, np.nan
-    return (
-        len(norms),
-        float(norms.max()),
-        float(norms.mean()),
-        float(np.sqrt(np.mean(norms**2))),
-    )
+    rms = float(np.sqrt(np.mean(norms**2)))
+    return len(norms), float(norms.max()), float(norms.mean()), rms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossValidation:
-    """Errors on rows that the fit did not see.
+    """Errors on rows that the fit did not see."""
 
-    Attributes:
-        method: ``"leave-one-out"``, ``"leave-one-pose-out"`` where poses were repeated, ``"leave-one-set-up-out"`` or
-            ``"10-fold"``.
-        folds: Number of fits.
-        poses: shape (N,), the pose of each row, see `same_poses`.
-        residual: shape (N, D), measured minus predicted by the fit that had not seen the row [m], [rad].
-        errors: Of all rows.
-        errors_without_outliers: Of the rows that the fit to all rows did not flag.
-    """
-
+    # ``"leave-one-out"``, ``"leave-one-pose-out"`` where poses were repeated, ``"leave-one-set-up-out"`` or
+    # ``"10-fold"``
     method: str
-    folds: int
-    poses: NDArray[np.int_]
+    folds: int  # Number of fits
+    poses: NDArray[np.int_]  # shape (N,), the pose of each row, see `same_poses`
+    # shape (N, D), measured minus predicted by the fit that had not seen the row [m], [rad]
     residual: Array
-    errors: Errors
-    errors_without_outliers: Errors
+    errors: Errors  # Of all rows
+    errors_without_outliers: Errors  # Of the rows that the fit to all rows did not flag
 
 
 def same_poses(joints: Array) -> NDArray[np.int_]:
