@@ -64,7 +64,8 @@ class Errors:
         of_lengths, of_angles = (
             _of_norms(np.linalg.norm(one, axis=1)) for one in (lengths, residual[turned, 3:])
         )
-        return cls(*of_lengths, *map(read_only, axes), *of_angles)
+        mean_axis, rms_axis, span_axis = map(read_only, axes)
+        return cls(*of_lengths, mean_axis, rms_axis, span_axis, *of_angles)
 
 
 def _of_norms(norms: Array) -> tuple[int, float, float, float]:
