@@ -125,7 +125,7 @@ def compare(
     Args:
         a: The first: a `Calibration`, or the path of a result file.
         b: The second, made of other measurements.
-        robot: The robot, or its URDF, nominal or corrected, to show with its meshes; None: the one in the first result.
+        robot: The robot, or its URDF, nominal or corrected, to show with its meshes; None: that of the first result.
 
     Raises:
         FileError: A file cannot be read or is no result.

@@ -147,37 +147,21 @@ def notes(c: Comparison) -> tuple[str, ...]:
         if p.at_bound and p.name in own_names(one)
     )
     careful = _judged(c, "use with care")
-    every = (
-        (
-            c.a.nominal.name != c.b.nominal.name,
-            f"The URDFs name their robots '{c.a.nominal.name}' and '{c.b.nominal.name}'.",
-        ),
-        (
-            (c.only_a or c.only_b) and not c.why,
-            f"The results estimate different errors: {_only(c)}.",
-        ),
-        (
-            not c.same_start,
-            "The results count from different nominal robots: parameters are not subtracted, and what the data do not "
-            "know stays where each nominal robot has it.",
-        ),
-        (
-            not unknown_frame(c.a) and not unknown_frame(c.b),
-            "Both take the measurement frame as known: an error in where the tracker was said to stand looks like a "
-            "drift of the first joints.",
-        ),
-        (
-            larger,
-            f"Compared is the geometry that the URDF holds; the larger model of {' and of '.join(larger)} is not. "
-            "Loads, speeds and poses should be alike in both measurements.",
-        ),
-        (
-            bounded,
-            f"{choices(bounded)} {'stands' if len(bounded) == 1 else 'stand'} at a bound, and is taken as known there.",
-        ),
-        (careful, f"The verdict on {careful} is 'use with care'; see there."),
-    )
-    return tuple(text for said, text in every if said)
+    stand = "stands" if len(bounded) == 1 else "stand"
+    names = f"'{c.a.nominal.name}' and '{c.b.nominal.name}'"
+    every = {
+        f"The URDFs name their robots {names}.": c.a.nominal.name != c.b.nominal.name,
+        f"The results estimate different errors: {_only(c)}.": (c.only_a or c.only_b) and not c.why,
+        "The results count from different nominal robots: parameters are not subtracted, and what the data do not know "
+        "stays where each nominal robot has it.": not c.same_start,
+        "Both take the measurement frame as known: an error in where the tracker was said to stand looks like a drift "
+        "of the first joints.": not unknown_frame(c.a) and not unknown_frame(c.b),
+        f"Compared is the geometry that the URDF holds; the larger model of {' and of '.join(larger)} is not. Loads, "
+        "speeds and poses should be alike in both measurements.": larger,
+        f"{choices(bounded)} {stand} at a bound, and is taken as known there.": bounded,
+        f"The verdict on {careful} is 'use with care'; see there.": careful,
+    }
+    return tuple(text for text, said in every.items() if said)
 
 
 def _error_sets(one: Calibration) -> list[tuple[str, Errors]]:

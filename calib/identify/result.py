@@ -319,8 +319,7 @@ class Calibration(Solved):
         Args:
             q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
             target: Name of the target; the first where None.
-            group: Name of the set-up whose frame is meant; where None the first, and the base where only sockets,
-                planes, anchors or pairs were measured.
+            group: Name of the set-up whose frame is meant; where None the first, or the base as said above.
             larger: Whether to use the larger model, where there is one; else the geometry that the URDF holds.
 
         Returns:

@@ -60,6 +60,9 @@ _ROUNDING = 1e-6
 _ERRORS = Part(
     table=lambda sets: {name: fields.ERRORS.table(errors) for name, errors in sets.items()}
 )
+_ORIGINS = Part(
+    table=lambda r: [{"joint": name, **fields.pose_table(T)} for name, T in r.origins().items()]
+)
 _LEFT_OUT = optional(Part(table=lambda found: table(found, fields.LEFT_OUT)))
 _MOTION = optional(Part(lambda found: numbers(found).reshape(6, -1)))
 _TIES = Part(
@@ -90,8 +93,8 @@ _RESULT: tuple[Field, ...] = (
     ("nominal.joint_names", "robot.joints", Part(table=list)),
     (lambda c: _held_table(c.nominal), "robot.held", ONLY),
     (lambda c: _ranges_table(c), "robot.ranges", ONLY),
-    (lambda c: _origins_table(c.robot), "robot.origins", ONLY),
-    (lambda c: _origins_table(c.nominal), "robot.nominal_origins", ONLY),
+    ("robot", "robot.origins", _ORIGINS),
+    ("nominal", "robot.nominal_origins", _ORIGINS),
     ("T_frame_base", "frames.", Part(table=lambda T: fields.pose_table(T, "frame_base_"))),
     ("frame_estimated", "frames.frame_estimated", FLAG),
     ("target", "frames.target_m", ONLY),
@@ -283,11 +286,6 @@ def _kinematics(nominal: Robot, model: ErrorModel, setup: Setup, x: Array) -> Ki
     back = np.linalg.inv(model.displacements(x)[0])
     frames, targets = back[: len(setup.groups)], back[-len(setup.targets) :]
     return Kinematics(nominal, model, setup.T_frame_base @ frames, setup.T_tip_target @ targets)
-
-
-def _origins_table(robot: Robot) -> list[dict[str, Any]]:
-    """The origin of each joint that carries a placement of the chain."""
-    return [{"joint": name, **fields.pose_table(T)} for name, T in robot.origins().items()]
 
 
 def _held_table(robot: Robot) -> list[dict[str, Any]]:

@@ -59,14 +59,10 @@ _POSES = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bootstrap:
-    """Parameters of many fits, each to rows drawn with replacement.
+    """Parameters of many fits, x of shape (count, p), as offsets like ``fitted.estimate.x``.
 
-    Attributes:
-        fitted: The fit whose rows were drawn from.
-        parameters: Its parameters, with the values and intervals of the covariance.
-        x: shape (count, p), the parameters of each sample, as offsets like ``fitted.estimate.x``.
-        seed: The samples are the same for the same seed.
-        stopped: Number of samples whose fit reached the solver's limit of iterations.
+    Each is to rows drawn with replacement from those of ``fitted``, whose own values and intervals are ``parameters``;
+    ``stopped`` is the number of samples whose fit reached the solver's limit of iterations.
     """
 
     fitted: Fitted
