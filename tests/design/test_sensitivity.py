@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.design.forecast import Sensitivity, forecast
-from calib.errors import MeasurementError, ModelError
+from calib.errors import ModelError
 from calib.identify.calibration import calibrate
 from calib.identify.inspection import inspect
 from calib.identify.prediction import without_rigid_motion
@@ -381,8 +381,3 @@ def test_the_error_that_calibrations_leave_is_the_one_foreseen(ur3):
 def test_cells_that_cannot_be_planned_for_are_refused(ur3, cell, words):
     with pytest.raises(ModelError, match=words):
         forecast(ur3, cell, np.zeros((10, 6)))
-
-
-def test_no_poses_are_refused(ur3):
-    with pytest.raises(MeasurementError, match=r"^A forecast needs poses; none was given"):
-        forecast(ur3, Cell(), np.zeros((0, 6)))
