@@ -153,13 +153,6 @@ def row_points(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Where the target was, and whether that was measured.
 
-    Args:
-        robot: The nominal robot.
-        rows: The table.
-        cell: The set-up: a measurement frame that is estimated says nothing of the base, so that positions in it are
-            predicted.
-        target: shape (3,), in the tip [m]; targets of other names that the cell has are predicted at their places.
-
     Returns:
         shape (N, 3), in the base frame [m]; and shape (N,).
     """

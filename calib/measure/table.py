@@ -261,12 +261,7 @@ def close_names(name: str, candidates: Sequence[str]) -> list[str]:
 def name_columns(
     table: Table, joint_names: Sequence[str], columns: Mapping[str, str]
 ) -> tuple[dict[str, Column], tuple[Column, ...]]:
-    """The columns by the name calib uses for them, each name once; and all that are called ``group``.
-
-    Args:
-        table: with its header.
-        joint_names: names that are taken as they are, even if they mean something else.
-        columns: names of the table to names of calib; `IGNORE` leaves a column out.
+    """The columns by the name calib uses, each once, ``joint_names`` as they are; and all that are called ``group``.
 
     Raises:
         MeasurementError: a name of ``columns`` is not there, or two columns have one name.
