@@ -27,12 +27,9 @@ def run(
 ) -> Iterator[tuple[int, R]]:
     """``function(shared, item)`` of every item, in any order.
 
-    Args:
-        function: A function of a module; what it is given and gives back can be pickled.
-        shared: What all calls have in common; sent with every batch.
-        items: One for each call; taken as they are needed.
-        executor: Where to; None: here, one after the other.
-        batch: Items that are sent together: many for jobs that take less time than they take to send.
+    The function is a module's; what it is given and gives back can be pickled. ``shared`` is sent with every batch,
+    ``items`` are taken as they are needed; without an executor they are done here, one after the other. ``batch`` items are
+    sent together: many for jobs that take less time than they take to send.
 
     Yields:
         The item's number, counted from 0, and its result.

@@ -74,13 +74,8 @@ def levenberg_marquardt(
     never by normal equations; D are the largest column norms seen (J. Moré, 1978). mu follows the gain ratio as in
     H. B. Nielsen, 1999: a step that raises E is not taken.
 
-    Args:
-        system: Residual and Jacobian.
-        x0: shape (p,), start.
-        step_size: shape (p,), a step of each parameter that is worth talking about, in its unit.
-        step_tolerance: Stop when a step is shorter than this in units of ``step_size``.
-        tolerance: Stop when a step promises to lower E by less than this share.
-        iterations: Limit of trial steps.
+    From x0, shape (p,), until a step promises to lower E by less than the share ``tolerance``, or is shorter than
+    ``step_tolerance`` in units of ``step_size``, shape (p,): a step of each parameter that is worth talking about.
 
     Raises:
         SolverError: The residual at the start is not finite.
