@@ -28,8 +28,8 @@ def run(
     """``function(shared, item)`` of every item, in any order.
 
     The function is a module's; what it is given and gives back can be pickled. ``shared`` is sent with every batch,
-    ``items`` are taken as they are needed; without an executor they are done here, one after the other. ``batch`` items are
-    sent together: many for jobs that take less time than they take to send.
+    ``items`` are taken as they are needed; without an executor they are done here, one after the other. ``batch`` items
+    are sent together: many for jobs that take less time than they take to send.
 
     Yields:
         The item's number, counted from 0, and its result.
