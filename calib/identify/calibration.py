@@ -37,9 +37,8 @@ from calib.identify.robust import Limits, Repeats, repeats
 from calib.identify.rows import Rows
 from calib.identify.selection import Candidate, select
 from calib.identify.setup import known_distances, rows_of
-from calib.identify.setup_check import better_setup
 from calib.identify.solvers import Solver
-from calib.identify.support import compare, outside
+from calib.identify.support import better_setup, compare, outside
 from calib.identify.verdict import NO, Reason, Verdict, verdict
 from calib.measure.cell import AUTO, Cell
 from calib.measure.measurements import Measurements

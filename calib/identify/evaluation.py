@@ -12,8 +12,8 @@ from calib.identify.prediction import Larger
 from calib.identify.registration import nominal_setup
 from calib.identify.result import Calibration
 from calib.identify.setup import Setup, rows_of
-from calib.identify.setup_check import better_setup
 from calib.identify.statistics import Errors
+from calib.identify.support import better_setup
 from calib.kinds import DIRECTIONS
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements

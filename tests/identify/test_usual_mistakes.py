@@ -13,7 +13,7 @@ from calib.data import PAPER_TARGET, paper_urdf
 from calib.identify.calibration import calibrate
 from calib.identify.evaluation import evaluate, hint
 from calib.identify.setup import rows_of as rows_and_setup
-from calib.identify.setup_check import better_setup
+from calib.identify.support import better_setup
 from calib.measure.cell import Cell
 from calib.measure.measurements import Measurements
 from calib.model.robot import Robot, read_only
