@@ -15,123 +15,77 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calib.base_frame.survey import Survey, survey
-    from calib.base_frame.sweeps import Sweeps, read_sweeps
-    from calib.calibration import Calibration, Comparison, calibrate, compare
-    from calib.compensate.commands import Commands, commands
-    from calib.compensate.program import Program
-    from calib.design.forecast import forecast
-    from calib.design.plan import Plan, plan
-    from calib.design.region import Region
-    from calib.design.workspace import Density, sample_workspace
-    from calib.errors import CalibError
-    from calib.fleets.fleet import Fleet, FleetOptions, FleetRobot, fleet
-    from calib.identify.acceptance import Acceptance, acceptance
-    from calib.identify.evaluation import Evaluation, evaluate
-    from calib.identify.uncertainty import bootstrap, profile_interval, workspace_uncertainty
-    from calib.measure.cell import Cell, GroupDistance, Priors
-    from calib.measure.measurements import Measurements
-    from calib.measure.surroundings import Box, Reflector, Tracker, TrackerNoise
-    from calib.model.robot import Robot
-    from calib.model.torques import Payload
-    from calib.show.live import show
-    from calib.simulate.scenario import Scenario
-    from calib.simulate.study import Study, Trials, study
+    from calib.base_frame.survey import Survey as Survey, survey as survey
+    from calib.base_frame.sweeps import Sweeps as Sweeps, read_sweeps as read_sweeps
+    from calib.calibration import (
+        Calibration as Calibration,
+        Comparison as Comparison,
+        calibrate as calibrate,
+        compare as compare,
+    )
+    from calib.compensate.commands import Commands as Commands, commands as commands
+    from calib.compensate.program import Program as Program
+    from calib.design.forecast import forecast as forecast
+    from calib.design.plan import Plan as Plan, plan as plan
+    from calib.design.region import Region as Region
+    from calib.design.workspace import Density as Density, sample_workspace as sample_workspace
+    from calib.errors import CalibError as CalibError
+    from calib.fleets.fleet import (
+        Fleet as Fleet,
+        FleetOptions as FleetOptions,
+        FleetRobot as FleetRobot,
+        fleet as fleet,
+    )
+    from calib.identify.acceptance import Acceptance as Acceptance, acceptance as acceptance
+    from calib.identify.evaluation import Evaluation as Evaluation, evaluate as evaluate
+    from calib.identify.uncertainty import (
+        bootstrap as bootstrap,
+        profile_interval as profile_interval,
+        workspace_uncertainty as workspace_uncertainty,
+    )
+    from calib.measure.cell import Cell as Cell, GroupDistance as GroupDistance, Priors as Priors
+    from calib.measure.measurements import Measurements as Measurements
+    from calib.measure.surroundings import (
+        Box as Box,
+        Reflector as Reflector,
+        Tracker as Tracker,
+        TrackerNoise as TrackerNoise,
+    )
+    from calib.model.robot import Robot as Robot
+    from calib.model.torques import Payload as Payload
+    from calib.show.live import show as show
+    from calib.simulate.scenario import Scenario as Scenario
+    from calib.simulate.study import Study as Study, Trials as Trials, study as study
 
 from calib.version import __version__ as __version__
 
-__all__ = [
-    "Acceptance",
-    "Box",
-    "CalibError",
-    "Calibration",
-    "Cell",
-    "Commands",
-    "Comparison",
-    "Density",
-    "Evaluation",
-    "Fleet",
-    "FleetOptions",
-    "FleetRobot",
-    "GroupDistance",
-    "Measurements",
-    "Payload",
-    "Plan",
-    "Priors",
-    "Program",
-    "Reflector",
-    "Region",
-    "Robot",
-    "Scenario",
-    "Study",
-    "Survey",
-    "Sweeps",
-    "Tracker",
-    "TrackerNoise",
-    "Trials",
-    "acceptance",
-    "bootstrap",
-    "calibrate",
-    "commands",
-    "compare",
-    "evaluate",
-    "fleet",
-    "forecast",
-    "plan",
-    "profile_interval",
-    "read_sweeps",
-    "sample_workspace",
-    "show",
-    "study",
-    "survey",
-    "workspace_uncertainty",
-]
-
-_MODULES = {
-    "Acceptance": "calib.identify.acceptance",
-    "Box": "calib.measure.surroundings",
-    "CalibError": "calib.errors",
-    "Calibration": "calib.calibration",
-    "Cell": "calib.measure.cell",
-    "Commands": "calib.compensate.commands",
-    "Comparison": "calib.calibration",
-    "Density": "calib.design.workspace",
-    "Evaluation": "calib.identify.evaluation",
-    "Fleet": "calib.fleets.fleet",
-    "FleetOptions": "calib.fleets.fleet",
-    "FleetRobot": "calib.fleets.fleet",
-    "GroupDistance": "calib.measure.cell",
-    "Measurements": "calib.measure.measurements",
-    "Payload": "calib.model.torques",
-    "Plan": "calib.design.plan",
-    "Priors": "calib.measure.cell",
-    "Program": "calib.compensate.program",
-    "Reflector": "calib.measure.surroundings",
-    "Region": "calib.design.region",
-    "Robot": "calib.model.robot",
-    "Scenario": "calib.simulate.scenario",
-    "Study": "calib.simulate.study",
-    "Survey": "calib.base_frame.survey",
-    "Sweeps": "calib.base_frame.sweeps",
-    "Tracker": "calib.measure.surroundings",
-    "TrackerNoise": "calib.measure.surroundings",
-    "Trials": "calib.simulate.study",
-    "acceptance": "calib.identify.acceptance",
-    "bootstrap": "calib.identify.uncertainty",
-    "calibrate": "calib.calibration",
-    "commands": "calib.compensate.commands",
-    "compare": "calib.calibration",
-    "evaluate": "calib.identify.evaluation",
-    "fleet": "calib.fleets.fleet",
-    "forecast": "calib.design.forecast",
-    "plan": "calib.design.plan",
-    "profile_interval": "calib.identify.uncertainty",
-    "read_sweeps": "calib.base_frame.sweeps",
-    "sample_workspace": "calib.design.workspace",
-    "study": "calib.simulate.study",
-    "survey": "calib.base_frame.survey",
-    "workspace_uncertainty": "calib.identify.uncertainty",
+#: Where each public name is defined.
+_NAMES = {
+    "calib.base_frame.survey": "Survey survey",
+    "calib.base_frame.sweeps": "Sweeps read_sweeps",
+    "calib.calibration": "Calibration Comparison calibrate compare",
+    "calib.compensate.commands": "Commands commands",
+    "calib.compensate.program": "Program",
+    "calib.design.forecast": "forecast",
+    "calib.design.plan": "Plan plan",
+    "calib.design.region": "Region",
+    "calib.design.workspace": "Density sample_workspace",
+    "calib.errors": "CalibError",
+    "calib.fleets.fleet": "Fleet FleetOptions FleetRobot fleet",
+    "calib.identify.acceptance": "Acceptance acceptance",
+    "calib.identify.evaluation": "Evaluation evaluate",
+    "calib.identify.uncertainty": "bootstrap profile_interval workspace_uncertainty",
+    "calib.measure.cell": "Cell GroupDistance Priors",
+    "calib.measure.measurements": "Measurements",
+    "calib.measure.surroundings": "Box Reflector Tracker TrackerNoise",
+    "calib.model.robot": "Robot",
+    "calib.model.torques": "Payload",
+    "calib.simulate.scenario": "Scenario",
+    "calib.simulate.study": "Study Trials study",
 }
+_MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
+
+__all__ = sorted([*_MODULES, "show"])
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401  any public name

@@ -87,8 +87,7 @@ def fleet(
     """See the text of `verb`."""
     from calib.cli.fleet_manifest import read_manifest
     from calib.cli.terminal import command_line, progress_bar
-    from calib.fleets.fleet import CSV, JSON, FleetOptions
-    from calib.fleets.fleet import fleet as calibrate_fleet
+    from calib.fleets.fleet import CSV, JSON, FleetOptions, fleet as calibrate_fleet
 
     if manifest.resolve() == (out / CSV).resolve():
         raise FileError(

@@ -55,8 +55,7 @@ def inspect(
 ) -> None:
     """See the text of `verb`."""
     from calib.cli.setup import load, load_with_data, read_cell, say_ignored
-    from calib.identify.inspection import inspect as inspect_robot
-    from calib.identify.inspection import inspection_text
+    from calib.identify.inspection import inspect as inspect_robot, inspection_text
 
     setup = read_cell(**asdict(said))
     if data is None:

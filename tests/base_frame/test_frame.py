@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.stats import chi2
-from scipy.stats import f as fisher
-from scipy.stats import t as student
+from scipy.stats import chi2, f as fisher, t as student
 
 from calib.base_frame.fits import Circle, Plane, fit_circle, fit_plane
 from calib.base_frame.frame import (

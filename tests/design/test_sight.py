@@ -6,8 +6,7 @@ import fcl
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from calib import data
 from calib.design.collision import BEAM, NEST, CollisionModel, in_sight

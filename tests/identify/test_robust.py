@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
+from scipy.stats import chi2, f as f_distribution
 
 from calib.identify.robust import Limits, cauchy_weights, median_noise, pose_means, repeats, scores
 

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.identify.rows import NONE, Rows
 from calib.identify.setup import rows_of
-from calib.kinds import _log_derivative
-from calib.kinds import at as kind_at
+from calib.kinds import _log_derivative, at as kind_at
 from calib.measure.cell import Cell
 from calib.model.error_model import DIRECTIONS, error_model
 from calib.model.kinematics import Kinematics, Samples

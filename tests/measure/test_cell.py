@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from calib.errors import CalibError, FileError
 from calib.measure.cell import Cell, GroupDistance, Priors

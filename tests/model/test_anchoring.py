@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from calib.errors import ModelError
 from calib.model.anchoring import anchored_placements, check_same_joints

@@ -9,8 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yourdfpy
-from hypothesis import event, given, settings
-from hypothesis import strategies as st
+from hypothesis import event, given, settings, strategies as st
 
 from calib.errors import CalibError, UrdfError
 from calib.model.chain import farthest_link, full_configurations, full_model, link_frame

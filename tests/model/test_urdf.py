@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from calib.errors import FileError, UrdfError
 from calib.model.urdf import Urdf, UrdfJoint

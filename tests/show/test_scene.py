@@ -4,8 +4,7 @@ import meshcat
 import numpy as np
 import pytest
 import umsgpack
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from meshcat import geometry as mc
 
 from calib.show.scene import (
