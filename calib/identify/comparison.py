@@ -74,7 +74,8 @@ class Comparison:
     """The result of `compare`.
 
     Attributes:
-        a: The first result; ``b`` is the second.
+        a: The first result.
+        b: The second.
         names: What they are called: their files, or ``"a"`` and ``"b"``.
         outcome: ``"drift"``, ``"no drift shown"`` or ``"cannot tell"``.
         why: Why nothing can be told; empty otherwise.
@@ -82,8 +83,10 @@ class Comparison:
         moves: How far the target lies elsewhere: over the joint values that both data cover, then over the limits.
         parameters: The robot's own, of either result.
         untold: Parameters that frame and target make up for, so that their drift cannot be told.
-        only_a: Parameters of the first that move the target in ways that the second's cannot; ``only_b`` the same of b.
-        frames: How set-ups of the same name moved; ``targets`` the same of targets.
+        only_a: Parameters of the first that move the target in ways that the second's cannot.
+        only_b: The same of the second.
+        frames: How set-ups of the same name moved.
+        targets: The same of targets.
         same_start: Whether both count from the same nominal robot.
         robot: The robot whose meshes are shown.
     """
