@@ -292,7 +292,10 @@ class Linear:
             both[:, c] = np.sum(over_blocks(product, N), axis=0)
             scalars = np.full(N, at.stop - at.start) if there is None else there.sum(axis=0)
             count[:, c] = weights @ scalars
-        return Linearised(both[..., :p, :p], both[..., :p, p], both[..., p, p], count, self.x)
+        # [A r] are at hand; what is asked for is [A y] with y = r + A x.
+        H, g, rr = both[..., :p, :p], both[..., :p, p], both[..., p, p]
+        Hx = H @ self.x
+        return Linearised(H, g + Hx, rr + (2.0 * g + Hx) @ self.x, count)
 
     def fit(self, weights: Array, noise: Array, known: Known) -> tuple[Array, Array, Array]:
         """The linear fit with these weights, shape (B, N), noise, shape (B, C), and priors.

@@ -73,20 +73,16 @@ class Known:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
-    """Weighted normal equations of the linearised measurements: all that the likelihood needs.
-
-    Of the residual r at the point x0 of linearisation: in squares of y = r + A x0 the digits of r would be lost.
-    """
+    """Weighted normal equations of the linearised measurements: all that the likelihood needs."""
 
     H: Array  # shape (B, C, p, p), A_c^T W A_c of each instrument
-    g: Array  # shape (B, C, p), A_c^T W r_c
-    rr: Array  # shape (B, C), r_c^T W r_c
+    g: Array  # shape (B, C, p), A_c^T W y_c
+    yy: Array  # shape (B, C), y_c^T W y_c
     count: Array  # shape (B, C), number of scalar measurements, by weight
-    x: Array  # shape (p,), x0
 
     def at(self, which: NDArray[np.int_]) -> Linearised:
         """Some of the problems."""
-        return Linearised(self.H[which], self.g[which], self.rr[which], self.count[which], self.x)
+        return Linearised(self.H[which], self.g[which], self.yy[which], self.count[which])
 
     def posterior(self, noise: Array, known: Known) -> tuple[Array, Array]:
         """Mean and covariance of x, shapes (B, p) and (B, p, p), at the sigma of each instrument, shape (B, C).
@@ -106,13 +102,12 @@ class Linearised:
         M = (weight @ self.H.reshape(B, C, p * p)).reshape(B, p, p)
         M += known.H
         _diagonal(M)[...] += known.precision
-        g = self.g + self.H @ self.x  # A^T W y with y = r + A x0
-        return M, (weight @ g)[:, 0] + known.g + known.precision * known.centre
+        return M, (weight @ self.g)[:, 0] + known.g + known.precision * known.centre
 
     def residual_square(self, x: Array) -> Array:
-        """|r - A (x - x0)|^2 of each instrument, weighted, never below 0, shape (B, C)."""
-        d = (x - self.x)[:, None, :, None]
-        square = self.rr + ((self.H @ d - 2.0 * self.g[..., None]) * d)[..., 0].sum(axis=2)
+        """|y - A x|^2 of each instrument, weighted, never below 0, shape (B, C)."""
+        x = x[:, None, :, None]
+        square = self.yy + ((self.H @ x - 2.0 * self.g[..., None]) * x)[..., 0].sum(axis=2)
         return np.asarray(np.maximum(square, 0.0))
 
     def log_likelihood(self, noise: Array, known: Known, own: Array) -> Array:

@@ -61,7 +61,7 @@ def test_without_noise_unseen_poses_are_exact(virtual, paper_cell, solver, seed,
     x = virtual.offsets(rng, 1e-3, 5e-3)
     data = virtual.rows(rng, x, rows, 0.0)
     result = fitted(virtual, replace(paper_cell, priors=OFF), data, solver=solver)
-    assert np.abs(error_at(virtual, result, x, virtual.unseen())).max() < 1e-9
+    assert np.abs(error_at(virtual, result, x, virtual.unseen())).max() < 3e-9
 
 
 @pytest.mark.parametrize("seed", range(4))

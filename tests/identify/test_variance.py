@@ -51,9 +51,8 @@ def linearised(A, y, count=1, weights=None):
 
 def several(found):
     """Problems one after the other as one of several."""
-    names = ("H", "g", "rr", "count")
-    several = (np.concatenate([getattr(one, name) for one in found]) for name in names)
-    return Linearised(*several, found[0].x)
+    names = ("H", "g", "yy", "count")
+    return Linearised(*(np.concatenate([getattr(one, name) for one in found]) for name in names))
 
 
 def reml(data, noise, sizes=(0.01, 0.01), smallest=1e-6, families=FAMILIES, **further):
@@ -326,7 +325,7 @@ def test_scalars_of_no_instrument_count_for_nothing():
     mine = normal_of(A, y, np.ones(6), instruments)
     other = normal_of(A[:, ::2], y[:, ::2], np.ones(6), np.zeros((6, 2), dtype=int))
     np.testing.assert_allclose(mine.H, other.H)
-    np.testing.assert_allclose(mine.rr, other.rr)
+    np.testing.assert_allclose(mine.yy, other.yy)
     assert mine.count == other.count == 12
 
 
