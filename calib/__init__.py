@@ -15,16 +15,24 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calib.base_frame.survey import Survey as Survey, survey as survey
-    from calib.base_frame.sweeps import Sweeps as Sweeps, read_sweeps as read_sweeps
     from calib.calibration import (
         Calibration as Calibration,
         Comparison as Comparison,
         calibrate as calibrate,
         compare as compare,
     )
-    from calib.compensate.commands import Commands as Commands, commands as commands
-    from calib.compensate.program import Program as Program
+    from calib.circle_points.survey import Survey as Survey, survey as survey
+    from calib.circle_points.sweeps import Sweeps as Sweeps, read_sweeps as read_sweeps
+    from calib.compensation.commands import Commands as Commands, commands as commands
+    from calib.compensation.program import Program as Program
+    from calib.data.cell import Cell as Cell, GroupDistance as GroupDistance, Priors as Priors
+    from calib.data.measurements import Measurements as Measurements
+    from calib.data.surroundings import (
+        Box as Box,
+        Reflector as Reflector,
+        Tracker as Tracker,
+        TrackerNoise as TrackerNoise,
+    )
     from calib.design.forecast import forecast as forecast
     from calib.design.plan import Plan as Plan, plan as plan
     from calib.design.region import Region as Region
@@ -36,64 +44,58 @@ if TYPE_CHECKING:
         FleetRobot as FleetRobot,
         fleet as fleet,
     )
-    from calib.identify.acceptance import Acceptance as Acceptance, acceptance as acceptance
-    from calib.identify.evaluation import Evaluation as Evaluation, evaluate as evaluate
-    from calib.identify.uncertainty import (
+    from calib.result.acceptance import Acceptance as Acceptance, acceptance as acceptance
+    from calib.result.evaluation import Evaluation as Evaluation, evaluate as evaluate
+    from calib.result.uncertainty import (
         bootstrap as bootstrap,
         profile_interval as profile_interval,
         workspace_uncertainty as workspace_uncertainty,
     )
-    from calib.measure.cell import Cell as Cell, GroupDistance as GroupDistance, Priors as Priors
-    from calib.measure.measurements import Measurements as Measurements
-    from calib.measure.surroundings import (
-        Box as Box,
-        Reflector as Reflector,
-        Tracker as Tracker,
-        TrackerNoise as TrackerNoise,
-    )
-    from calib.model.robot import Robot as Robot
-    from calib.model.torques import Payload as Payload
-    from calib.show.live import show as show
-    from calib.simulate.scenario import Scenario as Scenario
-    from calib.simulate.study import Study as Study, Trials as Trials, study as study
+    from calib.robot.robot import Robot as Robot
+    from calib.robot.torques import Payload as Payload
+    from calib.simulation.scenario import Scenario as Scenario
+    from calib.simulation.study import Study as Study, Trials as Trials, study as study
+    from calib.viewer.live import view as view
 
 from calib.version import __version__ as __version__
 
 #: Where each public name is defined.
 _NAMES = {
-    "calib.base_frame.survey": "Survey survey",
-    "calib.base_frame.sweeps": "Sweeps read_sweeps",
+    "calib.circle_points.survey": "Survey survey",
+    "calib.circle_points.sweeps": "Sweeps read_sweeps",
     "calib.calibration": "Calibration Comparison calibrate compare",
-    "calib.compensate.commands": "Commands commands",
-    "calib.compensate.program": "Program",
+    "calib.compensation.commands": "Commands commands",
+    "calib.compensation.program": "Program",
     "calib.design.forecast": "forecast",
     "calib.design.plan": "Plan plan",
     "calib.design.region": "Region",
     "calib.design.workspace": "Density sample_workspace",
     "calib.errors": "CalibError",
     "calib.fleets.fleet": "Fleet FleetOptions FleetRobot fleet",
-    "calib.identify.acceptance": "Acceptance acceptance",
-    "calib.identify.evaluation": "Evaluation evaluate",
-    "calib.identify.uncertainty": "bootstrap profile_interval workspace_uncertainty",
-    "calib.measure.cell": "Cell GroupDistance Priors",
-    "calib.measure.measurements": "Measurements",
-    "calib.measure.surroundings": "Box Reflector Tracker TrackerNoise",
-    "calib.model.robot": "Robot",
-    "calib.model.torques": "Payload",
-    "calib.simulate.scenario": "Scenario",
-    "calib.simulate.study": "Study Trials study",
+    "calib.result.acceptance": "Acceptance acceptance",
+    "calib.result.evaluation": "Evaluation evaluate",
+    "calib.result.uncertainty": "bootstrap profile_interval workspace_uncertainty",
+    "calib.data.cell": "Cell GroupDistance Priors",
+    "calib.data.measurements": "Measurements",
+    "calib.data.surroundings": "Box Reflector Tracker TrackerNoise",
+    "calib.robot.robot": "Robot",
+    "calib.robot.torques": "Payload",
+    "calib.simulation.scenario": "Scenario",
+    "calib.simulation.study": "Study Trials study",
+    "calib.viewer.live": "view",
 }
+#: Modules that a user adds a row to.
+_REGISTRIES = {"families": "calib.model.families", "kinds": "calib.data.kinds"}
+
 _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
-__all__ = sorted([*_MODULES, "show"])
+__all__ = sorted(_MODULES)
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401  any public name
     """Import a public name on first use."""
-    if name in ("families", "kinds"):
-        return importlib.import_module(f"calib.{name}")
-    if name == "show":
-        return importlib.import_module("calib.show")  # a folder that can be called
+    if name in _REGISTRIES:
+        return importlib.import_module(_REGISTRIES[name])
     if name not in _MODULES:
         raise AttributeError(f"module 'calib' has no attribute '{name}'")
     return getattr(importlib.import_module(_MODULES[name]), name)

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, UrdfError, choices
-from calib.identify import calibration, comparison
-from calib.identify.comparison import Comparison as ComparisonValues
-from calib.identify.result import Calibration as CalibrationValues
 from calib.model.kinematics import Samples
-from calib.model.readback import check_written, random_joint_values
-from calib.model.urdf import Urdf
+from calib.result import calibrate as calibration, comparison
+from calib.result.calibration import Calibration as CalibrationValues
+from calib.result.comparison import Comparison as ComparisonValues
+from calib.robot.readback import check_written, random_joint_values
+from calib.robot.urdf import Urdf
 
 __all__ = ["TARGET_LINK", "Calibration", "Comparison", "calibrate", "compare"]
 
@@ -48,7 +48,7 @@ def _giving(kind: type[T], function: Callable[P, object]) -> Callable[P, T]:
 
 
 class Calibration(CalibrationValues):
-    """The result of `calibrate`: the values of `calib.identify.result.Calibration`, and what writes them.
+    """The result of `calibrate`: the values of `calib.result.calibration.Calibration`, and what writes them.
 
     Two ways lead to one: `calib.calibrate`, and `Calibration.read_json` of a file that `write_json` wrote.
     """
@@ -58,13 +58,13 @@ class Calibration(CalibrationValues):
     @classmethod
     def read_json(cls, path: str | Path) -> Calibration:
         """Read a result that `write_json` or ``calib fit --json`` wrote; `FileError` where that cannot be."""
-        from calib.identify.result_file import read_result
+        from calib.result.calibration_file import read_result
 
         return _of(cls, read_result(path))
 
     def summary(self) -> str:
         """The result as text, without colours."""
-        from calib.identify.summary import summary
+        from calib.text.summary import summary
 
         return summary(self)
 
@@ -102,7 +102,7 @@ class Calibration(CalibrationValues):
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the result as JSON, see docs/result-json.md; `FileError` where that cannot be."""
-        from calib.identify.result_file import write_result
+        from calib.result.calibration_file import write_result
 
         return write_result(self, path, overwrite=overwrite)
 
@@ -113,7 +113,7 @@ class Calibration(CalibrationValues):
             FileError: The name has another ending, the file exists, or it cannot be written.
             ModelError: The result was read from a file, which does not hold the measurements.
         """
-        from calib.show.report import write_report
+        from calib.report.report import write_report
 
         return write_report(self, path, overwrite=overwrite)
 
@@ -132,25 +132,25 @@ def _with_target_link(urdf: Urdf, tip: str, T_tip_target: NDArray[np.float64]) -
 
 
 class Comparison(ComparisonValues):
-    """The result of `compare`: the values of `calib.identify.comparison.Comparison`, and what writes them."""
+    """The result of `compare`: the values of `calib.result.comparison.Comparison`, and what writes them."""
 
     __slots__ = ()
 
     def summary(self) -> str:
         """The comparison as text, without colours, in 100 columns."""
-        from calib.identify.comparison_text import comparison_text
+        from calib.text.comparison import comparison_text
 
         return comparison_text(self)
 
     def table(self) -> dict[str, Any]:
         """The comparison as nested tables of plain values; the keys are documented in docs/comparison.md."""
-        from calib.identify.comparison_text import comparison_table
+        from calib.text.comparison import comparison_table
 
         return comparison_table(self)
 
     def write_json(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the comparison as JSON; `FileError` where that cannot be."""
-        from calib.identify.result_file import write_table
+        from calib.result.calibration_file import write_table
 
         return write_table(self.table(), path, overwrite=overwrite)
 

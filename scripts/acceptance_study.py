@@ -14,15 +14,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.data import PAPER_TARGET, paper_urdf
-from calib.identify.accuracy import Accuracy, accuracy
-from calib.identify.evaluation import evaluate
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.model.readback import random_joint_values
-from calib.model.robot import Robot
+from calib.result.accuracy import Accuracy, accuracy
+from calib.result.evaluation import evaluate
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]
 

@@ -23,24 +23,24 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from calib.base_frame.checks import positive
-from calib.base_frame.files import carried
-from calib.base_frame.fits import fit_circle, fit_plane
-from calib.base_frame.frame import BaseFrame, base_frame, nominal_axes, nominal_axes_frame
-from calib.base_frame.survey import survey
-from calib.base_frame.sweeps import Sweep
 from calib.calibration import calibrate
-from calib.data import paper_urdf
+from calib.circle_points.checks import positive
+from calib.circle_points.files import carried
+from calib.circle_points.fits import fit_circle, fit_plane
+from calib.circle_points.frame import BaseFrame, base_frame, nominal_axes, nominal_axes_frame
+from calib.circle_points.survey import survey
+from calib.circle_points.sweeps import Sweep
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.data.surroundings import TrackerNoise
 from calib.errors import CalibError
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
-from calib.measure.surroundings import TrackerNoise
+from calib.example import paper_urdf
 from calib.model.error_model import error_model
-from calib.model.readback import random_joint_values
-from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot, read_only, rigid_inverse
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from tests.base_frame.virtual_sweeps import virtual_sweeps
+from tests.circle_points.virtual_sweeps import virtual_sweeps
 
 Array = NDArray[np.float64]
 

@@ -32,18 +32,18 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from calib.calibration import calibrate
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
 from calib.design.plan import plan
-from calib.identify.fitting import Task, fit
-from calib.identify.problem import Problem
-from calib.identify.rows import Rows
-from calib.identify.setup import rows_of
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
+from calib.estimate.fitting import Task, fit
+from calib.estimate.problem import Problem
+from calib.estimate.rows import Rows
+from calib.estimate.setup import rows_of
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.model.robot import Robot
-from calib.simulate.scenario import Scenario
-from calib.simulate.study import Trials, study
+from calib.robot.robot import Robot
+from calib.simulation.scenario import Scenario
+from calib.simulation.study import Trials, study
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "performance.md"

@@ -17,13 +17,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calib.calibration import Calibration, calibrate
-from calib.data import PAPER_TARGET, paper_urdf
-from calib.identify.comparison import Comparison, compare
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.example import PAPER_TARGET, paper_urdf
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics
-from calib.model.robot import Robot
+from calib.result.comparison import Comparison, compare
+from calib.robot.robot import Robot
 
 
 @dataclass(frozen=True)

@@ -17,17 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.calibration import Calibration, calibrate
-from calib.compensate.commands import Commands, commands
-from calib.compensate.inverse import Matching, solve
-from calib.compensate.nominal_actual import Arm
-from calib.compensate.program import Program
-from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
-from calib.measure.ranges import column_limits
-from calib.model.readback import random_joint_values
-from calib.model.robot import Robot, read_only
-from calib.simulate.scenario import Scenario
+from calib.compensation.commands import Commands, commands
+from calib.compensation.inverse import Matching, solve
+from calib.compensation.nominal_actual import Arm
+from calib.compensation.program import Program
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.data.ranges import column_limits
+from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot, read_only
+from calib.simulation.scenario import Scenario
 
 Array = NDArray[np.float64]
 

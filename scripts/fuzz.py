@@ -19,13 +19,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import calib
-from calib.compensate.program import read_program
-from calib.data import paper_measurements
+from calib.compensation.program import read_program
+from calib.data.points_file import read_points
 from calib.design.region import RegionFile
 from calib.design.solids import read_solids
 from calib.errors import CalibError
+from calib.example import paper_measurements
 from calib.formats.sources import Asked, read_source
-from calib.measure.points_file import read_points
 
 ROOT = Path(__file__).resolve().parents[1]
 ARM, DATA = str(ROOT / "urdf" / "ur3.urdf"), paper_measurements()

@@ -17,11 +17,11 @@ from rich.progress import track
 from scipy.spatial.transform import Rotation
 
 from calib.calibration import Calibration, calibrate
-from calib.data import PAPER_TARGET, PAPER_TARGET_AS_PRINTED, paper_measurements, paper_urdf
-from calib.identify.statistics import Errors
-from calib.measure.cell import Cell, Priors
-from calib.measure.measurements import Measurements
-from calib.model.robot import Robot, read_only
+from calib.data.cell import Cell, Priors
+from calib.data.measurements import Measurements
+from calib.estimate.statistics import Errors
+from calib.example import PAPER_TARGET, PAPER_TARGET_AS_PRINTED, paper_measurements, paper_urdf
+from calib.robot.robot import Robot, read_only
 
 
 def cases() -> Iterator[tuple[str, Cell, str]]:

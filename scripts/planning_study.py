@@ -21,15 +21,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.data.surroundings import Box, Reflector, Tracker
 from calib.design.candidates import draw, planning_ranges
 from calib.design.forecast import Forecast, Sensitivity, Workspace
 from calib.design.plan import plan
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
-from calib.measure.surroundings import Box, Reflector, Tracker
-from calib.model.robot import Robot
-from calib.simulate.scenario import Scenario
-from calib.simulate.study import Study, Trials, study
+from calib.robot.robot import Robot
+from calib.simulation.scenario import Scenario
+from calib.simulation.study import Study, Trials, study
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGET = np.array([-0.06997, 0.07020, 0.02252])

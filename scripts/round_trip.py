@@ -27,9 +27,9 @@ import yourdfpy
 from numpy.typing import NDArray
 
 from calib.errors import UrdfError
-from calib.model.readback import random_joint_values
-from calib.model.robot import Robot, rigid_inverse
-from calib.model.urdf import Urdf
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.urdf import Urdf
 
 Array = NDArray[np.float64]
 

@@ -17,14 +17,14 @@ from collections.abc import Callable
 from functools import partial
 
 from calib.calibration import calibrate
-from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
-from calib.identify.fitting import Task, fit
-from calib.identify.setup import rows_of
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
-from calib.model.robot import Robot, read_only
-from calib.simulate.scenario import Scenario
-from calib.simulate.study import Trials, one_trial
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.estimate.fitting import Task, fit
+from calib.estimate.setup import rows_of
+from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
+from calib.robot.robot import Robot, read_only
+from calib.simulation.scenario import Scenario
+from calib.simulation.study import Trials, one_trial
 
 _RUNS, _FEW_RUNS = 200, 20
 

@@ -14,13 +14,13 @@ import tempfile
 from pathlib import Path
 
 from calib.calibration import calibrate
-from calib.data import PAPER_TARGET, paper_measurements, paper_urdf
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.example import PAPER_TARGET, paper_measurements, paper_urdf
 from calib.formats.origins import write_origins
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
-from calib.model.robot import Robot, read_only
-from calib.show.page import write_page
-from calib.show.report import write_report
+from calib.report.report import write_report
+from calib.robot.robot import Robot, read_only
+from calib.viewer.page import write_page
 
 DOCS = Path(__file__).parents[1] / "docs"
 

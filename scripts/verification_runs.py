@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from verification_truth import Truth, frame, joints_of
 
 from calib.calibration import Calibration
-from calib.measure.cell import Cell, GroupDistance
-from calib.measure.measurements import Measurements
+from calib.data.cell import Cell, GroupDistance
+from calib.data.measurements import Measurements
 from calib.model.error_model import error_model
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import rank_by_gap, steps
-from calib.model.robot import read_only
+from calib.robot.robot import read_only
 
 Array = NDArray[np.float64]
 
@@ -358,7 +358,7 @@ def _aligned(found: Array, true: Array, free: str) -> Array:
 
 def with_known_payload(run: Run) -> Run:
     """The run with the payload told to calib."""
-    from calib.model.torques import Payload
+    from calib.robot.torques import Payload
 
     payload = Payload(run.truth.payload, read_only(run.truth.com))
     return replace(run, cell=replace(run.cell, payload=payload))

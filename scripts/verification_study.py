@@ -5,7 +5,7 @@
     .venv/bin/python scripts/verification_study.py --only accuracy --only auto
 
 Seeds are fixed: every call gives the same numbers. Errors are drawn anew in each run, in the parameters that the robot
-is said to be wrong in; `verification_truth` makes the true positions without `calib.identify`, `verification_runs` the
+is said to be wrong in; `verification_truth` makes the true positions without `calib.estimate`, `verification_runs` the
 tables and the Cramer-Rao bounds.
 """
 
@@ -40,12 +40,12 @@ from verification_runs import (
 from verification_truth import ROBOTS, Truth, example_files, joints_of
 
 from calib.calibration import Calibration, calibrate
-from calib.identify.inspection import inspect
-from calib.identify.statistics import interval_factor
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.estimate.statistics import interval_factor
 from calib.model.parameters import FRAME
-from calib.model.robot import Robot
+from calib.result.inspection import inspect
+from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]
 Found = dict[str, Any]

@@ -1,4 +1,4 @@
-"""Robots that are wrong in a known way: the truth of `verification_study.py`, made without `calib.identify`.
+"""Robots that are wrong in a known way: the truth of `verification_study.py`, made without `calib.estimate`.
 
 Forward kinematics and gravity come from Pinocchio, on a model of the whole URDF that the true robot writes; the errors
 of the joints' state and the poses that bring a target to a socket or a plane are computed here.
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from calib.errors import UrdfError
 from calib.model.error_model import error_model
-from calib.model.readback import random_joint_values
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ import hypothesis
 import numpy as np
 import pytest
 
-import calib.data
-from calib.measure.measurements import Measurements
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+import calib.example
+from calib.data.measurements import Measurements
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 from tests.browser import CHROMIUM, NEEDED, Browser
 
 # How long an example takes says nothing of what it checks, and on a busy machine 0.2 s are soon over. The same examples
@@ -35,7 +35,7 @@ def pytest_configure() -> None:
 @pytest.fixture(scope="session")
 def ur3() -> Robot:
     """The paper's UR3, `base` to `tool0`."""
-    return Robot.load(calib.data.paper_urdf(), base="base", tip="tool0")
+    return Robot.load(calib.example.paper_urdf(), base="base", tip="tool0")
 
 
 @pytest.fixture(scope="session")
@@ -47,7 +47,7 @@ def panda() -> Robot:
 @pytest.fixture(scope="session")
 def paper_table() -> Measurements:
     """The paper's Table 2."""
-    return Measurements.read(calib.data.paper_measurements())
+    return Measurements.read(calib.example.paper_measurements())
 
 
 @pytest.fixture(scope="session")

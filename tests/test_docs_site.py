@@ -25,7 +25,7 @@ from typer.main import get_command
 
 import calib
 from calib.cli.program import app
-from calib.data import paper_measurements, paper_urdf
+from calib.example import paper_measurements, paper_urdf
 from tests.cli.conftest import calib_here
 
 ROOT = Path(__file__).parents[1]
@@ -101,7 +101,7 @@ def test_the_api_page_has_every_public_name_once():
     page = (DOCS / "api.rst").read_text(encoding="utf-8")
     listed = re.findall(r"^\.\. auto\w+:: calib\.(\w+)$", page, re.MULTILINE)
     assert sorted([*listed, "show"]) == sorted(calib.__all__)
-    assert "calib.show.live.show" in page
+    assert "calib.viewer.live.show" in page
 
 
 @pytest.mark.parametrize("page", ["api.rst", "api-parts.rst"])
@@ -214,7 +214,7 @@ ELSEWHERE = {
     "simulation.md": "tests/test_readme.py",
     "compensation.md": "tests/cli/test_compensate.py",
     "universal-robots.md": "tests/formats/test_universal_robots.py",
-    "view.md": "tests/show/test_live.py",
+    "view.md": "tests/viewer/test_live.py",
     "extending.md": "tests/test_extending.py",
 }
 

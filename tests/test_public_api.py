@@ -96,10 +96,10 @@ def test_types_checkers_see_the_same_names():
             assert thing is getattr(calib, name)
 
 
-@pytest.mark.parametrize("before", ["pass", "calib.show", "import calib.show.scene"])
+@pytest.mark.parametrize("before", ["pass", "import calib.viewer.scene"])
 def test_show_can_be_called_whatever_was_imported_before(before):
     # calib/show is a folder too, and importing from a folder sets calib's attribute of that name.
-    code = f"import calib; {before}; assert callable(calib.show), calib.show"
+    code = f"import calib; {before}; assert callable(calib.view), calib.view"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=CALIB.parent)
 
 

@@ -49,7 +49,7 @@ def test_the_python_example_runs(tmp_path, monkeypatch, capsys):
 
 
 def test_the_example_table_reads(tmp_path):
-    from calib.measure.measurements import Measurements
+    from calib.data.measurements import Measurements
 
     (table,) = blocks("csv")
     path = tmp_path / "data.csv"

@@ -14,7 +14,7 @@ from calib.errors import CalibError, choices
 
 if TYPE_CHECKING:
     from calib.fleets.fleet import FleetInputs, FleetRobot
-    from calib.model.urdf import Urdf
+    from calib.robot.urdf import Urdf
 
 NEEDED = ("name", "robot", "data")
 
@@ -32,8 +32,8 @@ def read_manifest(
         CalibError: It cannot be read, a column is missing, unknown or there twice, a row has no name, robot or data, or
             names are those of no folder or of two robots; or the command line is wrong whatever the robots are.
     """
+    from calib.data.table import Table
     from calib.fleets.fleet import FleetRobot, check_names
-    from calib.measure.table import Table
 
     parse_columns(columns)
     read_cell(**asdict(setup))
@@ -106,7 +106,7 @@ def _reader(
 
 def _source(robot: str, folder: Path) -> str:
     """The robot's file, with what stands behind a xacro, or its name in example-robot-data where it is no file."""
-    from calib.model.xacro_file import is_xacro
+    from calib.robot.xacro_file import is_xacro
 
     file = is_xacro(robot) or Path(robot).suffix or (folder / robot).is_file()
     if not file or Path(robot).is_absolute() or robot.startswith("~"):

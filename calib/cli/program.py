@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import typer
 
-from calib.cli.base_frame import base_frame
-from calib.cli.compare import compare
-from calib.cli.compensate import compensate
-from calib.cli.convert import convert
-from calib.cli.demo import demo
-from calib.cli.evaluate import evaluate
-from calib.cli.fit import fit
-from calib.cli.fleet import fleet
-from calib.cli.inspect import inspect
-from calib.cli.plan import plan
-from calib.cli.simulate import simulate
-from calib.cli.view import view
-from calib.cli.workspace import workspace
+from calib.cli.verbs.base_frame import base_frame
+from calib.cli.verbs.calibrate import fit
+from calib.cli.verbs.compare import compare
+from calib.cli.verbs.compensate import compensate
+from calib.cli.verbs.convert import convert
+from calib.cli.verbs.demo import demo
+from calib.cli.verbs.evaluate import evaluate
+from calib.cli.verbs.fleet import fleet
+from calib.cli.verbs.inspect import inspect
+from calib.cli.verbs.plan import plan
+from calib.cli.verbs.simulate import simulate
+from calib.cli.verbs.view import view
+from calib.cli.verbs.workspace import workspace
 
 app = typer.Typer(
     name="calib",

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from calib.cli.terminal import fill, row_ranges
 from calib.errors import CalibError, FileError, choices
+from calib.text.lines import fill, row_ranges
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from calib.identify.result import Calibration
-    from calib.measure.cell import Cell
-    from calib.measure.measurements import Measurements
-    from calib.model.robot import Robot
-    from calib.model.torques import Payload
+    from calib.data.cell import Cell
+    from calib.data.measurements import Measurements
+    from calib.result.calibration import Calibration
+    from calib.robot.robot import Robot
+    from calib.robot.torques import Payload
     from calib.units import Quantity
 
 #: The model that lets the data choose; it takes no families, for it tries them all.
@@ -39,7 +39,7 @@ def parse_point(text: str, option: str, quantity: Quantity = "length") -> NDArra
     Raises:
         CalibError: Anything else.
     """
-    from calib.model.robot import read_only
+    from calib.robot.robot import read_only
     from calib.units import UNITS, symbols
 
     # "22.5mm" is as clear as "22.5 mm".
@@ -67,7 +67,7 @@ def parse_frame(text: str) -> tuple[bool, tuple[str, ...]]:
     Raises:
         CalibError: Neither ``known`` nor ``estimate`` nor a list of directions such as ``x,y,rz``.
     """
-    from calib.kinds import DIRECTIONS
+    from calib.data.kinds import DIRECTIONS
 
     if text in ("known", "estimate"):
         return text == "estimate", DIRECTIONS
@@ -133,8 +133,8 @@ def check_model(text: str, source: str) -> None:
     Raises:
         CalibError: No such set or family, or a family twice.
     """
-    from calib.families import joint_families
     from calib.model.error_model import MODELS
+    from calib.model.families import joint_families
 
     if text == AUTO:
         return
@@ -153,7 +153,7 @@ def parse_payload(text: str, given: Payload | None) -> Payload:
     Raises:
         CalibError: No mass with a unit.
     """
-    from calib.model.torques import Payload as PayloadClass
+    from calib.robot.torques import Payload as PayloadClass
 
     match = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(kg|g)\s*", text)
     mass = float(f"{match[1]}{match[2] or ''}") * (1e-3 if match[3] == "g" else 1.0) if match else 0
@@ -233,7 +233,7 @@ def read_cell(
 
     The arguments are options as they are written; ``asdict`` of `calib.cli.options.CellOptions` has them.
     """
-    from calib.measure.cell import Cell
+    from calib.data.cell import Cell
 
     found = Cell() if cell is None else Cell.read(cell)
     said: dict[str, Any] = {
@@ -258,7 +258,7 @@ def read_cell(
 
 def load(robot: str, cell: Cell) -> Robot:
     """The robot's chain between the cell's base and tip, with the joints that the cell holds."""
-    from calib.model.robot import Robot
+    from calib.robot.robot import Robot
 
     return Robot.load(robot, cell.base, cell.tip, held=cell.held)
 
@@ -278,9 +278,9 @@ def load_with_data(
     Raises:
         CalibError: A file cannot be read or does not fit the other; or a unit of points that there are not.
     """
-    from calib.measure.measurements import Measurements
-    from calib.measure.table import Table
-    from calib.model.robot import Robot
+    from calib.data.measurements import Measurements
+    from calib.data.table import Table
+    from calib.robot.robot import Robot
 
     if points_unit is not None and points is None:
         raise CalibError(
@@ -303,7 +303,7 @@ def check_outputs(
     Raises:
         FileError: An output cannot be written.
     """
-    from calib.model.files import check_no_xacro, check_writable
+    from calib.files import check_no_xacro, check_writable
 
     taken = {Path(os.path.realpath(path)): "an input" for path in inputs}
     for path in outputs:

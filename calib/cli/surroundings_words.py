@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from calib.measure.cell import Cell
-    from calib.measure.surroundings import Box, Reflector, Tracker
-    from calib.model.robot import Robot
+    from calib.data.cell import Cell
+    from calib.data.surroundings import Box, Reflector, Tracker
+    from calib.robot.robot import Robot
 
 #: A joint may stand beyond a limit by this, for rounding [rad or m].
 _ROUNDING = 1e-4
@@ -44,7 +44,7 @@ def add_surroundings(
     Raises:
         CalibError: Words that cannot be read, or a noise by distance without a tracker.
     """
-    from calib.measure.surroundings import parse_noise
+    from calib.data.surroundings import parse_noise
 
     named = {box.name: box for box in (*cell.boxes, *parse_boxes(boxes))}
     said: dict[str, Any] = {"boxes": tuple(named.values())}
@@ -68,7 +68,7 @@ def add_surroundings(
 
 def parse_tracker(text: str, given: Tracker | None = None) -> Tracker:
     """``--tracker``: a position in the robot's base, such as ``2500 0 500 mm``; the rest is the given one's."""
-    from calib.measure.surroundings import Tracker
+    from calib.data.surroundings import Tracker
 
     position = parse_point(text, "--tracker")
     return Tracker(position) if given is None else replace(given, position=position)
@@ -76,8 +76,8 @@ def parse_tracker(text: str, given: Tracker | None = None) -> Tracker:
 
 def parse_reflector(text: str, given: Reflector | None = None) -> Reflector:
     """``--reflector``: the direction in the tip that it faces, such as ``0 0 1``; the rest is the given one's."""
-    from calib.measure.surroundings import Reflector
-    from calib.model.robot import read_only
+    from calib.data.surroundings import Reflector
+    from calib.robot.robot import read_only
 
     numbers = _floats(text.replace(",", " ").split())
     if len(numbers) != 3 or not any(numbers):
@@ -93,7 +93,7 @@ def parse_boxes(texts: Iterable[str]) -> tuple[Box, ...]:
     """Each ``--box``: ``NAME: X Y Z SX SY SZ UNIT``, centre in the robot's base and edges along its axes."""
     import numpy as np
 
-    from calib.measure.surroundings import Box, checked_boxes
+    from calib.data.surroundings import Box, checked_boxes
     from calib.units import UNITS, symbols
 
     boxes = []
@@ -136,8 +136,8 @@ def parse_ranges(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
 def parse_start(texts: Iterable[str], robot: Robot) -> NDArray[np.float64] | None:
     """``--start``: ``home`` (all joints at zero), or ``JOINT=VALUE UNIT`` for those that are not, shape (m,)."""
     from calib.cli.setup import parse_held
-    from calib.compensate.inverse import start_values
-    from calib.measure.ranges import column_limits, range_text
+    from calib.compensation.inverse import start_values
+    from calib.data.ranges import column_limits, range_text
 
     said = list(texts)
     if not said:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-import textwrap
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
@@ -16,7 +15,6 @@ import typer
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-WIDTH = 100
 
 #: How a verdict is coloured; the word says it too.
 VERDICTS = {
@@ -83,33 +81,6 @@ def command_line() -> str:
 def _written_out(control: re.Match[str]) -> str:
     r"""A control character as Python would print it, such as ``\x1b``."""
     return control[0].encode("unicode_escape").decode("ascii")
-
-
-def fill(text: str, indent: str = "", hang: str = "") -> str:
-    """One paragraph broken at 100 columns, nowhere within a name; ``hang`` is before every line but the first."""
-    return textwrap.fill(
-        text,
-        WIDTH,
-        initial_indent=indent,
-        subsequent_indent=indent + hang,
-        break_on_hyphens=False,
-        break_long_words=False,
-    )
-
-
-def row_ranges(rows: Iterable[int], limit: int = 12) -> str:
-    """Row numbers in words, runs of them as one: ``4, 7 to 9``; at most ``limit`` of these, then how many rows more."""
-    runs: list[list[int]] = []
-    for row in sorted(rows):
-        if runs and row == runs[-1][1] + 1:
-            runs[-1][1] = row
-        else:
-            runs.append([row, row])
-    said = [
-        str(a) if a == b else f"{a}{', ' if b == a + 1 else ' to '}{b}" for a, b in runs[:limit]
-    ]
-    rest = sum(b - a + 1 for a, b in runs[limit:])
-    return ", ".join(said) + (f" and {rest} more" if rest else "")
 
 
 @contextmanager

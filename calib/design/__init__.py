@@ -1,1 +1,1 @@
-"""Where to measure: workspace and region, candidates, the choice among them, their order, and what they will give."""
+"""Where to measure: workspace, region, collisions, optimal poses, forecasts. Imports result and below."""

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.data.ranges import column_limits, joint_ranges, range_text
 from calib.errors import ModelError
-from calib.measure.ranges import column_limits, joint_ranges, range_text
-from calib.model.robot import Robot, read_only
+from calib.robot.robot import Robot, read_only
 from calib.units import UNITS
 
 Array = NDArray[np.float64]
@@ -126,7 +126,7 @@ def planning_ranges(
 ) -> Array:
     """Lowest and highest joint values to plan with, shape (m, 2), [rad] or [m].
 
-    Those of `calib.measure.ranges.joint_ranges`, less a margin to the URDF's limits [rad]; of sliding joints 5 mm, if
+    Those of `calib.data.ranges.joint_ranges`, less a margin to the URDF's limits [rad]; of sliding joints 5 mm, if
     the margin is not 0.
 
     Raises:

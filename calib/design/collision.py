@@ -20,6 +20,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from pinocchio import hppfcl
 
+from calib.data.surroundings import Box, Reflector, Tracker, checked_boxes
 from calib.design.solids import (
     JOINED,
     SAMPLES,
@@ -33,10 +34,9 @@ from calib.design.solids import (
     rod,
 )
 from calib.errors import CalibError, choices
-from calib.measure.surroundings import Box, Reflector, Tracker, checked_boxes
-from calib.model.chain import full_configurations, full_model, link_frame
-from calib.model.readback import spread_poses
-from calib.model.robot import Robot
+from calib.robot.chain import full_configurations, full_model, link_frame
+from calib.robot.readback import spread_poses
+from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

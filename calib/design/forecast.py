@@ -15,16 +15,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
-import calib.kinds as registry
+import calib.data.kinds as registry
+from calib.data.cell import AUTO, Cell
+from calib.data.measurements import Measurements
+from calib.data.surroundings import Tracker
+from calib.data.table import DEFAULT_TARGET
 from calib.design.candidates import planning_ranges
 from calib.errors import MeasurementError, ModelError, choices
-from calib.families import FAMILIES
-from calib.identify.fitting import Task, model_of
-from calib.identify.inspection import GENERIC_TARGET, any_measurement
-from calib.identify.prediction import without_rigid_motion
-from calib.identify.registration import register
-from calib.identify.rows import Rows
-from calib.identify.setup import (
+from calib.estimate.fitting import Task, model_of
+from calib.estimate.registration import register
+from calib.estimate.rows import Rows
+from calib.estimate.setup import (
     FIRST_SIGMA_ANGLE,
     Setup,
     along_own_axes,
@@ -32,15 +33,14 @@ from calib.identify.setup import (
     setup_of,
     targets_along_tip,
 )
-from calib.measure.cell import AUTO, Cell
-from calib.measure.measurements import Measurements
-from calib.measure.surroundings import Tracker
-from calib.measure.table import DEFAULT_TARGET
+from calib.model.families import FAMILIES
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse
-from calib.model.readback import spread_between
-from calib.model.robot import Robot, read_only
-from calib.model.torques import gravity_load
+from calib.result.inspection import GENERIC_TARGET, any_measurement
+from calib.result.prediction import without_rigid_motion
+from calib.robot.readback import spread_between
+from calib.robot.robot import Robot, read_only
+from calib.robot.torques import gravity_load
 
 Array = NDArray[np.float64]
 

@@ -34,7 +34,7 @@ from calib.design.candidates import Pool
 from calib.design.forecast import Forecast, Sensitivity, Workspace, held, information
 from calib.errors import ModelError, choices
 from calib.model.observability import steps
-from calib.model.robot import read_only
+from calib.robot.robot import read_only
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int_]

@@ -15,15 +15,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calib.data.cell import Cell
+from calib.data.surroundings import check_outside
 from calib.design.candidates import Condition, draw, planning_ranges, turn_limits
 from calib.design.collision import HOLDER_RADIUS, CollisionModel, in_sight
 from calib.design.forecast import Forecast, Sensitivity
 from calib.design.optimal import check_asked, choose_poses
 from calib.design.region import Region
 from calib.design.route import Blocked, route
-from calib.measure.cell import Cell
-from calib.measure.surroundings import check_outside
-from calib.model.robot import Robot, read_only
+from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

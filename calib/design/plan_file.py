@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import calib.kinds as registry
+import calib.data.kinds as registry
+from calib.data.layout import Layout
+from calib.data.table import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, Table, name_columns
+from calib.data.values import Values
 from calib.design.forecast import Forecast
 from calib.design.plan import Plan
 from calib.errors import MeasurementError
-from calib.measure.layout import Layout
-from calib.measure.table import DEFAULT_TARGET, EXPECTED, POINT, QUATERNION, Table, name_columns
-from calib.measure.values import Values
-from calib.model.files import write_atomically
-from calib.model.robot import Robot, read_only
+from calib.files import write_atomically
+from calib.robot.robot import Robot, read_only
 from calib.version import __version__
 
 Array = NDArray[np.float64]

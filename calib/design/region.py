@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from calib.errors import CalibError, FileError, choices
-from calib.model.files import damage, json_bytes, read_json, write_atomically
-from calib.model.robot import Robot, read_only
+from calib.files import damage, json_bytes, read_json, write_atomically
+from calib.robot.robot import Robot, read_only
 from calib.version import __version__
 
 SCHEMA = "region 1"

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.design.candidates import rounded
-from calib.model.robot import Robot, read_only
+from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

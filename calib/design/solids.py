@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from pinocchio import hppfcl
 
 from calib.errors import CalibError, UrdfError
-from calib.model.chain import full_model, link_frame
-from calib.model.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf, UrdfJoint
+from calib.robot.chain import full_model, link_frame
+from calib.robot.meshes import LinkShape, find_mesh, link_shapes, load_mesh, mesh_folders
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf, UrdfJoint
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from calib.data.ranges import joint_ranges
+from calib.data.surroundings import vector
 from calib.design.region import Region, checked_box, checked_points, no_box, voxel_of
 from calib.errors import CalibError
-from calib.measure.ranges import joint_ranges
-from calib.measure.surroundings import vector
-from calib.model.robot import Robot, read_only
+from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 

@@ -1,1 +1,1 @@
-"""Many robots calibrated from a manifest, each into a folder of its own, and compared with each other."""
+"""Many robots at once. Imports report and below."""

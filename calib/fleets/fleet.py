@@ -21,17 +21,17 @@ from pathlib import Path
 import numpy as np
 
 from calib.calibration import calibrate
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.data.table import Table
 from calib.errors import CalibError
+from calib.estimate.jobs import run
+from calib.files import json_bytes, make_folder, write_atomically
 from calib.fleets.outliers import Odd, odd_ones
 from calib.fleets.record import DONE, FAILED, STALE, FleetRow, csv_bytes, fleet_table
-from calib.identify.jobs import run
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
-from calib.measure.table import Table
-from calib.model.files import json_bytes, make_folder, write_atomically
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf, read_urdf
-from calib.show.report import write_report
+from calib.report.report import write_report
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf, read_urdf
 from calib.units import split_header
 from calib.version import __version__
 

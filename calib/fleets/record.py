@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from calib.identify.result import Calibration
-from calib.measure.measurements import Measurements
-from calib.model.files import plain
+from calib.data.measurements import Measurements
+from calib.files import plain
 from calib.model.parameters import FRAME, TARGET
+from calib.result.calibration import Calibration
 
 SCHEMA = "fleet 1"
 

@@ -1,1 +1,1 @@
-"""Files of controllers and of ROS: DH tables, origins of joints, Universal Robots; read into robots and written."""
+"""Controllers' files and DH tables. Imports result and below."""

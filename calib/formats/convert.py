@@ -22,8 +22,8 @@ from calib.formats.universal_robots import read_ur, write_ur_conf, write_ur_yaml
 from calib.formats.ur_arms import UrModel
 from calib.formats.ur_files import Conf
 from calib.model.dh_table import HAYATI, MODIFIED, STANDARD
-from calib.model.readback import TOLERANCE, check_written, random_joint_values
-from calib.model.robot import Robot
+from calib.robot.readback import TOLERANCE, check_written, random_joint_values
+from calib.robot.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,12 +22,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import FileError, ModelError, choices
+from calib.files import json_bytes, write_atomically
 from calib.formats.origins import one_line
 from calib.model.dh import dh_table, near_parallel, taken_as_parallel
 from calib.model.dh_table import EQUATIONS, HAYATI, MODIFIED, STANDARD, DHRow, DHTable
-from calib.model.files import json_bytes, write_atomically
-from calib.model.readback import TOLERANCE, column_ranges, spread_between
-from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.robot.readback import TOLERANCE, column_ranges, spread_between
+from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 Record = dict[str, str]

@@ -23,8 +23,8 @@ import yaml
 from numpy.typing import NDArray
 
 from calib.errors import FileError, UrdfError, choices, did_you_mean
-from calib.model.files import read_bytes, write_atomically
-from calib.model.robot import Robot
+from calib.files import read_bytes, write_atomically
+from calib.robot.robot import Robot
 from calib.units import NUMBER
 
 FloatArray = NDArray[np.float64]

@@ -10,17 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.compensate.nominal_actual import differing_joint
+from calib.compensation.nominal_actual import differing_joint
 from calib.errors import CalibError, FileError, ModelError, choices
+from calib.files import read_bytes
 from calib.formats.origins import origins_of, parse_yaml, read_origins
 from calib.formats.universal_robots import read_ur
 from calib.formats.ur_arms import UrModel, ur_model, ur_robot
 from calib.formats.ur_mount import recognised, the_mount
-from calib.identify.result_file import read_result
-from calib.model.files import read_bytes
-from calib.model.readback import spread_poses
-from calib.model.robot import Robot
-from calib.model.xacro_file import is_xacro
+from calib.result.calibration_file import read_result
+from calib.robot.readback import spread_poses
+from calib.robot.robot import Robot
+from calib.robot.xacro_file import is_xacro
 
 Array = NDArray[np.float64]
 

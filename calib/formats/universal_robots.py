@@ -20,6 +20,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import FileError, ModelError, choices
+from calib.files import write_atomically
 from calib.formats.ur_arms import (
     MODELS,
     ROUNDING,
@@ -43,9 +44,8 @@ from calib.formats.ur_files import (
 )
 from calib.formats.ur_mount import FARTHEST, SPREAD, Mount, distance_from, the_mount
 from calib.model.anchoring import anchored_placements, check_same_joints
-from calib.model.files import write_atomically
-from calib.model.readback import random_joint_values
-from calib.model.robot import Robot, read_only
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 PathLike = str | os.PathLike[str]

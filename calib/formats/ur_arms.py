@@ -21,9 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, choices
 from calib.model.dh_table import screw
-from calib.model.kernel import turns_to
-from calib.model.robot import Robot, read_only, rigid_inverse
-from calib.model.urdf import Urdf
+from calib.robot.kernel import turns_to
+from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.urdf import Urdf
 
 Array = NDArray[np.float64]
 

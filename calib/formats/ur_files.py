@@ -30,10 +30,10 @@ import yaml
 from numpy.typing import NDArray
 
 from calib.errors import FileError, choices, did_you_mean
+from calib.files import read_bytes
 from calib.formats.origins import parse_yaml
 from calib.formats.ur_arms import COLUMNS, LINKS, FullDH
-from calib.model.files import read_bytes
-from calib.model.robot import read_only
+from calib.robot.robot import read_only
 from calib.units import NUMBER
 
 Array = NDArray[np.float64]

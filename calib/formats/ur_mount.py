@@ -25,7 +25,7 @@ from calib.formats.ur_arms import (
     frames_at_zero,
 )
 from calib.model.dh import zero_poses
-from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 

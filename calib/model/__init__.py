@@ -1,1 +1,1 @@
-"""Model: the robot's kinematics, nominal and with errors, out of a URDF."""
+"""What can be wrong with a robot and how it moves the target. Imports robot and below."""

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
-from calib.model.chain import read_only, rigid_inverse
-from calib.model.robot import Robot
-from calib.model.urdf import UrdfJoint
+from calib.robot.chain import read_only, rigid_inverse
+from calib.robot.robot import Robot
+from calib.robot.urdf import UrdfJoint
 
 Array = NDArray[np.float64]
 

@@ -33,7 +33,7 @@ from calib.model.dh_table import (
     dh_frames,
     screw,
 )
-from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.robot.robot import Robot, read_only, rigid_inverse
 
 __all__ = [
     "NEARLY_PARALLEL_RAD",

@@ -11,7 +11,7 @@ of any parameter is Pinocchio's placement regressor times its direction, carried
 
     dP'/dx_k = P' [Ad(exp(xi_(k+1) x_(k+1)) ...)^-1 xi_k]
 
-Errors that change with the joints' state (`calib.families`) act about the joint's own axis, times a known
+Errors that change with the joints' state (`calib.model.families`) act about the joint's own axis, times a known
 number of that state: the same columns of the regressor, times that number.
 """
 
@@ -25,8 +25,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
-from calib.families import ANGLE, LENGTH, ZERO, family_of, joint_families
 from calib.model.dh import dh_frames, dh_table, zero_poses
+from calib.model.families import ANGLE, LENGTH, ZERO, family_of, joint_families
 from calib.model.parameters import (
     FRAME,
     TARGET,
@@ -36,7 +36,7 @@ from calib.model.parameters import (
     frame_place,
     target_place,
 )
-from calib.model.robot import Robot, read_only, rigid_inverse
+from calib.robot.robot import Robot, read_only, rigid_inverse
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def error_model(
         name: ``paper`` or ``dh`` (a, alpha, d, theta of each DH row), ``hayati`` (beta in place of d where axes are
             nearly parallel), ``placement`` (all six of each joint), ``zeros`` (the joint zeros only) or ``frames``
             (no error of the robot at all); behind it, each with a "+", any of the families of the
-            joints' state (`calib.families`): ``"dh+compliance"``. Or the robot's own parameters themselves, each a
+            joints' state (`families`): ``"dh+compliance"``. Or the robot's own parameters themselves, each a
             twist at a placement: a set called `OWN`.
         frame: Whether the measurement frame is estimated too: True for all six parameters of the one frame, or for
             each set-up which of `DIRECTIONS` are (none for a frame that is known).

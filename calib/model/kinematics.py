@@ -3,7 +3,7 @@
     T_frame_target(x, q) = F D_F  T_base_tip(x, q + dq)  T D_T
 
 with the measurement frame F, the target T in the tip, the displacements D of `calib.model.error_model` and the
-joints' own errors dq of `joint_displacements`. The arithmetic is that of `calib.model.kernel`, for any number of
+joints' own errors dq of `joint_displacements`. The arithmetic is that of `calib.robot.kernel`, for any number of
 samples. No finite differences anywhere.
 """
 
@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import ModelError, choices
-from calib.families import JointState, family_of
-from calib.model import kernel
+from calib.model.families import JointState, family_of
 from calib.model.parameters import FRAME, TARGET, ErrorModel, Parameter
-from calib.model.robot import Robot, read_only
+from calib.robot import kernel
+from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import ModelError
-from calib.families import unit_of
-from calib.model.robot import read_only
+from calib.model.families import unit_of
+from calib.robot.robot import read_only
 
 #: A direction whose effect on the measurements is smaller than this share of the strongest one's cannot be
 #: identified: 1 mm of it moves the measured points by less than the repeatability of any arm.
@@ -47,7 +47,7 @@ class Combination:
         names: The parameters, in the model's order.
         steps: How much each changes, in its own unit, scaled so that the leading one, as a rule the first, changes
             by its declared step.
-        units: Of each, see `calib.families.unit_of`.
+        units: Of each, see `calib.model.families.unit_of`.
     """
 
     names: tuple[str, ...]

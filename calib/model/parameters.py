@@ -14,8 +14,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib.errors import ModelError, choices
-from calib.families import FAMILIES, Factor
-from calib.model.robot import Robot, read_only
+from calib.model.families import FAMILIES, Factor
+from calib.robot.robot import Robot, read_only
 
 Array = NDArray[np.float64]
 
@@ -42,11 +42,11 @@ class Parameter:
 
     Attributes:
         name: Unique, such as ``"d1"``, ``"elbow_joint.rx"`` or ``"target_x"``.
-        unit: The symbol of a `calib.families.Unit`: "m", "rad", "rad/Nm", ...
+        unit: The symbol of a `calib.model.families.Unit`: "m", "rad", "rad/Nm", ...
         place: A joint's name, `TIP`, or that of a frame or a target.
         direction: shape (6,), twist in the place's local frame, linear then angular, of a unit of the parameter. For
             errors that change with the joints' state: of a unit of the joint's displacement.
-        family: One of `calib.families.FAMILIES`, `FRAME` or `TARGET`.
+        family: One of `calib.model.families.FAMILIES`, `FRAME` or `TARGET`.
         nominal: The value that the parameter adds to, in its unit: the DH table's, or 0. A target's is where
             the cell says it is.
         factor: The known number of the joint's state that multiplies it; None for 1.

@@ -22,9 +22,9 @@ from typer.main import get_command
 
 from calib.cli import main
 from calib.cli.program import app
-from calib.data import paper_measurements, paper_urdf
-from calib.model.robot import Robot
-from tests.base_frame.virtual_sweeps import virtual_sweeps, write_sweeps
+from calib.example import paper_measurements, paper_urdf
+from calib.robot.robot import Robot
+from tests.circle_points.virtual_sweeps import virtual_sweeps, write_sweeps
 from tests.formats.ur_cases import CALIBRATIONS
 
 DOCS = Path(__file__).parents[2] / "docs"

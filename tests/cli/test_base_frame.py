@@ -9,12 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.data import PAPER_TARGET, paper_urdf
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
-from calib.model.readback import random_joint_values
-from calib.model.robot import Robot
-from tests.base_frame.virtual_sweeps import virtual_sweeps, write_sweeps
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.example import PAPER_TARGET, paper_urdf
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot
+from tests.circle_points.virtual_sweeps import virtual_sweeps, write_sweeps
 
 T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
 ROBOT = ("--robot", "robot.urdf", "--base", "base", "--tip", "tool0")

@@ -111,7 +111,7 @@ def test_the_document_s_examples_print_what_it_says(call, examples, tmp_path: Pa
 
 
 def test_both_forms_of_a_command_are_the_same(call, folder: Path, ur3):
-    from calib.compensate.program import read_program
+    from calib.compensation.program import read_program
 
     done = call(folder, "compensate", "robot.urdf", "program.csv", *RESULT, "-o", "c.csv")
     assert (done.code, done.err) == (0, "")
@@ -289,12 +289,12 @@ def test_positions_alone_leave_the_orientation_open(call, folder: Path):
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A virtual UR3 with compliances and a target that is turned, seen in two frames that were estimated."""
     from calib.calibration import calibrate
-    from calib.data import paper_urdf
-    from calib.identify.result_file import write_result
-    from calib.measure.cell import Cell
-    from calib.measure.measurements import Measurements
-    from calib.model.robot import Robot, read_only
-    from calib.model.torques import Payload, gravity_load
+    from calib.data.cell import Cell
+    from calib.data.measurements import Measurements
+    from calib.example import paper_urdf
+    from calib.result.calibration_file import write_result
+    from calib.robot.robot import Robot, read_only
+    from calib.robot.torques import Payload, gravity_load
 
     folder = tmp_path_factory.mktemp("large")
     shutil.copy(paper_urdf(), folder / "robot.urdf")

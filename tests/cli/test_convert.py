@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.model.robot import Robot
+from calib.robot.robot import Robot
 from tests.formats.forms import write_forms
 
 URDFS = Path(__file__).parents[2] / "urdf"

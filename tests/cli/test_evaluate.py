@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.model.robot import Robot
+from calib.robot.robot import Robot
 
 RESULT = ("--calibration", "result.json")
 EVALUATE = ("evaluate", "corrected.urdf", "data.csv", *RESULT)

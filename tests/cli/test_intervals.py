@@ -7,12 +7,12 @@ from dataclasses import replace
 import pytest
 
 from calib.calibration import Calibration, calibrate
-from calib.cli.fit import bootstrap_text, profile_text
-from calib.data import PAPER_TARGET
-from calib.identify.resampling import Profile
-from calib.identify.uncertainty import bootstrap
-from calib.measure.cell import Cell
-from calib.model.robot import read_only
+from calib.cli.verbs.calibrate import bootstrap_text, profile_text
+from calib.data.cell import Cell
+from calib.example import PAPER_TARGET
+from calib.result.resampling import Profile
+from calib.result.uncertainty import bootstrap
+from calib.robot.robot import read_only
 
 
 @pytest.fixture(scope="module")

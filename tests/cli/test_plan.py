@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.data.measurements import Measurements
 from calib.design.collision import CollisionModel
-from calib.measure.measurements import Measurements
-from calib.model.robot import Robot
+from calib.robot.robot import Robot
 
 FREE = ("plan", "robot.urdf", "--base", "base", "--tip", "tool0", "--no-collisions")
 QUICK = ("--model", "zeros", "--no-validate")

@@ -5,13 +5,13 @@ import re
 import numpy as np
 import pytest
 
-from calib.cli.plan import parse_ladder
 from calib.cli.surroundings_words import add_surroundings, parse_start
-from calib.cli.terminal import row_ranges
+from calib.cli.verbs.plan import parse_ladder
+from calib.data.cell import Cell
+from calib.data.surroundings import Tracker, TrackerNoise
 from calib.errors import CalibError
-from calib.measure.cell import Cell
-from calib.measure.surroundings import Tracker, TrackerNoise
-from calib.model.robot import Robot
+from calib.robot.robot import Robot
+from calib.text.lines import row_ranges
 
 
 def test_ladders():

@@ -17,9 +17,9 @@ import typer
 
 import calib
 from calib.cli.program import app
-from calib.measure.measurements import Measurements
-from calib.model.readback import random_joint_values
-from calib.model.robot import Robot
+from calib.data.measurements import Measurements
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot
 
 DOC = Path(__file__).parents[2] / "docs" / "command-line.md"
 HEAVY = ("numpy", "scipy", "pinocchio", "meshcat", "yourdfpy", "rich.progress")

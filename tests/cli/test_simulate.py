@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.measure.measurements import Measurements
-from calib.model.robot import Robot
+from calib.data.measurements import Measurements
+from calib.robot.robot import Robot
 
 ARM = ("--base", "base", "--tip", "tool0")
 

@@ -5,12 +5,12 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-import calib.cli.simulate as words
+import calib.cli.verbs.simulate as words
+from calib.data.cell import Cell
+from calib.data.surroundings import Tracker, TrackerNoise
 from calib.errors import CalibError
-from calib.measure.cell import Cell
-from calib.measure.surroundings import Tracker, TrackerNoise
 from calib.model.error_model import error_model
-from calib.simulate.truth import Encoder, Outliers
+from calib.simulation.truth import Encoder, Outliers
 
 CELL = Cell()
 TRACKER = Tracker(np.array([2.0, 1.0, 0.5]), noise=TrackerNoise(1e-5, 1e-6, 0.0))

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from calib.cli import surroundings_words as words
+from calib.data.cell import Cell
+from calib.data.surroundings import Box, Reflector, Tracker, TrackerNoise
 from calib.errors import CalibError
-from calib.measure.cell import Cell
-from calib.measure.surroundings import Box, Reflector, Tracker, TrackerNoise
 
 
 def test_a_tracker():

@@ -10,7 +10,8 @@ import sys
 
 import pytest
 
-from calib.cli.terminal import command_line, fill, progress_bar, say, stages_bar, styled
+from calib.cli.terminal import command_line, progress_bar, say, stages_bar, styled
+from calib.text.lines import fill
 
 TEXT = """Verdict: use with care
   Few rows.

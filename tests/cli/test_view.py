@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 from calib.cli.options import TableOptions
-from calib.cli.view import FOUND, asked_view
-from calib.measure.cell import Cell
+from calib.cli.verbs.view import FOUND, asked_view
+from calib.data.cell import Cell
 from tests.listening import listening
 
 SMALL = """<robot name="small">

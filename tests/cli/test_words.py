@@ -22,12 +22,12 @@ from calib.cli.setup import (
     parse_sweeps,
     read_cell,
 )
+from calib.data.cell import Cell
+from calib.data.kinds import DIRECTIONS
 from calib.errors import CalibError
-from calib.families import joint_families
-from calib.kinds import DIRECTIONS
-from calib.measure.cell import Cell
 from calib.model.error_model import MODELS
-from calib.model.torques import Payload
+from calib.model.families import joint_families
+from calib.robot.torques import Payload
 from calib.units import Angle, Length
 
 

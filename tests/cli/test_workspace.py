@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from calib.cli.workspace import parse_margins, parse_within
+from calib.cli.verbs.workspace import parse_margins, parse_within
 from calib.design.region import RegionFile
-from calib.model.robot import Robot
+from calib.robot.robot import Robot
 
 PAPER = (
     "robot.urdf", "--base", "base", "--tip", "tool0", "--target", "-69.97 70.20 22.52 mm", "--like", "data.csv",

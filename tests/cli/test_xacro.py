@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.data import paper_measurements
+from calib.example import paper_measurements
 from calib.formats.origins import origins_of, read_origins
-from calib.model.readback import random_joint_values
-from calib.model.robot import Robot
-from calib.model.urdf import read_urdf
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot
+from calib.robot.urdf import read_urdf
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "xacro.md").read_text(encoding="utf-8")

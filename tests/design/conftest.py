@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from calib.data import paper_urdf
-from calib.model.robot import Robot
+from calib.example import paper_urdf
+from calib.robot.robot import Robot
 
 
 @pytest.fixture(scope="session")

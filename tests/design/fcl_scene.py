@@ -9,10 +9,10 @@ import fcl
 import numpy as np
 import trimesh
 
-from calib.measure.surroundings import Box
-from calib.model.meshes import find_mesh, link_shapes, mesh_folders
-from calib.model.robot import Robot
-from calib.show.shapes import root_poses
+from calib.data.surroundings import Box
+from calib.robot.meshes import find_mesh, link_shapes, mesh_folders
+from calib.robot.robot import Robot
+from calib.viewer.shapes import root_poses
 
 
 @cache

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from calib.data.measurements import Measurements
+from calib.data.ranges import column_limits
 from calib.design.candidates import Condition, draw, planning_ranges, turn_limits
 from calib.errors import CalibError, ModelError
-from calib.measure.measurements import Measurements
-from calib.measure.ranges import column_limits
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 DEG = math.pi / 180.0
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import calib.data
+import calib.example
+from calib.data.cell import Cell, Priors
 from calib.design.candidates import Pool, draw, planning_ranges
 from calib.design.forecast import Forecast, Sensitivity, Workspace, covariance_root
 from calib.design.optimal import Choice, check_asked, choose_poses
 from calib.errors import ModelError
-from calib.measure.cell import Cell, Priors
 
 SIGMA = 1e-4
 
@@ -20,7 +20,7 @@ SIGMA = 1e-4
 @pytest.fixture(scope="module")
 def paper(ur3) -> Sensitivity:
     """The paper's target and its 23 identifiable parameters, without priors."""
-    target = np.array(calib.data.PAPER_TARGET)
+    target = np.array(calib.example.PAPER_TARGET)
     cell = Cell(target=target, model="hayati", priors=Priors(sizes="off"), sigma=SIGMA)
     return Sensitivity.of(ur3, cell)
 

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib import data
+from calib import example
+from calib.data.surroundings import Box
 from calib.design.collision import CollisionModel
 from calib.errors import CalibError, UrdfError
-from calib.measure.surroundings import Box
-from calib.model.readback import spread_poses
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.readback import spread_poses
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 from tests.design.fcl_scene import bodies, objects, touch
 
 #: Three turning joints in a plane, each 0.3 m behind the other, and a ball of 50 mm in front of each.
@@ -406,7 +406,7 @@ def test_a_robot_without_geometry():
 
 @cache
 def ur3() -> Robot:
-    return Robot.load(data.paper_urdf(), base="base", tip="tool0")
+    return Robot.load(example.paper_urdf(), base="base", tip="tool0")
 
 
 def fcl_touches(placed, pairs) -> bool:

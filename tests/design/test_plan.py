@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data import PAPER_TARGET
+from calib.data.cell import Cell, Priors
+from calib.data.surroundings import Box, Reflector, Tracker
 from calib.design.plan import Plan, plan
 from calib.design.region import Region
 from calib.errors import CalibError
-from calib.measure.cell import Cell, Priors
-from calib.measure.surroundings import Box, Reflector, Tracker
+from calib.example import PAPER_TARGET
 from tests.design.fcl_scene import bodies, objects, touch
 
 TARGET = np.array(PAPER_TARGET)

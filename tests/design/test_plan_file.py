@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.data import paper_measurements
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
 from calib.design.plan import plan
 from calib.design.plan_file import (
     SCHEMA,
@@ -20,10 +21,9 @@ from calib.design.plan_file import (
 )
 from calib.design.route import Blocked
 from calib.errors import MeasurementError
-from calib.identify.result_file import write_table
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
-from calib.model.robot import Robot
+from calib.example import paper_measurements
+from calib.result.calibration_file import write_table
+from calib.robot.robot import Robot
 
 CELL = Cell(target=np.array([0.05, 0.07, 0.03]), model="dh")
 

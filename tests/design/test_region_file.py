@@ -7,23 +7,23 @@ import json
 import numpy as np
 import pytest
 
-from calib import data
+from calib import example
+from calib.data.ranges import joint_ranges
 from calib.design.region import Region, RegionFile
 from calib.design.workspace import Density, sample_workspace
 from calib.errors import CalibError, FileError
-from calib.measure.ranges import joint_ranges
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 
 @pytest.fixture(scope="module")
 def ur3():
-    return Robot.load(data.paper_urdf(), base="base", tip="tool0")
+    return Robot.load(example.paper_urdf(), base="base", tip="tool0")
 
 
 @pytest.fixture(scope="module")
 def stored(ur3):
-    target, ranges = np.array(data.PAPER_TARGET), joint_ranges(ur3, {"elbow_joint": (0.1, 1.2)})
+    target, ranges = np.array(example.PAPER_TARGET), joint_ranges(ur3, {"elbow_joint": (0.1, 1.2)})
     points = sample_workspace(ur3, target, ranges, 2**13, 4)
     box = [[-0.4, -np.inf, -np.inf], [np.inf, np.inf, 0.6]]
     region = Density.of(points, box=box).region(0.9)

@@ -5,8 +5,8 @@ import pytest
 
 from calib.design.candidates import turn_limits
 from calib.design.route import detour, route, turning, with_whole_turns
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 WIDE = np.array([[-2.0 * np.pi, 2.0 * np.pi], [-np.pi, np.pi]])
 

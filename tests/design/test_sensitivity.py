@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.data.cell import Cell, Priors
+from calib.data.measurements import Measurements
+from calib.data.surroundings import Tracker, TrackerNoise
 from calib.design.forecast import Sensitivity, forecast
 from calib.errors import ModelError
-from calib.identify.calibration import calibrate
-from calib.identify.inspection import inspect
-from calib.identify.prediction import without_rigid_motion
-from calib.identify.setup import FIRST_SIGMA_ANGLE
-from calib.measure.cell import Cell, Priors
-from calib.measure.measurements import Measurements
-from calib.measure.surroundings import Tracker, TrackerNoise
+from calib.estimate.setup import FIRST_SIGMA_ANGLE
 from calib.model.kinematics import Kinematics, Samples
-from calib.model.readback import random_joint_values, spread_poses
-from calib.model.torques import Payload, gravity_load
+from calib.result.calibrate import calibrate
+from calib.result.inspection import inspect
+from calib.result.prediction import without_rigid_motion
+from calib.robot.readback import random_joint_values, spread_poses
+from calib.robot.torques import Payload, gravity_load
 
 TARGET = np.array([0.05, -0.06, 0.04])
 SIGMA = 1e-4

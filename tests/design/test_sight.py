@@ -8,11 +8,11 @@ import pytest
 import trimesh
 from hypothesis import assume, given, settings, strategies as st
 
-from calib import data
+from calib import example
+from calib.data.surroundings import Box, Reflector, Tracker
 from calib.design.collision import BEAM, NEST, CollisionModel, in_sight
-from calib.measure.surroundings import Box, Reflector, Tracker
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 from tests.design.fcl_scene import objects, placed, touch
 
 #: A post that turns about z, and on it a ball of 50 mm, 1 m away and beside the tip that is 1.5 m away.
@@ -126,13 +126,13 @@ def test_the_beam_is_not_looked_at_where_range_or_cone_refuse():
 
 # --- A real robot, against rays and FCL ----------------------------------------------------------------------------
 
-TARGET = np.array(data.PAPER_TARGET)
+TARGET = np.array(example.PAPER_TARGET)
 TRACKER = np.array([1.2, 0.3, 0.4])
 
 
 @cache
 def ur3() -> Robot:
-    return Robot.load(data.paper_urdf(), base="base", tip="tool0")
+    return Robot.load(example.paper_urdf(), base="base", tip="tool0")
 
 
 @cache

@@ -5,11 +5,11 @@ import re
 import numpy as np
 import pytest
 
-from calib import data
+from calib import example
 from calib.design.solids import read_solids
 from calib.errors import UrdfError
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
@@ -28,7 +28,7 @@ def urdf_with(folder, filename: str, more: str = "") -> Urdf:
 
 
 def test_the_ur3_has_seven_meshes_and_a_box():
-    solids, *rest = read_solids(Robot.load(data.paper_urdf(), base="base", tip="tool0").urdf)
+    solids, *rest = read_solids(Robot.load(example.paper_urdf(), base="base", tip="tool0").urdf)
     assert [s.link for s in solids][:2] == ["base_link", "shoulder_link"]
     assert len(solids) == 8
     assert rest == [(), ()]

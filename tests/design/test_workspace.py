@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from calib import data
+from calib import example
+from calib.data.measurements import Measurements
+from calib.data.ranges import joint_ranges
 from calib.design.workspace import MOST_VOXELS, Density, sample_workspace
 from calib.errors import CalibError
-from calib.measure.measurements import Measurements
-from calib.measure.ranges import joint_ranges
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 L1, L2 = 0.4, 0.3
 
@@ -47,12 +47,12 @@ def planar():
 
 @pytest.fixture(scope="module")
 def ur3():
-    return Robot.load(data.paper_urdf(), base="base", tip="tool0")
+    return Robot.load(example.paper_urdf(), base="base", tip="tool0")
 
 
 @pytest.fixture(scope="module")
 def paper(ur3):
-    return Measurements.read(data.paper_measurements(), ur3.joint_names, ur3.joint_types)
+    return Measurements.read(example.paper_measurements(), ur3.joint_names, ur3.joint_types)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def density_values(density: Density) -> np.ndarray:
 
 
 def of_paper(ur3, narrowed, count, seed):
-    return sample_workspace(ur3, data.PAPER_TARGET, narrowed, count, seed)
+    return sample_workspace(ur3, example.PAPER_TARGET, narrowed, count, seed)
 
 
 # What the paper says.

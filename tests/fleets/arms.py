@@ -6,11 +6,11 @@ import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
-import calib.data
+import calib.example
+from calib.data.cell import Cell
 from calib.fleets.fleet import FleetRobot
-from calib.measure.cell import Cell
-from calib.model.robot import Robot
-from calib.simulate.scenario import Scenario
+from calib.robot.robot import Robot
+from calib.simulation.scenario import Scenario
 
 TARGET = (-0.07, 0.07, 0.0225)
 
@@ -26,7 +26,7 @@ def scenario(robot: Robot) -> Scenario:
 def arms(folder: Path, robot: Robot, numbers: Iterable[int]) -> list[FleetRobot]:
     """Arms whose files stand in a folder: ``robot.urdf``, and ``arm-0.csv`` and so on with 12 poses."""
     what = scenario(robot)
-    shutil.copy(calib.data.paper_urdf(), folder / "robot.urdf")
+    shutil.copy(calib.example.paper_urdf(), folder / "robot.urdf")
     made = []
     for k in numbers:
         path = folder / f"arm-{k}.csv"

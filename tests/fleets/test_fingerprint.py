@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from calib.data.cell import Cell
+from calib.data.surroundings import Tracker
 from calib.fleets.fleet import fingerprint
-from calib.measure.cell import Cell
-from calib.measure.surroundings import Tracker
 
 VALUES = st.recursive(
     st.none()

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.data.measurements import Measurements
 from calib.fleets.outliers import FEWEST, limit, odd_ones, scores
 from calib.fleets.record import FleetParameter, FleetRow, measured_hash
-from calib.measure.measurements import Measurements
 
 
 def row(k: int, rng: np.random.Generator, parameters: int = 10) -> FleetRow:

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-import calib.data
+import calib.example
 from calib.calibration import calibrate
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
 from calib.formats.convert import Wanted, write_target
 from calib.formats.sources import Asked, read_source
-from calib.identify.result_file import write_result
-from calib.measure.cell import Cell
-from calib.measure.measurements import Measurements
-from calib.model.robot import Robot
+from calib.result.calibration_file import write_result
+from calib.robot.robot import Robot
 from tests.formats.ur_cases import CALIBRATIONS
 
 UR3 = next(case for case in CALIBRATIONS if case["robot"] == "UR3")
@@ -31,9 +31,9 @@ def write_conf(case: dict, path: Path) -> Path:
 
 def write_forms(folder: Path) -> Path:
     """robot.urdf, result.json, corrected.urdf, origins.yaml; calibration.conf and its kinematics.yaml."""
-    (folder / "robot.urdf").write_bytes(Path(calib.data.paper_urdf()).read_bytes())
+    (folder / "robot.urdf").write_bytes(Path(calib.example.paper_urdf()).read_bytes())
     arm = Robot.load(folder / "robot.urdf", "base", "tool0")
-    table = Measurements.read(calib.data.paper_measurements(), arm.joint_names, arm.joint_types)
+    table = Measurements.read(calib.example.paper_measurements(), arm.joint_names, arm.joint_types)
     cell = Cell(target=np.array([-0.07, 0.07, 0.0225]), model="dh")
     found = calibrate(arm, table, cell=cell, validate=False)
     write_result(found, folder / "result.json")

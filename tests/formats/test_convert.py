@@ -14,7 +14,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-import calib.data
+import calib.example
 from calib.cli.setup import parse_held
 from calib.errors import CalibError, FileError, ModelError, UrdfError
 from calib.formats.convert import (
@@ -27,14 +27,14 @@ from calib.formats.sources import Asked, Source, read_source, source_kind
 from calib.formats.universal_robots import write_ur_conf
 from calib.formats.ur_arms import FullDH, ur_model
 from calib.formats.ur_files import Conf
-from calib.identify.result_file import write_result
 from calib.model.dh import dh_table
-from calib.model.robot import Robot
+from calib.result.calibration_file import write_result
+from calib.robot.robot import Robot
 from tests.formats.forms import UR3, write_conf, write_forms
 from tests.formats.ur_cases import CALIBRATIONS, rows, write_deltas
-from tests.show.calibrations import made
+from tests.hard_cases import made
 
-URDF = str(calib.data.paper_urdf())
+URDF = str(calib.example.paper_urdf())
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 #: A UR3 and the case with d2 = 439 m.
 CASES = [case for case in CALIBRATIONS if case["robot"] in ("UR3", "UR10e")][:2]

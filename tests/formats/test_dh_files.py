@@ -13,8 +13,8 @@ from calib.errors import FileError, ModelError
 from calib.formats.dh_files import ENDINGS, DHTables, write_dh
 from calib.model.dh import dh_table
 from calib.model.dh_table import CONVENTIONS
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 #: The columns, in the order of the factors of a row, and how each is entered into the product.
 FACTORS = {

@@ -17,9 +17,9 @@ from calib.formats.origins import (
     read_origins,
     write_origins,
 )
-from calib.model.readback import random_joint_values
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 URDF = Path(__file__).parents[2] / "urdf"
 

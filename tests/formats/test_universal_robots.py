@@ -14,8 +14,8 @@ from calib.formats.universal_robots import (
     write_ur_yaml,
 )
 from calib.formats.ur_arms import FullDH, UrModel, ur_model, ur_robot
-from calib.model.readback import check_written
-from calib.model.robot import Robot
+from calib.robot.readback import check_written
+from calib.robot.robot import Robot
 from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
 
 Q = np.random.default_rng(12).uniform(-2 * np.pi, 2 * np.pi, (100, 6))

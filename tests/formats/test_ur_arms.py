@@ -17,7 +17,7 @@ from calib.formats.ur_arms import (
     ur_robot,
 )
 from calib.formats.ur_mount import recognised
-from calib.model.readback import check_written
+from calib.robot.readback import check_written
 from tests.formats.ur_cases import CALIBRATIONS, CASES, WITH_DELTAS, rows
 
 Q = np.random.default_rng(6).uniform(-2 * np.pi, 2 * np.pi, (100, 6))

@@ -7,8 +7,8 @@ import pytest
 from calib.errors import ModelError
 from calib.formats.ur_arms import FullDH, chain_poses, ur_model, ur_robot
 from calib.formats.ur_mount import mount, recognised, the_mount
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 Q = np.random.default_rng(8).uniform(-np.pi, np.pi, (20, 6))
 

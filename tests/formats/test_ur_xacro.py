@@ -13,7 +13,7 @@ import pytest
 from calib.formats.universal_robots import read_ur, write_ur_yaml
 from calib.formats.ur_arms import LINKS
 from calib.formats.ur_mount import recognised
-from calib.model.robot import Robot
+from calib.robot.robot import Robot
 from tests.formats.ur_cases import WITH_DELTAS, rows, write_deltas
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")

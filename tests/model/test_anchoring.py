@@ -7,8 +7,8 @@ from hypothesis import given, settings, strategies as st
 
 from calib.errors import ModelError
 from calib.model.anchoring import anchored_placements, check_same_joints
-from calib.model.chain import rigid_inverse
-from calib.model.robot import Robot
+from calib.robot.chain import rigid_inverse
+from calib.robot.robot import Robot
 
 Z, Y = (0, 0, 1), (0, 1, 0)
 

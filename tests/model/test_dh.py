@@ -17,8 +17,8 @@ from calib.model.dh import (
     taken_as_parallel,
 )
 from calib.model.dh_table import CONVENTIONS
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 FILES = sorted(
     Path(str(file.locate()))

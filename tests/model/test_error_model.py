@@ -4,18 +4,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.data import PAPER_TARGET
 from calib.errors import ModelError
-from calib.families import ANGLE, LENGTH, ZERO, joint_families
+from calib.example import PAPER_TARGET
 from calib.model.dh import DHTable, dh_table, zero_poses
 from calib.model.error_model import (
     DIRECTIONS,
     error_model,
 )
+from calib.model.families import ANGLE, LENGTH, ZERO, joint_families
 from calib.model.kinematics import Kinematics
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 COMPLIANCE, ECCENTRICITY, GAIN = "compliance", "eccentricity", "gain"
 

@@ -5,12 +5,12 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import ModelError
-from calib.families import joint_families
 from calib.model.error_model import error_model, joint_parameters
+from calib.model.families import joint_families
 from calib.model.kinematics import Kinematics, Samples, joint_displacements
-from calib.model.robot import Robot
-from calib.model.torques import Payload, gravity_load
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.torques import Payload, gravity_load
+from calib.robot.urdf import Urdf
 
 GAIN, ECCENTRICITY, COMPLIANCE = "gain", "eccentricity", "compliance"
 

@@ -6,14 +6,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib.data import PAPER_TARGET
 from calib.errors import ModelError
-from calib.families import LENGTH
+from calib.example import PAPER_TARGET
 from calib.model.error_model import DIRECTIONS, error_model
+from calib.model.families import LENGTH
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
-from calib.model.robot import Robot
-from calib.model.urdf import Urdf
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
 
 SETS = ("dh", "hayati", "placement", "zeros", "frames")
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from calib.data import PAPER_TARGET
 from calib.errors import ModelError
-from calib.families import ANGLE, LENGTH, unit_of
+from calib.example import PAPER_TARGET
 from calib.model.error_model import error_model
+from calib.model.families import ANGLE, LENGTH, unit_of
 from calib.model.kinematics import Kinematics, Samples
 from calib.model.observability import Observability, analyse, rank_by_gap
 from calib.model.parameters import FRAME, TARGET, TIP, ErrorModel, Parameter
-from calib.model.robot import Robot
-from calib.model.torques import Payload, gravity_load
+from calib.robot.robot import Robot
+from calib.robot.torques import Payload, gravity_load
 
 ON_AXIS_6 = (0.0, 0.0, 0.05)
 

@@ -5,10 +5,10 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from calib.data import paper_urdf
 from calib.errors import ModelError, UrdfError
-from calib.families import ANGLE, FAMILIES, LENGTH, ZERO, Factor
+from calib.example import paper_urdf
 from calib.model.error_model import error_model
+from calib.model.families import ANGLE, FAMILIES, LENGTH, ZERO, Factor
 from calib.model.parameters import (
     FRAME,
     TARGET,
@@ -16,7 +16,7 @@ from calib.model.parameters import (
     ErrorModel,
     Parameter,
 )
-from calib.model.robot import Robot
+from calib.robot.robot import Robot
 
 COMPLIANCE, ECCENTRICITY, GAIN = "compliance", "eccentricity", "gain"
 

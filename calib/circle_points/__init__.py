@@ -1,0 +1,1 @@
+"""Circle-point analysis: a base frame and joint axes from sweeps of single joints. Imports result and below."""

@@ -1,0 +1,389 @@
+"""Planes and circles through points in space by least squares of the orthogonal distances, with their uncertainty.
+
+A point p lies off a circle (centre c, unit normal n, radius r) by two distances, in the circle's plane and across it:
+
+    radial = |p - c - axial n| - r          axial = n . (p - c)
+
+and the fit is the minimum of the weighted sum of their squares. Under equal noise in x, y, z that is the
+maximum-likelihood fit, and its centre has no essential bias on short arcs either (A. Al-Sharadqah and N. Chernov,
+Electronic Journal of Statistics 3, 2009). A plane is the total least-squares one. Uncertainties are covariances of
+small displacements along the columns (u, v, normal) of the figure's own basis, sigma^2 (J^T W J)^-1.
+
+A gross point is one whose own displacement explains so much that chance does not: with the point's k residuals e and
+their block H of the hat matrix, giving the point its own displacement lowers the sum of squares by e^T (I - H)^-1 e,
+which over the rest is F(k, dof - k). The largest of N points counts where N times its tail is below 0.001; then the
+point is left out, the fit made again, and the next one looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.special import chdtrc, fdtrc
+
+from calib.errors import CalibError
+from calib.robot.robot import read_only
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Fewest points: those that determine the figure and one more, or there is nothing to tell the noise from.
+FEWEST = 4
+
+#: Points that stay within this do not move, rms about their mean [m].
+STILL_M = 1e-3
+
+#: No instrument is better than this, and without noise there is no covariance [m].
+FLOOR_M = 1e-9
+
+#: Chance of a finding where there is nothing but noise.
+LEVEL = 1e-3
+
+#: At most this share of the points is gross; more of them are no outliers.
+_SHARE = 0.1
+
+# Lines and spots: spread along the second axis, in that along the first one or in the noise.
+_THIN = 1e-9
+_IN_NOISE = 1.5
+
+# Of a radius that is not known to this share of itself neither is the centre.
+_VAGUE = 0.25
+
+_FURTHER = "Let the joint turn further, or fix the target further from its axis"
+_TOO_SHORT = f"the arc is too short for its noise: no circle can be told from others. {_FURTHER}"
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """The noise of a fit's points.
+
+    Attributes:
+        estimate: Standard deviation of one coordinate from the residuals [m].
+        freedom: The degrees of freedom it is estimated with.
+        given: The one that was given, root of the mean square over the points [m]; None where none was.
+    """
+
+    estimate: float
+    freedom: int
+    given: float | None
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the residuals are larger than the given noise makes them, at `LEVEL`."""
+        if self.given is None:
+            return False
+        return bool(chdtrc(self.freedom, self.freedom * (self.estimate / self.given) ** 2) < LEVEL)
+
+    @property
+    def sigma(self) -> float:
+        """What the covariance is made with: the noise as given, if it was and the residuals allow it [m]."""
+        sigma = self.estimate if self.given is None or self.contradicted else self.given
+        return max(sigma, FLOOR_M)
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of ``sigma``; infinite where it was given."""
+        return float(self.freedom) if self.given is None or self.contradicted else np.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """A plane through N points.
+
+    Attributes:
+        point: On the plane, the points' weighted mean, shape (3,) [m].
+        basis: Columns u, v, normal; shape (3, 3). The normal's sense means nothing.
+        covariance: shape (3, 3), of the displacement along the normal at ``point`` [m] and of the normal's tilt towards
+            u and v [rad].
+        residuals: Signed distances of all points, shape (N, 1) [m].
+        used: Which points the plane is fitted to, shape (N,).
+        gross: Which points are gross, used or not, shape (N,).
+        scatter: What is known of the noise.
+    """
+
+    point: Array
+    basis: Array
+    covariance: Array
+    residuals: Array
+    used: Mask
+    gross: Mask
+    scatter: Scatter
+
+    @property
+    def normal(self) -> Array:
+        """Unit normal, shape (3,); a circle's positive angles turn about it."""
+        return self.basis[:, 2]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Circle(Plane):
+    """A circle through N points; what the points do along it is not part of the fit.
+
+    Its ``point`` is the centre, u points from there to the middle of the arc. Residuals are radial and axial, shape
+    (N, 2) [m]; the covariance, shape (6, 6), is of the centre's displacement along u, v, normal [m], of the normal's
+    tilt towards u and v [rad], and of the radius [m].
+
+    Attributes:
+        radius: [m].
+        angles: Of the points about the normal, from u, in (-pi, pi], shape (N,) [rad].
+    """
+
+    radius: float
+    angles: Array
+
+    @property
+    def center(self) -> Array:
+        """The centre, shape (3,) [m]."""
+        return self.point
+
+    @property
+    def arc(self) -> float:
+        """The angle that the points cover: a full turn less the largest gap between neighbours [rad]."""
+        return 2.0 * np.pi - _largest_gap(self.angles[self.used])[1]
+
+    def turned(self) -> Circle:
+        """The same circle with the opposite normal."""
+        # (u, v, n) -> (u, -v, -n): what is along v or n changes its sign; a tilt towards u does through n, and one
+        # towards v through both.
+        signs = np.array([1.0, -1.0, -1.0, -1.0, 1.0, 1.0])
+        return replace(
+            self,
+            basis=read_only(self.basis * [1.0, -1.0, -1.0]),
+            covariance=read_only(self.covariance * np.outer(signs, signs)),
+            residuals=read_only(self.residuals * [1.0, -1.0]),
+            angles=read_only(-self.angles),
+        )
+
+
+class Fit(NamedTuple):
+    """A figure through some of the points: residuals (N, k) [m] and their Jacobian (N, k, p) are of all of them."""
+
+    residuals: Array
+    jacobian: Array
+    point: Array
+    basis: Array
+    radius: float = np.inf
+
+
+def fit_plane(points: Array, sigma: Array | None = None, *, robust: bool = True) -> Plane:
+    """The total least-squares plane.
+
+    Args:
+        points: shape (N, 3), [m].
+        sigma: Standard deviation of a coordinate of each point, shape (N,) [m]; None: alike, found from the residuals.
+        robust: Whether gross points are left out.
+
+    Raises:
+        CalibError: Fewer than four points, or points on a line.
+    """
+    found, more = _judged(_plane_fit, points, sigma, "a plane", robust=robust)
+    return Plane(read_only(found.point), read_only(found.basis), *more)
+
+
+def fit_circle(points: Array, sigma: Array | None = None, *, robust: bool = True) -> Circle:
+    """The circle of least orthogonal distances; arguments as for `fit_plane`.
+
+    Raises:
+        CalibError: Fewer than four points, points on a line, or an arc too short for its noise.
+    """
+    try:
+        found, more = _judged(_circle_fit, points, sigma, "a circle", robust=robust)
+    except np.linalg.LinAlgError as error:  # the radius has no effect that the centre has not
+        raise CalibError(_TOO_SHORT) from error
+    if not 0.0 <= more[0][5, 5] <= (_VAGUE * found.radius) ** 2:
+        raise CalibError(_TOO_SHORT)
+    return Circle(
+        read_only(found.point),
+        read_only(found.basis),
+        *more,
+        found.radius,
+        read_only(_angles(points, found.point, found.basis)),
+    )
+
+
+def circle_residuals(
+    points: Array, center: Array, basis: Array, radius: float
+) -> tuple[Array, Array]:
+    """Radial and axial distances of points (N, 3) from a circle, shape (N, 2) [m], and their Jacobian (N, 2, 6).
+
+    By the centre's displacement along u, v, normal, the columns of the basis, the normal's tilt towards u and v, and
+    the radius.
+    """
+    local = (points - center) @ basis
+    axial = local[:, 2]
+    across = np.hypot(local[:, 0], local[:, 1])
+    # A point on the axis has no direction in the plane; any will do.
+    e = local[:, :2] / np.where(across > 0.0, across, 1.0)[:, None]
+    J = np.zeros((len(points), 2, 6))
+    J[:, 0, :2] = -e
+    J[:, 0, 3:5] = -axial[:, None] * e
+    J[:, 0, 5] = -1.0
+    J[:, 1, 2] = -1.0
+    J[:, 1, 3:5] = local[:, :2]
+    return np.stack([across - radius, axial], axis=1), J
+
+
+def all_but_gross(fit: Callable[[Mask], Fit], weights: Array) -> Mask:
+    """Which points are not gross, shape (N,), by the fit to those used and the weights of all points, shape (N,)."""
+    used = np.ones(len(weights), dtype=np.bool_)
+    for _ in range(max(1, int(_SHARE * len(weights)))):
+        residuals, jacobian, *_ = fit(used)
+        count, k, p = jacobian[used].shape
+        rest = count * k - p - k
+        if rest < k + 1:
+            break
+        root = np.sqrt(weights[used])
+        e = root[:, None] * residuals[used]
+        J = (root[:, None, None] * jacobian[used]).reshape(-1, p)
+        Q = np.linalg.qr(J)[0].reshape(count, k, p)
+        free = np.eye(k) - Q @ np.swapaxes(Q, 1, 2)
+        # A point that alone holds a direction of the fit has no residual there to judge it by.
+        judged = np.linalg.eigvalsh(free)[:, 0] > 1e-6
+        drop = np.zeros(count)
+        own = np.linalg.solve(free[judged], e[judged][..., None])[..., 0]
+        drop[judged] = np.einsum("ni,ni->n", e[judged], own)
+        worst, whole = int(np.argmax(drop)), float(np.sum(e**2))
+        left = max(whole - drop[worst], np.finfo(np.float64).eps * whole)
+        if drop[worst] <= 0.0 or count * fdtrc(k, rest, drop[worst] / k / (left / rest)) >= LEVEL:
+            break
+        used[np.flatnonzero(used)[worst]] = False
+    return used
+
+
+def _judged(
+    figure: Callable[[Array, Array, Mask], Fit],
+    points: Array,
+    sigma: Array | None,
+    what: str,
+    *,
+    robust: bool,
+) -> tuple[Fit, tuple[Array, Array, Mask, Mask, Scatter]]:
+    """A fit, its covariance and residuals, which points are used and which are gross, and the noise."""
+    if len(points) < FEWEST:
+        raise CalibError(
+            f"there are {len(points)} points, {what} with its uncertainty needs {FEWEST} at least and should have 10 "
+            "or more. Measure more"
+        )
+    # Their harmonic mean is 1: of the noise's variance, in its own unit.
+    weights = np.asarray(
+        np.ones(len(points)) if sigma is None else np.mean(sigma**2) / sigma**2, dtype=np.float64
+    )
+    fit = partial(figure, points, weights)
+    clean = all_but_gross(fit, weights)
+    used = clean if robust else np.ones_like(clean)
+    found = fit(used)
+    J = found.jacobian[used].reshape(-1, found.jacobian.shape[-1])
+    w = np.repeat(weights[used], found.residuals.shape[1])
+    e = found.residuals[used].ravel()
+    given = None if sigma is None else float(np.sqrt(np.mean(sigma**2)))
+    freedom = len(e) - J.shape[1]
+    scatter = Scatter(float(np.sqrt(w @ e**2 / freedom)), freedom, given)
+    # Lengths beside angles: scaled before the inversion.
+    norm = np.sqrt(w @ J**2)
+    inverse = np.linalg.inv((J / norm).T @ (w[:, None] * (J / norm))) / np.outer(norm, norm)
+    covariance = read_only(scatter.sigma**2 * inverse)
+    gross = ~clean
+    for mask in (used, gross):
+        mask.setflags(write=False)
+    return found, (covariance, read_only(found.residuals), used, gross, scatter)
+
+
+def _plane_fit(points: Array, weights: Array, used: Mask) -> Fit:
+    """The plane of the points used."""
+    place = "no plane lies through them alone. Touch it at places that are well apart, not in a row"
+    point, basis = _principal_axes(points[used], weights[used], place)
+    local = (points - point) @ basis
+    J = np.concatenate([-np.ones((len(points), 1)), local[:, :2]], axis=1)[:, None, :]
+    return Fit(local[:, 2:], J, point, basis)
+
+
+def _circle_fit(points: Array, weights: Array, used: Mask) -> Fit:
+    """The circle of the points used: Levenberg-Marquardt from the algebraic circle in their plane, in its radius."""
+    some, w = points[used], weights[used]
+    mean, axes = _principal_axes(some, w, f"no circle lies through them. {_FURTHER}")
+    # x^2 + y^2 = 2 a x + 2 b y + c
+    xy = (some - mean) @ axes[:, :2]
+    design = np.column_stack([2.0 * xy, np.ones(len(xy))])
+    a, b, c = np.linalg.lstsq(design, (xy**2).sum(axis=1), rcond=None)[0]
+    start, size = mean + axes @ [a, b, 0.0], float(np.sqrt(a * a + b * b + c))
+    B = _basis(some, start, axes)
+    local, root = (some - start) / size, np.sqrt(w / w.mean())[:, None]
+
+    def at(x: Array) -> tuple[Array, Array, float]:
+        """Centre, basis and radius of the circle displaced by x."""
+        n = B @ np.array([x[3], x[4], 1.0])
+        return B @ x[:3], _frame(n / np.linalg.norm(n), B[:, 0]), 1.0 + float(x[5])
+
+    eps = float(np.finfo(np.float64).eps)
+    try:
+        found = least_squares(
+            lambda x: (root * circle_residuals(local, *at(x))[0]).ravel(),
+            np.zeros(6),
+            # By displacements of the circle at x, which span what those of x do: the minimum is the same.
+            lambda x: (root[..., None] * circle_residuals(local, *at(x))[1]).reshape(-1, 6),
+            method="lm",
+            xtol=eps,
+            ftol=eps,
+            gtol=eps,
+        )
+    except (ValueError, np.linalg.LinAlgError) as error:  # on its way to a circle of no size
+        raise CalibError(_TOO_SHORT) from error
+    if found.status <= 0:
+        raise CalibError(_TOO_SHORT)
+    center, basis, radius = at(found.x)
+    center, radius = start + size * center, size * radius
+    basis = _basis(some, center, basis)
+    return Fit(*circle_residuals(points, center, basis, radius), center, basis, radius)
+
+
+def _principal_axes(points: Array, weights: Array, consequence: str) -> tuple[Array, Array]:
+    """Weighted mean (3,) [m] and principal axes (3, 3), the longest first; points on a spot or a line are refused."""
+    mean: Array = weights @ points / weights.sum()
+    share = np.sqrt(weights / weights.sum())
+    _, spread, rows = np.linalg.svd(share[:, None] * (points - mean), full_matrices=False)
+    if np.linalg.norm(spread) < STILL_M:
+        raise CalibError(
+            f"the points stay within {1e3 * np.linalg.norm(spread):.2g} mm of their mean: {consequence}"
+        )
+    if spread[1] <= max(_THIN * spread[0], _IN_NOISE * spread[2]):
+        raise CalibError(
+            f"the points lie on a line (they spread over {1e3 * spread[0]:.3g} mm along it and {1e3 * spread[1]:.3g} "
+            f"mm across): {consequence}"
+        )
+    basis = rows.T.copy()
+    basis[:, 2] *= np.sign(np.linalg.det(basis))
+    return mean, basis
+
+
+def _basis(points: Array, center: Array, basis: Array) -> Array:
+    """The basis of a circle, about its normal, with u towards the middle of the arc."""
+    start, gap = _largest_gap(_angles(points, center, basis))
+    middle = start + gap + 0.5 * (2.0 * np.pi - gap)  # the arc begins behind the largest gap
+    return _frame(basis[:, 2], basis @ np.array([np.cos(middle), np.sin(middle), 0.0]))
+
+
+def _largest_gap(angles: Array) -> tuple[float, float]:
+    """Where the largest gap between neighbouring angles begins, and how large it is [rad]."""
+    ordered = np.sort(angles)
+    gaps = np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
+    k = int(np.argmax(gaps))
+    return float(ordered[k]), float(gaps[k])
+
+
+def _frame(normal: Array, near: Array) -> Array:
+    """A right-handed basis, columns u, v, normal, with u as near as possible to a direction; shape (3, 3)."""
+    u = near - normal * (normal @ near)
+    u = u / np.linalg.norm(u)
+    return np.column_stack([u, np.cross(normal, u), normal])
+
+
+def _angles(points: Array, center: Array, basis: Array) -> Array:
+    """Angles of points about the normal, from u, shape (N,) [rad]."""
+    local = (points - center) @ basis
+    return np.asarray(np.arctan2(local[:, 1], local[:, 0]))

@@ -1,0 +1,141 @@
+"""``calib base-frame``: the base frame and the joints' axes from single-joint sweeps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.options import Base, Columns, Force, PointsUnit, Quiet, RobotTip, verb
+from calib.errors import CalibError
+
+
+@verb("""Find the robot's base frame in the tracker's from points on its mounting plane and sweeps of joints 1 and 2.
+
+\b
+Examples:
+  calib base-frame sweeps.csv --robot robot.urdf --base base --cell-out frame.toml
+  calib base-frame --points tracker.txt --carry data.csv -o data_in_base.csv
+
+The table has a column 'sweep' with 'plane', 'joint 1', 'joint 2' and so on, and x, y, z with their unit. Without joint
+values the rows of a sweep are in the order of increasing joint angle. See docs/base-frame.md.
+""")
+def base_frame(
+    data: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[SWEEPS]", help="CSV table with the columns sweep, x, y, z, perhaps joints."
+        ),
+    ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            metavar="ROBOT",
+            help="URDF, or a name such as 'ur3': the frame is then that of its link --base. Default: z along axis 1, y "
+            "along axis 2.",
+        ),
+    ] = None,
+    base: Base = None,
+    tip: RobotTip = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            "--points",
+            metavar="FILE",
+            help="Points in a list of their own, named 'plane_1', 'joint1_01' and so on; or, beside a table, as its "
+            "column 'point' names them.",
+        ),
+    ] = None,
+    points_unit: PointsUnit = None,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='"NAME=SWEEP"',
+            help='What the file calls a sweep, such as "ring_a=joint 1". Can be repeated.',
+        ),
+    ] = None,
+    columns: Columns = None,
+    plane_offset: Annotated[
+        str,
+        typer.Option(
+            metavar='"LENGTH"',
+            help="How far the plane's points stand off it, towards the robot: the ball's radius, \"19.05 mm\".",
+        ),
+    ] = "0 mm",
+    carry: Annotated[
+        Path | None,
+        typer.Option(
+            "--carry", metavar="FILE", help="A table of measurements to carry into the base frame."
+        ),
+    ] = None,
+    carry_points: Annotated[
+        Path | None,
+        typer.Option("--carry-points", metavar="FILE", help="The list of points of that table."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Write the carried table.")
+    ] = None,
+    cell_out: Annotated[
+        Path | None,
+        typer.Option(
+            "--cell-out", metavar="FILE", help="Write the frame as a cell file, for --cell."
+        ),
+    ] = None,
+    json: Annotated[Path | None, typer.Option("--json", help="Write all of it as JSON.")] = None,
+    robust: Annotated[
+        bool, typer.Option("--robust/--no-robust", help="Leave gross rows out, and name them.")
+    ] = True,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """See the text of `verb`."""
+    from calib.circle_points.files import (
+        carried,
+        carried_text,
+        cell_text,
+        survey_table,
+        survey_text,
+    )
+    from calib.circle_points.survey import survey
+    from calib.circle_points.sweeps import read_sweeps
+    from calib.cli.setup import check_outputs, parse_amount, parse_columns, parse_sweeps
+    from calib.data.measurements import Measurements
+    from calib.files import write_atomically
+    from calib.result.calibration_file import write_table
+    from calib.robot.robot import Robot
+
+    if (carry is None) != (output is None) or (carry_points is not None and carry is None):
+        raise CalibError(
+            "--carry names the table to carry into the base frame and -o the file to write it to: give both, or "
+            "neither; --carry-points is the list of points of the first."
+        )
+    if robot is None and (base is not None or tip is not None):
+        raise CalibError(
+            "--base and --tip are links of a robot; name it with --robot, or leave them out."
+        )
+    inputs = [p for p in (data, points, carry, carry_points, robot) if p is not None]
+    check_outputs([output, cell_out, json], inputs, force=force)
+    arm = None if robot is None else Robot.load(robot, base, tip)
+    names, types = (None, None) if arm is None else (arm.joint_names, arm.joint_types)
+    called, renamed = parse_sweeps(sweep or []), parse_columns(columns or [])
+    sweeps = read_sweeps(data, names, renamed, points, points_unit, called)
+    offset = parse_amount(plane_offset, "--plane-offset", "a length", "19.05 mm", signed=True)
+    found = survey(sweeps, arm, plane_offset=offset, robust=robust)
+    lines, written = survey_text(found, sweeps.source, arm), []
+    if carry is not None and output is not None:
+        unit = points_unit if carry_points is not None else None
+        read = Measurements.read(carry, names, types, points=carry_points, points_unit=unit)
+        moved = carried(read, found.frame)
+        lines += carried_text(moved, found.frame)
+        moved.write(output, overwrite=force)
+        written.append(output)
+    if cell_out is not None:
+        text = cell_text(found, sweeps.source, None if arm is None else arm.base, tip)
+        written.append(write_atomically(cell_out, text.encode(), overwrite=force))
+    if json is not None:
+        written.append(write_table(survey_table(found), json, overwrite=force))
+    if not quiet:
+        for line in (*lines, *(f"Written: {path}" for path in written)):
+            typer.echo(line)

@@ -1,0 +1,68 @@
+"""``calib compare``: two calibrations of one robot side by side, and whether it drifted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.cli.options import Force, Quiet, verb
+
+
+@verb("""Compare two calibrations of one robot: did it drift?
+
+\b
+Examples:
+  calib compare january.json june.json
+  calib compare january.json june.json --robot robot.urdf --json compared.json --view both.html
+
+A and B are results that 'calib fit --json' wrote, of measurements taken at different times. The answer comes first:
+by how much the target moved, up to what frame and target absorb, and whether that is more than chance. A tracker that
+stands elsewhere and a target mounted anew are no drift.
+""")
+def compare(
+    a: Annotated[
+        Path, typer.Argument(metavar="A", help="Result that 'calib fit --json' wrote: the first.")
+    ],
+    b: Annotated[
+        Path, typer.Argument(metavar="B", help="The same of the second, later measurements.")
+    ],
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            metavar="ROBOT",
+            help="URDF of the robot, nominal or corrected, for the meshes of --view. Default: the one that the first "
+            "result holds.",
+        ),
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option("--json", help="Write the comparison as JSON.")
+    ] = None,
+    view: Annotated[
+        Path | None,
+        typer.Option("--view", help="Write a page that shows the robot as both have it."),
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """See the text of `verb`."""
+    from calib.calibration import compare as compare_results
+    from calib.cli.setup import check_outputs
+
+    check_outputs([json, view], [a, b, *([robot] if robot else [])], force=force)
+    found = compare_results(a, b, robot)
+    written = []
+    if view is not None:
+        from calib.viewer.page import view_page
+        from calib.viewer.view import view_of_comparison
+
+        written.append(view_page(view_of_comparison(found)).write(view, overwrite=force))
+    if json is not None:
+        written.append(found.write_json(json, overwrite=force))
+    if quiet:
+        return
+    typer.echo(found.summary())
+    if written:
+        typer.echo("\n" + "\n".join(f"Written: {path}" for path in written))

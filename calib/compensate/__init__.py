@@ -1,1 +1,0 @@
-"""Putting a calibration to use: commands that bring the actual robot where it should be."""

@@ -1,0 +1,1 @@
+"""Commands for a controller that keeps the nominal model. Imports result and below."""

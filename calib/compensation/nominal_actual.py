@@ -1,0 +1,292 @@
+"""The robot as its controller has it and as it is: poses of a tool on both, and how it moves with the joints.
+
+Both are `calib.model.kinematics`: the actual robot with the errors that were identified, and with them the errors of
+its joints where the result has a larger model. How a tool moves with the measured joints is asked of the same
+kinematics, by a parameter for each joint that moves it by one, and by what its own errors add:
+
+    dT/dq_j  =  (1 + sum_k x_k df_k/dq_j) dT/d(displacement of joint j),    dq_j = x_1 f_1(q_j) + x_2 f_2(q_j) + ...
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.data.checks import no_rotation
+from calib.errors import ModelError, choices
+from calib.model.error_model import axis_twists, error_model
+from calib.model.families import Factor, JointState
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameters import TIP, ErrorModel, Parameter
+from calib.result.calibration import Calibration
+from calib.result.prediction import Larger
+from calib.robot.readback import spread_poses
+from calib.robot.robot import Robot, read_only
+from calib.robot.torques import Payload
+
+Array = NDArray[np.float64]
+
+#: The family that moves a measured joint, and with it all joints that follow it.
+_GAIN = "gain"
+
+#: Origins of one robot differ by rounding [m; rotation matrices: 1].
+_SAME = 1e-9
+
+#: Two robots whose tools are typically further apart than this share of their reach are no calibration of each other;
+#: looked at in so many poses.
+_NO_CALIBRATION, _POSES = 0.1, 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm:
+    """A robot whose errors are known, with a tool.
+
+    Attributes:
+        robot: The robot, with the errors of its geometry.
+        T_tip_tool: shape (4, 4), pose of the tool in the tip [m].
+        kinematics: Of the robot with its joints' own errors, and a parameter more for each measured joint.
+        x: The errors' values, and 0 for the joints.
+        load: The load on each joint of the chain at joint values, shapes (N, m) to (N, n), [Nm, N]; None where no
+            error needs it.
+    """
+
+    robot: Robot
+    T_tip_tool: Array
+    kinematics: Kinematics
+    x: Array
+    load: Callable[[Array], Array] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        T_tip_tool: Array,
+        terms: tuple[Parameter, ...] = (),
+        sizes: Array | None = None,
+        load: Callable[[Array], Array] | None = None,
+    ) -> Arm:
+        """A robot, with the errors of its joints that change with their state and their values (len(terms),)."""
+        values = np.zeros(0) if sizes is None else np.asarray(sizes)
+        directions = dict(
+            zip((joint.name for joint in robot.joints), axis_twists(robot), strict=True)
+        )
+
+        def moved(state: JointState) -> Array:
+            """How far a joint moves where its value changes by one: 1, and the slopes of its own errors."""
+            number = np.ones(len(state.values))
+            for term, size in zip(terms, values, strict=True):
+                if term.place == state.joint and term.factor and term.factor.slope:
+                    number += size * term.factor.slope(state)
+            return number
+
+        factor = Factor("motion", moved, slope=None)
+        motions = [
+            Parameter(f"{n}.motion", "1", n, directions.get(n, np.zeros(6)), _GAIN, factor=factor)
+            for n in robot.joint_names
+        ]
+        places = error_model(robot, "frames", target=False).places
+        model = ErrorModel("motion", places, (*terms, *motions))
+        kinematics = Kinematics(robot, model, np.eye(4), T_tip_tool)
+        x = read_only(np.concatenate([values, np.zeros(len(motions))]))
+        return cls(robot, read_only(T_tip_tool), kinematics, x, load)
+
+    @classmethod
+    def of_larger(
+        cls, larger: Larger, nominal: Robot, T_tip_tool: Array, payload: Payload | None = None
+    ) -> Arm:
+        """The robot of a result's larger model, with another payload than at its calibration if one is given."""
+        model, x = larger.model, larger.x
+        displacements, _ = model.displacements(x)
+        order = [model.places.index(name) for name in (*(j.name for j in nominal.joints), TIP)]
+        chosen = list(model.joint_terms)
+        terms = tuple(model.terms[t] for t in chosen)
+        loaded = any(term.factor and term.factor.loaded for term in terms)
+        return cls.of(
+            nominal.with_placements(nominal.placements @ displacements[order]),
+            T_tip_tool,
+            terms,
+            model.values(x)[chosen],
+            (lambda q: larger.load(nominal, q, payload)) if loaded else None,
+        )
+
+    def poses(self, q: Array) -> Array:
+        """T_base_tool at joint values of shape (N, m), [rad] or [m]; shape (N, 4, 4), [m]."""
+        return self.kinematics.poses(self.x, self._samples(q))
+
+    def motion(self, q: Array) -> tuple[Array, Array]:
+        """T_base_tool at joint values (N, m), shape (N, 4, 4), and the tool's velocity with each, (N, 6, m).
+
+        Twists are along the tool's own axes, linear first [m or rad per rad or m]. How the load changes with q is left
+        out of them: it is a part in a thousand, and costs an iteration where joint values are looked for, no accuracy.
+        """
+        poses, twists = self.kinematics.twists(self.x, self._samples(q))
+        back = np.swapaxes(poses[:, :3, :3], 1, 2)
+        moved = twists[:, :, -len(self.robot.joint_names) :]
+        return poses, np.concatenate([back @ moved[:, :3], back @ moved[:, 3:]], axis=1)
+
+    def _samples(self, q: Array) -> Samples:
+        """Joint values with their loads."""
+        return Samples.at(q, None if self.load is None else self.load(q))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """The same tool on the robot as its controller has it, and on the actual one.
+
+    Attributes:
+        nominal: The nominal robot, with the tool where the controller has it.
+        actual: The calibrated robot, with the tool where it is.
+        T_frame_base: shape (4, 4), the base in the frame that poses are given and sent in [m].
+        target, set_up: Names of the target that the tool is, of the set-up whose frame it is; None where it is none.
+        result: What is known of the actual robot and how far to trust it; None where two robots were given.
+    """
+
+    nominal: Arm
+    actual: Arm
+    T_frame_base: Array
+    target: str | None = None
+    set_up: str | None = None
+    result: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse two robots that are no calibration of each other."""
+        robot = self.nominal.robot
+        q = spread_poses(robot, _POSES)
+        away = (self.actual.poses(q) - self.nominal.poses(q))[:, :3, 3]
+        typical = float(np.median(np.linalg.norm(away, axis=1)))
+        if typical > _NO_CALIBRATION * self.reach:
+            raise ModelError(
+                f"The calibrated robot has the tool {1e3 * typical:.0f} mm away from where the nominal robot "
+                f"'{robot.name}' ({robot.urdf.source}) has it; a calibration moves it by millimetres. Give the nominal "
+                "and the calibrated model of one robot, with zero positions that agree."
+            )
+
+    @property
+    def reach(self) -> float:
+        """How long the actual arm is, stretched out, with its tool [m]; at least a millimetre."""
+        lengths = np.linalg.norm(self.actual.robot.placements[1:, :3, 3], axis=1)
+        tool = np.linalg.norm(self.actual.T_tip_tool[:3, 3])
+        return float(max(lengths.sum() + tool, 1e-3))
+
+    def std(self, q: Array) -> Array:
+        """How sure it is where the actual robot puts the tool at q (N, m), shape (N, 2), [m], [rad]; NaN if unknown."""
+        if self.result is None:
+            return np.full((len(q), 2), np.nan)
+        T_tip_tool = self.actual.T_tip_tool
+        return self.result.tool_std(q, T_tip_tool, target=self.target, group=self.set_up)
+
+
+def pair_of(
+    calibration: Calibration | Robot,
+    nominal: Robot | None = None,
+    *,
+    tool: ArrayLike | str | None = None,
+    frame: ArrayLike | str | None = None,
+    larger: bool = True,
+    payload: Payload | None = None,
+) -> Pair:
+    """The two robots; the arguments are those of `calib.compensation.commands.commands`.
+
+    Raises:
+        ModelError: No nominal robot, one with other joints, or a tool or frame that there is not.
+        UrdfError: The robot lacks joints of the result.
+    """
+    if isinstance(calibration, Robot):
+        return _of_robots(nominal, calibration, tool, frame)
+    result, nominal = calibration, nominal or calibration.nominal
+    began, corrected = result.uncorrected(nominal), result.corrected(nominal)
+    model = result.larger if larger else None
+    known = result.setup if model is None else model.setup
+    target = set_up = None
+    if isinstance(tool, str):
+        target = _name(known.targets, tool, "target")
+        t = known.targets.index(target)
+        T_actual = T_nominal = known.T_tip_target[t]
+        if known.target_given[t]:
+            # Where it was said to be, and so where the controller has it. One that was found has no such place.
+            T_nominal = result.nominal_setup.T_tip_target[t]
+    else:
+        T_actual = T_nominal = _pose(tool, "tool")
+    if isinstance(frame, str):
+        set_up = _name(known.groups, frame, "set-up")
+        T_frame_base = read_only(known.T_frame_base[known.groups.index(set_up)])
+    else:
+        T_frame_base = _pose(frame, "frame")
+    actual = (
+        Arm.of(corrected, T_actual)
+        if model is None
+        else Arm.of_larger(model, began, T_actual, payload)
+    )
+    if payload is not None and actual.load is None:
+        raise ModelError(
+            "A payload is given, but the model in use has no compliances: its commands would be the same with any. "
+            "Leave the payload out; 'calib fit --model dh+compliance' estimates compliances."
+        )
+    # The corrected robot stands for the one that the result began with.
+    own = Arm.of(began if differing_joint(nominal, corrected) is None else nominal, T_nominal)
+    return Pair(own, actual, T_frame_base, target=target, set_up=set_up, result=result)
+
+
+def _of_robots(
+    nominal: Robot | None,
+    corrected: Robot,
+    tool: ArrayLike | str | None,
+    frame: ArrayLike | str | None,
+) -> Pair:
+    """Of two robots; they know no targets and no set-ups."""
+    if nominal is None:
+        raise ModelError(
+            "Commands need the robot as its controller has it, beside the calibrated one. Give it too."
+        )
+    for name, what in ((tool, "tool"), (frame, "frame")):
+        if isinstance(name, str):
+            raise ModelError(
+                f"The {what} is to be '{name}' of a calibration, but two robots were given and no result. Give the "
+                f"{what}'s pose, or the result."
+            )
+    actual = corrected.rebuilt(base=nominal.base, tip=nominal.tip)
+    if actual.joint_names != nominal.joint_names:
+        raise ModelError(
+            f"The corrected robot '{actual.name}' has the joints {choices(actual.joint_names)} from '{actual.base}' to "
+            f"'{actual.tip}', the nominal robot '{nominal.name}' has {choices(nominal.joint_names)}. Give two URDFs of "
+            "one robot."
+        )
+    T_tip_tool, T_frame_base = _pose(tool, "tool"), _pose(frame, "frame")
+    return Pair(Arm.of(nominal, T_tip_tool), Arm.of(actual, T_tip_tool), T_frame_base)
+
+
+def differing_joint(a: Robot, b: Robot) -> str | None:
+    """A joint whose origin is not the same in two robots of the same joints, up to rounding; None without one."""
+    others = b.origins()
+    far = (name for name, T in a.origins().items() if np.abs(T - others[name]).max() > _SAME)
+    return next(far, None)
+
+
+def _name(names: Sequence[str], name: str, what: str) -> str:
+    """The name that is meant: the only one there is for the empty name."""
+    if name in names:
+        return name
+    if not name and len(names) == 1:
+        return names[0]
+    meant = f"no {what} '{name}'; it has" if name else f"{len(names)} {what}s:"
+    raise ModelError(
+        f"The calibration has {meant} {choices(own or 'the one without a name' for own in names)}. Name one of them."
+    )
+
+
+def _pose(given: ArrayLike | None, what: str) -> Array:
+    """A pose, shape (4, 4), from a pose or from a position, shape (3,), [m]; the identity of nothing."""
+    T = np.eye(4)
+    values = T if given is None else np.asarray(given, dtype=np.float64)
+    if values.shape == (3,):
+        T[:3, 3] = values
+        values = T
+    if values.shape != (4, 4) or not np.isfinite(values).all() or no_rotation(values[None, :3, :3]):
+        raise ModelError(
+            f"The {what} has the shape {values.shape}; a pose (4, 4) or a position (3,), of finite numbers and with a "
+            "right-handed rotation, is wanted."
+        )
+    return read_only(values)

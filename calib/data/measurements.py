@@ -1,0 +1,414 @@
+"""Measurements: joint values and what was measured of the target there; CSV in and out."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from itertools import compress
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import calib.data.kinds as registry
+from calib.data import checks
+from calib.data.kinds import Kind
+from calib.data.layout import Layout
+from calib.data.points_file import read_points
+from calib.data.table import COMMON, DEFAULT_TARGET, POINT, QUATERNION, SETS, TORQUE, Table
+from calib.data.values import Values
+from calib.errors import MeasurementError, choices
+from calib.files import write_atomically
+from calib.units import UNITS, Quantity
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """N rows: the joint values of the robot and what was measured of the target there.
+
+    What a row measures is its kind, one of `calib.data.kinds`: ``point``, ``pose``, ``distance``, ``pair``, ``fixed``,
+    ``plane``, or one that was registered. What it does not measure is NaN, whatever was given; an array of which
+    nothing is left is None.
+
+    Attributes:
+        joint_names: the order of the columns of ``joints``.
+        joints: joint values, shape (N, n), [rad] or, for ``prismatic`` joints, [m]. Read-only.
+        points: measured target positions in the measurement frame, shape (N, 3), [m]. Read-only.
+        sets: ``"estimate"`` or ``"validate"`` per row; all ``"estimate"`` when not given.
+        sigma: standard deviation of one coordinate or length, shape (N,), [m], read-only; or None.
+        targets: the target's name per row; ``"target"`` when not given.
+        groups: the set-up's name per row; ``""`` when not given.
+        rows: the row numbers a person sees, unique; 1 to N when not given.
+        source: the file's name, for messages.
+        sha256: of the file's bytes, ``"... + ..."`` of two files; ``""`` when not from a file.
+        ignored: the headers of the table's columns that were not used.
+        prismatic: the names of those joints whose values are lengths.
+        kinds: the kind per row; all ``"point"`` when not given.
+        rotations: measured R_frame_target, shape (N, 3, 3), read-only; None without poses.
+        distances: measured distances, shape (N,), [m], read-only; None without. Both rows of a pair have it.
+        sigma_angle: standard deviation of an orientation about one axis, shape (N,), [rad], read-only; or None.
+        pairs: the word that two rows of the kind ``pair`` share; ``""`` in other rows.
+        torques: torques (forces) that the drives put on the joints, positive along the axis, shape (N, n),
+            [Nm] ([N]), read-only; NaN for joints without; or None.
+        readings: what kinds from outside measure, shape (N,) each, in SI units, by the column's name, read-only.
+        unmeasured: the numbers of the table's rows that are left out, for they hold no measurement.
+
+    Raises:
+        MeasurementError: a shape, a value or a word does not fit.
+    """
+
+    joint_names: tuple[str, ...]
+    joints: NDArray[np.float64]
+    points: NDArray[np.float64]
+    sets: tuple[str, ...] = ()
+    sigma: NDArray[np.float64] | None = None
+    targets: tuple[str, ...] = ()
+    groups: tuple[str, ...] = ()
+    rows: tuple[int, ...] = ()
+    source: str = ""
+    sha256: str = ""
+    ignored: tuple[str, ...] = ()
+    prismatic: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
+    rotations: NDArray[np.float64] | None = None
+    distances: NDArray[np.float64] | None = None
+    sigma_angle: NDArray[np.float64] | None = None
+    pairs: tuple[str, ...] = ()
+    torques: NDArray[np.float64] | None = None
+    readings: Mapping[str, Array] = field(default_factory=dict)
+    unmeasured: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Copy the arrays, fill in what was not given, and check that all of it fits together."""
+        fill = object.__setattr__
+        count = len(np.asarray(self.points))
+        for name in ("joint_names", "prismatic", "ignored", "unmeasured"):
+            fill(self, name, tuple(getattr(self, name)))
+        fill(self, "rows", tuple(self.rows) or tuple(range(1, count + 1)))
+        for name, word in _WORDS.items():
+            fill(self, name, tuple(getattr(self, name)) or (word,) * count)
+        checks.check_words(self._where, {name: getattr(self, name) for name in _WORDS}, count)
+        checks.check_joint_names(
+            self.source or "Measurements",
+            self.joint_names,
+            self.prismatic,
+            turned=bool(self.where(lambda kind: kind.orientation).any()),
+            torques=self.torques is not None,
+        )
+        if any(self.pairs):
+            told = zip(self.paired.tolist(), self.pairs, strict=True)
+            fill(self, "pairs", tuple(word if paired else "" for paired, word in told))
+        for name, array in self._checked_arrays().items():
+            fill(self, name, array)
+
+    def _checked_arrays(self) -> dict[str, Any]:
+        """The arrays, each with the rows whose kinds measure it."""
+        where, n, count = self._where, len(self.joint_names), len(self.rows)
+        every, turned = np.ones(count, dtype=np.bool_), self.where(lambda kind: kind.orientation)
+        told = self.where(lambda kind: kind.angles > 0)
+        found: dict[str, Any] = {
+            "joints": checks.numbers(
+                where, "joints", self.joints, (n,), every, columns=self.joint_names
+            ),
+            "points": checks.numbers(
+                where, "points", self.points, (3,), self.positions, columns="xyz"
+            ),
+            "rotations": checks.numbers(where, "rotations", self.rotations, (3, 3), turned),
+            "sigma": checks.numbers(where, "sigma", self.sigma, (), every, checks.SIGMAS),
+            "sigma_angle": checks.numbers(
+                where, "sigma_angle", self.sigma_angle, (), told, checks.SIGMAS
+            ),
+            "torques": checks.checked_torques(where, self.joint_names, self.torques),
+        }
+        given, read = {"distance": self.distances, **self.readings}, registry.readings()
+        strange = [name for name in given if name not in read]
+        if strange:
+            raise MeasurementError(
+                f"No kind of measurement reads {choices(strange)}; register it first (calib.data.kinds.register)."
+            )
+        pairs = where.pairs(self.pairs)
+        readings: dict[str, Array | None] = {}
+        for name, one in read.items():
+            values = given.get(name)
+            if values is not None and pairs:
+                values = checks.shared(where, values, pairs)
+            own = self.of_kind(*(k for k in registry.names() if one in registry.get(k).readings))
+            least = checks.SIGMAS[0] if one.positive else -checks.FARTHEST
+            limits = (least, checks.FARTHEST)
+            readings[name] = checks.numbers(where, name, values, (), own, limits)
+            if readings[name] is None and own.any():
+                checks.lacking(where, own, name)
+        if found["rotations"] is None and turned.any():
+            checks.lacking(where, turned, "rotations")
+        if turned.any():
+            for i in np.flatnonzero(turned)[checks.no_rotation(found["rotations"][turned])]:
+                what = "'rotations' holds no rotation; each is orthonormal with determinant 1"
+                where.fail(int(i), what)
+        for name, width in (("joints", n), ("points", 3)):
+            if found[name] is None:
+                found[name] = _read_only(np.full((count, width), np.nan))
+        found["distances"] = readings.pop("distance")
+        there = {name: values for name, values in readings.items() if values is not None}
+        return {**found, "readings": MappingProxyType(there)}
+
+    @property
+    def _where(self) -> checks.Where:
+        """What messages say of a row."""
+        return checks.Where(self.source, self.rows, self.kinds)
+
+    def where(self, test: Callable[[Kind], bool]) -> NDArray[np.bool_]:
+        """True for the rows of kinds that pass a test, shape (N,), read-only."""
+        return _mask(self.kinds, *(n for n in registry.names() if test(registry.get(n))))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To another process and back: a read-only mapping travels as a dict."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return partial(Measurements, **{**values, "readings": dict(self.readings)}), ()
+
+    @classmethod
+    def read(
+        cls,
+        path: str | Path | Table,
+        joint_names: Sequence[str] | None = None,
+        joint_types: Mapping[str, str] | None = None,
+        columns: Mapping[str, str] | None = None,
+        kind: str | None = None,
+        points: str | Path | None = None,
+        points_unit: str | None = None,
+    ) -> Measurements:
+        """Read a table with units in its header; docs/data-format.md describes it.
+
+        Args:
+            path: a CSV file in UTF-8, separated by commas, semicolons or tabs; or one that was read already.
+            joint_names: the joints to read, each of which must have a column; None reads every
+                column in a unit of angle that is not of an orientation.
+            joint_types: a joint's URDF type by its name; a ``"prismatic"`` joint is in a unit of
+                length, any other in one of angle.
+            columns: names of the table to names of calib, ``{"J1": "shoulder_pan_joint"}``; with
+                a unit, ``{"J1": "shoulder_pan_joint [deg]"}``, for a column that has none; ``"-"``
+                leaves a column out; several columns may be mapped to ``"group"``.
+            kind: the kind of all rows; None takes it from a column ``kind``, else from the columns
+                that there are.
+            points: a list of measured points, such as laser tracker programs write, see `read_points`: the
+                table's column ``point`` names the point of each row; without one they are in its order.
+            points_unit: the unit of that list, where it names none.
+
+        Raises:
+            MeasurementError: the table cannot be read; the text names the file, row and column.
+        """
+        elsewhere = None if points is None else read_points(points, points_unit)
+        table = path if isinstance(path, Table) else Table.read(path)
+        layout = Layout.find(
+            table, joint_names, joint_types, columns, kind, points_elsewhere=elsewhere is not None
+        )
+        values = Values.read(table, layout, elsewhere)
+        source, sha256 = table.source, table.sha256
+        if elsewhere is not None:
+            source, sha256 = f"{source} + {elsewhere.source}", f"{sha256} + {elsewhere.sha256}"
+        given = {f.name: getattr(values, f.name) for f in fields(values)}
+        given["readings"] = {n: v for n, v in values.readings.items() if n != "distance"}
+        measurements = cls(
+            **given,
+            joint_names=layout.joint_names,
+            distances=values.readings.get("distance"),
+            source=source,
+            sha256=sha256,
+            ignored=layout.ignored,
+            prismatic=layout.prismatic,
+        )
+        words = {name: getattr(measurements, name) for name in _WORDS}
+        checks.check_whole(measurements._where, words)
+        return measurements
+
+    def __repr__(self) -> str:
+        """In one line, such as ``Measurements(35 rows of 6 joints from ur3_leica.csv)``."""
+        where = f" from {self.source}" if self.source else ""
+        return f"Measurements({len(self)} rows of {len(self.joint_names)} joints{where})"
+
+    def __len__(self) -> int:
+        """The number of rows, N."""
+        return len(self.points)
+
+    @property
+    def estimation(self) -> NDArray[np.bool_]:
+        """True for the rows to estimate from, shape (N,), read-only."""
+        return _mask(self.sets, "estimate")
+
+    @property
+    def validation(self) -> NDArray[np.bool_]:
+        """True for the rows held back to validate with, shape (N,), read-only."""
+        return _mask(self.sets, "validate")
+
+    def of_kind(self, *kinds: str) -> NDArray[np.bool_]:
+        """True for the rows of these kinds, shape (N,), read-only."""
+        return _mask(self.kinds, *kinds)
+
+    def reading(self, name: str) -> Array:
+        """What stands in a column that some kind reads, such as ``"distance"``, shape (N,), in SI units."""
+        found = self.distances if name == "distance" else self.readings.get(name)
+        return np.full(len(self), np.nan) if found is None else found
+
+    @property
+    def paired(self) -> NDArray[np.bool_]:
+        """True for the rows of which two give one measurement, shape (N,), read-only."""
+        return self.where(lambda kind: kind.paired)
+
+    @property
+    def positions(self) -> NDArray[np.bool_]:
+        """True for the rows that measure a position, shape (N,), read-only."""
+        return self.where(lambda kind: kind.position)
+
+    @property
+    def pair_rows(self) -> NDArray[np.intp]:
+        """The two rows of each pair, from 0, shape (P, 2), read-only; pairs that have lost a row are left out."""
+        both = [rows for rows in self._where.pairs(self.pairs).values() if len(rows) == 2]
+        pairs = np.array(both, dtype=np.intp).reshape(-1, 2)
+        pairs.setflags(write=False)
+        return pairs
+
+    @staticmethod
+    def columns_of(kind: Kind, measured: Array) -> dict[str, Any]:
+        """The arguments of `Measurements` that hold what rows of one kind measure, shape (n, k), see `Kind`."""
+        found: dict[str, Any] = {"points": np.full((len(measured), 3), np.nan)}
+        if kind.position:
+            found["points"] = measured[:, :3]
+        if kind.orientation:
+            found["rotations"] = measured[:, 3:12].reshape(-1, 3, 3)
+        own = measured[:, kind.size - len(kind.readings) :].T
+        read = {one.name: values for one, values in zip(kind.readings, own, strict=True)}
+        return {**found, "distances": read.pop("distance", None), "readings": read}
+
+    def select(self, mask: ArrayLike) -> Measurements:
+        """The rows where ``mask``, of shape (N,) and bool, is True; they keep their row numbers.
+
+        A pair may lose one of its rows.
+
+        Raises:
+            MeasurementError: the mask has another shape or type.
+        """
+        chosen = np.asarray(mask)
+        if chosen.dtype != np.bool_ or chosen.shape != (len(self),):
+            raise MeasurementError(
+                f"select was given an array of shape {chosen.shape} and type {chosen.dtype}; it "
+                f"takes one bool for each of the {len(self)} rows, shape ({len(self)},)"
+            )
+        here = chosen.tolist()
+        left: dict[str, Any] = {
+            name: tuple(compress(getattr(self, name), here)) for name in (*_WORDS, "rows")
+        }
+        for name in _ARRAYS:
+            values = getattr(self, name)
+            left[name] = None if values is None else values[chosen]
+        left["readings"] = {name: values[chosen] for name, values in self.readings.items()}
+        return replace(self, **left)
+
+    def joints_for(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """The values of these joints in this order, shape (N, len(names)), [rad] or [m], read-only.
+
+        Raises:
+            MeasurementError: there is no such joint in the table.
+        """
+        where = {name: i for i, name in enumerate(self.joint_names)}
+        missing = [name for name in names if name not in where]
+        if missing:
+            raise MeasurementError(
+                f"{self.source or 'the measurements'}: no values of the joints {choices(missing)}. "
+                f"The joints there are: {choices(self.joint_names, limit=30)}."
+            )
+        return _read_only(self.joints[:, [where[name] for name in names]])
+
+    def _word_columns(self) -> dict[str, Sequence[object]]:
+        """The columns of words of a table, those that say anything."""
+        kinds = [registry.get(kind) for kind in set(self.kinds)]
+        unclear = any(not k.size or (k.position and k.readings) for k in kinds)
+        return {
+            "row": self.rows,
+            "set": self.sets,
+            **({"kind": self.kinds} if len(kinds) > 1 or unclear else {}),
+            **({"target": self.targets} if set(self.targets) - {DEFAULT_TARGET} else {}),
+            **{n: w for n, w in (("group", self.groups), ("pair", self.pairs)) if any(w)},
+        }
+
+    def write(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write a CSV table in degrees and millimetres that `read` gives back.
+
+        Numbers come back to the last bit where they came from a table in these units, to 1e-15 of them where not, as
+        for hardly any number of radians are there degrees that are it exactly. Orientations come back to 1e-15.
+
+        Raises:
+            FileError: the file exists and ``overwrite`` is False, or it cannot be written.
+        """
+        columns = self._word_columns()
+
+        def add(name: str, quantity: Quantity | None, values: Array | None) -> None:
+            """Add a column of numbers if there are any; its cells are empty where nothing was measured."""
+            if values is None or (len(values) and np.isnan(values).all()):
+                return
+            unit = "" if quantity is None else COMMON[quantity]
+            written = (_in_unit(values, UNITS[unit].to_si) if unit else values).tolist()
+            cells = ["" if math.isnan(number) else number for number in written]
+            columns[f"{name} [{unit}]" if unit else name] = cells
+
+        for i, name in enumerate(self.joint_names):
+            slides = name in self.prismatic
+            add(name, "length" if slides else "angle", self.joints[:, i])
+            if self.torques is not None:
+                add(name + TORQUE, "force" if slides else "torque", self.torques[:, i])
+        for i, name in enumerate(POINT):
+            add(name, "length", self.points[:, i])
+        if self.rotations is not None:
+            for name, part in zip(QUATERNION, checks.to_quaternions(self.rotations).T, strict=True):
+                add(name, None, part)
+        for one in registry.readings().values():
+            add(one.name, one.quantity, self.reading(one.name) if len(self) else None)
+        add("sigma", "length", self.sigma)
+        add("sigma_angle", "angle", self.sigma_angle)
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))  # csv writes a float as its repr
+        write_atomically(path, text.getvalue().encode(), overwrite=overwrite)
+
+
+def _in_unit(values: Array, to_si: float) -> Array:
+    """The numbers that, times ``to_si``, are the values to the last bit where any are, else next to them."""
+    found = values / to_si
+    for end in (np.inf, -np.inf):
+        beside = np.nextafter(found, end)
+        better = (found * to_si != values) & (beside * to_si == values)
+        found = np.where(better, beside, found)
+    return found
+
+
+#: The words of a row, by the attribute, and what stands for them where they are not given.
+_WORDS = {"sets": SETS[0], "targets": DEFAULT_TARGET, "groups": "", "kinds": "point", "pairs": ""}
+
+
+#: The arrays with an entry a row.
+_ARRAYS = ("joints", "points", "sigma", "rotations", "distances", "sigma_angle", "torques")
+
+
+def _read_only(values: ArrayLike) -> NDArray[np.float64]:
+    """A read-only float64 copy."""
+    array_ = np.array(values, dtype=np.float64)
+    array_.setflags(write=False)
+    return array_
+
+
+def _mask(words: Sequence[str], *wanted: str) -> NDArray[np.bool_]:
+    """True where a word is one of those wanted, read-only."""
+    there = set(words)  # mostly one
+    if there <= set(wanted) or there.isdisjoint(wanted):
+        mask = np.full(len(words), not there.isdisjoint(wanted), dtype=np.bool_)
+    else:
+        mask = np.array([word in wanted for word in words], dtype=np.bool_)
+    mask.setflags(write=False)
+    return mask

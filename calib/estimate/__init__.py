@@ -1,0 +1,1 @@
+"""The fit: residuals, registration, Levenberg-Marquardt, variance components, cross-validation. Imports data and below."""

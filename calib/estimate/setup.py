@@ -1,0 +1,369 @@
+"""Setup: a table's rows, measurement frames and targets as a fit takes them, and what of them is unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+import calib.data.kinds as registry
+from calib.data.cell import AUTO, Cell
+from calib.data.measurements import Measurements
+from calib.errors import MeasurementError, ModelError, choices
+from calib.estimate.rows import NONE, Rows
+from calib.estimate.statistics import same_poses
+from calib.model.error_model import DIRECTIONS, split_name
+from calib.model.families import FAMILIES
+from calib.model.kinematics import Samples
+from calib.model.parameters import ErrorModel, Parameter, frame_place, target_place
+from calib.robot.kernel import over_blocks
+from calib.robot.robot import Robot, read_only
+from calib.robot.torques import gravity_load
+
+Array = NDArray[np.float64]
+
+
+#: The noise assumed until the data have told theirs [m], [rad].
+FIRST_SIGMA, FIRST_SIGMA_ANGLE = 1e-4, 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class KnownDistance:
+    """A known distance between the origins of two frames, such as two sockets on one bar."""
+
+    first: int  # Number of a frame
+    second: int  # Number of the other
+    length: float  # Their distance [m]
+    sigma: float  # Its standard deviation [m]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup:
+    """Frames and targets, by the number that rows refer to them with."""
+
+    groups: tuple[str, ...]  # Names of the set-ups; one frame each
+    targets: tuple[str, ...]  # Names of the targets
+    T_frame_base: Array  # shape (F, 4, 4), pose of the base in each frame [m]
+    T_tip_target: Array  # shape (T, 4, 4), pose of each target in the tip [m]
+    unknown: tuple[tuple[str, ...], ...]  # For each frame the directions that are estimated
+    # Whether the poses of the frames are the ones that were given; else they are to be found
+    frame_given: NDArray[np.bool_]
+    target_unknown: NDArray[np.bool_]  # shape (T,), whether a target is estimated
+    target_given: NDArray[np.bool_]  # shape (T,), whether a target's place was given
+    rotation: bool  # Whether targets are frames, because orientations were measured, or points
+    # shape (F,), whether a frame's directions are its own axes; else they are the base's. A plane is known along and
+    # about its own axes only
+    own_axes: NDArray[np.bool_]
+    oriented: bool = False  # Whether the targets' orientations are known, measured or given
+
+    @property
+    def frame_unknowns(self) -> Mapping[str, tuple[str, ...]]:
+        """The estimated directions of each frame by its set-up's name; "" stands for the only one."""
+        if len(self.groups) == 1:
+            return {"": self.unknown[0]}
+        return dict(zip(self.groups, self.unknown, strict=True))
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """The targets' names for their parameters; "" for the only one."""
+        return self.targets if len(self.targets) > 1 else ("",)
+
+    @property
+    def estimate_target(self) -> bool:
+        """Whether any target is estimated."""
+        return bool(np.any(self.target_unknown))
+
+    @property
+    def unknown_targets(self) -> tuple[str, ...]:
+        """The names of the targets that are estimated, as `target_names` has them."""
+        pairs = zip(self.target_names, self.target_unknown, strict=True)
+        return tuple(name for name, unknown in pairs if unknown)
+
+    @property
+    def count(self) -> int:
+        """Number of unknowns."""
+        of_targets = (6 if self.rotation else 3) * int(np.sum(self.target_unknown))
+        return of_targets + sum(len(directions) for directions in self.unknown)
+
+    def placed(self, T_frame_base: Array, T_tip_target: Array) -> Setup:
+        """The same with frames and targets elsewhere."""
+        return replace(
+            self, T_frame_base=read_only(T_frame_base), T_tip_target=read_only(T_tip_target)
+        )
+
+    def displaced(self, displacement: Array) -> Setup:
+        """The same with the displacements of all places of an error model, shape (F + ... + T, 4, 4)."""
+        return self.placed(
+            self.T_frame_base @ displacement[: len(self.groups)],
+            self.T_tip_target @ displacement[-len(self.targets) :],
+        )
+
+    def seen(self, T_base_tip: Array, samples: Samples) -> Array:
+        """T_frame_target of samples with these poses of the tip, shape (N, 4, 4), [m]."""
+        result = np.empty((len(samples), 4, 4))
+
+        def work(own: slice) -> None:
+            T_frame_tip = self.T_frame_base[samples.frame[own]] @ T_base_tip[own]
+            np.matmul(T_frame_tip, self.T_tip_target[samples.target[own]], out=result[own])
+
+        over_blocks(work, len(samples))
+        return result
+
+    def as_known(self, frames: NDArray[np.bool_], targets: NDArray[np.bool_]) -> Setup:
+        """The same, with some frames and targets taken for known."""
+        unknown = tuple(
+            () if known else directions
+            for known, directions in zip(frames, self.unknown, strict=True)
+        )
+        return replace(self, unknown=unknown, target_unknown=self.target_unknown & ~targets)
+
+
+def setup_of(cell: Cell, measurements: Measurements, kinds: NDArray[np.int_]) -> Setup:
+    """What a cell says of the frames and targets of a table.
+
+    Sockets, planes and anchors are always unknown where the cell does not give their group's frame.
+
+    Raises:
+        ModelError: The cell names a set-up or a target that the table lacks, or all of a frame stay unknown to it.
+    """
+    groups = tuple(dict.fromkeys(measurements.groups))
+    targets = tuple(dict.fromkeys(measurements.targets))
+    ends = {name for pair in cell.distances for name in (pair.first, pair.second)}
+    for what, column, named, known in (
+        ("gives frames for", "group", cell.frames, groups),
+        ("gives targets for", "target", cell.targets, targets),
+        ("states distances between", "group", sorted(e for e in ends if "*" not in e), groups),
+    ):
+        strange = [name for name in named if name not in known]
+        if strange:
+            raise ModelError(
+                f"{measurements.source}: the cell {what} {choices(strange)}; the table's column '{column}' has "
+                f"{choices(known)}."
+            )
+    unknown, frames, frame_given, own_axes = [], [], [], []
+    of_group = np.array([groups.index(g) for g in measurements.groups])
+    for g, group in enumerate(groups):
+        present = [registry.at(k) for k in np.unique(kinds[of_group == g]).tolist() if k != NONE]
+        seen = [kind for kind in present if kind.directions]
+        given = cell.frames.get(group, cell.T_frame_base)
+        scene = all(kind.own_frame for kind in seen) and group not in cell.frames
+        telling = [d for d in DIRECTIONS if any(d in kind.directions for kind in seen)]
+        wanted = telling if scene else cell.frame_directions if cell.estimate_frame else ()
+        unknown.append(tuple(d for d in wanted if d in telling))
+        frames.append(np.eye(4) if given is None else given)
+        frame_given.append(given is not None or not unknown[-1])
+        own_axes.append(scene and any(kind.own_axes for kind in seen))
+    T_tip_target = np.tile(np.eye(4), (len(targets), 1, 1))
+    target_given = []
+    for t, name in enumerate(targets):
+        place = cell.targets.get(name, cell.target)
+        target_given.append(place is not None)
+        if place is not None:
+            T_tip_target[t, :3, 3] = place
+        if cell.target_rotation is not None:
+            T_tip_target[t, :3, :3] = cell.target_rotation
+    rotation = any(registry.at(k).angles for k in np.unique(kinds).tolist() if k != NONE)
+    return Setup(
+        groups=groups,
+        targets=targets,
+        T_frame_base=read_only(frames),
+        T_tip_target=read_only(T_tip_target),
+        unknown=tuple(unknown),
+        frame_given=np.array(frame_given),
+        target_unknown=np.full(len(targets), cell.estimate_target),
+        target_given=np.array(target_given),
+        rotation=rotation,
+        own_axes=np.array(own_axes),
+        oriented=cell.target_rotation is not None or rotation,
+    )
+
+
+def along_own_axes(model: ErrorModel, setup: Setup) -> ErrorModel:
+    """The model with the directions of planes' frames along the planes' own axes, wherever these point in the base.
+
+    A frame is displaced in the base, T_frame_base D: with the rotation R of T_frame_base the twist of a unit along one
+    of its own axes e is R^T e.
+    """
+    frames = zip(setup.frame_unknowns, setup.own_axes, setup.T_frame_base, strict=True)
+    turned = {frame_place(name): T[:3, :3].T for name, own, T in frames if own}
+    return _turned_at(model, turned, ("m", "rad"))
+
+
+def targets_along_tip(model: ErrorModel, setup: Setup) -> ErrorModel:
+    """The model with the positions of targets along the tip's axes, in which they are given and told.
+
+    A target is displaced in its own frame, T_tip_target D; its angles stay about its own axes.
+    """
+    targets = zip(setup.target_names, setup.T_tip_target[:, :3, :3], strict=True)
+    turned = {target_place(n): R.T for n, R in targets if not np.array_equal(R, np.eye(3))}
+    return _turned_at(model, turned, ("m",))
+
+
+def _turned_at(
+    model: ErrorModel, turned: Mapping[str, Array], units: tuple[str, ...]
+) -> ErrorModel:
+    """The model with the directions at some places turned, of parameters of these units."""
+    if not turned:
+        return model
+
+    def turn(one: Parameter) -> Parameter:
+        if one.place not in turned or one.unit not in units:
+            return one
+        direction = (turned[one.place] @ one.direction.reshape(2, 3).T).T.ravel()
+        return replace(one, direction=read_only(direction))
+
+    parameters, terms = (tuple(map(turn, some)) for some in (model.parameters, model.terms))
+    return replace(model, parameters=parameters, terms=terms)
+
+
+def rows_of(robot: Robot, measurements: Measurements, cell: Cell) -> tuple[Rows, Setup]:
+    """All rows of a table, for a robot and a set-up.
+
+    Raises:
+        MeasurementError: A joint's column is missing, or a pair has lost its other row.
+        ModelError: The cell names a set-up or target that the table lacks.
+    """
+    m, count = measurements, len(measurements)
+    q = m.joints_for(robot.joint_names)
+    kinds = _numbers(m.kinds, registry.names())
+    partner = _partners(m)
+    # Of a pair the earlier row carries what was measured, and the later one nothing more.
+    kinds[(partner >= 0) & (partner < np.arange(count))] = NONE
+    partner = np.where(kinds == NONE, -1, partner)
+    setup = setup_of(cell, m, kinds)
+    blocks = same_poses(q)
+    # The load on the joints takes its time to work out: a model may be fitted that asks for it, or not.
+    counts = cell.model == AUTO or any(FAMILIES[f].loaded for f in split_name(cell.model)[1])
+    samples = Samples(
+        q=q,
+        frame=_numbers(m.groups, setup.groups),
+        target=_numbers(m.targets, setup.targets),
+        load=_load(robot, m, cell, q) if counts else None,
+    )
+    rows = Rows(
+        samples=samples,
+        kinds=kinds,
+        measured=_measured(m, kinds),
+        partner=partner,
+        sigma=_sigma(m.sigma, cell.sigma, FIRST_SIGMA, count),
+        sigma_angle=_sigma(m.sigma_angle, cell.sigma_angle, FIRST_SIGMA_ANGLE, count),
+        poses=_repeats(blocks, samples, kinds, partner),
+        blocks=_joined(blocks, [(int(i), int(partner[i])) for i in np.flatnonzero(partner >= 0)]),
+    )
+    return rows, setup
+
+
+def known_distances(cell: Cell, setup: Setup) -> tuple[KnownDistance, ...]:
+    """The cell's known distances between set-ups, by the numbers of their frames; a "*" stands for any text.
+
+    Raises:
+        ModelError: A distance fits no two set-ups of the table.
+    """
+    result: list[KnownDistance] = []
+    for known in cell.distances:
+        pairs = known.pairs(setup.groups)
+        if not pairs:
+            raise ModelError(
+                f"A distance is stated between the groups '{known.first}' and '{known.second}', which fits no two of "
+                f"{choices(setup.groups)}."
+            )
+        result += [
+            KnownDistance(setup.groups.index(a), setup.groups.index(b), known.length, known.sigma)
+            for a, b in pairs
+        ]
+    return tuple(result)
+
+
+def joined_setups(rows: Rows, distances: Sequence[KnownDistance]) -> NDArray[np.int_]:
+    """The set-up of each row, those with a known distance between them taken for one, shape (N,)."""
+    frames = np.arange(int(rows.samples.frame.max()) + 1)
+    return _joined(frames, [(d.first, d.second) for d in distances])[rows.samples.frame]
+
+
+def _repeats(
+    blocks: NDArray[np.int_],
+    samples: Samples,
+    kinds: NDArray[np.int_],
+    partner: NDArray[np.int_],
+) -> NDArray[np.int_]:
+    """A number for each pose, frame, target and kind, and of a pair for those of both its rows, shape (N,)."""
+    if int(blocks.max(initial=-1)) + 1 == len(blocks):
+        return blocks  # no pose twice
+    own = np.column_stack([blocks, samples.frame, samples.target, kinds])
+    other = np.where((partner >= 0)[:, None], own[partner], -1)
+    return np.unique(np.hstack([own, other]), axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _numbers(words: Sequence[str], names: Sequence[str]) -> NDArray[np.int_]:
+    """The number of each word among some names, shape (N,)."""
+    if len(set(words)) == 1:
+        return np.full(len(words), names.index(words[0]))
+    number = {name: i for i, name in enumerate(names)}
+    return np.array([number[word] for word in words], dtype=np.int_)
+
+
+def _joined(labels: NDArray[np.int_], pairs: Sequence[tuple[int, int]]) -> NDArray[np.int_]:
+    """Labels after joining those of some pairs of entries, numbered from 0 in order."""
+    if not len(pairs):
+        return np.unique(labels, return_inverse=True)[1].reshape(-1)
+    count = int(labels.max()) + 1
+    one, other = labels[np.array(pairs)].T
+    graph = coo_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
+    _, component = connected_components(graph, directed=False)
+    # Components are numbered in the order of their smallest labels.
+    return np.unique(component[labels], return_inverse=True)[1].reshape(-1)
+
+
+def _measured(m: Measurements, kinds: NDArray[np.int_]) -> Array:
+    """What was measured, as `calib.estimate.rows.Rows` has it, shape (N, K)."""
+    present = [
+        (registry.at(int(k)), np.flatnonzero(kinds == k)) for k in np.unique(kinds) if k != NONE
+    ]
+    result = np.zeros((len(m), max((kind.size for kind, _ in present), default=0)))
+    for kind, rows in present:
+        parts = [m.points[rows]] if kind.position else []
+        if kind.orientation and m.rotations is not None:
+            parts.append(m.rotations[rows].reshape(-1, 9))
+        parts += [m.reading(one.name)[rows, None] for one in kind.readings]
+        result[rows, : kind.size] = np.hstack(parts) if parts else 0.0
+    return result
+
+
+def _partners(m: Measurements) -> NDArray[np.int_]:
+    """The other row of each pair, shape (N,); -1 where there is none."""
+    partner = np.full(len(m), -1)
+    one, other = m.pair_rows.T
+    partner[one], partner[other] = other, one
+    alone = np.flatnonzero(m.paired & (partner < 0))
+    if len(alone):
+        i = int(alone[0])
+        raise MeasurementError(
+            f"{m.source or 'Measurements'}, row {m.rows[i]}: the pair '{m.pairs[i]}' has one row only. A measurement "
+            "between two rows needs both of them, in the same set."
+        )
+    return partner
+
+
+def _load(robot: Robot, m: Measurements, cell: Cell, q: Array) -> Array:
+    """The load on each joint: by gravity and payload, and measured where there are torques, shape (N, n)."""
+    load = gravity_load(robot, q, cell.payload, cell.gravity)
+    if m.torques is not None:
+        names = [joint.name for joint in robot.joints]
+        for column, name in enumerate(m.joint_names):
+            if name in names:
+                measured = -m.torques[:, column]  # the load is what the drive holds against
+                own = load[:, names.index(name)]
+                load[:, names.index(name)] = np.where(np.isfinite(measured), measured, own)
+    return load
+
+
+def _sigma(by_row: Array | None, by_cell: float | None, first: float, count: int) -> Array:
+    """The standard deviation of each row: its own, the cell's, or the first guess, shape (N,)."""
+    general = first if by_cell is None else by_cell
+    if by_row is None:
+        return np.full(count, general)
+    return np.where(np.isfinite(by_row), by_row, general)

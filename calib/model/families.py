@@ -1,0 +1,251 @@
+"""Families of errors: the registry. A family is one row, and everything else that names families reads it.
+
+A family of the *geometry* (length, angle, zero) is what a URDF can hold; its parameters are directions at placements
+(`calib.model.error_model`). A family of the *joints' state* moves a joint about, or along, its own axis by a parameter
+times a known number of that state, its factor:
+
+    gain          dq = g q
+    eccentricity  dq = s sin q + c cos q       the encoder's once-per-turn error
+    compliance    dq = c tau                   tau: the load on the joint, by gravity and payload, or measured
+
+No URDF can hold those. Sources: J. Hollerbach, W. Khalil, M. Gautier, Handbook of Robotics, ch. 6 (gain, compliance);
+the once-per-turn error is what an encoder disc that is off its axis shows.
+
+`register` adds a family from outside: rows are added, never changed, and each process registers its own first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import ModelError, choices
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit of parameters.
+
+    Attributes:
+        symbol: In SI units: ``"m"``, ``"rad/Nm"``.
+        key: The suffix of keys in result files: ``"rad_Nm"``.
+        quantity: What it measures, as messages say it: ``"a length"``.
+        step: What arms are typically wrong by: parameters of different units are compared in such steps.
+        shown: The factor to the unit that a person reads, and that unit: ``(1e3, "mm")``.
+        cell: The suffix of keys in cell files and what one of that unit is in SI: ``("_mm", 1e-3)``.
+        example: A value that could be typed: ``"0.5 mm"``.
+        largest: A value beyond this is no error but another robot.
+    """
+
+    symbol: str
+    key: str
+    quantity: str
+    step: float
+    shown: tuple[float, str]
+    cell: tuple[str, float]
+    example: str
+    largest: float = 1.0
+
+
+M = Unit("m", "m", "a length", 1e-3, (1e3, "mm"), ("_mm", 1e-3), "0.5 mm")
+RAD = Unit(
+    "rad", "rad", "an angle", 1e-3, (1e3, "mrad"), ("_mrad", 1e-3), "2 mrad", largest=2.0 * np.pi
+)
+ONE = Unit("1", "1", "a number", 1e-3, (1e3, "mrad/rad"), ("", 1.0), "5e-4")
+M_PER_M = Unit("m/m", "m_m", "a number", 1e-3, (1e3, "mm/m"), ("", 1.0), "5e-4")
+RAD_PER_NM = Unit(
+    "rad/Nm", "rad_Nm", "a compliance", 1e-5, (1e6, "urad/Nm"), ("_rad_per_Nm", 1.0), "1e-5 rad/Nm"
+)
+M_PER_N = Unit("m/N", "m_N", "a compliance", 1e-6, (1e6, "um/N"), ("_m_per_N", 1.0), "1e-6 m/N")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointState:
+    """The state of the joints in N samples, as the factor of one joint's error sees it.
+
+    Attributes:
+        joint: Name of the joint that errs.
+        joint_names: The m measured joints.
+        values: shape (N, m), of all measured joints, [rad] or [m].
+        chain: Names of the n joints of the chain.
+        loads: shape (N, n), torque or force on each joint of the chain [Nm, N]; None where it is not known.
+    """
+
+    joint: str
+    joint_names: tuple[str, ...]
+    values: Array
+    chain: tuple[str, ...] = ()
+    loads: Array | None = None
+
+    @property
+    def q(self) -> Array:
+        """The joint's own values, shape (N,), [rad] or [m]; it must be a measured one."""
+        return self.values[:, self.joint_names.index(self.joint)]
+
+    @property
+    def load(self) -> Array:
+        """The load on the joint, shape (N,), [Nm] or [N].
+
+        Raises:
+            ModelError: It is not known.
+        """
+        if self.loads is None:
+            raise ModelError(
+                f"The compliance of '{self.joint}' needs the load on the joints. Give it with the joint values."
+            )
+        return self.loads[:, self.chain.index(self.joint)]
+
+
+@dataclass(frozen=True, slots=True)
+class Factor:
+    """The known number of the joints' state that multiplies one parameter of a joint.
+
+    Attributes:
+        name: Names the parameter, ``<joint>.<name>``.
+        value: The number, of shape (N,), from a `JointState`.
+        slope: Its derivative by the joint's own value, shape (N,); None: it is next to 0 and taken as
+            that, which costs an inverse solution an iteration, no accuracy.
+        loaded: Whether it needs the load on the joints.
+    """
+
+    name: str
+    value: Callable[[JointState], Array]
+    slope: Callable[[JointState], Array] | None
+    loaded: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """A family of errors, whose parameters share the size of a prior.
+
+    Attributes:
+        name: As a model names it behind a "+": ``"gain"``.
+        unit: Of a parameter, at a joint that turns.
+        prior: Standard deviation that is assumed, or where the search for it begins, in that unit.
+        typical: Standard deviation of a virtual robot's, in that unit.
+        factors: Of the parameters that each joint has; empty for the geometry.
+        sliding: The unit at a joint that slides; None: such a joint has none of the family.
+        every_joint: Whether each joint of the chain errs by itself; else each measured joint, and with it all joints
+            that follow it.
+        bounds: Smallest and largest size that is believed, in ``unit``.
+        positive: Whether its parameters are none but positive, as a compliance is.
+        lever: A sliding joint's typical error over that of a turning one.
+    """
+
+    name: str
+    unit: Unit
+    prior: float
+    typical: float
+    factors: tuple[Factor, ...] = ()
+    sliding: Unit | None = None
+    every_joint: bool = False
+    bounds: tuple[float, float] = (1e-7, 0.1)
+    positive: bool = False
+    lever: float = 1.0
+
+    @property
+    def geometric(self) -> bool:
+        """Whether a URDF can hold its errors."""
+        return not self.factors
+
+    @property
+    def loaded(self) -> bool:
+        """Whether it needs the load on the joints."""
+        return any(factor.loaded for factor in self.factors)
+
+
+#: What a URDF can hold. A zero is an angle about a joint's own axis.
+LENGTH, ANGLE, ZERO = "length", "angle", "zero"
+
+_GAIN = Factor("gain", lambda state: state.q, lambda state: np.ones_like(state.q))
+_SIN = Factor("sin", lambda state: np.sin(state.q), lambda state: np.cos(state.q))
+_COS = Factor("cos", lambda state: np.cos(state.q), lambda state: -np.sin(state.q))
+_COMPLIANCE = Factor("compliance", lambda state: state.load, slope=None, loaded=True)
+
+_REGISTRY: dict[str, Family] = {
+    row.name: row
+    for row in (
+        Family(LENGTH, M, prior=3e-3, typical=0.3e-3),
+        Family(ANGLE, RAD, prior=15e-3, typical=3e-3),
+        Family(ZERO, RAD, prior=15e-3, typical=5e-3),
+        Family("gain", ONE, 1e-3, 0.5e-3, (_GAIN,), sliding=M_PER_M),
+        Family("eccentricity", RAD, 1e-3, 0.5e-3, (_SIN, _COS)),
+        Family(
+            "compliance",
+            RAD_PER_NM,
+            1e-5,
+            1e-5,
+            (_COMPLIANCE,),
+            sliding=M_PER_N,
+            every_joint=True,
+            bounds=(1e-11, 1e-2),
+            positive=True,
+            lever=0.1,
+        ),
+    )
+}
+
+#: All families by name, in the order in which they are shown.
+FAMILIES: Mapping[str, Family] = MappingProxyType(_REGISTRY)
+
+
+def register(family: Family) -> None:
+    """Add a family of the joints' state, which models can then name: ``"dh+harmonic"``.
+
+    Raises:
+        ModelError: Its name is taken, a parameter's name is, or it has no factors.
+    """
+    taken = [factor.name for row in FAMILIES.values() for factor in row.factors]
+    if family.name in FAMILIES:
+        raise ModelError(
+            f"There is a family '{family.name}' already; they are {choices(FAMILIES)}. Choose another name."
+        )
+    if not family.factors:
+        raise ModelError(
+            f"The family '{family.name}' has no factors; one of the joints' state has at least one."
+        )
+    doubled = [factor.name for factor in family.factors if factor.name in taken]
+    if doubled:
+        raise ModelError(
+            f"Parameters called {choices(doubled)} belong to another family; those taken are {choices(taken)}."
+        )
+    _REGISTRY[family.name] = family
+
+
+def family_of(name: str) -> Family:
+    """A family by its name.
+
+    Raises:
+        ModelError: It is not registered.
+    """
+    if name not in FAMILIES:
+        raise ModelError(
+            f"There is no family of errors '{name}'; there are {choices(FAMILIES)}. One of your own is added by "
+            "calib.model.families.register, before anything that names it."
+        )
+    return FAMILIES[name]
+
+
+def joint_families() -> tuple[str, ...]:
+    """The names of the families that no URDF can hold, which a model may add to its set."""
+    return tuple(name for name, row in FAMILIES.items() if not row.geometric)
+
+
+def unit_of(symbol: str) -> Unit:
+    """A unit of parameters by its symbol: one of calib's own, or of a registered family.
+
+    Raises:
+        ModelError: No family has it.
+    """
+    units = {unit.symbol: unit for unit in (M, RAD, ONE, M_PER_M, RAD_PER_NM, M_PER_N)}
+    for row in FAMILIES.values():
+        units |= {unit.symbol: unit for unit in (row.unit, row.sliding) if unit is not None}
+    if symbol not in units:
+        raise ModelError(f"No parameter has the unit '{symbol}'; the units are {choices(units)}.")
+    return units[symbol]

@@ -1,0 +1,1 @@
+"""What was found and how far to trust it, one `Calibration` in memory and on file. Imports estimate and below."""

@@ -1,0 +1,335 @@
+"""calibrate: a robot and measurements in, a result out.
+
+The order of the work: which model the data support, registration of targets and measurement frames, estimation, rank
+and uncertainty, errors on rows that the fit did not see, the verdict.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.data.cell import AUTO, Cell
+from calib.data.measurements import Measurements
+from calib.errors import ModelError
+from calib.estimate.crossvalidation import (
+    Progress,
+    cross_validation,
+    nominal_cross_validation,
+)
+from calib.estimate.fitting import Fitted, Task, fit, unseen_scores
+from calib.estimate.registration import nominal_setup
+from calib.estimate.robust import Limits, Repeats, repeats
+from calib.estimate.rows import Rows
+from calib.estimate.selection import Candidate, select
+from calib.estimate.setup import known_distances, rows_of
+from calib.estimate.solvers import Solver
+from calib.model.error_model import split_name
+from calib.model.kinematics import Samples
+from calib.model.observability import Observability, analyse
+from calib.model.parameters import Parameter
+from calib.result.calibration import Calibration, Fit, RowNames, Source
+from calib.result.evidence import evidence_of
+from calib.result.prediction import (
+    Larger,
+    Outlier,
+    base_motion,
+    expected_error,
+    parameter_estimates,
+    tells_place,
+)
+from calib.result.support import better_setup, compare, outside
+from calib.result.verdict import NO, Reason, Verdict, verdict
+from calib.robot.kernel import one_blas_thread
+from calib.robot.readback import spread_poses
+from calib.robot.robot import Robot, read_only
+
+__all__ = ["Calibration", "calibrate"]
+
+Array = NDArray[np.float64]
+
+
+@one_blas_thread()
+def calibrate(
+    robot: Robot,
+    measurements: Measurements,
+    *,
+    cell: Cell | None = None,
+    model: str | Sequence[Parameter] | None = None,
+    solver: str | Solver = "lm",
+    robust: bool = True,
+    validate: bool = True,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate a robot from measurements of a target on its tip.
+
+    Args:
+        robot: The nominal robot.
+        measurements: Rows of the set ``estimate`` are fitted, those of ``validate`` only predicted.
+        cell: What is known of targets, frames, noise and priors; default: the measurements are in the base frame, the
+            target is estimated. Measurements in a tracker's own frame: ``Cell(estimate_frame=True)``.
+        model: Name of the parameter set, with families behind it: ``"auto"`` (the data choose), ``"dh"``, ``"paper"``,
+            ``"hayati"``, ``"placement"``, ``"zeros"`` or ``"frames"``, such as ``"dh+compliance"``; default the
+            cell's. See docs/parameters.md. Or the robot's parameters themselves, each a twist at a placement.
+        solver: ``"lm"`` (default), ``"scipy"`` (the same problem by SciPy), or ``"paper"`` (the paper's algorithm,
+            without priors and robust weights); or a function like those of `calib.estimate.solvers.SOLVERS`.
+        robust: Whether outliers lose their weight; they are named either way.
+        validate: Whether to cross-validate; one fold a row up to 60 rows, ten folds above.
+        progress: Called after each fit of the cross-validation.
+
+    Raises:
+        ModelError: An unknown parameter set, parameter or solver, or measurements that the model does not cover.
+        MeasurementError: Too few rows, or columns that the robot needs are missing.
+        SolverError: No finite result.
+    """
+    for thing, kind in ((robot, Robot), (measurements, Measurements)):
+        if not isinstance(thing, kind):
+            raise ModelError(
+                f"calibrate takes a {kind.__name__}; {thing!r} was given. Read it with calib.Robot.load(...) or "
+                "calib.Measurements.read(...)."
+            )
+    cell = Cell() if cell is None else cell
+    cell = replace(cell, model=model) if isinstance(model, str) else cell
+    fits = fit_table(robot, measurements, cell, model=model, solver=solver, robust=robust)
+    result = _assembled(measurements, fits)
+    if validate:
+        return _validated(result, fits.rows, fits.hint, progress)
+    return replace(result, verdict=Verdict(NO, (fits.hint,))) if fits.hint else result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fits:
+    """What `calibrate` makes its result of."""
+
+    fitted: Fitted  # The fit of the geometry
+    larger: Fitted | None  # That of the larger model, if there is one
+    # The ladder they were chosen from; empty for a model that was named
+    candidates: tuple[Candidate, ...]
+    every: Rows  # All rows of the table
+    rows: Rows  # Those that were fitted
+    hint: Reason | None  # What set-up would explain the measurements far better, if one does
+    seconds: float  # How long the fits took
+
+
+@one_blas_thread()
+def fit_table(
+    robot: Robot,
+    measurements: Measurements,
+    cell: Cell,
+    *,
+    model: str | Sequence[Parameter] | None = None,
+    solver: str | Solver = "lm",
+    robust: bool = True,
+) -> Fits:
+    """The fits alone, without what a result says of them; arguments and errors are those of `calibrate`."""
+    every, setup = rows_of(robot, measurements, cell)
+    rows = every.select(measurements.estimation)
+    began = time.perf_counter()
+    model = cell.model if model is None else model
+    task = Task(robot, cell, setup, model, known_distances(cell, setup), solver, robust)
+    fitted, larger, candidates = _fitted(task, rows)
+    seconds = time.perf_counter() - began
+    hint = better_setup(robot, cell, setup, rows)
+    return Fits(fitted, larger, candidates, every, rows, hint, seconds)
+
+
+def _fitted(task: Task, rows: Rows) -> tuple[Fitted, Fitted | None, tuple[Candidate, ...]]:
+    """The fit of the geometry, that of the larger model if there is one, and the ladder they were chosen from."""
+    if task.model == AUTO and task.solver == "paper":
+        return fit(replace(task, model="dh", lenient=True), rows), None, ()
+    if task.model == AUTO:
+        chosen = select(task, rows)
+        task, common = replace(task, lenient=True), chosen.common
+        fitted, larger = common, None
+        if chosen.geometry != common.kinematics.model.name:
+            fitted = fit(replace(task, model=chosen.geometry), rows, started=common.setup)
+        if chosen.larger:
+            larger = fit(replace(task, model=chosen.larger), rows, started=common.setup)
+        return fitted, larger, chosen.candidates
+    base, families = split_name(task.model) if isinstance(task.model, str) else (task.model, ())
+    fitted = fit(replace(task, model=base, lenient=bool(families)), rows)
+    return fitted, fit(task, rows) if families else None, ()
+
+
+def _validated(
+    result: Calibration, rows: Rows, hint: Reason | None, progress: Progress | None
+) -> Calibration:
+    """The result with cross-validation, of the larger model too, and the verdict."""
+    task, outliers = result.fitted.task, result.fitted.estimate.outliers
+    larger, fit = result.larger, result.fit
+    assert fit is not None
+
+    def of_part(part: int) -> Progress | None:
+        if progress is None:
+            return None
+        parts = 1 if larger is None else 2
+        return lambda done, every: progress(part * every + done, parts * every)
+
+    of_calibrated = cross_validation(task, rows, outliers, of_part(0), fitted=result.fitted)
+    candidates = result.candidates
+    if larger is not None and fit.larger is not None:
+        found = cross_validation(fit.larger.task, rows, outliers, of_part(1), fitted=fit.larger)
+        larger = replace(larger, cross_validation=found)
+        left = [
+            np.sum((v.residual / result.fitted.estimate.problem.scales)[~outliers] ** 2)
+            for v in (found, of_calibrated)
+        ]
+        if candidates and not left[0] < left[1]:
+            # The ladder's quick cross-validation let it pass; refitted without each fold it does not.
+            candidates = tuple(
+                replace(c, chosen="") if c.name == larger.name else c for c in candidates
+            )
+            larger, fit = None, replace(fit, larger=None)
+    result = replace(
+        result,
+        fit=fit,
+        cross_validation=of_calibrated,
+        nominal_cross_validation=nominal_cross_validation(task, rows, outliers),
+        larger=larger,
+        candidates=candidates,
+    )
+    return replace(result, verdict=verdict(evidence_of(result, rows, hint)))
+
+
+def _observability(fitted: Fitted) -> Observability:
+    """What the rows that count determine, with every scalar in units of a length."""
+    estimated, model = fitted.estimate, fitted.kinematics.model
+    problem = estimated.problem
+    known, alive = problem.known_slopes(estimated.x), problem.weights > 0.0
+    counts = problem.rows.used & alive[:, None]
+    # Angles as lengths, by the ratio of the two standard deviations.
+    jacobian = (problem.linear(estimated.x).A * problem.rows.scales[:, :1, None])[counts]
+    seen = np.concatenate([jacobian, known])
+    return analyse(seen, model.names, model.units, int(np.sum(counts)) + len(known))
+
+
+def _solved(fitted: Fitted, observability: Observability) -> dict[str, Any]:
+    """The attributes of `calib.result.prediction.Solved`, but for the cross-validation that is still to come."""
+    estimated, rows = fitted.estimate, fitted.estimate.problem.rows
+    placed = tells_place(kind.name for kind in rows.present)
+    return {
+        "kinematics": fitted.kinematics,
+        "x": estimated.x,
+        "covariance": estimated.covariance,
+        "sizes": estimated.sizes,
+        "parameters": parameter_estimates(fitted, observability),
+        "setup": fitted.placed(),
+        "base_motion": None
+        if placed
+        else base_motion(fitted.kinematics, estimated.x, rows.samples),
+        "cross_validation": None,
+    }
+
+
+def _assembled(measurements: Measurements, fits: Fits) -> Calibration:
+    """Everything that the fits say, as one value; cross-validation and verdict are still to come."""
+    m, fitted, every, larger = measurements, fits.fitted, fits.every, None
+    task, estimated, problem = fitted.task, fitted.estimate, fitted.estimate.problem
+    robot, cell, mask = task.robot, task.cell, m.estimation
+    if fits.larger is not None:
+        larger = Larger(
+            **_solved(fits.larger, _observability(fits.larger)),
+            residual=read_only(fits.larger.residual(every)),
+            payload=cell.payload,
+            gravity=cell.gravity,
+        )
+    observability = _observability(fitted)
+    T_base_tip = robot.poses(every.joints)
+    placed = nominal_setup(T_base_tip[mask], task.setup, every.select(mask))
+    residual = fitted.residual(every)
+    scores, weights = np.empty(len(mask)), np.zeros(len(mask))
+    weights[mask], scores[mask] = estimated.weights, estimated.scores
+    scores[~mask] = unseen_scores(fitted, every.select(~mask))
+    lengths = np.where(
+        np.any(every.used[:, :3], axis=1), np.linalg.norm(residual[:, :3], axis=1), np.nan
+    )
+
+    def named(chosen: NDArray[np.bool_], beyond: float) -> tuple[Outlier, ...]:
+        return tuple(
+            Outlier(m.rows[i], float(lengths[i]), float(scores[i]))
+            for i in np.flatnonzero(chosen & (scores > beyond))
+        )
+
+    # Each set has a limit of its own, because each has its own number of chances for a false alarm.
+    limit, suspect = estimated.flag_limit, Limits.of(np.sum(~mask), estimated.freedom).flagged
+    scales, joints = np.where(problem.rows.used, problem.scales, np.nan), every.joints
+    inside = joints[weights > 0.0]
+    ranges = inside.min(axis=0, initial=np.inf), inside.max(axis=0, initial=-np.inf)
+    types = [joint.type for joint in robot.inputs]
+    solved = _solved(fitted, observability)
+    expected = partial(expected_error, fitted.kinematics, estimated.x, estimated.covariance)
+    nothing = read_only(np.zeros((0, 0)))
+    return Calibration(
+        **solved,
+        nominal=robot,
+        robot=fitted.kinematics.model.apply(robot, estimated.x),
+        source=Source(m.source, m.sha256),
+        rows=RowNames(m.rows, m.sets, m.kinds, m.groups, m.targets),
+        frame_estimated=cell.estimate_frame,
+        frozen=cell.frozen,
+        ties=cell.ties,
+        sizes_from=cell.priors.sizes,
+        nominal_setup=placed,
+        solver=task.solver if isinstance(task.solver, str) else task.solver.__name__,
+        solution=estimated.solution,
+        seconds=fits.seconds,
+        freedom=estimated.freedom,
+        sigma=_median(scales[:, :3]),
+        sigma_angle=_median(scales[:, 3:]),
+        residual_nominal=read_only(every.residual(placed.seen(T_base_tip, every.samples))),
+        residual_calibrated=read_only(residual),
+        used=every.used,
+        scores=read_only(scores),
+        weights=read_only(weights),
+        ranges=read_only(np.stack(ranges, axis=1)),
+        flag_limit=limit,
+        outliers=named(mask, limit),
+        suspects=named(~mask, float(suspect)),
+        robustness=compare(fitted)
+        if np.any(estimated.outliers) and task.solver != "paper"
+        else None,
+        repeats=_repeats(fitted),
+        outside=outside(joints[mask], joints[~mask], robot.joint_names, types),
+        expected_measured=expected(problem.rows.samples, solved["base_motion"]),
+        expected_everywhere=expected(Samples.at(spread_poses(robot)), solved["base_motion"]),
+        nominal_cross_validation=None,
+        observability=observability,
+        # With their errors, but without those of each row.
+        candidates=tuple(
+            replace(
+                one,
+                cross_validation=replace(
+                    one.cross_validation, poses=np.zeros(0, dtype=int), residual=nothing
+                ),
+            )
+            for one in fits.candidates
+        ),
+        larger=larger,
+        verdict=None,
+        fit=Fit(m, cell, fitted, fits.larger),
+    )
+
+
+def _median(values: Array) -> float:
+    """The median of what is no NaN; NaN of nothing."""
+    there = values[~np.isnan(values)]
+    return float(np.median(there)) if there.size else float("nan")
+
+
+def _repeats(fitted: Fitted) -> Repeats | None:
+    """Scatter of rows that repeat a pose, in SI units; None where none does."""
+    estimated = fitted.estimate
+    rows = estimated.problem.rows
+    if len(np.unique(rows.poses)) == len(rows):
+        return None
+    paid = float(np.sum(estimated.problem.weights @ rows.used)) - estimated.freedom
+    found = repeats(
+        fitted.residual(rows), rows.used, rows.poses, estimated.weights, fitted=max(paid, 0.0)
+    )
+    return found if found.freedom > 0 else None

@@ -1,0 +1,417 @@
+"""Calibration: what was found of a robot, as immutable values: the same in memory and read from its file.
+
+`calib.calibrate` makes it, `calib.result.calibration_file` writes and reads it; whatever is made of a result (summary,
+evaluation, comparison, commands, controller files, views) takes this one value. What no file holds, the measurements
+and the solved problem, is its part ``fit``, which is None in a result that was read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.data.table import SETS
+from calib.errors import ModelError, choices
+from calib.estimate.fitting import Fitted
+from calib.estimate.robust import Repeats
+from calib.estimate.selection import Candidate
+from calib.estimate.setup import Setup
+from calib.estimate.solvers import Solution
+from calib.estimate.statistics import CrossValidation, Errors
+from calib.model.kinematics import Samples
+from calib.model.observability import Observability
+from calib.model.parameters import TARGET
+from calib.result.prediction import Larger, Outlier, ParameterEstimate, Solved, tells_place
+from calib.result.support import OutsideRow, Robustness, outside
+from calib.result.verdict import Verdict
+from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.torques import Payload
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Values that stand for all those between the ends of a measured range.
+_BETWEEN = 73
+
+
+@dataclass(frozen=True, slots=True)
+class RowNames:
+    """What each row of the measurements is: its number in the table, its set, kind, set-up and target."""
+
+    numbers: tuple[int, ...]
+    sets: tuple[str, ...]
+    kinds: tuple[str, ...]
+    groups: tuple[str, ...]
+    targets: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """The number of rows."""
+        return len(self.numbers)
+
+    @property
+    def estimation(self) -> Mask:
+        """Which rows were fitted, shape (N,)."""
+        return np.array([one == SETS[0] for one in self.sets], dtype=bool)
+
+    @property
+    def validation(self) -> Mask:
+        """Which rows were only predicted, shape (N,)."""
+        return ~self.estimation
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The table of the measurements: name and SHA-256 of the file, both empty where it was none."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """The solved problem, for those who want to go on from it: what a result in memory has beside its values.
+
+    Rows and cell are as given; ``geometry`` is the fit of what the URDF holds, ``larger`` that of the larger model.
+    """
+
+    measurements: Measurements
+    cell: Cell
+    geometry: Fitted
+    larger: Fitted | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The p parameters of the geometry."""
+        return self.geometry.kinematics.model.names
+
+    @property
+    def x(self) -> Array:
+        """The solution, shape (p,): offsets from where frames and targets were registered [m], [rad], ..."""
+        return self.geometry.estimate.x
+
+    @property
+    def covariance(self) -> Array:
+        """Of ``x``, shape (p, p)."""
+        return self.geometry.estimate.covariance
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus predicted of the fitted rows, shape (N, D): lengths [m], then angles [rad]."""
+        return read_only(self.geometry.estimate.problem.residual(self.x))
+
+    @property
+    def jacobian(self) -> Array:
+        """Derivative of the prediction of the fitted rows, shape (N, D, p), in the units of ``x``."""
+        return read_only(self.geometry.estimate.problem.residual_and_jacobian(self.x)[1])
+
+    @property
+    def used(self) -> Mask:
+        """Which scalars of ``residual`` were measured, shape (N, D)."""
+        return self.geometry.estimate.problem.rows.used
+
+    @property
+    def weights(self) -> Array:
+        """What each scalar's square counts for, shape (N, D): robust weight over its variance; 0 where not measured."""
+        problem = self.geometry.estimate.problem
+        return read_only(np.where(self.used, problem.weights[:, None] / problem.scales**2, 0.0))
+
+    @property
+    def prior_precision(self) -> Array:
+        """One over the variance of each parameter's prior, shape (p,); 0 where there is none."""
+        return self.geometry.estimate.problem.precision
+
+    @property
+    def system(self) -> tuple[Array, Array]:
+        """The whitened residual, priors and known distances included, and its own derivative, (M,) and (M, p)."""
+        return self.geometry.estimate.problem.system(self.x)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Calibration(Solved):
+    """The result of `calib.calibrate`; the attributes of `Solved` are those of the geometry, which the URDF holds.
+
+    Attributes:
+        nominal: The robot as it came in.
+        robot: The calibrated robot, its URDF corrected.
+        source: The measurements' file.
+        rows: What each row is, all rows.
+        frame_estimated: Whether the cell left the measurement frames to be estimated.
+        frozen: Parameters that were kept at their nominal values.
+        ties: Parameters that follow others: for each the other's name and the factor.
+        sizes_from: Where the sizes of the priors are from: ``"data"``, ``"given"``, or ``"off"`` without priors.
+        nominal_setup: Frames and targets of the nominal robot's errors: as given, and registered where they were not.
+        solver: Name of the solver.
+        solution: Where it stopped, with its history.
+        seconds: Time that choosing a model, registration and estimation took; NaN where it is not to be told.
+        freedom: Degrees of freedom left for the noise.
+        sigma: Standard deviation of one measured length (median over rows) [m]; NaN where none was measured.
+        sigma_angle: Of one measured angle [rad]; NaN where none was.
+        residual_nominal: shape (N, D), measured minus predicted by the nominal robot, all rows: lengths [m] in the
+            first columns, angles [rad] in three more where poses were measured.
+        residual_calibrated: shape (N, D), by the calibrated robot.
+        used: shape (N, D), which scalars were measured.
+        scores: shape (N,), of all rows; see `calib.estimate.robust`.
+        weights: shape (N,), of all rows in the fit, between 0 and 1; 0 for validation rows.
+        ranges: shape (m, 2), the smallest and the largest value of each joint in the rows that were fitted [rad], [m].
+        flag_limit: The score above which a row is flagged.
+        outliers: The estimation rows flagged; they have no weight where the fit was robust.
+        suspects: The validation rows beyond such a limit, for their number; they never have a weight.
+        robustness: What lowering the weights of doubtful rows does; None where none is flagged, or by ``"paper"``.
+        repeats: Scatter of rows that repeat a pose; None where none does.
+        outside: The rows for validation whose joint values lie outside of the range that was fitted.
+        expected_measured: Standard deviation of the predicted point at the measured poses, rms [m]. From the
+            covariance, so it knows nothing of errors that the model lacks.
+        expected_everywhere: The same over joint values spread over the limits [m].
+        nominal_cross_validation: Of the nominal robot, its target (and frame, if estimated) fitted to the other rows.
+        observability: Rank, and what the measured poses cannot tell apart.
+        candidates: The ladder of models that ``auto`` chose from; empty for a model that was named.
+        larger: The larger model, if one was chosen or asked for.
+        verdict: Whether to use the result; None without cross-validation, unless the set-up is plainly wrong.
+        fit: Measurements and solved problem; None where the result was read from a file.
+    """
+
+    nominal: Robot
+    robot: Robot
+    source: Source
+    rows: RowNames
+    frame_estimated: bool
+    frozen: tuple[str, ...]
+    ties: Mapping[str, tuple[str, float]]
+    sizes_from: str
+    nominal_setup: Setup
+    solver: str
+    solution: Solution
+    seconds: float
+    freedom: float
+    sigma: float
+    sigma_angle: float
+    residual_nominal: Array
+    residual_calibrated: Array
+    used: Mask
+    scores: Array
+    weights: Array
+    ranges: Array
+    flag_limit: float
+    outliers: tuple[Outlier, ...]
+    suspects: tuple[Outlier, ...]
+    robustness: Robustness | None
+    repeats: Repeats | None
+    outside: tuple[OutsideRow, ...]
+    expected_measured: float
+    expected_everywhere: float
+    nominal_cross_validation: CrossValidation | None
+    observability: Observability
+    candidates: tuple[Candidate, ...]
+    larger: Larger | None
+    verdict: Verdict | None
+    fit: Fit | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        """In one line."""
+        verdict = "no verdict" if self.verdict is None else self.verdict.use
+        return f"Calibration({self.nominal!r}, {len(self.rows)} rows, {verdict})"
+
+    @property
+    def measurements(self) -> Measurements:
+        """All rows; `ModelError` where the result was read from a file."""
+        return self._in_memory().measurements
+
+    @property
+    def cell(self) -> Cell:
+        """The cell as given; `ModelError` where the result was read from a file."""
+        return self._in_memory().cell
+
+    @property
+    def fitted(self) -> Fitted:
+        """The fit of the geometry; `ModelError` where the result was read from a file."""
+        return self._in_memory().geometry
+
+    def _in_memory(self) -> Fit:
+        """The fit, which a file does not hold."""
+        if self.fit is None:
+            raise ModelError(
+                "This result was read from a file, which holds neither the measurements nor the solved problem. "
+                "Calibrate again (calib.calibrate) for what needs them."
+            )
+        return self.fit
+
+    @property
+    def T_frame_base(self) -> Array:
+        """Pose of the base in the (first) measurement frame, as estimated or given, shape (4, 4), [m]."""
+        return np.asarray(self.setup.T_frame_base[0])
+
+    @property
+    def target(self) -> Array:
+        """The (first) target in the tip, as estimated or given, shape (3,), [m]."""
+        return np.asarray(self.setup.T_tip_target[0, :3, 3])
+
+    @property
+    def errors(self) -> dict[str, dict[str, Errors]]:
+        """``errors["nominal" | "calibrated" | "larger"]["estimation" | "validation"]``; "larger" if there is one."""
+        residuals = {"nominal": self.residual_nominal, "calibrated": self.residual_calibrated}
+        if self.larger is not None:
+            residuals["larger"] = self.larger.residual
+        sets = (("estimation", self.rows.estimation), ("validation", self.rows.validation))
+        return {
+            who: {name: Errors.of(residual[mask], self.used[mask]) for name, mask in sets}
+            for who, residual in residuals.items()
+        }
+
+    def parameter(self, name: str) -> ParameterEstimate:
+        """One parameter by its exact name; of the geometry, or of the larger model if only that has it."""
+        larger = self.larger
+        if larger is not None and name in larger.model.names and name not in self.model.names:
+            return larger.parameters[larger.model.index(name)]
+        return self.parameters[self.model.index(name)]
+
+    @property
+    def tells_place(self) -> bool:
+        """Whether any row tells where the base stands; otherwise predictions are in the base."""
+        return tells_place(self.rows.kinds)
+
+    def part(self, *, larger: bool) -> Solved:
+        """What to predict with: the larger model, where it is asked for and there is one, or the geometry."""
+        return self.larger if larger and self.larger is not None else self
+
+    def samples(
+        self,
+        q: ArrayLike,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+        payload: Payload | None = None,
+    ) -> Samples:
+        """Joint values, shape (N, m) or (m,), as a prediction takes them, with the load on the joints.
+
+        Target and set-up are the first where None; the payload is what the tip carried when it was calibrated.
+
+        Raises:
+            ModelError: No such target or set-up.
+        """
+        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        load, numbers = None, []
+        if self.larger is not None:
+            load = self.larger.load(self.nominal, values, payload)
+        for name, names, what in (
+            (group, self.setup.groups, "set-up"),
+            (target, self.setup.targets, "target"),
+        ):
+            if name is not None and name not in names:
+                raise ModelError(f"There is no {what} '{name}'; there is {choices(names)}.")
+            numbers.append(np.full(len(values), 0 if name is None else names.index(name)))
+        return replace(Samples.at(values, load), frame=numbers[0], target=numbers[1])
+
+    def predict_poses(
+        self,
+        q: ArrayLike,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+        larger: bool = True,
+    ) -> Array:
+        """Where the calibrated robot puts the target, in the measurement frame, or in the base where there is none.
+
+        Args:
+            q: shape (N, m) or (m,), joint values in the robot's order, [rad] or [m].
+            target: Name of the target; the first where None.
+            group: Name of the set-up whose frame is meant; where None the first, or the base as said above.
+            larger: Whether to use the larger model, where there is one; else the geometry that the URDF holds.
+
+        Returns:
+            shape (N, 4, 4), [m].
+        """
+        part = self.part(larger=larger)
+        poses = part.kinematics.poses(part.x, self.samples(q, target=target, group=group))
+        if group is None and not self.tells_place:
+            poses = rigid_inverse(part.setup.T_frame_base[0]) @ poses
+        return poses
+
+    def predict(
+        self,
+        q: ArrayLike,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+        larger: bool = True,
+    ) -> Array:
+        """The target's position, shape (N, 3), [m]; frame and arguments are those of `predict_poses`."""
+        return self.predict_poses(q, target=target, group=group, larger=larger)[:, :3, 3]
+
+    def position_std(
+        self,
+        q: ArrayLike,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+        larger: bool = True,
+    ) -> Array:
+        """How sure `predict` is, sqrt(trace(J C J^T)), shape (N,), [m]; the arguments are those of `predict_poses`.
+
+        C is the covariance of the parameters, J the derivative of the predicted position; where only sockets, planes,
+        anchors or pairs were measured, and no group is named, less what moves all positions as one body. It knows
+        nothing of errors that the model lacks.
+        """
+        part, samples = self.part(larger=larger), self.samples(q, target=target, group=group)
+        in_base = group is None and part.base_motion is not None
+        return part.pose_std(samples, in_base=in_base)[:, 0]
+
+    def tool_std(
+        self,
+        q: ArrayLike,
+        T_tip_tool: Array,
+        *,
+        target: str | None = None,
+        group: str | None = None,
+    ) -> Array:
+        """How sure it is where the corrected robot puts a tool, by the covariance of the geometry.
+
+        Args:
+            q: shape (N, m), joint values [rad] or [m].
+            T_tip_tool: shape (4, 4), the tool in the tip [m]; known exactly, unless it is a target.
+            target: Name of the target that the tool is; its estimate is then part of what is not sure.
+            group: Name of the set-up in whose frame, estimated or not, the pose is asked for. None: in the base.
+
+        Returns:
+            shape (N, 2), standard deviations: of the position [m], of the angle [rad].
+        """
+        samples, part = self.samples(q, target=target, group=group), self
+        if target is None:
+            own = self.model.family(TARGET)
+            tools = np.broadcast_to(T_tip_tool, self.kinematics.T_tip_target.shape)
+            part = replace(
+                self,
+                kinematics=replace(self.kinematics, T_tip_target=tools),
+                x=np.where(own, 0.0, self.x),
+                covariance=np.where(own[:, None] | own, 0.0, self.covariance),
+            )
+        return part.pose_std(samples, in_base=group is None)
+
+    def tip_poses(self, q: ArrayLike, *, payload: Payload | None = None) -> Array:
+        """T_base_tip by the larger model, or the corrected origins where there is none; q (N, m), shape (N, 4, 4)."""
+        if self.larger is None:
+            return self.robot.poses(np.atleast_2d(np.asarray(q, dtype=np.float64)))
+        return self.larger.tips(self.samples(q, payload=payload))
+
+    def outside_of_measured(self, q: ArrayLike) -> tuple[OutsideRow, ...]:
+        """Which joint values, shape (N, m), [rad] or [m], lie outside of the range that the fit has seen."""
+        if not np.isfinite(self.ranges).all():
+            return ()
+        seen = np.linspace(self.ranges[:, 0], self.ranges[:, 1], _BETWEEN)
+        types = [joint.type for joint in self.nominal.inputs]
+        asked = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        return outside(seen, asked, self.nominal.joint_names, types)
+
+    def corrected(self, robot: Robot) -> Robot:
+        """A robot, nominal or corrected, with this result's origins; `UrdfError` where it lacks one of the joints."""
+        own = self.robot
+        return robot.rebuilt(robot.urdf.with_origins(own.origins()), own.base, own.tip)
+
+    def uncorrected(self, robot: Robot) -> Robot:
+        """A robot, nominal or corrected, with the origins that this result began with; else as `corrected`."""
+        own = self.nominal
+        return robot.rebuilt(robot.urdf.with_origins(own.origins()), own.base, own.tip)

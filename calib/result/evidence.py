@@ -1,0 +1,315 @@
+"""What the verdict looks at besides errors: accidents, joints that stood still, patterns, set-ups that do not agree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.estimate.crossvalidation import only_there
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.problem import Problem
+from calib.estimate.registration import ENOUGH
+from calib.estimate.robust import pose_means
+from calib.estimate.rows import Rows, evenly
+from calib.estimate.setup import joined_setups
+from calib.estimate.statistics import Errors, Mask
+from calib.model.error_model import error_model
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import FRAME, TARGET, ErrorModel
+from calib.result.calibration import Calibration
+from calib.result.residual_tests import (
+    Stack,
+    drift,
+    joint_patterns,
+    prediction_square,
+    unpredicted,
+)
+from calib.result.support import outside_sentence, shares_of_ranges, spread_of
+from calib.result.verdict import Evidence, Reason, Why
+from calib.robot.readback import column_ranges, spread_poses
+from calib.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+#: A joint that moves less than this over the rows tells little of itself [rad, m].
+_STILL_RAD, _STILL_M = 0.35, 0.05
+
+#: Tips that spread less than this share of what the joints allow are a corner. Random poses reach 0.8 to 1.2, the
+#: paper's 0.43, a 20 cm cube of a UR3's workspace 0.28.
+_CORNER = 1.0 / 3.0
+
+#: A share of validation rows up to which those that do not fit are set aside as accidents.
+_FEW_SUSPECTS = 0.15
+
+#: A model that leaves this share of the noise explains what the other one lacks.
+_FAR_LESS = 0.6
+
+#: Noise below this is rounding, in which any test finds patterns [m, rad].
+_ROUNDING_NOISE = 1e-6
+
+#: Flagged rows of a set-up, in number and as a share, that show that the set-up and not the rows are off.
+_SOME_FLAGGED, _SHARE_FLAGGED = 4, 0.25
+
+#: Repeats that scatter by less than this share of what the model leaves over show that the model lacks something.
+_SCATTER_SHARE = 0.5
+
+#: A direction that moves the scalars by this many standard deviations, all together, was fitted.
+_FITTED = 1.0
+
+#: Degrees of freedom below which neither scatter nor patterns are told.
+_TELLING = 10.0
+
+
+def evidence_of(result: Calibration, rows: Rows, hint: Reason | None) -> Evidence:
+    """All that the verdict on a cross-validated result is based on; the hint is a set-up that explains more."""
+    fitted, m, larger = result.fitted, result.measurements, result.larger
+    assert result.cross_validation is not None
+    assert result.nominal_cross_validation is not None
+    suspects = {o.row for o in result.suspects}
+    notes = []
+    if larger is not None and larger.cross_validation is not None:
+        errors = larger.cross_validation.errors_without_outliers
+        notes.append(Reason.of(Why.LARGER_MODEL, model=larger.name, after=errors))
+    if result.outside:
+        numbers = np.array(m.rows)[m.validation].tolist()
+        notes.append(Reason.of(Why.OUTSIDE, rows=outside_sentence(result.outside, numbers)))
+    return Evidence(
+        nominal=result.nominal_cross_validation,
+        calibrated=result.cross_validation,
+        scales=fitted.estimate.problem.scales,
+        used=rows.used,
+        repeats=rows.poses,
+        pairs=rows.partner >= 0,
+        outliers=fitted.estimate.outliers,
+        validation=validation_errors(
+            m.validation,
+            np.array([row in suspects for row in m.rows]),
+            result.residual_nominal,
+            result.residual_calibrated,
+            result.used,
+        ),
+        doubts=tuple(_doubts(result, rows)),
+        notes=tuple(notes),
+        parameters=len(result.model),
+        largest=largest_change(result.model, result.x),
+        noise=result.sigma,
+        hint=hint,
+    )
+
+
+def _doubts(result: Calibration, rows: Rows) -> Iterator[Reason]:
+    """What was found besides errors."""
+    fitted, few = result.fitted, thin(result.fitted)
+    if still := still_joints(fitted.task.robot, rows.joints):
+        yield Reason.of(Why.JOINTS_STILL, joints=", ".join(still))
+    if not result.candidates and result.solver != "paper":
+        yield from _missing_model(few)
+    yield from _corner(few)
+    yield from _patterns(few)
+    yield from disagreeing_setups(few)
+    yield from _flagged_setup(fitted)
+    # Repeats that agree far better with each other than with the model.
+    repeats = result.repeats
+    if repeats is not None and len(repeats.within) and repeats.freedoms[0] >= _TELLING:
+        within = float(repeats.within[0])
+        if within < _SCATTER_SHARE * result.sigma and result.sigma >= _ROUNDING_NOISE:
+            yield Reason.of(Why.REPEATS_AGREE, within_m=within, noise_m=result.sigma)
+    if not fitted.task.distances and not any(kind.size for kind in rows.present):
+        yield Reason.of(Why.NO_LENGTH)
+
+
+def thin(fitted: Fitted, most: int = ENOUGH) -> Fitted:
+    """The fit with about so many of its rows, spread evenly over each frame and target; itself if it has no more.
+
+    What is left over is searched for patterns with all derivatives at hand; twenty thousand rows show any that matters.
+    """
+    problem, estimate = fitted.estimate.problem, fitted.estimate
+    if len(problem.rows) <= most:
+        return fitted
+    some = evenly(problem.rows, most)
+    rows = problem.rows.select(some)
+    few = replace(
+        Problem.first(problem.kinematics, rows, problem.distances),
+        weights=problem.weights[some],
+        scales=problem.scales[some][:, : rows.width],
+        precision=problem.precision,
+        centre=problem.centre,
+    )
+    scores, weights = estimate.scores[some], estimate.weights[some]
+    return replace(fitted, estimate=replace(estimate, problem=few, scores=scores, weights=weights))
+
+
+def validation_errors(
+    validation: Mask, suspects: Mask, nominal: Array, calibrated: Array, used: Mask
+) -> tuple[Errors, Errors, int]:
+    """Errors on the validation rows, before and after, without suspects if they are few, and how many those are.
+
+    One wild row would decide the comparison; many of them are no accidents but a robot that is not met. All are of
+    shape (N,) or (N, D): which rows validate, which of them the calibrated robot does not explain, the residuals of the
+    nominal and of the calibrated robot [m], [rad], and which scalars were measured.
+    """
+    aside = suspects & validation
+    if np.sum(suspects) > max(1, int(_FEW_SUSPECTS * np.sum(validation))) or np.array_equal(
+        aside, validation
+    ):
+        aside = np.zeros_like(suspects)
+    chosen = validation & ~aside
+    before, after = (Errors.of(one[chosen], used[chosen]) for one in (nominal, calibrated))
+    return before, after, int(np.sum(aside))
+
+
+def still_joints(robot: Robot, joints: Array) -> tuple[str, ...]:
+    """Joints that the rows (N, m), [rad] or [m], hardly move, each with how far."""
+    words = []
+    for joint, span in zip(robot.inputs, np.ptp(joints, axis=0), strict=True):
+        slides = joint.type == "prismatic"
+        if span < (_STILL_M if slides else _STILL_RAD):
+            amount = f"{1e3 * span:.0f} mm" if slides else f"{np.degrees(span):.0f} deg"
+            words.append(f"'{joint.name}' ({amount})")
+    return tuple(words)
+
+
+def largest_change(model: ErrorModel, x: Array) -> float:
+    """The largest change of a length or angle of the robot itself, target and frame aside [m or rad]."""
+    own = ~model.family(FRAME, TARGET) & np.isin(model.units, ("m", "rad"))
+    return float(np.max(np.abs(x[own]), initial=0.0))
+
+
+def _missing_model(fitted: Fitted) -> Iterator[Reason]:
+    """That the full placements would leave over far less than this fit leaves."""
+    task, rows = fitted.task, fitted.estimate.problem.rows
+    columns = 6 * len(task.robot.joints) + task.setup.count
+    if fitted.kinematics.model.name.startswith("placement") or rows.count < 2 * columns:
+        return
+    free = replace(task.cell, frozen=(), ties={}, bounds={}, parameter_priors={})
+    full = replace(task, model="placement", cell=free, solver="lm")
+    other = fit(full, rows, started=fitted.setup).estimate
+    if other.noise[0] <= _FAR_LESS * fitted.estimate.noise[0]:
+        unit = float(np.median(rows.sigma))
+        yield Reason.of(
+            Why.MODEL_LACKS,
+            model=fitted.kinematics.model.name,
+            noise_m=unit * fitted.estimate.noise[0],
+            less_m=unit * other.noise[0],
+        )
+
+
+def _corner(fitted: Fitted) -> Iterator[Reason]:
+    """That the poses cover a corner of the workspace only."""
+    robot, rows = fitted.task.robot, fitted.estimate.problem.rows
+    q = rows.joints[fitted.estimate.weights > 0.0]
+    spread = spread_of(*(robot.poses(one)[:, :3, 3] for one in (q, spread_poses(robot))))
+    if spread < _CORNER:
+        used = shares_of_ranges(q, column_ranges(robot), [j.type for j in robot.inputs])
+        least = int(np.argmin(used))
+        name, share = robot.joint_names[least], float(used[least])
+        yield Reason.of(Why.CORNER, spread=spread, joint=name, used=share)
+
+
+def _patterns(fitted: Fitted) -> Iterator[Reason]:
+    """That residuals are not noise: that they follow a joint's value, or the order of the rows."""
+    estimate, robot = fitted.estimate, fitted.task.robot
+    problem, rows = estimate.problem, estimate.problem.rows
+    if estimate.freedom < _TELLING or np.median(problem.scales[rows.used]) < _ROUNDING_NOISE:
+        return
+    residual, jacobian = problem.residual_and_jacobian(estimate.x)
+    placed, setup = fitted.placed(), fitted.setup
+    model = error_model(
+        robot,
+        "zeros",
+        frame=dict.fromkeys(setup.frame_unknowns, ()),
+        target=(),
+        targets=setup.target_names,
+    )
+    own = Kinematics(robot, model, placed.T_frame_base, placed.T_tip_target)
+    turned = rows.derivative(*own.twists(np.zeros(len(model)), rows.samples))
+    counts = rows.used & (estimate.weights > 0.0)[:, None]
+    whiten = np.sqrt(estimate.weights)[:, None] / problem.scales
+    row_of, component_of = np.nonzero(counts)
+    # What the parameters did to the scalars. Directions in which an error of the size expected moves all of them by
+    # less than their noise were not fitted: such a direction may be the residual itself, made larger or turned.
+    A = (jacobian * whiten[:, :, None])[counts]
+    A = A / np.sqrt(np.maximum(problem.precision, np.finfo(float).tiny))
+    basis, effects, _ = np.linalg.svd(A, full_matrices=False)
+    r = (residual * whiten)[counts]
+    stack = Stack(basis[:, effects > _FITTED], r, row_of, component_of, whiten[counts], rows.poses)
+    column = {name: k for k, name in enumerate(model.names)}
+    tested = [i for i, joint in enumerate(robot.inputs) if f"{joint.name}.zero" in column]
+    joints = [robot.inputs[i] for i in tested]
+    moved = (turned * whiten[:, :, None])[counts]
+    found = joint_patterns(
+        stack,
+        rows.samples.q[:, tested],
+        [joint.type == "prismatic" for joint in joints],
+        [moved[:, [column[f"{joint.name}.zero"]]] for joint in joints],
+    )
+    for i, one in found[:1]:
+        quantity = "position" if joints[i].type == "prismatic" else "angle"
+        sure = {"share": one.share, "chance": one.chance, "p": one.p}
+        yield Reason.of(Why.JOINT_PATTERN, quantity=quantity, joint=joints[i].name, **sure)
+    test = drift(stack, np.linspace(0.0, 1.0, len(rows)))
+    if test is not None:
+        yield Reason.of(Why.DRIFT, share=test.share, chance=test.chance, p=test.p)
+
+
+def disagreeing_setups(fitted: Fitted) -> tuple[Reason, ...]:
+    """Set-ups that a fit to the others does not predict, the surest two."""
+    estimate = fitted.estimate
+    problem, rows = estimate.problem, estimate.problem.rows
+    labels = joined_setups(rows, fitted.task.distances)
+    count = int(labels.max()) + 1
+    if count < 2 or estimate.freedom < _TELLING:
+        return ()
+    linear = problem.linear(estimate.x)
+    known = linear.known(problem.precision, problem.centre)
+    of_fit = np.array([estimate.noise])
+    noise = linear.noise_of(of_fit)[0]
+    counts = np.any(linear.used, axis=1) & (estimate.weights > 0.0)
+    told = np.zeros((count, 4))
+    for g in range(count):
+        own = labels == g
+        weights = np.where(own, 0.0, problem.weights)
+        x, covariance, freedom = (f[0] for f in linear.fit(weights[None], of_fit, known))
+        loose = only_there(fitted.kinematics.model, fitted.setup, rows, own)
+        x = np.where(loose, estimate.x, x)
+        rest = np.where(linear.used, linear.residual(x) / noise, 0.0)
+        # Repeats count for one measurement where they share what the model lacks.
+        chosen = own & counts
+        at, alike = problem.weights[chosen], rows.poses[chosen]
+        r, first = pose_means(rest[chosen], at, alike)
+        A, _ = pose_means((linear.A / noise[:, :, None])[chosen], at, alike)
+        there = linear.used[chosen][first]
+        A = A[there]
+        square, degrees = prediction_square(
+            r[there], A[:, ~loose], covariance[np.ix_(~loose, ~loose)], A[:, loose]
+        )
+        variance = float(weights @ np.sum(rest**2, axis=1)) / max(freedom, 1.0)
+        told[g] = square, degrees, variance, max(freedom, 0.0)
+    return tuple(
+        Reason.of(Why.SETUP_UNPREDICTED, setup=_setup_name(fitted, labels == g), ratio=ratio)
+        for g, ratio in unpredicted(*told.T)[:2]
+    )
+
+
+def _setup_name(fitted: Fitted, own: Mask) -> str:
+    """The groups of some rows."""
+    frames = fitted.estimate.problem.rows.samples.frame[own]
+    return " and ".join(dict.fromkeys(fitted.setup.groups[f] for f in frames))
+
+
+def _flagged_setup(fitted: Fitted) -> Iterator[Reason]:
+    """A set-up whose rows are flagged far more often than the others': it has moved, they have not."""
+    flagged = fitted.estimate.outliers
+    labels = joined_setups(fitted.estimate.problem.rows, fitted.task.distances)
+    several = len(np.unique(labels)) > 1
+    for g in np.unique(labels) if several else ():
+        own = labels == g
+        inside, outside = float(np.mean(flagged[own])), float(np.mean(flagged[~own]))
+        if np.sum(flagged[own]) >= _SOME_FLAGGED and inside > max(_SHARE_FLAGGED, 3.0 * outside):
+            count, rows = int(np.sum(flagged[own])), int(np.sum(own))
+            name = _setup_name(fitted, own)
+            yield Reason.of(Why.SETUP_FLAGGED, flagged=count, rows=rows, setup=name)
+            return

@@ -1,0 +1,304 @@
+"""What a fit says of its parameters, and its covariance of a pose.
+
+A predicted pose's standard deviations are those of J dx, sqrt(trace(J C J^T)), with the parameters' covariance C and
+the derivative J of the predicted pose. Sockets, planes, anchors and pairs tell neither where the base stands nor how it
+is turned: what moves all poses as one body is then known by the priors alone, whatever these may be. So predictions in
+the base leave it out there: the rigid motion of the base that makes up best for what a parameter does at the measured
+poses is taken off J, wherever else it is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+import calib.data.kinds as registry
+from calib.estimate.fitting import Fitted
+from calib.estimate.setup import Setup
+from calib.estimate.statistics import CrossValidation, interval_factor
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.observability import Observability
+from calib.model.parameters import FRAME, TARGET, ErrorModel
+from calib.robot.robot import Robot, read_only
+from calib.robot.torques import Payload, gravity_load
+
+Array = NDArray[np.float64]
+
+#: Poses over which expected errors are averaged, and that say what a motion of the base makes up for: more change none.
+_MOST_EXPECTED, _ENOUGH = 1000, 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterEstimate:
+    """One parameter of the result, in its unit.
+
+    Attributes:
+        name: Its name; its unit is ``"m"``, ``"rad"``, ``"1"``, ``"m/m"``, ``"rad/Nm"`` or ``"m/N"``.
+        nominal: The value before; None for a target that was not given.
+        value: The value after, with its standard deviation ``std`` and its 95 % interval from ``low`` to ``high``.
+        delta: The change; for a target that was not given, from where registration put it.
+        identifiable: Whether the measurements determine it; otherwise they know it in combinations only.
+        at_bound: Whether it was stopped by a bound; std and interval are then not to be told, NaN.
+        prior_std: Standard deviation of the prior on its change that the fit ended with; NaN where there was none.
+        push: How hard the data push it against its prior [1/unit]: minus the derivative of half their squares. At the
+            least of all squares that is the prior's pull, (x - mean) / std^2. Where a prior is next to nothing wide, x
+            is too, and only this still tells what the data say.
+    """
+
+    name: str
+    unit: str
+    nominal: float | None
+    value: float
+    delta: float
+    std: float
+    low: float
+    high: float
+    identifiable: bool
+    at_bound: bool = False
+    prior_std: float = np.nan
+    push: float = np.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Outlier:
+    """A row, by its number in the table, that does not belong to the others.
+
+    The residual is the norm of measured minus predicted length [m], NaN where none was measured; the score how far the
+    row lies from what the others predict, in standard deviations.
+    """
+
+    row: int
+    residual: float
+    score: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Solved:
+    """What was found of one error model.
+
+    Attributes:
+        kinematics: The nominal robot under it, with frames and targets where ``x`` counts from.
+        x: shape (p,), offsets from the registered start [m, rad].
+        covariance: shape (p, p), of ``x``.
+        sizes: Size of the errors of each family that the data showed, in its unit; empty without priors.
+        parameters: One entry for each element of ``x``.
+        setup: Frames and targets as estimated or given.
+        base_motion: shape (6, p), the motion of the base, linear part first, that makes up best for a unit of each
+            parameter over the measured poses; None where the rows tell where the base stands.
+        cross_validation: Errors on left-out estimation rows; None where it was not asked for.
+    """
+
+    kinematics: Kinematics
+    x: Array
+    covariance: Array
+    sizes: Mapping[str, float]
+    parameters: tuple[ParameterEstimate, ...]
+    setup: Setup
+    base_motion: Array | None
+    cross_validation: CrossValidation | None
+
+    @property
+    def model(self) -> ErrorModel:
+        """Its error model."""
+        return self.kinematics.model
+
+    def pose_std(self, samples: Samples, *, in_base: bool = False) -> Array:
+        """Standard deviations of predicted poses, sqrt(trace(J C J^T)), shape (N, 2): position [m] and angle [rad].
+
+        In the base they are less ``base_motion``; else they are in each sample's own frame.
+        """
+        return _spread(self.kinematics, self.x, self.covariance, samples, in_base, self.base_motion)
+
+    def tips(self, samples: Samples) -> Array:
+        """T_base_tip by the parameters, the joints' own errors included, shape (N, 4, 4), [m]."""
+        T = self.kinematics.poses(self.x, samples)
+        into_base = np.linalg.inv(self.setup.T_frame_base)[samples.frame]
+        return np.asarray(into_base @ T @ np.linalg.inv(self.setup.T_tip_target)[samples.target])
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Larger(Solved):
+    """A model with errors of the joints' state, which no URDF can hold.
+
+    Attributes:
+        residual: shape (N, D), measured minus predicted, all rows [m], [rad].
+        payload: What the tip carried; None where nothing was said.
+        gravity: shape (3,), in the URDF's root frame [m/s^2].
+    """
+
+    residual: Array
+    payload: Payload | None
+    gravity: Array
+
+    @property
+    def name(self) -> str:
+        """Its set and families, such as ``"dh+compliance"``."""
+        return self.model.name
+
+    def load(self, nominal: Robot, q: Array, payload: Payload | None = None) -> Array:
+        """The load of gravity on the joints at q, shape (N, m); shape (N, n), [Nm] or [N]; payload None: its own."""
+        return gravity_load(nominal, q, payload or self.payload, self.gravity)
+
+
+def parameter_estimates(
+    fitted: Fitted, observability: Observability
+) -> tuple[ParameterEstimate, ...]:
+    """Nominal value, value and interval of each parameter; the observability is that of the rows that were fitted."""
+    estimate, given = fitted.estimate, fitted.task.setup
+    x, deviations = estimate.x, np.sqrt(np.diag(estimate.covariance))
+    reach = interval_factor(estimate.freedom)
+    places = fitted.kinematics.model.places
+    first_target = len(places) - len(given.targets)
+    precision, push, placed = estimate.problem.precision, _pushes(fitted), fitted.placed()
+    result = []
+    for k, parameter in enumerate(fitted.kinematics.model.parameters):
+        nominal: float | None = parameter.nominal
+        value = parameter.nominal + x[k]
+        delta = x[k]
+        if parameter.family == TARGET and parameter.unit == "m":
+            t = places.index(parameter.place) - first_target
+            start = fitted.kinematics.T_tip_target[t, :3, :3]
+            axis = int(np.argmax(np.abs(start @ parameter.direction[:3])))  # of the tip
+            value = placed.T_tip_target[t, axis, 3]
+            known = bool(given.target_given[t])
+            nominal = float(given.T_tip_target[t, axis, 3]) if known else None
+            delta = x[k] if nominal is None else value - nominal
+        bounded = k in estimate.at_bound
+        half = np.nan if bounded else float(reach * deviations[k])
+        result.append(
+            ParameterEstimate(
+                name=parameter.name,
+                unit=parameter.unit,
+                nominal=nominal,
+                value=float(value),
+                delta=float(delta),
+                std=np.nan if bounded else float(deviations[k]),
+                low=float(value - half),
+                high=float(value + half),
+                identifiable=bool(observability.identifiable[k]),
+                at_bound=bounded,
+                prior_std=float(1.0 / np.sqrt(precision[k])) if precision[k] > 0.0 else np.nan,
+                push=float(push[k]),
+            )
+        )
+    return tuple(result)
+
+
+def _pushes(fitted: Fitted) -> Array:
+    """How hard the data push each parameter against its prior, shape (p,); see `ParameterEstimate`."""
+    estimate = fitted.estimate
+    problem, x = estimate.problem, estimate.x
+    if fitted.task.solver == "paper":  # not at the least of squares, and without priors
+        return np.asarray(problem.precision * (x - problem.centre))
+    between, slope = problem.constraints(x)
+    linear, given = problem.linear(x), problem.rows.scales
+    data = linear.residual(x) * np.where(problem.rows.used, given / problem.scales, 0.0) ** 2
+    push = np.einsum("nd,ndp->p", problem.weights[:, None] * data, linear.A)
+    return np.asarray(push + between @ slope)
+
+
+def correlations(c: Solved, above: float) -> list[tuple[str, str, float]]:
+    """Pairs of the geometry's parameters that hang together, |C_ij| / sqrt(C_ii C_jj) > above, the closest first.
+
+    Parameters that the measurements know in combinations only are left aside: the prior shares those out, and
+    `Calibration.observability` names the combinations.
+    """
+    chosen = [k for k, p in enumerate(c.parameters) if p.identifiable and not p.at_bound]
+    C = c.covariance[np.ix_(chosen, chosen)]
+    std = np.sqrt(np.diag(C))
+    R, names = C / np.outer(std, std), [c.parameters[k].name for k in chosen]
+    pairs = [
+        (names[i], names[j], float(R[i, j]))
+        for i, j in zip(*np.triu_indices(len(chosen), 1), strict=True)
+        if abs(R[i, j]) > above
+    ]
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+
+def base_motion(kinematics: Kinematics, x: Array, samples: Samples) -> Array:
+    """The motion of the base that makes up best for a unit of each parameter x (p,) over some poses, shape (6, p)."""
+    some = samples.select(np.linspace(0, len(samples) - 1, min(len(samples), _ENOUGH)).astype(int))
+    poses, twists = _in_base(kinematics, x, some)
+    return read_only(best_motion(poses[:, :3, 3], twists[:, :3]))
+
+
+def expected_error(
+    kinematics: Kinematics, x: Array, covariance: Array, samples: Samples, motion: Array | None
+) -> float:
+    """Standard deviation of the predicted position over some samples, rms [m].
+
+    With the covariance (p, p) of the parameters (p,); in the base, less a motion of it (6, p), where there is one.
+    """
+    chosen = samples.select(slice(0, _MOST_EXPECTED))
+    std = _spread(kinematics, x, covariance, chosen, motion is not None, motion)
+    return float(np.sqrt(np.mean(std[:, 0] ** 2)))
+
+
+def _spread(
+    kinematics: Kinematics,
+    x: Array,
+    covariance: Array,
+    samples: Samples,
+    in_base: bool,
+    motion: Array | None,
+) -> Array:
+    """What `Solved.pose_std` says."""
+    if in_base:
+        poses, twists = _in_base(kinematics, x, samples)
+        if motion is not None:
+            twists[:, :3] -= moved_by(motion, poses[:, :3, 3])
+            twists[:, 3:] -= motion[3:]
+    else:
+        twists = kinematics.twists(x, samples)[1]
+    wide = (twists.reshape(-1, len(covariance)) @ covariance).reshape(twists.shape)
+    variance = np.sum(wide * twists, axis=2).reshape(-1, 2, 3).sum(axis=2)
+    return read_only(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _in_base(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array, Array]:
+    """T_base_target, shape (N, 4, 4), and what a unit of each parameter does to it, shape (N, 6, p); frames nothing."""
+    of_frame = kinematics.model.family(FRAME)
+    frames = np.broadcast_to(np.eye(4), kinematics.T_frame_base.shape)
+    in_base = replace(kinematics, T_frame_base=frames)
+    poses, twists = in_base.twists(np.where(of_frame, 0.0, x), samples)
+    return poses, np.where(of_frame, 0.0, twists)
+
+
+def tells_place(kinds: Iterable[str]) -> bool:
+    """Whether rows of these kinds tell where the base stands; otherwise predictions are in the base."""
+    return any(registry.get(kind).position for kind in kinds)
+
+
+def without_rigid_motion(
+    points: Array, moves: Array, seen: tuple[Array, Array] | None = None
+) -> Array:
+    """Moves of points (N, 3), less the rigid motion that best makes up for them, shape (N, 3, k).
+
+    Args:
+        points: shape (N, 3), [m].
+        moves: shape (N, 3, k), k moves of them, [m] or [m per unit].
+        seen: Points and their k moves that the motion makes up for; None for the same.
+    """
+    motion = best_motion(*((points, moves) if seen is None else seen))
+    return np.asarray(moves - moved_by(motion, points))
+
+
+def best_motion(points: Array, moves: Array) -> Array:
+    """The rigid motions (6, k), of the origin and turns, that best make up for moves (N, 3, k) of points (N, 3)."""
+    middle = points.mean(axis=0)
+    columns = np.zeros((len(points), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    columns[:, :, 3:] = np.cross(np.eye(3), (points - middle)[:, None, :]).transpose(0, 2, 1)
+    flat = moves.reshape(-1, moves.shape[2])
+    # Points on a line tell nothing of a turn about it: the shortest solution has none.
+    motion = np.linalg.lstsq(columns.reshape(-1, 6), flat, rcond=1e-9)[0]
+    motion[:3] -= np.cross(motion[3:], middle, axisa=0).T
+    return np.asarray(motion)
+
+
+def moved_by(motion: Array, points: Array) -> Array:
+    """What rigid motions (6, k) do to points (N, 3), shape (N, 3, k)."""
+    return np.asarray(motion[:3] + np.cross(motion[3:].T, points[:, None]).transpose(0, 2, 1))

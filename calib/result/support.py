@@ -1,0 +1,399 @@
+"""What a result rests on: the poses that were measured, the rows whose weight was lowered, the set-up as it was said.
+
+A fit answers for what was measured. Functions of a joint's value extrapolate badly beyond its measured range, and
+poses in one corner leave most of the arm's errors free to be anything elsewhere. Robust weights rest on the belief
+that a few rows are accidents; how much hangs on it is seen by fitting again with every row in full. And where a
+nominal arm is off by centimetres, not millimetres, the usual mistakes are tried on it, with the target registered
+anew: a wrong base link, points in another frame, a joint with the sign or the zero of another convention, two columns
+swapped.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.data.cell import Cell
+from calib.errors import MeasurementError, ModelError
+from calib.estimate.crossvalidation import linear_cross_validation
+from calib.estimate.fitting import Fitted, fit
+from calib.estimate.registration import register
+from calib.estimate.rows import Rows
+from calib.estimate.setup import Setup
+from calib.estimate.statistics import Errors, Mask
+from calib.model.error_model import DIRECTIONS
+from calib.result.prediction import without_rigid_motion
+from calib.result.verdict import Reason, Why
+from calib.robot.robot import Robot, read_only
+
+Array = NDArray[np.float64]
+
+#: A joint value is outside when it is further from the measured range than this share of the range.
+_MARGIN = 0.05
+
+#: Differences of joint values below this are none [rad or m].
+_STILL = 1e-3
+
+#: Rows that a sentence names one by one.
+_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Beyond:
+    """A joint value outside the measured range.
+
+    Attributes:
+        joint: The joint's name.
+        prismatic: Whether it slides.
+        by: How far beyond the nearest measured value [rad or m].
+    """
+
+    joint: str
+    prismatic: bool
+    by: float
+
+
+@dataclass(frozen=True, slots=True)
+class OutsideRow:
+    """A row with joint values outside the measured range.
+
+    Attributes:
+        index: Which of the rows asked for, from 0 on.
+        beyond: The joints, the one furthest out first, in shares of their measured range.
+    """
+
+    index: int
+    beyond: tuple[Beyond, ...]
+
+
+def outside(
+    measured: Array, asked: Array, names: Sequence[str], types: Sequence[str]
+) -> tuple[OutsideRow, ...]:
+    """The rows asked for that have joint values outside the range of the measured ones.
+
+    A continuous joint's values are points on a circle: its range is what the largest gap leaves. A margin of 5 % of the
+    range is allowed, the distance is from the range.
+
+    Args:
+        measured: shape (N, m), joint values that a fit has seen [rad or m].
+        asked: shape (K, m), joint values that it should answer for.
+        names: m joint names.
+        types: m URDF joint types.
+    """
+    if not len(measured) or not len(asked):
+        return ()
+    far, spans = np.zeros(asked.shape), np.zeros(len(names))
+    for j, kind in enumerate(types):
+        low, spans[j] = _range(measured[:, j], kind)
+        far[:, j] = _distance(asked[:, j], low, spans[j], kind)
+    spans = np.maximum(spans, _STILL)
+    out = far > np.maximum(_MARGIN * spans, _STILL)
+    result = []
+    for i in np.flatnonzero(out.any(axis=1)):
+        order = [j for j in np.argsort(-far[i] / spans, kind="stable") if out[i, j]]
+        beyond = (Beyond(names[j], types[j] == "prismatic", float(far[i, j])) for j in order)
+        result.append(OutsideRow(int(i), tuple(beyond)))
+    return tuple(result)
+
+
+def outside_sentence(rows: Sequence[OutsideRow], numbers: Sequence[int]) -> str:
+    """The rows outside in plain words, the furthest joints of the first few; empty when there are none.
+
+    Args:
+        rows: From `outside`.
+        numbers: The number of each row asked for as a person sees it.
+
+    Example:
+        >>> outside_sentence([OutsideRow(1, (Beyond("elbow_joint", False, 0.663),))], [33, 34])
+        "row 34: 'elbow_joint' 38 deg beyond the measured range"
+    """
+    parts = []
+    for row in rows[:_NAMED]:
+        far = (
+            f"'{b.joint}' {1e3 * b.by:.3g} mm"
+            if b.prismatic
+            else f"'{b.joint}' {np.degrees(b.by):.3g} deg"
+            for b in row.beyond
+        )
+        parts.append(f"row {numbers[row.index]}: {', '.join(far)} beyond the measured range")
+    more = len(rows) - _NAMED
+    parts += [f"and {more} more row{'s' * (more > 1)}"] * (more > 0)
+    return "; ".join(parts)
+
+
+def spread_of(tips: Array, everywhere: Array) -> float:
+    """Root mean square distance of measured tips (N, 3) from their mean, over that of tips all over the workspace."""
+    sizes = [
+        float(np.sum((points - points.mean(axis=0)) ** 2)) / max(len(points) - 1, 1)
+        for points in (tips, everywhere)
+    ]
+    # An arm whose tip cannot move at all has been measured everywhere.
+    return float(np.sqrt(sizes[0] / sizes[1])) if sizes[1] > 0.0 else 1.0
+
+
+def shares_of_ranges(joints: Array, ranges: Array, types: Sequence[str]) -> Array:
+    """The share of each joint's range that was used, 0 to 1, shape (m,); 1 where there is no range.
+
+    Args:
+        joints: shape (N, m), measured joint values [rad or m].
+        ranges: shape (m, 2), the limits of each; a joint that turns has a full turn at most to use.
+        types: m URDF joint types.
+    """
+    spans = np.array([_range(q, kind)[1] for q, kind in zip(joints.T, types, strict=True)])
+    turning = np.array([kind != "prismatic" for kind in types])
+    room = np.minimum(ranges[:, 1] - ranges[:, 0], np.where(turning, 2.0 * np.pi, np.inf))
+    some = (room > 0.0) & np.isfinite(room)
+    return np.where(some, np.minimum(spans / np.where(some, room, 1.0), 1.0), 1.0)
+
+
+def _range(q: Array, kind: str) -> tuple[float, float]:
+    """Where the measured values begin, and how far they reach from there."""
+    if kind != "continuous":
+        return float(q.min()), float(np.ptp(q))
+    turned = np.sort(np.mod(q, 2.0 * np.pi))
+    gaps = np.diff(turned, append=turned[0] + 2.0 * np.pi)
+    widest = int(np.argmax(gaps))
+    return float(turned[(widest + 1) % len(turned)]), float(2.0 * np.pi - gaps[widest])
+
+
+def _distance(q: Array, low: float, span: float, kind: str) -> Array:
+    """How far values lie from a range, 0 inside, shape (K,)."""
+    if kind != "continuous":
+        return np.maximum(0.0, np.maximum(low - q, q - low - span))
+    after = np.mod(q - low, 2.0 * np.pi)
+    return np.where(after <= span, 0.0, np.minimum(after - span, 2.0 * np.pi - after))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Robustness:
+    """The fit with the weights of doubtful rows lowered, beside the one with every row in full.
+
+    Attributes:
+        lowered: Whether it is the calibration that has the weights lowered, or the fit that it is compared with.
+        flagged: shape (N,), the fitted rows that the calibration flags.
+        moved: shape (N,), how far the other fit's prediction at each measured pose lies from the calibration's [m].
+        names: Names of the parameters.
+        change: shape (p,), the other fit's parameters minus the calibration's, in their units; of target and frame
+            both counted from the same place.
+        std: shape (p,), standard deviations of the calibration's parameters.
+        errors_lowered: Errors of the rows not flagged, left out of a linearised fit, with weights lowered.
+        errors_full: The same with every row in full.
+    """
+
+    lowered: bool
+    flagged: Mask
+    moved: Array
+    names: tuple[str, ...]
+    change: Array
+    std: Array
+    errors_lowered: Errors
+    errors_full: Errors
+
+    @property
+    def moved_rms(self) -> float:
+        """How far the predictions at the measured poses differ, rms [m]."""
+        return float(np.sqrt(np.mean(self.moved**2)))
+
+    @property
+    def moved_max(self) -> float:
+        """How far they differ at most [m]."""
+        return float(np.max(self.moved))
+
+    def sentence(self) -> str:
+        """What it comes to."""
+        now, other = self.errors_lowered, self.errors_full
+        if not self.lowered:
+            now, other = other, now
+        text = (
+            f"{'Without' if self.lowered else 'With'} these rows' weights lowered the prediction would move by "
+            f"{1e3 * self.moved_rms:.3f} mm rms at the measured poses, {1e3 * self.moved_max:.3f} mm at most"
+        )
+        if now.n:
+            text += (
+                f"; the error of the other rows, left out, would be {1e3 * other.rms:.3f} mm rms in place of "
+                f"{1e3 * now.rms:.3f} mm"
+            )
+        return text + "."
+
+
+def compare(fitted: Fitted) -> Robustness:
+    """Fit once more with robust weights where there were none, or without where there were, and compare.
+
+    Raises:
+        ModelError: The paper's solver made the fit, which has no weights.
+    """
+    if fitted.task.solver == "paper":
+        raise ModelError(
+            "The solver 'paper' has no weights to compare with and without. Choose --solver lm."
+        )
+    estimate, rows = fitted.estimate, fitted.estimate.problem.rows
+    other = fit(replace(fitted.task, robust=not fitted.task.robust), rows, started=fitted.setup)
+    samples = rows.samples
+    as_one_body = not any(kind.position for kind in rows.present)
+    if as_one_body:
+        samples = replace(samples, frame=np.zeros_like(samples.frame))
+    here = fitted.kinematics.points(estimate.x, samples)
+    moves = (other.kinematics.points(other.estimate.x, samples) - here)[:, :, None]
+    if as_one_body:
+        moves = without_rigid_motion(here, moves)
+    flagged, both = estimate.outliers, (fitted, other) if fitted.task.robust else (other, fitted)
+    try:
+        left = [linear_cross_validation(one).residual[~flagged] for one in both]
+        lowered, full = (Errors.of(residual, rows.used[~flagged]) for residual in left)
+    except MeasurementError:  # rows of a single pose, of which none can be left out
+        lowered = full = Errors.of(np.zeros((0, rows.used.shape[1])))
+    return Robustness(
+        lowered=fitted.task.robust,
+        flagged=flagged,
+        moved=read_only(np.linalg.norm(moves[:, :, 0], axis=1)),
+        names=fitted.kinematics.model.names,
+        # Registration is plain least squares and the same for both: they count from one start.
+        change=read_only(other.estimate.x - estimate.x),
+        std=read_only(np.sqrt(np.diag(estimate.covariance))),
+        errors_lowered=lowered,
+        errors_full=full,
+    )
+
+
+#: Nominal errors below this need no other explanation than an uncalibrated arm [m].
+PLAUSIBLE = 0.02
+
+#: Another set-up must lower the nominal robot's error to this share to be named.
+_FAR_BETTER = 0.2
+
+#: A nominal robot that is still further off is not explained [m].
+_EXPLAINED = 0.05
+
+#: Joints up to which every combination of turned signs is tried.
+_MOST_SIGNS = 7
+
+#: Rows that are looked at; more would not tell more.
+_ROWS = 60
+
+#: A step that lowers the sum of squares by less than this share is the last one: errors to five digits are enough to
+#: compare, and a set-up that does not fit takes many steps for more.
+_TOLERANCE = 1e-6
+
+#: Factors between units that are taken for each other.
+_LENGTHS = {
+    "inches under [mm]": 25.4,
+    "mm under [in]": 1.0 / 25.4,
+    "metres under [mm]": 1e3,
+    "mm under [m]": 1e-3,
+}
+_ANGLES = {"radians under [deg]": np.degrees(1.0), "degrees under [rad]": np.radians(1.0)}
+
+#: The zeros that conventions differ by [deg].
+_TURNS_DEG = (90.0, -90.0, 180.0)
+
+
+#: A set-up that is tried: what its error counts times, robot, set-up, rows, and what it would mean.
+Trial = tuple[float, Robot, Setup, Rows, Why, dict[str, Any]]
+
+
+def better_setup(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Reason | None:
+    """The set-up which explains the rows far better than the one given, if there is one.
+
+    Only tables of points of one target in one frame are looked at; rows are the estimation rows.
+    """
+    if (
+        any(kind.name != "point" for kind in rows.present)
+        or len(setup.targets) > 1
+        or len(setup.groups) > 1
+    ):
+        return None
+    chosen = np.zeros(len(rows), dtype=bool)
+    chosen[np.linspace(0, len(rows) - 1, min(len(rows), _ROWS)).astype(int)] = True
+    rows = rows.select(chosen)
+    given = _rms(robot, setup, rows)
+    if given < PLAUSIBLE:
+        return None
+    best, found = np.inf, None
+    for factor, other, asked, changed, why, values in _trials(robot, cell, setup, rows):
+        error = _rms(other, asked, changed)
+        if factor * error < best:
+            best, found = factor * error, Reason.of(why, given_m=given, error_m=error, **values)
+    if found is None or best > _FAR_BETTER * given or found.values["error_m"] > _EXPLAINED:
+        return None
+    return found
+
+
+def _trials(robot: Robot, cell: Cell, setup: Setup, rows: Rows) -> Iterator[Trial]:
+    """The usual mistakes, undone."""
+    asked = replace(setup, target_unknown=np.array([True]))
+    if not setup.estimate_target:
+        yield 1.0, robot, asked, rows, Why.TARGET_ELSEWHERE, {}
+    if not cell.estimate_frame and cell.T_frame_base is None:
+        for link in _standing_links(robot):
+            yield 1.0, robot.rebuilt(base=link), asked, rows, Why.OTHER_BASE, {"link": link}
+        if len(rows) >= 4:
+            # A frame of its own always fits a little better: it must do more than that.
+            own = replace(asked, unknown=(DIRECTIONS,))
+            yield 2.0, robot, own, rows, Why.OWN_FRAME, {}
+    for factor, joints, why, values in _joint_trials(robot, asked, rows.joints):
+        turned = replace(rows, samples=replace(rows.samples, q=joints))
+        yield factor, robot, asked, turned, why, values
+    for i, j in itertools.combinations(range(3), 2):
+        points = rows.measured.copy()
+        points[:, [i, j]] = points[:, [j, i]]
+        names = f"{'xyz'[i]} and {'xyz'[j]}"
+        swapped = replace(rows, measured=points)
+        yield 1.2, robot, asked, swapped, Why.COLUMNS_SWAPPED, {"columns": names}
+    for unit, size in _LENGTHS.items():
+        scaled = replace(rows, measured=size * rows.measured)
+        yield 1.2, robot, asked, scaled, Why.WRONG_UNIT, {"what": "points", "unit": unit}
+
+
+def _joint_trials(
+    robot: Robot, setup: Setup, q: NDArray[np.float64]
+) -> Iterator[tuple[float, NDArray[np.float64], Why, dict[str, Any]]]:
+    """Joints of another convention, in other units, and in each other's columns; q has shape (N, n)."""
+    names, n = robot.joint_names, len(robot.inputs)
+    turns = np.array([joint.type != "prismatic" for joint in robot.inputs])
+    # A frame that is estimated too makes a trial a hundred times dearer: then one joint at a time.
+    most = n if n <= _MOST_SIGNS and not any(setup.unknown) else 1
+    for count in range(1, most + 1):
+        for some in itertools.combinations(range(n), count):
+            joints = q.copy()
+            joints[:, some] *= -1.0
+            listed = " and ".join(f"'{names[i]}'" for i in some)
+            yield 1.0 + 0.2 * count, joints, Why.JOINTS_TURNED, {"joints": listed}
+    for i, degrees in itertools.product(np.flatnonzero(turns).tolist(), _TURNS_DEG):
+        joints = q.copy()
+        joints[:, i] += np.radians(degrees)
+        yield (
+            1.2,
+            joints,
+            Why.JOINT_ZERO,
+            {"add_rad": float(np.radians(degrees)), "joint": names[i]},
+        )
+    for i, j in itertools.combinations(range(n), 2):
+        joints = q.copy()
+        joints[:, [i, j]] = joints[:, [j, i]]
+        yield 1.2, joints, Why.COLUMNS_SWAPPED, {"columns": f"'{names[i]}' and '{names[j]}'"}
+    for unit, size in _ANGLES.items():
+        values = {"what": "joint values", "unit": unit}
+        yield 1.2, np.where(turns, size, 1.0) * q, Why.WRONG_UNIT, values
+
+
+def _standing_links(robot: Robot) -> list[str]:
+    """The links that no joint moves against the base, but for the base itself."""
+    moving = {joint.name for joint in robot.urdf.joints if joint.type != "fixed"}
+    return [
+        link
+        for link in robot.urdf.links
+        if link != robot.base
+        and moving.isdisjoint(itertools.chain(*robot.urdf.chain(robot.base, link)))
+    ]
+
+
+def _rms(robot: Robot, setup: Setup, rows: Rows) -> float:
+    """Error of the nominal robot where target (and frame, if asked) are registered, rms [m]."""
+    placed = register(robot, setup, rows, tolerance=_TOLERANCE)
+    residual = rows.residual(placed.seen(robot.poses(rows.joints), rows.samples))
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))

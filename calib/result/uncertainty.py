@@ -1,0 +1,288 @@
+"""Uncertainty on demand: bootstrap, profiles, the workspace.
+
+The covariance that comes with every calibration, C = (A^T W A + P)^-1, is that of the linearised problem with normal
+noise. What is here asks less, at the price of many fits; noise, prior sizes and robust weights stay as they were found.
+
+**Bootstrap.** Whole poses, with their repeats, are drawn with replacement within each set-up: B. Efron, R. J.
+Tibshirani, An Introduction to the Bootstrap, 1993, sections 9.5 and 13.3. Drawing rows alone would find no spread in
+what only a prior holds; so each sample draws the priors' means too, from the priors themselves (J. M. Bardsley and
+others, SIAM Journal on Scientific Computing 36, 2014; E. Pompe, arXiv:2103.14445, 2021), and known distances between
+set-ups about what was given. For a linear problem the samples' covariance is then
+
+    C (sum_i A_i^T W_i r_i r_i^T W_i A_i + P) C
+
+with the whitened derivative A of the predictions, the rows' weights W and the priors' precisions P, which is C where
+the residuals r are noise as large as was found. With few rows for a parameter it is too wide (N. El Karoui, E. Purdom,
+JMLR 19, 2018).
+
+**Profile.** The interval of one parameter where the cost, minimised over all others, has risen by no more than the
+quantile of F(1, dof): D. M. Bates, D. G. Watts, Nonlinear Regression Analysis, 1988, section 6.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import CalibError, ModelError, choices
+from calib.estimate.fitting import Fitted
+from calib.estimate.jobs import batch_size, run
+from calib.estimate.solvers import levenberg_marquardt
+from calib.model.kinematics import Samples, Where
+from calib.model.observability import steps
+from calib.result.calibration import Calibration
+from calib.result.prediction import ParameterEstimate, without_rigid_motion
+from calib.result.resampling import Profile, bootstrap_indices, check_level, fit_sample, profile
+from calib.robot.kernel import one_blas_thread
+from calib.robot.readback import spread_poses
+from calib.robot.robot import read_only
+
+Array = NDArray[np.float64]
+
+#: Called with the number of samples done and of samples in all.
+Progress = Callable[[int, int], None]
+
+#: With fewer samples the ends of a 95 % interval lie beyond them; more tell nothing, and do not fit into memory.
+FEWEST_SAMPLES, MOST_SAMPLES = 40, 100_000
+
+#: Fewer joint values than this have no 95 % quantile.
+_FEWEST_POSES = 20
+
+#: Poses over which a bootstrap's predicted spread is told.
+_POSES = 200
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bootstrap:
+    """Parameters of many fits, x of shape (count, p), as offsets like ``fitted.estimate.x``.
+
+    Each is to rows drawn with replacement from those of ``fitted``, whose own values and intervals are ``parameters``;
+    ``stopped`` is the number of samples whose fit reached the solver's limit of iterations.
+    """
+
+    fitted: Fitted
+    parameters: tuple[ParameterEstimate, ...]
+    x: Array
+    seed: int
+    stopped: int
+
+    @property
+    def measured_rms(self) -> float:
+        """Standard deviation over the samples of the predicted position, rms over the measured poses [m]."""
+        return _rms(self.position_std(_some(self.fitted.estimate.problem.rows.samples)))
+
+    @property
+    def everywhere_rms(self) -> float:
+        """The same over joint values spread over the limits [m]."""
+        return _rms(self.position_std(Samples.at(spread_poses(self.fitted.task.robot, _POSES))))
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation of each parameter over the samples, shape (p,)."""
+        return np.asarray(np.std(self.x, axis=0, ddof=1))
+
+    def intervals(self, level: float = 0.95) -> Array:
+        """Percentile interval of each parameter's value at a level of probability, shape (p, 2), in its unit."""
+        check_level(level)
+        tail = 0.5 * (1.0 - level)
+        ends = np.quantile(self.x, (tail, 1.0 - tail), axis=0).T
+        values = np.array([p.value for p in self.parameters])
+        return np.asarray(ends + (values - self.fitted.estimate.x)[:, None])
+
+    def positions(self, where: Where) -> Array:
+        """Where each sample puts the target, in the measurement frame, shape (count, N, 3), [m]; see `position_std`."""
+        return np.array([self.fitted.kinematics.points(x, where) for x in self.x])
+
+    def position_std(self, where: Where) -> Array:
+        """Standard deviation of the predicted position over the samples, see `Calibration.position_std`, shape (N,).
+
+        Args:
+            where: N samples (see `Calibration.samples`), or joint values of shape (N, m) of the first frame and target.
+        """
+        samples = where if isinstance(where, Samples) else Samples.at(where)
+        problem = self.fitted.estimate.problem
+        seen = _some(problem.rows.samples)
+        as_one_body = not any(kind.position for kind in problem.rows.present)
+        if as_one_body:
+            samples, seen = (replace(s, frame=np.zeros_like(s.frame)) for s in (samples, seen))
+        points, moves = self._scatter(samples)
+        if as_one_body:
+            moves = without_rigid_motion(points, moves, self._scatter(seen))
+        return np.asarray(np.sqrt(np.sum(np.var(moves, axis=2, ddof=1), axis=1)))
+
+    def _scatter(self, samples: Samples) -> tuple[Array, Array]:
+        """Mean positions and the samples' differences from them, shapes (N, 3) and (N, 3, count)."""
+        points = self.positions(samples)
+        mean = points.mean(axis=0)
+        return mean, (points - mean).transpose(1, 2, 0)
+
+
+@one_blas_thread()
+def bootstrap(
+    calibration: Calibration,
+    count: int,
+    seed: int,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> Bootstrap:
+    """Fit the geometry again to rows drawn with replacement, whole poses within each set-up; see the module's text.
+
+    Args:
+        calibration: The calibration, in memory.
+        count: Number of samples; 200 for standard deviations, 1000 for intervals.
+        seed: The samples are the same for the same seed.
+        progress: Called after each sample.
+        executor: Where to fit; None: here. The samples are the same to the bit everywhere.
+
+    Raises:
+        CalibError: Too few or too many samples, a seed below 0, or an executor that loses samples.
+        ModelError: The paper's solver made the calibration.
+    """
+    if not FEWEST_SAMPLES <= count <= MOST_SAMPLES or seed < 0:
+        raise CalibError(
+            f"A bootstrap of {count} samples with seed {seed} was asked for; it takes {FEWEST_SAMPLES} to "
+            f"{MOST_SAMPLES} samples, 1000 for intervals to be trusted, and a seed of 0 or more."
+        )
+    fitted = _least_squares(calibration.fitted)
+    problem, start = fitted.estimate.problem, fitted.estimate.x
+    rows = problem.rows
+    drawn = bootstrap_indices(rows.blocks, count, seed, strata=rows.samples.frame)
+    # Not the generator that draws the rows: priors would follow them.
+    rng = np.random.default_rng([seed, 1])
+    noise = rng.normal(size=(count, len(start) + len(problem.distances)))
+    x, stopped = np.empty((count, len(start))), 0
+    items, size = zip(drawn, noise, strict=True), batch_size(count)
+    for done, (k, found) in enumerate(run(fit_sample, fitted, items, executor, batch=size), 1):
+        x[k], stopped = found[0], stopped + (not found[1])
+        if progress is not None:
+            progress(done, count)
+    return Bootstrap(fitted, calibration.parameters, read_only(x), seed, stopped)
+
+
+@one_blas_thread()
+def profile_interval(calibration: Calibration, name: str, level: float = 0.95) -> Profile:
+    """The interval of one parameter, in its unit, from the profile of the cost; see the module's text.
+
+    An end is infinite where the measurements set no limit. A parameter that the geometry lacks is the larger model's.
+
+    Raises:
+        ModelError: No such parameter, it stands at a bound, or the paper's solver made the calibration.
+        CalibError: The level is not between 0 and 1.
+    """
+    found = calibration.parameter(name)
+    fitted = calibration.fitted
+    if calibration.fit is not None and calibration.fit.larger is not None:
+        fitted = fitted if name in calibration.model.names else calibration.fit.larger
+    fitted = _least_squares(fitted)
+    estimate = fitted.estimate
+    k = fitted.kinematics.model.index(name)
+    if k in estimate.at_bound:
+        raise ModelError(
+            f"'{name}' stands at its bound, {found.value:g} {found.unit}, where the cost has no least value: it has "
+            "no profile. Widen the bound in the cell file's table [bounds]."
+        )
+    at = float(estimate.x[k])
+    shift = found.value - at
+    result = profile(
+        partial(_least_cost, fitted, k), at, found.std, level, freedom=estimate.freedom
+    )
+    return Profile(result.low + shift, result.high + shift, level)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorkspaceUncertainty:
+    """How sure predicted positions are, std (count,) [m], at joint values q (count, m) spread over the joint limits."""
+
+    q: Array
+    std: Array
+
+    @property
+    def rms(self) -> float:
+        """Root mean square [m]."""
+        return _rms(self.std)
+
+    @property
+    def quantile_95(self) -> float:
+        """What 95 % of the poses do not exceed [m]."""
+        return float(np.quantile(self.std, 0.95))
+
+    @property
+    def max(self) -> float:
+        """The largest [m]."""
+        return float(np.max(self.std))
+
+    def worst(self, count: int = 5) -> tuple[Array, Array]:
+        """Where it is largest, in falling order: joint values, shape (count, m), and their std, shape (count,), [m]."""
+        order = np.argsort(-self.std, kind="stable")[:count]
+        return self.q[order], self.std[order]
+
+
+def workspace_uncertainty(
+    calibration: Calibration, count: int = 1000, *, larger: bool = True
+) -> WorkspaceUncertainty:
+    """Standard deviation of predicted positions, sqrt(trace(J C J^T)), over the joint limits.
+
+    It knows nothing of errors that the model lacks, and joint values far from the measured ones are where those show.
+
+    Args:
+        calibration: The calibration.
+        count: Number of joint values, a Sobol sequence over the limits (one turn or one metre where there are none).
+        larger: Whether to use the larger model, where there is one.
+
+    Raises:
+        CalibError: Too few joint values for a quantile.
+    """
+    if count < _FEWEST_POSES:
+        raise CalibError(
+            f"Over {count} joint values there is no 95 % quantile; take {_FEWEST_POSES} or more, such as 1000."
+        )
+    q = spread_poses(calibration.nominal, count)
+    return WorkspaceUncertainty(q, read_only(calibration.position_std(q, larger=larger)))
+
+
+def _least_squares(fitted: Fitted) -> Fitted:
+    """The fit, refused where the paper's solver made it: it is not the least cost of its own problem."""
+    if fitted.task.solver == "paper":
+        raise ModelError(
+            "The solver 'paper' minimises fourth powers, of which there is neither bootstrap nor profile here. Choose "
+            f"one of {choices(('lm', 'scipy'))}."
+        )
+    return fitted
+
+
+def _least_cost(fitted: Fitted, k: int, value: float) -> float:
+    """Squares over their variance, the priors' included, with parameter k held at a value and the others fitted."""
+    estimate = fitted.estimate
+    problem, C = estimate.problem, estimate.covariance
+    others = np.arange(len(estimate.x)) != k
+    start = estimate.x + C[:, k] / C[k, k] * (value - estimate.x[k])
+    start[k] = value
+    if not np.any(others):
+        residual, _ = problem.system(start)
+        return float(residual @ residual)
+
+    def system(rest: Array) -> tuple[Array, Array]:
+        """Residual and derivative over the other parameters."""
+        x = start.copy()
+        x[others] = rest
+        residual, jacobian = problem.system(x)
+        return residual, jacobian[:, others]
+
+    size = steps(fitted.kinematics.model.units)[others]
+    return 2.0 * levenberg_marquardt(system, start[others], step_size=size).cost
+
+
+def _some(samples: Samples) -> Samples:
+    """At most `_POSES` of the samples, evenly spread over their order."""
+    count = min(len(samples), _POSES)
+    return samples.select(np.linspace(0, len(samples) - 1, count).astype(int))
+
+
+def _rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))

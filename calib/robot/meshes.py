@@ -1,0 +1,208 @@
+"""The shapes of a URDF's links: its ``<visual>`` and ``<collision>`` elements, and the files of their meshes."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import math
+import os
+import sys
+import urllib.parse
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from pinocchio import hppfcl
+
+from calib.robot.urdf import Urdf
+from calib.robot.xacro_file import listed_folders, packages_in
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+KINDS = (".stl", ".obj", ".dae", ".ply", ".off", ".glb")
+"""The mesh files that are read, by the ending of the name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinkShape:
+    """One ``<visual>`` or ``<collision>`` of one link, as the URDF states it.
+
+    Attributes:
+        link: The link's name.
+        T_link_shape: shape (4, 4), [m], pose of the shape in the link.
+        geometry: The element inside ``<geometry>``.
+    """
+
+    link: str
+    T_link_shape: Array
+    geometry: Element
+
+    @property
+    def mesh(self) -> tuple[str, tuple[float, float, float]] | None:
+        """A mesh's file name and scale; None for another geometry."""
+        if self.geometry.tag != "mesh":
+            return None
+        scale = numbers(self.geometry.get("scale"), (1.0, 1.0, 1.0))
+        return self.geometry.get("filename", ""), scale
+
+    @property
+    def sizes(self) -> tuple[float, ...] | None:
+        """Edges of a box, radius and length of a cylinder or capsule, radius of a sphere [m]; None for all else.
+
+        None too where a size is missing or not positive.
+        """
+        found: tuple[float, ...] = ()
+        if self.geometry.tag == "box":
+            found = numbers(self.geometry.get("size"), (0.0, 0.0, 0.0))
+        elif self.geometry.tag in ("cylinder", "capsule"):
+            found = (self._length("radius"), self._length("length"))
+        elif self.geometry.tag == "sphere":
+            found = (self._length("radius"),)
+        return found if found and all(0.0 < size < math.inf for size in found) else None
+
+    def _length(self, name: str) -> float:
+        """A number of the geometry, NaN where it is none."""
+        try:
+            return float(self.geometry.get(name, ""))
+        except ValueError:
+            return math.nan
+
+
+def link_shapes(urdf: Urdf, kind: Literal["visual", "collision"]) -> Iterator[LinkShape]:
+    """Every shape of that kind of every link, in the file's order."""
+    for link in urdf.elements().findall("link"):
+        for element in link.findall(kind):
+            for geometry in element.findall("geometry/*")[:1]:
+                yield LinkShape(link.get("name", ""), _origin(element), geometry)
+
+
+def mesh_folders(urdf: Urdf, package_dirs: Iterable[str | Path] = ()) -> tuple[Path, ...]:
+    """The folders in which ``package://`` and relative mesh names are looked for, each once.
+
+    Those that the user named, the URDF's own folder and those above it, ``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``,
+    the share folder of example-robot-data and the one of this Python.
+    """
+    folders = [Path(folder) for folder in package_dirs]
+    if urdf.path is not None:
+        folders += urdf.path.resolve().parents
+    folders += listed_folders("ROS_PACKAGE_PATH")
+    folders += [prefix / "share" for prefix in listed_folders("AMENT_PREFIX_PATH")]
+    folders += [*_robot_data_shares(), Path(sys.prefix) / "share"]
+    return tuple(dict.fromkeys(folders))
+
+
+def find_mesh(name: str, folders: Sequence[Path]) -> Path | None:
+    """The file that ``package://package/rest``, ``file:///path`` or a plain path means; None if there is none.
+
+    Args:
+        name: As the URDF has it.
+        folders: See `mesh_folders`.
+    """
+    # os.path: a name that the system cannot have is that of no file.
+    return next((path for path in _candidates(name, folders) if os.path.isfile(path)), None)  # noqa: PTH113
+
+
+def _candidates(name: str, folders: Sequence[Path]) -> Iterator[Path]:
+    """The files that a name may mean, the likeliest first."""
+    scheme, separator, rest = name.partition("://")
+    if not separator or scheme == "file":
+        plain = urllib.parse.unquote(rest) if separator else name
+        yield from (folder / plain for folder in folders)
+    elif scheme in ("package", "model"):
+        package, _, inside = rest.lstrip("/").partition("/")
+        yield from (folder / package / inside for folder in folders)
+        yield from (folder / inside for folder in folders if folder.name == package)
+        for folder in folders:  # of a folder with another name its package.xml tells
+            yield from (found / inside for found in packages_in(folder, package))
+
+
+def read_mesh(path: Path, scale: Sequence[float]) -> tuple[tuple[Array, Faces] | None, str]:
+    """The triangles of a mesh file, and ``""``; or None and what is wrong with the file.
+
+    A COLLADA file is as large as its ``<unit>`` says and stands as it is written: ``<up_axis>`` is not heeded, as ROS
+    and its simulators do not.
+
+    Args:
+        path: The file; its ending says of which kind it is.
+        scale: Factors along x, y, z.
+
+    Returns:
+        Vertices, shape (V, 3), [m], and faces, shape (F, 3), indices of vertices.
+    """
+    kind = path.suffix.lower()
+    if kind not in KINDS:
+        return None, f"is of a kind that is not read; save it as one of {', '.join(KINDS)}"
+    import trimesh  # takes half a second
+
+    try:
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scene: Any = trimesh.load_scene(file, file_type=kind[1:], process=False)
+            mesh = scene.to_mesh()
+            unit = trimesh.units.unit_conversion(scene.units, "meters") if kind == ".dae" else 1.0
+            used, faces = np.unique(mesh.faces, return_inverse=True)
+            vertices: Array = mesh.vertices[used] * (unit * np.asarray(scale, dtype=np.float64))
+    except Exception:  # noqa: BLE001  what the readers of many formats raise is not known
+        return None, "cannot be read"
+    if not len(vertices) or not np.isfinite(vertices).all() or not np.ptp(vertices, axis=0).any():
+        return None, "is empty"
+    return (vertices, faces.reshape(-1, 3).astype(np.int64)), ""
+
+
+def load_mesh(path: Path, scale: Sequence[float]) -> tuple[Any, str]:
+    """A mesh file as a bounding volume hierarchy of coal, and ``""``; or None and what is wrong with the file.
+
+    Args:
+        path: The file.
+        scale: Factors along x, y, z.
+    """
+    found, problem = read_mesh(path, scale)
+    if found is None:
+        return None, problem
+    vertices, faces = found
+    mesh = hppfcl.BVHModelOBBRSS()
+    mesh.beginModel(len(faces), len(vertices))
+    mesh.addVertices(vertices)
+    mesh.addTriangles(faces)
+    mesh.endModel()
+    return mesh, ""
+
+
+def numbers(text: str | None, default: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Three finite numbers, or the default."""
+    try:
+        x, y, z = (float(word) for word in (text or "").split())
+    except ValueError:
+        return default
+    return (x, y, z) if all(map(math.isfinite, (x, y, z))) else default
+
+
+@lru_cache(maxsize=1)
+def _robot_data_shares() -> tuple[Path, ...]:
+    """The ``share`` folder of the installed example-robot-data, from its list of files, which is long; or none."""
+    try:
+        files = importlib.metadata.files("example-robot-data") or []
+    except importlib.metadata.PackageNotFoundError:
+        return ()
+    for file in files:
+        for i, pair in enumerate(zip(file.parts, file.parts[1:], strict=False)):
+            if pair == ("share", "example-robot-data"):
+                return (Path(str(file.locate())).parents[len(file.parts) - i - 2],)
+    return ()
+
+
+def _origin(element: Element) -> Array:
+    """The pose in ``<origin>``; what is not three numbers counts as absent."""
+    T = np.eye(4)
+    for origin in element.findall("origin"):
+        T[:3, 3] = numbers(origin.get("xyz"), (0.0, 0.0, 0.0))
+        rpy = numbers(origin.get("rpy"), (0.0, 0.0, 0.0))
+        T[:3, :3] = pin.rpy.rpyToMatrix(*rpy)
+    return T

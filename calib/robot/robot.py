@@ -1,0 +1,323 @@
+"""Robot: an immutable kinematic chain, from one link of a URDF to another, over Pinocchio.
+
+The chain's moving joints are numbered 1 to n from base to tip. Its geometry is n + 1 *placements*: the
+pose of joint i in the frame of the joint before it, and the pose of the tip in the frame of joint n:
+
+    T_base_tip(q) = T_root_base^-1  P_1 J_1(q_1)  P_2 J_2(q_2) ... P_n J_n(q_n)  P_tip
+
+Every correction is a change of these placements, and each placement is carried by the ``<origin>`` of one
+URDF joint, so that a corrected robot and a corrected URDF are the same thing. The joints may lie on both sides of the
+link where the branches to base and tip part, see `calib.robot.chain`; and they may be fewer columns than joints, where
+some mimic others or are held, see `calib.robot.coupling`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from calib.errors import ModelError, UrdfError, choices
+from calib.robot import kernel
+from calib.robot.chain import Chain, farthest_link, pinocchio_chain, read_only, rigid_inverse
+from calib.robot.coupling import all_values, checked_held, coupling
+from calib.robot.urdf import Urdf, UrdfJoint, read_urdf
+
+__all__ = ["Robot", "read_only", "rigid_inverse"]
+
+#: A placement that no <origin> holds may differ by rounding [m; rotation matrices: 1].
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """A chain of a URDF, immutable: a changed robot is a new one. Lengths [m], angles [rad].
+
+    Two are equal when URDF, base, tip and held joints are.
+
+    Attributes:
+        urdf: The URDF that describes this robot; always in step with ``placements``.
+        base: Link in whose frame poses are given.
+        tip: Link whose pose is given.
+        inputs: The joint of each column of q, m of them; a driver that lies outside the chain is among them.
+        coupling: A of q_chain = A q + b, shape (n, m): how the joints of the chain follow the columns of q.
+    """
+
+    urdf: Urdf
+    base: str
+    tip: str
+    _held: tuple[tuple[str, float], ...] = field(repr=False)
+    _chain: Chain = field(repr=False, compare=False)
+    inputs: tuple[UrdfJoint, ...] = field(repr=False, compare=False)
+    coupling: NDArray[np.float64] = field(repr=False, compare=False)
+    _offset: NDArray[np.float64] = field(repr=False, compare=False)
+
+    @classmethod
+    def load(
+        cls,
+        source: str | Path,
+        base: str | None = None,
+        tip: str | None = None,
+        measured: Collection[str] | None = None,
+        held: Mapping[str, float] | None = None,
+    ) -> Robot:
+        """Load a robot from a URDF or xacro file, or by its name from example-robot-data.
+
+        Args:
+            source: Path of a URDF; or of a xacro, with arguments behind it as in ``"ur.urdf.xacro ur_type:=ur5e"``; or
+                a name such as ``"ur3"`` or ``"panda"``.
+            base: Link in whose frame the poses are given; default the URDF's root link.
+            tip: Link that the chain ends at; default the link with the most moving joints before it.
+            measured: Names of the joints whose values are known; a tip that is not given is then chosen so that the
+                chain has only these, if there is such a link.
+            held: Values [rad or m] of joints that stay where they are, so that no column of q is theirs. Joints
+                beside the chain may be among them; they matter for gravity only, and are at zero if not named.
+
+        Raises:
+            FileError: The file cannot be read.
+            UrdfError: No such robot, link or joint, a chain that calib cannot take, or a xacro with a fault.
+
+        Example:
+            >>> Robot.load("ur3", base="base", tip="tool0").joint_names[0]
+            'shoulder_pan_joint'
+        """
+        return cls.from_urdf(read_urdf(source), base, tip, measured, held)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        urdf: Urdf,
+        base: str | None = None,
+        tip: str | None = None,
+        measured: Collection[str] | None = None,
+        held: Mapping[str, float] | None = None,
+    ) -> Robot:
+        """The chain from ``base`` to ``tip`` of a URDF that has been read; see `load`."""
+        kept = checked_held(urdf, held)
+        base = urdf.root if base is None else base
+        tip = farthest_link(urdf, base, measured, dict(kept)) if tip is None else tip
+        chain = Chain.of(urdf, base, tip)
+        return cls(urdf, base, tip, kept, chain, *coupling(urdf, chain.joints, dict(kept)))
+
+    def rebuilt(
+        self, urdf: Urdf | None = None, base: str | None = None, tip: str | None = None
+    ) -> Robot:
+        """The robot read anew from another URDF or between other links, what is held and not named kept.
+
+        Raises:
+            UrdfError: As for `load`.
+        """
+        return Robot.from_urdf(
+            self.urdf if urdf is None else urdf,
+            self.base if base is None else base,
+            self.tip if tip is None else tip,
+            held=self.held,
+        )
+
+    def __repr__(self) -> str:
+        """In one line, such as ``Robot('ur3', base to tool0, 6 joints)``."""
+        return f"Robot('{self.name}', {self.base} to {self.tip}, {len(self.joints)} joints)"
+
+    @property
+    def name(self) -> str:
+        """The robot's name in the URDF."""
+        return self.urdf.name
+
+    @property
+    def joints(self) -> tuple[UrdfJoint, ...]:
+        """The chain's moving joints, base to tip, n of them; mimic and held joints are among them.
+
+        A joint on the base's side of a chain of two branches has its axis turned round, so that the chain is a serial
+        one from base to tip; its value is the URDF's.
+        """
+        return self._chain.joints
+
+    @property
+    def placements(self) -> NDArray[np.float64]:
+        """Array of shape (n + 1, 4, 4), [m], read-only; see the module's text. The last one is the tip's."""
+        return self._chain.placements
+
+    @property
+    def carriers(self) -> tuple[str | None, ...]:
+        """For each placement the URDF joint whose ``<origin>`` holds it.
+
+        None for the tip of a chain that ends with a moving joint, and for the base of one that starts with a joint
+        that moves the base itself.
+        """
+        return self._chain.carriers
+
+    @property
+    def T_root_base(self) -> NDArray[np.float64]:
+        """Pose of the base, shape (4, 4), [m], in the frame that the chain starts in.
+
+        That is the URDF's root, joints above the base at zero; or the base itself, where joints of the chain move it.
+        """
+        return self._chain.T_root_base
+
+    @property
+    def base_moves(self) -> bool:
+        """Whether joints of the chain lie on the base's side, so that they move the base in the URDF's root."""
+        return self._chain.base_moves
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The names of the measured joints, the columns of q, in the order in which the chain needs them."""
+        return tuple(joint.name for joint in self.inputs)
+
+    @property
+    def joint_types(self) -> dict[str, str]:
+        """For each column of q its joint's URDF type: revolute, continuous or prismatic."""
+        return {joint.name: joint.type for joint in self.inputs}
+
+    @property
+    def held(self) -> dict[str, float]:
+        """The values of joints that stay where they are [rad or m], a new dictionary each time."""
+        return dict(self._held)
+
+    def poses(self, q: ArrayLike) -> NDArray[np.float64]:
+        """T_base_tip at joint values.
+
+        Args:
+            q: shape (N, m) or (m,), [rad] or [m], in the order of ``joint_names``.
+
+        Returns:
+            shape (N, 4, 4), [m].
+
+        Raises:
+            ModelError: ``q`` has not one column for each of ``joint_names``, or a value is not finite.
+        """
+        values = self.chain_values(q)
+        first = np.zeros(len(values), dtype=np.int_)
+        stood = kernel.Stood(values, first, first, np.zeros((*values.shape, 0)), first[:0])
+        return kernel.poses(self.geometry(self.placements), stood)
+
+    def geometry(
+        self,
+        placements: NDArray[np.float64],
+        T_frame_base: NDArray[np.float64] | None = None,
+        T_tip_target: NDArray[np.float64] | None = None,
+    ) -> kernel.Geometry:
+        """The chain with these placements as arrays, see `calib.robot.kernel`.
+
+        Args:
+            placements: shape (n + 1, 4, 4), [m].
+            T_frame_base: shape (F, 4, 4), [m], the measurement frames; None for one that is the base.
+            T_tip_target: shape (T, 4, 4), [m], the targets; None for one that is the tip.
+        """
+        slides, turns, T_base_root = _axes_of(self)
+        one = np.eye(4)[None]
+        return kernel.Geometry(
+            slides,
+            turns,
+            placements,
+            one if T_frame_base is None else T_frame_base,
+            T_base_root,
+            one if T_tip_target is None else T_tip_target,
+        )
+
+    def chain_values(self, q: ArrayLike) -> NDArray[np.float64]:
+        """The values of ``joints``, q_chain = A q + b, shape (N, n), [rad] or [m].
+
+        Args:
+            q: shape (N, m) or (m,), [rad] or [m], in the order of ``joint_names``.
+
+        Raises:
+            ModelError: ``q`` has not one column for each of ``joint_names``, or a value is not finite.
+        """
+        values = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        names = self.joint_names
+        if values.ndim != 2 or values.shape[1] != len(names):
+            raise ModelError(
+                f"Joint values of shape {np.shape(q)} were given; the chain '{self.base}' to '{self.tip}' has "
+                f"{len(names)} joints: {choices(names)}."
+            )
+        if not np.all(np.isfinite(values)):
+            row, column = np.argwhere(~np.isfinite(values))[0]
+            raise ModelError(
+                f"Joint values must be finite numbers; that of '{names[column]}' in row {row + 1} is "
+                f"{values[row, column]}."
+            )
+        if tuple(joint.name for joint in self.joints) == names:
+            return values  # every joint is its own column
+        result: NDArray[np.float64] = values @ self.coupling.T + self._offset
+        return result
+
+    def urdf_values(self, q: ArrayLike) -> dict[str, NDArray[np.float64]]:
+        """The value of every joint of the URDF with one coordinate, by name, shape (N,), [rad] or [m].
+
+        Joints that are neither held nor follow a column are at zero.
+
+        Args:
+            q: shape (N, m) or (m,), [rad] or [m], in the order of ``joint_names``.
+        """
+        count = len(self.chain_values(q))  # checks shape and numbers
+        columns = np.reshape(np.asarray(q, dtype=np.float64), (count, -1)).T
+        named = dict(zip(self.joint_names, columns, strict=True))
+        return all_values(self.urdf, named, self.held, count)
+
+    def chain_model(self, placements: NDArray[np.float64]) -> pin.Model:
+        """A Pinocchio model of the chain with other joint placements; its configurations are the chain's values.
+
+        Args:
+            placements: shape (n, 4, 4) or (n + 1, 4, 4), [m]; a tip's placement is not part of it.
+        """
+        return pinocchio_chain(self.joints, placements)
+
+    def with_placements(self, placements: NDArray[np.float64]) -> Robot:
+        """A new robot with these placements, its URDF's ``<origin>`` elements changed to match.
+
+        Args:
+            placements: shape (n + 1, 4, 4), [m].
+
+        Raises:
+            UrdfError: A placement differs but no URDF joint can carry it: the tip's, or that of a moving base.
+        """
+        placements = np.array(placements, dtype=np.float64)
+        for i, carrier in enumerate(self.carriers):
+            if carrier is None:
+                if np.abs(placements[i] - self.placements[i]).max() > _ROUNDING:
+                    raise UrdfError(self._no_carrier(at_base=i == 0))
+                placements[i] = self.placements[i]
+        moved = replace(self, _chain=replace(self._chain, placements=read_only(placements)))
+        was = self.origins()
+        origins = {
+            name: T for name, T in moved.origins().items() if not np.array_equal(T, was[name])
+        }
+        return replace(moved, urdf=self.urdf.with_origins(origins))
+
+    def origins(self) -> dict[str, NDArray[np.float64]]:
+        """The ``<origin>`` of each URDF joint that carries a placement, shape (4, 4), [m]."""
+        origins = {}
+        for P, carrier, how in zip(self.placements, self.carriers, self._chain.around, strict=True):
+            before, after, inverted = how
+            if carrier is not None:
+                factor = rigid_inverse(before) @ P @ rigid_inverse(after)
+                origins[carrier] = rigid_inverse(factor) if inverted else factor
+        return origins
+
+    def _no_carrier(self, *, at_base: bool) -> str:
+        """Why an end of the chain can hold no correction, and what to do."""
+        if at_base:
+            return (
+                f"The base '{self.base}' of '{self.name}' is moved by the chain's first joint directly: the URDF has "
+                "no <origin> between them that could hold a correction. Choose a base link that is fixed to it, or "
+                "add a fixed joint and a link to the URDF and name that link as --base."
+            )
+        return (
+            f"The tip '{self.tip}' of '{self.name}' is moved by its last joint directly: the URDF has no "
+            "<origin> behind that joint that could hold a correction. Add a fixed joint and a link to the "
+            "URDF and name that link as --tip."
+        )
+
+
+@lru_cache(maxsize=16)
+def _axes_of(robot: Robot) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
+    """Which joints slide, shape (n,), rotations that take z to their axes, (n, 3, 3), and T_base_root, (4, 4)."""
+    slides = np.array([joint.type == "prismatic" for joint in robot.joints])
+    turns = kernel.turns_to(np.array([joint.axis for joint in robot.joints]))
+    return slides, turns, rigid_inverse(robot.T_root_base)

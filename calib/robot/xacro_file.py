@@ -1,0 +1,244 @@
+"""Xacro files: flattened to a URDF by the ``xacro`` package, in a process of their own that ends after a while.
+
+A xacro is a program: it may read any file, and what it computes may take for ever. Flatten those that you trust.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+import types
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calib.errors import UrdfError, choices, did_you_mean
+from calib.files import read_bytes
+
+TIME_LIMIT = 60.0
+"""How long flattening may take [s]."""
+
+_FILE = re.compile(r"\.xacro(?=\s|$)", re.IGNORECASE)
+_ARGUMENT = re.compile(r"([^\s:=\"']+):=(.*)", re.DOTALL)
+_BETWEEN = re.compile(r"\s+(?=[^\s:=\"']+:=)")
+
+
+@dataclass(frozen=True, slots=True)
+class XacroCall:
+    """A xacro file and its arguments, ``(name, value)`` each."""
+
+    path: Path
+    arguments: tuple[tuple[str, str], ...] = ()
+
+    @classmethod
+    def parse(cls, source: str | os.PathLike[str]) -> XacroCall:
+        """The file and the arguments of a text such as ``"ur.urdf.xacro ur_type:=ur5e name:=ur"``.
+
+        A value may have spaces in it, and quotes around it; it may be empty.
+
+        Raises:
+            UrdfError: What is behind the file are no arguments, or one is given twice.
+
+        Example:
+            >>> XacroCall.parse("ur.urdf.xacro ur_type:=ur5e name:='my arm'").arguments
+            (('ur_type', 'ur5e'), ('name', 'my arm'))
+        """
+        text = os.fspath(source)
+        # A folder may have the ending, too: the whole text or the first part that is a file, or else the first.
+        ends = [len(text), *(found.end() for found in _FILE.finditer(text))]
+        end = next((end for end in ends if os.path.isfile(text[:end])), ends[:2][-1])  # noqa: PTH113
+        path = Path(text[:end]).expanduser()
+        given: dict[str, str] = {}
+        for piece in filter(None, _BETWEEN.split(text[end:].strip())):
+            found = _ARGUMENT.fullmatch(piece)
+            if found is None or found[1] in given:
+                fault = "is given twice" if found else "is no argument of a xacro"
+                raise UrdfError(
+                    f"'{piece}' behind {path.name} {fault}; write NAME:=VALUE, each name once"
+                )
+            value = found[2].strip()
+            quoted = len(value) > 1 and value[0] == value[-1] and value[0] in "\"'"
+            given[found[1]] = value[1:-1] if quoted else value
+        return cls(path, tuple(given.items()))
+
+    @property
+    def name(self) -> str:
+        """The file's name with the arguments, as one writes them on a line: what messages and results call it."""
+        return " ".join([self.path.name, *(f"{name}:={value}" for name, value in self.arguments)])
+
+
+def is_xacro(source: str | os.PathLike[str]) -> bool:
+    """Whether this names a xacro file, with or without arguments.
+
+    Example:
+        >>> is_xacro("ur.urdf.xacro ur_type:=ur5e"), is_xacro("ur5e.urdf")
+        (True, False)
+    """
+    text = os.fspath(source)
+    if os.path.isfile(text):  # noqa: PTH113  of any length
+        return text.lower().endswith(".xacro")
+    return _FILE.search(text) is not None
+
+
+def flattened(call: XacroCall) -> bytes:
+    """The text that ``xacro FILE ARGUMENTS`` prints, but for the folder in the remark at its head.
+
+    ``$(find package)`` is what `calib.robot.xacro_file.package_folder` finds.
+
+    Raises:
+        FileError: There is no such file.
+        UrdfError: The xacro package is not installed, it finds a fault, or it takes longer than `TIME_LIMIT`.
+    """
+    read_bytes(call.path, "xacro file")
+    package = importlib.util.find_spec("xacro")
+    if package is None or package.origin is None:  # None: a folder of that name
+        raise UrdfError(
+            f"{call.name} is a xacro, and the xacro package that flattens it is not installed. In calib's folder: "
+            'pip install ".[xacro]"; or flatten it elsewhere: xacro FILE ARGUMENTS > robot.urdf'
+        )
+    words = [f"{name}:={value}" for name, value in call.arguments]
+    program = [sys.executable, "-W", "ignore", "-m", __name__, str(call.path), *words]
+    found_as_here = {
+        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+        "PYTHONIOENCODING": "utf-8",
+    }
+    try:
+        done = subprocess.run(
+            program,
+            capture_output=True,
+            timeout=TIME_LIMIT,
+            env=os.environ | found_as_here,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise UrdfError(
+            f"{call.name}: xacro took longer than {TIME_LIMIT:g} s and was stopped; look for what repeats in it"
+        ) from error
+    if done.returncode:
+        said = done.stderr.decode("utf-8", "replace").strip().splitlines() or ["xacro failed"]
+        raise UrdfError(f"{call.name}: {said[-1]}")
+    return done.stdout
+
+
+class _Arguments(dict[str, str]):
+    """The arguments of a call, which note what the xacro asks for: xacro itself passes over a misspelt name."""
+
+    def __init__(self, words: tuple[str, ...]) -> None:
+        super().__init__(word.split(":=", 1) for word in words)
+        self.asked: dict[str, None] = {}
+
+    def __contains__(self, name: object) -> bool:
+        self.asked[str(name)] = None
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.asked[name] = None
+        return super().__getitem__(name)
+
+    @property
+    def misspelt(self) -> str:
+        """What is wrong with an argument for which the xacro did not ask; empty without one."""
+        for name in self.keys() - self.asked.keys():
+            has = f"its arguments: {choices(self.asked)}" if self.asked else "it has none"
+            return f"it has no argument '{name}'{did_you_mean(name, self.asked)}; {has}"
+        return ""
+
+
+def _main(path: str, *words: str) -> str | None:
+    """Flatten a file to standard output; a line about the fault if there is one."""
+    import xacro
+
+    index: Any = types.ModuleType(
+        "ament_index_python.packages"
+    )  # xacro asks ROS's index, and nothing else
+    index.get_package_share_directory = lambda name: str(package_folder(name, Path(path)))
+    sys.modules[index.__name__] = index
+    arguments = _Arguments(words)
+    output, sys.stdout = sys.stdout, sys.stderr  # for what the xacro itself prints
+    try:
+        document = xacro.process_file(path, mappings=arguments, verbosity=0)
+    except Exception as error:  # noqa: BLE001  a xacro holds expressions of Python
+        place = f"in {xacro.filestack[-1]}: " if xacro.filestack else ""
+        return f"{place}{' '.join((str(error) or repr(error)).split())}. {arguments.misspelt}"
+    head = document.childNodes[
+        1
+    ]  # the second line of xacro's remark names the file, with its folder
+    head.data = f" |    This document was autogenerated by xacro from {re.sub('-+', '-', Path(path).name):<30} | "
+    output.write(document.toprettyxml(indent="  "))
+    return arguments.misspelt or None
+
+
+MANIFEST = "package.xml"
+_NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+
+#: How many folders down a package may lie: below ROS_PACKAGE_PATH, in a workspace's `src`, anywhere else.
+_DEEP, _WORKSPACE, _BESIDE = 5, 2, 1
+
+
+def package_folder(name: str, file: Path) -> Path:
+    """The folder of a ROS package.
+
+    Looked for in this order: the ament index (``AMENT_PREFIX_PATH``), as ROS 2 does; ``ROS_PACKAGE_PATH``, as ROS 1
+    does; the folders above ``file`` and those beside them, whose ``package.xml`` has the name, so that a description
+    that was only downloaded is found; last a folder of that name without a ``package.xml``.
+
+    Args:
+        name: Name of the package.
+        file: The file that names it.
+
+    Raises:
+        LookupError: It is not found.
+    """
+    found = next(_candidates(name, file.resolve()), None) if name.strip(".") else None
+    if found is None:
+        paths = [
+            f"{key} ({os.environ.get(key) or 'not set'})"
+            for key in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
+        ]
+        raise LookupError(
+            f"there is no ROS package '{name}' in {paths[0]}, {paths[1]}, or the folders above and beside '{file}'. "
+            "Source the ROS workspace that has it, or name the folder above its package.xml: export "
+            "ROS_PACKAGE_PATH=FOLDER"
+        )
+    return found
+
+
+def listed_folders(variable: str) -> list[Path]:
+    """The folders of an environment variable such as ``ROS_PACKAGE_PATH``."""
+    return [Path(entry) for entry in os.environ.get(variable, "").split(os.pathsep) if entry]
+
+
+def packages_in(folder: Path, name: str, depth: int = _BESIDE) -> Iterator[Path]:
+    """The packages of that name in a folder, the folder itself first, no deeper than ``depth``."""
+    if (folder / MANIFEST).is_file():  # packages do not lie in one another
+        found = _NAME.search(_COMMENT.sub(b"", (folder / MANIFEST).read_bytes()))
+        if found is not None and found[1] == name.encode():
+            yield folder
+    elif depth and os.access(folder, os.R_OK) and folder.is_dir():
+        for below in sorted(folder.iterdir()):
+            if below.is_dir() and not below.name.startswith("."):
+                yield from packages_in(below, name, depth - 1)
+
+
+def _candidates(name: str, file: Path) -> Iterator[Path]:
+    """The folders that the name may mean, the likeliest first."""
+    for prefix in listed_folders("AMENT_PREFIX_PATH"):
+        index = prefix / "share" / "ament_index" / "resource_index" / "packages" / name
+        if index.is_file():
+            yield prefix / "share" / name
+    for folder in listed_folders("ROS_PACKAGE_PATH"):
+        yield from packages_in(folder, name, _DEEP)
+    for folder in file.parents:
+        yield from packages_in(folder, name, _WORKSPACE if folder.name == "src" else _BESIDE)
+    for folder in file.parents:
+        if (folder / name).is_dir() and not (folder / name / MANIFEST).exists():
+            yield folder / name
+
+
+if __name__ == "__main__":
+    sys.exit(_main(*sys.argv[1:]))

@@ -1,1 +1,0 @@
-"""Virtual cells, whose errors are known, and studies of what a way of calibrating reaches on many of them."""

@@ -1,0 +1,446 @@
+"""Truth: a robot as it really is, where targets sit and frames stand; and what disturbs a measurement.
+
+    T_frame_target(q) = T_frame_base  T_base_tip(true placements, q + dq)  T_tip_target
+
+with the joints' own errors dq of `families`; the load of a compliance is that of the nominal URDF's masses and
+the payload at the joint values that are read, as `calib.estimate` takes it.
+
+Each purpose has random numbers of its own, all from one seed. So one thing can be changed about a virtual cell and the
+rest stays: outliers leave the noise of other rows as it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+import calib.data.kinds as registry
+from calib.data.cell import Cell
+from calib.data.surroundings import vector
+from calib.data.table import DEFAULT_TARGET
+from calib.errors import CalibError, ModelError, choices, did_you_mean
+from calib.model.error_model import error_model, split_name
+from calib.model.families import FAMILIES, family_of, unit_of
+from calib.model.kinematics import Kinematics, Samples
+from calib.model.parameters import ErrorModel
+from calib.robot.robot import Robot, read_only, rigid_inverse
+from calib.robot.torques import Payload, gravity_load
+
+Array = NDArray[np.float64]
+
+#: Where the target is said to sit on the tip, if nothing else is said [m]: off the last axis, so that all is seen.
+DEFAULT_PLACE = read_only((0.05, 0.05, 0.05))
+
+#: How far a target sits from where it is said to sit, standard deviation [m], and how far it is turned [rad].
+TARGET_ERROR, TARGET_TURN = 1e-3, 10e-3
+
+#: Of a drawn set-up: distance of the tracker from the base, heights between which it stands [m], tilt [rad].
+_AWAY, _HEIGHTS, _TILT = 3.0, (-0.5, 1.0), 0.01
+
+#: Unit vectors that differ by no more are the same axis.
+_SAME_AXIS = 1e-9
+
+
+#: The purposes of random numbers. A new one goes to the end: the numbers of the others then stay.
+STREAMS = (
+    "errors",
+    "targets",
+    "frames",
+    "tracker noise",
+    "robot noise",
+    "angle noise",
+    "encoder",
+    "outlier rows",
+    "outlier directions",
+    "poses",
+    "validation poses",
+)
+
+
+def stream(seed: int, purpose: str) -> np.random.Generator:
+    """The random numbers of one of `STREAMS`.
+
+    Raises:
+        CalibError: The seed is negative.
+    """
+    if seed < 0:
+        raise CalibError(f"The seed is {seed}; it must be a whole number, 0 or more.")
+    sequence = np.random.SeedSequence(int(seed), spawn_key=(STREAMS.index(purpose),))
+    return np.random.default_rng(sequence)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What is true of a virtual cell.
+
+    Attributes:
+        nominal: The robot as its URDF says it is.
+        model: The errors by name, the robot's own.
+        x: shape (p,), their values, in the units of ``model``. Of a robot that was given as a URDF, what of it the
+            model can say.
+        given: The true geometry, where it was given as a URDF.
+        groups: Names of the set-ups; ``("",)`` for the only one.
+        T_frame_base: shape (F, 4, 4), true pose of the base in each measurement frame [m].
+        targets: Names of the targets.
+        T_tip_target: shape (T, 4, 4), their true poses in the tip [m].
+        said_T_tip_target: shape (T, 4, 4), where the targets are said to sit [m].
+        payload: What the tip carries.
+        gravity: shape (3,), acceleration in the URDF's root [m/s^2].
+    """
+
+    nominal: Robot
+    model: ErrorModel
+    x: Array
+    given: Robot | None
+    groups: tuple[str, ...]
+    T_frame_base: Array
+    targets: tuple[str, ...]
+    T_tip_target: Array
+    said_T_tip_target: Array
+    payload: Payload | None
+    gravity: Array
+
+    @property
+    def robot(self) -> Robot:
+        """The robot with its true placements, made anew each time; errors of the joints' state are no part of it."""
+        return self.model.apply(self.nominal, self.x) if self.given is None else self.given
+
+    def value(self, name: str) -> float:
+        """The value of one error, in its unit; a `ModelError` if there is none of this name."""
+        return float(self.x[self.model.index(name)])
+
+    def tip_poses(self, q: ArrayLike) -> Array:
+        """T_base_tip, shape (N, 4, 4), [m], at joint values that are read, shape (N, m) or (m,), [rad] or [m]."""
+        robot, x, load = self.nominal, self.x, None
+        if self.given is not None:
+            robot = self.given
+            x = np.where([p.factor is not None for p in self.model.parameters], x, 0.0)
+        if any(term.factor and term.factor.loaded for term in self.model.terms):
+            load = gravity_load(self.nominal, q, self.payload, self.gravity)
+        kinematics = Kinematics(robot, self.model, np.eye(4), np.eye(4))
+        return kinematics.poses(x, Samples.at(q, load))
+
+    def poses(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
+        """T_frame_target, shape (N, 4, 4), [m].
+
+        Args:
+            q: Joint values that are read, shape (N, m) or (m,), [rad] or [m].
+            target: Name of the target; default the first.
+            group: Name of the set-up; default the first.
+
+        Raises:
+            ValueError: There is no such target or set-up.
+        """
+        t = 0 if target is None else self.targets.index(target)
+        g = 0 if group is None else self.groups.index(group)
+        T: Array = self.T_frame_base[g] @ self.tip_poses(q) @ self.T_tip_target[t]
+        return T
+
+    def points(self, q: ArrayLike, target: str | None = None, group: str | None = None) -> Array:
+        """The true positions of a target, shape (N, 3), [m]; arguments as for `poses`."""
+        return self.poses(q, target, group)[:, :3, 3]
+
+    def nominal_errors(self, q: ArrayLike) -> Array:
+        """How far the nominal robot puts the first target from its true place, shape (N,), [m].
+
+        Frame and target are where they truly are: this is the robot's own error. q: as for `poses`.
+        """
+        apart = (self.tip_poses(q) - self.nominal.poses(q)) @ self.T_tip_target[0]
+        return np.asarray(np.linalg.norm(apart[:, :3, 3], axis=1))
+
+
+def draw_truth(
+    robot: Robot,
+    model: str = "placement",
+    sizes: Mapping[str, float] | None = MappingProxyType({}),
+    seed: int = 0,
+    *,
+    cell: Cell | None = None,
+    errors: Mapping[str, float] | None = None,
+    true_robot: Robot | None = None,
+    target_error: float = TARGET_ERROR,
+) -> Truth:
+    """Draw what is true of a virtual cell.
+
+    Args:
+        robot: The nominal robot.
+        model: In which errors the robot is wrong: a parameter set, and families behind it, ``"placement+gain"``.
+        sizes: Standard deviations of the errors by family, in its unit; a family that is missing is wrong by what is
+            typical of it. None: no errors are drawn.
+        seed: Of the random numbers.
+        cell: Targets, frames, payload, gravity, kind, and what is frozen, tied, bounded or has a prior of its own.
+            Frames whose poses it does not give are drawn where it estimates them, or its kind has a frame of its own.
+        errors: Values of single errors by name, in their units [m], [rad]...; they win over what is drawn.
+        true_robot: The true geometry; then only errors of the joints' state are drawn.
+        target_error: Standard deviation of a target's place about where it is said to be [m]; none if the cell says
+            that the targets are known.
+
+    Raises:
+        ModelError: No such model or error, or a true robot with other joints.
+        CalibError: A size that is no number.
+    """
+    cell, given = cell or Cell(), dict(errors or {})
+    for name, size in (sizes or {}).items():
+        if not 0.0 <= size < np.inf:
+            raise CalibError(
+                f"The size of errors in {family_of(name).name} is {size}; it must be a number, not below 0."
+            )
+    if true_robot is not None:
+        model = "+".join(("placement", *split_name(model)[1]))
+    whole = error_model(robot, model, target=False)
+    free = {p.name for p in whole.parameters if true_robot is None or p.factor}
+    if true_robot is not None:
+        fixed = [name for name in given if name in whole.names and name not in free]
+        if fixed:
+            raise ModelError(
+                f"The errors {choices(fixed)} are of the geometry, which the true robot states already. Give one or "
+                "the other."
+            )
+        true_robot = _as_nominal(robot, true_robot)
+        given |= _geometry_of(robot, true_robot)
+    # A cell may be made for a fit of another model: what that alone has counts for nothing here.
+    whole = whole.tied({n: t for n, t in cell.ties.items() if n in free and t[0] in free})
+    whole = whole.without(n for n in cell.frozen if n in free and n in whole.names)
+    groups, frames = _frames(cell, seed)
+    targets, said, placed = _targets(cell, seed, target_error)
+    return Truth(
+        nominal=robot,
+        model=whole,
+        x=_errors(whole, sizes, seed, cell, given),
+        given=true_robot,
+        groups=groups,
+        T_frame_base=frames,
+        targets=targets,
+        T_tip_target=placed,
+        said_T_tip_target=said,
+        payload=cell.payload,
+        gravity=cell.gravity,
+    )
+
+
+def tracker_pose(position: ArrayLike, rng: np.random.Generator) -> Array:
+    """T_frame_base of a tracker that stands at a point of the base [m], levelled to about 10 mrad, turned anyhow."""
+    T_base_frame = np.eye(4)
+    turn = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
+    tilt = Rotation.from_rotvec(np.append(rng.normal(0.0, _TILT, 2), 0.0))
+    T_base_frame[:3, :3] = (turn * tilt).as_matrix()
+    T_base_frame[:3, 3] = position
+    return rigid_inverse(T_base_frame)
+
+
+def _errors(
+    model: ErrorModel,
+    sizes: Mapping[str, float] | None,
+    seed: int,
+    cell: Cell,
+    given: Mapping[str, float],
+) -> Array:
+    """Errors as given, else drawn with the size of their family, or their own in the cell, inside its bounds, (p,)."""
+    for name, value in given.items():
+        if name not in model.names:
+            raise ModelError(
+                f"There is no error '{name}' in the model '{model.name}'{did_you_mean(name, model.names)}; it has "
+                f"{choices(model.names)}."
+            )
+        if not np.isfinite(value):
+            raise CalibError(f"The error '{name}' is {value}; it must be a finite number.")
+    x = np.zeros(len(model))
+    unit = stream(seed, "errors").standard_normal(len(model))
+    for k, p in enumerate(model.parameters):
+        family = FAMILIES[p.family]
+        if p.name in given:
+            x[k] = given[p.name]
+        elif sizes is not None:
+            size = sizes.get(family.name, family.typical)
+            if family.sliding is not None and p.unit == family.sliding.symbol:
+                size *= family.lever
+            size = cell.parameter_priors.get(p.name, size)
+            low, high = cell.bounds.get(p.name, (-np.inf, np.inf))
+            x[k] = min(max(size * (abs(unit[k]) if family.positive else unit[k]), low), high)
+        if abs(x[k]) > unit_of(p.unit).largest:
+            raise CalibError(
+                f"The error '{p.name}' is {x[k]:.3g} {p.unit}; more than {unit_of(p.unit).largest:g} {p.unit} is not "
+                "an error but another robot."
+            )
+    return read_only(x)
+
+
+def _as_nominal(nominal: Robot, true: Robot) -> Robot:
+    """The nominal robot with the placements of a true one, whose URDF may differ in more than that.
+
+    Raises:
+        ModelError: Other joints, types or axes.
+    """
+    ours, theirs = ([joint.name for joint in robot.joints] for robot in (nominal, true))
+    if true.joint_names != nominal.joint_names or ours != theirs:
+        raise ModelError(
+            f"The true robot '{true.urdf.source}' has the joints {choices(theirs)} between '{true.base}' and "
+            f"'{true.tip}', the nominal robot {choices(ours)}; they must be the same."
+        )
+    for own, other in zip(nominal.joints, true.joints, strict=True):
+        if own.type != other.type or np.abs(own.axis - other.axis).max() > _SAME_AXIS:
+            raise ModelError(
+                f"The joint '{own.name}' of the true robot '{true.urdf.source}' has another type or <axis> than the "
+                "nominal robot's. Leave both as they are, and turn its <origin>."
+            )
+    placements = true.placements.copy()
+    placements[0] = nominal.T_root_base @ rigid_inverse(true.T_root_base) @ placements[0]
+    return nominal.with_placements(placements)
+
+
+def _geometry_of(nominal: Robot, true: Robot) -> dict[str, float]:
+    """What of a true robot's placements the set ``placement`` can say: all but the tip's.
+
+    A placement is displaced along x, y, z, then about x, y, z: Euler angles about moving axes.
+    """
+    found: dict[str, float] = {}
+    for i, joint in enumerate(nominal.joints):
+        if nominal.carriers[i] is not None:
+            displaced = rigid_inverse(nominal.placements[i]) @ true.placements[i]
+            turn = Rotation.from_matrix(displaced[:3, :3]).as_euler("XYZ")
+            names = (f"{joint.name}.{n}" for n in ("x", "y", "z", "rx", "ry", "rz"))
+            found |= dict(zip(names, map(float, (*displaced[:3, 3], *turn)), strict=True))
+    return found
+
+
+def _frames(cell: Cell, seed: int) -> tuple[tuple[str, ...], Array]:
+    """The set-ups by name, and the true pose of the base in each: as given, drawn, or the base itself."""
+    groups = tuple(cell.frames) or ("",)
+    drawn = cell.estimate_frame or (cell.kind is not None and registry.get(cell.kind).own_frame)
+    rng = stream(seed, "frames")
+    frames = []
+    for group in groups:
+        given = cell.frames.get(group, cell.T_frame_base)
+        angle, height = rng.uniform(-np.pi, np.pi), rng.uniform(*_HEIGHTS)
+        there = np.array([_AWAY * np.cos(angle), _AWAY * np.sin(angle), height])
+        if cell.tracker is not None:
+            there = cell.tracker.position
+        pose = tracker_pose(there, rng)
+        frames.append(given if given is not None else pose if drawn else np.eye(4))
+    return groups, read_only(frames)
+
+
+def _targets(cell: Cell, seed: int, size: float) -> tuple[tuple[str, ...], Array, Array]:
+    """The targets by name, where they are said to sit, and where they truly do."""
+    if not (np.isfinite(size) and size >= 0.0):
+        raise CalibError(f"The error of the target is {size} m; it must be a number, not below 0.")
+    names = tuple(cell.targets) or (DEFAULT_TARGET,)
+    rng = stream(seed, "targets")
+    said = np.tile(np.eye(4), (len(names), 1, 1))
+    true = said.copy()
+    for t, name in enumerate(names):
+        place = cell.targets.get(name, cell.target)
+        said[t, :3, 3] = DEFAULT_PLACE if place is None else place
+        if cell.target_rotation is not None:
+            said[t, :3, :3] = cell.target_rotation
+        moved, turned = rng.normal(size=(2, 3))
+        true[t] = said[t]
+        if cell.estimate_target and size > 0.0:
+            true[t, :3, 3] += size * moved
+            true[t, :3, :3] = said[t, :3, :3] @ pin.exp3(TARGET_TURN * turned)
+    return names, read_only(said), read_only(true)
+
+
+@dataclass(frozen=True, slots=True)
+class Outliers:
+    """Rows whose measurement is displaced by ``size`` [m] anyhow; lengths are that much longer or shorter.
+
+    They are a share of the rows to estimate from, 0 to 1 and at least one if it is above 0, or a number of them.
+    """
+
+    share: float = 0.0
+    count: int | None = None
+    size: float = 5e-3
+
+    def __post_init__(self) -> None:
+        """Refuse what is no share, number or length."""
+        if not (0.0 <= self.share <= 1.0 and (self.count or 0) >= 0 and 0.0 < self.size < np.inf):
+            raise CalibError(
+                f"Outliers: a share of {self.share}, a number of {self.count}, a size of {self.size} m; the share is "
+                "from 0 to 1, the number 0 or more, the size above 0."
+            )
+
+    def choose(self, candidates: Sequence[int], seed: int) -> list[int]:
+        """Which of some rows are outliers, in order; more of them are those of fewer and others.
+
+        Raises:
+            CalibError: More than there are rows.
+        """
+        among = len(candidates)
+        number = self.count
+        if number is None:
+            number = max(round(self.share * among), 1) if self.share > 0.0 and among else 0
+        if number > among:
+            raise CalibError(
+                f"{number} outliers were asked for among {among} measurements to estimate from. Ask for fewer, or "
+                "measure at more poses."
+            )
+        order = stream(seed, "outlier rows").permutation(among)
+        return sorted(candidates[i] for i in order[:number])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovedTarget:
+    """A target, or all of them (None), that sit elsewhere from some row on, as if they had been knocked.
+
+    ``row`` is the number of the first row, from 1, that finds it moved; ``by``, shape (3,), is in the tip [m].
+    """
+
+    row: int
+    by: Array
+    target: str | None = None
+
+    def __post_init__(self) -> None:
+        """Keep a read-only copy of the displacement."""
+        object.__setattr__(self, "by", vector(self.by, "displacement of the moved target"))
+
+    def rows(self, targets: Sequence[str]) -> NDArray[np.bool_]:
+        """Which rows, given by their targets' names, find the target moved.
+
+        Raises:
+            CalibError: The table has no such row, or no such target.
+        """
+        if not 1 <= self.row <= len(targets):
+            raise CalibError(
+                f"The target is to move before row {self.row}; the table has the rows 1 to {len(targets)}. Name one of "
+                "these."
+            )
+        if self.target not in (None, *targets):
+            raise CalibError(
+                f"The target '{self.target}' is to move; there are {choices(dict.fromkeys(targets))}. Name one of "
+                "these."
+            )
+        mask = np.array([self.target in (None, name) for name in targets])
+        mask[: self.row - 1] = False
+        return mask
+
+
+@dataclass(frozen=True, slots=True)
+class Encoder:
+    """The smallest steps in which joint values are read: of joints that turn [rad] and that slide [m]; 0: none.
+
+    The robot stops somewhere within half a step of where it is sent, and what is read is the nearest step.
+    """
+
+    angle: float = 0.0
+    length: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no step."""
+        if not (0.0 <= self.angle < np.inf and 0.0 <= self.length < np.inf):
+            raise CalibError(
+                f"The encoder's steps are {self.angle} rad and {self.length} m; they must be 0 or above."
+            )
+
+    def measure(self, q: Array, sliding: Sequence[bool], seed: int) -> tuple[Array, Array]:
+        """Where the robot stops when it is sent to q, and what is read there, shape (N, m) each, [rad] or [m]."""
+        step = np.where(sliding, self.length, self.angle)
+        stood = q + stream(seed, "encoder").uniform(-0.5, 0.5, q.shape) * step
+        safe = np.where(step > 0.0, step, 1.0)
+        return stood, np.where(step > 0.0, np.round(stood / safe) * step, stood)

@@ -1,0 +1,435 @@
+"""The result as text for a terminal: what to do, how good it is, what was found. At most 100 columns, no colours.
+
+What the report says too is public: facts, places, rows of errors and of parameters; each sets them in its own way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+import calib.data.kinds as registry
+from calib.estimate.selection import Candidate
+from calib.estimate.statistics import Errors
+from calib.model.error_model import placed_name
+from calib.model.families import FAMILIES, unit_of
+from calib.model.parameters import FRAME, TARGET
+from calib.result.calibration import Calibration
+from calib.result.prediction import Outlier, ParameterEstimate, correlations
+from calib.text.lines import three, wrap
+from calib.version import __version__
+
+#: Columns of the text; a parameter with a longer name than that gets a line for its name alone.
+WIDTH, _LONGEST_NAME = 100, 46
+
+#: More combinations that nothing determines, validation rows, targets or measurement frames than this are not listed.
+_MOST_COMBINATIONS, _MOST_ROWS, _MOST_PLACES = 12, 12, 6
+
+#: Labels of `facts` that the report asks for.
+EXPECTED, SCATTER = "Expected error, if the model is complete", "Scatter of repeats"
+SIZES, TOGETHER = "Size of the robot's errors", "Known together better than apart (correlation)"
+
+#: Correlations beyond this are told, the largest few.
+_WORTH_NAMING, _MOST_PAIRS = 0.95, 4
+
+#: Degrees of freedom from which on the noise is that of the rows.
+_TELLING = 6.0
+
+#: A size of errors below this says that there are none [mm, mrad, urad/Nm].
+_NOTHING = 2e-3
+
+#: What is left out at a time.
+_LEFT_OUT = {
+    "leave-one-out": "each row predicted from the others alone",
+    "leave-one-pose-out": "each pose, repeats and all, predicted from the others alone",
+    "leave-one-set-up-out": "each set-up predicted from the others, but for where it stands itself",
+    "leave-set-ups-out": "some set-ups predicted from the others, but for where they stand themselves",
+    "10-fold": "a tenth of the poses at a time, predicted from the others",
+}
+
+#: A row of the error table has the columns: label, n, max, mean, rms, span x, span y, span z.
+_COLUMNS = "{:<33}{:>5}" + " {:>9}" * 6
+_ANGLE_COLUMNS = "{:<33}{:>5}" + " {:>9}" * 3
+ANGLE_HEAD = _ANGLE_COLUMNS.format("Orientation error [deg]", "rows", "max", "mean", "rms")
+_ROW_COLUMNS = "{:<18}" + " {:>8}" * 4 + "   " + " {:>8}" * 4
+
+
+def summary(c: Calibration) -> str:
+    """The whole summary of a calibration."""
+    m, known = c.rows, facts(c)
+    together = known.pop(TOGETHER, "")
+    took = "" if math.isnan(c.seconds) else f", {1e3 * c.seconds:.0f} ms"
+    verdict = ["Verdict: none, because nothing was cross-validated."]
+    if c.verdict is not None:
+        verdict = [f"Verdict: {c.verdict.use}", *(wrap(str(r), "  ") for r in c.verdict.reasons)]
+    larger = [] if c.larger is None else [f"Larger model '{c.larger.name}', not in the URDF:"]
+    for name, value, half, unit in larger_parameters(c):
+        larger.append(f"  {name:<{_LONGEST_NAME}}{value:>10} {half} {unit}")
+    parts = (
+        wrap(
+            f"calib {__version__}: robot '{c.nominal.name}', {c.nominal.base} to {c.nominal.tip}, "
+            f"{len(c.nominal.joints)} joints; {m.estimation.sum()} rows to estimate and {m.validation.sum()} to "
+            f"validate from {c.source.name or 'memory'}"
+        ),
+        "\n".join(verdict),
+        _errors(c),
+        _validation_rows(c),
+        _flagged(c),
+        "\n".join(map(wrap, target_sentences(c))),
+        "\n".join(map(wrap, frame_sentences(c))),
+        _ladder(c),
+        "\n".join([*(wrap(f"{label}: {text}") for label, text in known.items()), *_unknown(c)]),
+        _parameters(c),
+        wrap(f"{TOGETHER}: {together}" if together else ""),
+        "\n".join(larger),
+        wrap(f"{solver_text(c)}{took}. {c.solution.message}"),
+    )
+    return "\n\n".join(part for part in parts if part)
+
+
+def facts(c: Calibration) -> dict[str, str]:
+    """What was found in numbers, a sentence for each label, as far as there is something to say."""
+    of = measured_lengths(c.used)
+    noise = [f"{1e3 * c.sigma:.3f} mm a {of}"] * bool(np.isfinite(c.sigma))
+    noise += [f"{np.degrees(c.sigma_angle):.4f} deg about an axis"] * bool(
+        np.isfinite(c.sigma_angle)
+    )
+    telling = f"found from what is left over ({c.freedom:.0f} d.o.f.)"
+    assumed = "mostly assumed: too few rows to tell"
+    result = {"Noise": f"{' and '.join(noise)}, {telling if c.freedom >= _TELLING else assumed}."}
+    if c.repeats is not None and np.isfinite(c.repeats.within[0]):
+        scatter, freedom = 1e3 * c.repeats.within[0], c.repeats.freedoms[0]
+        result[SCATTER] = f"{scatter:.3f} mm a {of} ({freedom:.0f} d.o.f.)."
+    result[EXPECTED] = (
+        f"{1e3 * c.expected_measured:.3f} mm rms at the measured poses, "
+        f"{1e3 * c.expected_everywhere:.3f} mm over the joint limits."
+    )
+    if c.sizes:
+        shown = [(family, size, *FAMILIES[family].unit.shown) for family, size in c.sizes.items()]
+        sizes = [
+            f"{family} {factor * size:.3g} {unit}" if factor * size > _NOTHING else f"{family} none"
+            for family, size, factor, unit in shown
+        ]
+        how = "found from the data" if c.sizes_from == "data" else "as given"
+        result[SIZES] = f"{', '.join(sizes)} ({how})."
+    o = c.observability
+    result["Rank"] = f"{o.rank} of {o.columns} parameters, condition number {o.condition:.0f}."
+    pairs = [
+        f"{first} and {second} ({value:+.2f})"
+        for first, second, value in correlations(c, _WORTH_NAMING)[:_MOST_PAIRS]
+    ]
+    if pairs:
+        result[TOGETHER] = f"{', '.join(pairs)}."
+    return result
+
+
+def measured_lengths(*used: NDArray[np.bool_]) -> str:
+    """What lengths are of, by the scalars used, shape (N, D): ``"coordinate"``, ``"length"`` (a distance), or both."""
+    numbers = {int(n) for one in used for n in np.sum(one[:, :3], axis=1)}
+    found = ["coordinate"] * (max(numbers, default=0) > 1) + ["length"] * (1 in numbers)
+    return " or ".join(found) or "coordinate"
+
+
+def error_title(*used: NDArray[np.bool_]) -> str:
+    """What tables of errors in mm are of, by the scalars used, shape (N, D): a distance is no position."""
+    return f"{measured_lengths(*used).replace('coordinate', 'position').capitalize()} error"
+
+
+def error_rows(c: Calibration) -> list[tuple[str, Errors]]:
+    """Label and errors of each row of the error tables: before and after, by set, and on left-out rows."""
+    rows = [
+        (f"{name} rows, {who}", c.errors[who][name])
+        for name in ("estimation", "validation")
+        for who in c.errors
+    ]
+    larger = None if c.larger is None else c.larger.cross_validation
+    for who, v in (
+        ("nominal", c.nominal_cross_validation),
+        ("calibrated", c.cross_validation),
+        ("larger", larger),
+    ):
+        if v is not None:
+            rows.append((f"left-out rows*, {who}", v.errors))
+            if c.outliers:
+                rows.append(("  the same without outliers", v.errors_without_outliers))
+    return rows
+
+
+def left_out_text(c: Calibration) -> str:
+    """What ``left-out rows*`` are; empty without cross-validation."""
+    v = c.cross_validation
+    return "" if v is None else f"* {v.method}: {_LEFT_OUT[v.method]}"
+
+
+def error_head(title: str = "Position error") -> str:
+    """The head of the error table."""
+    return _COLUMNS.format(f"{title} [mm]", "rows", "max", "mean", "rms", "span x", "y", "z")
+
+
+def angle_row(label: str, errors: Errors) -> str:
+    """One row of the table of orientations, [deg]."""
+    values = [errors.max_angle, errors.mean_angle, errors.rms_angle]
+    return _ANGLE_COLUMNS.format(label, errors.n_angle, *(f"{np.degrees(v):.4f}" for v in values))
+
+
+def error_row(label: str, errors: Errors) -> str:
+    """One row of the error table, [mm]."""
+    values = [errors.max, errors.mean, errors.rms, *errors.span_axis]
+    texts = [f"{1e3 * v:.3f}" if np.isfinite(v) else "-" for v in values]
+    return _COLUMNS.format(label, errors.n, *texts)
+
+
+def weights_text(c: Calibration) -> str:
+    """Whether the outliers count in the fit."""
+    weights = dict(zip(c.rows.numbers, c.weights, strict=True))
+    unused = not any(weights.get(o.row) for o in c.outliers)
+    return "they have no weight in the fit" if unused else "they keep their weight in this fit"
+
+
+def candidate_rms(one: Candidate) -> str:
+    """Error of a candidate on left-out rows, outliers aside, with its unit."""
+    errors = one.cross_validation.errors_without_outliers
+    return f"{1e3 * errors.rms:.3f} mm" if errors.n else f"{np.degrees(errors.rms_angle):.4f} deg"
+
+
+def errorless(c: Calibration) -> frozenset[str]:
+    """The parameters of families whose errors the data showed to be none: they stay nominal, and have no interval.
+
+    Their prior's standard deviation went to nothing, which is no knowledge of them.
+    """
+    if c.sizes_from != "data":
+        return frozenset()
+    nothing = {f: _NOTHING / FAMILIES[f].unit.shown[0] for f in c.sizes}
+    return frozenset(
+        p.name
+        for p, found in zip(c.model.parameters, c.parameters, strict=True)
+        if p.family in nothing
+        and c.sizes[p.family] <= nothing[p.family]
+        # One with a prior of its own does not share the family's.
+        and found.prior_std <= nothing[p.family]
+    )
+
+
+def unidentifiable_text(c: Calibration) -> str:
+    """What is said before the combinations that nothing determines; empty if there are none."""
+    if not c.observability.unidentifiable:
+        return ""
+    held = ", so the priors share them out" if c.sizes else ""
+    return f"These changes move nothing that was measured{held}"
+
+
+def shown_parameters(c: Calibration) -> list[ParameterEstimate]:
+    """The parameters of the geometry that are listed: frames and the targets' orientations are told as poses."""
+    return [
+        p
+        for p, m in zip(c.parameters, c.model.parameters, strict=True)
+        if m.family != FRAME and not (m.family == TARGET and m.unit == "rad")
+    ]
+
+
+def larger_parameters(c: Calibration) -> Sequence[tuple[str, str, str, str]]:
+    """Name, value, half the 95 % interval and unit of the larger model's parameters that the geometry lacks."""
+    result = []
+    for p in () if c.larger is None else c.larger.parameters:
+        if p.name not in c.model.names:
+            factor, unit = unit_of(p.unit).shown
+            half = "(at bound)" if p.at_bound else f"± {0.5 * factor * (p.high - p.low):.3f}"
+            result.append((p.name, three(factor * p.value), half, unit))
+    return result
+
+
+def solver_text(c: Calibration) -> str:
+    """How the solver fared, without the time that it took."""
+    s = c.solution
+    return f"Solver '{c.solver}': {s.status} after {s.iterations} iterations, {s.evaluations} evaluations"
+
+
+def target_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
+    """Where each target is, how sure that is, and how far it moved; more than ``most`` are counted."""
+    names, own = c.setup.targets, c.setup.target_names
+    shown = [_target(c, t, name) for t, name in enumerate(own[:most])]
+    return shown + [f"... and {len(names) - most} more targets"] * (len(names) > most)
+
+
+def _target(c: Calibration, t: int, name: str) -> str:
+    """One target."""
+    T, rotation = c.setup.T_tip_target[t], c.setup.rotation
+    turned = f", rpy ({_degrees(T)}) deg" if rotation else ""
+    place = f"({_listed(1e3 * T[:3, 3])}) mm{turned} in {c.nominal.tip}"
+    what = f"Target '{name}'" if name else "Target"
+    if not c.setup.target_unknown[t]:
+        return f"{what}: {place}, as given."
+    sure = f"({_half_widths(c, 'target', 'xyz', name)}) mm"
+    if rotation:
+        sure += f" and ({_half_widths(c, 'target', ('rx', 'ry', 'rz'), name)}) deg about its axes"
+    if not c.setup.target_given[t]:
+        return f"{what}: found at {place}, 95 % ± {sure}."
+    moved = float(np.linalg.norm(T[:3, 3] - c.nominal_setup.T_tip_target[t, :3, 3]))
+    text = f"{what}: {place}, 95 % ± {sure}; it moved {1e3 * moved:.1f} mm from the position given."
+    if moved > 5e-3:  # given wrongly, rather than mounted inexactly
+        text += " That is further than mounting explains: check the sign and the order of the numbers given."
+    return text
+
+
+def frame_sentences(c: Calibration, most: int = _MOST_PLACES) -> list[str]:
+    """Where the base stands in each frame that was estimated, and how sure that is; more than ``most`` are counted."""
+    many = len(c.setup.groups) > 1
+    found = [f for f, directions in enumerate(c.setup.unknown) if directions]
+    lines = [_frame(c, f, c.setup.groups[f] if many else "") for f in found[:most]]
+    return lines + [f"... and {len(found) - most} more set-ups"] * (len(found) > most)
+
+
+def _frame(c: Calibration, f: int, group: str) -> str:
+    """One measurement frame; of a socket the point in the base, of a plane its normal and distance."""
+    T, directions, base = c.setup.T_frame_base[f], c.setup.unknown[f], c.nominal.base
+    names = {k for k, g in zip(c.rows.kinds, c.rows.groups, strict=True) if g == c.setup.groups[f]}
+    kinds = [registry.get(name) for name in names]
+    what = min(kind.place for kind in kinds)  # of an anchor in a socket: anchor
+    what += f" '{group}'" if group else ""
+    own = {kind.directions if kind.own_frame else () for kind in kinds}
+    if own == {("x", "y", "z")}:
+        return f"{what}: found at ({_listed(-1e3 * T[:3, :3].T @ T[:3, 3])}) mm in {base}."
+    if own == {("z", "rx", "ry")}:
+        normal = ", ".join(f"{v:.5f}" for v in T[2, :3])
+        return (
+            f"{what}: found with the normal ({normal}) in {base}, {-1e3 * T[2, 3]:.3f} mm along it."
+        )
+    sure = [
+        f"({_half_widths(c, 'frame', some, group)}) {unit}"
+        for unit, some in (
+            ("mm", [d for d in directions if d in "xyz"]),
+            ("deg", [d for d in directions if d not in "xyz"]),
+        )
+        if some
+    ]
+    return (
+        f"{what}: {base} found at ({_listed(1e3 * T[:3, 3])}) mm, rpy ({_degrees(T)}) deg in it; 95 % ± "
+        f"{' and '.join(sure)} for {', '.join(directions)} along and about the axes of "
+        f"{'the frame' if c.setup.own_axes[f] else base}."
+    )
+
+
+def _listed(values: Iterable[float]) -> str:
+    """Numbers with commas between them."""
+    return ", ".join(three(float(v)) for v in values)
+
+
+def _degrees(T: NDArray[np.float64]) -> str:
+    """Roll, pitch and yaw of a pose [deg]."""
+    return _listed(np.degrees(pin.rpy.matrixToRpy(T[:3, :3])))
+
+
+def _half_widths(c: Calibration, what: str, directions: Iterable[str], name: str) -> str:
+    """Half the 95 % intervals of parameters of a frame or target, [mm] or [deg]."""
+    every = [c.parameter(placed_name(what, direction, name)) for direction in directions]
+    scale = {"m": 1e3, "rad": float(np.degrees(1.0))}
+    return ", ".join(f"{0.5 * scale[p.unit] * (p.high - p.low):.3g}" for p in every)
+
+
+def _errors(c: Calibration) -> str:
+    """The error tables: before and after, by set, and on left-out rows; a second one for orientations."""
+    rows = error_rows(c)
+    lines = [error_head(error_title(c.used)), *(error_row(label, e) for label, e in rows if e.n)]
+    if any(e.n_angle for _, e in rows):
+        lines += ["", ANGLE_HEAD, *(angle_row(label, e) for label, e in rows if e.n_angle)]
+    return "\n".join([*lines, *filter(None, [left_out_text(c)])])
+
+
+def _validation_rows(c: Calibration) -> str:
+    """Errors of single validation rows by axis, before and after, as in the paper's Table 4; only if they are few."""
+    m = c.rows
+    chosen = np.flatnonzero(m.validation & np.all(c.used[:, :3], axis=1) & (c.used.shape[1] >= 3))
+    if not 0 < len(chosen) <= _MOST_ROWS:
+        return ""
+    head = ("before dx", "dy", "dz", "norm", "after dx", "dy", "dz", "norm")
+    lines = [_ROW_COLUMNS.format("Validation rows", *head)]
+    for i in chosen:
+        both = c.residual_nominal[i, :3], c.residual_calibrated[i, :3]
+        values = [three(1e3 * float(v)) for one in both for v in (*one, np.linalg.norm(one))]
+        lines.append(_ROW_COLUMNS.format(f"  row {m.numbers[i]} [mm]", *values))
+    return "\n".join(lines)
+
+
+def _flagged(c: Calibration) -> str:
+    """The rows that do not belong to the others."""
+    lines = ["Outliers: none."]
+    if c.outliers:
+        lines = [wrap(f"Outliers ({weights_text(c)}): {_outliers(c.outliers)}")]
+        if c.robustness is not None:
+            lines.append(wrap(c.robustness.sentence(), "  "))
+    if c.suspects:
+        what = "Validation rows that the calibrated robot does not explain"
+        lines.append(wrap(f"{what}: {_outliers(c.suspects)}"))
+    return "\n".join(lines)
+
+
+def _outliers(every: Sequence[Outlier]) -> str:
+    """Rows with residual and score; the first dozen."""
+    text = "; ".join(
+        f"row {o.row} ({1e3 * o.residual:.2f} mm, {o.score:.1f} sigma)" for o in every[:_MOST_ROWS]
+    )
+    return text + (f"; and {len(every) - _MOST_ROWS} more" if len(every) > _MOST_ROWS else "")
+
+
+def _ladder(c: Calibration) -> str:
+    """The models that were tried, and which of them were chosen."""
+    if not c.candidates:
+        return ""
+    row = "{:<36}{:>10}{:>10}{:>16}  {}"
+    lines = [row.format("Models tried", "parameters", "evidence", "left-out rms", "chosen for")]
+    best = max(one.log_likelihood for one in c.candidates)
+    words = {"geometry": "the URDF", "larger": "result file, predict()"}
+    for one in c.candidates:
+        gain, chosen = f"{one.log_likelihood - best:.1f}", words.get(one.chosen, "")
+        cells = f"  {one.name}", one.parameters, gain, candidate_rms(one), chosen
+        lines.append(row.format(*cells).rstrip())
+    lines.append(
+        "  evidence: restricted log likelihood, less the best one's; a step up must gain "
+        f"{c.candidates[0].needed:.1f}"
+    )
+    return "\n".join(lines)
+
+
+def _unknown(c: Calibration) -> list[str]:
+    """What the poses cannot tell apart."""
+    every = c.observability.unidentifiable
+    if not every:
+        return []
+    lines = [
+        f"{unidentifiable_text(c)}:",
+        *(wrap(str(u), "  ") for u in every[:_MOST_COMBINATIONS]),
+    ]
+    more = len(every) - _MOST_COMBINATIONS
+    return lines + [f"  and {more} more"] * (more > 0)
+
+
+def _parameters(c: Calibration) -> str:
+    """The parameters with their 95 % intervals; * where the data know them in combinations only."""
+    shown, none = shown_parameters(c), errorless(c)
+    if not shown:
+        return ""
+    width = min(max(len(p.name) for p in shown), _LONGEST_NAME) + 2
+    row = f"{{:<{width}}}{{:>12}}{{:>12}}{{:>11}}{{:>10}}"
+    lines = [row.format("Parameter", "nominal", "value", "change", "95 % +-")]
+    for p in shown:
+        scale, unit = (1e3, "mm") if p.unit == "m" else (float(np.degrees(1.0)), "deg")
+        mark = " #" if p.name in none else "" if p.identifiable else " *"
+        half = "at bound" if p.at_bound else f"{0.5 * scale * (p.high - p.low):.3g}"
+        lines += [wrap(p.name)] * (len(p.name) > _LONGEST_NAME)
+        cells = (
+            p.name if len(p.name) <= _LONGEST_NAME else "",
+            "-" if p.nominal is None else three(scale * p.nominal),
+            three(scale * p.value),
+            "-" if p.nominal is None else three(scale * p.delta, "+"),
+            "-" if p.name in none else half,
+        )
+        lines.append(f"{row.format(*cells)} {unit}{mark}")
+    if none:
+        lines.append("# no errors of this kind were found, so it stays as it was")
+    if not all(p.identifiable or p.name in none for p in shown):
+        lines.append("* known in combination with others only; see above")
+    return "\n".join(lines)

@@ -1,0 +1,326 @@
+"""The picture of one or two robots in a browser, moved by this program; meshcat draws more on it.
+
+It is served by meshcat's own server, in a thread of this process: at 127.0.0.1 only, on one port, for meshcat itself
+listens on all addresses (https://github.com/meshcat-dev/meshcat-python/issues/14).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import socket
+import tempfile
+import threading
+import webbrowser
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Literal, overload
+
+import meshcat
+import numpy as np
+import umsgpack
+import zmq
+from meshcat.servers.zmqserver import WebSocketHandler, ZMQWebSocketBridge
+from numpy.typing import ArrayLike, NDArray
+from tornado.httpserver import HTTPServer
+from tornado.web import Application, RequestHandler
+
+from calib.errors import CalibError, ModelError, choices
+from calib.result.calibration import Calibration
+from calib.robot.robot import Robot
+from calib.viewer.page import floats, puppets, view_page
+from calib.viewer.scene import SCENE
+from calib.viewer.shapes import Visual, packed, read_visuals
+from calib.viewer.view import View, view_of, view_of_robots
+
+Array = NDArray[np.float64]
+
+#: The only address listened on: other computers cannot reach it.
+HOST = "127.0.0.1"
+
+#: What a user draws stands below this node of a robot's.
+_OWN = "own"
+
+
+class Viewer:
+    """A view at ``url``, on this computer only, until it is closed or the program ends.
+
+    Example:
+        with Viewer(view_of(calibration)) as viewer:
+            viewer.open()
+            viewer.display(np.zeros(6))
+            viewer.wait()
+
+    Args:
+        view: What is shown.
+        port: Where to listen on 127.0.0.1; 0 for any port that is free.
+
+    Attributes:
+        url: Where the page is.
+        port: Where it listens on 127.0.0.1.
+        visualizer: meshcat's, to draw more: in the base frame of the calibrated robot, or of the only one [m].
+        warnings: What could not be drawn as the URDF says.
+
+    Raises:
+        UrdfError: Pinocchio cannot build a model of a URDF.
+        CalibError: The port is in use.
+    """
+
+    def __init__(self, view: View, *, port: int = 0) -> None:
+        self._one = view.select([view.start])
+        self._visuals: dict[str, Sequence[Visual]] = {
+            who: read_visuals(robot.urdf)[0] for who, robot in view.robots.items()
+        }
+        page = view_page(view, live=True)
+        self.warnings: tuple[str, ...] = page.warnings
+        listener = _listening(port)
+        self.port: int = listener.getsockname()[1]
+        self.url = f"http://{HOST}:{self.port}/"
+        self._window = _Window(page.html, listener, self.url)
+        root = meshcat.Visualizer.view_into(self._window, meshcat.path.Path())
+        self.visualizer: meshcat.Visualizer = root[SCENE][tuple(view.robots)[-1]][_OWN]
+        # Otherwise the interpreter would take the thread away from under its sockets.
+        atexit.register(self.close)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The joints in the order of `display`."""
+        return self._one.nominal.joint_names
+
+    def display(self, q: ArrayLike, label: str = "") -> None:
+        """Move the robots.
+
+        Args:
+            q: shape (m,), [rad] or [m], in the order of `joint_names`.
+            label: What the pose is called on the page.
+
+        Raises:
+            ModelError: There are not as many finite values as joints.
+            CalibError: The viewer is closed.
+        """
+        values = np.asarray(q, dtype=np.float64)
+        if values.shape != (len(self.joint_names),) or not np.all(np.isfinite(values)):
+            raise ModelError(
+                f"q is {values.tolist()}; give a finite value for each joint, [rad] or [m]: "
+                f"{choices(self.joint_names)}."
+            )
+        shown = puppets(replace(self._one, q=values[None]), self._visuals)
+        robots = {who: floats(packed(puppet.poses[:1])) for who, puppet in shown.items()}
+        # meshcat's server keeps it for later windows as it keeps a transform.
+        told = {
+            "type": "set_transform",
+            "path": "/pose",
+            "pose": {"label": label, "robots": robots},
+        }
+        self._window.send(SimpleNamespace(lower=lambda: told))
+
+    def open(self) -> bool:
+        """Open the page in the browser; False if none was found."""
+        return webbrowser.open(self.url)
+
+    def wait(self) -> None:
+        """Wait for Ctrl-C; the viewer is closed afterwards."""
+        try:
+            while self._window.thread.is_alive():
+                # A join without end cannot be interrupted on every system.
+                self._window.thread.join(0.5)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Free the port; the windows keep their picture. Once closed, it does nothing."""
+        self._window.close()
+        atexit.unregister(self.close)
+
+    def __enter__(self) -> Viewer:
+        """The viewer, to be closed at the end of the block."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def __repr__(self) -> str:
+        """Where the page is."""
+        return f"<Viewer {self.url if self._window.thread.is_alive() else 'closed'}>"
+
+
+class _Window:
+    """What meshcat draws into: a thread with meshcat's server, told through a socket inside this process."""
+
+    def __init__(self, page: bytes, listener: socket.socket, url: str) -> None:
+        self._page, self._listener, self._url = page, listener, url
+        self._lock, ready = threading.Lock(), threading.Event()
+        self.thread = threading.Thread(
+            target=lambda: asyncio.run(self._serve(ready)), name=f"calib {url}", daemon=True
+        )
+        self.thread.start()
+        ready.wait()
+        self._socket = ZMQWebSocketBridge.context.socket(zmq.REQ)
+        self._socket.connect(f"inproc://{url}")
+
+    def send(self, command: Any) -> None:  # noqa: ANN401  a command of meshcat
+        """Draw, move or remove, in all windows, also in those that open later.
+
+        Raises:
+            CalibError: The page is closed.
+        """
+        message = command.lower()
+        parts = (message["type"].encode(), message["path"].encode(), umsgpack.packb(message))
+        with self._lock:
+            if self._socket.closed:
+                text = f"{self._url} was closed, and shows nothing any more; open a new one."
+                raise CalibError(text)
+            self._socket.send_multipart(parts)
+            self._socket.recv()
+
+    def close(self) -> None:
+        """Close the windows' connections, free the port and end the thread; once closed, it does nothing."""
+        with self._lock:
+            self._socket.close(0)
+            with suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._stop.set)
+            self.thread.join()
+
+    async def _serve(self, ready: threading.Event) -> None:
+        """Answer until asked to stop, then leave nothing open."""
+        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        bridge = _Server(self._page, self._listener, f"inproc://{self._url}")
+        ready.set()
+        await self._stop.wait()
+        bridge.http.stop()
+        for window in tuple(bridge.websocket_pool):
+            window.close(1001, "closed")
+        await asyncio.sleep(0.05)  # for their farewell
+        await bridge.http.close_all_connections()
+        bridge.zmq_stream.close(0)
+
+
+class _Server(ZMQWebSocketBridge):  # type: ignore[misc]
+    """meshcat's server with a page of ours, at a socket that listens already."""
+
+    def __init__(self, page: bytes, listener: socket.socket, zmq_url: str) -> None:
+        self._page, self._listener = page, listener
+        super().__init__(zmq_url=zmq_url, port=listener.getsockname()[1])
+
+    def make_app(self) -> Application:
+        """The page and the socket of its windows, for those that ask for this computer by name."""
+        server = self
+
+        class Listening(Application):
+            """An application that listens at the socket given, instead of at all addresses."""
+
+            def listen(self, *_: Any, **__: Any) -> HTTPServer:  # noqa: ANN401
+                """See the class."""
+                http = HTTPServer(self)
+                http.add_socket(server._listener)
+                server.http = http
+                return http
+
+        app = Listening(log_function=lambda _: None)
+        handlers = [("/", _Page, {"page": self._page}), ("/live", _Live, {"bridge": self})]
+        # A web site may let its own name point to 127.0.0.1: who asks for another host finds nothing.
+        app.add_handlers(r"127\.0\.0\.1|localhost", handlers)  # type: ignore[arg-type]
+        return app
+
+
+class _Page(RequestHandler):
+    """The page."""
+
+    def initialize(self, page: bytes) -> None:
+        """Keep it; called by tornado."""
+        self._page = page
+
+    def get(self) -> None:
+        """Send it."""
+        self.set_header("Cache-Control", "no-store")
+        self.write(self._page)
+
+
+class _Live(WebSocketHandler):  # type: ignore[misc]
+    """A window; meshcat's own prints when it opens and closes."""
+
+    def open(self) -> None:
+        """Tell it what was drawn."""
+        self.bridge.websocket_pool.add(self)
+        self.bridge.send_scene(self)
+
+    def on_close(self) -> None:
+        """Forget it."""
+        self.bridge.websocket_pool.discard(self)
+
+    def on_message(self, message: object) -> None:
+        """Windows have nothing to tell."""
+
+
+def _listening(port: int) -> socket.socket:
+    """A socket that listens on 127.0.0.1.
+
+    Raises:
+        CalibError: It cannot.
+    """
+    if not 0 <= port <= 65535:
+        raise CalibError(
+            f"The port was given as {port}; give a number from 1024 to 65535, or 0 for any that is free."
+        )
+    try:
+        listener = socket.create_server((HOST, port))
+    except OSError as error:
+        why = f"cannot be used ({error.strerror}); give another number, or 0 for any that is free"
+        raise CalibError(f"Port {port} of {HOST} {why}.") from error
+    listener.setblocking(False)
+    return listener
+
+
+@overload
+def view(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[False] = False
+) -> Path: ...
+
+
+@overload
+def view(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: Literal[True]
+) -> Viewer: ...
+
+
+def view(
+    shown: Calibration | Robot, other: Robot | None = None, *, live: bool = False
+) -> Path | Viewer:
+    """Open the picture of a calibration, of a robot or of two robots in the browser.
+
+    Args:
+        shown: A calibration, or a robot.
+        other: A second robot with the same joints, to be shown beside the first.
+        live: Whether this program serves the page, so that it can move the robots and draw more; the page is then there
+            until the viewer is closed or the program ends. Otherwise it is a file, and stays.
+
+    Returns:
+        The page, in a temporary folder of its own; or the viewer.
+
+    Raises:
+        ModelError: It is no calibration and no robot, or the robots have different joints.
+    """
+    if isinstance(shown, Calibration) and other is None:
+        scene = view_of(shown)
+    elif isinstance(shown, Robot) and (other is None or isinstance(other, Robot)):
+        names = (("First", shown.urdf.source), ("Second", (other or shown).urdf.source))
+        scene = view_of_robots(shown, other, names=names)
+    else:
+        given = repr(shown) if other is None else f"{shown!r} and {other!r}"
+        raise ModelError(
+            f"view takes a Calibration, a Robot or two Robots; {given} was given. Make them with calib.calibrate(...) "
+            "or calib.Robot.load(...)."
+        )
+    if live:
+        viewer = Viewer(scene)
+        viewer.open()
+        return viewer
+    page = view_page(scene).write(Path(tempfile.mkdtemp(prefix="calib-")) / "view.html")
+    webbrowser.open(page.as_uri())
+    return page

@@ -1,0 +1,429 @@
+"""The HTML pages about a scene: heading, legend, controls, and the scripts that may run. Every name is escaped.
+
+The page of robots shows the nominal and the calibrated one side by side or overlaid, at every measured pose: its script
+moves them from pose to pose and draws what was measured, with arrows at a stated magnification. Pages open from disk
+and load nothing. The stage is the calibrated robot's base; where joints move the base itself, as they do a camera's,
+it is the root of the URDF.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import meshcat
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.report.label_rows import (
+    BEAM,
+    CALIBRATED,
+    ESTIMATION,
+    LITTLE_TO_MUCH,
+    MEASURED,
+    NOMINAL,
+    OUTLIER,
+    VALIDATION,
+)
+from calib.result.calibration import Calibration
+from calib.robot.robot import Robot
+from calib.viewer.scene import (
+    SCENE,
+    Camera,
+    Page,
+    draw_puppet,
+    draw_stage,
+    look_at,
+    new_scene,
+    round_length,
+    row_direction,
+    translation,
+)
+from calib.viewer.shapes import (
+    Puppet,
+    Visual,
+    packed,
+    read_visuals,
+    same_visuals,
+    span,
+    stage_poses,
+)
+from calib.viewer.view import Cloud, View, thinned, view_of
+
+Array = NDArray[np.float64]
+
+#: The colours of robots and of what was measured.
+COLOURS = {"nominal": NOMINAL, "calibrated": CALIBRATED, "measured": MEASURED}
+
+#: What the rows of each kind are called, in colours of their own.
+_ROWS = {
+    "estimation": (ESTIMATION, "measured, fitted"),
+    "validation": (VALIDATION, "measured, held back"),
+    "flagged": (OUTLIER, "measured, flagged"),
+}
+
+#: What a page may talk to that came from a server on this computer.
+_LIVE = "; connect-src 'self' ws://127.0.0.1:* ws://localhost:*"
+
+#: The files of the script of a page of robots, in order.
+SCRIPTS = ("robots.js", "marks.js", "words.js", "controls.js")
+
+#: Between slider and legend below and the heading above, as a part of the picture, see `look_at`.
+_TEXT = (-0.54, 0.67)
+
+#: Radius of the target's ball and length of the nominal robot's typical arrow, as parts of the scene's size.
+_BALL, _ARROW = 0.009, 0.12
+
+#: Factors that arrows can be magnified by, and the largest for the robots: beyond it links fly apart.
+FACTORS, _MOST_FOR_ROBOTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000), 100
+
+#: Between which quantiles of the standard deviation the cloud's colours change.
+_ENDS = (0.02, 0.98)
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """A line of the legend that shows and hides nodes below `SCENE`, with blanks between them."""
+
+    text: str
+    colour: str
+    nodes: str
+    kind: str = ""
+    on: bool = True
+
+
+def filled_page(
+    template: str,
+    scene: bytes,
+    *,
+    table: Mapping[str, Any] | None = None,
+    live: bool = False,
+    **content: Any,  # noqa: ANN401  what the template names
+) -> bytes:
+    """The page about a scene's message, UTF-8, by ``"page.html"`` or a template that extends it.
+
+    ``table`` is what the script of a page of robots is told; a ``live`` page listens to the server that it came from.
+    """
+    import jinja2
+    from markupsafe import Markup
+
+    folder, viewer = Path(__file__).parent, Path(meshcat.viewer_assets_path())
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folder),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    texts = [_read(viewer / "dist/main.min.js"), _read(folder / "page.js")]
+    if table:
+        own = "\n".join(_read(folder / name) for name in SCRIPTS)
+        texts.append(f'"use strict";\n(() => {{\n{own}}})();\n')
+    # No other script runs, whatever a name may hold.
+    digests = [hashlib.sha256(text.encode("utf-8")).digest() for text in texts]
+    hashes = " ".join(f"'sha256-{_base64(digest)}'" for digest in digests)
+    # A block of JSON that no name in it can end.
+    told = json.dumps(table, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    # The notices that must go with a copy of the viewer: meshcat's own and those of what it contains.
+    names = ("LICENSE.txt", "THIRD_PARTY_LICENSES.json")
+    notices = [viewer / "LICENSE", *(viewer / f"dist/main.min.js.{name}" for name in names)]
+    page = environment.get_template(template).render(
+        hashes=Markup(hashes + (_LIVE if live else "")),
+        live=live,
+        colours=COLOURS,
+        licences=Markup("\n\n".join(_read(path) for path in notices if path.is_file())),
+        scene=_base64(scene),
+        table=Markup(told) if table else "",
+        scripts=[Markup(text) for text in texts],
+        **content,
+    )
+    return page.encode("utf-8", "replace")
+
+
+def _read(path: Path) -> str:
+    """A file whose text cannot end the script that it stands in."""
+    return path.read_text("utf-8").replace("</script", "<\\/script").replace("<!--", "<\\!--")
+
+
+def _base64(data: bytes) -> str:
+    """Bytes as text that needs no escaping."""
+    return base64.b64encode(data).decode("ascii")
+
+
+def single_page(
+    robot: Robot,
+    q: Array,
+    points: Array,
+    draw: Callable[[meshcat.Visualizer, float], list[Key]],
+    *,
+    title: str,
+    text: str,
+    legend: str,
+) -> Page:
+    """A page of one robot at a pose q of shape (m,), and of what is drawn at points of shape (K, 3) in the base.
+
+    ``draw`` draws below the node given, in the base frame, things about as large as the size given [m], and returns
+    their lines of the legend.
+
+    Raises:
+        UrdfError: Pinocchio cannot build a model of the URDF.
+    """
+    visuals, warnings = read_visuals(robot.urdf)
+    puppet = Puppet.of(robot, q[None], visuals, np.eye(4)[None], np.eye(4))
+    upright = np.eye(4)
+    upright[:3, :3] = stage_poses(robot, q[None])[0, :3, :3]
+    drawn = puppet.outline(0) @ upright[:3, :3].T
+    everything = np.concatenate([drawn, points @ upright[:3, :3].T])
+    size, grid = span(everything), round_length(span(everything) / 7.0)
+    camera = look_at(everything, row_direction(puppet.origins[0] @ upright[:3, :3].T))
+    window, root = new_scene()
+    floor = float(drawn[:, 2].min())
+    draw_stage(root, camera, size=size, floor=floor, grid=grid, through=np.zeros(3))
+    root[SCENE].set_transform(translation(-camera.centre) @ upright)
+    draw_puppet(root[SCENE]["nominal"], puppet, 0, NOMINAL, 0.0, front=False)
+    keys = [Key(legend, NOMINAL, "nominal"), *draw(root[SCENE], size)]
+    words: dict[str, Any] = {"title": title, "text": text, "warnings": warnings}
+    return Page(filled_page("page.html", window.scene(), keys=keys, grid=grid, **words), warnings)
+
+
+def write_page(calibration: Calibration, path: str | Path, *, overwrite: bool = False) -> Path:
+    """Write the page of a calibration, whole or not at all; see `Page.write`."""
+    return view_page(view_of(calibration)).write(path, overwrite=overwrite)
+
+
+def view_page(view: View, *, live: bool = False) -> Page:
+    """Draw a view; a ``live`` page listens to the server that it came from. Many poses are thinned out.
+
+    Raises:
+        UrdfError: Pinocchio cannot build a model of a URDF.
+    """
+    view = thinned(view)
+    visuals: dict[str, Sequence[Visual]] = {}
+    warnings: dict[str, None] = {}
+    for who, robot in view.robots.items():
+        if who == "calibrated" and same_visuals(view.nominal.urdf, robot.urdf):
+            visuals[who] = visuals["nominal"]
+        else:
+            visuals[who], more = read_visuals(robot.urdf)
+            warnings |= dict.fromkeys(more)
+    shown = puppets(view, visuals)
+    layout = Layout.of(view, shown)
+    window, root = new_scene()
+    draw_stage(
+        root,
+        layout.side,
+        size=layout.size,
+        floor=layout.foot[2],
+        grid=layout.grid,
+        through=layout.offsets["nominal"],
+    )
+    for who, puppet in shown.items():
+        group, ball = root[SCENE][who], _BALL * layout.size
+        group.set_transform(translation(layout.offsets[who] - layout.side.centre))
+        draw_puppet(group, puppet, view.start, COLOURS[who], ball, front=who == "calibrated")
+    cloud = None if view.nominal.base_moves else view.cloud
+    factor = magnification(view, layout.size)
+    table = _table(view, shown, layout, cloud, factor)
+    both = " and ".join(name for name, _ in view.names[: len(shown)]).lower()
+    html = filled_page(
+        "robots.html",
+        window.scene(),
+        title=view.title or f"{view.nominal.name or 'Robot'}: {both}",
+        warnings=list(warnings),
+        grid=layout.grid,
+        keys=_keys(view, cloud),
+        view=view,
+        two=len(shown) > 1,
+        measures=view.measures,
+        count=len(view.q),
+        arrows=factor,
+        factors=FACTORS,
+        robot_factors=[one for one in FACTORS if one <= _MOST_FOR_ROBOTS],
+        labels=_labels(view, layout),
+        scale=[] if cloud is None else table["cloud"]["scale"],
+        little_to_much=LITTLE_TO_MUCH,
+        table=table,
+        live=live,
+    )
+    return Page(html, tuple(warnings))
+
+
+def puppets(view: View, visuals: Mapping[str, Sequence[Visual]]) -> dict[str, Puppet]:
+    """The robots of a view by ``"nominal"`` and ``"calibrated"``, upright on the stage."""
+    T_stage_base = stage_poses(view.nominal, view.q)
+    shown = {
+        "nominal": (T_stage_base @ view.T_base_nominal, view.nominal_target),
+        "calibrated": (T_stage_base, view.calibrated_target),
+    }
+    return {
+        who: Puppet.of(robot, view.q, visuals[who], *shown[who])
+        for who, robot in view.robots.items()
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Where everything goes on the stage [m].
+
+    ``offsets`` say where each robot stands when they stand side by side, as the camera ``side`` sees them, whose
+    centre is the scene's origin; ``over`` is the camera when one is laid over the other. A label stands at the
+    ``foot``, below the middle of a robot; ``size`` is the diagonal of one robot and the points that it reaches,
+    ``grid`` a square of the floor.
+    """
+
+    offsets: Mapping[str, Array]
+    foot: Array
+    size: float
+    grid: float
+    side: Camera
+    over: Camera
+
+    @classmethod
+    def of(cls, view: View, shown: Mapping[str, Puppet]) -> Layout:
+        """Place the robots side by side so that nothing of one reaches into the other."""
+        start = np.concatenate([puppet.outline(view.start) for puppet in shown.values()])
+        outline = np.concatenate([start, *(puppet.reach() for puppet in shown.values())])
+        size = span(outline)
+        back = row_direction(shown["nominal"].origins[view.start])
+        right = np.array([-back[1], back[0], 0.0])
+        step = 0.5 * max(np.ptp(outline @ right) + 0.06 * size, 0.4 * size) * right
+        offsets = (
+            {"nominal": -step, "calibrated": step} if len(shown) > 1 else {"nominal": 0 * step}
+        )
+        across = start @ right
+        foot = 0.5 * (across.min() + across.max()) * right
+        foot[2] = start[:, 2].min()
+        foot += (start[start[:, 2] < foot[2] + 0.2 * size] @ back).max() * back
+        # A wild measurement must not make the robots small: what was measured far away is not looked at.
+        one = np.vstack([outline, foot])
+        both = np.concatenate([one + at for at in offsets.values()])
+        side, over = look_at(both, back, _TEXT), look_at(one, back, _TEXT)
+        return cls(offsets, foot, size, round_length(size / 7.0), side, over)
+
+
+def magnification(view: View, size: float) -> int:
+    """The factor of `FACTORS` that makes the typical arrow of the nominal robot well visible, of rows not flagged."""
+    nominal, calibrated = view.predicted
+    apart = np.linalg.norm((view.measured if view.measures else calibrated) - nominal, axis=1)
+    there = np.isfinite(apart)
+    good = there & (np.array(view.kinds) != "flagged")
+    typical = float(np.median(apart[good if np.any(good) else there]))
+    wanted = _ARROW * size / typical if typical > 0 else 1.0
+    return max((factor for factor in FACTORS if factor <= wanted), default=1)
+
+
+def _labels(view: View, layout: Layout) -> list[tuple[Array, str, str, str]]:
+    """The labels below the robots: where, in which mode, the name and what it means; none for one robot."""
+    if view.calibrated is None:  # the heading says what it is
+        return []
+    (first, what_first), (second, what_second) = view.names
+    overlaid = f"{first.lower()} solid, {second.lower()} translucent"
+    beside, over = layout.foot - layout.side.centre, layout.foot - layout.over.centre
+    return [
+        (layout.offsets["nominal"] + beside, "side", first, what_first),
+        (layout.offsets["calibrated"] + beside, "side", second, what_second),
+        (over, "over", "Overlaid", overlaid),
+    ]
+
+
+def _keys(view: View, cloud: Cloud | None) -> list[Key]:
+    """What is drawn in which colour; each can be hidden."""
+    groups = tuple(view.robots)
+
+    def nodes(name: str) -> str:
+        return " ".join(f"{group}/{name}" for group in groups)
+
+    names = [name.lower() for name, _ in view.names[: len(groups)]]
+    keys = [
+        Key(name, f"var(--{who})", f"{who}/robot") for who, name in zip(groups, names, strict=True)
+    ]
+    measured = np.isfinite(view.measured[:, 0])
+    for kind, (colour, text) in _ROWS.items():
+        count = int(np.sum((np.array(view.kinds) == kind) & measured))
+        keys += [Key(f"{text} ({count})", colour, nodes(kind), "dot")] * bool(count)
+    if view.measures:
+        keys.append(Key("error arrows, predicted to measured", "", nodes("arrows"), "arrow"))
+        keys.append(Key("predicted, in the robot's colour", "", nodes("predicted"), "ring"))
+    elif len(groups) > 1:
+        keys.append(Key(f"from {names[0]} to {names[1]}", "", "nominal/arrows", "arrow"))
+    keys.append(Key("frames of base, tip, target", "", nodes("frames"), "frame", on=False))
+    if np.any(np.isfinite(view.instruments)):
+        nodes_of = f"{groups[-1]}/instrument"
+        keys.append(Key("measurement frame and beams", BEAM, nodes_of, on=False))
+    if cloud is not None:
+        region, everywhere = LITTLE_TO_MUCH[1:3]
+        keys.append(Key("region measured, by uncertainty", region, "calibrated/cloud", on=False))
+        keys.append(Key("whole workspace", everywhere, "calibrated/cloud-everywhere", on=False))
+    return keys
+
+
+def _table(
+    view: View, shown: Mapping[str, Puppet], layout: Layout, cloud: Cloud | None, factor: int
+) -> dict[str, Any]:
+    """Everything that the script needs, as values that JSON can hold; arrays as base64 of little-endian float32."""
+
+    def numbers(rows: Array) -> list[list[float | None]]:
+        return [[float(f"{v:.9g}") if np.isfinite(v) else None for v in row] for row in rows]
+
+    on_stage = stage_poses(view.nominal, view.q)
+    measured = np.einsum("nij,nj->ni", on_stage[:, :3, :3], view.measured) + on_stage[:, :3, 3]
+    # The different instruments, and which of them saw each row; -1 where that is unknown.
+    known = np.all(np.isfinite(view.instruments), axis=(1, 2))
+    poses = packed(on_stage[known] @ view.instruments[known])
+    different, which = np.unique(poses.round(5), axis=0, return_inverse=True)
+    seen_from = np.full(len(known), -1)
+    seen_from[known] = np.ravel(which)
+    side = layout.side.centre
+    return {
+        "start": view.start,
+        "labels": list(view.labels),
+        "kinds": list(view.kinds),
+        "names": [name for name, _ in view.names],
+        "colours": {**COLOURS, **{kind: c for kind, (c, _) in _ROWS.items()}, "beam": BEAM},
+        "robots": {who: _robot(shown[who], shown["nominal"]) for who in shown},
+        "measured": floats(measured),
+        "errors": numbers(view.errors),
+        "angles": numbers(view.angles),
+        "instruments": different.astype(float).tolist(),
+        "seenFrom": seen_from.tolist(),
+        "places": {who: (offset - side).tolist() for who, offset in layout.offsets.items()},
+        "over": (-layout.over.centre).tolist(),
+        "floor": (side - layout.over.centre).tolist(),
+        "cameras": {"side": layout.side.position, "over": layout.over.position},
+        "size": layout.size,
+        "ball": _BALL * layout.size,
+        "arrows": factor,
+        "cloud": None if cloud is None else _cloud(cloud),
+    }
+
+
+def _robot(puppet: Puppet, nominal: Puppet) -> dict[str, Any]:
+    """One robot: its movers at each pose, its rods, and which mover of the nominal robot is the same."""
+    count, others = puppet.poses.shape[1], len(nominal.links)
+    same = [nominal.links.index(one) if one in nominal.links else -1 for one in puppet.links]
+    same += range(others, others + count - len(puppet.links))
+    rods = [*(list(rod) for rod in puppet.rods), [count - 2, count - 1]]
+    return {"movers": count, "poses": floats(packed(puppet.poses)), "rods": rods, "same": same}
+
+
+def _cloud(cloud: Cloud) -> dict[str, Any]:
+    """The cloud's points with their colours, by the logarithm of the standard deviation; both ends of it [mm]."""
+    low, high = (float(value) for value in np.quantile(cloud.std, _ENDS))
+    high = max(high, low * 1.0001, 1e-12)
+    low, ends = max(low, 1e-15), [f"{float(f'{1e3 * v:.2g}'):g}" for v in (low, high)]
+    share = np.log(np.maximum(cloud.std, 1e-15) / low) / np.log(high / low)
+    stops = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in LITTLE_TO_MUCH]) / 255.0
+    along = np.linspace(0.0, 1.0, len(stops))
+    rgb = np.stack([np.interp(share, along, stops[:, k]) for k in range(3)], axis=1)
+    values = {"points": cloud.points, "colours": rgb, "measured": cloud.measured}
+    return {name: floats(value) for name, value in values.items()} | {"scale": ends}
+
+
+def floats(values: ArrayLike) -> str:
+    """Numbers as base64 of little-endian float32."""
+    return _base64(np.ascontiguousarray(values, dtype="<f4").tobytes())

@@ -1,0 +1,107 @@
+"""Measurements carried into the base, and the frame as a cell file and as a table."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib.circle_points.files import (
+    carried,
+    cell_text,
+    survey_table,
+)
+from calib.circle_points.survey import Survey, survey
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.errors import MeasurementError
+from tests.circle_points.virtual_sweeps import virtual_sweeps
+
+T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
+
+
+@pytest.fixture(scope="module")
+def found(ur3) -> Survey:
+    return survey(virtual_sweeps(ur3, T_TRUE, 33e-6, arcs=np.radians([270.0, 180.0])), ur3)
+
+
+def poses(ur3, frame, count: int = 5) -> tuple[Measurements, np.ndarray]:
+    """Poses as the tracker measures them where the base stands, and as they are in the base."""
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, size=(count, 6))
+    T = ur3.poses(q)
+    seen = frame.T_tracker_base @ T
+    names = ur3.joint_names
+    return Measurements(
+        names, q, seen[:, :3, 3], rotations=seen[:, :3, :3], kinds=("pose",) * count
+    ), T
+
+
+def test_positions_and_orientations_are_carried(ur3, found):
+    table, T = poses(ur3, found.frame)
+    moved = carried(table, found.frame)
+    assert moved.points == pytest.approx(T[:, :3, 3], abs=1e-12)
+    assert moved.rotations == pytest.approx(T[:, :3, :3], abs=1e-12)
+    assert (moved.rows, moved.sets) == (table.rows, table.sets)
+    assert np.array_equal(moved.joints, table.joints)
+
+
+def test_what_cannot_be_carried(ur3, found):
+    table, _ = poses(ur3, found.frame, 4)
+    two = replace(table, groups=("a", "a", "b", "b"), source="d.csv")
+    with pytest.raises(
+        MeasurementError, match=r"^d.csv: the rows are of the set-ups 'a', 'b' .* Carry each"
+    ):
+        carried(two, found.frame)
+    fixed = Measurements(
+        table.joint_names, table.joints, table.points, kinds=("fixed",) * 4, source="d.csv"
+    )
+    with pytest.raises(MeasurementError, match=r"^d.csv: no row measures a position, .* 'fixed'"):
+        carried(fixed, found.frame)
+
+
+@pytest.mark.parametrize(
+    "twist", [(2.0, 1.0, -0.5, 0.3, -0.8, 1.2), (0.1, 3.0, 1.0, 0.0, np.pi / 2, 0.0)]
+)
+def test_the_cell_file_is_the_frame_to_the_last_digits(tmp_path, found, twist):
+    T = pin.exp6(np.array(twist)).homogeneous
+    moved = replace(found, frame=replace(found.frame, T_tracker_base=T))
+    path = tmp_path / "frame.toml"
+    path.write_text(cell_text(moved, 'my "sweeps".csv', "base", "tool0"), encoding="utf-8")
+    cell = Cell.read(path)
+    assert (cell.base, cell.tip, cell.estimate_frame) == ("base", "tool0", False)
+    assert cell.T_frame_base == pytest.approx(T, abs=1e-12)
+    assert cell.tracker is None
+    path.write_text(cell_text(moved, "s.csv"), encoding="utf-8")
+    assert (Cell.read(path).base, Cell.read(path).tip) == (None, None)
+
+
+def test_the_cell_file_has_the_tracker_s_place_ready_to_be_used(tmp_path, found):
+    T = found.frame.T_tracker_base
+    path = tmp_path / "frame.toml"
+    text = cell_text(found, "s.csv")
+    path.write_text(
+        text.replace("# [tracker]", "[tracker]").replace("# xyz_mm", "xyz_mm"), encoding="utf-8"
+    )
+    place = Cell.read(path).tracker.position
+    np.testing.assert_allclose(T[:3, :3] @ place + T[:3, 3], np.zeros(3), atol=1e-4)
+    np.testing.assert_allclose(found.frame.T_base_tracker[:3, 3], place, atol=1e-4)
+
+
+def test_the_table_has_everything(found):
+    table = survey_table(found)
+    assert table["schema"] == "base-frame 1"
+    assert table["frame"]["T_tracker_base"] is found.frame.T_tracker_base
+    assert table["frame"]["dof"] == pytest.approx(found.frame.dof)
+    assert [joint["joint"] for joint in table["joints"]] == [1, 2]
+    assert table["rows"][0]["nominal"]["d_m"] == pytest.approx(0.1519)
+    assert len(table["joints"][0]["radial_m"]) == 40
+    plain = json.dumps(table, default=lambda array: array.tolist())
+    assert "findings" in json.loads(plain)
+
+
+def test_an_axis_has_covariances_along_the_tracker_s_axes(found):
+    circle, axis = found.joints[0].circle, survey_table(found)["joints"][0]["tracker"]
+    assert np.trace(axis["point_covariance"]) == pytest.approx(np.trace(circle.covariance[:3, :3]))
+    tilt = circle.normal @ axis["direction_covariance"] @ circle.normal
+    assert tilt == pytest.approx(0.0, abs=1e-20)

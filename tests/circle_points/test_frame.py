@@ -1,0 +1,270 @@
+"""The base frame from a plane and two circles: the paper's construction, its derivatives, its region."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.stats import chi2, f as fisher, t as student
+
+from calib.circle_points.fits import Circle, Plane, fit_circle, fit_plane
+from calib.circle_points.frame import (
+    BaseFrame,
+    Line,
+    axes_frame,
+    axis_rows,
+    base_frame,
+    between,
+    nominal_axes,
+    nominal_axes_frame,
+    turned_about_z,
+)
+from calib.errors import CalibError, UrdfError
+from calib.robot.robot import Robot, rigid_inverse
+
+SIGMA = 33e-6
+T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
+DISC = np.column_stack([np.random.default_rng(0).uniform(-0.25, 0.25, (20, 2)), np.zeros(20)])
+
+
+def ring(center: list[float], normal: list[float], degrees: float) -> np.ndarray:
+    n = np.array(normal) / np.linalg.norm(normal)
+    u = np.cross(n, [0.3, 0.5, 0.8])
+    u /= np.linalg.norm(u)
+    t = np.radians(np.linspace(0.0, degrees, 40))
+    return center + 0.3 * (np.cos(t)[:, None] * u + np.sin(t)[:, None] * np.cross(n, u))
+
+
+def figures(
+    arcs: tuple[float, float] = (270.0, 180.0),
+    *,
+    second: tuple[float, float, float] = (0.0, 1.0, 0.2),
+    rng: np.random.Generator | None = None,
+    given: bool = False,
+    touched: int = 20,
+) -> tuple[Plane, Circle, Circle]:
+    """Plane, circle 1, circle 2 in the tracker's frame; axis 2 is not quite square to axis 1."""
+    sets = [
+        DISC[:touched],
+        ring([0, 0, 0.3], [0, 0, 1], arcs[0]),
+        ring([0.1, 0.1, 0.15], list(second), arcs[1]),
+    ]
+    seen = [p @ T_TRUE[:3, :3].T + T_TRUE[:3, 3] for p in sets]
+    if rng is not None:
+        seen = [p + SIGMA * rng.normal(size=p.shape) for p in seen]
+    sigmas = [np.full(len(p), SIGMA) if given else None for p in seen]
+    one, two = (fit_circle(p, s) for p, s in zip(seen[1:], sigmas[1:], strict=True))
+    one = one if one.normal @ T_TRUE[:3, 2] > 0 else one.turned()
+    two = two if two.normal @ T_TRUE[:3, 1] > 0 else two.turned()
+    return fit_plane(seen[0], sigmas[0]), one, two
+
+
+def opposite(plane: Plane) -> Plane:
+    """The same plane with the opposite normal."""
+    # (u, v, n) -> (v, u, -n): offset and tilts change their signs, and the tilts their places.
+    swap = np.array([[-1.0, 0, 0], [0, 0, -1.0], [0, -1.0, 0]])
+    return replace(
+        plane,
+        basis=plane.basis[:, [1, 0, 2]] * [1.0, 1.0, -1.0],
+        covariance=swap @ plane.covariance @ swap.T,
+        residuals=-plane.residuals,
+    )
+
+
+def error(frame: BaseFrame, T: np.ndarray = T_TRUE) -> np.ndarray:
+    return np.asarray(pin.log6(rigid_inverse(frame.T_tracker_base) @ T).vector)
+
+
+def test_the_paper_s_frame():
+    assert np.abs(error(base_frame(*figures()))).max() < 1e-9
+
+
+def test_the_plane_s_normal_may_point_anywhere():
+    plane, one, two = figures()
+    assert np.abs(error(base_frame(opposite(plane), one, two))).max() < 1e-9
+    assert base_frame(opposite(plane), one, two).covariance == pytest.approx(
+        base_frame(plane, one, two).covariance, rel=1e-6
+    )
+
+
+def test_joint_1_elsewhere_turns_the_frame_back():
+    frame = base_frame(*figures(), q1=0.3)
+    assert np.abs(error(frame, T_TRUE @ turned_about_z(-0.3))).max() < 1e-9
+
+
+def test_a_ball_stands_off_the_plane_on_the_robot_s_side():
+    for plane in (figures()[0], opposite(figures()[0])):
+        frame = base_frame(plane, *figures()[1:], plane_offset=0.02)
+        assert error(frame) == pytest.approx([0, 0, 0.02, 0, 0, 0], abs=1e-9)
+
+
+def test_a_robot_s_base_is_where_its_axes_say():
+    # Axis 2 along -y of the base, and axis 1 beside its origin, as with `base` of a UR on a stand.
+    first = Line(np.array([0.05, -0.02, 0.0]), np.array([0.0, 0.0, 1.0]))
+    second = Line(np.array([0.0, 0.1, 0.15]), np.array([0.0, -1.0, 0.0]))
+    T = nominal_axes_frame(first, second)
+    frame = base_frame(*figures(), T_base_axes=T)
+    assert np.abs(error(frame, T_TRUE @ rigid_inverse(T))).max() < 1e-9
+    assert T[:3, 3] == pytest.approx([0.05, -0.02, 0.0])
+    assert T[:3, 1] == pytest.approx([0, -1, 0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arcs", [(270.0, 180.0), (60.0, 60.0)])
+def test_errors_are_those_of_the_covariance_and_within_the_cramer_rao_bound(arcs):
+    bound = base_frame(*figures(arcs, given=True)).covariance
+    rng = np.random.default_rng(1)
+    runs = 400
+    frames = [base_frame(*figures(arcs, rng=rng)) for _ in range(runs)]
+    xi = np.array([error(frame) for frame in frames])
+    L = np.linalg.inv(np.linalg.cholesky(bound))
+    assert np.linalg.eigvalsh(L @ (xi.T @ xi / runs) @ L.T) == pytest.approx(np.ones(6), abs=0.35)
+    for part in (slice(0, 3), slice(3, 6)):
+        rms = np.sqrt(np.mean(np.sum(xi[:, part] ** 2, axis=1)))
+        assert rms < 1.1 * np.sqrt(np.trace(bound[part, part]))
+    inside = np.mean([frame.distance(T_TRUE) <= frame.limit() for frame in frames])
+    assert 0.92 <= inside <= 0.98
+    if arcs[0] > 200.0:
+        assert np.median(np.linalg.norm(xi[:, :3], axis=1)) < 0.05e-3
+        assert np.median(np.linalg.norm(xi[:, 3:], axis=1)) < 0.1e-3
+
+
+def test_with_given_noise_the_region_is_that_of_chi_squared():
+    frame = base_frame(*figures(given=True))
+    assert frame.dof == np.inf
+    assert frame.limit(0.9) == pytest.approx(chi2.ppf(0.9, 6))
+
+
+@pytest.mark.slow
+def test_a_plane_of_four_points_widens_the_region_as_its_one_degree_of_freedom_does():
+    rng = np.random.default_rng(3)
+    inside, within = [], []
+    for _ in range(300):
+        frame = base_frame(*figures(rng=rng, touched=4))
+        inside.append(frame.distance(T_TRUE) <= frame.limit())
+        within.append(np.abs(error(frame)) <= frame.within())
+    assert frame.dofs == (1.0, 74.0, 74.0)
+    # 6 F(6, dof) with the dof of the whole, 5.6, held 0.86 of them; +-t(dof) 0.74 along z.
+    assert 0.92 <= np.mean(inside) <= 0.985
+    assert np.all((np.mean(within, axis=0) > 0.91) & (np.mean(within, axis=0) < 0.99))
+
+
+def test_draws_agree_with_the_exact_quantiles_where_there_are_any():
+    C = np.diag([1e-8, 2e-8, 3e-8, 1e-9, 2e-9, 3e-9])
+    frame = BaseFrame(np.eye(4), (C, 0.0 * C, 0.0 * C), (17.0, 3.0, np.inf))
+    assert frame.limit(0.95) == pytest.approx(6.0 * fisher.ppf(0.95, 6, 17.0), rel=0.03)
+    assert frame.within(0.95) == pytest.approx(student.ppf(0.975, 17.0) * frame.std, rel=0.03)
+    given = BaseFrame(np.eye(4), (0.5 * C, 0.5 * C, 0.0 * C), (np.inf,) * 3)
+    assert given.within(0.95) == pytest.approx(1.959964 * given.std, rel=1e-5)
+
+
+def test_degrees_of_freedom():
+    C = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    assert BaseFrame(np.eye(4), (C,), (17.0,)).dof == pytest.approx(17.0)
+    assert BaseFrame(np.eye(4), (0.5 * C, 0.5 * C), (20.0, 20.0)).dof == pytest.approx(40.0)
+    assert BaseFrame(np.eye(4), (C, 1e-12 * C), (17.0, 3.0)).dof == pytest.approx(17.0)
+    assert BaseFrame(np.eye(4), (C,), (np.inf,)).dof == np.inf
+
+
+def test_points_are_carried_and_know_how_well():
+    frame = base_frame(*figures(rng=np.random.default_rng(2)))
+    points = np.random.default_rng(3).normal(size=(5, 3))
+    seen = points @ frame.T_tracker_base[:3, :3].T + frame.T_tracker_base[:3, 3]
+    assert frame.carry(seen) == pytest.approx(points, abs=1e-12)
+    assert frame.carry(seen[0]) == pytest.approx(points[0], abs=1e-12)
+    draws = np.random.default_rng(4).multivariate_normal(np.zeros(6), frame.covariance, size=4000)
+    moved = np.array([pin.exp6(xi).actInv(points[0]) for xi in draws])
+    assert frame.std_at(points[0]) == pytest.approx(moved.std(axis=0), rel=0.06)
+    assert frame.std_at(np.zeros(3)) == pytest.approx(frame.std[:3])
+    assert frame.std_at(points).shape == (5, 3)
+
+
+def test_what_makes_no_frame():
+    plane, one, two = figures()
+    with pytest.raises(
+        CalibError, match=r"^axis 1 stands at 11.3 deg to the plane, it should stand"
+    ):
+        base_frame(plane, two.turned(), one)
+    _, _, near = figures(second=(0.0, 0.05, 1.0))
+    with pytest.raises(
+        CalibError, match=r"^the axes of joints 1 and 2 are parallel within 2.86 deg"
+    ):
+        base_frame(plane, one, near)
+    with pytest.raises(
+        CalibError, match=r"^the circle of joint 1 lies 300 mm from the measured plane"
+    ):
+        base_frame(plane, one, two, plane_offset=0.2)
+    up = Line(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    with pytest.raises(
+        CalibError, match=r"^In the URDF, with the plane z = 0 of the base, the axes of"
+    ):
+        nominal_axes_frame(up, up)
+    with pytest.raises(CalibError, match=r"^axis 1 stands at 0 deg"):
+        axes_frame(up, Line(np.zeros(3), np.array([1.0, 0.0, 0.0])), up)
+
+
+def rows_of(nominal) -> np.ndarray:
+    return np.asarray(nominal.rows[:-1])
+
+
+def disturbed(robot: Robot, seed: int, size: float = 3e-3) -> Robot:
+    rng = np.random.default_rng(seed)
+    placements = robot.placements.copy()
+    for i in range(1, len(placements) - 1):
+        placements[i] = placements[i] @ pin.exp6(size * rng.normal(size=6)).homogeneous
+    return robot.with_placements(placements)
+
+
+def test_of_exact_axes_they_are_those_of_the_urdf(ur3, panda):
+    for robot in (ur3, panda):
+        nominal = nominal_axes(robot)
+        assert axis_rows(nominal.lines, nominal) == pytest.approx(rows_of(nominal), abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_of_true_axes_they_are_those_of_the_true_robot_up_to_the_choices(ur3, panda, seed):
+    for robot in (ur3, panda):
+        true = nominal_axes(disturbed(robot, seed))
+        found = axis_rows(true.lines, nominal_axes(robot))
+        assert np.abs(found - rows_of(nominal_axes(robot))).max() < 0.05
+        assert axis_rows(true.lines) == pytest.approx(rows_of(true), abs=1e-9)
+
+
+def test_points_may_be_anywhere_on_the_axes(ur3):
+    nominal = nominal_axes(disturbed(ur3, 1))
+    moved = [line._replace(point=line.point + 0.3 * line.direction) for line in nominal.lines]
+    assert axis_rows(moved, nominal) == pytest.approx(axis_rows(nominal.lines, nominal), abs=1e-12)
+
+
+def test_chains_that_cannot_be_swept():
+    with pytest.raises(
+        UrdfError,
+        match="the joints 'torso_lift_joint' slide, are held or follow others; a base frame needs a chain",
+    ):
+        nominal_axes(Robot.load("tiago", tip="arm_7_link"))
+    held = Robot.load("ur3", base="base", tip="tool0", held={"elbow_joint": 0.1})
+    with pytest.raises(UrdfError, match="the joints 'elbow_joint' slide, are held or follow"):
+        nominal_axes(held)
+    moving = Robot.load("ur3", base="forearm_link", tip="tool0")
+    assert len(nominal_axes(moving).lines) == 3
+    hand = Robot.load("ur3", base="tool0", tip="base")
+    with pytest.raises(UrdfError, match="joints move the base 'tool0' itself"):
+        nominal_axes(hand)
+
+
+X, Y, Z = np.eye(3)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "angle", "distance"),
+    [
+        (Line(0 * X, Z), Line(0.3 * X + 7 * Z, Z), 0.0, 0.3),
+        (Line(0 * X, Z), Line(0.3 * X + 7 * Z, -Z), 180.0, 0.3),
+        (Line(0 * X, Z), Line(0.2 * Y + 0.1 * X, X), 90.0, 0.2),
+        (Line(0 * X, Z), Line(5 * Z, X), 90.0, 0.0),
+    ],
+)
+def test_between(first: Line, second: Line, angle: float, distance: float):
+    found = between(first, second)
+    assert np.degrees(found[0]) == pytest.approx(angle)
+    assert found[1] == pytest.approx(distance)

@@ -1,0 +1,250 @@
+"""Circle-point analysis of a whole robot, and everything that a sweep may not be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib.circle_points.frame import nominal_axes
+from calib.circle_points.survey import survey
+from calib.circle_points.sweeps import Sweep, Sweeps
+from calib.errors import MeasurementError
+from calib.robot.robot import Robot, rigid_inverse
+from tests.circle_points.virtual_sweeps import virtual_sweeps
+
+T_TRUE = pin.exp6(np.array([2.0, 1.0, -0.5, 0.3, -0.8, 1.2])).homogeneous
+ARCS = np.radians([270.0, 180.0, 200.0])
+HOME = np.array([0.3, -0.5, 0.7, -0.2, 0.4, 0.1])
+SIGMA = 33e-6
+
+
+@pytest.fixture(scope="module")
+def with_values(ur3) -> Sweeps:
+    return virtual_sweeps(ur3, T_TRUE, SIGMA, arcs=ARCS)
+
+
+@pytest.fixture(scope="module")
+def without(ur3) -> Sweeps:
+    return virtual_sweeps(ur3, T_TRUE, SIGMA, arcs=ARCS, values=False)
+
+
+def other(sweeps: Sweeps, at: int, **changes: object) -> Sweeps:
+    """The sweeps with one changed."""
+    changed = list(sweeps.sweeps)
+    changed[at] = replace(changed[at], **changes)
+    return replace(sweeps, sweeps=tuple(changed))
+
+
+def only(sweeps: Sweeps, *chosen: Sweep) -> Sweeps:
+    return replace(sweeps, sweeps=chosen)
+
+
+def error(T: np.ndarray, wanted: np.ndarray = T_TRUE) -> np.ndarray:
+    return np.asarray(pin.log6(rigid_inverse(T) @ wanted).vector)
+
+
+@pytest.mark.parametrize(("base", "home"), [("base", None), ("base_link", HOME)])
+def test_the_frame_is_the_urdf_s_base_wherever_the_joints_stand(base: str, home):
+    robot = Robot.load("ur3", base=base, tip="tool0")
+    sweeps = virtual_sweeps(robot, T_TRUE, 0.0, arcs=np.full(6, 2.0), home=home)
+    found = survey(sweeps, robot)
+    assert np.abs(error(found.frame.T_tracker_base)).max() < 1e-8
+    for row, nominal in zip(found.rows, nominal_axes(robot).rows, strict=False):
+        assert row.values == pytest.approx(nominal, abs=1e-8)
+        assert row.nominal == pytest.approx(row.values, abs=1e-8)
+    assert len(found.rows) == 5
+    assert found.at_zero
+
+
+def test_the_panda_has_an_upright_first_axis_too(panda):
+    sweeps = virtual_sweeps(panda, T_TRUE, 0.0, arcs=np.full(7, 2.0), values=False)
+    assert np.abs(error(survey(sweeps, panda).frame.T_tracker_base)).max() < 1e-8
+
+
+def test_without_a_robot_it_is_the_paper_s_frame(ur3, without):
+    exact = virtual_sweeps(ur3, T_TRUE, 0.0, arcs=ARCS, values=False)
+    found = survey(exact).frame.T_tracker_base
+    # Axis 2 of a UR points along -y of its `base`.
+    assert np.abs(error(found, T_TRUE @ np.diag([-1.0, -1.0, 1.0, 1.0]))).max() < 1e-8
+    assert survey(without).rows[0].nominal is None
+    assert not survey(without).at_zero
+
+
+def test_axes_are_where_they_are_in_both_frames(ur3, with_values):
+    found = survey(with_values, ur3)
+    for joint, line in zip(found.joints, nominal_axes(ur3).lines, strict=False):
+        assert np.linalg.norm(joint.direction - line.direction) < 5e-4
+        off = joint.point - line.point
+        assert np.linalg.norm(off - line.direction * (off @ line.direction)) < 3e-4
+        seen = found.frame.carry(joint.circle.center)
+        assert seen == pytest.approx(joint.point, abs=1e-12)
+        assert joint.turning is not None
+    assert found.findings == ()
+
+
+@pytest.mark.slow
+def test_standard_deviations_are_the_scatter_of_many_surveys(ur3):
+    arcs = np.radians([270.0, 180.0, 180.0])
+    runs = [
+        survey(virtual_sweeps(ur3, T_TRUE, SIGMA, arcs=arcs, home=HOME, seed=seed), ur3)
+        for seed in range(120)
+    ]
+    stated = np.array([[row.std for row in run.rows] for run in runs]).mean(axis=0)
+    found = np.array([[row.values for row in run.rows] for run in runs])
+    free = stated > 1e-9
+    assert (
+        free.sum() == 3 + 4
+    )  # a, alpha, d of the first row, whose theta is the base's; a, alpha, theta, beta
+    assert found.std(axis=0)[free] == pytest.approx(stated[free], rel=0.25)
+    for k in range(3):
+        points = np.array([np.r_[run.joints[k].point, run.joints[k].direction] for run in runs])
+        std = np.sqrt(np.diag(np.mean([run.joints[k].covariance for run in runs], axis=0)))
+        # What the base's own definition fixes has no scatter, but for rounding.
+        assert points.std(axis=0)[std > 1e-8] == pytest.approx(std[std > 1e-8], rel=0.3)
+
+
+def test_true_offsets_are_found(ur3):
+    placements = ur3.placements.copy()
+    placements[2] = placements[2] @ pin.exp6(np.array([1e-3, 0, 2e-3, 0, 3e-3, 0])).homogeneous
+    true = ur3.with_placements(placements)
+    found = survey(virtual_sweeps(true, T_TRUE, 1e-6, arcs=np.full(6, 3.0)), ur3)
+    wanted = nominal_axes(true).rows
+    for row, nominal in zip(found.rows, wanted, strict=False):
+        assert row.values == pytest.approx(nominal, abs=1e-4)
+    assert np.abs(found.rows[1].values - found.rows[1].nominal).max() > 5e-4
+
+
+def test_a_joint_left_out_ends_the_rows_but_not_the_axes(ur3):
+    sweeps = virtual_sweeps(ur3, T_TRUE, SIGMA, arcs=np.full(5, 2.0))
+    found = survey(only(sweeps, *(s for s in sweeps.sweeps if s.joint != 2)), ur3)
+    assert [joint.joint + 1 for joint in found.joints] == [1, 2, 4, 5]
+    assert [row.joint for row in found.rows] == ["shoulder_pan_joint"]
+
+
+def test_the_offset_lowers_the_origin(ur3, with_values):
+    frame = survey(with_values, ur3).frame.T_tracker_base
+    lowered = survey(with_values, ur3, plane_offset=0.01905).frame.T_tracker_base
+    assert error(lowered, frame) == pytest.approx([0, 0, 0.01905, 0, 0, 0], abs=1e-4)
+
+
+def still(sweeps: Sweeps) -> Sweeps:
+    rng = np.random.default_rng(0)
+    first = sweeps.sweeps[1].points[0]
+    return other(sweeps, 1, points=first + 1e-5 * rng.normal(size=(40, 3)))
+
+
+LINE = np.linspace(0.0, 0.3, 40)[:, None] * np.ones(3)
+
+
+def elbow_for_lift(sweeps: Sweeps) -> Sweeps:
+    plane, first, _, third = sweeps.sweeps
+    return only(sweeps, plane, first, replace(third, joint=1, name="joint 2"))
+
+
+def swapped(sweeps: Sweeps) -> Sweeps:
+    plane, first, second, _ = sweeps.sweeps
+    return only(sweeps, plane, replace(second, joint=0), replace(first, joint=1))
+
+
+def first_twice(sweeps: Sweeps) -> Sweeps:
+    plane, first, *_ = sweeps.sweeps
+    return only(sweeps, plane, first, replace(first, joint=1, name="joint 2"))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            still,
+            r"sweep 'shoulder_pan_joint' \(rows 21 to 60\): the points stay within 0.01\d mm of",
+        ),
+        (
+            lambda s: other(s, 1, points=LINE),
+            "the points lie on a line .* Let the joint turn further",
+        ),
+        (
+            lambda s: other(s, 0, points=LINE[:20]),
+            r"sweep 'plane' \(rows 1 to 20\): the points lie on a",
+        ),
+        (
+            lambda s: other(s, 0, points=LINE[:3], rows=(1, 2, 3)),
+            r"\(rows 1 to 3\): there are 3 points, a plane .* Measure more\.$",
+        ),
+        (
+            lambda s: only(s, s.sweeps[1]),
+            "there is no sweep 'plane', 'shoulder_lift_joint'; there are 'shoulder_pan_joint'. A base",
+        ),
+        (
+            first_twice,
+            "the axes of joints 1 and 2 are parallel within 0.00 deg, so that they do not say",
+        ),
+        (swapped, "axis 1 stands at .* deg to the plane, it should stand upright"),
+        (
+            elbow_for_lift,
+            "the axes of 'shoulder_pan_joint' and 'shoulder_lift_joint' are 90.0 deg and 243.. mm apart; in the "
+            "URDF of 'ur3' from 'base' to 'tool0' they are 90.0 deg and 0.0 mm. One of the two sweeps",
+        ),
+        (
+            lambda s: other(s, 1, points=s.sweeps[1].points[::-1]),
+            "seen from the plane the joint turns the other way than in the URDF. Without joint values",
+        ),
+        (
+            lambda s: other(s, 3, points=s.sweeps[3].points[::-1]),
+            "'shoulder_lift_joint' and 'elbow_joint' turn the other way .* Without joint values the rows",
+        ),
+    ],
+)
+def test_what_is_refused_without_joint_values(ur3, without, change, said: str):
+    with pytest.raises(MeasurementError, match=said):
+        survey(change(without), ur3)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            elbow_for_lift,
+            "by its column the joint 'shoulder_lift_joint' turns by 0 deg, and 'elbow_joint' by 200 deg",
+        ),
+        (
+            lambda s: other(s, 3, joints=-s.sweeps[3].joints),
+            "'shoulder_lift_joint' and 'elbow_joint' turn the other way .* The sign of one joint's values",
+        ),
+        (
+            lambda s: other(s, 2, points=np.roll(s.sweeps[2].points, 7, axis=0)),
+            "the points turn otherwise than the joint's column says, by",
+        ),
+    ],
+)
+def test_what_is_refused_with_joint_values(ur3, with_values, change, said: str):
+    with pytest.raises(MeasurementError, match=said):
+        survey(change(with_values), ur3)
+
+
+def test_another_robot(panda, without):
+    with pytest.raises(
+        MeasurementError, match=r"in the URDF of 'panda' from 'panda_link0' .* another one"
+    ):
+        survey(without, panda)
+
+
+def test_a_z_that_points_down_is_a_finding_where_no_robot_says_otherwise(without, with_values, ur3):
+    down = other(without, 1, points=without.sweeps[1].points[::-1])
+    (said,) = survey(down).findings
+    assert "z points from the circle towards the plane" in said
+    plane = with_values.sweeps[0]
+    high = T_TRUE[:3, 2] * 0.5
+    above = other(with_values, 0, points=plane.points + high)
+    (said,) = survey(above, ur3).findings
+    assert "the circle lies below the plane z = 0 of the base" in said
+
+
+def test_gross_rows_count_only_if_asked(ur3, with_values):
+    points = np.array(with_values.sweeps[1].points)
+    points[7] += [1e-3, 5e-4, 0.0]
+    gross = other(with_values, 1, points=points)
+    assert "row 28 (sweep 'shoulder_pan_joint') is 1.0" in survey(gross, ur3).findings[0]
+    kept = survey(gross, ur3, robust=False)
+    assert any("counts all the same" in text for text in kept.findings)
+    assert kept.frame.std[0] > 2.0 * survey(gross, ur3).frame.std[0]

@@ -1,0 +1,201 @@
+"""Sweeps out of tables and lists of points, and what is refused there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.circle_points.sweeps import Sweeps, read_sweeps
+from calib.errors import MeasurementError
+
+PLAIN = """sweep,x [mm],y [mm],z [mm]
+plane,1,200,3
+plane,4,500,6
+joint 2,7,800,9
+joint 1,10,1100,12
+joint 1,13,1400,15
+"""
+
+WITH_JOINTS = """row;sweep;x [m];y [m];z [m];sigma [um];q_a [deg];q_b [deg]
+11;plane;1,5;2;3;10;;
+12;q_a;4;5;6;10;-90;0
+13;q_b;7;8;9;20;0;180
+"""
+
+
+def written(folder: Path, text: str, name: str = "s.csv") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def read(folder: Path, text: str, **options: object) -> Sweeps:
+    return read_sweeps(written(folder, text), **options)  # type: ignore[arg-type]
+
+
+def test_a_plain_table(tmp_path: Path):
+    sweeps = read(tmp_path, PLAIN)
+    assert [s.joint for s in sweeps.sweeps] == [None, 0, 1]
+    first = sweeps.find(0)
+    assert first is not None
+    assert first.points == pytest.approx(np.array([[0.01, 1.1, 0.012], [0.013, 1.4, 0.015]]))
+    assert (first.rows, first.sigma, first.joints) == ((4, 5), None, None)
+    assert first.where == "s.csv, sweep 'joint 1' (rows 4 to 5)"
+    assert sweeps.find(5) is None
+    assert (sweeps.joint_names, sweeps.label(1)) == ((), "joint 2")
+
+
+def test_joint_values_sigma_and_decimal_commas(tmp_path: Path):
+    sweeps = read(tmp_path, WITH_JOINTS)
+    assert sweeps.joint_names == ("q_a", "q_b")
+    plane, a, b = sweeps.sweeps
+    assert plane.joints is None
+    assert plane.points[0, 0] == 1.5
+    assert a.joints == pytest.approx(np.array([[-np.pi / 2, 0.0]]))
+    assert b.joints == pytest.approx(np.array([[0.0, np.pi]]))
+    assert b.sigma == pytest.approx([2e-5])
+    assert b.where == "s.csv, sweep 'q_b' (row 13)"
+
+
+def test_names_of_the_robot_and_of_the_user(tmp_path: Path):
+    text = PLAIN.replace("joint 1", "pan").replace("joint 2", "ring").replace("sweep", "what")
+    sweeps = read(
+        tmp_path,
+        text,
+        joint_names=("pan", "lift"),
+        columns={"what": "sweep"},
+        words={"ring": "lift"},
+    )
+    assert [s.joint for s in sweeps.sweeps] == [None, 0, 1]
+    assert [s.name for s in sweeps.sweeps] == ["plane", "pan", "ring"]
+    assert sweeps.label(1) == "lift"
+
+
+LIST = """// Units: mm
+A::Main::plane_1  1 2 3
+A::Main::plane_2  2 2 3
+A::Main::joint1_03 40.5 5 6
+A::Main::joint1_04 41 5 6
+A::joint2::p7 70 8 9
+"""
+
+
+def test_a_tracker_s_list(tmp_path: Path):
+    sweeps = read_sweeps(points=written(tmp_path, LIST, "t.txt"))
+    assert [(s.name, len(s)) for s in sweeps.sweeps] == [("plane", 2), ("joint1", 2), ("joint2", 1)]
+    assert sweeps.sweeps[1].points[0] == pytest.approx([0.0405, 0.005, 0.006])
+    assert sweeps.sweeps[1].where == "t.txt, sweep 'joint1' (lines 4 to 5)"
+
+
+def test_a_list_with_names_of_its_own(tmp_path: Path):
+    path = written(tmp_path, "ring_a 7 1 20 3\nfoot-1 2 20 3\n", "t.txt")
+    with pytest.raises(MeasurementError, match=r"^t.txt: the unit of the points is not in it"):
+        read_sweeps(points=path)
+    path = written(tmp_path, "# Units: mm\nring_a.7 1 20 3\nfoot-1 2 20 3\n", "t.txt")
+    words = {"ring_a": "joint 1", "foot": "plane"}
+    sweeps = read_sweeps(points=path, words=words)
+    assert [s.joint for s in sweeps.sweeps] == [None, 0]
+    with pytest.raises(
+        MeasurementError, match=r"t.txt, line 2: the point 'ring_a.7': 'ring_a' is not"
+    ):
+        read_sweeps(points=path)
+
+
+def test_a_list_beside_a_table(tmp_path: Path):
+    points = written(tmp_path, "# Units: mm\nP2 1 20 3\nP1 4 50 6\n", "t.txt")
+    table = "sweep,point,q [deg]\nplane,P1,\nq,P2,5\n"
+    sweeps = read(tmp_path, table, points=points)
+    assert sweeps.sweeps[0].points[0] == pytest.approx([0.004, 0.05, 0.006])
+    assert sweeps.sweeps[1].joints == pytest.approx(np.radians([[5.0]]))
+    assert " + " in sweeps.sha256
+    in_order = read(tmp_path, "sweep\nplane\n1\n", points=points)
+    assert in_order.sweeps[0].points[0] == pytest.approx([0.001, 0.02, 0.003])
+    with pytest.raises(MeasurementError, match=r"row 2: t.txt has no point 'P3'"):
+        read(tmp_path, table.replace("P2", "P3"), points=points)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "said"),
+    [
+        (PLAIN.replace("sweep", "what"), {}, "^s.csv: no column 'sweep', which says .* 'what', 'x"),
+        (
+            PLAIN.replace("joint 2", "elbow"),
+            {},
+            "^s.csv, row 3, column 'sweep': 'elbow' is",
+        ),
+        (PLAIN.replace("z [mm]", "depth [mm]"), {}, "measured points need a column 'z .mm.'"),
+        (PLAIN.replace("z [mm]", "z"), {}, "column 'z': the column has no unit"),
+        (
+            PLAIN.replace("800", "nan"),
+            {},
+            r"line 4 \(row 3\), column 'y \[mm\]': 'nan' is not a finite",
+        ),
+        (PLAIN.replace("800", "1_0"), {}, "'1_0' is not a number"),
+        (PLAIN.replace("800", ""), {}, "the cell is empty. Fill in the number"),
+        (PLAIN.replace(",800", ""), {}, "the row has 3 cells, the header has 4"),
+        (PLAIN.replace("[mm]", "[m]"), {}, "further from the origin than 100 m. If it is in mm"),
+        (PLAIN.splitlines()[0], {}, "no rows"),
+        (WITH_JOINTS.replace("-90", ""), {}, "column 'q_a .deg.': the cell is empty"),
+        (WITH_JOINTS.replace(";20;", ";0;"), {}, "sigma is '0'; it is greater"),
+        (
+            WITH_JOINTS,
+            {"joint_names": ("q_a", "q_b", "q_c")},
+            "no column for the joints 'q_c'",
+        ),
+        (
+            WITH_JOINTS.replace("q_a [deg]", "q_a [mm]"),
+            {"joint_names": ("q_a", "q_b")},
+            "unit of angle",
+        ),
+    ],
+)
+def test_tables_that_are_refused(tmp_path: Path, text: str, options: dict, said: str):
+    with pytest.raises(MeasurementError, match=said):
+        read(tmp_path, text, **options)
+
+
+def test_no_file_and_no_names(tmp_path: Path):
+    with pytest.raises(MeasurementError, match=r"^No file of sweeps was given"):
+        read_sweeps()
+    with pytest.raises(MeasurementError, match=r"^t.txt: the points have no names"):
+        read_sweeps(points=written(tmp_path, "# Units: mm\n1.5 20 3\n", "t.txt"))
+    with pytest.raises(MeasurementError, match="does not exist"):
+        read_sweeps(tmp_path / "no.csv")
+
+
+NAMES = ("shoulder_pan_joint", "shoulder_lift_joint")
+
+
+@pytest.mark.parametrize(
+    ("word", "joint"),
+    [
+        (" Plane ", None),
+        ("flange", None),
+        ("shoulder_lift_joint", 1),
+        ("Joint2", 1),
+        ("joint_02", 1),
+        ("axis 1", 0),
+        ("J2", 1),
+        ("2", 1),
+        ("ring_a", 0),
+    ],
+)
+def test_what_sweeps_may_be_called(tmp_path: Path, word: str, joint: int | None):
+    text = f"sweep,x [mm],y [mm],z [mm]\n{word},1,200,3\n"
+    words = {"ring_a": "joint 1", "flange": "plane"}
+    (sweep,) = read(tmp_path, text, joint_names=NAMES, words=words).sweeps
+    assert sweep.joint == joint
+
+
+@pytest.mark.parametrize("word", ["3", "0", "elbow_joint", ""])
+def test_and_what_not(tmp_path: Path, word: str):
+    text = f"sweep,x [mm],y [mm],z [mm]\n{word},1,200,3\n"
+    with pytest.raises(
+        MeasurementError, match="is not a sweep; allowed are 'plane', a joint's name"
+    ):
+        read(tmp_path, text, joint_names=NAMES)
+
+
+def test_a_word_that_is_mapped_to_no_sweep(tmp_path: Path):
+    with pytest.raises(MeasurementError, match=r"^--sweep maps 'a': 'joint 7' is not a sweep"):
+        read(tmp_path, PLAIN, joint_names=NAMES, words={"a": "joint 7"})

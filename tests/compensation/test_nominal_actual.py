@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.compensation.inverse import Matching
+from calib.compensation.nominal_actual import Arm, pair_of
+from calib.errors import ModelError
+from calib.model.error_model import error_model
+from calib.model.kinematics import Kinematics, Samples
+from calib.result.prediction import Larger
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot, read_only
+from calib.robot.torques import GRAVITY, Payload, gravity_load
+from tests.compensation.arms import off, turned
+from tests.hard_cases import made
+
+#: Chains that are more than a serial arm on a base: name, base, tip.
+CHAINS = {
+    "ur3": ("ur3", "base", "tool0"),
+    "continuous": ("kinova", None, "j2s6s200_end_effector"),
+    "two branches": ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link"),
+    "mimic and prismatic": ("panda", "panda_link0", "panda_leftfinger"),
+    "turned round": ("ur3", "wrist_3_link", "base"),
+}
+
+
+def larger(robot: Robot, families: str, seed: int = 3) -> Larger:
+    """A larger model with errors drawn; of a result only what commands are made with."""
+    model = error_model(robot, "zeros" + families, target=False)
+    sizes = {"m": 5e-4, "rad": 2e-3, "1": 1e-3, "m/m": 1e-3, "rad/Nm": 1e-5, "m/N": 1e-6}
+    rng = np.random.default_rng(seed)
+    x = np.array([float(rng.normal() * sizes[p.unit]) for p in model.parameters])
+    nothing = dict.fromkeys(
+        ("covariance", "base_motion", "sizes", "setup", "residual", "cross_validation")
+    )
+    return Larger(
+        kinematics=Kinematics(robot, model, np.eye(4), np.eye(4)),
+        x=x,
+        parameters=(),
+        payload=Payload(3.0, read_only([0.02, 0.0, 0.1])),
+        gravity=read_only(GRAVITY),
+        **nothing,
+    )
+
+
+def differences(arm: Arm, q: np.ndarray, step: float = 1e-6) -> np.ndarray:
+    """How the tool moves with each joint, by central differences."""
+    now = arm.poses(q)
+    columns = []
+    for c in range(q.shape[1]):
+        d = np.zeros(q.shape[1])
+        d[c] = step
+        ahead, behind = (Matching("pose", 1.0).error(now, arm.poses(q + s * d)) for s in (1, -1))
+        columns.append((ahead - behind) / (2.0 * step))
+    return np.stack(columns, axis=2)
+
+
+@pytest.mark.parametrize("case", CHAINS)
+def test_the_motion_of_any_chain_is_its_difference(case):
+    robot = Robot.load(*CHAINS[case])
+    arm = Arm.of(robot, turned(2))
+    q = random_joint_values(robot, 4)
+    poses, twists = arm.motion(q)
+    assert poses == pytest.approx(robot.poses(q) @ turned(2), abs=1e-12)
+    assert twists == pytest.approx(differences(arm, q), abs=2e-9)
+
+
+@pytest.mark.parametrize("families", ["+gain+eccentricity", "+gain+eccentricity+compliance"])
+@pytest.mark.parametrize("case", ["ur3", "mimic and prismatic", "two branches"])
+def test_joints_that_err_with_their_state(case, families):
+    robot = Robot.load(*CHAINS[case])
+    found = larger(robot, families)
+    arm = Arm.of_larger(found, robot, turned(2))
+    q = random_joint_values(robot, 4)
+    poses, twists = arm.motion(q)
+    # By another path: the kinematics that the fit took.
+    load = gravity_load(robot, q, found.payload, found.gravity)
+    expected = found.kinematics.poses(found.x, Samples.at(q, load)) @ turned(2)
+    assert poses == pytest.approx(expected, abs=1e-12)
+    # The load changes with q too, which is left out: a part in a thousand.
+    scale = np.abs(twists).max()
+    tolerance = 1e-3 * scale if "compliance" in families else 2e-9
+    assert twists == pytest.approx(differences(arm, q), abs=tolerance)
+
+
+def test_of_a_calibration_whichever_of_its_robots_is_given(ur3):
+    found = made("paper")
+    q = random_joint_values(ur3, 5)
+    for pair in (pair_of(found), pair_of(found, ur3), pair_of(found, found.robot)):
+        assert pair.nominal.poses(q) == pytest.approx(found.nominal.poses(q), abs=1e-12)
+        assert pair.actual.poses(q) == pytest.approx(found.robot.poses(q), abs=1e-12)
+        assert np.array_equal(pair.T_frame_base, np.eye(4))
+
+
+def test_a_target_is_where_each_model_has_it():
+    found = made("paper")
+    pair = pair_of(found, tool="", frame="")
+    q = found.measurements.joints_for(found.nominal.joint_names)
+    in_frame = pair.T_frame_base @ pair.actual.poses(q)
+    assert in_frame[:, :3, 3] == pytest.approx(found.predict(q), abs=1e-12)
+    residual = found.measurements.points - (pair.T_frame_base @ pair.nominal.poses(q))[:, :3, 3]
+    assert residual == pytest.approx(found.residual_nominal, abs=1e-12)
+    assert pair.std(q)[:, 0] == pytest.approx(found.position_std(q), rel=1e-9)
+
+
+def test_with_the_larger_model_or_without():
+    found = made("larger")
+    q = found.measurements.joints_for(found.nominal.joint_names)[:9]
+    with_all = pair_of(found, tool="", frame="")
+    predicted = (with_all.T_frame_base @ with_all.actual.poses(q))[:, :3, 3]
+    assert predicted == pytest.approx(found.predict(q), abs=1e-10)
+    geometry = pair_of(found, tool="", frame="", larger=False)
+    predicted = (geometry.T_frame_base @ geometry.actual.poses(q))[:, :3, 3]
+    assert predicted == pytest.approx(found.predict(q, larger=False), abs=1e-10)
+    light = pair_of(found, payload=Payload(0.0))
+    assert np.abs(light.actual.poses(q) - pair_of(found).actual.poses(q)).max() > 1e-6
+
+
+def test_a_controller_may_have_a_third_model(ur3):
+    factory = off(ur3, seed=9)
+    q = random_joint_values(ur3, 3)
+    pair = pair_of(made("paper"), factory)
+    assert pair.nominal.poses(q) == pytest.approx(factory.poses(q), abs=1e-12)
+    assert pair.actual.poses(q) == pytest.approx(made("paper").robot.poses(q), abs=1e-12)
+    assert pair.std(q) == pytest.approx(pair_of(made("paper"), ur3).std(q))
+
+
+def test_of_two_robots(ur3):
+    true = off(ur3)
+    q = random_joint_values(ur3, 3)
+    T = turned(1)
+    pair = pair_of(true, ur3, tool=T, frame=turned(2))
+    assert pair.actual.poses(q) == pytest.approx(true.poses(q) @ T, abs=1e-12)
+    assert pair.nominal.poses(q) == pytest.approx(ur3.poses(q) @ T, abs=1e-12)
+    assert np.array_equal(pair.T_frame_base, turned(2))
+    assert np.isnan(pair.std(q)).all()
+    # The true robot is asked between the nominal one's links.
+    wrist = ur3.rebuilt(tip="wrist_3_link")
+    assert pair_of(true, wrist).actual.robot.tip == "wrist_3_link"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"tool": "ball"}, "The calibration has no target 'ball'; it has 'target'"),
+        ({"frame": "left"}, "The calibration has no set-up 'left'; it has 'the one without"),
+        (
+            {"tool": np.eye(3)},
+            r"The tool has the shape \(3, 3\); a pose \(4, 4\) or a position \(3,\)",
+        ),
+        ({"tool": [0.0, np.nan, 0.0]}, "of finite numbers and with"),
+        ({"frame": 2.0 * np.eye(4)}, "The frame has .* right-handed rotation, is wanted"),
+    ],
+)
+def test_what_is_not_there_is_refused(ur3, arguments, said):
+    with pytest.raises(ModelError, match=said):
+        pair_of(made("paper"), **{"nominal": ur3, **arguments})
+
+
+def test_several_targets_want_a_name(ur3):
+    one = made("paper")
+    setup = replace(
+        one.setup,
+        targets=("left", "right"),
+        T_tip_target=np.stack([np.eye(4), turned(3)]),
+        target_given=(False, False),
+    )
+    two = replace(one, setup=setup)
+    with pytest.raises(ModelError, match=r"has 2 targets: 'left', 'right'\. Name one of them"):
+        pair_of(two, ur3, tool="")
+    assert np.array_equal(pair_of(two, ur3, tool="right").actual.T_tip_tool, turned(3))
+
+
+def test_two_robots_know_no_targets(ur3):
+    with pytest.raises(ModelError, match="tool is to be 'ball' of a calibration, but two robots"):
+        pair_of(off(ur3), ur3, tool="ball")
+    with pytest.raises(ModelError, match="frame is to be '' of a calibration"):
+        pair_of(off(ur3), ur3, frame="")
+
+
+def test_two_robots_are_one_robot(ur3):
+    other = Robot.load("ur5", base="base_link", tip="tool0")
+    renamed = ur3.urdf.data.replace(b"elbow_joint", b"elbow")
+    strange = Robot.from_urdf(type(ur3.urdf).from_bytes(renamed, "x.urdf"), "base", "tool0")
+    with pytest.raises(
+        ModelError, match=r"has the joints 'shoulder_pan_joint'.*Give two URDFs of one"
+    ):
+        pair_of(strange, ur3)
+    assert other.joint_names == ur3.joint_names  # names alone do not tell robots apart

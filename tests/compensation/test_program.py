@@ -1,0 +1,279 @@
+"""Programs, by themselves and as tables: what they hold, what is read of them, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy.spatial.transform import Rotation
+
+from calib.compensation.program import Program, read_program
+from calib.errors import MeasurementError, ModelError
+from calib.example import paper_measurements, paper_urdf
+from calib.robot.robot import Robot
+from tests.compensation.arms import turned
+
+
+def test_of_joint_values():
+    program = Program.of_joints([[0.1, 0.2], [0.3, 0.4]])
+    assert len(program) == 2
+    assert program.labels == ("row 1", "row 2")
+    assert program.T_wanted is None
+    assert Program.of_joints([0.1, 0.2]).q.shape == (1, 2)
+
+
+def test_of_poses_and_points():
+    poses = Program.of_poses(turned(1), [0.1, 0.2])
+    assert poses.T_wanted.shape == (1, 4, 4)
+    assert poses.q.tolist() == [[0.1, 0.2]]
+    assert poses.oriented
+    points = Program.of_points([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    assert points.T_wanted[1, :3, 3].tolist() == [4.0, 5.0, 6.0]
+    assert not points.oriented
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Program(("row 1",)), "has rows of joint values, of poses, or of both"),
+        (lambda: Program((), q=np.zeros((0, 2))), "Give one at least"),
+        (
+            lambda: Program(("row 1",), q=np.zeros((2, 2))),
+            r"joint values .* shape \(2, 2\); \(N, m\) .* N = 1",
+        ),
+        (lambda: Program(("row 1",), T_wanted=np.eye(4)), r"poses .* shape \(4, 4\); \(N, 4, 4\)"),
+        (lambda: Program.of_joints([[0.0, np.nan]]), "joint values of row 1 .* not all finite"),
+        (
+            lambda: Program.of_points([[0, 0, 0], [0, np.inf, 0]]),
+            "poses of row 2 .* not all finite",
+        ),
+        (lambda: Program.of_poses(2.0 * np.eye(4)), "The poses of row 1 of a program are not"),
+        (lambda: Program.of_poses(np.diag([1.0, 1.0, -1.0, 1.0])), "The poses of row 1"),
+        (lambda: Program.of_poses([np.eye(4), np.zeros((4, 4))]), "The poses of row 2"),
+    ],
+)
+def test_what_is_no_program_is_refused(make, said):
+    with pytest.raises(ModelError, match=said):
+        make()
+
+
+# As a table
+
+
+JOINTS = (
+    "shoulder_pan_joint,shoulder_lift_joint,elbow_joint,wrist_1_joint,wrist_2_joint,wrist_3_joint"
+)
+IN_DEG = ",".join(f"{name} [deg]" for name in JOINTS.split(","))
+VALUES = "10,-80,70,-60,-90,5"
+XYZ = "x [mm],y [mm],z [mm]"
+
+
+@pytest.fixture(scope="module")
+def ur3() -> Robot:
+    return Robot.load(paper_urdf(), "base", "tool0")
+
+
+@pytest.fixture
+def read(tmp_path: Path, ur3: Robot):
+    """Write lines as a table and read them as a program of the UR3."""
+
+    def reader(*lines: str, robot: Robot = ur3, **options: object) -> Program:
+        path = tmp_path / "program.csv"
+        path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+        return read_program(path, robot, **options)  # type: ignore[arg-type]
+
+    return reader
+
+
+def refused(read, *lines: str, **options: object) -> str:
+    with pytest.raises(MeasurementError) as caught:
+        read(*lines, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def test_joint_values_with_columns_that_go_along(read):
+    program = read(
+        f"step,speed [mm/s],{IN_DEG},remark",
+        f'A1,250,{VALUES},"left, then up"',
+        f"A2,100,{VALUES},",
+    )
+    assert program.T_wanted is None
+    assert program.q is not None
+    assert program.q == pytest.approx(np.radians([[10, -80, 70, -60, -90, 5]] * 2))
+    assert program.kept == (
+        ("step", ("A1", "A2")),
+        ("speed [mm/s]", ("250", "100")),
+        ("remark", ("left, then up", "")),
+    )
+    assert program.labels == ("row 1", "row 2")
+
+
+def test_columns_in_any_order_and_unit_and_another_name(read):
+    names = JOINTS.split(",")
+    header = ",".join([f"{names[5]} [rad]", "J1", *(f"{n} [deg]" for n in names[1:5])])
+    program = read(header, "0.5,20,-80,70,-60,-90", columns={"J1": "shoulder_pan_joint [deg]"})
+    wanted = [*np.radians([20, -80, 70, -60, -90]), 0.5]
+    assert program.q == pytest.approx(np.array([wanted]))
+
+
+def test_the_paper_s_table_is_points_with_joint_values_to_start_at(ur3: Robot):
+    program = read_program(paper_measurements(), ur3)
+    assert program.q is not None
+    assert program.T_wanted is not None
+    assert not program.oriented
+    assert len(program) == 35
+    assert program.T_wanted[0, :3, 3] == pytest.approx([-0.14902, -0.2075, 0.7426])
+    assert [label for label, _ in program.kept] == ["row", "set"]
+
+
+def test_given_joints_leaves_poses_out_and_given_poses_keeps_both(ur3: Robot):
+    joints = read_program(paper_measurements(), ur3, given="joints")
+    assert joints.T_wanted is None
+    assert joints.oriented
+    assert [label for label, _ in joints.kept] == ["row", "set"]
+    both = read_program(paper_measurements(), ur3, given="poses")
+    assert both.q == pytest.approx(joints.q)
+    assert both.T_wanted is not None
+
+
+angles = st.floats(-3.1, 3.1, allow_nan=False)
+
+
+@settings(max_examples=20, deadline=None)
+@given(roll=angles, pitch=st.floats(-1.57, 1.57), yaw=angles)
+def test_the_three_forms_of_an_orientation_are_one(tmp_path_factory, roll, pitch, yaw):
+    robot = Robot.load(paper_urdf(), "base", "tool0")
+    Rx, Ry, Rz = (Rotation.from_euler(a, v) for a, v in zip("xyz", (roll, pitch, yaw), strict=True))
+    R = Rz * Ry * Rx
+    path = tmp_path_factory.mktemp("forms") / "program.csv"
+    q, v = R.as_quat(), R.as_rotvec()
+    for header, numbers in (
+        ("qx,qy,qz,qw", q),
+        ("qx [-],qy [1],qz [],QW", -q),
+        ("rx [rad],ry [rad],rz [rad]", v),
+        ("rx [mrad],ry [mrad],rz [mrad]", 1e3 * v),
+        ("Roll [deg],PITCH [deg],yaw [deg]", np.degrees([roll, pitch, yaw])),
+    ):
+        cells = ",".join(repr(float(number)) for number in numbers)
+        path.write_text(f"x [m],y [m],z [m],{header}\n0.3,0.2,0.1,{cells}\n", encoding="utf-8")
+        program = read_program(path, robot)
+        assert program.oriented
+        assert program.T_wanted is not None
+        assert program.q is None
+        assert program.form == {"q": "a quaternion", "R": "roll, pitch and yaw"}.get(
+            header[0], "a rotation vector"
+        )
+        assert np.abs(program.T_wanted[0, :3, :3] - R.as_matrix()).max() < 1e-14
+        assert program.T_wanted[0, :3, 3] == pytest.approx([0.3, 0.2, 0.1])
+
+
+def test_decimal_commas_between_semicolons(read):
+    program = read("x [mm];y [mm];z [mm];note", "300,5;200;100,25;a,b")
+    assert program.T_wanted is not None
+    assert program.T_wanted[0, :3, 3] == pytest.approx([0.3005, 0.2, 0.10025])
+    assert program.kept == (("note", ("a,b",)),)
+
+
+def test_a_plan_s_columns_to_fill_in_are_no_poses(read):
+    program = read(f"row,{IN_DEG},{XYZ},qx,qy,qz,qw", f"7,{VALUES},,,,,,,")
+    assert program.T_wanted is None
+    assert program.labels == ("row 7",)
+    assert [label for label, _ in program.kept] == ["row"]
+
+
+def test_rows_have_their_own_names_if_these_tell_them_apart(read):
+    lines = [f"{n},300,200,100" for n in ("a", "b", "a")]
+    assert read(f"row,{XYZ}", *lines[:2]).labels == ("row a", "row b")
+    assert read(f"row,{XYZ}", *lines).labels == ("row 1", "row 2", "row 3")
+    assert read(f"row,{XYZ}", "a,300,200,100", ",300,200,100").labels == ("row 1", "row 2")
+
+
+def test_a_column_that_is_left_out_does_not_go_along(read):
+    program = read(f"{XYZ},speed,rx [rad]", "300,200,100,5,1", columns={"speed": "-", "rx": "-"})
+    assert program.kept == ()
+    assert not program.oriented
+
+
+def test_what_a_table_of_commands_holds_anew_does_not_go_along(read):
+    header = f"name,{IN_DEG},correction position [mm],status"
+    program = read(header, f"a,{VALUES},0.5,ok", given="joints")
+    assert [label for label, _ in program.kept] == ["name"]
+
+
+def test_commands_are_not_compensated_twice_unawares(read):
+    text = refused(read, f"{IN_DEG},correction position [mm],status", f"{VALUES},0.5,ok")
+    assert text.startswith("program.csv: these are commands that calib compensate wrote")
+    assert "--given joints or --given poses" in text
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (["x [mm],z [mm]", "1,2"], "'y' is missing. The columns found: 'x [mm]', 'z [mm]'."),
+        (["qx,qy,qz,qw", "0,0,0,1"], "an orientation but no positions"),
+        (["remark,speed", "a,5"], "no joint values and no positions, or all"),
+        (
+            [f"{XYZ},rx [rad],ry [rad],rz [rad],qx,qy,qz,qw", "300,200,100,0,0,0,0,0,0,1"],
+            "the orientation is there twice, as a rotation vector (rx, ry, rz) and as a quaternion (qx, qy, qz, qw)",
+        ),
+        ([f"{XYZ},rx,ry,rz", "1,2,3,0,0,0"], "column 'rx' (a rotation vector): the column has no unit"),
+        ([f"{XYZ},qx [deg],qy,qz,qw", "1,2,3,0,0,0,1"], "'deg' cannot be; a quaternion has no unit"),
+        (
+            [f"{XYZ},qx,qy,qz,qw", "300,200,100,0,0,0,1", "300,200,100,0,0,0,0.9"],
+            "line 3 (row 2), columns qx, qy, qz, qw: the quaternion has the length 0.9",
+        ),
+        ([f"{XYZ},note", "300,200,100,", ",,,a"], "line 3 (row 2): there is no position, all its cells are empty"),
+        ([f"{XYZ},yaw [deg],pitch [deg],roll [deg],Yaw [rad]", "1,2,3,0,0,0,0"], "two columns are called 'yaw'"),
+        ([IN_DEG.replace("elbow_joint", "elbow_jont"), VALUES], "; 'elbow_joint' is missing. The columns found"),
+        ([IN_DEG.replace("elbow_joint", "elbow_jont"), VALUES], "Close to them: 'elbow_jont'"),
+    ],
+)  # fmt: skip
+def test_tables_that_are_refused(read, lines: list[str], said: str):
+    text = refused(read, *lines)
+    assert text.startswith("program.csv")
+    assert said in text
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "given", "said"),
+    [
+        (XYZ, "300,200,100", "joints", "there are no joint values, or all their cells are empty"),
+        (IN_DEG, VALUES, "poses", "there are no positions, or all their cells are empty"),
+    ],
+)  # fmt: skip
+def test_given_what_is_not_there(read, header: str, cells: str, given: str, said: str):
+    assert said in refused(read, header, cells, given=given)
+
+
+def test_an_orientation_beside_joint_values_alone_is_left_out(read):
+    program = read(f"{IN_DEG},qx,qy,qz,qw", f"{VALUES},0,0,0,1")
+    assert program.T_wanted is None
+    assert program.kept == ()
+
+
+ONE = """<robot name="slider">
+  <link name="base"/><link name="tip"/>
+  <joint name="{name}" type="{type}"><parent link="base"/><child link="tip"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+@pytest.fixture
+def one_joint(tmp_path: Path):
+    def make(name: str, kind: str) -> Robot:
+        path = tmp_path / "one.urdf"
+        path.write_text(ONE.format(name=name, type=kind), encoding="utf-8")
+        return Robot.load(path)
+
+    return make
+
+
+def test_a_joint_that_slides_is_in_a_length(read, one_joint):
+    lift = one_joint("lift", "prismatic")
+    assert read("lift [mm]", "300", robot=lift).q == pytest.approx(np.array([[0.3]]))
+    text = refused(read, "lift [deg]", "300", robot=lift)
+    assert "(prismatic joint 'lift'): 'deg' is not a unit of length" in text

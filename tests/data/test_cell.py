@@ -1,0 +1,494 @@
+from __future__ import annotations
+
+import copy
+import pickle
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, strategies as st
+
+from calib.data.cell import Cell, GroupDistance, Priors
+from calib.data.cell_file import fields as keys
+from calib.data.ranges import joint_ranges
+from calib.data.surroundings import TrackerNoise
+from calib.errors import CalibError, FileError
+from calib.robot.robot import Robot
+from calib.robot.torques import Payload
+from calib.units import UNITS, parse_quantity
+
+DISTANCE = """
+[[distances]]
+first = "A"
+second = "B"
+length_mm = 20
+sigma_mm = 0.1
+"""
+
+DOC = Path(__file__).parents[2] / "docs" / "cell.md"
+
+
+def read(folder: Path, text: str) -> Cell:
+    path = folder / "cell.toml"
+    path.write_text(text, encoding="utf-8")
+    return Cell.read(path)
+
+
+def test_an_empty_file_is_the_default(tmp_path: Path):
+    assert repr(read(tmp_path, "# nothing\n")) == repr(Cell())
+    assert Cell().estimate_target
+    assert not Cell().estimate_frame
+    assert Cell().model == "auto"
+
+
+def test_every_key(tmp_path: Path):
+    cell = read(
+        tmp_path,
+        """
+        base = "base"
+        tip = "tool0"
+        model = "hayati"
+        freeze = ["a1", "target_x"]
+        target = "known"
+        target_mm = [70, -70.5, 22.5]
+        frame = "estimate"
+        frame_xyz_mm = [1000, 2, -3]
+        frame_rpy_deg = [10, 20, 30]
+        sigma_mm = 0.2
+        priors = "given"
+        prior_length_mm = 2
+        prior_angle_mrad = 8
+        """,
+    )
+    assert (cell.base, cell.tip, cell.model) == ("base", "tool0", "hayati")
+    assert cell.frozen == ("a1", "target_x")
+    assert not cell.estimate_target
+    assert cell.target is not None
+    np.testing.assert_allclose(cell.target, [0.07, -0.0705, 0.0225], rtol=1e-15)
+    assert cell.estimate_frame
+    assert cell.T_frame_base is not None
+    np.testing.assert_allclose(cell.T_frame_base[:3, 3], [1.0, 0.002, -0.003], rtol=1e-15)
+    rpy = np.radians([10.0, 20.0, 30.0])
+    np.testing.assert_allclose(cell.T_frame_base[:3, :3], pin.rpy.rpyToMatrix(*rpy), atol=1e-15)
+    assert cell.sigma == pytest.approx(2e-4, rel=1e-15)
+    assert cell.priors == Priors("given", length=2e-3, angle=8e-3)
+
+
+def test_every_new_key_and_table(tmp_path: Path):
+    cell = read(
+        tmp_path,
+        """
+        kind = "pose"
+        repeats = "average"
+        target_rpy_deg = [10, 20, 30]
+        frame = ["rz", "x"]
+        sigma_angle_deg = 0.1
+        prior_zero_mrad = 1
+        prior_gain = 2e-4
+        prior_eccentricity_mrad = 3
+        prior_compliance_rad_per_Nm = 4e-6
+        gravity_m_per_s2 = [0, 9.81, 0]
+        [targets_mm]
+        up = [1, 2, 3]
+        [frames."1/left"]
+        xyz_mm = [1000, 0, 0]
+        rpy_deg = [0, 0, 90]
+        [frames.right]
+        [ties]
+        a3 = "a2"
+        a4 = ["a2", -2]
+        [bounds]
+        d1 = "0.5 mm"
+        "theta1" = ["-1 mrad", "180deg"]
+        "j.gain" = 1e-3
+        "target_x[up]" = ["-1um", "2 mm"]
+        [parameter_priors]
+        "j.compliance" = "2 mrad/Nm"
+        "lift.compliance" = "3 mm/N"
+        anything = "0.1 rad"
+        [payload]
+        mass_kg = 5
+        com_mm = [0, 0, 60]
+        [held]
+        lift = "0.3 m"
+        pan = "-90 deg"
+        [[distances]]
+        first = "*/left"
+        second = "*/right"
+        length_mm = 200
+        sigma_mm = 0.01
+        """,
+    )
+    assert (cell.kind, cell.repeats) == ("pose", "average")
+    assert cell.target_rotation is not None
+    rpy = np.radians([10.0, 20.0, 30.0])
+    np.testing.assert_allclose(cell.target_rotation, pin.rpy.rpyToMatrix(*rpy), atol=1e-15)
+    assert cell.estimate_frame
+    assert cell.frame_directions == ("x", "rz")
+    assert cell.sigma_angle == pytest.approx(np.radians(0.1), rel=1e-15)
+    assert cell.priors == Priors("data", zero=1e-3, gain=2e-4, eccentricity=3e-3, compliance=4e-6)
+    np.testing.assert_array_equal(cell.gravity, [0.0, 9.81, 0.0])
+    assert set(cell.targets) == {"up"}
+    np.testing.assert_allclose(cell.targets["up"], [1e-3, 2e-3, 3e-3], rtol=1e-15)
+    assert set(cell.frames) == {"1/left", "right"}
+    np.testing.assert_allclose(
+        cell.frames["1/left"] @ [1, 0, 0, 1], [1.0, 1.0, 0.0, 1.0], atol=1e-15
+    )
+    np.testing.assert_array_equal(cell.frames["right"], np.eye(4))
+    assert cell.ties == {"a3": ("a2", 1.0), "a4": ("a2", -2.0)}
+    assert cell.bounds == {
+        "d1": (-5e-4, 5e-4),
+        "theta1": (-1e-3, pytest.approx(np.pi, rel=1e-15)),
+        "j.gain": (-1e-3, 1e-3),
+        "target_x[up]": (-1e-6, 2e-3),
+    }
+    assert cell.parameter_priors == {"j.compliance": 2e-3, "lift.compliance": 3e-3, "anything": 0.1}
+    assert cell.payload is not None
+    assert cell.payload.mass == 5.0
+    np.testing.assert_allclose(cell.payload.com, [0.0, 0.0, 0.06], rtol=1e-15)
+    assert cell.held == {"lift": 0.3, "pan": pytest.approx(-np.pi / 2, rel=1e-15)}
+    assert cell.distances == (GroupDistance("*/left", "*/right", 0.2, 1e-5),)
+
+
+def test_half_a_frame_and_half_the_priors(tmp_path: Path):
+    moved = read(tmp_path, "frame_xyz_mm = [1, 2, 3]").T_frame_base
+    assert moved is not None
+    np.testing.assert_array_equal(moved[:3, :3], np.eye(3))
+    turned = read(tmp_path, "frame_rpy_deg = [0, 0, 90]").T_frame_base
+    assert turned is not None
+    np.testing.assert_allclose(turned[:3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_array_equal(turned[:3, 3], np.zeros(3))
+    assert read(tmp_path, 'priors = "off"').priors == Priors("off")
+    assert read(tmp_path, "prior_length_mm = 1").priors == Priors("data", length=1e-3)
+
+
+def test_the_byte_order_mark_of_an_editor_is_skipped(tmp_path: Path):
+    assert read(tmp_path, '\N{BYTE ORDER MARK}tip = "flänsch"').tip == "flänsch"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("targt_mm = [1, 2, 3]", "unknown key 'targt_mm' (did you mean 'target_mm'"),
+        ("base = 1", "'base' is 1; it must be a name in quotes."),
+        ('freeze = "d2"', "'freeze' is 'd2'; it must be a list of names."),
+        ('target = "fixed"', "'target' is 'fixed'; it must be 'known' or 'estimate'."),
+        ("target_mm = [1, 2]", "'target_mm' is [1, 2]; it must be three numbers."),
+        ("target_mm = [1, 2, nan]", "'target_mm' is [1, 2, nan]; it must be three numbers."),
+        ('target = "known"', "The target is said to be known but is not given."),
+        ("[frame]\nx = 1", "'frame' is {'x': 1}; it must be 'known', 'estimate' or a list of dir"),
+        (
+            'frame = ["u"]',
+            "frame_directions is ('u',); it must be some of 'x', 'y', 'z', 'rx', 'ry', 'rz', each once.",
+        ),
+        ("frame = []", "frame_directions is (); it must be some of"),
+        ("sigma_angle_deg = -1", "sigma_angle is -0.017"),
+        ("sigma_mm = 0", "sigma is 0.0; it must be a positive number"),
+        ('sigma_mm = "0.1"', "'sigma_mm' is '0.1'; it must be a number."),
+        ('kind = "ball"', "'ball' is not a kind of measurement; allowed are 'point', 'pose', "),
+        ('repeats = "often"', "'repeats' is 'often'; it must be 'weighted', 'average' or"),
+        ("prior_gain = 0", "The prior's gain is 0.0 1; it must be positive"),
+        ("prior_angle_mrad = nan", "'prior_angle_mrad' is nan; it must be a number."),
+        ("targets_mm = [1, 2, 3]", "'targets_mm' is [1, 2, 3]; it must be a table."),
+        ("[targets_mm]\nup = [1, 2]", "'up' in [targets_mm] is [1, 2]; it must be three numbers."),
+        ("[targets_mm]\n' ' = [1, 2, 3]", "it must be a mapping from names."),
+        ("[frames]\na = 1", "'a' in [frames] is 1; write a table [frames.a] with xyz_mm and"),
+        ("[frames.a]\nxyz = [1, 2, 3]", "[frames.a] has an unknown key 'xyz' (did you mean"),
+        ("[frames.a]\nxyz_mm = 1", "'xyz_mm' in [frames.a] is 1; it must be three numbers."),
+        ("[ties]\nmodel = 'dh'", "'model' stands in the table [ties]; the cell's own keys must"),
+        ("[ties]\na1 = ['a2', 'a3']", "'a1' in [ties] is ['a2', 'a3']; it must be another"),
+        ("[ties]\na1 = ['a2', 0]", "'a1' in a cell's ties is ('a2', 0.0); it must be another"),
+        ("[ties]\na1 = 'a1'", "'a1' is tied to 'a1', which is tied itself"),
+        ("[ties]\na1 = 'a2'\na2 = 'a3'", "'a1' is tied to 'a2', which is tied itself"),
+        ("freeze = ['a1']\n[ties]\na1 = 'a2'", "'a1' is both frozen and tied to 'a2'"),
+        ("[ties]\na1 = 'a2'\n[bounds]\na1 = '1 mm'", "'a1' has bounds and is tied to 'a2'"),
+        ("[bounds]\na1 = '1 mrad'", "'a1' in [bounds] is '1 mrad', which is an angle; write"),
+        ("[bounds]\na1 = true", "'a1' in [bounds]: True is no number with a unit, such as"),
+        ("[bounds]\na1 = '1 furlong'", "'furlong' is not a unit that calib knows: "),
+        ("[bounds]\na1 = ['1 mm']", "'a1' in [bounds] is ['1 mm']; it must be one value, or the"),
+        ("[bounds]\na1 = '-1 mm'", "'a1' in a cell's bounds is (0.001, -0.001); it must be"),
+        ("[bounds]\n'j.zero' = 0.1", 'which is a number; write "0.5 mm" or "1 mrad".'),
+        ("[parameter_priors]\n'j.gain' = '1 mm'", "'j.gain' in [parameter_priors] is '1 mm', w"),
+        ("[parameter_priors]\n'j.compliance' = '1 mm/Nm'", "'mm/Nm' is no unit of compliance"),
+        (
+            "[parameter_priors]\na1 = '-1 mm'",
+            "'a1' in a cell's parameter_priors is -0.001; it must be a positive",
+        ),
+        ("[held]\nlift = 0.3", "'lift' in [held] is 0.3; a joint's value needs a unit of angle"),
+        ("[payload]\nmass = 3", "[payload] has an unknown key 'mass' (did you mean 'mass_kg'"),
+        ("[payload]\ncom_mm = [1, 2, 3]", "[payload] lacks 'mass_kg'."),
+        ("[payload]\nmass_kg = -3", "mass of a payload is -3.0 kg; "),
+        ("distances = 3", "'distances' is 3; it must be a list of tables, each headed [[dist"),
+        ("[[distances]]\nfirst = 'a'", "number 1 lacks 'second', 'length_mm', 'sigma_mm'."),
+        (DISTANCE.replace("B", "A"), "'A' and 'A': a group has one fixed point"),
+        (DISTANCE.replace("20", "0"), "its length is 0.0 m; it must be a positive"),
+        ("[tracker]", "[tracker] lacks 'xyz_mm'."),
+        ("[tracker]\nxyz_mm = [1, 2, 3]\nnoise = 0.1", "'noise' in [tracker] is 0.1; it must be a"),
+        ("[tracker]\nxyz_mm = [1, 2, 3]\nnoise = '15 um + 6'", 'given as "15 um + 6"'),
+        ("[tracker]\nxyz_mm = [1, 2, 3]\nnearest_mm = 90000", "from 90.0 m to 80.0 m"),
+        ("[reflector]\nnormal = [0, 0, 0]", "[0.0, 0.0, 0.0]; it must be a direction"),
+        ("[reflector]\nnormal = [0, 0, 1]\nacceptance_deg = 181", "above 0 and at most pi"),
+        ("[boxes]", "'boxes' is {}; it must be a list of tables, each headed [[boxes]]."),
+        ("[[boxes]]\nname = 'a'\nsize_mm = [1, 2]", "'size_mm' in [[boxes]] number 1 is [1, 2]"),
+        (2 * "[[boxes]]\nname = 'a'\nsize_mm = [1, 2, 3]\nxyz_mm = [0, 0, 0]\n", "name of its own"),
+        ("[ranges]\na = '1 deg'", "'a' in [ranges] is '1 deg'; it must be the least and the"),
+        ("[ranges]\na = ['1 deg', '2 mm']", "one is an angle and one a length."),
+        ("[ranges]\na = ['1 m', '1 mm']", "'a' in a cell's ranges is (1.0, 0.001)"),
+    ],
+)
+def test_bad_values_are_named_with_what_is_allowed(tmp_path: Path, text: str, said: str):
+    with pytest.raises(CalibError, match=re.escape(said)) as caught:
+        read(tmp_path, text)
+    assert str(caught.value).startswith(f"{tmp_path / 'cell.toml'}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("data", [b"base =", b"base = base", b"\xff\xfe", b"a = 1\na = 2"])
+def test_what_is_not_toml(tmp_path: Path, data: bytes):
+    path = tmp_path / "cell.toml"
+    path.write_bytes(data)
+    with pytest.raises(FileError, match=r"cell\.toml: this is not a TOML file: "):
+        Cell.read(path)
+
+
+def test_a_file_that_cannot_be_read(tmp_path: Path):
+    with pytest.raises(FileError, match=r"cell file '.*none\.toml' does not exist; check the name"):
+        Cell.read(tmp_path / "none.toml")
+    with pytest.raises(FileError, match="is a folder; name the file inside it"):
+        Cell.read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "must"),
+    [
+        ("target", (1.0, 2.0), "three finite numbers x, y, z [m]"),
+        ("target", [0.0, float("nan"), 1.0], "three finite numbers x, y, z [m]"),
+        ("target", (0.1, -1e300, 0), "none beyond 1e+06"),
+        ("T_frame_base", np.diag([1.0, 1.0, -1.0, 1.0]), "with a right-handed rotation"),
+        ("T_frame_base", 2.0 * np.eye(4), "with a right-handed rotation"),
+        ("T_frame_base", [[1.0], [1.0, 2.0]], "a 4 x 4 pose"),
+        ("sigma", -1e-4, "a positive number"),
+        ("sigma", 1e-300, "a positive number, from 1e-15 to 1e+06 m"),
+        ("sigma_angle", 1e300, "a positive number, from 1e-15 to 1e+06 rad"),
+        ("held", {"lift": 1e300}, "a number [rad] or [m], not beyond 1e+06"),
+        ("held", {"lift": "0.3 m"}, "a number [rad] or [m]"),
+        ("parameter_priors", {"d1": 1e-300}, "a positive number, from 1e-15"),
+        ("frozen", "d2", "a tuple of names"),
+        ("model", None, "a text"),
+        ("priors", "off", "of type Priors"),
+        ("targets", [1.0], "a mapping from names"),
+        ("targets", {"a": (0.0, 1.0)}, "three finite numbers"),
+        ("frames", {"a": np.eye(3)}, "a 4 x 4 pose"),
+        ("target_rotation", -np.eye(3), "a 3 x 3 right-handed rotation"),
+        ("frame_directions", "x", "some of 'x', 'y', "),
+        ("ties", {"a1": "a2"}, "another parameter and a factor"),
+        ("bounds", {"a1": (0.0, float("nan"))}, "the least and the largest change"),
+        ("gravity", 9.81, "three finite numbers x, y, z [m/s^2]"),
+        ("distances", [("a", "b", 1.0)], "a tuple of GroupDistance"),
+        ("repeats", True, "one of 'weighted', "),
+        ("tracker", (1, 2, 3), "of type Tracker"),
+        ("reflector", (0, 0, 1), "of type Reflector"),
+        ("ranges", [1.0], "a mapping from names"),
+        ("ranges", {"a": 1.0}, "the least and the largest value"),
+        ("ranges", {"a": (2.0, 1.0)}, "the first less than the second"),
+        ("ranges", {"a": (0.0, float("inf"))}, "the least and the largest value"),
+        ("ranges", {"a": (0.0, 1.0, 2.0)}, "the least and the largest value"),
+    ],
+)
+def test_a_cell_that_is_built_wrongly(name: str, wrong: Any, must: str):
+    said = rf"a cell's {name} is .*; it must be .*{re.escape(must)}"
+    with pytest.raises(CalibError, match=rf"(?i){said}"):
+        Cell(**{name: wrong})
+
+
+def test_a_kind_that_there_is_not():
+    with pytest.raises(CalibError, match="'ball' is not a kind of measurement; allowed are"):
+        Cell(kind="ball")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"sizes": "none"}, "Priors of the kind 'none' were asked for; choose one of 'data', "),
+        ({"length": 0.0}, "The prior's length is 0.0 m; it must be positive. Use sizes 'off'"),
+        ({"angle": float("nan")}, "The prior's angle is nan rad; it must be positive."),
+        ({"zero": -1.0}, "The prior's zero is -1.0 rad; it must be positive."),
+        ({"gain": True}, "The prior's gain is True 1; it must be positive."),
+        ({"length": 1e-300}, "The prior's length is 1e-300; it lies between 1e-15 and 1e+06 in SI"),
+        ({"compliance": "soft"}, "The prior's compliance is soft rad/Nm; it must be positive."),
+    ],
+)
+def test_priors_that_are_built_wrongly(wrong: dict[str, Any], said: str):
+    with pytest.raises(CalibError, match=re.escape(said)):
+        Priors(**wrong)
+
+
+def test_mappings_are_copies_that_cannot_be_written_to():
+    held, targets = {"lift": 0.3}, {"up": np.zeros(3)}
+    cell = Cell(held=held, targets=targets, bounds={"a1": (-1.0, float("inf"))})
+    held["lift"] = targets["up"][0] = 9.0
+    assert cell.held == {"lift": 0.3}
+    assert cell.targets["up"][0] == 0.0
+    for mapping in (cell.held, cell.targets, cell.bounds, cell.ties, cell.frames, Cell().held):
+        with pytest.raises(TypeError, match="does not support item assignment"):
+            mapping["new"] = 1  # type: ignore[index]
+    with pytest.raises(ValueError, match="read-only"):
+        cell.targets["up"][0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        cell.gravity[0] = 1.0
+
+
+def test_a_cell_can_be_sent_to_another_process():
+    cell = Cell(
+        target=np.ones(3),
+        frames={"a": np.eye(4)},
+        ties={"a1": ("a2", 2.0)},
+        payload=Payload(5.0, np.zeros(3)),
+        distances=(GroupDistance("a", "b", 1.0, 1e-3),),
+    )
+    there = pickle.loads(pickle.dumps(cell))
+    assert repr(there) == repr(cell)
+    assert repr(copy.deepcopy(cell)) == repr(cell)
+    assert there.target is not None
+    assert not there.target.flags.writeable
+    assert not there.frames["a"].flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"first": ""}, "The distance between the groups '' and 'b': each must be a name."),
+        ({"first": "*", "second": "**"}, "'*' stands for the same text in both; write it once"),
+        ({"first": "b"}, "a group has one fixed point; name two different groups."),
+        ({"length": 0.0}, "between the groups 'a' and 'b': its length is 0.0 m; it must be a pos"),
+        ({"sigma": None}, "its sigma is None m; it must be a positive number."),
+    ],
+)
+def test_distances_that_are_built_wrongly(wrong: dict[str, Any], said: str):
+    with pytest.raises(CalibError, match=re.escape(said)):
+        GroupDistance(**{"first": "a", "second": "b", "length": 1.0, "sigma": 1e-3, **wrong})
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "groups", "pairs"),
+    [
+        ("a", "b", ["b", "a", "c", "a"], (("a", "b"),)),
+        ("a", "b", ["a", "c"], ()),
+        ("*l", "*r", ["1l", "2l", "2r", "1r", "3l"], (("1l", "1r"), ("2l", "2r"))),
+        ("p*/l", "p*/r", ["p1/l", "q1/l", "q1/r", "p1/r", "p/l", "p/r"], (("p1/l", "p1/r"), ("p/l", "p/r"))),
+        # The text of the star is what is left of the whole name: "aba" is "ab" and "ba" only where they overlap.
+        ("ab*ba", "x*", ["aba", "xa", "x"], ()),
+        ("ab*ba", "x*", ["abba", "x", "xa"], (("abba", "x"),)),
+        ("*", "*2", ["1", "12", "122"], (("1", "12"), ("12", "122"))),
+    ],
+)  # fmt: skip
+def test_the_star_stands_for_the_same_text(
+    first: str, second: str, groups: list[str], pairs: tuple[tuple[str, str], ...]
+):
+    assert GroupDistance(first, second, 1.0, 1e-3).pairs(groups) == pairs
+
+
+@given(number=st.floats(-1e6, 1e6), unit=st.sampled_from(["mm", "m", "um", "deg", "mrad", "rad"]))
+def test_every_number_with_a_unit_is_read(number: float, unit: str):
+    value, kind = parse_quantity(f"{number!r} {unit}")
+    assert value == number * UNITS[unit].to_si
+    assert kind == f"a{'n' if UNITS[unit].quantity == 'angle' else ''} {UNITS[unit].quantity}"
+    assert parse_quantity(repr(number)) == (number, "a number")
+    assert (
+        parse_quantity(f" {number!r}{unit}/Nm" if unit == "mrad" else "1 rad/Nm")[1]
+        == "a compliance"
+    )
+
+
+EXAMPLES = re.findall(r"```toml\n(.*?)```", DOC.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def test_the_documents_first_example(tmp_path: Path):
+    cell = read(tmp_path, EXAMPLES[0])
+    assert (cell.base, cell.tip, cell.model, cell.frozen) == ("base", "tool0", "dh", ("d2",))
+    assert cell.target is not None
+    np.testing.assert_allclose(cell.target, [-0.07, 0.07, 0.0225])
+    assert cell.sigma == pytest.approx(1e-4)
+    assert cell.priors == Priors()
+
+
+def test_the_documents_other_examples(tmp_path: Path):
+    by_name, single, loads, sockets, _ = (read(tmp_path, example) for example in EXAMPLES[1:])
+    assert list(by_name.targets) == ["upper", "lower"]
+    assert list(by_name.frames) == ["morning", "after lunch"]
+    assert not by_name.estimate_target
+    assert single.ties == {"a3": ("a2", 1.0), "a4": ("a2", -1.0)}
+    assert single.bounds["theta6"] == pytest.approx((np.radians(-0.02), 1e-3))
+    assert single.parameter_priors["shoulder_lift_joint.compliance"] == 1e-5
+    assert single.frame_directions == ("x", "y", "z", "rz")
+    assert loads.payload is not None
+    assert loads.payload.mass == 5.0
+    assert loads.gravity[2] == 9.81
+    assert loads.held["torso_lift_joint"] == 0.3
+    assert sockets.kind == "fixed"
+    assert sockets.distances[0].pairs(["3/right", "3/left"]) == (("3/left", "3/right"),)
+
+
+def test_the_documents_surroundings(tmp_path: Path):
+    text = EXAMPLES[-1]
+    cell = read(tmp_path, text)
+    assert cell.tracker is not None
+    assert cell.reflector is not None
+    np.testing.assert_allclose(cell.tracker.position, [2.5, 0.0, 0.5])
+    assert (cell.tracker.nearest, cell.tracker.farthest) == (0.8, 20.0)
+    np.testing.assert_array_equal(cell.reflector.normal, [0.0, 0.0, 1.0])
+    table, cabinet = cell.boxes
+    assert (table.name, cabinet.name) == ("table", "cabinet")
+    np.testing.assert_allclose(table.size, [1.2, 0.8, 0.04])
+    np.testing.assert_allclose(table.T_base_box[:3], [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.02]])
+    turn = pin.rpy.rpyToMatrix(0.0, 0.0, np.radians(30.0))
+    np.testing.assert_allclose(cabinet.T_base_box[:3, :3], turn, atol=1e-15)
+    assert cell.ranges["shoulder_pan_joint"] == pytest.approx((-np.pi / 2, np.pi / 2))
+    assert cell.ranges["elbow_joint"] == (-2.0, 0.0)
+
+    # Without the keys that may be left out: the defaults that the text below the example states.
+    optional = "nearest_mm|farthest_mm|noise|repeatability_mm|acceptance_deg|rpy_deg"
+    least = read(tmp_path, re.sub(rf"(?m)^({optional}) = .*$", "", text))
+    assert least.tracker is not None
+    assert least.reflector is not None
+    assert (least.tracker.nearest, least.tracker.farthest) == (0.0, 80.0)
+    assert least.tracker.noise == TrackerNoise(15e-6, 6e-6, 20e-6)
+    assert cell.tracker.noise.std(3.0) == pytest.approx(least.tracker.noise.std(3.0), rel=1e-12)
+    assert least.reflector.acceptance == cell.reflector.acceptance == pytest.approx(np.radians(30))
+    np.testing.assert_array_equal(least.boxes[1].T_base_box[:3, :3], np.eye(3))
+
+
+def test_joint_values_in_another_s_unit_are_refused_by_the_robot(tmp_path: Path, ur3):
+    ranges = read(tmp_path, '[ranges]\nelbow_joint = ["0 mm", "10 mm"]\n').ranges
+    with pytest.raises(CalibError, match="'elbow_joint' is a length, and the joint turns"):
+        joint_ranges(ur3, ranges)
+    held = read(tmp_path, '[held]\nelbow_joint = "10 mm"\n').held
+    with pytest.raises(CalibError, match="'elbow_joint' is held at is a length"):
+        Robot.load("ur3", "base", "tool0", held=held)
+
+
+def test_the_document_has_every_key_and_no_other():
+    documented = re.findall(r"^\| `(\w+)` \|", DOC.read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(documented) == sorted(keys())
+
+
+def test_the_documents_defaults_are_the_defaults():
+    rows = re.findall(
+        r"^\| `(\w+)` \|[^|]*\| ([^|]*) \|", DOC.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    said, cell = dict(rows), Cell()
+    assert said["model"] == f'`"{cell.model}"`'
+    assert said["repeats"] == f'`"{cell.repeats}"`'
+    assert [float(v) for v in said["gravity_m_per_s2"].split(",")] == cell.gravity.tolist()
+    for key, value in (
+        ("prior_length_mm", 1e3 * cell.priors.of("length")),
+        ("prior_angle_mrad", 1e3 * cell.priors.of("angle")),
+        ("prior_zero_mrad", 1e3 * cell.priors.of("zero")),
+        ("prior_gain", cell.priors.of("gain")),
+        ("prior_eccentricity_mrad", 1e3 * cell.priors.of("eccentricity")),
+        ("prior_compliance_rad_per_Nm", cell.priors.of("compliance")),
+    ):
+        assert float(said[key]) == pytest.approx(value), key

@@ -1,0 +1,566 @@
+import csv
+import hashlib
+import itertools
+import pickle
+from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+import calib
+from calib.data.measurements import Measurements
+from calib.errors import MeasurementError
+
+UR3 = Path(calib.__file__).parent / "data" / "ur3_leica.csv"
+UR3_JOINTS = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+HEADER = "row,set,a [deg],b [deg],x [mm],y [mm],z [mm]"
+ROWS = ("1,estimate,10,20,300,400,500", "2,validate,-30,420.75,301.5,-400,500")
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Writes a table's lines to a file and gives its path."""
+
+    def write(*lines, encoding="utf-8", newline="\n"):
+        path = tmp_path / "data.csv"
+        path.write_bytes((newline.join(lines) + newline).encode(encoding))
+        return path
+
+    return write
+
+
+def refused(path, *, says, **arguments):
+    """The text with which a table is refused; it holds each of the words."""
+    with pytest.raises(MeasurementError) as caught:
+        Measurements.read(path, **arguments)
+    text = str(caught.value)
+    for word in [says] if isinstance(says, str) else says:
+        assert word in text
+    assert "\n" not in text
+    return text
+
+
+def assert_same(one, other, rtol=1e-15):
+    for name in ("joints", "points"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=rtol, atol=0)
+    assert (one.sigma is None) == (other.sigma is None)
+    if one.sigma is not None:
+        np.testing.assert_allclose(one.sigma, other.sigma, rtol=rtol, atol=0)
+    for name in ("joint_names", "sets", "targets", "groups", "rows", "prismatic"):
+        assert getattr(one, name) == getattr(other, name)
+
+
+# The paper's table
+
+
+def test_the_papers_table():
+    m = Measurements.read(UR3, UR3_JOINTS, dict.fromkeys(UR3_JOINTS, "revolute"))
+    with UR3.open() as file:
+        printed = list(csv.reader(file))[1:]
+    numbers = np.array([[float(cell) for cell in line[2:]] for line in printed])
+    assert len(m) == 35
+    assert m.joint_names == UR3_JOINTS
+    np.testing.assert_allclose(m.joints, np.deg2rad(numbers[:, :6]), rtol=1e-15)
+    np.testing.assert_allclose(m.points, numbers[:, 6:] / 1000.0, rtol=1e-15)
+    assert m.joints[9, 5] == pytest.approx(np.deg2rad(420.75), rel=1e-15)
+    assert m.sets == ("estimate",) * 30 + ("validate",) * 5
+    assert m.rows == tuple(range(1, 36))
+    assert m.sigma is None
+    assert (m.targets, m.groups) == (("target",) * 35, ("",) * 35)
+    assert m.source == "ur3_leica.csv"
+    assert m.sha256 == hashlib.sha256(UR3.read_bytes()).hexdigest()
+    assert m.ignored == ()
+    assert_same(Measurements.read(UR3), m, rtol=0)
+
+
+def examples():
+    """The tables and lists that docs/data-format.md shows, in its order."""
+    page = Path(__file__).parents[2] / "docs" / "data-format.md"
+    return [block.strip() for block in page.read_text(encoding="utf-8").split("```")[1::2]]
+
+
+def test_the_example_in_the_documentation(table):
+    m = Measurements.read(table(examples()[0]), UR3_JOINTS[:3])
+    np.testing.assert_array_equal(m.points, Measurements.read(UR3).points[[0, 1, 30]])
+    assert m.sets == ("estimate", "estimate", "validate")
+
+
+def test_the_examples_of_other_kinds(table):
+    poses, lengths, sockets = examples()[1:4]
+    m = Measurements.read(table(poses))
+    assert set(m.kinds) == {"pose"}
+    np.testing.assert_allclose(m.sigma_angle, np.deg2rad([0.1, 0.1]))
+    m = Measurements.read(table(lengths))
+    assert m.kinds == ("distance", "distance", "pair", "pair")
+    np.testing.assert_allclose(m.distances[2:], [0.750002] * 2)
+    columns = {"placement": "group", "socket": "group"}
+    m = Measurements.read(table(sockets), kind="fixed", columns=columns)
+    assert m.groups == ("left/A", "left/A", "left/B", "left/B")
+
+
+def test_the_example_of_a_list_of_points(table, tmp_path):
+    listed, joints = examples()[4:]
+    (tmp_path / "tracker.txt").write_text(listed)
+    m = Measurements.read(table(joints), UR3_JOINTS[:3], points=tmp_path / "tracker.txt")
+    paper = Measurements.read(UR3)
+    np.testing.assert_array_equal(m.points, paper.points[[1, 0]])
+    np.testing.assert_array_equal(m.joints, paper.joints[[1, 0], :3])
+
+
+# The value
+
+
+def test_arrays_are_read_only_copies():
+    joints = np.zeros((2, 1))
+    m = Measurements(("a",), joints, [[1, 2, 3], [4, 5, 6]], sigma=[0.1, 0.2])
+    joints[0, 0] = 1.0
+    assert m.joints[0, 0] == 0.0
+    for array in (m.joints, m.points, m.sigma, m.estimation, m.validation, m.joints_for(["a"])):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+    with pytest.raises(FrozenInstanceError):
+        m.source = "other"
+
+
+def test_what_is_not_given_is_filled_in():
+    m = Measurements(("a",), np.zeros((2, 1)), np.ones((2, 3)))
+    assert (m.sets, m.targets) == (("estimate", "estimate"), ("target", "target"))
+    assert (m.groups, m.rows) == (("", ""), (1, 2))
+    assert m.estimation.all()
+    assert not m.validation.any()
+
+
+def test_select_keeps_row_numbers_and_the_rest():
+    m = replace(Measurements.read(UR3), sigma=np.linspace(1e-4, 2e-4, 35))
+    held_back = m.select(m.validation)
+    assert len(held_back) == 5
+    assert held_back.rows == (31, 32, 33, 34, 35)
+    assert held_back.sets == ("validate",) * 5
+    np.testing.assert_array_equal(held_back.points, m.points[30:])
+    np.testing.assert_array_equal(held_back.joints, m.joints[30:])
+    np.testing.assert_array_equal(held_back.sigma, m.sigma[30:])
+    assert held_back.sha256 == m.sha256
+    assert len(held_back.select(held_back.estimation)) == 0
+
+
+def test_joints_for_another_order():
+    m = Measurements.read(UR3)
+    np.testing.assert_array_equal(
+        m.joints_for(["wrist_3_joint", "elbow_joint"]), m.joints[:, [5, 2]]
+    )
+    assert m.joints_for([]).shape == (35, 0)
+    with pytest.raises(MeasurementError) as caught:
+        m.joints_for(["elbow_joint", "wrist_4_joint"])
+    assert "'wrist_4_joint'" in str(caught.value)
+    assert "'wrist_3_joint'" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"points": np.ones((2, 2))}, "'points' has shape (2, 2) and should have (2, 3)"),
+        ({"joints": np.ones((3, 1))}, "should have (2, 1)"),
+        ({"sets": ("estimate",)}, "'sets' has 1 entries"),
+        ({"sets": ("estimate", "test")}, "row 2: 'test' in 'sets'"),
+        ({"targets": ("ball", "")}, "row 2: '' in 'targets'"),
+        ({"groups": ("one", "two\nlines")}, "row 2: 'two\\nlines' in 'groups'"),
+        ({"rows": (7, 7)}, "7, twice"),
+        ({"rows": (1.2, 2)}, "there is 1.2"),
+        ({"points": [[0, 0, 1], [0, np.nan, 0]]}, "row 2: 'y' is nan"),
+        ({"joints": [[np.inf], [0]]}, "row 1: 'a' is inf"),
+        ({"joints": [[0], [2e6]]}, "row 2: 'a' is 2e+06"),
+        ({"sigma": [1e-4, 0.0]}, "row 2: 'sigma' is 0;"),
+        ({"sigma": [1e300, 1e-4]}, "row 1: 'sigma' is 1e+300"),
+        ({"joint_names": ("x",)}, "joint names are unique"),
+        ({"joint_names": (), "joints": np.ones((2, 0))}, "no names at all"),
+        ({"joint_names": ("a", "a"), "joints": np.ones((2, 2))}, "given were 'a'"),
+        ({"prismatic": ("b",)}, "'prismatic' names 'b'; the joints are 'a'"),
+        ({"readings": {"angle": np.ones(2)}}, "No kind of measurement reads 'angle'"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(change, says):
+    good = {"joint_names": ("a",), "joints": np.ones((2, 1)), "points": np.ones((2, 3))}
+    Measurements(**good)
+    with pytest.raises(MeasurementError) as caught:
+        Measurements(**(good | change))
+    assert says in str(caught.value)
+
+
+# Reading
+
+
+def test_optional_columns_and_ignored_ones(table):
+    path = table(
+        "a [deg],target,group,sigma [um],x [mm],y [mm],z [mm],qx,rx [rad],force [N],note,",
+        "10,ball,north,50,300,400,500,0,0.1,3,warm,",
+        "20,cube,,60,300,400,600,0,0.1,,,",
+    )
+    m = Measurements.read(path)
+    assert m.joint_names == ("a",)
+    assert m.targets == ("ball", "cube")
+    assert m.groups == ("north", "")
+    np.testing.assert_allclose(m.sigma, [5e-5, 6e-5], rtol=1e-15)
+    assert m.rows == (1, 2)
+    assert m.sets == ("estimate", "estimate")
+    assert m.ignored == ("qx", "rx [rad]", "force [N]", "note")
+
+
+def test_columns_are_renamed_and_given_units(table):
+    path = table("J1,J2 [deg],East [mm],y [mm],z [mm]", "10,20,300,400,500")
+    columns = {"J1": "a [deg]", "J2": "b", "East": "x"}
+    m = Measurements.read(path, ["a", "b"], columns=columns)
+    np.testing.assert_allclose(m.joints, np.deg2rad([[10, 20]]), rtol=1e-15)
+    assert m.points[0, 0] == pytest.approx(0.3)
+    with_unit_in_key = {"J1": "a [deg]", "J2 [deg]": "b [deg]", "East": "x"}
+    assert_same(Measurements.read(path, ["a", "b"], columns=with_unit_in_key), m, rtol=0)
+
+
+def test_two_columns_swap_their_names(table):
+    path = table("a [deg],x [mm],y [mm],z [mm]", "10,300,400,500")
+    m = Measurements.read(path, columns={"x": "y", "y": "x"})
+    np.testing.assert_allclose(m.points, [[0.4, 0.3, 0.5]])
+
+
+def test_prismatic_joints(table):
+    path = table("rail [mm],a [deg],x [mm],y [mm],z [mm]", "1500,20,300,400,500")
+    types = {"rail": "prismatic", "a": "continuous"}
+    for arguments in ((["rail", "a"], types), (["rail", "a"],), (None, types)):
+        m = Measurements.read(path, *arguments)
+        np.testing.assert_allclose(m.joints, [[1.5, np.deg2rad(20)]], rtol=1e-15)
+        assert m.prismatic == ("rail",)
+    assert Measurements.read(path).ignored == ("rail [mm]",)
+
+
+# Writing
+
+
+names = st.text(alphabet="abJ_ 0[].,;'\"#é", min_size=1, max_size=8).filter(
+    lambda text: text == text.strip()
+)
+values = st.floats(-3, 3).filter(lambda value: value == 0 or abs(value) > 1e-300)
+
+
+@given(st.data())
+def test_what_is_written_reads_back(tmp_path_factory, data):
+    joint_names = tuple(data.draw(st.lists(names, min_size=1, max_size=3, unique=True)))
+    count = data.draw(st.integers(1, 4))
+
+    def array(elements, width):
+        row = st.lists(elements, min_size=width, max_size=width)
+        return np.array(data.draw(st.lists(row, min_size=count, max_size=count)))
+
+    def tuples(elements, **more):
+        return tuple(data.draw(st.lists(elements, min_size=count, max_size=count, **more)))
+
+    m = Measurements(
+        joint_names,
+        array(values, len(joint_names)),
+        np.add(array(values, 3), [0, 0, 4]),
+        sets=("estimate", *tuples(st.sampled_from(["estimate", "validate"]))[1:]),
+        sigma=data.draw(st.none() | st.just(np.full(count, 1.3e-4))),
+        targets=tuples(names),
+        groups=tuples(names | st.just("")),
+        rows=tuples(st.integers(-(10**6), 10**6), unique=True),
+        prismatic=tuple(data.draw(st.sets(st.sampled_from(joint_names)))),
+    )
+    path = tmp_path_factory.mktemp("written") / "data.csv"
+    m.write(path)
+    again = Measurements.read(path, joint_names)
+    assert_same(again, replace(m, prismatic=again.prismatic))
+    assert set(again.prismatic) == set(m.prismatic)
+
+
+def test_the_table_written_is_in_degrees_and_millimetres(tmp_path):
+    path = tmp_path / "data.csv"
+    m = Measurements(("a", "rail"), [[np.pi, 0.5]], [[0.1, 0.2, 0.3]], prismatic=("rail",))
+    m.write(path)
+    head, row = path.read_text().splitlines()
+    assert head == "row,set,a [deg],rail [mm],x [mm],y [mm],z [mm]"
+    assert [float(cell) for cell in row.split(",")[2:]] == pytest.approx([180, 500, 100, 200, 300])
+
+
+def test_measurements_can_be_sent_to_another_process():
+    m = Measurements.read(UR3)
+    assert_same(pickle.loads(pickle.dumps(m)), m, rtol=0)
+
+
+# Refusals: the file
+
+
+def test_files_that_are_no_tables(tmp_path, table):
+    refused(tmp_path / "none.csv", says=["none.csv", "does not exist"])
+    refused(tmp_path, says="is a folder")
+    refused(table(""), says="the file is empty")
+    refused(table("# only a remark", "", ",,"), says="the file is empty")
+    refused(table(HEADER, ",,,,,,"), says=["data.csv", "a header and no rows"])
+    refused(table(HEADER, *ROWS, encoding="utf-16-le"), says="not a text file")
+    refused(table(HEADER, *ROWS, encoding="utf-32"), says="not a text file")
+    refused(table(HEADER, ROWS[0], "2,é", encoding="latin-1"), says=["line 3", "not UTF-8"])
+    refused(table(HEADER, "\0\0"), says="not a text file")
+    refused(table(*ROWS[:1], *ROWS), says="no column of joint angles")
+    refused(table("1,2,3", "4,5,6"), says="the first line holds numbers")
+    refused(table(HEADER, '1,estimate,"10,20'), says=["data.csv", "double quotes"])
+    refused(table("a" * 200_000), says=["data.csv", "field larger"])
+
+
+# Refusals: the header
+
+
+@pytest.mark.parametrize(
+    ("header", "joint_names", "says"),
+    [
+        ("a,b [deg],x [mm],y [mm],z [mm]", "ab", ["column 'a'", "no unit", "'a [deg]'", "mrad"]),
+        ("a [deg],b [deg],x,y [mm],z [mm]", "ab", ["column 'x'", "no unit", "'x [mm]'"]),
+        ("a [deg],b [deg],x [mm],y [mm],z (mm)", "ab", ["need a column 'z [mm]'", "'z (mm)'"]),
+        ("a [deg],b [grad],x [mm],y [mm],z [mm]", "ab", ["'b [grad]'", "'grad' is not a unit"]),
+        ("a [deg],b [deg],x [deg],y [mm],z [mm]", "ab", ["'x [deg]'", "not a unit of length"]),
+        ("a [deg],a [rad],x [mm],y [mm],z [mm]", "a", ["two columns", "'a'", "number 2"]),
+        ("a [deg],x [mm],X [m],y [mm],z [mm]", "a", ["two columns", "'x [mm]'", "'X [m]'"]),
+        ("a,x [mm],y [mm],z [mm],q", None, ["no column of joint angles", "'a'"]),
+        ("a [deg],b [deg],c,d,e", None, ["need a column 'x [mm]'", "'a [deg]'", "--columns"]),
+        ("x [deg],y [mm],z [mm],a,b", ["x"], ["cannot be called 'x'", "Rename"]),
+    ],
+)
+def test_headers_that_are_refused(table, header, joint_names, says):
+    refused(table(header, "1,2,3,4,5"), joint_names=joint_names, says=["data.csv", *says])
+
+
+def test_missing_joints_are_named_with_what_is_close(table):
+    path = table("Elbow [deg],sholder_pan_joint [deg],x [mm],y [mm],z [mm]", "1,2,3,4,5")
+    text = refused(
+        path, joint_names=["shoulder_pan_joint", "elbow", "tool"], says="'shoulder_pan_joint', "
+    )
+    assert "Close to 'shoulder_pan_joint': 'sholder_pan_joint'" in text
+    assert "Close to 'elbow': 'Elbow'" in text
+    assert "Close to 'tool'" not in text
+    assert "The columns found: 'Elbow [deg]', " in text
+    assert '--columns "name in the table=shoulder_pan_joint [deg]"' in text
+
+
+def test_the_wrong_kind_of_unit_for_a_joint(table):
+    path = table("a [mm],b [deg],x [mm],y [mm],z [mm]", "1,2,3,4,5")
+    for kind in ("revolute", "continuous"):
+        refused(
+            path,
+            joint_names=["a"],
+            joint_types={"a": kind},
+            says=["'a [mm]'", f"{kind} joint 'a'", "'mm' is not a unit of angle", "'deg'"],
+        )
+    refused(
+        path,
+        joint_names=["b"],
+        joint_types={"b": "prismatic"},
+        says=["'b [deg]'", "prismatic joint 'b'", "'deg' is not a unit of length"],
+    )
+
+
+@pytest.mark.parametrize(
+    ("columns", "says"),
+    [
+        ({"J12": "b"}, ["no column 'J12'", "maps to 'b'", "Close to it: 'J1'", "'a [deg]'"]),
+        ({"a": "b [rad]"}, ["'a [deg]'", "gives it another, 'b [rad]'"]),
+        ({"J1": "b [grad]"}, ["'J1'", "'b [grad]'", "'grad' is not a unit"]),
+        ({"J1": "a [deg]"}, ["two columns are called 'a'", "'J1'", '--columns "J1=-"']),
+        ({"a": "b", "a [deg]": "c"}, ["maps the column 'a [deg]' twice, as 'a' and as 'a [deg]'"]),
+    ],
+)
+def test_mappings_that_are_refused(table, columns, says):
+    path = table("a [deg],J1,x [mm],y [mm],z [mm]", "1,2,300,400,500")
+    refused(path, columns=columns, says=["data.csv", *says])
+
+
+# Refusals: the cells
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("7,estimate,1,2,3,4", ["has 6 cells, the header has 7", "Fill in"]),
+        ("7,estimate,1,2,3,4,5,6", ["has 8 cells, the header has 7", "decimal comma"]),
+        ("7,test,1,2,3,4,5", ["column 'set'", "'test' is not a set", "'validate'"]),
+        ("7,,1,2,3,4,5", ["column 'set'", "'' is not a set"]),
+        ("7,estimate,1,,3,4,5", ["column 'b [deg]'", "the cell is empty"]),
+        ("7,estimate,1,2,3,nan,5", ["column 'y [mm]'", "'nan' is not a finite number"]),
+        ("7,estimate,1,2,-inf,4,5", ["column 'x [mm]'", "'-inf' is not a finite number"]),
+        ("7,estimate,1e999,2,3,4,5", ["column 'a [deg]'", "'1e999' is not a finite number"]),
+        ("7,estimate,1,2,3,4,5 mm", ["column 'z [mm]'", "'5 mm' is not a number"]),
+        ("7,estimate,1,2,3,4,1_000", ["column 'z [mm]'", "'1_000' is not a number"]),
+        ('7,estimate,1,2,3,4,"5,5"', ["column 'z [mm]'", "decimal comma", "semicolons"]),
+        ("7,estimate,1,2,3e8,4,5", ["column 'x [mm]'", "further from the origin than 100 m"]),
+    ],
+)
+def test_cells_that_are_refused(table, row, says):
+    path = table(HEADER, "# remark", ROWS[0], row)
+    refused(path, says=["data.csv, line 4 (row 7)", *says])
+
+
+@pytest.mark.parametrize("cell", ["1.0", "one", "", "1_0"])
+def test_row_numbers_that_are_no_integers(table, cell):
+    path = table(HEADER, f"{cell},estimate,1,2,300,4,5")
+    refused(path, says=["line 2", "column 'row'", f"'{cell}' is not a whole number"])
+
+
+def test_without_a_row_column_rows_are_counted(table):
+    path = table("", "a [deg],x [mm],y [mm],z [mm]", "1,2,3,4", "", "1,2,3,no")
+    refused(path, says="line 5 (row 2), column 'z [mm]'")
+
+
+def test_points_and_commas_in_one_table(table):
+    path = table("a [deg];x [mm];y [mm];z [mm]", "1;200;300;400", "1.5;1,234;300;400")
+    refused(path, says=["decimal point in line 3", "decimal comma in line 3"])
+    path = table("a [deg];x [mm];y [mm];z [mm]", "1;1.234,5;300;400")
+    refused(path, says=["decimal point in line 2", "decimal comma in line 2"])
+
+
+def test_a_table_without_a_row_to_estimate_from(table):
+    path = table(HEADER, ROWS[1])
+    refused(path, says=["column 'set'", "no row is 'estimate'", "all 1"])
+
+
+# Refusals: the wrong unit
+
+
+@pytest.mark.parametrize(
+    ("unit", "point", "says"),
+    [
+        ("m", "-149.02,-207.5,742.6", ["'z [m]'", "742.6 was read as 742.6 m", "'z [mm]'"]),
+        ("mm", "-149020,-207500,742600", ["742600 was read as 742.6 m", "in um", "'z [um]'"]),
+        ("mm", "-0.149,-0.2075,0.7426", ["0.7426 was read as 0.0007426 m", "in m", "'z [m]'"]),
+        ("um", "-149.02,-207.5,742.6", ["742.6 was read as 0.0007426 m", "in mm", "'z [mm]'"]),
+        ("m", "1e9,0,0", ["column 'x [m]'", "Correct the value"]),
+        ("mm", "0,0,0", ["none is further from the origin than 5 mm", "Correct the value"]),
+    ],
+)
+def test_points_in_the_wrong_unit(table, unit, point, says):
+    path = table(f"a [deg],x [{unit}],y [{unit}],z [{unit}]", f"1,{point}")
+    refused(path, says=["line 2 (row 1), column '", *says])
+
+
+def test_one_point_near_the_origin_is_no_reason(table):
+    m = Measurements.read(table("a [deg],x [mm],y [mm],z [mm]", "1,0,0,0", "1,0,0,50000"))
+    assert m.points[1, 2] == pytest.approx(50)
+
+
+def test_a_prismatic_joint_in_the_wrong_unit(table):
+    path = table("rail [m],x [mm],y [mm],z [mm]", "1500,10,20,300")
+    refused(path, joint_names=["rail"], says=["'rail [m]'", "1500 was read as 1500 m", "[mm]'"])
+
+
+def test_degrees_read_as_radians(table):
+    header = "a [rad],b [rad],x [mm],y [mm],z [mm]"
+    path = table(header, "1,-74.76,10,20,300", "1,6.1,10,20,300", "1,-72,10,20,300")
+    refused(path, says=["column 'b [rad]'", "look like degrees", "'b [deg]'"])
+
+
+def test_a_joint_that_turns_more_than_once(table):
+    header = "a [rad],b [deg],x [mm],y [mm],z [mm]"
+    m = Measurements.read(table(header, "12.5,720,10,20,300", "1,-719,10,20,300", "2,9,1,2,300"))
+    np.testing.assert_allclose(m.joints[:, 0], [12.5, 1, 2])
+    assert m.joints[0, 1] == pytest.approx(4 * np.pi)
+
+
+def test_joints_may_be_called_by_a_capital_letter(tmp_path: Path):
+    """Gantries have joints X, Y, Z; the measured point has the small letters."""
+    path = tmp_path / "gantry.csv"
+    path.write_text("X [mm],Y [mm],x [mm],y [mm],z [mm]\n10,20,110,120,130\n11,22,111,122,133\n")
+    kinds = {"X": "prismatic", "Y": "prismatic"}
+    table = Measurements.read(path, ["X", "Y"], kinds)
+    np.testing.assert_allclose(table.joints, [[0.010, 0.020], [0.011, 0.022]])
+    np.testing.assert_allclose(table.points[0], [0.110, 0.120, 0.130])
+
+
+# What programs of this world write
+
+
+FORM = [
+    "joint_1 [deg],joint_2 [deg],x [mm],y [mm],z [mm]",
+    "1.5,-20,300.25,0,50",
+    "2,30.125,-301,5,60.5",
+]
+
+
+def bytes_of(lines, sign=",", end="\n", encoding="utf-8"):
+    text = end.join(lines) + end
+    if sign == ";":
+        return text.replace(",", ";").replace(".", ",").encode(encoding)
+    return text.replace(",", sign).encode(encoding)
+
+
+@pytest.mark.parametrize("sign", [",", ";", "\t"])
+@pytest.mark.parametrize("more", ["", "blank", "comment", "last", "quotes", "trailing", "spaces"])
+def test_every_form_is_read_to_the_same_bits(tmp_path, sign, more):
+    path = tmp_path / "data.csv"
+    path.write_bytes(bytes_of(FORM))
+    plain = Measurements.read(path)
+    lines = list(FORM)
+    if more == "blank":
+        lines = ["", lines[0], "", ",,,,", lines[1], " ", lines[2], ""]
+    elif more == "comment":
+        lines = ["# by a program", lines[0], "  # more", lines[1], '"# quoted, too"', lines[2]]
+    elif more == "quotes":
+        lines = [",".join(f'"{cell}"' for cell in line.split(",")) for line in lines]
+    elif more == "trailing":
+        lines = [line + "," for line in lines]
+    elif more == "spaces":
+        lines = [line.replace(",", " , ") + "  " for line in lines]
+    for end, encoding in itertools.product(["\n", "\r\n", "\r"], ["utf-8", "utf-8-sig", "utf-16"]):
+        data = bytes_of(lines, sign, end, encoding)
+        path.write_bytes(data[:-1] if more == "last" and data.endswith(b"\n") else data)
+        assert_same(Measurements.read(path), plain, rtol=0)
+
+
+def test_forms_that_are_refused(tmp_path, table):
+    path = tmp_path / "data.csv"
+    path.write_bytes(bytes_of([FORM[0], FORM[1].replace(".", ",")]))
+    refused(path, says=["line 2 (row 1)", "the row has 7 cells, the header has 5", "decimal comma"])
+    path.write_bytes(bytes_of([FORM[0], '"1,5",-20,300,0,50']))
+    refused(path, says=["line 2 (row 1), column 'joint_1 [deg]'", "'1,5' has a decimal comma"])
+    refused(table(FORM[0], FORM[1] + ","), says=["line 2", "the row has 6 cells", "Remove what"])
+    refused(table("J\xf6int [deg],x [mm]", encoding="latin-1"), says=["line 1", "not UTF-8 text"])
+    assert len(refused(table(FORM[0], "a" * 100_000 + ",1,2,3,4"), says=["line 2 (row 1)"])) < 4000
+
+
+def lines_of(count, sign=","):
+    """A table of a joint and a point, with words."""
+    yield sign.join(["row", "set", "j [deg]", "x [mm]", "y [mm]", "z [mm]", "target", "p", "q"])
+    for i, values in enumerate(np.random.default_rng(3).uniform(-170, 170, (count, 4)).tolist()):
+        numbers = [f"{v:.4f}".replace(".", "," if sign == ";" else ".") for v in values]
+        set_ = ("estimate", "validate")[i % 2]
+        yield sign.join([str(i + 1), set_, *numbers, "ball", f"day {i % 3}", "am"])
+
+
+def test_the_words_of_a_long_table_are_shared(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join(lines_of(9000)) + "\n")
+    m = Measurements.read(path, columns={"p": "group", "q": "group"})
+    assert m.groups[:4] == ("day 0/am", "day 1/am", "day 2/am", "day 0/am")
+    for words in (m.sets, m.targets, m.groups, m.kinds):
+        assert len({id(word) for word in words}) < 30
+
+
+def test_a_fault_far_down_is_named_by_line_and_column(tmp_path):
+    lines = list(lines_of(9000))
+    path = tmp_path / "data.csv"
+    for at, old, new, says in (
+        (8000, "ball", "", "line 8001 (row 8000), column 'target': the cell is empty"),
+        (7000, "7000,", "7,", "column 'row': the row number 7 is also that of line 8"),
+        (6000, "estimate", '"estimate', "double quotes"),
+    ):
+        wrong = [*lines[:at], lines[at].replace(old, new, 1), *lines[at + 1 :]]
+        if new.startswith('"'):
+            wrong[at] = wrong[at].replace("validate", '"validate')
+        path.write_text("\n".join(wrong))
+        refused(path, says=says)
+    lines = list(lines_of(9000, ";"))
+    lines[8000] = lines[8000].replace(",", ".", 1)
+    path.write_text("\n".join(lines))
+    refused(path, says="a decimal point in line 8001 and a decimal comma in line 2")

@@ -1,0 +1,283 @@
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.data.measurements import Measurements
+from calib.data.points_file import read_points
+from calib.errors import MeasurementError
+
+XYZ = [[0.1005, -0.2005, 0.3], [0.1105, -0.2005, 0.31]]
+
+
+@pytest.fixture
+def listed(tmp_path):
+    """Writes a list of points to a file and gives its path."""
+
+    def write(*lines, encoding="utf-8", name="tracker.txt"):
+        path = tmp_path / name
+        path.write_bytes("\n".join([*lines, ""]).encode(encoding))
+        return path
+
+    return write
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Writes a table's lines to a file and gives its path."""
+
+    def write(*lines):
+        path = tmp_path / "joints.csv"
+        path.write_text("\n".join([*lines, ""]))
+        return path
+
+    return write
+
+
+def refused(path, *says, **arguments):
+    """The text with which a list is refused; it holds each of the words."""
+    with pytest.raises(MeasurementError) as caught:
+        read_points(path, **arguments)
+    text = str(caught.value)
+    for word in says:
+        assert word in text
+    assert "\n" not in text
+    return text
+
+
+# Layouts
+
+
+@pytest.mark.parametrize(
+    ("lines", "names"),
+    [
+        # SpatialAnalyzer: one name in three parts, or three columns
+        (
+            (
+                "// Units: Millimeters",
+                "A::Main::P1  100.5 -200.5 300.0  0.01",
+                "A::Main::P2  110.5 -200.5 310.0  0.01",
+            ),
+            ("A::Main::P1", "A::Main::P2"),
+        ),
+        (
+            (
+                "Collection,Group,Point,X [mm],Y [mm],Z [mm],Time",
+                "A,Main,1,100.5,-200.5,300.0,12:03",
+                "A,Main,2,110.5,-200.5,310.0,12:04",
+            ),
+            ("A::Main::1", "A::Main::2"),
+        ),
+        (
+            ("# mm", "A,Main,1,100.5,-200.5,300.0", "A,Main,2,110.5,-200.5,310.0,"),
+            ("A::Main::1", "A::Main::2"),
+        ),
+        # Leica: a name and three numbers, in columns of blanks or tabs, with a decimal point or comma
+        (("Length unit = mm", "P1 100.5 -200.5 300", "P2 110.5 -200.5 310"), ("P1", "P2")),
+        (
+            ("! units mm, deg", "P1\t100,5\t-200,5\t300,0", "", "P2\t110,5\t-200,5\t310,0"),
+            ("P1", "P2"),
+        ),
+        (("% Unit: m", "P1 0,1005 -0,2005 0,3", "P2 0,1105 -0,2005 0,31"), ("P1", "P2")),
+        (("# Units in cm", "1  10.05 -20.05 30", "2  11.05 -20.05 31"), ("1", "2")),
+        (
+            ("# units: mm", "Ball 1 100.5 -200.5 300", "Ball 2 110.5 -200.5 310"),
+            ("Ball 1", "Ball 2"),
+        ),
+        (
+            ("# units: mm", '"Ball 1" 100.5 -200.5 300', '"Ball two" 110.5 -200.5 310'),
+            ("Ball 1", "Ball two"),
+        ),
+        # PolyWorks: with a direction behind, with a header in another order, without names
+        (
+            (
+                "name;x (mm);y (mm);z (mm);i;j;k",
+                "P1;100.5;-200.5;300;0;0;1",
+                "P2;110.5;-200.5;310;0;0;1",
+            ),
+            ("P1", "P2"),
+        ),
+        (
+            ("z [mm],y [mm],x [mm],label", "300,-200.5,100.5,P1", "310,-200.5,110.5,P2"),
+            ("P1", "P2"),
+        ),
+        (("# Unit: um", "-----", "100500 -200500 300000", "110500 -200500 310000"), ()),
+        (("# Unit: mm", "100.5 -200.5 300 0 0 1", "110.5 -200.5 310 0 0 1"), ()),
+        (
+            ("Point Name X Y Z", "units: mm", "P1 100.5 -200.5 300", "P2 110.5 -200.5 310"),
+            ("P1", "P2"),
+        ),
+        (("name x y z", "units: mm", "7 100.5 -200.5 300", "8 110.5 -200.5 310"), ("7", "8")),
+        (("station;x;y;z", "# units: mm", "A;100.5;-200.5;300", "B;110.5;-200.5;310"), ("A", "B")),
+    ],
+)
+def test_lists_as_programs_write_them(listed, lines, names):
+    points = read_points(listed(*lines))
+    assert points.names == names
+    np.testing.assert_allclose(points.points, XYZ, rtol=1e-14)
+    assert len(points) == 2
+
+
+def test_inches_are_told_from_the_word_in(listed):
+    for remark in ("# Units: in", "# Units in inches", "# x [in]"):
+        points = read_points(listed(remark, "P1 1 2 3"))
+        np.testing.assert_allclose(points.points, [[0.0254, 0.0508, 0.0762]], rtol=1e-14)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_encodings_of_windows(listed, encoding):
+    points = read_points(listed("# Gerät; units: µm", "Pé 500000 0 1", encoding=encoding))
+    assert points.names == ("Pé",)
+    np.testing.assert_allclose(points.points, [[0.5, 0, 1e-6]], rtol=1e-14)
+
+
+def test_the_value(listed):
+    path = listed("# a", "", "P1 100.5 200 300")
+    points = read_points(path, "mm")
+    assert (points.lines, points.source) == ((3,), "tracker.txt")
+    assert points.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    with pytest.raises(ValueError, match="read-only"):
+        points.points[0] = 1
+
+
+def test_a_point_is_found_by_its_whole_name_or_its_last_part(listed):
+    points = read_points(listed("A::M::P1 1 2 3", "A::M::P2 1 2 3", "B::M::P2 1 2 3"), "m")
+    assert points.find("P1") == points.find("A::M::P1") == 0
+    assert points.find("B::M::P2") == 2
+    assert points.find("M::P1") is None
+    with pytest.raises(MeasurementError) as caught:
+        points.find("P2")
+    text = str(caught.value)
+    assert "tracker.txt: several points are called 'P2', in lines 2, 3" in text
+    assert "Write the whole name: 'A::M::P2', 'B::M::P2'." in text
+    twice = read_points(listed("P1 1 2 3.5", "P1 1 2 4.5"), "m")
+    with pytest.raises(MeasurementError, match="Give each point a name of its own"):
+        twice.find("P1")
+
+
+# Refusals
+
+
+def test_units_that_are_missing_or_contradict(listed):
+    bare = listed("P1 100 200 300")
+    refused(
+        bare,
+        "tracker.txt: the unit of the points is not in it",
+        "'# Units: mm'",
+        "(--points-unit mm)",
+        "'um'",
+    )
+    refused(bare, "'deg' is not a unit of length", unit="deg")
+    refused(bare, "'furlong' is not a unit", unit="furlong")
+    path = listed("# units: mm", "P1 100 200 300")
+    assert len(read_points(path, "mm")) == 1
+    refused(path, "says that its points are in mm, and m was given", unit="m")
+    refused(listed("# units: mm", "# unit: m", "P1 1 2 3"), "several units of length, 'mm', 'm'")
+    refused(listed("# units: feet", "P1 1 2 3"), "'ft' is not a unit")
+
+
+def test_coordinates_in_another_unit(listed):
+    path = listed("# units: m", "P1 1 2 3.5", "P2 100.5 742.6 0")
+    refused(path, "line 3: 742.6 was read as 742.6 m", "100 m", "'# Units: mm'")
+    path = listed("# units: mm", "P1 0.1 0.2 0.7")
+    refused(path, "line 2: 0.7 was read as 0.0007 m", "none is further", "'# Units: m'")
+    refused(listed("# units: mm", "P1 1e999 0.5 1"), "line 2", "Correct it")
+
+
+@pytest.mark.parametrize(
+    ("lines", "says"),
+    [
+        ((), "no line of it holds three numbers"),
+        (("P1 1.5 2.5",), "no line of it holds three numbers"),
+        (("P1 1.5 2 3", "P2 - - -"), "line 2: 'P2 - - -' has not its three numbers"),
+        (("P1 1.5 2 3", "P2 1.5 2"), "line 2: 'P2 1.5 2'"),
+        (("x,y,z", "1.5,2,3", "1.5,,3"), "line 3: '1.5  3'"),
+        (("P1;1,5;2;3", "P2;1.5;2;3"), "decimal point in line 2 and a decimal comma in line 1"),
+        (("P1 1,234.5 2 3",), "no line of it holds three numbers"),
+        (("1 100 200 300", "2 100 200 301"), "line 1: all are whole numbers"),
+        (("P1\0 1 2 3",), "not a text file"),
+        (("a" * 200_000,), "no line of it holds three numbers"),
+    ],
+)
+def test_lists_that_are_refused(listed, lines, says):
+    refused(listed(*lines), "tracker.txt", says, unit="m")
+
+
+# With a table of joint values
+
+
+TRACKER = ("# Units: mm", "A::M::P1 100.5 -200.5 300", "A::M::P2 110.5 -200.5 310")
+
+
+def test_points_are_matched_by_name(listed, table):
+    joints = table("a [deg],Point,set", "1,P2,estimate", "2,A::M::P1,validate")
+    path = listed(*TRACKER, "A::M::REF 0 0 0")
+    m = Measurements.read(joints, ["a"], points=path)
+    np.testing.assert_allclose(m.points, XYZ[::-1], rtol=1e-14)
+    assert m.kinds == ("point", "point")
+    assert m.sets == ("estimate", "validate")
+    assert m.source == "joints.csv + tracker.txt"
+    hashes = [hashlib.sha256(Path(p).read_bytes()).hexdigest() for p in (joints, path)]
+    assert m.sha256 == " + ".join(hashes)
+
+
+def test_points_are_matched_in_order(listed, table):
+    m = Measurements.read(table("a [deg]", "1", "2"), points=listed(*TRACKER))
+    np.testing.assert_allclose(m.points, XYZ, rtol=1e-14)
+    bare = listed(*TRACKER[1:])
+    again = Measurements.read(table("a [deg]", "1", "2"), points=bare, points_unit="mm")
+    np.testing.assert_array_equal(again.points, m.points)
+
+
+def test_the_controllers_own_pose_is_not_the_measured_one(listed, table):
+    joints = table(
+        "a [deg],x [m],y [m],z [m],rx [rad],ry [rad],rz [rad]", "1,1,2,3,0,0,1", "2,1,2,3,0,0,1"
+    )
+    m = Measurements.read(joints, points=listed(*TRACKER))
+    np.testing.assert_allclose(m.points, XYZ, rtol=1e-14)
+    assert m.rotations is None
+    assert m.ignored[:2] == ("x [m]", "y [m]")
+
+
+def test_rows_of_other_kinds_need_no_point(listed, table):
+    joints = table("a [deg],kind,point", "1,fixed,", "2,point,P1", "3,fixed,", "4,point,P2")
+    m = Measurements.read(joints, points=listed(*TRACKER))
+    np.testing.assert_allclose(m.points[[1, 3]], XYZ, rtol=1e-14)
+    assert np.isnan(m.points[[0, 2]]).all()
+
+
+@pytest.mark.parametrize(
+    ("lines", "arguments", "says"),
+    [
+        (("a [deg]", "1"), {}, "has 2 points and joints.csv 1 rows"),
+        (
+            ("a [deg],point", "1,P1", "2,P22"),
+            {},
+            "row 2: tracker.txt has no point 'P22'. Close to it: 'P2'.",
+        ),
+        (("a [deg],point", "1,P1", "2,Q"), {}, "It has 'A::M::P1', 'A::M::P2'."),
+        (("a [deg],point", "1,P1", "2,A::M::P1"), {}, "the rows 1 and 2 both name the point"),
+        (("a [deg],point", "1,P1", "2,"), {}, "line 3 (row 2), column 'point': the cell is empty"),
+        (("a [deg],group", "1,P1", "2,"), {"kind": "fixed"}, "here they are 'fixed'"),
+        (("a [deg],kind", "1,point", "2,pose"), {}, "here they are 'point', 'pose'"),
+    ],
+)
+def test_tables_that_do_not_match(listed, table, lines, arguments, says):
+    with pytest.raises(MeasurementError) as caught:
+        Measurements.read(table(*lines), points=listed(*TRACKER), **arguments)
+    assert says in str(caught.value)
+
+
+def test_names_in_the_table_only(listed, table):
+    joints = table("a [deg],point", "1,P1")
+    path = listed("100.5 200.5 300.5")
+    with pytest.raises(MeasurementError, match=r"the points have no names.*\"point=-\""):
+        Measurements.read(joints, points=path, points_unit="mm")
+    m = Measurements.read(joints, points=path, points_unit="mm", columns={"point": "-"})
+    assert len(m) == 1
+
+
+def test_a_line_that_ends_before_the_names_is_named(listed):
+    path = listed("x [mm],y [mm],z [mm],point", "1,2,300,P1", "4,5,600")
+    refused(path, "tracker.txt, line 3: '4 5 600' has not its three numbers where the other lines")

@@ -1,0 +1,129 @@
+"""Between which values joints are moved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib import example
+from calib.data.measurements import Measurements
+from calib.data.ranges import column_limits, full_ranges, joint_ranges, range_text
+from calib.errors import CalibError
+from calib.robot.readback import column_ranges
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
+from calib.units import Angle, Length
+
+#: A slide with limits, a turn without, a knee, and an ankle that turns twice as far the other way.
+LEG = """<robot name="leg">
+  <link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/>
+  <joint name="lift" type="prismatic"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+    <limit lower="0.1" upper="0.4" effort="1" velocity="1"/></joint>
+  <joint name="turn" type="continuous"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/></joint>
+  <joint name="knee" type="revolute"><parent link="c"/><child link="d"/><axis xyz="0 1 0"/>
+    <limit lower="-7" upper="7" effort="1" velocity="1"/></joint>
+  <joint name="ankle" type="revolute"><parent link="d"/><child link="e"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="3" effort="1" velocity="1"/><mimic joint="knee" multiplier="-2" offset="1"/></joint>
+</robot>"""
+
+
+@pytest.fixture(scope="module")
+def leg():
+    return Robot.from_urdf(Urdf.from_bytes(LEG.encode(), "leg.urdf"), "a", "e")
+
+
+@pytest.fixture(scope="module")
+def ur3():
+    return Robot.load(example.paper_urdf(), base="base", tip="tool0")
+
+
+def test_limits_of_columns(leg):
+    # The ankle, 1 - 2 knee, stays between -1 and 3.
+    expected = [[0.1, 0.4], [-np.inf, np.inf], [-1.0, 1.0]]
+    np.testing.assert_allclose(column_limits(leg), expected)
+
+
+def test_without_more_they_are_the_limits_or_a_turn(leg, ur3):
+    np.testing.assert_allclose(joint_ranges(leg), [[0.1, 0.4], [-np.pi, np.pi], [-1.0, 1.0]])
+    np.testing.assert_array_equal(joint_ranges(ur3), column_ranges(ur3))
+
+
+@pytest.mark.parametrize(
+    ("kind", "limits", "expected"),
+    [
+        ("revolute", (0.0, 6.0), (0.0, 6.0)),  # all of it, not the half within pi of zero
+        ("revolute", (-3.2, 3.2), (-np.pi, np.pi)),
+        ("revolute", (-2 * np.pi, 2 * np.pi), (-np.pi, np.pi)),
+        ("revolute", (1.5, 12.0), (1.5, 1.5 + 2 * np.pi)),
+        ("revolute", (-12.0, 0.0), (-2 * np.pi, 0.0)),
+        ("continuous", None, (-np.pi, np.pi)),
+        ("prismatic", (0.0, 12.0), (0.0, 12.0)),
+    ],
+)
+def test_a_joint_goes_everywhere_it_can(kind, limits, expected):
+    limit = (
+        ""
+        if limits is None
+        else f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="1"/>'
+    )
+    text = f"""<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="{kind}">
+      <parent link="a"/><child link="b"/><axis xyz="0 0 1"/>{limit}</joint></robot>"""
+    robot = Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"), "a", "b")
+    np.testing.assert_allclose(full_ranges(robot), [expected], atol=1e-12)
+
+
+def test_given_ranges_may_go_beyond_one_turn_but_not_beyond_limits(leg, ur3):
+    ranges = joint_ranges(leg, {"turn": (-1.0, 20.0), "lift": (0.2, 0.3)})
+    np.testing.assert_allclose(ranges, [[0.2, 0.3], [-1.0, 20.0], [-1.0, 1.0]])
+    # 360 deg in decimals is a little more than the limit of 6.283185307179586 rad.
+    wide = joint_ranges(ur3, {"wrist_1_joint": (-6.2832, 6.2832)})
+    np.testing.assert_array_equal(wide[3], [-2 * np.pi, 2 * np.pi])
+
+
+def test_ranges_of_the_paper_s_rows(ur3):
+    m = Measurements.read(example.paper_measurements(), ur3.joint_names, ur3.joint_types)
+    q = m.joints_for(ur3.joint_names)[m.estimation]
+    ranges = np.degrees(joint_ranges(ur3, like=q, margin=np.radians(5.0)))
+    # Table 2 by eye; joint 6 was measured beyond its limit of 360 deg.
+    expected = [
+        [-77.77, -0.11], [-133.81, -17.71], [-95.21, 128.63],
+        [-226.34, -30.52], [-65.49, 63.61], [-133.05, 420.75],
+    ]  # fmt: skip
+    np.testing.assert_allclose(ranges, expected, atol=1e-9)
+    narrowed = joint_ranges(ur3, {"elbow_joint": (0.0, 1.0)}, q)
+    np.testing.assert_array_equal(narrowed[2], [0.0, 1.0])
+
+
+def test_words(leg):
+    assert range_text(leg, "lift", np.array([0.1, 0.4])) == "100 to 400 mm"
+    assert range_text(leg, "knee", np.array([-np.pi, np.pi])) == "-180 to 180 deg"
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"elbow": (0, 1)}, "for the joint 'elbow', which does not move .* 'lift', 'turn', 'knee'"),
+        ({"ankle": (0, 1)}, "for the joint 'ankle', which does not move"),
+        ({"turn": (1, -1)}, "of 'turn' is 57.2958 to -57.2958 deg, which is empty; give the lower"),
+        ({"lift": (0.2, 0.2)}, r"of 'lift' is 200 to 200 mm, which is empty; .* \(--hold\)"),
+        ({"turn": (0, np.nan)}, "is empty"),
+        (
+            {"lift": (Angle(0.2), Angle(0.3))},
+            "joint 'lift' is an angle, and the joint slides; give a length",
+        ),
+        (
+            {"turn": (Length(0), Length(0.1))},
+            "joint 'turn' is a length, and the joint turns; give an angle",
+        ),
+        ({"lift": (0.2, 0.5)}, "of 'lift' is 200 to 500 mm; its limits .* 100 to 400 mm"),
+        ({"knee": (0, 2)}, "of 'knee' is 0 to 114.592 deg; its limits .* -57.2958 to 57.2958 deg"),
+    ],
+)
+def test_ranges_that_cannot_be_are_refused(leg, given, said):
+    with pytest.raises(CalibError, match=said):
+        joint_ranges(leg, given)
+
+
+def test_no_rows_are_refused(ur3):
+    with pytest.raises(CalibError, match="No rows were given to take the ranges"):
+        joint_ranges(ur3, like=np.zeros((0, 6)))

@@ -1,0 +1,405 @@
+"""One fit of every kind of measurement against known truth: exact without noise, calibrated with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.special import stdtrit
+
+from calib.calibration import calibrate
+from calib.data.cell import Cell, GroupDistance, Priors
+from calib.errors import MeasurementError, ModelError
+from calib.estimate.fitting import Task, fit, scale_of, unseen_scores
+from calib.estimate.registration import best_fit
+from calib.estimate.setup import known_distances, rows_of
+from calib.estimate.solvers import SOLVERS, Solution
+from calib.model.error_model import MODELS, error_model
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import Parameter
+from calib.robot.readback import random_joint_values
+
+OFF = Priors(sizes="off")
+FREE = Cell(estimate_frame=True, priors=OFF)
+
+
+def task_of(scene, table, cell, model="dh", **options):
+    rows, setup = rows_of(scene.robot, table, cell)
+    task = Task(scene.robot, cell, setup, model, known_distances(cell, setup), **options)
+    return task, rows
+
+
+def fitted(scene, table, cell, model="dh", **options):
+    task, rows = task_of(scene, table, cell, model, **options)
+    return fit(task, rows), rows
+
+
+def errors(scene, found, *, placed=True, target=0):
+    """Predicted minus true target on unseen poses; as one body moved onto the truth where nothing tells its place."""
+    q = random_joint_values(scene.robot, 60, 77)
+    samples = scene.samples(60, q=q)
+    number = found.setup.targets.index(f"t{target}")
+    mine = found.tip_poses(samples) @ found.placed().T_tip_target[number]
+    true = scene.tip(q) @ scene.kinematics.T_tip_target[target]
+    if placed:
+        group = int(found.setup.groups[0])
+        mine = found.placed().T_frame_base[0] @ mine
+        true = scene.kinematics.T_frame_base[group] @ true
+        return mine[:, :3, 3] - true[:, :3, 3]
+    T = best_fit(mine[:, :3, 3], true[:, :3, 3])
+    return mine[:, :3, 3] @ T[:3, :3].T + T[:3, 3] - true[:, :3, 3]
+
+
+def sockets(make_scene, seed, count, **options):
+    """Frames that lie in easy reach, turned anyhow."""
+    rng = np.random.default_rng(seed)
+    frames = [make_scene(100 * seed + k).kinematics.T_frame_base[0].copy() for k in range(count)]
+    for T in frames:
+        T[:3, 3] = -T[:3, :3] @ (np.array([0.3, 0.0, 0.15]) + rng.uniform(-0.15, 0.15, 3))
+    return make_scene(seed, frames=frames, **options)
+
+
+KINDS = {
+    "point": (lambda s: [s.points(25)], True),
+    "pose": (lambda s: [s.poses(15)], True),
+    "distance": (lambda s: [s.distances(60)], False),
+    "pair": (lambda s: [s.pairs(60)], False),
+    "targets": (lambda s: [s.points(12, 0, t) for t in range(3)], True),
+    "set-ups": (lambda s: [s.points(12, f) for f in range(3)], True),
+    "mixed": (lambda s: [s.points(12), s.poses(6, 1, 1), s.distances(20, 2), s.pairs(8)], True),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(3))
+def test_without_noise_unseen_poses_are_exact(make_scene, join, kind, seed):
+    tables, placed = KINDS[kind]
+    scene = make_scene(seed, frames=3, targets=3)
+    found, rows = fitted(scene, join(*tables(scene)), FREE)
+    assert np.abs(found.residual(rows)).max() < 1e-8
+    assert np.abs(errors(scene, found, placed=placed)).max() < 1e-8
+    assert not found.estimate.outliers.any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_without_noise_a_plane_and_an_anchor_are_exact(make_scene, join, seed):
+    scene = sockets(make_scene, seed, 2)
+    found, _ = fitted(scene, join(scene.plane(40, 0), scene.distances(40, 1)), FREE)
+    assert np.abs(errors(scene, found, placed=False)).max() < 1e-8
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sockets_have_no_scale_until_a_distance_is_known(make_scene, join, seed):
+    scene = sockets(make_scene, seed, 4)
+    names = ("a/0", "a/1", "b/0", "b/1")
+    table = join(*(scene.fixed(20, k) for k in range(4)))
+    table = replace(table, groups=tuple(names[int(g)] for g in table.groups))
+    c = [np.linalg.inv(T)[:3, 3] for T in scene.kinematics.T_frame_base]
+    known = tuple(
+        GroupDistance(names[i], names[j], float(np.linalg.norm(c[i] - c[j])), 1e-6)
+        for i, j in ((0, 1), (2, 3), (0, 2))
+    )
+    alone, _ = fitted(scene, table, Cell())
+    with_bar, _ = fitted(scene, table, Cell(distances=known, priors=OFF))
+    assert np.abs(errors(scene, alone, placed=False)).max() > 1e-4
+    assert np.abs(errors(scene, with_bar, placed=False)).max() < 1e-8
+
+
+def test_one_bar_on_many_places_by_its_pattern(make_scene, join):
+    """The same two sockets, 0.2 m apart, on a plate at three places: "*/0" and "*/1" of each."""
+    rng = np.random.default_rng(5)
+    frames = []
+    for _ in range(3):
+        middle = np.array([0.3, 0.0, 0.15]) + rng.uniform(-0.12, 0.12, 3)
+        along = rng.normal(size=3)
+        for side in (-0.1, 0.1):
+            T = np.eye(4)
+            T[:3, 3] = -(middle + side * along / np.linalg.norm(along))
+            frames.append(T)
+    scene = make_scene(5, frames=frames)
+    table = join(*(scene.fixed(15, k) for k in range(6)))
+    table = replace(table, groups=tuple(f"{int(g) // 2}/{int(g) % 2}" for g in table.groups))
+    cell = Cell(distances=(GroupDistance("*/0", "*/1", 0.2, 1e-6),), priors=OFF)
+    found, _ = fitted(scene, table, cell)
+    assert len(found.estimate.problem.distances) == 3
+    assert np.abs(errors(scene, found, placed=False)).max() < 1e-8
+
+
+@pytest.mark.parametrize("kind", ["points", "poses"])
+def test_a_wall_is_as_good_as_a_floor(make_scene, join, kind):
+    """A dial gauge on a plane whose normal is an axis of the base, with noise: intervals hold, nothing runs away."""
+    for axis, turn in (("x", [0, -1, 0]), ("y", [1, 0, 0])):
+        T = np.eye(4)
+        n = {"x": [1.0, 0, 0], "y": [0, 1.0, 0]}[axis]
+        K = 0.5 * np.pi * np.array(turn, dtype=float)
+        T[:3, :3] = Rotation.from_rotvec(K).as_matrix()
+        T[2, 3] = -0.25
+        np.testing.assert_allclose(T[:3, :3] @ n, [0, 0, 1], atol=1e-12)
+        scene = make_scene(6, frames=[np.eye(4), T], noise=5e-5)
+        table = join(getattr(scene, kind)(30, 0), scene.plane(30, 1))
+        found, _ = fitted(scene, table, Cell())
+        e = found.estimate
+        model = found.kinematics.model
+        spread = np.sqrt(np.diag(e.covariance))[
+            [model.index(f"frame_{d}[1]") for d in ("z", "rx", "ry")]
+        ]
+        assert np.all(spread < 2e-3)
+        placed = found.placed().T_frame_base[1]
+        np.testing.assert_allclose(placed[2, :3], n, atol=2e-3)
+
+
+@pytest.mark.slow
+def test_the_noise_of_every_instrument_is_found(make_scene, join):
+    found = []
+    for seed in range(12):
+        scene = make_scene(seed, frames=2, noise=5e-5, noise_angle=4e-4, length=4e-4, angle=2e-3)
+        one, _ = fitted(
+            scene, join(scene.poses(30), scene.distances(40, 1)), Cell(estimate_frame=True)
+        )
+        found.append(one.estimate.noise)
+    lengths, distances, angles = np.sqrt(np.mean(np.square(found), axis=0))
+    assert (lengths * 1e-4, distances * 1e-4) == pytest.approx((5e-5, 5e-5), rel=0.1)
+    assert angles * 1e-3 == pytest.approx(4e-4, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["pose", "pair"])
+def test_clean_tables_of_other_kinds_are_not_flagged(make_scene, kind):
+    flagged = 0
+    for seed in range(40):
+        scene = make_scene(seed, noise=1e-4, noise_angle=5e-4, length=4e-4, angle=2e-3)
+        table = scene.poses(20) if kind == "pose" else scene.pairs(60)
+        one, _ = fitted(scene, table, Cell(estimate_frame=True))
+        flagged += int(one.estimate.outliers.any())
+    assert flagged <= 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "count"), [("point", 20), ("pose", 20), ("distance", 100), ("pair", 100)]
+)
+def test_a_fifth_of_gross_rows_of_any_kind_is_flagged_and_does_no_harm(make_scene, kind, count):
+    for seed in range(8):
+        scene = make_scene(seed, noise=1e-4, noise_angle=5e-4)
+        table = getattr(scene, f"{kind}s")(count)
+        task, rows = task_of(scene, table, Cell(estimate_frame=True))
+        rng = np.random.default_rng(seed)
+        told = np.flatnonzero(np.any(rows.used, axis=1))
+        gross = np.isin(np.arange(len(rows)), rng.choice(told, len(told) // 5, replace=False))
+        thrown = rng.normal(size=(len(rows), 3))
+        thrown /= np.linalg.norm(thrown, axis=1, keepdims=True)
+        size = rng.uniform(5e-3, 50e-3, len(rows)) * gross
+        measured = rows.measured.copy()
+        if kind in ("point", "pose"):
+            measured[:, :3] += size[:, None] * thrown
+        else:
+            measured[:, 0] += size * np.sign(thrown[:, 0])
+        spoilt = replace(rows, measured=measured)
+        kept = ~gross
+        kept[rows.partner[gross & (rows.partner >= 0)]] = False
+        harmed, clean = fit(task, spoilt), fit(task, rows.select(kept))
+        assert np.all(harmed.estimate.outliers[gross])
+        assert harmed.estimate.outliers[~gross].sum() <= 1
+        placed = kind in ("point", "pose")
+        a, b = (np.sqrt(np.mean(errors(scene, f, placed=placed) ** 2)) for f in (harmed, clean))
+        assert a < 1.2 * b
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("mode", "shared", "own", "ratio"),
+    [("weighted", 1e-4, 5e-5, 1.0), ("weighted", 0.0, 1e-4, 1.0), ("average", 1e-4, 1e-5, 1.0)],
+)
+def test_repeats_leave_the_covariance_right(make_scene, mode, shared, own, ratio):
+    """Monte Carlo: four repeats of 25 poses that share a part of their error; error over predicted spread."""
+    squares, inside = [], []
+    for seed in range(40):
+        scene = make_scene(seed, frames=[np.eye(4)], length=4e-4, angle=3e-3)
+        rng = np.random.default_rng(1000 + seed)
+        once = scene.points(25)
+        q = np.repeat(once.joints, 4, axis=0)
+        seen = np.repeat(once.points + shared * rng.normal(size=(25, 3)), 4, axis=0)
+        table = type(once)(once.joint_names, q, seen + own * rng.normal(size=seen.shape))
+        table = replace(table, targets=("t0",) * 100)
+        one, _ = fitted(scene, table, Cell(repeats=mode))
+        samples = scene.samples(40, q=random_joint_values(scene.robot, 40, 5))
+        points, jacobian = one.kinematics.points_jacobian(one.estimate.x, samples)
+        spread = np.einsum("nij,jk,nik->ni", jacobian, one.estimate.covariance, jacobian)
+        off = points - scene.kinematics.points(scene.x, samples)
+        squares.append(np.sum(off**2) / np.sum(spread))
+        reach = stdtrit(one.estimate.freedom, 0.975)
+        inside.append(np.abs(off) < reach * np.sqrt(spread))
+    assert np.sqrt(np.mean(squares)) == pytest.approx(ratio, abs=0.12)
+    assert 0.93 < np.mean(inside) < 0.975
+
+
+def test_repeats_taken_for_independent_promise_too_much(make_scene):
+    scene = make_scene(3, frames=[np.eye(4)])
+    once = scene.points(25)
+    rng = np.random.default_rng(0)
+    seen = np.repeat(once.points + 1e-4 * rng.normal(size=(25, 3)), 4, axis=0)
+    table = type(once)(once.joint_names, np.repeat(once.joints, 4, axis=0), seen)
+    told, lured = (
+        fitted(scene, table, Cell(repeats=mode))[0] for mode in ("weighted", "independent")
+    )
+    k = told.kinematics.model.index("theta2")
+    assert told.estimate.covariance[k, k] > 3.0 * lured.estimate.covariance[k, k]
+
+
+def test_a_target_with_a_prior_or_a_bound_stays_near_where_it_was_said_to_be(make_scene):
+    """Not near where the nominal robot registers it, which is 6 mm from there."""
+    scene = make_scene(0, frames=[np.eye(4)], noise=1e-4)
+    said = scene.kinematics.T_tip_target[0, :3, 3] + [1e-3, 0.0, 0.0]
+    table = scene.points(40)
+    for options in (
+        {"parameter_priors": {"target_x": 1e-6}},
+        {"bounds": {"target_x": (-1e-6, 1e-6)}},
+    ):
+        found, _ = fitted(scene, table, Cell(target=said, **options))
+        assert abs(found.placed().T_tip_target[0, 0, 3] - said[0]) < 2e-6
+        assert np.linalg.norm(found.setup.T_tip_target[0, :3, 3] - said) > 3e-3
+
+
+@pytest.mark.parametrize(
+    "options", [{"parameter_priors": {"target_x": 1e-6}}, {"bounds": {"target_x": (0.0, 1e-3)}}]
+)
+def test_a_change_from_nowhere_is_refused(make_scene, options):
+    scene = make_scene(0, frames=[np.eye(4)])
+    with pytest.raises(ModelError, match=r"'target_x' has a bound or a prior.*not said from where"):
+        fitted(scene, scene.points(20), Cell(**options))
+
+
+@pytest.mark.slow
+def test_bounds_hold_and_let_go_of_what_they_no_longer_hold(make_scene):
+    """At the end no bounded parameter could lower the cost by moving inwards (Karush, Kuhn, Tucker)."""
+    sizes = {"length": 3e-3, "angle": 15e-3, "zero": 15e-3}
+    stopped = 0
+    for seed in range(12):
+        scene = make_scene(seed, frames=[np.eye(4)], noise=1e-4)
+        names = scene.kinematics.model.names
+        chosen = np.random.default_rng(seed).choice(len(names), 8, replace=False)
+        cell = Cell(bounds={names[k]: (-1e-3, 1e-3) for k in chosen}, priors=Priors(sizes="given"))
+        found, _ = fitted(scene, scene.points(25), cell, robust=False)
+        e, model = found.estimate, found.kinematics.model
+        stopped += len(e.at_bound)
+        for k in chosen:
+            assert abs(e.x[model.index(names[k])]) <= 1e-3 * (1 + 1e-9)
+        precision, centre = e.problem.precision.copy(), e.problem.centre.copy()
+        for k in e.at_bound:
+            precision[k], centre[k] = sizes[model.parameters[k].family] ** -2, 0.0
+        free = e.problem.reweighted(e.problem.weights, e.problem.scales, precision, centre)
+        r, J = free.system(e.x)
+        slope, bend = J.T @ r, np.sum(J**2, axis=0)
+        for k in e.at_bound:
+            assert slope[k] * np.sign(e.x[k]) < 1e-3 * np.sqrt(bend[k])
+    assert stopped > 20
+
+
+def test_ties_are_followed_and_frozen_parameters_stay(make_scene):
+    scene = make_scene(1, frames=[np.eye(4)], noise=1e-5)
+    cell = Cell(ties={"a3": ("a2", -2.0)}, frozen=("d1",))
+    found, _ = fitted(scene, scene.points(40), cell)
+    model = found.kinematics.model
+    assert not {"a3", "d1"} & set(model.names)
+    names = [term.name for term in model.terms]
+    values = dict(zip(names, model.values(found.estimate.x), strict=True))
+    assert values["a3"] == pytest.approx(-2.0 * values["a2"])
+    assert values["a2"] != 0.0
+    assert "d1" not in names
+
+
+def test_a_single_prior_holds_its_parameter_alone(make_scene):
+    scene = make_scene(2, frames=[np.eye(4)], noise=1e-4)
+    table = scene.points(40)
+    tight, _ = fitted(scene, table, Cell(parameter_priors={"a2": 1e-7}))
+    loose, _ = fitted(scene, table, Cell())
+    k = tight.kinematics.model.index("a2")
+    assert abs(tight.estimate.x[k]) < 1e-6 < 5e-4 < abs(loose.estimate.x[k])
+    other = tight.kinematics.model.index("a3")
+    assert abs(tight.estimate.x[other]) > 1e-5
+
+
+@pytest.mark.parametrize(
+    ("cell", "error", "message"),
+    [
+        (Cell(frozen=("target_x",)), ModelError, "'target_x' cannot be frozen one by one"),
+        (Cell(ties={"target_x": ("a2", 1.0)}), ModelError, "'target_x' cannot be tied one by one"),
+        (Cell(ties={"a2": ("target_y", 1.0)}), ModelError, "'target_y' cannot be tied one by one"),
+        (Cell(bounds={"q9": (0.0, 1.0)}), ModelError, "no parameter 'q9'"),
+        (Cell(parameter_priors={"q9": 1.0}), ModelError, "no parameter 'q9'"),
+        (Cell(priors=OFF), MeasurementError, "5 rows give 15 numbers for 27 parameters"),
+    ],
+)
+def test_what_cannot_be_estimated_is_refused(make_scene, cell, error, message):
+    scene = make_scene(3, frames=[np.eye(4)])
+    with pytest.raises(error, match=message):
+        fitted(scene, scene.points(5), cell)
+
+
+def test_an_unknown_solver_and_one_that_takes_points_only(make_scene):
+    scene = make_scene(4, frames=[np.eye(4)])
+    with pytest.raises(ModelError, match="There is no solver 'newton'"):
+        fitted(scene, scene.points(20), Cell(), solver="newton")
+    with pytest.raises(ModelError, match="takes positions of one target"):
+        fitted(scene, scene.distances(60), FREE, solver="paper")
+
+
+def test_unseen_rows_are_judged_by_the_noise_of_their_own_kind(make_scene, join):
+    scene = make_scene(6, frames=2, noise=1e-4, noise_angle=5e-4, length=4e-4, angle=2e-3)
+    task, rows = task_of(
+        scene, join(scene.poses(50), scene.distances(60, 1)), Cell(estimate_frame=True)
+    )
+    seen = np.arange(len(rows)) % 3 != 0
+    found = fit(task, rows.select(seen))
+    left = rows.select(~seen)
+    scale = scale_of(found, left)
+    assert np.ptp(scale[left.kinds == 1][:, 3:]) == 0.0
+    assert scale[left.kinds == 1][0, 4] == pytest.approx(5e-4, rel=0.25)
+    assert np.median(unseen_scores(found, left)) == pytest.approx(1.54, rel=0.25)
+    assert len(unseen_scores(found, rows.select(np.zeros(len(rows), dtype=bool)))) == 0
+
+
+def test_a_parameter_set_and_a_solver_of_ones_own(ur3, monkeypatch, make_scene):
+    """Each is one entry of a registry; what comes out is the same in memory and in the file."""
+    calls = []
+
+    def gauss_newton(system, x0, step_size, step_tolerance):
+        x, evaluations = x0.copy(), 0
+        while True:
+            r, J = system(x)
+            step = np.linalg.lstsq(J, -r)[0]
+            evaluations += 1
+            x = x + step
+            if np.linalg.norm(step / step_size) <= max(step_tolerance, 1e-8):
+                calls.append(evaluations)
+                cost = 0.5 * float(r @ r)
+                return Solution(x, cost, "converged", "The steps are short.", evaluations, ())
+
+    def shoulder(robot):
+        unit = np.eye(6)
+        return [
+            Parameter("lift", "m", robot.joints[1].name, unit[2], "length"),
+            Parameter("lean", "rad", robot.joints[1].name, unit[3], "angle"),
+        ]
+
+    monkeypatch.setitem(MODELS, "shoulder", shoulder)
+    monkeypatch.setitem(SOLVERS, "gauss-newton", gauss_newton)
+    scene = make_scene(5, frames=[np.eye(4)], length=0.0, angle=0.0, noise=2e-5)
+    model = error_model(ur3, "shoulder")
+    true = np.zeros(len(model))
+    true[:2] = 4e-4, 3e-3
+    table = scene.points(30)
+    T = np.eye(4)
+    T[:3, 3] = 0.05, 0.02, 0.1
+    points = Kinematics(ur3, model, np.eye(4), T).points(true, table.joints)
+    rng = np.random.default_rng(0)
+    table = replace(table, points=points + rng.normal(0.0, 2e-5, points.shape))
+    found = calibrate(ur3, table, model="shoulder", solver="gauss-newton")
+    assert calls
+    assert found.model.names == model.names
+    assert np.all(np.abs(found.x - true)[:2] < 5.0 * np.sqrt(np.diag(found.covariance))[:2])
+    assert found.solver == "gauss-newton"
+    other = calibrate(ur3, table, model="shoulder")
+    np.testing.assert_allclose(found.x, other.x, atol=1e-9)

@@ -1,0 +1,166 @@
+"""The whitened system of a problem, against differences and against its own definition."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell
+from calib.estimate.problem import Problem
+from calib.estimate.setup import KnownDistance, rows_of
+from calib.model.error_model import error_model
+from calib.model.kinematics import Kinematics
+
+
+def differences(function, x, step):
+    """Central differences with one step of Richardson extrapolation."""
+    columns = []
+    for k in range(len(x)):
+        e = np.zeros(len(x))
+        e[k] = step
+        near = (function(x + e) - function(x - e)) / (2 * step)
+        far = (function(x + 2 * e) - function(x - 2 * e)) / (4 * step)
+        columns.append((4 * near - far) / 3)
+    return np.stack(columns, axis=-1)
+
+
+def problem_of(virtual, rng, precision):
+    x = virtual.offsets(rng, 1e-3, 5e-3)
+    rows = replace(virtual.rows(rng, x, 12, 1e-3), sigma=rng.uniform(1e-4, 3e-4, 12))
+    centre = 1e-3 * rng.normal(size=27)
+    problem = Problem.first(virtual.kinematics, rows)
+    weights = rng.uniform(0, 1, 12)
+    return problem.reweighted(weights, 1.3 * rows.scales, precision, centre), x
+
+
+def test_system_is_weighted_residual_over_sigma_with_a_row_for_each_prior(virtual):
+    rng = np.random.default_rng(1)
+    precision = np.zeros(27)
+    precision[[2, 5]] = [4.0e6, 1.0e4]
+    problem, x = problem_of(virtual, rng, precision)
+    r, J = problem.system(x)
+    assert r.shape == (38,)
+    assert J.shape == (38, 27)
+    rows = problem.rows
+    measured_minus_predicted = rows.points - virtual.kinematics.points(x, rows.joints)
+    by_hand = measured_minus_predicted * (np.sqrt(problem.weights) / (1.3 * rows.sigma))[:, None]
+    np.testing.assert_allclose(r[:36], by_hand.T.ravel())
+    from_mean = x - problem.centre
+    np.testing.assert_allclose(r[36:], [-2e3 * from_mean[2], -1e2 * from_mean[5]])
+
+
+def test_jacobian_of_the_system_against_differences(virtual):
+    rng = np.random.default_rng(2)
+    problem, x = problem_of(virtual, rng, rng.uniform(0, 1e5, 27))
+    _, J = problem.system(x)
+    numeric = differences(lambda v: problem.system(v)[0], x, 1e-3)
+    scale = np.linalg.norm(J, axis=0)
+    assert np.max(np.abs(J - numeric) / scale) < 1e-7
+
+
+def test_jacobian_of_the_papers_error_against_differences(virtual):
+    rng = np.random.default_rng(3)
+    problem, _ = problem_of(virtual, rng, np.zeros(27))
+    unit = np.where(virtual.is_length, 1e3, 1.0)
+    nominal = np.array([p.nominal for p in virtual.kinematics.model.parameters])
+    X = nominal * unit + rng.normal(size=27) * np.where(virtual.is_length, 1.0, 1e-3)
+    e, J = problem.paper_system(nominal, unit, X)
+    numeric = differences(lambda v: problem.paper_system(nominal, unit, v)[0], X, 1e-3)
+    assert np.max(np.abs(J - numeric) / np.linalg.norm(J, axis=0)) < 1e-7
+    residual_mm = 1e3 * problem.residual(X / unit - nominal)
+    np.testing.assert_allclose(e, np.sum(residual_mm**2, axis=1))
+
+
+def test_reweighting_changes_nothing_but_the_weights(virtual):
+    rng = np.random.default_rng(4)
+    problem, x = problem_of(virtual, rng, np.zeros(27))
+    before, _ = problem.system(x)
+    other = problem.reweighted(np.ones(12), problem.scales, np.zeros(27), np.zeros(27))
+    np.testing.assert_allclose(other.residual(x), problem.residual(x))
+    np.testing.assert_array_equal(problem.system(x)[0], before)
+    assert not np.allclose(other.system(x)[0], before)
+
+
+def test_the_remembered_prediction_is_that_of_the_x_asked_for(virtual):
+    rng = np.random.default_rng(5)
+    problem, x = problem_of(virtual, rng, np.zeros(27))
+    first = problem.system(x)[0]
+    moved = problem.system(x + 1e-3)[0]
+    assert not np.allclose(first, moved)
+    np.testing.assert_array_equal(problem.system(x)[0], first)
+    # The caller may go on to change its own x.
+    y = x.copy()
+    problem.system(y)
+    y += 1e-3
+    np.testing.assert_array_equal(problem.system(y)[0], moved)
+
+
+def scene_problem(scene, table, distances=()):
+    """Robot, every frame and every target unknown."""
+    cell = Cell(estimate_frame=True)
+    rows, setup = rows_of(scene.robot, table, cell)
+    model = error_model(
+        scene.robot,
+        "dh+gain",
+        frame=setup.frame_unknowns,
+        target=setup.unknown_targets,
+        targets=setup.target_names,
+        rotation=setup.rotation,
+    )
+    kinematics = Kinematics(
+        scene.robot, model, scene.kinematics.T_frame_base, scene.kinematics.T_tip_target
+    )
+    return Problem.first(kinematics, rows, distances)
+
+
+def test_jacobian_of_a_mixed_system_with_known_distances_against_differences(make_scene, join):
+    scene = make_scene(6, frames=3, targets=2, reach=1.0)
+    table = join(
+        scene.points(5, 0), scene.poses(4, 1, 1), scene.distances(4, 2), scene.pairs(3, 0, 1)
+    )
+    known = (KnownDistance(0, 1, 1.2, 1e-4), KnownDistance(2, 0, 0.7, 5e-5))
+    problem = scene_problem(scene, table, known)
+    p = problem.size
+    rng = np.random.default_rng(7)
+    problem = problem.reweighted(
+        rng.uniform(0, 1, len(problem.rows)),
+        problem.rows.scales,
+        rng.uniform(0, 1e5, p),
+        1e-3 * rng.normal(size=p),
+    )
+    x = 3e-3 * rng.normal(size=p)
+    r, J = problem.system(x)
+    assert len(r) == problem.rows.count + p + 2
+    numeric = differences(lambda v: problem.system(v)[0], x, 1e-3)
+    assert np.max(np.abs(J - numeric) / np.linalg.norm(J, axis=0)) < 1e-7
+
+
+def test_a_known_distance_is_that_between_the_frames_origins_in_the_base(make_scene, join):
+    scene = make_scene(8, frames=2, reach=0.5)
+    table = join(scene.points(4, 0), scene.points(4, 1))
+    places = [np.linalg.inv(T)[:3, 3] for T in scene.kinematics.T_frame_base]
+    length = np.linalg.norm(places[0] - places[1])
+    problem = scene_problem(scene, table, (KnownDistance(0, 1, length + 2e-4, 1e-4),))
+    r, J = problem.constraints(np.zeros(problem.size))
+    assert r == pytest.approx([2.0])
+    # The robot and the target have no part in it.
+    model = problem.kinematics.model
+    assert not np.any(J[:, ~model.family("(frame)")])
+    numeric = differences(lambda v: problem.constraints(v)[0], np.zeros(problem.size), 1e-3)
+    np.testing.assert_allclose(-J * 1e-4, numeric * 1e-4, atol=1e-7)
+
+
+def test_without_known_distances_there_is_no_row_for_any(virtual):
+    problem, x = problem_of(virtual, np.random.default_rng(9), np.zeros(27))
+    r, J = problem.constraints(x)
+    assert r.shape == (0,)
+    assert J.shape == (0, 27)
+
+
+def test_a_row_that_holds_no_scalar_has_no_row_in_the_system(make_scene):
+    scene = make_scene(10)
+    problem = scene_problem(scene, scene.pairs(7))
+    r, J = problem.system(np.zeros(problem.size))
+    assert len(r) == len(J) == 7

@@ -1,0 +1,435 @@
+"""Targets, measurement frames, sockets, planes and anchors found without a guess, from a robot that is wrong.
+
+The nominal robot is 3 mm and 10 mrad a parameter off, frames lie anywhere within 4 m, targets 0.3 m from the tip.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.data.cell import Cell
+from calib.data.kinds import get
+from calib.errors import MeasurementError
+from calib.estimate.registration import (
+    _some,
+    _system,
+    best_fit,
+    frames_around,
+    linear_start,
+    pose_start,
+    register,
+    register_poses,
+)
+from calib.estimate.setup import rows_of
+from calib.model.error_model import frame_and_target_model
+from calib.model.parameters import frame_place
+from calib.robot.robot import Robot
+
+FREE = Cell(estimate_frame=True)
+PLANAR = Cell(estimate_frame=True, frame_directions=("x", "y", "rz"))
+
+#: What a robot that wrong leaves over, rms [m, rad]; a false start leaves ten times as much.
+LEFT = 0.02
+
+
+def registered(scene, table, cell):
+    rows, setup = rows_of(scene.robot, table, cell)
+    return register(scene.robot, setup, rows), rows, setup
+
+
+def rms(scene, found, rows):
+    residual = rows.residual(found.seen(scene.robot.poses(rows.joints), rows.samples))[rows.used]
+    return np.sqrt(np.mean(residual**2))
+
+
+def off(scene, found):
+    """The largest error of a target's place, and of a frame that is wholly found [m]."""
+    truth = scene.kinematics
+    errors = [
+        np.linalg.norm(found.T_tip_target[t, :3, 3] - truth.T_tip_target[int(name[1:]), :3, 3])
+        for t, name in enumerate(found.targets)
+    ]
+    turned = [0.0]
+    for f, name in enumerate(found.groups):
+        if len(found.unknown[f]) == 6:
+            D = np.linalg.inv(truth.T_frame_base[int(name)]) @ found.T_frame_base[f]
+            errors.append(np.linalg.norm(D[:3, 3]))
+            turned.append(Rotation.from_matrix(D[:3, :3]).magnitude())
+    if found.rotation:
+        for t, name in enumerate(found.targets):
+            R = truth.T_tip_target[int(name[1:]), :3, :3].T @ found.T_tip_target[t, :3, :3]
+            turned.append(Rotation.from_matrix(R).magnitude())
+    return max(errors), max(turned)
+
+
+def every(table, frames, targets, count):
+    return [table(count, f, t) for f in frames for t in targets]
+
+
+def flat(k):
+    """A frame that is turned about z and moved on the floor."""
+    rng = np.random.default_rng(k)
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi)).as_matrix()
+    T[:2, 3] = rng.uniform(-3, 3, 2)
+    return T
+
+
+POINTS_AND_POSES = {
+    "points": ({}, FREE, lambda s: [s.points(20)]),
+    "six points": ({}, FREE, lambda s: [s.points(8)]),
+    "three targets": ({"targets": 3}, FREE, lambda s: every(s.points, [0], range(3), 5)),
+    "four set-ups": ({"frames": 4}, FREE, lambda s: every(s.points, range(4), [0], 6)),
+    "targets and set-ups": (
+        {"frames": 3, "targets": 2},
+        FREE,
+        lambda s: every(s.points, range(3), range(2), 6),
+    ),
+    "nothing in common": (
+        {"frames": 3, "targets": 3},
+        FREE,
+        lambda s: [s.points(15, i, i) for i in range(3)],
+    ),
+    "known frame": ({"frames": [np.eye(4)]}, Cell(), lambda s: [s.points(6)]),
+    "floor": ({"frames": [flat(1)]}, PLANAR, lambda s: [s.points(12)]),
+    "another floor": ({"frames": [flat(5)]}, PLANAR, lambda s: [s.points(12)]),
+    "two floors": (
+        {"frames": [flat(2), flat(3)]},
+        PLANAR,
+        lambda s: every(s.points, range(2), [0], 12),
+    ),
+    "poses": ({}, FREE, lambda s: [s.poses(12)]),
+    "few poses": ({}, FREE, lambda s: [s.poses(5)]),
+    "poses, targets and set-ups": (
+        {"frames": 3, "targets": 2},
+        FREE,
+        lambda s: every(s.poses, range(3), range(2), 5),
+    ),
+    "poses in a known frame": ({"frames": [np.eye(4)]}, Cell(), lambda s: [s.poses(12)]),
+    "poses on a floor": ({"frames": [flat(4)]}, PLANAR, lambda s: [s.poses(12)]),
+    "poses and points": ({}, FREE, lambda s: [s.poses(12), s.points(12)]),
+}
+
+
+@pytest.mark.parametrize("case", POINTS_AND_POSES)
+def test_points_and_poses(make_scene, join, case):
+    options, cell, tables = POINTS_AND_POSES[case]
+    for seed in range(6):
+        scene = make_scene(seed, **options)
+        found, rows, _ = registered(scene, join(*tables(scene)), cell)
+        assert rms(scene, found, rows) < LEFT
+        length, angle = off(scene, found)
+        assert length < 0.08
+        assert angle < 0.08
+
+
+def within_reach(make_scene, seed, frames=3, targets=1, **options):
+    """Sockets and planes that the arm gets to, facing anywhere."""
+    rng = np.random.default_rng(seed)
+    places = np.tile(np.eye(4), (frames, 1, 1))
+    for T in places:
+        T[:3, :3] = Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()
+        T[:3, 3] = -T[:3, :3] @ (np.array([0.3, 0.0, 0.15]) + rng.uniform(-0.1, 0.1, 3))
+    return make_scene(seed, frames=list(places), targets=targets, **options)
+
+
+SCENES = {
+    "anchor": (1, 1, lambda s: [s.distances(30)]),
+    "three anchors": (3, 1, lambda s: every(s.distances, range(3), [0], 12)),
+    "anchor, two targets": (1, 2, lambda s: every(s.distances, [0], range(2), 20)),
+    "pairs": (1, 1, lambda s: [s.pairs(25)]),
+    "pairs of two targets": (1, 2, lambda s: every(s.pairs, [0], range(2), 20)),
+    "socket": (1, 1, lambda s: [s.fixed(15)]),
+    "sockets, two targets": (2, 2, lambda s: every(s.fixed, range(2), range(2), 6)),
+    "plane": (1, 1, lambda s: [s.plane(30)]),
+    "three planes": (3, 1, lambda s: every(s.plane, range(3), [0], 15)),
+    "all": (3, 1, lambda s: [s.plane(15, 0), s.distances(10, 1), s.fixed(10, 2)]),
+    "all beside points": (3, 1, lambda s: [s.plane(15, 0), s.points(10, 1), s.fixed(10, 2)]),
+}
+
+
+@pytest.mark.parametrize("case", SCENES)
+def test_anchors_pairs_sockets_and_planes(make_scene, join, case):
+    frames, targets, tables = SCENES[case]
+    for seed in range(4):
+        scene = within_reach(make_scene, seed, frames, targets)
+        found, rows, _ = registered(scene, join(*tables(scene)), FREE)
+        assert rms(scene, found, rows) < LEFT
+        assert off(scene, found)[0] < 0.12  # a target 0.3 m away, from lengths alone
+
+
+def test_three_planes_that_were_once_missed(make_scene, join):
+    """With a plane's directions taken in the base these ended 2 to 5 cm off: walls could not be moved."""
+    for seed in (3, 13, 14):
+        scene = within_reach(make_scene, seed)
+        table = join(*every(scene.plane, range(3), [0], 15))
+        found, rows, _ = registered(scene, table, Cell())
+        assert rms(scene, found, rows) < 0.012
+
+
+@pytest.mark.parametrize("case", ["points", "poses", "three anchors", "three planes", "pairs"])
+def test_the_right_robot_is_registered_exactly(make_scene, join, case):
+    right = {"length": 0.0, "angle": 0.0}
+    if case in POINTS_AND_POSES:
+        options, cell, tables = POINTS_AND_POSES[case]
+        scene = make_scene(9, **options, **right)
+    else:
+        frames, targets, tables = SCENES[case]
+        scene, cell = within_reach(make_scene, 9, frames, targets, **right), FREE
+    found, rows, _ = registered(scene, join(*tables(scene)), cell)
+    assert rms(scene, found, rows) < 1e-9
+    if case != "pairs":  # they are blind to where the frame stands
+        assert off(scene, found)[0] < 1e-7
+
+
+@pytest.mark.parametrize(("name", "tip"), [("panda", "panda_link8"), ("kinova", None)])
+def test_other_arms_too(make_scene, name, tip):
+    scene = make_scene(3, robot=Robot.load(name, tip=tip), model="placement", length=1e-3)
+    found, rows, _ = registered(scene, scene.points(25), FREE)
+    assert rms(scene, found, rows) < LEFT
+    assert off(scene, found)[0] < 0.05
+
+
+@pytest.mark.parametrize("case", ["points", "three targets"])
+def test_a_guess_that_is_wrong_does_no_harm(make_scene, join, case):
+    options, _, tables = POINTS_AND_POSES[case]
+    for seed in range(4):
+        scene = make_scene(seed, **options)
+        cell = Cell(estimate_frame=True, target=np.array([0.3, -0.3, 0.3]))
+        found, *_ = registered(scene, join(*tables(scene)), cell)
+        assert off(scene, found)[0] < 0.06
+
+
+def test_known_targets_leave_the_frame(make_scene):
+    scene = make_scene(4, length=0.0, angle=0.0)
+    place = scene.kinematics.T_tip_target[0, :3, 3]
+    cell = Cell(target=place, estimate_target=False, estimate_frame=True)
+    found, *_ = registered(scene, scene.points(6), cell)
+    np.testing.assert_allclose(found.T_frame_base, scene.kinematics.T_frame_base, atol=1e-9)
+    np.testing.assert_array_equal(found.T_tip_target[0, :3, 3], place)
+
+
+def test_what_is_known_stays_as_it_is(make_scene):
+    scene = make_scene(5)
+    T = scene.kinematics.T_frame_base[0]
+    cell = Cell(target=np.array([0.1, 0.0, 0.0]), estimate_target=False, T_frame_base=T)
+    found, _, setup = registered(scene, scene.points(3), cell)
+    assert found is setup
+    assert register_poses(np.tile(np.eye(4), (3, 1, 1)), setup, scene.points(3)) is setup
+
+
+def test_a_target_that_is_seen_in_every_second_row_of_a_long_table_is_found(make_scene, join):
+    """Rows for a start are taken from each view of a target, not at equal steps through the table."""
+    scene = make_scene(6, targets=2)
+    a, b = scene.points(300, 0, 0), scene.points(300, 0, 1)
+    both = join(a, b)
+    order = np.arange(600).reshape(2, 300).T.ravel()
+    table = type(both)(
+        both.joint_names,
+        both.joints[order],
+        both.points[order],
+        groups=("0",) * 600,
+        targets=tuple(both.targets[k] for k in order),
+    )
+    rows, _ = rows_of(scene.robot, table, FREE)
+    chosen = rows.select(_some(rows))
+    assert len(chosen) <= 200
+    assert np.bincount(chosen.samples.target).tolist() == [100, 100]
+    found, *_ = registered(scene, table, FREE)
+    assert off(scene, found)[0] < 0.05
+
+
+def test_of_pairs_both_rows_are_taken_or_none(make_scene, ur3):
+    scene = make_scene(7)
+    rows, _ = rows_of(ur3, scene.pairs(400), FREE)
+    chosen = rows.select(_some(rows))
+    assert len(chosen) == 400
+    assert np.sum(chosen.partner >= 0) == 200
+
+
+def test_noise_and_one_gross_row_leave_a_start_that_is_good_enough(make_scene):
+    scene = make_scene(8, length=0.0, angle=0.0, noise=1e-3)
+    table = scene.points(40)
+    points = table.points.copy()
+    points[7] += 0.05
+    found, *_ = registered(scene, type(table)(table.joint_names, table.joints, points), FREE)
+    place = scene.kinematics.T_tip_target[0, :3, 3]
+    assert np.linalg.norm(found.T_tip_target[0, :3, 3] - place) < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("cell", "count", "message"),
+    [
+        (FREE, 2, "2 rows give 6 numbers; 9 are needed.*measurement frame and the target alone"),
+        (
+            Cell(target=np.zeros(3), estimate_target=False, estimate_frame=True),
+            2,
+            "2 rows give 6 numbers; 6 are needed to find the measurement frame alone",
+        ),
+    ],
+)
+def test_too_few_rows_are_refused_with_the_numbers(make_scene, cell, count, message):
+    scene = make_scene(9)
+    with pytest.raises(MeasurementError, match=message):
+        registered(scene, scene.points(count), cell)
+
+
+@pytest.mark.parametrize(
+    ("poor", "message"),
+    [
+        (
+            lambda s: s.points(2, 1),
+            "set-up '1' has 2 rows with 6 numbers; its frame has 6 unknowns. Measure 3 poses",
+        ),
+        (lambda s: s.points(1, 1), "set-up '1' has 1 row with 3 numbers; its frame has 6"),
+        (lambda s: s.distances(2, 1), "set-up '1' has 2 rows with 2 numbers; its frame has 3"),
+        (lambda s: s.plane(2, 1), "set-up '1' has 2 rows with 2 numbers; its frame has 3"),
+    ],
+)
+def test_a_set_up_with_too_few_rows_is_named(make_scene, join, poor, message):
+    scene = within_reach(make_scene, 10, 2)
+    with pytest.raises(MeasurementError, match=message):
+        registered(scene, join(scene.points(20, 0), poor(scene)), FREE)
+
+
+def test_the_derivative_in_every_frame_and_target_against_differences(make_scene, join):
+    scene = make_scene(11, frames=3, targets=2, reach=1.0)
+    table = join(scene.poses(4, 0, 0), scene.points(4, 1, 1), scene.distances(4, 2, 0))
+    rows, setup = rows_of(scene.robot, table, FREE)
+    setup = setup.placed(scene.kinematics.T_frame_base, scene.kinematics.T_tip_target)
+    model = frame_and_target_model(
+        setup.frame_unknowns, setup.unknown_targets, known_targets=setup.targets, rotation=True
+    )
+    assert len(model) == setup.count == 6 + 6 + 3 + 12
+    assert frame_place("1") in model.places
+    T_base_tip = scene.robot.poses(rows.joints)
+    x = 0.1 * np.random.default_rng(12).normal(size=len(model))
+    _, J = _system(model, T_base_tip, rows, setup, x)
+    scale = 1e4  # of one over the smallest sigma
+    for k in range(len(model)):
+        e = 1e-3 * np.eye(len(model))[k]
+
+        def at(v):
+            return _system(model, T_base_tip, rows, setup, v)[0] / scale
+
+        numeric = (8 * (at(x + e) - at(x - e)) - (at(x + 2 * e) - at(x - 2 * e))) / 12e-3
+        np.testing.assert_allclose(J[:, k] / scale, numeric, atol=1e-7)
+
+
+def right(make_scene, seed, **options):
+    """A scene whose robot is the nominal one."""
+    return make_scene(seed, length=0.0, angle=0.0, **options)
+
+
+def started(scene, table, cell, start):
+    rows, setup = rows_of(scene.robot, table, cell)
+    found = start(setup, scene.robot.poses(rows.joints), rows)
+    return rows, setup, found
+
+
+def worst(scene, rows, setup, found):
+    return np.abs(
+        rows.residual(setup.placed(*found).seen(scene.robot.poses(rows.joints), rows.samples))[
+            rows.used
+        ]
+    ).max()
+
+
+def test_targets_and_translations_by_one_least_squares(make_scene, join):
+    turned = np.eye(4)
+    turned[:3, :3] = Rotation.from_rotvec([0.3, -0.4, 2.0]).as_matrix()
+    moved = turned.copy()
+    moved[:3, 3] = [3.0, -2.0, 1.0]
+    scene = right(make_scene, 0, frames=[np.eye(4), moved], targets=2)
+    table = join(scene.points(4, 0, 0), scene.points(3, 1, 1), scene.points(2, 1, 0))
+    cell = Cell(
+        estimate_frame=True,
+        frame_directions=("x", "y", "z"),
+        frames={"0": np.eye(4), "1": turned},
+    )
+    rows, setup, found = started(scene, table, cell, linear_start)
+    assert worst(scene, rows, setup, found) < 1e-12
+    np.testing.assert_allclose(found[0][1], moved, atol=1e-12)
+    np.testing.assert_allclose(found[1][:, :3, 3], scene.kinematics.T_tip_target[:, :3, 3])
+
+
+def test_a_target_that_is_known_stays_and_one_that_no_row_sees_too(make_scene):
+    scene = right(make_scene, 1, frames=[np.eye(4)], targets=2)
+    place = scene.kinematics.T_tip_target[0, :3, 3] + 0.01
+    cell = Cell(target=place, estimate_target=False)
+    *_, found = started(scene, scene.points(5), cell, linear_start)
+    np.testing.assert_array_equal(found[1][0, :3, 3], place)
+
+
+@pytest.mark.parametrize("what", ["turned", "lengths"])
+def test_what_is_not_linear_has_no_linear_start(make_scene, what):
+    scene = right(make_scene, 2)
+    table = scene.points(5) if what == "turned" else scene.distances(9)
+    assert started(scene, table, Cell(estimate_frame=True), linear_start)[2] is None
+
+
+def test_best_fit_is_a_rotation_even_for_mirrored_points():
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(10, 3))
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec([1.0, 2.0, -0.5]).as_matrix()
+    T[:3, 3] = [5.0, -3.0, 2.0]
+    np.testing.assert_allclose(best_fit(points, points @ T[:3, :3].T + T[:3, 3]), T, atol=1e-12)
+    mirrored = best_fit(points, points * [1.0, 1.0, -1.0])
+    assert np.linalg.det(mirrored[:3, :3]) == pytest.approx(1.0)
+
+
+def test_best_fit_of_points_in_a_plane_is_exact_too():
+    rng = np.random.default_rng(4)
+    points = rng.normal(size=(6, 3)) * [1.0, 1.0, 0.0]
+    R = Rotation.from_rotvec([0.2, 2.5, -1.0]).as_matrix()
+    np.testing.assert_allclose(best_fit(points, points @ R.T)[:3, :3], R, atol=1e-12)
+
+
+def test_the_anchor_is_where_the_distances_meet():
+    rng = np.random.default_rng(5)
+    points, anchor = rng.uniform(-0.5, 0.5, (8, 3)), np.array([3.0, -2.0, 1.0])
+    far = np.linalg.norm(points - anchor, axis=1, keepdims=True)
+    found = get("distance").locate(points, far, np.eye(4))
+    np.testing.assert_allclose(-found[:3, 3], anchor, atol=1e-10)
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0), (0.5, -0.6, 0.2)])
+def test_the_plane_frame_lies_in_the_plane_and_turns_as_little_as_it_can(normal):
+    rng = np.random.default_rng(6)
+    n = np.array(normal) / np.linalg.norm(normal)
+    along = np.linalg.svd(n[None])[2][1:]
+    points = rng.normal(size=(9, 2)) @ along + 0.7 * n
+    T = get("plane").locate(points, np.zeros((9, 0)), np.eye(4))
+    np.testing.assert_allclose((points @ T[:3, :3].T + T[:3, 3])[:, 2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
+    turned = Rotation.from_matrix(T[:3, :3]).magnitude()
+    # Of its two sides the one that the largest component points to.
+    n *= np.sign(n[np.argmax(np.abs(n))])
+    assert turned == pytest.approx(np.arccos(n[2]), abs=1e-7)
+
+
+def test_frames_around_known_targets(make_scene, join):
+    scene = right(make_scene, 7, frames=4, reach=0.15)
+    table = join(scene.points(4, 0), scene.distances(6, 1), scene.fixed(3, 2), scene.plane(6, 3))
+    rows, setup = rows_of(scene.robot, table, Cell(estimate_frame=True))
+    T = scene.robot.poses(rows.joints)
+    found = frames_around(setup, scene.kinematics.T_tip_target, T, rows)
+    assert worst(scene, rows, setup, (found, scene.kinematics.T_tip_target)) < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_poses_tell_both_rotations_and_all_places(make_scene, join, seed):
+    scene = right(make_scene, seed, frames=2, targets=2)
+    table = join(scene.poses(4, 0, 0), scene.poses(4, 1, 1), scene.poses(2, 1, 0))
+    rows, setup, found = started(scene, table, Cell(estimate_frame=True), pose_start)
+    assert worst(scene, rows, setup, found) < 1e-9
+
+
+def test_there_is_no_pose_start_without_orientations_of_all_rows(make_scene, join):
+    scene = right(make_scene, 8)
+    both = join(scene.poses(5), scene.points(5))
+    assert started(scene, both, Cell(estimate_frame=True), pose_start)[2] is None

@@ -1,0 +1,233 @@
+"""What each kind of row says of a pose: residuals by hand, derivatives against differences, pairs and instruments."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from math import factorial
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.data.cell import Cell
+from calib.data.kinds import _log_derivative, at as kind_at
+from calib.estimate.rows import NONE, Rows
+from calib.estimate.setup import rows_of
+from calib.model.error_model import DIRECTIONS, error_model
+from calib.model.kinematics import Kinematics, Samples
+
+#: Numbers of kinds in the registry.
+DISTANCE, FIXED, PAIR, PLANE, POINT, POSE = 2, 4, 3, 5, 0, 1
+
+
+def some_rows(rng, kinds, partner=None) -> Rows:
+    n = len(kinds)
+    return Rows(
+        samples=Samples.at(rng.uniform(-3, 3, (n, 6))),
+        kinds=np.array(kinds),
+        measured=_measured(rng, kinds),
+        partner=np.full(n, -1) if partner is None else np.array(partner),
+        sigma=rng.uniform(1e-4, 2e-4, n),
+        sigma_angle=rng.uniform(1e-3, 2e-3, n),
+        poses=np.arange(n),
+        blocks=np.arange(n),
+    )
+
+
+def _measured(rng, kinds):
+    turned = Rotation.random(len(kinds), random_state=int(rng.integers(2**31))).as_matrix()
+    measured = np.hstack([rng.uniform(1, 2, (len(kinds), 3)), turned.reshape(-1, 9)])
+    sizes = np.array([0 if k == NONE else kind_at(k).size for k in kinds])
+    return np.where(np.arange(12) < sizes[:, None], measured, 0.0)
+
+
+def some_poses(rng, n):
+    T = np.tile(np.eye(4), (n, 1, 1))
+    T[:, :3, :3] = Rotation.random(n, random_state=int(rng.integers(2**31))).as_matrix()
+    T[:, :3, 3] = rng.uniform(-1, 1, (n, 3))
+    return T
+
+
+ALL = [POINT, POSE, DISTANCE, PAIR, FIXED, PLANE, NONE]
+
+
+def test_residuals_by_hand():
+    rng = np.random.default_rng(0)
+    rows = some_rows(rng, ALL, [-1, -1, -1, 6, -1, -1, -1])
+    T = some_poses(rng, 7)
+    p, r = T[:, :3, 3], rows.residual(T)
+    assert r.shape == (7, 6)
+    np.testing.assert_allclose(r[0], [*(rows.points[0] - p[0]), 0, 0, 0])
+    np.testing.assert_allclose(r[1, :3], rows.points[1] - p[1])
+    # The rotation that carries what was predicted to what was measured, along the frame's axes.
+    carried = Rotation.from_rotvec(r[1, 3:]).as_matrix() @ T[1, :3, :3]
+    np.testing.assert_allclose(carried, rows.measured[1, 3:].reshape(3, 3), atol=1e-12)
+    np.testing.assert_allclose(r[2], [rows.measured[2, 0] - np.linalg.norm(p[2]), 0, 0, 0, 0, 0])
+    between = np.linalg.norm(p[3] - p[6])
+    np.testing.assert_allclose(r[3], [rows.measured[3, 0] - between, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(r[5], [-p[5, 2], 0, 0, 0, 0, 0])
+    np.testing.assert_array_equal(r[6], 0.0)
+    fixed = some_rows(rng, [FIXED])
+    np.testing.assert_allclose(fixed.residual(T[:1]), -p[:1])
+
+
+def _fields(rows):
+    return {f.name: getattr(rows, f.name) for f in fields(rows) if f.init}
+
+
+@pytest.mark.parametrize(
+    ("kinds", "width", "count"),
+    [
+        ([POINT] * 3, 3, 9),
+        ([POSE] * 2, 6, 12),
+        ([DISTANCE] * 2, 1, 2),
+        ([PLANE, DISTANCE], 1, 2),
+        ([FIXED, DISTANCE], 3, 4),
+        (ALL, 6, 3 + 6 + 1 + 1 + 3 + 1),
+    ],
+)
+def test_a_residual_is_as_wide_as_the_widest_kind(kinds, width, count):
+    rows = some_rows(np.random.default_rng(1), kinds)
+    assert rows.width == width
+    assert rows.count == count == rows.used.sum()
+    assert rows.used.shape == rows.scales.shape == (len(kinds), width)
+
+
+def test_scales_are_the_lengths_and_the_angles_standard_deviation():
+    rows = some_rows(np.random.default_rng(2), ALL)
+    np.testing.assert_array_equal(rows.scales[:, :3], np.repeat(rows.sigma[:, None], 3, 1))
+    np.testing.assert_array_equal(rows.scales[:, 3:], np.repeat(rows.sigma_angle[:, None], 3, 1))
+
+
+def test_each_kind_has_an_instrument_and_orientations_have_their_own():
+    rows = some_rows(np.random.default_rng(3), [DISTANCE, POSE, NONE, POINT, POSE])
+    index, angle = rows.instruments
+    np.testing.assert_array_equal(
+        index,
+        [
+            [2, -1, -1, -1, -1, -1],
+            [1, 1, 1, 3, 3, 3],
+            [-1] * 6,
+            [0, 0, 0, -1, -1, -1],
+            [1, 1, 1, 3, 3, 3],
+        ],
+    )
+    np.testing.assert_array_equal(angle, [False, False, False, True])
+    # What is left out does not keep its number.
+    index, angle = rows.select(np.array([True, False, True, False, False])).instruments
+    np.testing.assert_array_equal(index, [[0], [-1]])
+    np.testing.assert_array_equal(angle, [False])
+
+
+def test_both_rows_of_a_pair_find_each_other_among_some_of_the_rows():
+    rng = np.random.default_rng(4)
+    rows = some_rows(rng, [PAIR, POINT, PAIR, NONE, NONE], [4, -1, 3, -1, -1])
+    T = some_poses(rng, 5)
+    mask = np.array([True, False, False, False, True])
+    few = rows.select(mask)
+    np.testing.assert_array_equal(few.partner, [1, -1])
+    assert few.residual(T[mask])[0, 0] == rows.residual(T)[0, 0]
+    alone = rows.select(np.array([True, True, True, False, False]))
+    np.testing.assert_array_equal(alone.partner, [-1, -1, -1])
+
+
+MAKERS = {
+    "point": lambda s: s.points(6),
+    "pose": lambda s: s.poses(6),
+    "distance": lambda s: s.distances(6),
+    "pair": lambda s: s.pairs(6),
+    "fixed": lambda s: s.points(6),
+    "plane": lambda s: s.points(6),
+    "mixed": None,
+}
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+def test_derivatives_against_differences(make_scene, join, kind):
+    """Robot, every frame and every target unknown, far from where the rows were measured."""
+    scene = make_scene(5, frames=3, targets=2, reach=1.0)
+    if kind == "mixed":
+        table = join(
+            scene.points(4, 0),
+            scene.poses(4, 1, 1),
+            scene.distances(4, 2),
+            scene.pairs(4, 0, 1),
+            scene.distances(3, 1),
+        )
+    else:
+        table = MAKERS[kind](scene)
+    rows, setup = rows_of(scene.robot, table, Cell())
+    kinds = rows.kinds.copy()
+    if kind in (
+        "fixed",
+        "plane",
+    ):  # far from the socket and from the plane: the residual need not be small
+        kinds[:] = {"fixed": FIXED, "plane": PLANE}[kind]
+    if kind == "mixed":
+        kinds[-2:] = FIXED, PLANE
+    rows = Rows(**{**_fields(rows), "kinds": kinds})
+    model = error_model(
+        scene.robot,
+        "placement+gain",
+        frame=dict.fromkeys(setup.groups, DIRECTIONS),
+        target=setup.targets,
+        targets=setup.targets,
+        rotation=True,
+    )
+    frames = scene.kinematics.T_frame_base[[int(g) for g in setup.groups]]
+    targets = scene.kinematics.T_tip_target[[int(t[1:]) for t in setup.targets]]
+    kinematics = Kinematics(scene.robot, model, frames, targets)
+    x = 5e-3 * np.random.default_rng(6).normal(size=len(model))
+    poses, twists = kinematics.twists(x, rows.samples)
+    derivative = rows.derivative(poses, twists)
+    assert derivative.shape == (len(rows), rows.width, len(model))
+
+    def at(v):
+        return rows.residual(kinematics.poses(v, rows.samples))
+
+    for k in range(len(model)):
+        e = np.zeros(len(model))
+        e[k] = 1e-3
+        near, far = (at(x + e) - at(x - e)) / 2e-3, (at(x + 2 * e) - at(x - 2 * e)) / 4e-3
+        np.testing.assert_allclose(-derivative[:, :, k], (4 * near - far) / 3, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "angle", [0.0, 1e-12, 1e-6, 0.9e-4, 1.1e-4, 0.1, 1.0, 3.0, np.pi - 1e-3, np.pi - 1e-7, np.pi]
+)
+def test_the_derivative_of_the_logarithm_against_its_inverse_series(angle):
+    """d exp(r) by its power series, sum (-1)^k [r]x^k / (k + 1)!, inverted; log has no limit but its own at pi."""
+    turned = Rotation.from_rotvec(angle * np.array([[0.48, -0.6, 0.64]]))
+    x, y, z = turned.as_rotvec()[0]
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    series = sum(
+        (-1.0) ** k * np.linalg.matrix_power(cross, k) / factorial(k + 1) for k in range(40)
+    )
+    np.testing.assert_allclose(_log_derivative(turned)[0], np.linalg.inv(series), atol=1e-7)
+
+
+@pytest.mark.parametrize("angle", [1e-9, 1e-3, 1.0, 3.0, 3.1])
+def test_the_derivative_of_an_orientation_against_differences(angle):
+    rng = np.random.default_rng(7)
+    T = some_poses(rng, 1)
+    rows = some_rows(rng, [POSE])
+    off = Rotation.from_rotvec(angle * np.array([0.6, 0.0, -0.8])).as_matrix()
+    seen = np.hstack([np.zeros((1, 3)), (off @ T[0, :3, :3]).reshape(1, 9)])
+    rows = Rows(**{**_fields(rows), "measured": seen})
+    derivative = rows.derivative(T, np.eye(6)[None])[0, 3:, 3:]
+
+    def at(w):
+        moved = T.copy()
+        moved[0, :3, :3] = Rotation.from_rotvec(w).as_matrix() @ T[0, :3, :3]
+        return rows.residual(moved)[0, 3:]
+
+    for k in range(3):
+        e = 1e-3 * np.eye(3)[k]
+        numeric = (8 * (at(e) - at(-e)) - (at(2 * e) - at(-2 * e))) / 12e-3
+        np.testing.assert_allclose(-derivative[:, k], numeric, atol=1e-7)
+
+
+def test_a_target_on_its_anchor_has_a_finite_derivative():
+    rows = some_rows(np.random.default_rng(8), [DISTANCE])
+    T = np.eye(4)[None]
+    assert np.all(np.isfinite(rows.derivative(T, np.ones((1, 6, 2)))))

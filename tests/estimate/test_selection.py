@@ -1,0 +1,197 @@
+"""auto: the model that made the data is the one that is chosen, and nothing larger."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell, Priors
+from calib.data.measurements import Measurements
+from calib.errors import ModelError
+from calib.estimate.fitting import Task
+from calib.estimate.selection import LADDER, Candidate, Selection, select
+from calib.estimate.setup import rows_of
+from calib.example import paper_urdf
+from calib.result.calibrate import _validated, calibrate
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot
+
+
+def scene_of(make_scene: Callable[..., Any], seed: int, model: str, **given: Any) -> Any:
+    usual = {"frames": [np.eye(4)], "length": 3e-4, "angle": 3e-3, "noise": 3e-5}
+    return make_scene(seed, model=model, **(usual | given))
+
+
+def chosen(scene: Any, count: int = 80, cell: Cell | None = None) -> Selection:
+    cell = Cell() if cell is None else cell
+    rows, setup = rows_of(scene.robot, scene.points(count), cell)
+    return select(Task(scene.robot, cell, setup, "auto"), rows)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("truth", "given", "geometry", "larger"),
+    [
+        ("dh", {"length": 0.0, "angle": 0.0}, "frames", ""),
+        ("zeros", {}, "zeros", ""),
+        ("dh", {}, "dh", ""),
+        ("dh+compliance", {"other": {"compliance": 1e-4}}, "dh", "dh+compliance"),
+        ("zeros+gain", {"other": {"gain": 4e-3}}, "zeros", "zeros+gain"),
+    ],
+)
+def test_the_model_that_made_the_data_is_chosen(make_scene, truth, given, geometry, larger, seed):
+    found = chosen(scene_of(make_scene, 100 + seed, truth, **given))
+    if larger and found.geometry != geometry:
+        # Errors of the joints' state may look like a larger geometry; they are found all the same.
+        assert LADDER.index(found.geometry) > LADDER.index(geometry)
+        assert found.larger.removeprefix(found.geometry) == larger.removeprefix(geometry)
+    else:
+        assert (found.geometry, found.larger) == (geometry, larger)
+
+
+def test_tilts_that_no_dh_table_has_need_the_placements(make_scene):
+    """Axes 2 to 4 of a UR3 are parallel and stay so in its table; the base is known, so its tilt shows too."""
+    assert chosen(scene_of(make_scene, 110, "placement")).geometry == "placement"
+
+
+def test_the_ladder_names_what_it_tried_and_marks_what_it_chose(make_scene):
+    found = chosen(scene_of(make_scene, 111, "dh+eccentricity", other={"eccentricity": 1e-3}))
+    names = [c.name for c in found.candidates]
+    assert names[:5] == list(LADDER)
+    assert len(set(names)) == len(names)
+    marks = {c.chosen: c.name for c in found.candidates if c.chosen}
+    assert marks == {"geometry": found.geometry, "larger": found.larger}
+    assert found.larger.endswith("+eccentricity")
+    for one in found.candidates:
+        assert np.isfinite(one.log_likelihood)
+        assert one.cross_validation.errors.n == 80
+        assert one.parameters >= 3
+
+
+def test_a_step_up_needs_likelihood_and_left_out_rows(make_scene):
+    found = chosen(scene_of(make_scene, 112, "dh"))
+    by_name: dict[str, Candidate] = {c.name: c for c in found.candidates}
+    assert by_name["dh"].log_likelihood > by_name["zeros"].log_likelihood + 100
+    for name in ("hayati", "placement", "dh+gain", "dh+eccentricity", "dh+compliance"):
+        assert by_name[name].log_likelihood < by_name["dh"].log_likelihood + 5
+
+
+def test_a_larger_geometry_that_bending_hid_is_found_with_it(make_scene):
+    """What the joints' compliance leaves over covers the tilts of parallel axes."""
+    scene = scene_of(
+        make_scene, 113, "placement+compliance", angle=1e-3, other={"compliance": 2e-3}
+    )
+    found = chosen(scene, 50)
+    assert found.geometry != "placement"
+    assert found.larger == "placement+compliance"
+    errors = {c.name: c.cross_validation.errors.rms for c in found.candidates}
+    assert errors[found.larger] < 0.2 * errors[f"{found.geometry}+compliance"]
+
+
+def test_without_load_there_is_no_compliance_to_find(make_scene):
+    scene = scene_of(make_scene, 113, "dh")
+    weightless = chosen(scene, cell=Cell(gravity=np.zeros(3)))
+    assert not any("compliance" in c.name for c in weightless.candidates)
+    assert any("compliance" in c.name for c in chosen(scene).candidates)
+
+
+def test_hayati_without_parallel_axes_is_not_tried_twice(serial_urdf):
+    joints = [
+        ("revolute", (0.0, 0.0, 0.2), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+        ("revolute", (0.1, 0.0, 0.1), (1.5, 0.1, 0.0), (0.0, 0.0, 1.0)),
+        ("revolute", (0.3, 0.05, 0.0), (1.4, 0.3, 0.2), (0.0, 0.0, 1.0)),
+    ]
+    robot = Robot.from_urdf(serial_urdf(joints), "l0", "tip")
+    q = random_joint_values(robot, 60, 1)
+    T = robot.poses(q)
+    points = T[:, :3, 3] + 1e-4 * np.random.default_rng(1).normal(size=(60, 3))
+    rows, setup = rows_of(robot, Measurements(robot.joint_names, q, points), Cell())
+    found = select(Task(robot, Cell(), setup, "auto"), rows)
+    assert "hayati" not in [c.name for c in found.candidates]
+
+
+def test_frames_alone_are_no_model_where_frame_and_target_are_known(make_scene):
+    scene = scene_of(make_scene, 114, "zeros")
+    target = scene.kinematics.T_tip_target[0, :3, 3]
+    found = chosen(scene, cell=Cell(target=target, estimate_target=False))
+    assert "frames" not in [c.name for c in found.candidates]
+    assert found.geometry == "zeros"
+
+
+def test_without_priors_left_out_rows_decide_among_what_rows_are_enough_for(make_scene):
+    scene = scene_of(make_scene, 3, "dh")
+    cell = Cell(priors=Priors("off"))
+    few = [c.name for c in chosen(scene, 12, cell).candidates]
+    assert few[:3] == ["frames", "zeros", "dh"]
+    assert "placement" not in few  # 39 parameters for 36 numbers
+    enough = chosen(scene, 60, cell)
+    assert (enough.geometry, enough.larger) == ("dh", "")
+
+
+def test_names_that_no_model_has_are_refused(make_scene):
+    scene = scene_of(make_scene, 115, "dh")
+    cell = Cell(frozen=("a99",), ties={"a2": ("nothing", 1.0)}, parameter_priors={"x": 1.0})
+    with pytest.raises(ModelError, match="No model has the parameters 'a99', 'nothing', 'x'"):
+        chosen(scene, cell=cell)
+
+
+def test_names_of_single_models_are_accepted(make_scene):
+    scene = scene_of(make_scene, 116, "dh")
+    cell = Cell(
+        frozen=("d2", "elbow_joint.sin"),
+        bounds={"shoulder_pan_joint.zero": (-0.1, 0.1), "beta2": (-0.1, 0.1)},
+        parameter_priors={"wrist_1_joint.rx": 1e-3},
+    )
+    found = chosen(scene, cell=cell)
+    assert found.geometry == "dh"
+    assert {c.name: c.parameters for c in found.candidates}["dh"] == 26
+
+
+def test_a_larger_model_that_predicts_worse_when_refitted_is_dropped(calibrated):
+    """The ladder's cross-validation is a linear one; the refitted one has the last word."""
+    scene, c = calibrated("points")
+    # Priors that insist on errors of the encoders let them follow the noise.
+    cell = Cell(priors=Priors("given", eccentricity=1e-2), model="dh+eccentricity")
+    asked = calibrate(scene.robot, c.measurements, cell=cell, validate=False)
+    assert asked.larger is not None
+    marked = tuple(
+        replace(one, chosen="larger") if one.name == "dh+eccentricity" else one
+        for one in c.candidates
+    )
+    every, _ = rows_of(scene.robot, c.measurements, cell)
+    rows = every.select(c.measurements.estimation)
+    dropped = _validated(replace(asked, candidates=marked), rows, "", None)
+    assert dropped.larger is None
+    assert [(one.name, one.chosen) for one in dropped.candidates if one.chosen] == [
+        ("dh", "geometry")
+    ]
+    # A model that was asked for by name stays.
+    named = _validated(asked, rows, "", None)
+    assert named.larger is not None
+    one, other = named.larger.cross_validation, named.cross_validation
+    assert one.errors_without_outliers.rms > other.errors_without_outliers.rms
+
+
+def test_held_joints_leave_less_to_choose(make_scene):
+    robot = Robot.load(paper_urdf(), base="base", tip="tool0", held={"wrist_3_joint": 0.2})
+    found = chosen(scene_of(make_scene, 117, "zeros", robot=robot))
+    assert (found.geometry, found.larger) == ("zeros", "")
+
+
+@pytest.mark.parametrize("sigma", [None, 1e-5, 1e-3])
+def test_repeats_count_the_same_in_every_candidate_whatever_sigma_is_given(make_scene, sigma):
+    """What a small model lacks is shared by repeats: with weights of its own it would answer for fewer numbers."""
+    scene = scene_of(make_scene, 117, "dh", noise=3e-4)
+    q = np.repeat(random_joint_values(scene.robot, 30, 5), 5, axis=0)
+    seen = scene.kinematics.points(scene.x, scene.samples(len(q), q=q))
+    table = Measurements(
+        scene.robot.joint_names, q, seen + scene.noise * scene.rng.normal(size=seen.shape)
+    )
+    cell = Cell(sigma=sigma)
+    rows, setup = rows_of(scene.robot, table, cell)
+    found = select(Task(scene.robot, cell, setup, "auto"), rows)
+    assert found.geometry == "dh"

@@ -1,0 +1,353 @@
+"""What a cell and a table say of frames and targets, and in which directions they are unknown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.data.cell import Cell, GroupDistance
+from calib.data.measurements import Measurements
+from calib.errors import MeasurementError, ModelError
+from calib.estimate.rows import NONE
+from calib.estimate.setup import (
+    FIRST_SIGMA,
+    FIRST_SIGMA_ANGLE,
+    KnownDistance,
+    _joined,
+    along_own_axes,
+    joined_setups,
+    known_distances,
+    rows_of,
+)
+from calib.model.error_model import frame_and_target_model
+from calib.model.kinematics import Kinematics
+from calib.model.parameters import ErrorModel
+from calib.robot.robot import Robot
+from calib.robot.torques import Payload, gravity_load
+
+ALL = ("x", "y", "z", "rx", "ry", "rz")
+UR3 = Robot.load("ur3", base="base", tip="tool0")
+
+
+def setup_of(table, cell):
+    return rows_of(UR3, table, cell)[1]
+
+
+@pytest.fixture(scope="module")
+def scene(make_scene):
+    return make_scene(0, frames=3, targets=2, reach=1.0)
+
+
+def as_kind(table, kind, **columns):
+    """The same rows as another kind: where they lie does not matter here."""
+    return replace(table, kinds=(kind,) * len(table), **columns)
+
+
+def test_measurements_in_the_base_leave_the_target_alone_unknown(scene):
+    setup = setup_of(scene.points(5), Cell())
+    assert setup.unknown == ((),)
+    assert setup.frame_unknowns == {"": ()}
+    assert setup.target_names == setup.unknown_targets == ("",)
+    assert setup.estimate_target
+    assert setup.count == 3
+    assert setup.frame_given.tolist() == [True]
+    assert setup.target_given.tolist() == [False]
+    assert setup_of(scene.points(5), Cell(estimate_frame=True)).count == 9
+    assert setup_of(scene.poses(5), Cell(estimate_frame=True)).count == 12
+
+
+@pytest.mark.parametrize(
+    ("kind", "unknown"),
+    [
+        ("distance", ("x", "y", "z")),
+        ("fixed", ("x", "y", "z")),
+        ("plane", ("z", "rx", "ry")),
+        ("pair", ()),
+        ("point", ()),
+    ],
+)
+@pytest.mark.parametrize("estimate_frame", [False, True])
+def test_sockets_planes_and_anchors_are_unknown_whatever_is_said_of_the_frame(
+    scene, kind, unknown, estimate_frame
+):
+    columns = {}
+    if kind in ("distance", "pair"):
+        columns["distances"] = np.ones(4)
+    if kind == "pair":
+        columns["pairs"] = ("a", "a", "b", "b")
+    setup = setup_of(as_kind(scene.points(4), kind, **columns), Cell(estimate_frame=estimate_frame))
+    if kind == "point" and estimate_frame:
+        unknown = ALL
+    assert setup.unknown == (unknown,)
+    assert setup.own_axes.tolist() == [kind == "plane"]
+
+
+def test_a_socket_is_unknown_beside_pairs_in_its_group(scene, join):
+    """Pairs say nothing of a frame, so they do not make a group one that is measured in."""
+    setup = setup_of(join(as_kind(scene.points(6), "fixed"), scene.pairs(3)), Cell())
+    assert setup.unknown == (("x", "y", "z"),)
+
+
+def test_each_group_has_the_unknowns_of_its_kinds(scene, join):
+    table = join(scene.points(4, 0), as_kind(scene.points(4, 1), "plane"), scene.distances(4, 2))
+    setup = setup_of(table, Cell(estimate_frame=True, frame_directions=("x", "rz")))
+    assert setup.groups == ("0", "1", "2")
+    assert setup.frame_unknowns == {
+        "0": ("x", "rz"),
+        "1": ("z", "rx", "ry"),
+        "2": ("x", "y", "z"),
+    }
+    assert setup.count == 3 + 2 + 3 + 3
+
+
+def test_what_is_given_by_name_wins(scene, join):
+    table = join(scene.points(3, 0, 0), scene.points(3, 1, 1))
+    T, other = np.eye(4), np.eye(4)
+    T[0, 3], other[1, 3] = 1.0, 2.0
+    cell = Cell(T_frame_base=T, frames={"1": other}, target=np.ones(3), targets={"t0": np.zeros(3)})
+    setup = setup_of(table, cell)
+    np.testing.assert_array_equal(setup.T_frame_base, [T, other])
+    np.testing.assert_array_equal(setup.T_tip_target[:, :3, 3], [np.zeros(3), np.ones(3)])
+    assert setup.target_given.all()
+    assert setup.target_names == setup.unknown_targets == ("t0", "t1")
+
+
+def test_a_socket_whose_frame_is_given_is_known(scene):
+    table = as_kind(scene.points(4), "fixed")
+    setup = setup_of(table, Cell(frames={"0": np.eye(4)}))
+    assert setup.unknown == ((),)
+    assert setup.frame_given.tolist() == [True]
+
+
+def test_known_frames_and_targets_lose_their_unknowns(scene, join):
+    table = join(scene.points(3, 0, 0), scene.points(3, 1, 1))
+    setup = setup_of(table, Cell(estimate_frame=True))
+    known = setup.as_known(np.array([True, False]), np.array([False, True]))
+    assert known.unknown == ((), ALL)
+    assert known.unknown_targets == ("t0",)
+    assert known.count == 9
+
+
+@pytest.mark.parametrize(
+    ("cell", "message"),
+    [
+        (Cell(frames={"9": np.eye(4)}), "frames for '9'; the table's column 'group' has '0'"),
+        (Cell(targets={"ball": np.zeros(3)}), "targets for 'ball'.*column 'target' has 't0'"),
+        (
+            Cell(distances=(GroupDistance("0", "left", 1.0, 1e-5),)),
+            "distances between 'left'; the table's column 'group' has '0'",
+        ),
+    ],
+)
+def test_names_that_the_table_lacks_are_refused(scene, cell, message):
+    with pytest.raises(ModelError, match=message):
+        setup_of(scene.points(3), cell)
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_planes_directions_move_it_wherever_it_faces(scene, axis):
+    """Height and two tilts, of one metre and one radian a unit: no direction of a wall is lost."""
+    quarter = {"x": ("y", -90), "y": ("x", 90), "z": ("z", 0)}[axis]
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler(*quarter, degrees=True).as_matrix()
+    setup = setup_of(as_kind(scene.points(4), "plane"), Cell())
+    setup = setup.placed(T[None], setup.T_tip_target)
+    plain = frame_and_target_model(
+        setup.frame_unknowns, (), known_targets=setup.target_names, rotation=False
+    )
+    model = along_own_axes(plain, setup)
+    assert model.names == plain.names == ("frame_z", "frame_rx", "frame_ry")
+    names = tuple(joint.name for joint in scene.robot.joints)
+    places = (model.places[0], *names, *model.places[1:])
+    whole = ErrorModel("frames", places, model.parameters)
+    kinematics = Kinematics(scene.robot, whole, T, np.eye(4))
+    poses, twists = kinematics.twists(np.zeros(3), scene.samples(5))
+    x, y, z = poses[:, :3, 3].T
+    np.testing.assert_allclose(twists[:, 2, 0], 1.0, atol=1e-12)
+    np.testing.assert_allclose(twists[:, 2, 1], y, atol=1e-12)
+    np.testing.assert_allclose(twists[:, 2, 2], -x, atol=1e-12)
+    assert np.ptp(z) > 0.01
+
+
+def test_other_frames_keep_the_bases_axes(scene):
+    setup = setup_of(scene.points(4), Cell(estimate_frame=True))
+    model = frame_and_target_model(setup.frame_unknowns, ("",))
+    assert along_own_axes(model, setup) is model
+
+
+#: Numbers of kinds in the registry.
+DISTANCE, FIXED, PAIR, PLANE, POINT, POSE = 2, 4, 3, 5, 0, 1
+
+
+@pytest.fixture(scope="module")
+def seen(make_scene):
+    return make_scene(1, frames=4, targets=2, reach=1.0)
+
+
+def kind_of(table, kind):
+    return replace(table, kinds=(kind,) * len(table))
+
+
+def test_every_kind_has_its_number_and_nothing_is_nan(seen, join, ur3):
+    table = join(
+        seen.points(2),
+        seen.poses(2, 1, 1),
+        seen.distances(2, 2),
+        seen.pairs(1, 0, 1),
+        kind_of(seen.points(1, 3), "fixed"),
+        kind_of(seen.points(1, 1), "plane"),
+    )
+    rows, setup = rows_of(ur3, table, Cell())
+    np.testing.assert_array_equal(
+        rows.kinds, [POINT, POINT, POSE, POSE, DISTANCE, DISTANCE, PAIR, NONE, FIXED, PLANE]
+    )
+    for values in (rows.points, rows.measured, rows.scales):
+        assert np.all(np.isfinite(values))
+    np.testing.assert_array_equal(rows.points[:4], table.points[:4])
+    np.testing.assert_array_equal(rows.points[4:], 0.0)
+    np.testing.assert_array_equal(rows.measured[2:4, 3:], table.rotations[2:4].reshape(2, 9))
+    np.testing.assert_array_equal(rows.measured[4:7, 0], table.distances[4:7])
+    np.testing.assert_array_equal(rows.measured[7:], 0.0)
+    np.testing.assert_array_equal(rows.samples.frame, [0, 0, 1, 1, 2, 2, 0, 0, 3, 1])
+    np.testing.assert_array_equal(rows.samples.target, [0, 0, 1, 1, 0, 0, 1, 1, 0, 0])
+    assert setup.rotation
+
+
+def test_columns_stand_in_the_robots_order(seen, ur3):
+    table = seen.points(3)
+    order = [3, 0, 5, 1, 2, 4]
+    names = tuple(table.joint_names[k] for k in order)
+    turned = Measurements(names, table.joints[:, order], table.points)
+    rows, _ = rows_of(ur3, turned, Cell())
+    np.testing.assert_array_equal(rows.joints, table.joints)
+
+
+def test_the_first_row_of_a_pair_carries_the_distance(seen, ur3):
+    table = seen.pairs(3)
+    order = np.array([0, 2, 5, 4, 1, 3])
+    mixed = Measurements(
+        table.joint_names,
+        table.joints[order],
+        table.points[order],
+        kinds=("pair",) * 6,
+        pairs=tuple(table.pairs[k] for k in order),
+        distances=table.distances[order],
+    )
+    rows, _ = rows_of(ur3, mixed, Cell())
+    np.testing.assert_array_equal(rows.kinds, [PAIR, PAIR, PAIR, NONE, NONE, NONE])
+    np.testing.assert_array_equal(rows.partner, [4, 5, 3, -1, -1, -1])
+    np.testing.assert_array_equal(rows.measured[:3, 0], table.distances[[0, 2, 4]])
+    # Both rows of a pair are left out together.
+    np.testing.assert_array_equal(rows.blocks, [0, 1, 2, 2, 0, 1])
+
+
+def test_a_pair_that_lost_its_other_row_is_named(seen, ur3):
+    table = seen.pairs(2).select(np.array([True, True, False, True]))
+    with pytest.raises(MeasurementError, match="row 4: the pair '00p1' has one row only"):
+        rows_of(ur3, table, Cell())
+
+
+def test_repeats_share_pose_frame_target_and_kind(seen, join, ur3):
+    once = seen.points(2)
+    q = np.repeat(once.joints, 2, axis=0) + 1e-5
+
+    def at(table, joints):
+        return replace(table, joints=joints[: len(table)])
+
+    table = join(
+        once,
+        at(seen.points(2), q[::2]),  # repeats of both
+        at(seen.points(2, 1), q[::2]),  # another frame
+        at(seen.points(2, 0, 1), q[::2]),  # another target
+        at(seen.distances(2), q[::2]),  # another instrument
+    )
+    rows, _ = rows_of(ur3, table, Cell())
+    assert rows.poses[0] == rows.poses[2]
+    assert rows.poses[1] == rows.poses[3]
+    assert len(set(rows.poses.tolist())) == 8
+    # However it was measured, a pose is left out as a whole.
+    np.testing.assert_array_equal(rows.blocks, np.tile([0, 1], 5))
+
+
+def test_pairs_are_repeats_where_both_poses_are(seen, ur3):
+    table = seen.pairs(3)
+    q = table.joints.copy()
+    q[2] = q[0]  # the second pair shares one pose with the first
+    q[4:6] = q[0:2]  # the third repeats it
+    rows, _ = rows_of(ur3, replace(table, joints=q), Cell())
+    first, second, third = rows.poses[rows.kinds == PAIR]
+    assert first == third != second
+
+
+def test_noise_is_the_rows_the_cells_or_a_first_guess(seen, ur3):
+    table = seen.poses(3)
+    rows, _ = rows_of(ur3, table, Cell())
+    assert set(rows.sigma) == {FIRST_SIGMA}
+    assert set(rows.sigma_angle) == {FIRST_SIGMA_ANGLE}
+    told = replace(table, sigma=np.array([4e-5, 5e-5, 6e-5]))
+    rows, _ = rows_of(ur3, told, Cell(sigma=2e-4, sigma_angle=3e-3))
+    np.testing.assert_array_equal(rows.sigma, [4e-5, 5e-5, 6e-5])
+    np.testing.assert_array_equal(rows.sigma_angle, [3e-3] * 3)
+
+
+def test_loads_are_those_of_gravity_and_payload_and_measured_ones_where_there_are(seen, ur3):
+    table = seen.points(4)
+    payload = Payload(3.0, np.array([0.0, 0.02, 0.1]))
+    gravity = np.array([0.0, 9.81, 0.0])
+    rows, _ = rows_of(ur3, table, Cell(payload=payload, gravity=gravity))
+    by_gravity = gravity_load(ur3, table.joints, payload, gravity)
+    np.testing.assert_array_equal(rows.samples.load, by_gravity)
+    torques = np.full((4, 6), np.nan)
+    torques[:, 1] = [10.0, -20.0, 0.0, 5.0]
+    rows, _ = rows_of(ur3, replace(table, torques=torques), Cell(payload=payload, gravity=gravity))
+    # The drive holds against the load.
+    np.testing.assert_array_equal(rows.samples.load[:, 1], [-10.0, 20.0, 0.0, -5.0])
+    np.testing.assert_array_equal(rows.samples.load[:, 2:], by_gravity[:, 2:])
+
+
+def named(table, names):
+    return replace(table, groups=tuple(names))
+
+
+def test_a_star_stands_for_the_same_text_in_both_groups(seen, ur3):
+    groups = ["a/0", "a/1", "b/0", "b/1", "c/1", "?/0", "[x]/0", "[x]/1"]
+    table = named(kind_of(seen.points(8), "fixed"), groups)
+    cell = Cell(
+        distances=(
+            GroupDistance("*/0", "*/1", 0.2, 1e-5),
+            GroupDistance("a/0", "b/0", 0.5, 2e-5),
+        )
+    )
+    rows, setup = rows_of(ur3, table, cell)
+    known = known_distances(cell, setup)
+    assert known == (
+        KnownDistance(0, 1, 0.2, 1e-5),
+        KnownDistance(2, 3, 0.2, 1e-5),
+        KnownDistance(6, 7, 0.2, 1e-5),
+        KnownDistance(0, 2, 0.5, 2e-5),
+    )
+    np.testing.assert_array_equal(joined_setups(rows, known), [0, 0, 0, 0, 1, 2, 3, 3])
+    np.testing.assert_array_equal(joined_setups(rows, ()), np.arange(8))
+
+
+def test_a_pattern_that_fits_no_two_groups_is_refused(seen, ur3):
+    table = named(kind_of(seen.points(2), "fixed"), ["a/0", "b/1"])
+    cell = Cell(distances=(GroupDistance("*/0", "*/1", 0.2, 1e-5),))
+    _, setup = rows_of(ur3, table, cell)
+    with pytest.raises(ModelError, match=r"'\*/0' and '\*/1', which fits no two of 'a/0', 'b/1'"):
+        known_distances(cell, setup)
+
+
+def test_many_pairs_are_joined_as_one_after_the_other():
+    rng = np.random.default_rng(0)
+    labels = rng.integers(0, 60, 200)
+    pairs = [(int(i), int(j)) for i, j in rng.integers(0, 200, (25, 2))]
+    expected = labels.copy()
+    for i, j in pairs:
+        low, high = sorted((expected[i], expected[j]))
+        expected[expected == high] = low
+    expected = np.unique(expected, return_inverse=True)[1]
+    np.testing.assert_array_equal(_joined(labels, pairs), expected)

@@ -1,0 +1,218 @@
+"""The three solvers on problems whose answers are known."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from calib.errors import SolverError
+from calib.estimate.solvers import (
+    levenberg_marquardt,
+    paper_levenberg_marquardt,
+    scipy_least_squares,
+)
+
+
+def rosenbrock(x):
+    r = np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+    return r, np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
+
+
+def powell(x):
+    """Powell's singular function: the Jacobian loses rank at the solution, x = 0."""
+    a, b, c, d = x
+    r = np.array([a + 10 * b, np.sqrt(5) * (c - d), (b - 2 * c) ** 2, np.sqrt(10) * (a - d) ** 2])
+    J = np.array(
+        [
+            [1, 10, 0, 0],
+            [0, 0, np.sqrt(5), -np.sqrt(5)],
+            [0, 2 * (b - 2 * c), -4 * (b - 2 * c), 0],
+            [2 * np.sqrt(10) * (a - d), 0, 0, -2 * np.sqrt(10) * (a - d)],
+        ]
+    )
+    return r, J
+
+
+# NIST StRD, Misra1a: data, certified parameters and certified residual sum of squares.
+MISRA_X = np.array(
+    [
+        77.6,
+        114.9,
+        141.1,
+        190.8,
+        239.9,
+        289.0,
+        332.8,
+        378.4,
+        434.8,
+        477.3,
+        536.8,
+        593.1,
+        689.1,
+        760.0,
+    ]
+)
+MISRA_Y = np.array(
+    [
+        10.07,
+        14.73,
+        17.94,
+        23.93,
+        29.61,
+        35.18,
+        40.02,
+        44.82,
+        50.76,
+        55.05,
+        61.01,
+        66.40,
+        75.47,
+        81.78,
+    ]
+)
+MISRA_CERTIFIED = np.array([2.3894212918e02, 5.5015643181e-04])
+MISRA_SQUARES = 1.2455138894e-01
+
+
+def misra(b):
+    decay = np.exp(-b[1] * MISRA_X)
+    J = -np.stack([1 - decay, b[0] * MISRA_X * decay], axis=1)
+    return MISRA_Y - b[0] * (1 - decay), J
+
+
+SOLVERS = {
+    "lm": lambda system, x0: levenberg_marquardt(system, x0, step_size=np.abs(x0) + 1e-3),
+    "paper": lambda system, x0: paper_levenberg_marquardt(
+        system, x0, epsilon=1e-14, iterations=5000
+    ),
+    "scipy": lambda system, x0: scipy_least_squares(
+        system, x0, step_size=np.abs(x0) + 1e-3, iterations=500
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_rosenbrock_is_solved(name):
+    solution = SOLVERS[name](rosenbrock, np.array([-1.2, 1.0]))
+    assert solution.status == "converged"
+    np.testing.assert_allclose(solution.x, [1.0, 1.0], atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["lm", "scipy"])
+@pytest.mark.parametrize("start", [(500.0, 1e-4), (250.0, 5e-4)])
+def test_nist_misra1a_reaches_the_certified_values(name, start):
+    solution = SOLVERS[name](misra, np.array(start))
+    np.testing.assert_allclose(solution.x, MISRA_CERTIFIED, rtol=1e-7)
+    assert 2 * solution.cost == pytest.approx(MISRA_SQUARES, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["lm", "scipy"])
+def test_a_singular_jacobian_at_the_solution_does_not_stop_it(name):
+    solution = SOLVERS[name](powell, np.array([3.0, -1.0, 0.0, 1.0]))
+    assert solution.cost < 1e-12
+
+
+def test_linear_problem_takes_the_least_squares_solution():
+    rng = np.random.default_rng(0)
+    A, b = rng.normal(size=(20, 5)), rng.normal(size=20)
+    solution = levenberg_marquardt(lambda x: (A @ x - b, A), np.zeros(5), step_size=np.ones(5))
+    np.testing.assert_allclose(solution.x, np.linalg.lstsq(A, b)[0], atol=1e-7)
+
+
+def test_fewer_rows_than_parameters_is_solved_too():
+    A, b = np.array([[1.0, 2.0, 3.0]]), np.array([6.0])
+    solution = levenberg_marquardt(lambda x: (A @ x - b, A), np.zeros(3), step_size=np.ones(3))
+    assert A @ solution.x == pytest.approx(b)
+
+
+def test_the_cost_never_rises_and_the_history_tells_it():
+    for solution in (
+        levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0]), step_size=np.ones(2)),
+        paper_levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0])),
+    ):
+        costs = [entry.cost for entry in solution.history]
+        assert all(later <= earlier for earlier, later in pairwise(costs))
+        assert costs[0] == pytest.approx(0.5 * (4.4**2 + 2.2**2))
+        assert solution.cost <= costs[-1]
+        assert solution.iterations == len(costs)
+        assert all(entry.step > 0 and entry.mu > 0 for entry in solution.history)
+
+
+def test_papers_damping_follows_the_gain():
+    solution = paper_levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0]), mu=0.01, nu=2.5)
+    assert solution.history[0].mu == 0.01
+    assert {entry.accepted for entry in solution.history} == {True, False}
+    for entry, following in pairwise(solution.history):
+        assert entry.accepted == (entry.gain > 0)
+        factor = 1 / 2.5 if entry.gain > 0 else 2.5
+        assert following.mu == pytest.approx(entry.mu * factor)
+
+
+def test_papers_gain_is_the_usual_one_although_both_signs_are_turned():
+    """The printed quotient has the signs of numerator and denominator turned: they cancel."""
+    solution = paper_levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0]))
+    x = np.array([-1.2, 1.0])
+    e, J = rosenbrock(x)
+    mu = 0.01
+    dx = -np.linalg.solve(J.T @ J + mu * np.eye(2), J.T @ e)
+    after, _ = rosenbrock(x + dx)
+    decrease = 0.5 * (e @ e - after @ after)
+    usual = 2.0 * decrease / (dx @ (mu * dx - J.T @ e))
+    assert solution.history[0].gain == pytest.approx(usual, rel=1e-9)
+    linear = e + J @ dx
+    predicted = 0.5 * (e @ e - linear @ linear)
+    assert 0.5 * dx @ (mu * dx - J.T @ e) == pytest.approx(predicted, rel=1e-9)
+
+
+@pytest.mark.parametrize("nu", [1.9, 3.1, -2.0])
+def test_papers_factor_outside_two_to_three_is_refused(nu):
+    with pytest.raises(SolverError, match=r"nu = .* from 2 to 3"):
+        paper_levenberg_marquardt(rosenbrock, np.zeros(2), nu=nu)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_residual_that_is_not_finite_is_refused(name):
+    with pytest.raises(SolverError, match="not finite at the start"):
+        SOLVERS[name](lambda x: (np.nan * x, np.eye(2)), np.ones(2))
+
+
+def test_a_trial_that_is_not_finite_is_not_taken():
+    def log_system(x):
+        with np.errstate(invalid="ignore"):
+            return np.array([np.log(x[0])]), np.array([[1.0 / x[0]]])
+
+    # The full step from 10 goes to a negative number, where the logarithm is none.
+    solution = levenberg_marquardt(log_system, np.array([10.0]), step_size=np.ones(1))
+    assert solution.x[0] == pytest.approx(1.0, abs=1e-8)
+    assert any(not entry.accepted for entry in solution.history)
+
+
+@pytest.mark.parametrize(
+    "solve",
+    [
+        lambda: levenberg_marquardt(
+            rosenbrock, np.array([-1.2, 1.0]), step_size=np.ones(2), iterations=3
+        ),
+        lambda: paper_levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0]), iterations=3),
+        lambda: scipy_least_squares(
+            rosenbrock, np.array([-1.2, 1.0]), step_size=np.ones(2), iterations=3
+        ),
+    ],
+)
+def test_the_limit_of_iterations_is_said(solve):
+    solution = solve()
+    assert solution.status == "stopped"
+    assert "maximum" in solution.message or "limit" in solution.message
+
+
+def test_stages_add_up():
+    first = levenberg_marquardt(
+        rosenbrock, np.array([-1.2, 1.0]), step_size=np.ones(2), iterations=3
+    )
+    second = levenberg_marquardt(rosenbrock, first.x, step_size=np.ones(2))
+    both = second.after(first)
+    assert both.iterations == first.iterations + second.iterations
+    assert both.evaluations == first.evaluations + second.evaluations
+    assert both.cost == second.cost

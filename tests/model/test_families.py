@@ -1,0 +1,76 @@
+"""The registry of families: its rows, and a family that is added from outside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.errors import ModelError
+from calib.model import families
+from calib.model.error_model import joint_parameters
+from calib.model.families import FAMILIES, Factor, Family, JointState, register, unit_of
+
+
+@pytest.fixture
+def registry():
+    """The registry as it is, and again so afterwards: only tests take families out."""
+    before = dict(families._REGISTRY)
+    yield FAMILIES
+    families._REGISTRY.clear()
+    families._REGISTRY.update(before)
+
+
+def test_the_rows():
+    assert list(FAMILIES)[:6] == ["length", "angle", "zero", "gain", "eccentricity", "compliance"]
+    assert [name for name, row in FAMILIES.items() if row.geometric] == ["length", "angle", "zero"]
+    assert [name for name, row in FAMILIES.items() if row.loaded] == ["compliance"]
+    for row in FAMILIES.values():
+        assert row.bounds[0] < row.typical <= row.prior < row.bounds[1]
+
+
+@pytest.mark.parametrize("name", ["gain", "eccentricity"])
+def test_slopes_are_the_derivatives_of_the_factors(ur3, name):
+    q = np.random.default_rng(1).uniform(-3.0, 3.0, (20, 6))
+    for joint in ur3.joint_names:
+        step = 1e-6 * (np.array(ur3.joint_names) == joint)
+        for factor in FAMILIES[name].factors:
+            high, low = (
+                factor.value(JointState(joint, ur3.joint_names, q + s * step)) for s in (1.0, -1.0)
+            )
+            slope = factor.slope(JointState(joint, ur3.joint_names, q))
+            np.testing.assert_allclose((high - low) / 2e-6, slope, atol=1e-8)
+
+
+def test_a_load_that_is_not_known_is_refused(ur3):
+    with pytest.raises(ModelError, match="shoulder_pan_joint"):
+        FAMILIES["compliance"].factors[0].value(
+            JointState("shoulder_pan_joint", ur3.joint_names, np.zeros((1, 6)))
+        )
+
+
+def test_a_family_from_outside(registry, ur3):
+    own = Family("lost", families.RAD, 1e-3, 1e-3, (Factor("sign", lambda s: np.sign(s.q), None),))
+    register(own)
+    assert registry["lost"] is own
+    names = [p.name for p in joint_parameters(ur3, "lost")]
+    assert names == [f"{joint}.sign" for joint in ur3.joint_names]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"name": "gain"}, {"factors": ()}, {"factors": FAMILIES["eccentricity"].factors}],
+    ids=["name taken", "no factor", "parameter taken"],
+)
+def test_what_cannot_be_registered(registry, change):
+    own = Family("lost", families.RAD, 1e-3, 1e-3, (Factor("sign", lambda s: np.sign(s.q), None),))
+    with pytest.raises(ModelError):
+        register(replace(own, **change))
+    assert "lost" not in registry
+
+
+def test_a_unit_that_no_family_has():
+    assert unit_of("rad/Nm").shown == (1e6, "urad/Nm")
+    with pytest.raises(ModelError, match="furlong"):
+        unit_of("furlong")

@@ -1,0 +1,203 @@
+"""Errors before and after in figures are the residuals, of the rows that they name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.report import figure_errors as figure_errors
+from calib.report.figure_base import new_figure, styled
+from calib.report.figure_errors import (
+    by_axis,
+    by_row,
+    curve_rows,
+    curves,
+    histograms,
+    left_over,
+)
+from calib.report.label_rows import lengths_of
+
+
+@pytest.fixture(autouse=True)
+def _look():
+    with styled():
+        yield
+
+
+def lines(ax):
+    """The curves with numbers in them, by colour."""
+    found = [line for line in ax.lines if len(line.get_ydata()) > 2]
+    return {line.get_color(): np.asarray(line.get_ydata(), float) for line in found}
+
+
+def test_the_papers_figure_8_shows_the_validation_rows(calibrations):
+    c = calibrations.made("paper")
+    figure = curves(c)
+    v = c.measurements.validation
+    for k, ax in enumerate(figure.axes[:3]):
+        before, after = lines(ax).values()
+        np.testing.assert_allclose(before, 1e3 * c.residual_nominal[v, k])
+        np.testing.assert_allclose(after, 1e3 * c.residual_calibrated[v, k])
+        assert ax.get_title(loc="left") == f"Δ{'xyz'[k]}"
+    assert len({ax.get_ylim() for ax in figure.axes[:3]}) == 1
+    _, after = lines(figure.axes[3]).values()
+    assert after.max() == pytest.approx(1e3 * c.errors["calibrated"]["validation"].max)
+    styles = {line.get_linestyle() for line in figure.axes[3].lines}
+    assert styles == {"--", "-"}  # told apart without colours
+    assert figure.axes[3].get_xlabel() == "validation row"
+
+
+def test_without_validation_rows_left_out_ones_are_shown_then_estimation_rows(calibrations):
+    c = calibrations.made("three_rows")
+    word, mask, before, after = curve_rows(c)
+    assert (word, int(mask.sum())) == ("left-out", 3)
+    np.testing.assert_array_equal(after[mask], c.cross_validation.residual)
+    np.testing.assert_array_equal(before[mask], c.nominal_cross_validation.residual)
+    word, mask, before, after = curve_rows(calibrations.made("one_row"))
+    assert word == "estimation"
+    np.testing.assert_array_equal(before, calibrations.made("one_row").residual_nominal)
+
+
+def test_lengths_have_one_panel_and_their_signs(calibrations):
+    c = calibrations.made("distances")
+    figure = curves(c)
+    assert len(figure.axes) == 1
+    before, after = lines(figure.axes[0]).values()
+    v = c.measurements.validation
+    np.testing.assert_allclose(before, 1e3 * c.residual_nominal[v, 0])
+    np.testing.assert_allclose(after, 1e3 * c.residual_calibrated[v, 0])
+    assert before.min() < 0.0 < before.max()
+    low, high = figure.axes[0].get_ylim()
+    assert low < before.min() < before.max() < high
+
+
+def test_a_length_among_points_has_a_size_and_no_axis(calibrations):
+    c = calibrations.made("paper")
+    used = c.used.copy()
+    used[31, 1:] = False
+    x, _, _, size = curves(replace(c, used=used)).axes
+    assert [len(values) for values in lines(x).values()] == [4, 4]
+    first = next(iter(lines(size).values()))
+    assert first[1] == pytest.approx(1e3 * abs(c.residual_nominal[31, 0]))
+
+
+def test_by_pose_an_outlier_stands_at_the_edge_and_is_numbered(calibrations):
+    c = calibrations.made("with_outliers")
+    top, below = by_row(c).axes
+    reach = below.get_ylim()[1]
+    sizes = 1e3 * lengths_of(c.residual_calibrated, c.used)
+    assert sizes.max() > 10.0 * reach
+    numbers = {text.get_text() for text in below.texts}
+    assert numbers == {str(one.row) for one in (*c.outliers, *c.suspects)}
+    assert top.get_ylim()[1] > sizes.max()
+    drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in below.lines])
+    assert np.nanmax(drawn) < reach
+
+
+def test_by_pose_shows_what_left_out_rows_show(calibrations):
+    c = calibrations.made("paper")
+    _, below = by_row(c).axes
+    dashes = next(line for line in below.lines if line.get_marker() == "_")
+    shown = np.asarray(dashes.get_ydata(), float)
+    expected = 1e3 * np.linalg.norm(c.cross_validation.residual, axis=1)
+    good = ~np.isin(np.arange(1, 31), [11, 14])  # the outliers
+    np.testing.assert_allclose(shown[:30][good], expected[good])
+    assert np.all(np.isnan(shown[:30][~good]))
+    assert np.all(np.isnan(shown[30:]))
+
+
+def test_orientations_by_row_are_in_degrees(calibrations):
+    c = calibrations.made("mixed")
+    top, below = by_row(c, turned=True).axes
+    assert top.get_ylabel() == below.get_ylabel() == "size of the error [deg]"
+    before = next(iter(lines(top).values()))
+    expected = np.degrees(c.errors["nominal"]["estimation"].max_angle)
+    assert np.nanmax(before) == pytest.approx(expected)
+
+
+def test_a_line_leads_over_rows_that_hold_nothing(calibrations):
+    c = calibrations.made("mixed")
+    top, _ = by_row(c, turned=True).axes
+    rows = np.flatnonzero(c.measurements.of_kind("pose"))
+    for line in top.lines:
+        np.testing.assert_array_equal(line.get_xdata(), rows)
+
+
+def test_many_rows_are_bands(calibrations):
+    c = calibrations.many_rows(6000)
+    figure = by_row(c)
+    top, below = figure.axes
+    assert len(top.collections) == 2
+    assert all(len(line.get_ydata()) <= 120 for line in (*top.lines, *below.lines))
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "5 to 95 % of 120 rows each" in labels
+    band = top.collections[0].get_paths()[0].vertices
+    first = 1e3 * lengths_of(c.residual_nominal, c.used)[:120]
+    ends = band[np.isclose(band[:, 0], 59.5), 1]
+    np.testing.assert_allclose([ends.min(), ends.max()], np.quantile(first, [0.05, 0.95]))
+
+
+def test_a_set_of_rows_without_numbers_is_left_out(calibrations):
+    c = calibrations.made("mixed")
+    turned = c.measurements.of_kind("pose")
+    sets = tuple("estimate" if pose else "validate" for pose in turned)
+    held = calibrations.with_rows(c, replace(c.measurements, sets=sets))
+    labels = [t.get_text() for t in by_row(held, turned=True).legends[0].get_texts()]
+    assert not [label for label in labels if "validation" in label]
+
+
+def test_boxes_are_of_the_rows(calibrations):
+    c = calibrations.made("paper")
+    figure = by_axis(c)
+    upper, other, lower, _ = figure.axes
+    assert upper.get_title(loc="left") == "30 estimation rows"
+    assert other.get_title(loc="left") == "5 validation rows"
+    assert lower.get_title(loc="left") == "After, without outliers"
+    boxes = [patch.get_path().vertices for patch in upper.patches]
+    assert len(boxes) == 6
+    for k in range(3):
+        low, high = np.quantile(1e3 * c.residual_nominal[:30, k], [0.25, 0.75])
+        np.testing.assert_allclose([boxes[k][:, 1].min(), boxes[k][:, 1].max()], [low, high])
+    dots = np.concatenate([line.get_ydata() for line in lower.lines if line.get_marker() == "o"])
+    assert len(dots) == 3 * 28
+    assert np.abs(dots).max() < lower.get_ylim()[1]
+
+
+def test_every_row_is_in_the_histogram(calibrations):
+    for name in ("paper", "distances", "with_outliers", "one_row"):
+        c = calibrations.made(name)
+        left, right = histograms(c).axes
+        for patch in left.patches:
+            y = patch.get_xy()[:, 1]  # up and down along the tops, then back along the foot
+            assert y[1 : len(y) // 2 : 2].sum() == len(c.measurements)
+        assert right.get_title(loc="left") == f"{len(left_over(c))} numbers of estimation rows"
+
+
+def test_what_is_left_over_is_measured_in_its_noise(calibrations):
+    values = left_over(calibrations.many_rows(6000))
+    assert len(values) == 3 * 5400
+    inside = values[np.abs(values) < 5.0]
+    assert abs(np.std(inside) - 1.0) < 0.05
+    figure = histograms(calibrations.many_rows(6000))
+    labels = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
+    assert labels == ["normal", f"{len(values) - len(inside)} beyond ±5"]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "expected"),
+    [
+        (range(31, 36), ["31", "32", "33", "34", "35"]),
+        ((7,), ["7"]),
+        ((3, 8, 900), ["3", "8", "900"]),
+        (range(1, 36), ["5", "10", "15", "20", "25", "30", "35"]),
+    ],
+)
+def test_rows_are_labelled_with_their_numbers(numbers, expected):
+    ax = new_figure(2.0).subplots()
+    figure_errors._row_axis(ax, list(numbers), 9)
+    places = ax.xaxis.get_majorticklocs()
+    assert [ax.xaxis.get_major_formatter()(place, 0) for place in places] == expected
+    low, high = ax.get_xlim()
+    assert low < 0 <= len(numbers) - 1 < high

@@ -1,0 +1,164 @@
+"""Parameters and the fit in figures: changes, correlations, convergence, singular values, models tried."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.calibration import calibrate
+from calib.report.figure_base import styled
+from calib.report.figure_model import (
+    _stage_starts,
+    candidates,
+    changes,
+    convergence,
+    correlation_indices,
+    correlations,
+    shown_parameters,
+    singular_values,
+)
+from calib.result.prediction import correlations as strong_correlations
+
+
+@pytest.fixture(autouse=True)
+def _look():
+    with styled():
+        yield
+
+
+def test_changes_and_intervals_are_those_of_the_result(calibrations):
+    c = calibrations.made("paper")
+    figure = changes(c)
+    assert [ax.get_xlabel() for ax in figure.axes] == [
+        "change from nominal [mm]",
+        "change from nominal [deg]",
+    ]
+    scales = {"m": 1e3, "rad": np.degrees(1.0)}
+    for ax, unit in zip(figure.axes, scales, strict=True):
+        shown = [p for p in c.parameters if p.unit == unit]
+        assert [text.get_text() for text in ax.get_yticklabels()] == [p.name for p in shown]
+        for p, bar in zip(shown, ax.containers, strict=True):
+            dot, _, (interval,) = bar
+            assert dot.get_xdata()[0] == pytest.approx(scales[unit] * p.delta)
+            ends = interval.get_segments()[0][:, 0]
+            half = 0.5 * scales[unit] * (p.high - p.low)
+            np.testing.assert_allclose(ends - scales[unit] * p.delta, [-half, half])
+            assert (dot.get_markerfacecolor() == "white") == (not p.identifiable)
+
+
+def test_a_parameter_at_a_bound_has_no_interval(calibrations):
+    c = calibrations.made("paper")
+    held = replace(c.parameters[0], at_bound=True)
+    figure = changes(replace(c, parameters=(held, *c.parameters[1:])))
+    dot, _, (interval,) = figure.axes[0].containers[0]
+    assert dot.get_marker() == "s"
+    assert np.ptp(interval.get_segments()[0][:, 0]) == 0.0
+    assert "stopped by a bound" in [t.get_text() for t in figure.legends[0].get_texts()]
+
+
+def test_frames_and_targets_that_nobody_gave_are_left_out(calibrations):
+    names = [p.name for p in shown_parameters(calibrations.made("poses"))]
+    assert len(names) == 24
+    assert not [name for name in names if name.startswith(("frame", "target"))]
+
+
+def test_the_larger_models_own_parameters_have_a_panel(calibrations):
+    figure = changes(calibrations.made("larger"))
+    assert [ax.get_title(loc="left") for ax in figure.axes] == ["Lengths", "Angles", "Compliances"]
+    assert figure.axes[2].get_xlabel() == "change from nominal [µrad/Nm]"
+
+
+def test_squares_are_as_large_as_the_correlations(calibrations):
+    c = calibrations.made("paper")
+    ax = correlations(c).axes[0]
+    positive, negative = ax.collections
+    found = {}
+    for sign, squares in ((1, positive), (-1, negative)):
+        for path in squares.get_paths():
+            low, high = path.vertices.min(axis=0), path.vertices.max(axis=0)
+            j, i = np.round(0.5 * (low + high)).astype(int)
+            found[(j, i)] = sign * ((high[0] - low[0]) / 0.94) ** 2
+    names = [c.parameters[k].name for k in correlation_indices(c)]
+    strong = strong_correlations(c, 0.5)
+    assert strong
+    for first, second, value in strong:
+        at = names.index(first), names.index(second)
+        assert found[at] == pytest.approx(value, abs=1e-9)
+    assert all(j < i for j, i in found)
+    assert [text.get_text() for text in ax.get_yticklabels()] == names[1:]
+
+
+def test_the_cost_of_each_iteration_is_drawn(calibrations):
+    c = calibrations.made("paper")
+    figure = convergence(c)
+    cost, step, damping = figure.axes
+    drawn = next(line for line in cost.lines if line.get_marker() == "o")
+    history = c.solution.history
+    expected = [one.cost for one in history if one.accepted] + [c.solution.cost]
+    np.testing.assert_allclose(drawn.get_ydata(), expected)
+    assert [ax.get_ylabel() for ax in (cost, step, damping)] == [
+        "cost E",
+        "step\n[mm, mrad]",
+        "damping μ",
+    ]
+
+
+def test_where_weights_are_set_anew_the_curve_is_broken(calibrations):
+    c = calibrations.made("paper")
+    starts = _stage_starts(c)
+    assert starts
+    assert all(c.solution.history[k].mu == c.solution.history[0].mu for k in starts)
+    # Inside of a stage the cost never rises.
+    cost = np.array([one.cost for one in c.solution.history])
+    for part in np.split(cost, starts):
+        assert np.all(np.diff(part) <= 1e-9 * part[:-1])
+    labels = [t.get_text() for t in convergence(c).legends[0].get_texts()]
+    assert "weights and noise set anew" in labels
+
+
+@pytest.mark.parametrize(("solver", "panels"), [("paper", 3), ("scipy", 2)])
+def test_other_solvers_have_figures_too_with_the_steps_not_taken(calibrations, solver, panels):
+    c = calibrations.made("paper")
+    found = calibrate(c.nominal, c.measurements, cell=c.cell, solver=solver, validate=False)
+    figure = convergence(found)
+    assert len(figure.axes) == panels
+    crosses = next(line for line in figure.axes[0].lines if line.get_marker() == "x")
+    assert len(crosses.get_ydata()) == sum(not one.accepted for one in found.solution.history)
+    cost = np.array([one.cost for one in found.solution.history])
+    for part in np.split(cost, _stage_starts(found)):
+        assert np.all(np.diff(part) <= 1e-5 * part[:-1])
+
+
+def test_singular_values_tell_the_rank(calibrations):
+    c = calibrations.made("paper")
+    ax = singular_values(c).axes[0]
+    o = c.observability
+    seen = next(line for line in ax.lines if line.get_marker() == "o")
+    unseen = next(line for line in ax.lines if line.get_marker() == "x")
+    np.testing.assert_allclose(seen.get_ydata(), 1e3 * o.singular_values[: o.rank])
+    assert len(unseen.get_ydata()) == o.columns - o.rank
+    assert np.all(unseen.get_ydata() > ax.get_ylim()[0])  # zeros stand at the foot
+    labels = [text.get_text() for text in ax.figure.legends[0].get_texts()]
+    assert labels == [
+        f"{o.rank} combinations that the poses determine",
+        f"{o.columns - o.rank} that move nothing measured",
+        f"condition number {o.condition:,.0f}",
+    ]
+
+
+def test_the_ladder_names_every_model_and_marks_the_chosen(calibrations):
+    c = calibrations.made("auto")
+    figure = candidates(c)
+    left, right = figure.axes
+    names = [text.get_text() for text in left.get_yticklabels()]
+    assert names == [f"{one.name} ({one.parameters})" for one in c.candidates]
+    rms = [1e3 * one.cross_validation.errors_without_outliers.rms for one in c.candidates]
+    assert sorted(patch.get_width() for patch in left.patches) == pytest.approx(sorted(rms))
+    best = max(one.log_likelihood for one in c.candidates)
+    gains = [one.log_likelihood - best for one in c.candidates]
+    assert sorted(patch.get_width() for patch in right.patches) == pytest.approx(sorted(gains))
+    assert {text.get_text() for text in left.texts} == {f"{value:.3f}" for value in rms}
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["chosen for the URDF", "not chosen"]

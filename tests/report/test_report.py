@@ -1,0 +1,408 @@
+"""The report of every kind of calibration: what it says is what was found, with units, on stated rows."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib.calibration import calibrate
+from calib.data.cell import Cell
+from calib.errors import FileError
+from calib.example import paper_urdf
+from calib.model.dh import dh_table
+from calib.report import report, report_tables
+from calib.report.figures import drawings
+from calib.report.report import report_bytes, write_report
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot
+from calib.simulation.scenario import Scenario
+from calib.text.summary import errorless
+
+SLOW = [
+    "auto",
+    "two_joints",
+    "prismatic",
+    "with_outliers",
+    "do_not_use",
+    "larger",
+    "many_parameters",
+    "mixed",
+]
+CASES = ["paper", "poses", "three_rows", "one_row", "hostile_names", "distances"]
+CASES += [pytest.param(case, marks=pytest.mark.slow) for case in SLOW]
+
+#: What a number in a table may be counted in; the head of its column, its group or the table's title names one.
+UNITS = re.compile(r"\[(mm|deg|mrad)\]|number|score|weight|evidence|parameters|left-out rms|used")
+
+#: Elements of HTML that have no end tag.
+EMPTY = {"meta", "img"}
+
+
+class Page(HTMLParser):
+    """The texts, attributes and tables of a page; every element is closed."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str | None]] = []
+        self.texts: list[str] = []
+        self.feed(page)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += attrs
+        if tag not in EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if data.strip() and self.open[-1] != "style":
+            self.texts.append(" ".join(data.split()))
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.texts)
+
+
+@pytest.fixture
+def page(monkeypatch):
+    """The report of a calibration without its figures, which take their time."""
+    monkeypatch.setattr(report, "drawings", lambda _: ())
+    return lambda c: Page(report_bytes(c, command="calib fit --x <b>").decode())
+
+
+def every_table(c):
+    """All the tables of a report."""
+    makers = ("errors", "validation_rows", "larger", "dh", "origins", "flagged")
+    made = [getattr(report_tables, maker)(c) for maker in (*makers, "ranges")]
+    made += [report_tables.parameters(c, unit) for unit in ("mm", "deg")]
+    made.append(report_tables.errors(c, turned=True))
+    return [*made, *([report_tables.candidates(c)] if c.candidates else [])]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_page_is_whole_and_its_verdict_comes_first(page, calibrations, name):
+    c = calibrations.made(name)
+    made = page(c)
+    text = made.text
+    assert not re.search(r"\b(nan|inf|None(?! of))\b", text)
+    assert "-0.000 " not in text
+    assert "script" not in made.tags
+    assert not [key for key, _ in made.attributes if key.startswith("on")]
+    use = "none" if c.verdict is None else c.verdict.use
+    assert text.index(f"Verdict: {use}") < text.index("Accuracy before and after")
+    for reason in () if c.verdict is None else c.verdict.reasons:
+        assert " ".join(str(reason).split()) in text
+    assert made.tags.count("h2") == 11 + bool(c.candidates)
+    assert made.tags.count("caption") == sum(bool(table.rows) for table in every_table(c))
+    for one in every_table(c):  # every column of numbers has a unit or is a count
+        width = len(one.head)
+        assert {width, *map(len, one.rows)} == {len(one.align)}
+        labels = [label for label, span in one.groups for _ in range(span)] or [""] * width
+        for head, group, side in zip(one.head, labels, one.align, strict=True):
+            if side == "r" and "unit" not in one.head:
+                assert UNITS.search(f"{one.title.split(';')[0]} {group} {head}")
+
+
+def test_nothing_in_a_name_means_anything(page, calibrations):
+    c = calibrations.made("hostile_names")
+    made = page(c)
+    assert made.tags.count("style") == 1
+    for name in (*calibrations.HOSTILE, calibrations.HOSTILE_SOURCE):
+        assert " ".join(name.split()) in made.text
+    source = report_bytes(c).decode()
+    (policy,) = re.findall(r'Security-Policy" content="([^"]*)"', source)
+    assert policy == "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+    (foot,) = re.findall(r"@bottom-left \{ content: (.*?); font:", source)
+    assert re.fullmatch(r'"(?:[A-Za-z0-9 ]|\\[0-9a-f]+ )*"', foot)
+    assert (
+        '<span class="word">--x</span> <span class="word">&lt;b&gt;</span>'
+        in report_bytes(c, command="--x <b>").decode()
+    )
+
+
+def test_errors_by_set_are_those_of_the_result(paper_calibration):
+    c = paper_calibration
+    table = report_tables.errors(c)
+    found = {row[0]: row[1:] for row in table.rows}
+    for who in ("nominal", "calibrated"):
+        for name in ("estimation", "validation"):
+            e = c.errors[who][name]
+            wanted = 1e3 * np.array([e.max, e.mean, e.rms, *e.span_axis])
+            row = found[f"{name} rows, {who}"]
+            assert int(row[0]) == e.n
+            np.testing.assert_allclose([float(v) for v in row[1:]], wanted, atol=5.1e-4)
+    left_out = found["left-out rows*, calibrated, without outliers"]
+    rms = 1e3 * c.cross_validation.errors_without_outliers.rms
+    assert float(left_out[3]) == pytest.approx(rms, abs=5.1e-4)
+    assert table.note.startswith("* leave-one-out: each row predicted from the others alone. Span:")
+    assert {table.rows[k][0].split(",")[1] for k in table.strong} == {" calibrated"}
+
+
+def test_validation_rows_are_those_of_the_paper_s_table_4(paper_calibration):
+    c = paper_calibration
+    table = report_tables.validation_rows(c)
+    assert [row[0] for row in table.rows] == ["31", "32", "33", "34", "35"]
+    values = np.array([[float(v) for v in row[1:]] for row in table.rows])
+    for start, residual in ((0, c.residual_nominal), (4, c.residual_calibrated)):
+        wanted = 1e3 * residual[c.measurements.validation]
+        sizes = np.linalg.norm(wanted, axis=1)
+        np.testing.assert_allclose(values[:, start : start + 3], wanted, atol=5.1e-4)
+        np.testing.assert_allclose(values[:, start + 3], sizes, atol=5.1e-4)
+    assert table.groups == [("", 1), ("before: nominal [mm]", 4), ("after: calibrated [mm]", 4)]
+
+
+def test_orientations_have_tables_and_columns_of_their_own(calibrations):
+    c = calibrations.made("poses")
+    rows = {row[0]: row for row in report_tables.errors(c, turned=True).rows}
+    wanted = np.degrees(c.errors["calibrated"]["validation"].rms_angle)
+    assert float(rows["validation rows, calibrated"][-1]) == pytest.approx(wanted, abs=5.1e-5)
+    table = report_tables.validation_rows(c)
+    assert table.groups[-1] == ("angle [deg]", 2)
+    first = np.flatnonzero(c.measurements.validation)[0]
+    wanted = np.degrees(np.linalg.norm(c.residual_calibrated[first, 3:]))
+    assert float(table.rows[0][-1]) == pytest.approx(wanted, abs=5.1e-5)
+
+
+def test_lengths_without_coordinates_have_one_column_each(calibrations):
+    c = calibrations.made("distances")
+    table = report_tables.validation_rows(c)
+    assert [span for _, span in table.groups][-2:] == [1, 1]
+    assert (*table.head[-2:], table.note) == ("size", "size", "")
+    errors = report_tables.errors(c)
+    assert errors.title == "Length error by set of rows [mm]"
+    assert errors.head == ("rows, robot", "number", "max", "mean", "rms")
+
+
+def test_parameters_with_correction_and_interval(page, paper_calibration):
+    c = paper_calibration
+    rows = {r[0]: r for unit in ("mm", "deg") for r in report_tables.parameters(c, unit).rows}
+    assert set(rows) == {p.name for p in c.parameters}
+    for p in c.parameters:
+        scale = 1e3 if p.unit == "m" else np.degrees(1.0)
+        _, *numbers, known = rows[p.name]
+        wanted = scale * np.array([p.nominal, p.value, p.delta, 0.5 * (p.high - p.low)])
+        np.testing.assert_allclose([float(v) for v in numbers], wanted, atol=5.1e-4)
+        assert known == ("yes" if p.identifiable else "jointly")
+        assert numbers[2][0] in "+-" or float(numbers[2]) == 0.0
+    text = page(c).text
+    assert "27 parameters of the model 'paper' were estimated from 30 estimation rows, 2 of" in text
+    assert "half the 95 % interval, 2.00 standard deviations" in text
+
+
+def test_parameters_of_kinds_without_errors_have_no_interval(calibrations):
+    c = calibrations.made("three_rows")
+    none = errorless(c)
+    rows = {row[0]: row for row in report_tables.parameters(c, "deg").rows}
+    assert none == {name for name, row in rows.items() if row[4:] == ("-", "kept")} != set()
+    assert {row[5] for name, row in rows.items() if name not in none} <= {"yes", "jointly"}
+
+
+def test_targets_that_were_not_given_and_the_larger_model(calibrations):
+    table = report_tables.parameters(calibrations.made("distances"), "mm")
+    rows = {row[0]: row for row in table.rows}
+    assert rows["target_x"][1] == rows["target_x"][3] == "-"
+    table = report_tables.larger(calibrations.made("larger"))
+    assert len(table.rows) == 6
+    assert {row[3] for row in table.rows} == {"urad/Nm"}
+
+
+def test_of_many_validation_rows_the_worst_are_listed(calibrations):
+    c = calibrations.many_rows(600)
+    table = report_tables.validation_rows(c)
+    assert table.title.startswith("Error of the 20 of 60 validation rows with the largest error")
+    listed = [int(row[0]) for row in table.rows]
+    assert listed == sorted(listed)
+    size = np.linalg.norm(c.residual_calibrated, axis=1)
+    size[~c.measurements.validation] = 0.0
+    assert set(listed) == {c.measurements.rows[i] for i in np.argsort(-size)[:20]}
+
+
+@pytest.mark.parametrize(
+    "name", ["paper", "poses", "prismatic", "hostile_names", "many_parameters"]
+)
+def test_the_dh_rows_give_the_poses_of_both_robots(calibrations, name):
+    c = calibrations.made(name)
+    table = report_tables.dh(c)
+    assert [row[0] for row in table.rows[::3]] == [joint.name for joint in c.nominal.joints]
+    values = np.array([[float(v) for v in row[2:]] for row in table.rows])
+    before, after, change = values[::3], values[1::3], values[2::3]
+    difference = after - before
+    angles = [1, 3, 4][: values.shape[1] - 2]
+    difference[:, angles] = np.mod(difference[:, angles] + 180.0, 360.0) - 180.0
+    np.testing.assert_allclose(change, difference, atol=1.1e-3)
+    # Rows of one robot that is hardly changed hardly differ: no axis is turned round.
+    assert np.abs(change[:, angles]).max() < 2.0
+
+
+def test_turned_frames_are_the_same_geometry(calibrations):
+    c = calibrations.made("hostile_names")
+    before, after = dh_table(c.nominal), dh_table(c.robot)
+    turned = report_tables._turned_like(before, after)
+    assert any(a.theta != b.theta for a, b in zip(after.rows, turned.rows, strict=True))
+    q = np.random.default_rng(1).uniform(-1.0, 1.0, (20, len(after.rows)))
+    np.testing.assert_allclose(turned.poses(q), after.poses(q), atol=1e-12)
+
+
+def test_origins_are_displaced_by_what_the_table_says(paper_calibration):
+    c = paper_calibration
+    for joint, *values in report_tables.origins(c).rows:
+        shift, turn = np.split(1e-3 * np.array([float(v) for v in values]), 2)
+        moved = c.nominal.origins()[joint] @ pin.SE3(pin.exp3(turn), shift).homogeneous
+        np.testing.assert_allclose(moved, c.robot.origins()[joint], atol=2e-6)
+
+
+def test_outliers_with_what_their_weight_did(page, calibrations):
+    c = calibrations.made("paper")
+    text = page(c).text
+    assert "2 estimation rows are flagged (they have no weight in the fit). Without" in text
+    rows = report_tables.flagged(c).rows
+    assert [row[0] for row in rows] == ["11", "14"]
+    assert rows[0][1:] == ("estimate", "1.592", "1.988", "17.3", "0.00")
+    c = calibrations.made("with_outliers")
+    rows = report_tables.flagged(c).rows
+    assert [int(row[0]) for row in rows] == [o.row for o in (*c.outliers, *c.suspects)]
+    assert {"estimate", "validate"} == {row[1] for row in rows}
+    assert "None of the 70 rows lies further" in page(calibrations.made("hostile_names")).text
+
+
+def test_models_tried_are_a_table(calibrations):
+    c = calibrations.made("auto")
+    table = report_tables.candidates(c)
+    assert [row[0] for row in table.rows] == [one.name for one in c.candidates]
+    assert "the URDF" in {row[-1] for row in table.rows}
+    weighed = c.candidates[0].cross_validation.errors_without_outliers.n
+    assert f"of the {weighed} estimation rows that had a weight" in table.note
+
+
+def test_how_it_was_measured(page, calibrations):
+    text = page(calibrations.made("paper")).text
+    for said in (
+        "Rows 35: 30 to estimate, 5 to validate (column 'set')",
+        "Each row measures position of the target (35 rows)",
+        "Measurement frame known: base",
+        "Noise of the rows 0.102 mm a coordinate",
+        "Rank: 21 of 27 parameters, condition number 96.",
+        "Measured beyond the limits of the URDF: 'wrist_3_joint'.",
+    ):
+        assert said in text
+    table = report_tables.ranges(calibrations.made("paper"))
+    wanted = ("elbow_joint", "deg", "-90.21", "123.63", "-180.00", "180.00", "59 %")
+    assert table.rows[2] == wanted
+    # 420.75 deg is beyond the limit of 360: what lies outside is no share of the range.
+    assert table.rows[5][3:] == ("420.75", "-360.00", "360.00", "68 %")
+    table = report_tables.ranges(calibrations.made("prismatic"))
+    assert [row[1] for row in table.rows] == ["mm", "mm", "mm", "deg"]
+    assert table.rows[3][4:] == ("-", "-", "-")
+    text = page(calibrations.made("many_parameters")).text
+    assert "Measurement frame estimated from the rows, for 3 of 3 set-ups" in text
+    assert "Set-ups 'north', 'south', 'east'" in text
+
+
+def test_stated_noise_repeats_and_a_joint_held(page):
+    robot = Robot.load(paper_urdf(), "base", "tool0", held={"wrist_3_joint": 0.3})
+    cell = Cell(model="zeros", sigma=2e-5)
+    q = random_joint_values(robot, 15, seed=4)
+    virtual = Scenario(robot, cell, "zeros", visits=3).draw(3)
+    found = virtual.measure(q, 5).measurements
+    made = calibrate(robot, found, cell=cell, validate=False)
+    text = page(made).text
+    scatter = 1e3 * made.repeats.within[0]
+    assert "Noise stated 0.020 mm a coordinate (median of the rows)" in text
+    assert f"{scatter:.3f} mm a coordinate (90 d.o.f.)." in text
+    assert "Joints held wrist_3_joint at 17.189 deg" in text
+
+
+def test_validation_rows_outside_are_named_where_the_verdict_does_not(page, calibrations):
+    said = "Validation rows beyond the joint values that were fitted: row 34:"
+    c = calibrations.made("paper")
+    assert said not in page(c).text
+    assert said in page(replace(c, verdict=None)).text
+
+
+def test_files_have_the_hashes_of_what_is_written(page, paper_calibration, tmp_path):
+    c = paper_calibration
+    written = c.write_urdf(tmp_path / "corrected.urdf").read_bytes()
+    text = page(c).text
+    for sha in (c.nominal.urdf.sha256, c.measurements.sha256, hashlib.sha256(written).hexdigest()):
+        assert f"SHA-256 {sha}" in text
+    assert "Command calib fit --x <b>" in text
+
+
+@pytest.mark.usefixtures("page")
+def test_nothing_but_the_date_differs_between_two_reports(paper_calibration, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    once = report_bytes(paper_calibration)
+    assert report_bytes(paper_calibration) == once
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")
+    later = report_bytes(paper_calibration).decode()
+    assert once.decode().replace("2023-11-14 22:13", "2027-01-15 08:00") == later
+
+
+@pytest.mark.usefixtures("page")
+def test_a_page_is_written_and_not_written_over(paper_calibration, tmp_path):
+    path = write_report(paper_calibration, tmp_path / "r.HTML", command="calib fit")
+    assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    with pytest.raises(FileError, match="exists already"):
+        write_report(paper_calibration, path)
+    with pytest.raises(FileError, match=r"let the name end in \.html"):
+        write_report(paper_calibration, tmp_path / "report.pdf")
+    write_report(paper_calibration, path, overwrite=True)
+
+
+@pytest.mark.slow
+def test_figures_stand_where_they_belong_and_a_large_one_is_a_picture(
+    paper_calibration, monkeypatch
+):
+    monkeypatch.setattr(report, "_LARGE", 60_000)
+    text = report_bytes(paper_calibration).decode()
+    made = drawings(paper_calibration)
+    kinds = re.findall(r'src="data:image/([^;]+);base64,', text)
+    assert len(kinds) == len(made)
+    assert set(kinds) == {"svg+xml", "png"}
+    sections = re.split(r"<h2>\d+&ensp;", text)
+    named = {s.split("<")[0]: re.findall(r'<figure class="([^"]+)"', s) for s in sections[1:]}
+    assert named["Figures of the errors"][0] == "points"
+    assert named["Parameters"] == ["parameter-changes", "correlations"]
+    assert named["How it was computed"] == ["convergence"]
+    assert sorted(n for names in named.values() for n in names) == sorted(d.name for d in made)
+    numbers = [int(n) for n in re.findall(r"<b>Figure (\d+)\.", text)]
+    assert numbers == list(range(1, len(made) + 1))
+    # Letters of all figures have one size: the narrow one takes its part of the width.
+    shares = dict(re.findall(r'<figure class="([^"]+)" style="--share: ([0-9.]+)%"', text))
+    assert float(shares["correlations"]) < float(shares["histograms"]) == 100.0
+
+
+@pytest.mark.slow
+def test_chromium_shows_and_prints_hostile_names(browser, calibrations, tmp_path):
+    c = calibrations.made("hostile_names")
+    path = write_report(c, tmp_path / "report.html")
+    # The size of A4 at 96 dots an inch.
+    with browser.open(path.as_uri(), size=(794, 1123)) as tab:
+        assert tab.complaints == []
+        assert tab.elsewhere == []
+        title = tab.evaluate("document.title")
+        assert title == f"Calibration report: robot {calibrations.HOSTILE[0]}"
+        assert tab.evaluate("document.scripts.length") == 0
+        figures = tab.evaluate("[...document.images].map(i => i.complete && i.naturalWidth)")
+        assert len(figures) == len(drawings(c))
+        assert min(figures) > 300
+        # No table is wider than the page, no column of words so narrow that they break.
+        wide = "[...document.querySelectorAll('.wide')].map(e => e.scrollWidth - e.clientWidth)"
+        assert max(tab.evaluate(wide)) <= 0
+        assert tab.evaluate("document.documentElement.scrollWidth") <= 794
+        assert tab.screenshot().std() > 10
+        pdf = tab.pdf()
+    assert pdf.startswith(b"%PDF")
+    assert 8 <= len(re.findall(rb"/Type /Page\b", pdf)) <= 20

@@ -1,0 +1,696 @@
+"""The whole calibration on the paper's data: the figures that README and docs state."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.calibration import calibrate
+from calib.data.cell import Cell, Priors
+from calib.data.measurements import Measurements
+from calib.errors import MeasurementError, ModelError, UrdfError
+from calib.estimate.statistics import Errors
+from calib.example import PAPER_TARGET_AS_PRINTED
+from calib.model.error_model import error_model
+from calib.model.kinematics import Samples
+from calib.result.calibration_file import read_result
+from calib.result.evaluation import evaluate
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot, rigid_inverse
+from calib.robot.torques import gravity_load
+from calib.robot.urdf import Urdf
+
+# The paper's Table 3: nominal positions of rows 31 to 35 before calibration [mm].
+TABLE_3 = np.array(
+    [
+        [-245.58, -168.74, 620.94],
+        [-279.00, 80.04, 625.37],
+        [-201.52, -70.26, 485.03],
+        [386.55, -43.26, 441.54],
+        [155.60, 203.71, 563.50],
+    ]
+)
+# Its Table 4: errors of these rows before calibration, measured minus nominal [mm].
+TABLE_4 = np.array([2.9677, 1.2754, 1.5221, 3.5091, 3.5645])
+
+
+@pytest.fixture(scope="module")
+def by_the_paper(ur3, table, paper_cell):
+    return calibrate(ur3, table, cell=paper_cell, solver="paper", validate=False)
+
+
+def millimetres(errors: Errors) -> tuple[float, float, float]:
+    return 1e3 * errors.max, 1e3 * errors.mean, 1e3 * errors.rms
+
+
+def test_nominal_positions_agree_with_the_papers_table_3(default_result, table):
+    nominal = 1e3 * (table.points - default_result.residual_nominal)[table.validation]
+    assert np.abs(nominal - TABLE_3).max() < 0.19
+
+
+def test_nominal_errors_agree_with_table_4_and_are_known_to_the_micrometre(default_result, table):
+    norms = 1e3 * np.linalg.norm(default_result.residual_nominal[table.validation], axis=1)
+    assert np.abs(norms - TABLE_4).max() < 0.19
+    found = millimetres(default_result.errors["nominal"]["validation"])
+    assert found == pytest.approx((3.606, 2.543, 2.733), abs=1e-3)
+
+
+def test_the_papers_algorithm_does_better_than_the_paper_says(by_the_paper):
+    largest, _, rms = millimetres(by_the_paper.errors["calibrated"]["validation"])
+    assert rms <= 0.75
+    assert rms == pytest.approx(0.700, abs=2e-3)
+    assert largest == pytest.approx(1.034, abs=5e-3)
+    assert by_the_paper.solution.status == "converged"
+    assert len(by_the_paper.solution.history) >= 50
+    assert by_the_paper.solution.history[0].mu == 0.01
+
+
+def test_default_on_validation_rows(default_result):
+    _, mean, rms = millimetres(default_result.errors["calibrated"]["validation"])
+    assert rms <= 0.25
+    assert rms == pytest.approx(0.248, abs=1e-3)
+    assert mean == pytest.approx(0.234, abs=1e-3)
+
+
+def test_default_leave_one_out_without_row_11(default_result, table):
+    residual = default_result.cross_validation.residual
+    numbers = np.array(table.rows)[table.estimation]
+    errors = Errors.of(residual[numbers != 11])
+    assert default_result.cross_validation.method == "leave-one-out"
+    assert 1e3 * errors.rms <= 0.27
+    assert 1e3 * errors.rms == pytest.approx(0.2375, abs=2e-3)
+
+
+def test_row_11_is_an_outlier_and_no_validation_row_is(default_result):
+    rows = {o.row: o for o in default_result.outliers}
+    assert 11 in rows
+    assert set(rows) <= {11, 14}
+    assert rows[11].residual == pytest.approx(1.98e-3, abs=0.02e-3)
+    assert rows[11].score > 10
+    assert default_result.suspects == ()
+
+
+def test_rank_and_the_named_combinations(default_result):
+    o = default_result.observability
+    assert (o.rank, o.columns) == (21, 27)
+    together = [set(u.names) for u in o.unidentifiable]
+    for expected in ({"d2", "d4"}, {"d3", "d4"}, {"a6", "target_x"}, {"d6", "target_z"}):
+        assert expected in together
+    assert len(together) == 6
+    marked = {p.name for p in default_result.parameters if not p.identifiable}
+    assert {"d2", "d3", "d4", "a6", "alpha6", "d6", "theta6"} <= marked
+    assert "a2" not in marked
+
+
+@pytest.mark.parametrize("target", [PAPER_TARGET_AS_PRINTED, None])
+def test_a_wrong_or_missing_target_converges_to_the_same_result(ur3, table, default_result, target):
+    cell = Cell(target=None if target is None else np.array(target), model="paper")
+    result = calibrate(ur3, table, cell=cell, validate=False)
+    np.testing.assert_allclose(result.target, default_result.target, atol=1e-8)
+    np.testing.assert_allclose(result.robot.placements, default_result.robot.placements, atol=1e-8)
+    if target is not None:
+        assert "it moved 198.3 mm from the position given" in " ".join(result.summary().split())
+
+
+def test_scipy_solves_the_same_problem(ur3, table, paper_cell, default_result):
+    result = calibrate(ur3, table, cell=paper_cell, solver="scipy", validate=False)
+    np.testing.assert_allclose(result.x, default_result.x, atol=1e-7)
+    np.testing.assert_allclose(result.covariance, default_result.covariance, atol=1e-10)
+
+
+def test_the_verdict_is_to_use_it(default_result):
+    assert default_result.verdict.use == "use"
+
+
+def test_with_an_unknown_frame_the_validation_rows_are_still_met(ur3, table):
+    result = calibrate(ur3, table, cell=Cell(estimate_frame=True), validate=False)
+    # Rows 34 and 35 lie outside of the joint values that were fitted.
+    found = 1e3 * result.errors["calibrated"]["validation"].rms
+    assert found == pytest.approx(0.303, abs=1e-3)
+
+
+def seen_from_elsewhere(
+    table: Measurements, length: float, degrees: float, seed: int
+) -> tuple[Measurements, np.ndarray]:
+    """The points in a frame moved by a length and turned by an angle, each in a random direction, and that pose."""
+    shift, axis = np.random.default_rng(seed).normal(size=(2, 3))
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(np.deg2rad(degrees) * axis / np.linalg.norm(axis)).as_matrix()
+    T[:3, 3] = length * shift / np.linalg.norm(shift)
+    return replace(table, points=table.points @ T[:3, :3].T + T[:3, 3]), T
+
+
+@pytest.mark.parametrize(("model", "near"), [("auto", None), ("dh", np.eye(4))])
+def test_where_an_unknown_frame_stands_does_not_change_the_fit(ur3, table, model, near):
+    """Every row's error, seen or left out, and the robot; the frame found is moved with the points."""
+    cell = Cell(estimate_frame=True, model=model, T_frame_base=near)
+    printed = calibrate(ur3, table, cell=cell)
+    norms = np.linalg.norm(printed.residual_calibrated, axis=1)
+    unseen = np.linalg.norm(printed.cross_validation.residual, axis=1)
+    assert 1e3 * printed.errors["calibrated"]["validation"].rms <= 0.35
+    for length, degrees, seed in ((5e-3, 1.0, 0), (3.0, 120.0, 4)):
+        moved, T = seen_from_elsewhere(table, length, degrees, seed)
+        result = calibrate(ur3, moved, cell=cell, validate=seed == 0)
+        assert result.model.name == printed.model.name
+        if result.cross_validation is not None:
+            left_out = np.linalg.norm(result.cross_validation.residual, axis=1)
+            np.testing.assert_allclose(left_out, unseen, rtol=0, atol=1e-9)
+        for found, expected in (
+            (np.linalg.norm(result.residual_calibrated, axis=1), norms),
+            (result.target, printed.target),
+            (result.robot.placements, printed.robot.placements),
+            (result.T_frame_base, T @ printed.T_frame_base),
+        ):
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_predict_is_what_the_residuals_are_made_of(default_result, table):
+    predicted = default_result.predict(table.joints_for(default_result.robot.joint_names))
+    np.testing.assert_allclose(
+        table.points - predicted, default_result.residual_calibrated, atol=1e-12
+    )
+
+
+def test_evaluate_on_the_written_urdf_agrees_with_fit(default_result, table, tmp_path):
+    path = default_result.write_urdf(tmp_path / "corrected.urdf")
+    robot = Robot.load(path, base="base", tip="tool0")
+    result = evaluate(robot, table, Cell(target=default_result.target, estimate_target=False))
+    np.testing.assert_allclose(result.residual, default_result.residual_calibrated, atol=1e-9)
+    assert result.registered == ()
+
+
+def test_evaluate_registers_what_is_not_given(ur3, table, default_result):
+    result = evaluate(ur3, table)
+    assert result.registered == ("target",)
+    assert np.linalg.norm(result.target - default_result.target) < 5e-3
+    framed = evaluate(ur3, table, Cell(estimate_frame=True))
+    assert framed.registered == ("target", "frame")
+    assert framed.errors["estimation"].rms < result.errors["estimation"].rms
+
+
+def test_the_urdf_changes_in_origins_of_the_chain_only(default_result, ur3, tmp_path):
+    path = default_result.write_urdf(tmp_path / "corrected.urdf")
+    before, after = ur3.urdf.data.decode().splitlines(), path.read_text().splitlines()
+    changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
+    assert (
+        len(changed) == 6
+    )  # nothing is left for the tip: a6 and alpha6 cannot be told from the target
+    assert all("<origin" in a and "<origin" in b for a, b in changed)
+
+
+def test_a_target_link_stands_where_the_target_is(default_result, tmp_path):
+    path = default_result.write_urdf(tmp_path / "corrected.urdf", target_link=True)
+    with_link = Robot.load(path, base="base", tip="calib_target")
+    q = np.random.default_rng(0).uniform(-3, 3, (5, 6))
+    np.testing.assert_allclose(with_link.poses(q)[:, :3, 3], default_result.predict(q), atol=1e-9)
+
+
+def test_a_urdf_that_disagrees_with_memory_is_not_written(default_result, tmp_path):
+    x = default_result.x.copy()
+    x[0] += 1e-8
+    robot = default_result.model.apply(default_result.nominal, x)
+    tampered = replace(default_result, robot=robot)
+    with pytest.raises(UrdfError, match=r"read back by Pinocchio.*not written"):
+        tampered.write_urdf(tmp_path / "corrected.urdf")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("model", ["dh", "hayati", "placement", "zeros"])
+def test_every_set_writes_a_urdf_that_reads_back(ur3, table, model, tmp_path):
+    result = calibrate(ur3, table, cell=Cell(model=model), validate=False)
+    assert result.write_urdf(tmp_path / "corrected.urdf").is_file()
+    assert (
+        result.errors["calibrated"]["estimation"].rms < result.errors["nominal"]["estimation"].rms
+    )
+
+
+def test_frames_alone_leave_the_robot_as_it_is(ur3, table, tmp_path):
+    result = calibrate(ur3, table, model="frames", validate=False)
+    assert result.robot.urdf.data == ur3.urdf.data
+    assert result.write_urdf(tmp_path / "same.urdf").read_bytes() == ur3.urdf.data
+
+
+def test_frozen_parameters_stay(ur3, table, paper_cell):
+    result = calibrate(ur3, table, cell=replace(paper_cell, frozen=("d2", "a6")), validate=False)
+    assert len(result.parameters) == 25
+    with pytest.raises(ModelError, match="no parameter 'd2'"):
+        result.parameter("d2")
+
+
+def test_a_known_target_stays(ur3, table):
+    given = np.array([-0.07, 0.07, 0.021])
+    result = calibrate(ur3, table, cell=Cell(target=given, estimate_target=False), validate=False)
+    np.testing.assert_array_equal(result.target, given)
+    assert len(result.parameters) == 24
+
+
+def test_progress_is_told_after_each_fit(ur3, table, paper_cell):
+    few = table.select(np.arange(35) < 12)
+    seen = []
+    calibrate(ur3, few, cell=paper_cell, progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(i + 1, 12) for i in range(12)]
+
+
+def test_few_rows_are_to_be_used_with_care(ur3, table, paper_cell):
+    result = calibrate(ur3, table.select(np.arange(35) < 12), cell=paper_cell)
+    assert result.verdict.use != "use"
+    assert any(reason.code == "few_numbers" for reason in result.verdict.reasons)
+
+
+def test_data_that_do_not_fit_are_not_to_be_used(ur3, table):
+    shuffled = replace(table, joints=np.roll(table.joints, 1, axis=0))
+    result = calibrate(ur3, shuffled)
+    assert result.verdict.use == "do not use"
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "text"),
+    [
+        (
+            {"solver": "newton"},
+            ModelError,
+            "no solver 'newton'",
+        ),
+        ({"model": "dhh"}, ModelError, "no parameter set 'dhh'"),
+        ({"cell": Cell(frozen=("d7",))}, ModelError, "No model has the parameters 'd7'"),
+        ({"cell": Cell(frozen=("d7",), model="dh")}, ModelError, "no parameter 'd7'"),
+        (
+            {"cell": Cell(parameter_priors={"a9": 1e-3}, bounds={"a8": (-1e-3, 1e-3)})},
+            ModelError,
+            "No model has the parameters 'a8', 'a9'",
+        ),
+        (
+            {"cell": Cell(ties={"a2": ("b3", 1.0)})},
+            ModelError,
+            "No model has the parameters 'b3'",
+        ),
+        ({"cell": Cell(bounds={"a8": (-1, 1)}, model="dh")}, ModelError, "no parameter 'a8'"),
+        ({"model": "dh+gains"}, ModelError, "'gains'"),
+        ({"model": "auto+gain"}, ModelError, "no parameter set 'auto'"),
+        (
+            {"cell": Cell(model="paper", estimate_frame=True)},
+            ModelError,
+            "'paper' knows the measurement frame",
+        ),
+        (
+            {"cell": Cell(target=np.zeros(3), estimate_target=False, model="frames")},
+            ModelError,
+            "nothing to estimate",
+        ),
+    ],
+)
+def test_what_cannot_be_done_is_refused(ur3, table, options, error, text):
+    with pytest.raises(error, match=text):
+        calibrate(ur3, table, **options)
+
+
+def test_rows_of_one_pose_need_a_model_by_name(ur3, table):
+    """auto leaves rows out to choose; what it says to do instead can be done."""
+    one = table.select(np.arange(35) < 1)
+    said = r"1 row of one pose .* name a model and do without \(--model zeros --no-validate\): auto"
+    with pytest.raises(MeasurementError, match=said):
+        calibrate(ur3, one, validate=False)
+    assert calibrate(ur3, one, model="zeros", validate=False).errors["nominal"]["estimation"].n == 1
+
+
+def test_fewer_numbers_than_parameters_need_priors(ur3, table):
+    few = table.select(np.arange(35) < 8)
+    with pytest.raises(
+        MeasurementError, match="8 rows give 24 numbers for 27 parameters, and priors are off"
+    ):
+        calibrate(ur3, few, cell=Cell(priors=Priors("off"), model="dh"))
+
+
+def test_measurements_from_memory_do(ur3, table):
+    data = Measurements(joint_names=ur3.joint_names, joints=table.joints, points=table.points)
+    result = calibrate(ur3, data, validate=False)
+    assert result.errors["calibrated"]["estimation"].n == 35
+    assert result.verdict is None
+
+
+def test_a_gross_row_does_not_spoil_the_nominal_robots_errors(ur3, table):
+    points = table.points.copy()
+    points[3] += [5.0, 0.0, 0.0]
+    wild = replace(table, points=points)
+    for cell in (Cell(model="zeros"), Cell(model="zeros", estimate_frame=True)):
+        clean = calibrate(ur3, table, cell=cell, validate=False).errors["nominal"]["validation"]
+        spoilt = calibrate(ur3, wild, cell=cell, validate=False).errors["nominal"]["validation"]
+        assert spoilt.rms == pytest.approx(clean.rms, abs=0.2e-3)
+        assert evaluate(ur3, wild, cell).errors["validation"].rms == pytest.approx(spoilt.rms)
+
+
+def test_without_priors_nothing_runs_away_but_what_ran_is_said(ur3, table):
+    result = calibrate(ur3, table, cell=Cell(priors=Priors("off")))
+    assert np.abs(result.x).max() < 1.0
+    assert result.verdict.use == "use with care"
+    assert result.verdict.reasons[0].code == "parameter_far"
+    held = result.parameter("d3")
+    assert held.high - held.low > 0.5  # it says that it does not know
+
+
+def test_a_coordinate_of_the_target_cannot_be_frozen(ur3, table):
+    with pytest.raises(ModelError, match=r"'target_x' cannot be frozen one by one.*--fix-target"):
+        calibrate(ur3, table, cell=Cell(frozen=("target_x",)))
+
+
+@pytest.mark.parametrize("model", ["auto", "placement"])
+def test_joints_named_like_coordinates_of_target_and_frame_can_be_frozen_and_tied(
+    ur3, table, model
+):
+    """Parameters are told apart by their family: 'target_arm.x' is the robot's."""
+    data = ur3.urdf.data.replace(b'"elbow_joint"', b'"target_arm"')
+    urdf = Urdf.from_bytes(data.replace(b'"wrist_1_joint"', b'"frame_1"'), "named.urdf")
+    robot = Robot.from_urdf(urdf, base="base", tip="tool0")
+    named = replace(table, joint_names=robot.joint_names)
+    cell = Cell(model=model, frozen=("target_arm.x",), ties={"frame_1.y": ("target_arm.y", -1.0)})
+    result = calibrate(robot, named, cell=cell, validate=False)
+    # As in the same robot with the names that its joints had.
+    usual = Cell(
+        model=model, frozen=("elbow_joint.x",), ties={"wrist_1_joint.y": ("elbow_joint.y", -1.0)}
+    )
+    expected = calibrate(ur3, table, cell=usual, validate=False)
+    np.testing.assert_array_equal(result.x, expected.x)
+    with pytest.raises(ModelError, match=r"no parameter 'target_arm\.x'"):
+        result.parameter("target_arm.x")
+
+
+@pytest.mark.slow
+def test_suspects_are_judged_by_their_own_number(virtual):
+    """30 rows to fit and 400 clean ones to validate: a false suspect in few tables."""
+    rng = np.random.default_rng(21)
+    with_suspects = 0
+    for _ in range(15):
+        x = virtual.offsets(rng, 2e-4, 3e-3)
+        rows = virtual.rows(rng, x, 430, 1e-4)
+        sets = ("estimate",) * 30 + ("validate",) * 400
+        names = virtual.kinematics.robot.joint_names
+        data = Measurements(joint_names=names, joints=rows.joints, points=rows.points, sets=sets)
+        result = calibrate(virtual.kinematics.robot, data, validate=False)
+        with_suspects += bool(result.suspects)
+    assert with_suspects <= 2
+
+
+@pytest.mark.slow
+def test_the_model_that_lacks_something_is_said(virtual):
+    """Axes 2, 3 and 4 tilted towards each other and joint 1 tilted in its base: dh with a known frame lacks both."""
+    robot = virtual.kinematics.robot
+    truth = error_model(robot, "placement", target=False)
+    rng = np.random.default_rng(22)
+    x = rng.normal(size=len(truth)) * np.where(
+        [p.unit == "m" for p in truth.parameters], 3e-4, 3e-3
+    )
+    q = random_joint_values(robot, 60, 5)
+    poses = truth.apply(robot, x).poses(q)
+    points = poses[:, :3, :3] @ np.array([0.05, 0.04, 0.06]) + poses[:, :3, 3]
+    points += 5e-5 * rng.normal(size=points.shape)
+    data = Measurements(joint_names=robot.joint_names, joints=q, points=points)
+    small, full = calibrate(robot, data, model="dh"), calibrate(robot, data)
+    assert (full.model.name, full.larger) == ("placement", None)
+    assert small.verdict.use == "use with care"
+    assert any(reason.code == "model_lacks" for reason in small.verdict.reasons)
+    assert full.verdict.use == "use"
+    assert full.sigma == pytest.approx(5e-5, rel=0.2)
+
+
+def test_repeats_of_a_few_poses_are_not_taken_for_evidence(virtual):
+    """Six poses, five times each, by the model that fits them all: nothing is known elsewhere, and that is said."""
+    rng = np.random.default_rng(23)
+    robot = virtual.kinematics.robot
+    x = virtual.offsets(rng, 5e-4, 4e-3)
+    q = np.repeat(random_joint_values(robot, 6, 3), 5, axis=0)
+    points = virtual.kinematics.points(x, q) + 5e-5 * rng.normal(size=(30, 3))
+    result = calibrate(robot, Measurements(joint_names=robot.joint_names, joints=q, points=points))
+    assert result.cross_validation.method == "leave-one-pose-out"
+    assert result.verdict.use != "use"
+
+
+def test_a_robot_that_is_right_already_is_to_be_kept(ur3, virtual):
+    rng = np.random.default_rng(24)
+    rows = virtual.rows(rng, np.zeros(27), 40, 1e-4)
+    data = Measurements(joint_names=ur3.joint_names, joints=rows.joints, points=rows.points)
+    verdict = calibrate(ur3, data).verdict
+    assert verdict.use == "do not use"
+    assert verdict.reasons[0].code == "nothing_to_gain"
+
+
+@pytest.mark.slow
+def test_expected_errors_are_those_of_the_covariance(virtual):
+    """Monte Carlo: what is expected over the joint limits is what the errors there are."""
+    rng = np.random.default_rng(25)
+    robot, q = virtual.kinematics.robot, virtual.unseen()
+    ratios = []
+    for _ in range(30):
+        x = virtual.offsets(rng, 2e-4, 3e-3)
+        rows = virtual.rows(rng, x, 40, 1e-4)
+        data = Measurements(joint_names=robot.joint_names, joints=rows.joints, points=rows.points)
+        result = calibrate(robot, data, validate=False)
+        errors = result.predict(q) - virtual.kinematics.points(x, q)
+        ratios.append(np.mean(np.sum(errors**2, axis=1)) / result.expected_everywhere**2)
+        assert result.expected_measured < result.expected_everywhere
+    assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.15)
+
+
+def test_the_papers_solver_says_how_sure_it_is(virtual, paper_cell):
+    """Monte Carlo: the intervals of identifiable parameters of the fourth-power estimator."""
+    rng = np.random.default_rng(26)
+    robot, inside = virtual.kinematics.robot, []
+    names = ("d2", "d3", "d4", "a6", "alpha6", "d6", "theta6", "target_x", "target_y", "target_z")
+    chosen = [k for k, name in enumerate(virtual.kinematics.model.names) if name not in names]
+    for _ in range(25):
+        x = virtual.offsets(rng, 2e-4, 3e-3)
+        rows = virtual.rows(rng, x, 60, 1e-4)
+        data = Measurements(joint_names=robot.joint_names, joints=rows.joints, points=rows.points)
+        result = calibrate(robot, data, cell=paper_cell, solver="paper", validate=False)
+        nominal = np.array([p.nominal for p in result.parameters])
+        low, high = (
+            np.array([getattr(p, end) for p in result.parameters]) for end in ("low", "high")
+        )
+        true = nominal + x
+        inside.append(((low < true) & (true < high))[chosen])
+    assert 0.88 < np.mean(inside) < 0.98
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("robot.urdf", None), "takes a Robot; 'robot.urdf' was given"),
+        ((None, "data.csv"), "takes a Measurements"),
+    ],
+)
+def test_things_of_another_kind_are_refused(ur3, table, arguments, text):
+    robot, data = arguments
+    with pytest.raises(ModelError, match=text):
+        calibrate(ur3 if robot is None else robot, table if data is None else data)
+
+
+def test_a_target_link_of_an_earlier_calibration_is_moved(table, default_result, tmp_path):
+    first = default_result.write_urdf(tmp_path / "first.urdf", target_link=True)
+    again = calibrate(Robot.load(first, base="base", tip="tool0"), table, validate=False)
+    second = again.write_urdf(tmp_path / "second.urdf", target_link=True)
+    q = np.random.default_rng(0).uniform(-3, 3, (5, 6))
+    with_link = Robot.load(second, base="base", tip="calib_target")
+    np.testing.assert_allclose(with_link.poses(q)[:, :3, 3], again.predict(q), atol=1e-9)
+    assert second.read_text().count('"calib_target"') == 2  # the link, and the joint's child
+
+
+def test_a_target_link_elsewhere_is_not_touched(ur3, table, tmp_path):
+    urdf = ur3.urdf.with_link("calib_target", "wrist_1_link", np.eye(4))
+    robot = Robot.from_urdf(urdf, "base", "tool0")
+    result = calibrate(robot, table, validate=False)
+    with pytest.raises(
+        UrdfError, match=r"has a link 'calib_target' already.*hangs on 'wrist_1_link'"
+    ):
+        result.write_urdf(tmp_path / "corrected.urdf", target_link=True)
+
+
+def test_changes_of_nothing_leave_the_origin_alone(virtual):
+    """A joint that is right already keeps its <origin> to the letter where the data say so exactly."""
+    robot = virtual.kinematics.robot
+    result = calibrate(robot, _points_of(virtual, np.zeros(27)), model="frames", validate=False)
+    assert result.robot.urdf.data == robot.urdf.data
+
+
+def _points_of(virtual, x) -> Measurements:
+    rows = virtual.rows(np.random.default_rng(27), x, 20, 0.0)
+    names = virtual.kinematics.robot.joint_names
+    return Measurements(joint_names=names, joints=rows.joints, points=rows.points)
+
+
+def off_by(a: np.ndarray, b: np.ndarray) -> float:
+    """Distance of two sets of points, rms [m]."""
+    return float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
+
+
+def as_one_body(a: np.ndarray, b: np.ndarray) -> float:
+    """The same after moving the first set as one body onto the second."""
+    middle_a, middle_b = a.mean(axis=0), b.mean(axis=0)
+    turn, _ = Rotation.align_vectors(b - middle_b, a - middle_a)
+    return off_by(turn.apply(a - middle_a) + middle_b, b)
+
+
+def true_points(scene, q, target: int = 0) -> np.ndarray:
+    """Where the target of the true robot is, in the base."""
+    load = gravity_load(scene.robot, q, scene.payload, scene.gravity)
+    samples = Samples(q, np.zeros(len(q), dtype=int), np.full(len(q), target), load)
+    poses = scene.kinematics.poses(scene.x, samples)
+    return (rigid_inverse(scene.kinematics.T_frame_base[0]) @ poses)[:, :3, 3]
+
+
+@pytest.mark.parametrize(
+    ("name", "bar"),
+    [
+        ("points", 3e-5),
+        ("poses", 3e-5),
+        ("targets", 3e-5),
+        ("turned targets", 3e-5),
+        ("set-ups", 3e-5),
+        ("known set-ups", 3e-5),
+        ("mixed", 5e-5),
+        ("gain", 3e-5),
+        ("compliance", 3e-5),
+    ],
+)
+def test_unseen_poses_of_a_known_truth_are_right(calibrated, name, bar):
+    """200 poses over the joint limits, in the base, within what noise of 0.02 mm allows."""
+    scene, c = calibrated(name)
+    q = random_joint_values(scene.robot, 200, 71)
+    fitted = c.fit.larger or c.fit.geometry
+    into_base = rigid_inverse(fitted.placed().T_frame_base[0])
+    for t, target in enumerate(c.setup.targets):
+        found = (into_base @ c.predict_poses(q, target=target))[:, :3, 3]
+        # Where frames are estimated, the base itself is known up to its own first placement.
+        apart = as_one_body if c.cell.estimate_frame else off_by
+        wanted = true_points(scene, q, int(target[1:]))
+        assert apart(found, wanted) < bar, t
+        nominal = (scene.robot.poses(q) @ scene.kinematics.T_tip_target[t])[:, :3, 3]
+        assert as_one_body(nominal, wanted) > 10 * bar
+
+
+@pytest.mark.parametrize("name", ["distances", "pairs", "sockets", "planes"])
+def test_without_positions_the_arm_is_right_as_one_body(calibrated, name):
+    scene, c = calibrated(name)
+    q = random_joint_values(scene.robot, 200, 72)
+    wanted = true_points(scene, q)
+    found = as_one_body(c.predict(q), wanted)
+    nominal = as_one_body(
+        (scene.robot.poses(q) @ scene.kinematics.T_tip_target[0])[:, :3, 3], wanted
+    )
+    # Planes tell no scale: only priors do.
+    assert found < (nominal / 3 if name == "planes" else 3e-5)
+    assert found < 3 * c.expected_everywhere
+
+
+def test_every_kind_is_cross_validated_and_judged(case):
+    scene, c = case
+    kinds = set(c.measurements.kinds)
+    assert c.cross_validation is not None
+    # A larger model than the URDF can hold leaves the geometry with patterns, which is said.
+    if c.larger is None:
+        # Planes alone tell no length, which is said.
+        told = bool(c.cell.distances) or not kinds <= {"fixed", "plane"}
+        assert c.verdict.use == ("use" if told else "use with care")
+        assert told or c.verdict.reasons[0].code == "no_length"
+        assert c.sigma == pytest.approx(scene.noise, rel=0.25)
+        after, before = c.cross_validation.errors, c.nominal_cross_validation.errors
+        assert after.rms < 0.1 * before.rms
+        assert (after.n_angle > 0) == ("pose" in kinds)
+        if "pose" in kinds:
+            assert c.sigma_angle == pytest.approx(scene.noise_angle, rel=0.3)
+            assert after.rms_angle < 0.2 * before.rms_angle
+
+
+def test_every_kind_is_written_and_read_back(case, tmp_path):
+    _, c = case
+    path = c.write_urdf(tmp_path / "corrected.urdf")
+    again = Robot.load(path, base="base", tip="tool0", held=c.nominal.held)
+    q = random_joint_values(again, 50, 4)
+    np.testing.assert_allclose(again.poses(q), c.fitted.tip_poses(Samples.at(q)), rtol=0, atol=1e-9)
+    assert again.urdf.data != c.nominal.urdf.data
+    assert again.urdf.data == c.robot.urdf.data
+
+
+def test_every_kind_has_a_summary_without_holes(case):
+    _, c = case
+    text = c.summary()
+    assert "nan" not in text
+    assert "inf " not in text
+    assert max(map(len, text.splitlines())) <= 100
+
+
+def test_parameters_by_exact_name_hold_under_auto(make_scene, tmp_path):
+    """Frozen, bounded, tied and with a prior of its own; names of larger models too."""
+    scene = make_scene(73, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=2e-5)
+    names, x = scene.kinematics.model.names, scene.x.copy()
+    x[names.index("a4")] = x[names.index("d5")] = 0.0
+    x[names.index("a3")] = 0.5 * x[names.index("a2")]
+    x[names.index("alpha1")] = 1.2e-4
+    scene = replace(scene, x=x)
+    cell = Cell(
+        frozen=("a4", "elbow_joint.gain"),
+        bounds={"alpha1": (-1e-4, 1e-4)},
+        ties={"a3": ("a2", 0.5)},
+        parameter_priors={"d5": 1e-7},
+    )
+    m = scene.points(70)
+    held, free = (calibrate(scene.robot, m, cell=c, validate=False) for c in (cell, Cell()))
+    assert held.model.name == free.model.name == "dh"
+    assert not {"a4", "a3"} & set(held.model.names)
+    bounded = held.parameter("alpha1")
+    assert bounded.delta == pytest.approx(1e-4, rel=1e-9)
+    assert bounded.at_bound
+    assert re.search(r"^alpha1 .* at bound deg$", held.summary(), re.MULTILINE)
+    stored = json.loads(held.write_json(tmp_path / "held.json").read_text(encoding="utf-8"))
+    for p in stored["parameters"]:
+        assert p["at_bound"] == (p["name"] == "alpha1")
+        assert (p["std"] is p["low"] is p["high"] is None) == p["at_bound"]
+    again = evaluate(held.nominal, m, known=read_result(tmp_path / "held.json").setup)
+    assert again.errors["all"].n == 70
+    assert not free.parameter("alpha1").at_bound
+    assert abs(held.parameter("d5").delta) < 1e-7
+    terms = dict(zip([t.name for t in held.model.terms], held.model.values(held.x), strict=True))
+    assert terms["a3"] == pytest.approx(0.5 * terms["a2"], rel=1e-12)
+    assert "a4" not in terms
+    assert held.parameter("a2").std < free.parameter("a2").std
+
+
+def test_a_bounded_gain_is_told_to_be_at_its_bound(make_scene):
+    scene = make_scene(74, frames=[np.eye(4)], model="dh+gain", noise=2e-5)
+    names, x = scene.kinematics.model.names, scene.x.copy()
+    x[names.index("elbow_joint.gain")] = 1e-3
+    scene = replace(scene, x=x)
+    cell = Cell(model="dh+gain", bounds={"elbow_joint.gain": (-1e-4, 1e-4)})
+    result = calibrate(scene.robot, scene.points(70), cell=cell, validate=False)
+    text = result.summary()
+    assert re.search(r"^  elbow_joint\.gain +0\.100 \(at bound\) mrad/rad$", text, re.MULTILINE)
+    assert re.search(r"^  wrist_1_joint\.gain .* ± 0\.\d+ mrad/rad$", text, re.MULTILINE)
+
+
+def test_the_gain_of_a_joint_that_slides_is_told_in_millimetres_a_metre(make_scene):
+    robot = Robot.load("tiago", tip="arm_tool_link")
+    scene = make_scene(75, frames=[np.eye(4)], robot=robot, model="dh+gain", noise=2e-5)
+    cell = Cell(model="dh+gain")
+    result = calibrate(robot, scene.points(90), cell=cell, validate=False)
+    text = result.summary()
+    assert re.search(r"^  torso_lift_joint\.gain .* mm/m$", text, re.MULTILINE)
+    assert re.search(r"^  arm_1_joint\.gain .* mrad/rad$", text, re.MULTILINE)
+    units = {p.name: p.unit for p in result.larger.parameters}
+    assert (units["torso_lift_joint.gain"], units["arm_1_joint.gain"]) == ("m/m", "1")
+
+
+def test_families_that_are_named_make_the_larger_model(calibrated):
+    scene, c = calibrated("gain")
+    named = calibrate(
+        scene.robot, c.measurements, cell=replace(c.cell, model="dh+gain"), validate=False
+    )
+    assert (named.model.name, named.larger.name, named.candidates) == ("dh", "dh+gain", ())
+    np.testing.assert_allclose(named.larger.x, c.larger.x, atol=1e-6)
+    gains = [p for p in named.larger.parameters if p.name.endswith(".gain")]
+    truth = dict(zip(scene.kinematics.model.names, scene.x, strict=True))
+    assert len(gains) == 6
+    inside = [p.low < truth[p.name] < p.high for p in gains]
+    assert sum(inside) >= 4

@@ -1,0 +1,156 @@
+"""What can be asked of a result: predictions by target and set-up, how sure they are, what lies outside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.calibration import calibrate
+from calib.errors import ModelError
+from calib.model.kinematics import Samples
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot
+
+
+def test_predictions_are_what_residuals_are_made_of(case):
+    """Of every kind that measures positions, by the row's own target and set-up, with the larger model and without."""
+    _, c = case
+    m = c.measurements
+    seen = m.of_kind("point", "pose")
+    for i in np.flatnonzero(seen)[::7]:
+        where = {"target": m.targets[i], "group": m.groups[i]}
+        q = m.joints_for(c.nominal.joint_names)[i]
+        geometry = c.predict(q, larger=False, **where)[0]
+        np.testing.assert_allclose(m.points[i] - geometry, c.residual_calibrated[i, :3], atol=1e-12)
+        if c.larger is not None:
+            larger = c.predict(q, **where)[0]
+            np.testing.assert_allclose(m.points[i] - larger, c.larger.residual[i, :3], atol=1e-12)
+            assert np.linalg.norm(larger - geometry) > 1e-6
+
+
+def test_poses_hold_the_positions_and_are_rotations(case):
+    _, c = case
+    q = random_joint_values(c.nominal, 5, 1)
+    for group in c.setup.groups:
+        for target in c.setup.targets:
+            T = c.predict_poses(q, target=target, group=group)
+            np.testing.assert_array_equal(T[:, :3, 3], c.predict(q, target=target, group=group))
+            np.testing.assert_allclose(
+                T[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1),
+                np.tile(np.eye(3), (5, 1, 1)),
+                atol=1e-12,
+            )
+
+
+def test_set_ups_see_the_same_robot(calibrated):
+    _, c = calibrated("set-ups")
+    q = random_joint_values(c.nominal, 5, 1)
+    seen = [
+        np.linalg.inv(T) @ c.predict_poses(q, group=g)
+        for g, T in zip(c.setup.groups, c.setup.T_frame_base, strict=True)
+    ]
+    np.testing.assert_allclose(seen[1], seen[0], atol=1e-12)
+    np.testing.assert_allclose(seen[2], seen[0], atol=1e-12)
+    np.testing.assert_array_equal(c.predict(q), c.predict(q, group="0"))
+
+
+def test_without_an_instrument_s_frame_predictions_are_in_the_base(calibrated):
+    scene, c = calibrated("sockets")
+    q = c.measurements.joints[:5]
+    in_base = c.predict(q)
+    T = c.setup.T_frame_base[0]
+    np.testing.assert_allclose(
+        c.predict(q, group=c.setup.groups[0]), in_base @ T[:3, :3].T + T[:3, 3], atol=1e-12
+    )
+    nominal = (scene.robot.poses(q) @ scene.kinematics.T_tip_target[0])[:, :3, 3]
+    assert np.abs(in_base - nominal).max() < 0.02
+
+
+def test_one_configuration_is_a_row(calibrated):
+    _, c = calibrated("points")
+    q = random_joint_values(c.nominal, 1, 2)
+    np.testing.assert_array_equal(c.predict(q[0]), c.predict(q))
+    assert c.position_std(q[0]).shape == (1,)
+
+
+def test_positions_are_as_sure_as_their_errors_are_small(calibrated):
+    scene, c = calibrated("points")
+    q = random_joint_values(c.nominal, 300, 3)
+    true = scene.kinematics.points(scene.x, Samples.at(q))
+    errors = np.linalg.norm(c.predict(q) - true, axis=1)
+    std = c.position_std(q)
+    assert 0.4 < np.sqrt(np.mean(errors**2) / np.mean(std**2)) < 2.0
+    assert np.sqrt(np.mean(std**2)) == pytest.approx(c.expected_everywhere, rel=0.15)
+
+
+def test_in_a_socket_s_frame_positions_are_as_sure_as_predictions_differ(calibrated):
+    """By differences of what `predict` gives."""
+    _, c = calibrated("sockets")
+    q, group, step = random_joint_values(c.nominal, 5, 3), c.setup.groups[0], 1e-6
+
+    def at(x):
+        return replace(c, x=x).predict(q, group=group)
+
+    J = np.stack(
+        [(at(c.x + e) - at(c.x - e)) / (2 * step) for e in step * np.eye(len(c.x))], axis=2
+    )
+    expected = np.sqrt(np.einsum("nij,jk,nik->n", J, c.covariance, J))
+    np.testing.assert_allclose(c.position_std(q, group=group), expected, rtol=1e-3)
+
+
+def test_the_larger_model_is_surer_where_it_is_the_true_one(calibrated):
+    _, c = calibrated("gain")
+    q = random_joint_values(c.nominal, 50, 3)
+    assert np.all(c.position_std(q) < c.position_std(q, larger=False))
+
+
+def test_names_that_are_not_there_are_refused(calibrated):
+    _, c = calibrated("targets")
+    q = np.zeros(6)
+    with pytest.raises(ModelError, match="no target 'ball'; there is 't0', 't1'"):
+        c.predict(q, target="ball")
+    with pytest.raises(ModelError, match="no set-up 'monday'; there is '0'"):
+        c.position_std(q, group="monday")
+    with pytest.raises(ModelError, match="no parameter 'a9'"):
+        c.parameter("a9")
+
+
+def test_a_parameter_of_the_larger_model_is_found_too(calibrated):
+    _, c = calibrated("gain")
+    assert c.parameter("elbow_joint.gain").unit == "1"
+    assert c.parameter("a2") is c.parameters[c.model.index("a2")]
+
+
+def test_joint_values_outside_of_the_measured_are_told(calibrated):
+    _, c = calibrated("points")
+    seen = c.measurements.joints[c.weights > 0.0]
+    inside, beyond = seen[3].copy(), seen[3].copy()
+    beyond[2] = seen[:, 2].max() + 0.5
+    assert c.outside_of_measured(inside) == ()
+    (row,) = c.outside_of_measured(np.array([inside, beyond]))
+    assert row.index == 1
+    assert [one.joint for one in row.beyond] == ["elbow_joint"]
+
+
+def test_a_target_link_is_for_one_target(calibrated, tmp_path):
+    _, c = calibrated("targets")
+    with pytest.raises(ModelError, match="There are 2 targets, 't0', 't1'; a target link can be"):
+        c.write_urdf(tmp_path / "c.urdf", target_link=True)
+    assert list(tmp_path.iterdir()) == []
+    _, turned = calibrated("poses")
+    path = turned.write_urdf(tmp_path / "c.urdf", target_link=True)
+    robot = Robot.load(path, "base", "calib_target")
+    q = random_joint_values(turned.nominal, 5, 2)
+    into_base = np.linalg.inv(turned.T_frame_base)
+    np.testing.assert_allclose(robot.poses(q), into_base @ turned.predict_poses(q), atol=1e-9)
+
+
+def test_in_one_line(calibrated):
+    scene, c = calibrated("points")
+    assert repr(c) == f"Calibration({scene.robot!r}, 76 rows, use)"
+    bare = calibrate(scene.robot, c.measurements, model="zeros", validate=False)
+    assert repr(bare).endswith("76 rows, no verdict)")
+    assert "larger" not in c.errors
+    assert c.errors["nominal"]["validation"].n == 12

@@ -1,0 +1,488 @@
+"""Two calibrations of one virtual UR3, unchanged or changed in a known way, its tracker and target moved."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.calibration import Calibration, Comparison, calibrate, compare
+from calib.data.cell import Cell, Priors
+from calib.data.measurements import Measurements
+from calib.errors import FileError, ModelError, UrdfError
+from calib.example import PAPER_TARGET, paper_urdf
+from calib.files import plain
+from calib.model.error_model import error_model
+from calib.model.families import ANGLE, LENGTH, ZERO, unit_of
+from calib.model.kinematics import Kinematics
+from calib.result.drift import LEVEL
+from calib.result.verdict import Verdict
+from calib.robot.readback import random_joint_values, spread_between
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
+from calib.simulation.scenario import Scenario
+from calib.text.comparison import notes, sentence
+
+DOC = Path(__file__).parents[2] / "docs" / "comparison.md"
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A UR3 that errs by 0.3 mm and 1 mrad, drawn from a seed, and changes of it by name."""
+
+    robot: Robot
+    seed: int
+
+    def x(self, change: Mapping[str, float]) -> tuple[Any, np.ndarray]:
+        model = error_model(self.robot, "dh", target=False)
+        size = np.where(np.array(model.units) == "m", 3e-4, 1e-3)
+        x = size * np.random.default_rng(self.seed).normal(size=len(size))
+        for name, value in change.items():
+            x[model.index(name)] += value
+        return model, x
+
+    def measured(
+        self,
+        visit: int,
+        change: Mapping[str, float] | None = None,
+        *,
+        count: int = 30,
+        noise: float = 5e-5,
+        elsewhere: bool = True,
+        fit: str = "dh",
+        start: Robot | None = None,
+        validate: bool = False,
+    ) -> tuple[Calibration, np.ndarray, np.ndarray]:
+        """A calibration, and where frame and target truly were."""
+        rng = np.random.default_rng([self.seed, visit])
+        model, x = self.x(change or {})
+        T_frame_base, T_tip_target = np.eye(4), np.eye(4)
+        T_tip_target[:3, 3] = PAPER_TARGET
+        if elsewhere:
+            T_frame_base[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+            T_frame_base[:3, 3] = rng.uniform(-3.0, 3.0, 3)
+            T_tip_target[:3, 3] += rng.normal(0.0, 0.02, 3)
+        q = rng.uniform(-2.5, 2.5, (count, 6))
+        points = Kinematics(self.robot, model, T_frame_base, T_tip_target).points(x, q)
+        table = Measurements(self.robot.joint_names, q, points + rng.normal(0.0, noise, (count, 3)))
+        cell = Cell(estimate_frame=elsewhere, model=fit)
+        found = calibrate(start or self.robot, table, cell=cell, validate=validate)
+        return found, T_frame_base, T_tip_target
+
+
+@pytest.fixture(scope="module")
+def arm(ur3: Robot) -> Arm:
+    return Arm(ur3, 7)
+
+
+@pytest.fixture(scope="module")
+def before(arm: Arm) -> Calibration:
+    return arm.measured(1)[0]
+
+
+@pytest.fixture(scope="module")
+def later(arm: Arm) -> Callable[..., Calibration]:
+    """Calibrations of a later visit, each made once."""
+
+    @cache
+    def run(theta: str = "", change: float = 0.0, **given: Any) -> Calibration:
+        return arm.measured(2, {theta: change} if theta else {}, **given)[0]
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def unchanged(before: Calibration, later: Callable[..., Calibration]) -> Comparison:
+    return compare(before, later())
+
+
+@pytest.fixture(scope="module")
+def drifted(before: Calibration, later: Callable[..., Calibration]) -> Comparison:
+    return compare(before, later("theta3", 1e-3))
+
+
+def test_a_robot_that_did_not_change(unchanged: Comparison):
+    c = unchanged
+    assert (c.outcome, c.why) == ("no drift shown", "")
+    assert c.test.p > LEVEL
+    # 24 parameters, less two of three parallel axes, two that the frame and four that the target make up for.
+    assert c.test.combinations == 16
+    assert set(c.untold) == {"d1", "theta1", "a6", "alpha6", "d6", "theta6"}
+    assert [m.where for m in c.moves] == ["the joint values that both measured", "the joint limits"]
+    for move in c.moves:
+        assert 0.4 * move.noise < move.rms < 1.6 * move.noise
+        assert move.rms < move.max < 5.0 * move.rms
+        assert np.isnan(move.rms_angle)
+    assert (c.only_a, c.only_b, notes(c)) == ((), (), ())
+    assert repr(c).startswith("Comparison('a', 'b', no drift shown, p = 0.")
+
+
+def test_tracker_and_target_stand_elsewhere(arm: Arm, unchanged: Comparison):
+    (_, T, t), (_, U, u) = arm.measured(1), arm.measured(2)
+    (frame,), (target,) = unchanged.frames, unchanged.targets
+    T, U = np.linalg.inv(T), np.linalg.inv(U)
+    turn = Rotation.from_matrix(T[:3, :3].T @ U[:3, :3]).magnitude()
+    assert frame.found
+    assert target.found
+    assert frame.shift == pytest.approx(np.linalg.norm(U[:3, 3] - T[:3, 3]), abs=5e-3)
+    assert frame.turn == pytest.approx(turn, abs=5e-3)
+    assert target.shift == pytest.approx(np.linalg.norm(u[:3, 3] - t[:3, 3]), abs=2e-3)
+    assert np.isnan(target.turn)
+    text = " ".join(unchanged.summary().split())
+    assert "elsewhere and turned by" in text
+    assert text.count("that is no drift of the robot.") == 2
+
+
+def true_move(arm: Arm, c: Comparison, change: Mapping[str, float]) -> float:
+    """How far the target truly moved, less the best motion of frame and target, rms: by a path of its own."""
+    model, x = arm.x({})
+    _, y = arm.x(change)
+    T_tip_target = np.eye(4)
+    T_tip_target[:3, 3] = c.a.target
+    kinematics = Kinematics(arm.robot, model, np.eye(4), T_tip_target)
+    low = np.maximum(c.a.ranges[:, 0], c.b.ranges[:, 0])
+    high = np.minimum(c.a.ranges[:, 1], c.b.ranges[:, 1])
+    q = spread_between(np.stack([low, high], axis=1), 200)
+    T, points = kinematics.poses(x, q), kinematics.points(y, q)
+    by_frame = np.concatenate(
+        [np.tile(np.eye(3), (200, 1, 1)), np.cross(np.eye(3), points[:, None]).swapaxes(1, 2)],
+        axis=2,
+    )
+    G = np.concatenate([by_frame, T[:, :3, :3]], axis=2).reshape(600, 9)
+    moved = (points - T[:, :3, 3]).ravel()
+    left = moved - G @ np.linalg.lstsq(G, moved, rcond=None)[0]
+    return float(np.linalg.norm(left) / np.sqrt(200))
+
+
+def test_a_joint_that_drifted_by_a_milliradian(arm: Arm, drifted: Comparison):
+    c = drifted
+    assert c.outcome == "drift"
+    assert c.test.sigma > 8.0
+    wanted = true_move(arm, c, {"theta3": 1e-3})
+    assert wanted > 1e-4
+    assert c.moves[0].moved == pytest.approx(wanted, abs=3.0 * c.moves[0].std)
+    theta3 = next(p for p in c.parameters if p.name == "theta3")
+    assert theta3.difference == c.b.parameter("theta3").delta - c.a.parameter("theta3").delta
+    assert theta3.sigmas == pytest.approx(theta3.difference / theta3.std)
+
+
+def test_the_order_turns_signs_alone(before, later, drifted: Comparison):
+    other = compare(later("theta3", 1e-3), before)
+    assert other.test.chi_square == pytest.approx(drifted.test.chi_square, rel=0.02)
+    for p, q in zip(other.parameters, drifted.parameters, strict=True):
+        assert p.difference == -q.difference
+        assert p.std == q.std
+
+
+def test_what_the_frame_makes_up_for_is_no_drift_but_with_a_known_frame_it_is(
+    arm: Arm, before: Calibration, later: Callable[..., Calibration]
+):
+    lost = compare(before, later("theta1", 1e-3))
+    assert lost.outcome == "no drift shown"
+    assert "theta1" in lost.untold
+    known = [arm.measured(k, c, elsewhere=False)[0] for k, c in ((3, {}), (4, {"theta1": 1e-3}))]
+    found = compare(*known)
+    assert found.outcome == "drift"
+    assert found.test.combinations == 18
+    assert set(found.untold) == {"a6", "alpha6", "d6", "theta6"}
+    assert any("Both take the measurement frame as known" in note for note in notes(found))
+    assert "Measurement frame: the same in both, as given." in found.summary()
+
+
+def test_other_parameters_of_the_same_robot_predict_the_same(
+    before: Calibration, later: Callable[..., Calibration], unchanged: Comparison
+):
+    c = compare(before, later(fit="hayati"))
+    assert c.outcome == "no drift shown"
+    assert c.test.p > LEVEL
+    assert c.moves[0].rms == pytest.approx(unchanged.moves[0].rms, rel=0.3)
+    assert c.only_a == ()
+    assert c.only_b == ("beta2", "beta3")  # of two parallel axes dh has no tilt
+    assert any("only b ('hayati') has 'beta2', 'beta3'" in note for note in notes(c))
+    beta = next(p for p in c.parameters if p.name == "beta2")
+    assert np.isnan(beta.a)
+    assert np.isnan(beta.difference)
+    assert "Only b has the parameters 'beta2', 'beta3'." in c.summary()
+
+
+def test_a_model_that_leaves_errors_out_looks_like_a_drift_and_is_not_called_one(
+    before: Calibration, later: Callable[..., Calibration]
+):
+    c = compare(later(fit="zeros"), before)
+    assert c.outcome == "cannot tell"
+    assert c.test.drifted
+    assert c.why == "other errors"
+    assert "only b ('dh') has 'a1', 'alpha1', 'a2', 'alpha2' and" in sentence(c)
+    first = c.summary().split("\n\n")[1]
+    assert first.startswith("Whether the robot drifted cannot be told.")
+
+
+def test_a_move_far_beyond_what_models_lack_is_a_drift(
+    before: Calibration, later: Callable[..., Calibration]
+):
+    c = compare(later("theta2", 0.02, fit="zeros"), before)
+    assert c.outcome == "drift"
+    assert c.moves[0].moved > 3.0 * max(
+        one.errors["calibrated"]["estimation"].rms for one in (c.a, c.b)
+    )
+    assert any("only b ('dh') has" in note for note in notes(c))
+    assert "Fit both" not in c.summary()
+
+
+def test_the_same_measurements_are_no_second_opinion(before: Calibration):
+    c = compare(before, before)
+    assert (c.outcome, c.test.chi_square) == ("cannot tell", 0.0)
+    assert c.why == "same data"
+
+
+def test_a_result_that_is_not_to_be_used(before, later):
+    bad = replace(later("theta3", 1e-3), verdict=Verdict("do not use", ()))
+    c = compare(before, bad)
+    assert (c.outcome, c.why) == ("cannot tell", "bad verdict")
+    assert "The verdict on b is 'do not use': mend that first." in c.summary()
+    careful = compare(before, replace(bad, verdict=Verdict("use with care", ())))
+    assert careful.outcome == "drift"
+    assert "The verdict on b is 'use with care'; see there." in notes(careful)
+
+
+def test_results_that_began_with_different_urdfs(arm: Arm, before: Calibration):
+    for change, outcome in (({}, "no drift shown"), ({"theta3": 1e-3}, "drift")):
+        again, _, _ = arm.measured(5, change, start=before.robot)
+        c = compare(before, again)
+        assert c.outcome == outcome
+        assert all(np.isnan(p.difference) for p in c.parameters)
+        assert any("count from different nominal robots" in note for note in notes(c))
+        if change:
+            wanted = true_move(arm, c, change)
+            assert c.moves[0].moved == pytest.approx(wanted, abs=3.0 * c.moves[0].std)
+
+
+def test_the_data_push_as_hard_as_the_priors_pull(before: Calibration):
+    of_robot = [
+        k for k, p in enumerate(before.model.parameters) if p.family in (LENGTH, ANGLE, ZERO)
+    ]
+    pull = before.x / np.array([p.prior_std for p in before.parameters]) ** 2
+    told = [k for k in of_robot if before.x[k]]
+    assert len(told) > 15
+    size = np.max(np.abs(pull[told]))
+    np.testing.assert_allclose(
+        np.array([p.push for p in before.parameters])[told], pull[told], atol=1e-2 * size
+    )
+
+
+def test_the_solver_of_the_paper_has_no_priors(arm: Arm):
+    m = arm.measured(4, elsewhere=False)[0].measurements
+    cell = Cell(model="paper")
+    papers = calibrate(arm.robot, m, cell=cell, solver="paper", validate=False)
+    np.testing.assert_allclose([p.push for p in papers.parameters], papers.x, atol=1e-12)
+    c = compare(arm.measured(3, elsewhere=False)[0], papers)
+    assert c.outcome == "no drift shown"
+    assert c.test.combinations == 18
+
+
+def test_a_robot_that_is_right_already(ur3: Robot):
+    # Sizes of errors are found to be nothing, and what the data know is still told.
+    class Right(Arm):
+        def x(self, change):
+            model, x = super().x({})
+            _, y = super().x(change)
+            return model, y - x
+
+    right = Right(ur3, 3)
+    first = right.measured(1)[0]
+    assert min(first.sizes.values()) < 1e-5
+    c = compare(first, right.measured(2)[0])
+    assert (c.outcome, c.test.combinations) == ("no drift shown", 16)
+    found = compare(first, right.measured(2, {"theta3": 6e-4})[0])
+    assert found.outcome == "drift"
+    wanted = true_move(right, found, {"theta3": 6e-4})
+    assert found.moves[0].moved == pytest.approx(wanted, abs=3.0 * found.moves[0].std)
+
+
+@pytest.mark.parametrize("sizes", ["given", "off"])
+def test_priors_do_not_make_a_drift(before: Calibration, sizes: str):
+    # The same rows under other priors: what the data say is the same, and the sha256 alone gives them away.
+    m = before.measurements
+    cell = replace(before.cell, priors=Priors(sizes))
+    other = calibrate(before.nominal, m, cell=cell, validate=False)
+    c = compare(before, other)
+    assert c.why == "same data"
+    assert c.test.combinations == 16
+    assert c.test.chi_square < 1.0
+    raw = max(abs(p.difference) / unit_of(p.unit).step for p in c.parameters)
+    assert raw > 0.01  # in steps of 1 mm and 1 mrad: the results themselves do differ
+
+
+@pytest.mark.slow
+def test_false_alarms_and_power(ur3: Robot):
+    """`scripts/comparison_study.py` in small: 16 pairs of measurements of robots that did not change, 6 that did."""
+    arms = [Arm(ur3, seed) for seed in range(100, 116)]
+    first = [arm.measured(1, count=15)[0] for arm in arms]
+    again = [arm.measured(2, count=15)[0] for arm in arms]
+    p = np.array([compare(a, b).test.p for a, b in zip(first, again, strict=True)])
+    # Unchanged, 3 or more of 16 below 0.01 have a probability of 5e-4, a mean of p beyond these ends one of 0.002.
+    assert np.sum(p < LEVEL) < 3
+    assert 0.28 < np.mean(p) < 0.72
+    change = {"theta2": 1e-3}
+    seen = [
+        compare(a, arm.measured(2, change, count=15)[0])
+        for a, arm in zip(first[:6], arms, strict=False)
+    ]
+    assert np.sum([c.outcome == "drift" for c in seen]) >= 5
+
+
+@pytest.fixture(scope="module")
+def files(before: Calibration, later: Callable[..., Calibration], tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("compared")
+    before.write_json(folder / "a.json")
+    later("theta3", 1e-3).write_json(folder / "b.json")
+    (folder / before.nominal.urdf.source).write_bytes(before.nominal.urdf.data)
+    return folder
+
+
+def test_result_files_say_the_same(files: Path, drifted: Comparison):
+    c = compare(files / "a.json", str(files / "b.json"))
+    assert c.names == ("a.json", "b.json")
+    assert c.test.chi_square == pytest.approx(drifted.test.chi_square, rel=1e-6)
+    assert c.moves[0].rms == pytest.approx(drifted.moves[0].rms, rel=1e-6)
+
+
+def test_text_and_table(drifted: Comparison, unchanged: Comparison, tmp_path: Path):
+    for c in (drifted, unchanged):
+        lines = c.summary().splitlines()
+        assert max(map(len, lines)) <= 100
+        assert all(line == line.rstrip() and line.isprintable() for line in lines)
+        assert sum(line.startswith("theta") for line in lines) == 6
+    assert "The robot drifted (" in drifted.summary().split("\n\n")[1]
+    written = json.loads(drifted.write_json(tmp_path / "c.json").read_text(encoding="utf-8"))
+    assert written["schema"] == "comparison 2"
+    assert written["outcome"] == "drift"
+    assert written["moves"][0]["rms_m"] == drifted.moves[0].rms
+    assert [p["name"] for p in written["parameters"]] == [p.name for p in drifted.parameters]
+    with pytest.raises(FileError, match="exists"):
+        drifted.write_json(tmp_path / "c.json")
+
+
+def keys(value: Any, path: str = "") -> set[str]:
+    """Every key of nested tables, as the document writes it."""
+    if isinstance(value, dict):
+        return set().union(*(keys(v, f"{path}.{k}" if path else k) for k, v in value.items()))
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return set().union(*(keys(entry, f"{path}[]") for entry in value))
+    return {path}
+
+
+def test_the_document_has_every_key(drifted: Comparison):
+    documented = set()
+    for line in DOC.read_text(encoding="utf-8").splitlines():
+        for cell in re.findall(r"^\| `([^`]+)` \|", line):
+            brace = re.search(r"\{(.*?)\}", cell)
+            parts = brace[1].split(",") if brace else [""]
+            documented |= {cell.replace(brace[0], part) if brace else cell for part in parts}
+    assert keys(plain(drifted.table())) == documented
+
+
+@pytest.mark.parametrize(
+    ("chain", "said"),
+    [
+        ({"base": "world"}, "Base: 'base' in a, 'world' in b. Fit both"),
+        ({"tip": "ee_link"}, "Tip: 'tool0' in a, 'ee_link' in b."),
+        ({"held": {"elbow_joint": 0.1}}, "Joints: 'shoulder_pan_joint'"),
+    ],
+)
+def test_other_chains_are_refused(before: Calibration, chain: dict[str, Any], said: str):
+    own = {"base": "base", "tip": "tool0", **chain}
+    other = replace(before, nominal=Robot.load(paper_urdf(), **own))
+    with pytest.raises(ModelError, match=re.escape(said)):
+        compare(before, other)
+
+
+def test_other_held_values_are_refused(before: Calibration):
+    held = [
+        replace(before, nominal=Robot.load(paper_urdf(), "base", "tool0", held={"elbow_joint": v}))
+        for v in (0.1, 0.2)
+    ]
+    with pytest.raises(ModelError, match=r"Value of 'elbow_joint': 0\.1 in a, 0\.2 in b"):
+        compare(*held)
+
+
+def test_another_robot_is_refused(before: Calibration, later):
+    with pytest.raises(UrdfError, match="base"):
+        compare(before, later(), robot="panda")
+    longer = Robot.load(paper_urdf(), base="base", tip="tool0", held={"wrist_3_joint": 0.0})
+    with pytest.raises(ModelError, match=r"Give the URDF that they were made with\."):
+        compare(before, later(), robot=longer)
+
+
+def test_a_parameter_at_its_bound(arm: Arm, before: Calibration):
+    m = arm.measured(6)[0].measurements
+    _, x = arm.x({})
+    ends = sorted((0.0, 0.5 * x[4]))  # a2 would like to be beyond
+    cell = Cell(estimate_frame=True, model="dh", bounds={"a2": tuple(ends)})
+    bounded = calibrate(arm.robot, m, cell=cell, validate=False)
+    assert bounded.parameter("a2").at_bound
+    c = compare(before, bounded)
+    a2 = next(p for p in c.parameters if p.name == "a2")
+    assert np.isnan(a2.std)
+    assert np.isnan(a2.sigmas)
+    assert any("'a2' stands at a bound" in note for note in notes(c))
+
+
+@pytest.mark.parametrize("name", ["poses", "distances", "held"])
+def test_every_kind_of_measurement(calibrated, name: str):
+    _, c = calibrated(name)
+    found = compare(c, c)
+    assert found.test.chi_square == 0.0
+    assert found.test.combinations > 0
+    text = found.summary()
+    assert max(map(len, text.splitlines())) <= 100
+    everything = {"d1", "theta1", "a6", "alpha6", "d6", "theta6"}
+    assert set(found.untold) == ({"wrist_3_joint.zero"} if name == "held" else everything)
+    assert np.isfinite(found.moves[0].rms_angle) == (name == "poses")
+    assert ("Set-up '0'" in text) == (name == "distances")
+    of = ("Length", "length") if name == "distances" else ("Position", "coordinate")
+    assert f"     {of[0]} error [mm] " in text
+    assert f"Noise of a {of[1]}: " in text
+    assert any("larger model of a" in note for note in notes(found)) == (c.larger is not None)
+
+
+PLACES = {"upper": (0.1, 0.0, 0.05), "lower": (0.0, 0.1, 0.05), "third": (-0.1, 0.0, 0.0)}
+
+
+@cache
+def measured(
+    *targets: str, seed: int = 1, name: str = "ur3", poses: int = 12, **options: bool
+) -> Calibration:
+    """A calibration of one true UR3 by some targets."""
+    data = paper_urdf().read_bytes().replace(b'name="ur3"', f'name="{name}"'.encode(), 1)
+    robot = Robot.from_urdf(Urdf.from_bytes(data, "ur3.urdf"), "base", "tool0")
+    cell = Cell(targets={t: PLACES[t] for t in targets}, model="zeros", **options)
+    virtual = Scenario(robot, cell, "zeros").draw(7)
+    table = virtual.measure(random_joint_values(robot, poses, seed=seed), seed)
+    return calibrate(robot, table.measurements, cell=cell, validate=False)
+
+
+def test_places_without_a_partner_are_named_for_both():
+    found = compare(measured("upper", "lower"), measured("upper", "third", seed=2))
+    said = " ".join(found.summary().split())
+    assert "Without a partner of the same name: targets 'lower' of a; targets 'third' of b." in said
+
+
+def test_robots_of_other_names():
+    found = compare(measured("upper", "lower"), measured("upper", "lower", seed=2, name="cell 7"))
+    assert "The URDFs name their robots 'ur3' and 'cell 7'." in notes(found)
+
+
+def test_data_that_know_nothing_in_common():
+    one, other = (measured("upper", seed=seed, poses=1, estimate_target=True) for seed in (1, 2))
+    found = compare(one, other)
+    assert (found.outcome, found.why) == ("cannot tell", "nothing known")
+    assert "know no combination of the robot's parameters in common" in sentence(found)

@@ -1,0 +1,145 @@
+"""evaluate: every kind of measurement, with what is known and what is registered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.errors import ModelError
+from calib.estimate.setup import Setup
+from calib.result.evaluation import evaluate, hint, moved
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot
+
+
+def part(setup: Setup, frames: list[int] | None = None, targets: list[int] | None = None) -> Setup:
+    """What is known of some of the frames and targets; None: of all."""
+    f = list(range(len(setup.groups))) if frames is None else frames
+    t = list(range(len(setup.targets))) if targets is None else targets
+    return replace(
+        setup,
+        groups=tuple(setup.groups[k] for k in f),
+        T_frame_base=setup.T_frame_base[f],
+        targets=tuple(setup.targets[k] for k in t),
+        T_tip_target=setup.T_tip_target[t],
+    )
+
+
+def test_the_nominal_errors_are_those_of_the_fit(case):
+    """What a fit says of the nominal robot is what evaluate says of it, for every kind."""
+    _, c = case
+    found = evaluate(c.nominal, c.measurements, c.cell)
+    np.testing.assert_allclose(found.residual, c.residual_nominal, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(found.used, c.used)
+    for name in ("estimation", "validation"):
+        assert found.errors[name].n == c.errors["nominal"][name].n
+    assert found.errors["all"].n == sum(found.errors[k].n for k in ("estimation", "validation"))
+    assert "target" in found.registered
+    scene = not {"point", "pose", "pair"} & set(c.measurements.kinds)
+    assert ("frame" in found.registered) == (c.cell.estimate_frame or scene)
+
+
+def test_frames_and_targets_of_every_set_up_are_given_back(calibrated):
+    _, c = calibrated("known set-ups")
+    found = evaluate(c.nominal, c.measurements, c.cell)
+    np.testing.assert_allclose(found.setup.T_frame_base, c.setup.T_frame_base, atol=1e-12)
+    np.testing.assert_array_equal(found.T_frame_base, found.setup.T_frame_base[0])
+    np.testing.assert_array_equal(found.target, found.setup.T_tip_target[0, :3, 3])
+
+
+def test_what_is_known_wins_over_the_cell(calibrated):
+    _, c = calibrated("points")
+    cell = Cell(target=np.array([0.5, 0.5, 0.5]), estimate_target=False)
+    found = evaluate(c.robot, c.measurements, cell, known=c.setup)
+    np.testing.assert_allclose(found.residual, c.residual_calibrated, atol=1e-9)
+    off = evaluate(c.robot, c.measurements, cell)
+    assert off.errors["all"].rms > 0.3
+    only_frames = evaluate(c.robot, c.measurements, cell, known=c.setup, which=("frame",))
+    assert only_frames.errors["all"].rms > 0.3
+
+
+def test_targets_that_a_result_lacks_are_registered(calibrated):
+    _, c = calibrated("targets")
+    known = part(c.setup, targets=[1])
+    found = evaluate(c.robot, c.measurements, known=known)
+    assert found.registered == ("target",)
+    np.testing.assert_array_equal(found.setup.T_tip_target[1], c.setup.T_tip_target[1])
+    assert np.linalg.norm(found.target - c.target) < 1e-4
+
+
+def test_set_ups_that_nothing_is_known_of_are_refused(calibrated):
+    _, c = calibrated("known set-ups")
+    known = replace(c.setup, groups=("0", "2"))
+    with pytest.raises(ModelError, match=r"has the set-ups '0', '2'; the table's '1' are none"):
+        evaluate(c.robot, c.measurements, known=known)
+
+
+def test_a_new_socket_is_found(calibrated):
+    """What a socket is for: nobody needs to know where it is."""
+    _, c = calibrated("sockets")
+    known = part(c.setup, frames=[0, 1])
+    found = evaluate(c.robot, c.measurements, known=known)
+    assert found.registered == ("frame",)
+    assert found.errors["all"].rms < 1.05 * c.errors["calibrated"]["estimation"].rms + 1e-5
+
+
+def test_rows_that_all_validate_are_registered_to_themselves(calibrated):
+    _, c = calibrated("distances")
+    m = replace(c.measurements, sets=("validate",) * len(c.measurements))
+    found = evaluate(c.robot, m)
+    assert found.errors["estimation"].n == 0
+    assert found.errors["validation"].rms < 1e-4
+    assert np.all(np.isnan(found.errors["validation"].rms_axis))
+
+
+def test_the_usual_mistakes_are_looked_for_in_points_only(calibrated):
+    _, c = calibrated("planes")
+    assert hint(evaluate(c.nominal, c.measurements), Cell()) == ""
+
+
+TARGET = np.array([0.05, 0.06, 0.07])
+
+
+def fresh(
+    robot: Robot, target: np.ndarray, shift: np.ndarray, count: int = 12
+) -> tuple[Measurements, Setup]:
+    """Points with 0.05 mm of noise, of a target and in a frame that may not be those of a result; and the result's."""
+    q = random_joint_values(robot, count, 1)
+    poses = robot.poses(q)
+    noise = np.random.default_rng(1).normal(0.0, 5e-5, (count, 3))
+    points = poses[:, :3, :3] @ target + poses[:, :3, 3] + shift + noise
+    table = Measurements(robot.joint_names, q, points)
+    known = evaluate(robot, table, Cell(target=TARGET, estimate_target=False)).setup
+    return table, known
+
+
+@pytest.mark.parametrize(
+    ("target", "shift", "said"),
+    [
+        ([0.0, 0.0, 0.0], [2e-3, 0.0, 1e-3], "only 0.0779 mm if the measurement frame is found anew"),
+        ([2e-3, 0.0, 0.0], [0.0, 0.0, 0.0], "only 0.0782 mm if the target is found anew"),
+    ],
+)  # fmt: skip
+def test_what_moved_since_the_calibration_is_named(
+    ur3: Robot, target: list[float], shift: list[float], said: str
+):
+    m, known = fresh(ur3, TARGET + target, np.array(shift))
+    assert said in moved(ur3, m, Cell(), known)
+
+
+@pytest.mark.parametrize(("shift", "count"), [(0.0, 12), (2e-3, 2), (2e-3, 4)])
+def test_nothing_is_said_where_nothing_is_known(ur3: Robot, shift: float, count: int):
+    """Nothing to explain; too few rows to find a frame; and enough to find it, but not to say that this means much."""
+    m, known = fresh(ur3, TARGET, np.array([shift, 0.0, 0.0]), count)
+    assert moved(ur3, m, Cell(), known) == ""
+
+
+def test_errors_of_the_robot_are_not_explained_away(ur3: Robot):
+    m, known = fresh(ur3, TARGET, np.zeros(3))
+    off = np.random.default_rng(4).normal(0.0, 1e-3, (12, 3))
+    wrong = Measurements(m.joint_names, m.joints, m.points + off)
+    assert moved(ur3, wrong, Cell(), known) == ""

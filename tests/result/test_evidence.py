@@ -1,0 +1,247 @@
+"""What the verdict looks at besides errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.model.error_model import error_model
+from calib.result.calibrate import Calibration, calibrate
+from calib.result.evidence import (
+    disagreeing_setups,
+    largest_change,
+    still_joints,
+    validation_errors,
+)
+from calib.result.verdict import Reason, Why
+from calib.robot.readback import random_joint_values
+
+ALL = np.ones((10, 3), dtype=bool)
+
+
+def test_one_wild_validation_row_is_set_aside():
+    validation = np.arange(10) >= 4
+    nominal, calibrated = np.full((10, 3), 1e-3), np.full((10, 3), 1e-4)
+    nominal[7] = calibrated[7] = 0.05
+    before, after, aside = validation_errors(
+        validation, np.arange(10) == 7, nominal, calibrated, ALL
+    )
+    assert (before.n, after.n, aside) == (5, 5, 1)
+    assert after.rms == pytest.approx(1e-4 * np.sqrt(3))
+
+
+def test_many_rows_that_do_not_fit_are_no_accidents():
+    validation = np.arange(10) >= 4
+    residual = np.full((10, 3), 1e-3)
+    before, _, aside = validation_errors(validation, np.arange(10) >= 7, residual, residual, ALL)
+    assert (before.n, aside) == (6, 0)
+
+
+def test_a_single_validation_row_is_never_set_aside():
+    validation = np.arange(3) == 2
+    residual = np.full((3, 3), 1e-3)
+    assert validation_errors(validation, validation, residual, residual, ALL[:3])[2] == 0
+
+
+def test_without_validation_rows_there_are_no_errors():
+    nothing = np.zeros(4, dtype=bool)
+    before, after, aside = validation_errors(
+        nothing, nothing, np.ones((4, 3)), np.ones((4, 3)), ALL[:4]
+    )
+    assert (before.n, after.n, aside) == (0, 0, 0)
+
+
+def test_joints_that_stand_still_are_named_with_their_range(ur3):
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-1, 1, (20, 6))
+    assert still_joints(ur3, q) == ()
+    q[:, 2] = 0.3
+    q[:, 4] = np.linspace(0, np.radians(10), 20)
+    assert still_joints(ur3, q) == ("'elbow_joint' (0 deg)", "'wrist_2_joint' (10 deg)")
+
+
+def test_the_largest_change_is_of_the_robot_itself(ur3):
+    model = error_model(ur3, "dh", frame=True)
+    x = np.zeros(len(model))
+    x[model.index("frame_x")] = 5.0
+    x[model.index("target_z")] = 0.4
+    x[model.index("d2")] = -0.03
+    assert largest_change(model, x) == 0.03
+    assert largest_change(error_model(ur3, "frames"), np.ones(3)) == 0.0
+
+
+def table_of(scene: Any, q: np.ndarray, rng: np.random.Generator, bias: Any = 0.0) -> Measurements:
+    """Points of the true robot at these joint values, seen in the base frame."""
+    points = scene.kinematics.points(scene.x, scene.samples(len(q), q=q))
+    points = points + 3e-5 * rng.normal(size=points.shape) + bias
+    return Measurements(joint_names=scene.robot.joint_names, joints=q, points=points)
+
+
+def arm(make_scene: Callable[..., Any], seed: int, **given: Any) -> Any:
+    usual = {"frames": [np.eye(4)], "length": 3e-4, "angle": 3e-3}
+    return make_scene(seed, **(usual | given))
+
+
+def reasons(result: Calibration) -> dict[Why, dict[str, Any]]:
+    """The numbers and names of each reason."""
+    assert result.verdict is not None
+    return {reason.why: reason.values for reason in result.verdict.reasons}
+
+
+def test_good_data_give_no_reason_for_care(make_scene):
+    scene = arm(make_scene, 61)
+    q = random_joint_values(scene.robot, 70, 1)
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(1)), model="dh")
+    assert result.verdict.use == "use"
+    assert list(reasons(result)) == [Why.GAIN]
+
+
+def test_a_corner_of_the_workspace(make_scene):
+    scene = arm(make_scene, 62)
+    rng = np.random.default_rng(2)
+    q = np.array([0.3, -1.2, 1.4, -0.8, 0.6, 0.2]) + 0.25 * rng.uniform(-1, 1, (70, 6))
+    result = calibrate(scene.robot, table_of(scene, q, rng), model="dh")
+    assert result.verdict.use != "use"
+    assert reasons(result)[Why.CORNER]["spread"] < 1 / 3
+
+
+def test_a_tracker_that_drifts(make_scene):
+    scene = arm(make_scene, 63)
+    q = random_joint_values(scene.robot, 90, 3)
+    way = np.linspace(0.0, 1.0, 90)[:, None] * np.array([4e-4, -3e-4, 2e-4])
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(3), way), model="dh")
+    assert result.verdict.use == "use with care"
+    assert reasons(result)[Why.DRIFT]["p"] < 0.003
+
+
+def test_a_joint_whose_error_follows_its_angle(make_scene):
+    scene = arm(make_scene, 64, model="dh+gain", other={"gain": 1.5e-3})
+    q = random_joint_values(scene.robot, 90, 4)
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(4)), model="dh")
+    assert result.verdict.use == "use with care"
+    assert reasons(result)[Why.JOINT_PATTERN]["quantity"] == "angle"
+
+
+def test_a_set_up_that_the_others_do_not_predict(calibrated):
+    """In one of three set-ups a joint slipped: each set-up alone looks well, but not from the others."""
+    scene, good = calibrated("set-ups")
+    m = good.measurements
+    joints = m.joints.copy()
+    joints[np.array(m.groups) == "1", 2] += 2e-4
+    slipped = calibrate(scene.robot, replace(m, joints=joints), cell=good.cell)
+    assert reasons(slipped)[Why.SETUP_UNPREDICTED]["setup"] == "1"
+    assert slipped.verdict.use == "use with care"
+    assert Why.SETUP_UNPREDICTED not in reasons(good)
+    assert len(disagreeing_setups(good.fitted)) == 0
+
+
+def test_a_set_up_that_the_others_do_not_predict_though_its_poses_are_repeated(make_scene, join):
+    """What is off there is shared by the repeats of a pose: they count for little, and so must the noise."""
+
+    def found(moved: float) -> tuple[Reason, ...]:
+        scene = make_scene(3, frames=3, length=3e-4, angle=3e-3, noise=2e-5)
+        tables = []
+        for f in range(3):
+            q = np.repeat(random_joint_values(scene.robot, 12, 10 + f), 6, axis=0)
+            x = scene.x.copy()
+            x[scene.kinematics.model.index("theta3")] += moved if f == 2 else 0.0
+            samples = scene.samples(len(q), f, q=q)
+            points = scene.kinematics.points(x, samples)
+            noise = scene.noise * scene.rng.normal(size=points.shape)
+            groups = (str(f),) * len(q)
+            tables.append(Measurements(scene.robot.joint_names, q, points + noise, groups=groups))
+        cell = Cell(estimate_frame=True, model="dh")
+        result = calibrate(scene.robot, join(*tables), cell=cell, validate=False)
+        return disagreeing_setups(result.fitted)
+
+    assert found(0.0) == ()
+    assert "2" in [reason.values["setup"] for reason in found(4e-4)]
+
+
+def test_an_outlier_that_keeps_its_weight_is_no_error_of_the_robot(make_scene):
+    """The larger model that a fit is compared with treats rows as that fit does."""
+    scene = make_scene(31, frames=[np.eye(4)], length=3e-4, angle=3e-3, noise=5e-5)
+    table = scene.points(60)
+    points = table.points.copy()
+    points[5, 0] += 3e-3
+    result = calibrate(
+        scene.robot, replace(table, points=points), cell=Cell(model="dh"), robust=False
+    )
+    assert Why.MODEL_LACKS not in reasons(result)
+
+
+def test_a_set_up_whose_rows_are_flagged(calibrated):
+    """A joint slipped further: the robust fit takes that set-up's rows for outliers, and the set-up is named."""
+    scene, good = calibrated("set-ups")
+    m = good.measurements
+    joints = m.joints.copy()
+    joints[np.array(m.groups) == "1", 2] += 2e-3
+    slipped = calibrate(scene.robot, replace(m, joints=joints), cell=good.cell)
+    assert reasons(slipped)[Why.SETUP_FLAGGED]["setup"] == "1"
+    assert slipped.verdict.use != "use"
+    assert Why.SETUP_FLAGGED not in reasons(good)
+
+
+def test_sockets_without_a_known_distance_tell_no_length(calibrated):
+    scene, good = calibrated("sockets")
+    assert Why.NO_LENGTH not in reasons(good)
+    unknown = calibrate(scene.robot, good.measurements, cell=replace(good.cell, distances=()))
+    assert Why.NO_LENGTH in reasons(unknown)
+    assert unknown.verdict.use == "use with care"
+
+
+def test_validation_rows_outside_of_the_measured_range(make_scene):
+    scene = arm(make_scene, 65)
+    rng = np.random.default_rng(5)
+    q = rng.uniform(-1.5, 1.5, (80, 6))
+    q[70:] = rng.uniform(-1.4, 1.4, (10, 6))
+    q[75, 3] = 2.5
+    sets = ("estimate",) * 70 + ("validate",) * 10
+    result = calibrate(
+        scene.robot, replace(table_of(scene, q, rng), sets=sets), model="dh", validate=True
+    )
+    assert [one.index for one in result.outside] == [5]
+    assert reasons(result)[Why.OUTSIDE]["rows"].startswith("row 76: 'wrist_1_joint' ")
+
+
+def test_repeats_that_scatter_less_than_what_is_left(make_scene):
+    scene = arm(make_scene, 66)
+    q = np.repeat(random_joint_values(scene.robot, 40, 6), 2, axis=0)
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(6)), model="zeros")
+    assert reasons(result)[Why.REPEATS_AGREE]["within_m"] == pytest.approx(3e-5, abs=4e-6)
+    enough = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(6)), model="dh")
+    assert Why.REPEATS_AGREE not in reasons(enough)
+
+
+def test_a_model_that_lacks_what_placements_have(make_scene):
+    scene = arm(make_scene, 67, model="placement")
+    q = random_joint_values(scene.robot, 70, 7)
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(7)), model="zeros")
+    told = reasons(result)[Why.MODEL_LACKS]
+    assert (told["model"], told["less_m"] < 0.6 * told["noise_m"]) == ("zeros", True)
+
+
+def test_few_poses(make_scene):
+    scene = arm(make_scene, 68)
+    q = random_joint_values(scene.robot, 14, 8)
+    result = calibrate(scene.robot, table_of(scene, q, np.random.default_rng(8)), model="dh")
+    assert result.verdict.use != "use"
+    told = reasons(result)
+    assert {**told.get(Why.FEW_NUMBERS, {}), **told.get(Why.TOO_FEW, {})}["poses"] == "14 poses"
+
+
+def test_a_robot_that_is_right_is_no_better_than_frames_alone(make_scene):
+    scene = arm(make_scene, 69, length=0.0, angle=0.0)
+    table = table_of(scene, random_joint_values(scene.robot, 60, 9), np.random.default_rng(9))
+    found = {model: calibrate(scene.robot, table, model=model) for model in ("auto", "dh")}
+    for result in found.values():
+        assert result.verdict.use == "do not use"
+        assert next(iter(reasons(result))) == Why.NOTHING_TO_GAIN
+    assert (found["auto"].model.name, found["auto"].larger) == ("frames", None)
+    assert found["auto"].robot.urdf.data == scene.robot.urdf.data

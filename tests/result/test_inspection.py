@@ -1,0 +1,62 @@
+"""What poses can tell, before anything is fitted: of each kind of measurement."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell
+from calib.errors import ModelError
+from calib.result.inspection import inspect
+
+
+@pytest.mark.parametrize(
+    ("cell", "rank", "columns"),
+    [
+        (Cell(), 21, 27),
+        (Cell(kind="pose"), 24, 30),
+        (Cell(kind="distance"), 22, 30),
+        (Cell(estimate_frame=True), 25, 33),
+        (Cell(model="zeros"), 8, 9),
+    ],
+)
+def test_the_rank_over_the_joint_limits(ur3, cell, rank, columns):
+    found = inspect(ur3, cell).observability
+    assert (found.rank, found.columns) == (rank, columns)
+
+
+def test_poses_of_a_table_say_what_the_fit_to_them_says(case):
+    """The rank at the nominal robot is that at the solution, for every kind."""
+    _, c = case
+    cell = Cell(
+        **{
+            name: getattr(c.cell, name)
+            for name in ("estimate_frame", "frames", "distances", "payload", "gravity", "held")
+        },
+        model=c.model.name,
+    )
+    found = inspect(c.nominal, cell, c.measurements).observability
+    assert (found.rank, found.columns) == (c.observability.rank, c.observability.columns)
+
+
+def test_a_known_distance_tells_the_scale(calibrated):
+    _, c = calibrated("sockets")
+    with_it = inspect(c.nominal, c.cell, c.measurements).observability
+    without = inspect(c.nominal, Cell(), c.measurements).observability
+    assert with_it.rank == without.rank + 1
+    assert any("a2" in u.names for u in without.unidentifiable)
+    assert not any("a2" in u.names for u in with_it.unidentifiable)
+
+
+def test_pairs_are_for_a_table_to_say(ur3):
+    with pytest.raises(ModelError, match=r"nothing of kind 'pair'.*Give a table"):
+        inspect(ur3, Cell(kind="pair"))
+
+
+def test_which_poses_in_words(ur3, table):
+    assert inspect(ur3, Cell()).poses == (
+        "200 poses spread over the joint limits, target 50, 70, 30 mm off the tip"
+    )
+    known = Cell(target=np.array([0.0, 0.0, 0.1]))
+    assert inspect(ur3, known).poses == "200 poses spread over the joint limits"
+    assert inspect(ur3, Cell(), table).poses == "the 30 estimation rows of ur3_leica.csv"

@@ -1,0 +1,217 @@
+"""How sure predictions are: against fits to other noise, and against robots drawn from the covariance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.calibration import calibrate
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.estimate.registration import best_fit
+from calib.model.error_model import error_model
+from calib.model.parameters import FRAME
+from calib.result.calibration import Calibration
+from calib.result.prediction import best_motion, moved_by, without_rigid_motion
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot
+from tests.hard_cases import made
+
+TARGET = np.array([0.05, -0.06, 0.04])
+ANCHOR = np.array([0.9, 0.2, 0.1])
+
+
+def points_of(robot: Robot, q: np.ndarray) -> np.ndarray:
+    poses = robot.poses(q)
+    return np.asarray(poses[:, :3, :3] @ TARGET + poses[:, :3, 3])
+
+
+def by_lengths(ur3: Robot, truth: Robot, rng: np.random.Generator, model: str) -> Calibration:
+    """A draw wire, from an anchor whose place is not known."""
+    q = random_joint_values(ur3, 60, 1)
+    lengths = np.linalg.norm(points_of(truth, q) - ANCHOR, axis=1)
+    table = Measurements(
+        ur3.joint_names,
+        q,
+        np.full((60, 3), np.nan),
+        kinds=("distance",) * 60,
+        distances=lengths + 1e-4 * rng.normal(size=60),
+    )
+    return calibrate(ur3, table, cell=Cell(model=model, target=TARGET), validate=False)
+
+
+@pytest.mark.slow
+def test_of_points_it_is_what_fits_to_other_noise_scatter_by(ur3: Robot):
+    """The same poses measured 40 times."""
+    q, where = random_joint_values(ur3, 30, 1), random_joint_values(ur3, 40, 9)
+    points, rng, found = points_of(ur3, q), np.random.default_rng(2), []
+    for _ in range(40):
+        table = Measurements(ur3.joint_names, q, points + 1e-4 * rng.normal(size=points.shape))
+        found.append(calibrate(ur3, table, cell=Cell(model="frames"), validate=False))
+    scatter = np.var([one.predict(where) for one in found], axis=0, ddof=1).sum(axis=1)
+    std = found[0].position_std(where)
+    assert np.sqrt(np.mean(std**2)) == pytest.approx(np.sqrt(np.mean(scatter)), rel=0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "size"), [("frames", 0.0), ("zeros", 1e-3)])
+def test_of_lengths_it_is_the_error_as_one_body(ur3: Robot, model: str, size: float):
+    """Where the base stands no length tells: moved onto the truth by the measured poses, errors are as large as told.
+
+    In the base they are not: what the first joint's zero is known to is its prior's word, whatever that is.
+    """
+    q, where = random_joint_values(ur3, 60, 1), random_joint_values(ur3, 40, 9)
+    errors = error_model(ur3, "zeros", target=False)
+    rng, as_one_body, in_base = np.random.default_rng(6), [], []
+    for _ in range(25):
+        truth = errors.apply(ur3, size * rng.normal(size=len(errors)))
+        found = by_lengths(ur3, truth, rng, model)
+        wanted, there = points_of(truth, where), found.predict(where)
+        T = best_fit(found.predict(q), points_of(truth, q))
+        moved = there @ T[:3, :3].T + T[:3, 3]
+        told = np.mean(found.position_std(where) ** 2)
+        as_one_body.append(np.mean(np.sum((moved - wanted) ** 2, axis=1)) / told)
+        in_base.append(np.mean(np.sum((there - wanted) ** 2, axis=1)) / told)
+    assert np.sqrt(np.mean(as_one_body)) == pytest.approx(1.0, abs=0.25)
+    assert size == 0.0 or np.sqrt(np.mean(in_base)) > 2.0
+
+
+def test_of_lengths_one_pose_is_as_sure_as_among_others_and_as_the_summary_says(ur3: Robot):
+    found = by_lengths(ur3, ur3, np.random.default_rng(1), "zeros")
+    assert found.base_motion is not None
+    q = found.measurements.joints
+    std = found.position_std(q)
+    alone = [found.position_std(one)[0] for one in q[:5]]
+    np.testing.assert_allclose(alone, std[:5], rtol=1e-9)
+    assert np.sqrt(np.mean(std**2)) == pytest.approx(found.expected_measured, rel=1e-12)
+    # In the anchor's own frame the length counts, and the anchor's place with it.
+    group = found.setup.groups[0]
+    assert np.all(found.position_std(q, group=group) > 0.0)
+
+
+@pytest.mark.parametrize("case", ["paper", "poses", "mixed", "prismatic", "two_joints"])
+def test_a_target_as_a_tool_is_as_sure_as_the_target(case: str):
+    found = made(case)
+    q = found.measurements.joints_for(found.nominal.joint_names)[:7]
+    target, group = found.setup.targets[0], found.setup.groups[0]
+    T = found.setup.T_tip_target[0]
+    std = found.tool_std(q, T, target=target, group=group)
+    np.testing.assert_allclose(std[:, 0], found.position_std(q, group=group, larger=False))
+    # In the base the robot's place counts, which a frame that was estimated takes away.
+    if found.tells_place and np.any(found.model.family(FRAME)):
+        assert (found.tool_std(q, T, target=target)[:, 0] > std[:, 0]).all()
+
+
+def test_of_a_tool_it_is_the_scatter_of_robots_drawn_from_the_covariance():
+    found = made("paper")
+    q, tool = random_joint_values(found.nominal, 3), np.eye(4)
+    tool[:3, 3] = 0.05, 0.0, 0.1
+    own = [k for k, name in enumerate(found.model.names) if not name.startswith("target")]
+    rng = np.random.default_rng(0)
+    spread = rng.multivariate_normal(np.zeros(len(own)), found.covariance[np.ix_(own, own)], 400)
+    model = found.model.without([n for n in found.model.names if n.startswith("target")])
+    points = np.array(
+        [(model.apply(found.nominal, found.x[own] + d).poses(q) @ tool)[:, :3, 3] for d in spread]
+    )
+    expected = found.tool_std(q, tool)
+    scatter = np.sqrt(points.var(axis=0).sum(axis=1))
+    assert scatter == pytest.approx(expected[:, 0], rel=0.12)
+    # One target says little of how the tip is turned: the angle stays as unsure as its priors left it.
+    assert expected[:, 1].min() > 2e-3
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(calibrated):
+    scene, c = calibrated("points")
+    truth = dict(zip(scene.kinematics.model.names, scene.x, strict=True))
+    told = [p for p in c.parameters if p.identifiable and p.name in truth]
+    inside = [p.low <= p.nominal + truth[p.name] <= p.high for p in told]
+    assert len(told) >= 16
+    assert np.mean(inside) > 0.8
+
+
+def test_values_are_nominal_and_change(case):
+    _, c = case
+    every = c.parameters if c.larger is None else (*c.parameters, *c.larger.parameters)
+    for p in every:
+        assert p.low < p.value < p.high
+        assert p.std > 0.0
+        if p.nominal is not None:
+            assert p.value - p.nominal == pytest.approx(p.delta, abs=1e-12)
+        assert p.unit in ("m", "rad", "1", "rad/Nm")
+
+
+def test_each_target_counts_from_where_it_was_given(calibrated):
+    scene, c = calibrated("targets")
+    given = {"t0": scene.kinematics.T_tip_target[0, :3, 3] + [1e-3, 0.0, 0.0]}
+    found = calibrate(
+        scene.robot, c.measurements, cell=replace(c.cell, targets=given, model="dh"), validate=False
+    )
+    for axis in range(3):
+        known = found.parameter(f"target_{'xyz'[axis]}[t0]")
+        free = found.parameter(f"target_{'xyz'[axis]}[t1]")
+        assert known.nominal == given["t0"][axis]
+        assert free.nominal is None
+        for p, t in ((known, 0), (free, 1)):
+            assert p.value == pytest.approx(found.setup.T_tip_target[t, axis, 3], abs=1e-12)
+
+
+def test_a_turned_target_has_its_interval_and_prior_along_the_tips_axes(make_scene):
+    """Value, prior and interval of ``target_x`` are of one axis, the one that the target is given in."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.05, 0.04, 0.16]
+    given = T[:3, 3] + [1e-3, 1e-3, 0.0]
+    scene = make_scene(
+        100, frames=[np.eye(4)], targets=[T], length=0, angle=0, noise=1e-4, noise_angle=1e-4
+    )
+    cell = Cell(model="zeros", target=given, parameter_priors={"target_x": 1e-7})
+    found = calibrate(scene.robot, scene.poses(40), cell=cell, validate=False)
+    assert found.parameter("target_x").delta == pytest.approx(0.0, abs=3e-7)
+    assert found.parameter("target_x").std == pytest.approx(1e-7, rel=0.01)
+    assert abs(found.parameter("target_y").delta) > 5e-4
+    assert found.parameter("target_y").std > 1e-5
+
+
+def test_what_is_left_is_the_least_that_a_rigid_motion_leaves():
+    rng = np.random.default_rng(5)
+    points, moves = rng.normal(1.0, 2.0, size=(15, 3)), rng.normal(size=(15, 3, 4))
+    left = without_rigid_motion(points, moves)
+    columns = [np.tile(e, (15, 1)) for e in np.eye(3)] + [np.cross(e, points) for e in np.eye(3)]
+    motions = np.stack([c.ravel() for c in columns], axis=1)
+    for k in range(4):
+        move = moves[:, :, k].ravel()
+        best = np.linalg.lstsq(motions, move, rcond=None)[0]
+        np.testing.assert_allclose(left[:, :, k].ravel(), move - motions @ best, atol=1e-12)
+        np.testing.assert_allclose(best_motion(points, moves)[:, k], best, atol=1e-12)
+    np.testing.assert_allclose(without_rigid_motion(points, left), left, atol=1e-12)
+
+
+def test_what_is_left_at_one_point_does_not_depend_on_the_others_that_are_asked():
+    rng = np.random.default_rng(5)
+    seen, asked = rng.normal(size=(20, 3)), rng.normal(size=(7, 3))
+    shift, turn = rng.normal(size=3), rng.normal(size=3)
+    of_seen = (shift + np.cross(turn, seen) + 1e-3 * rng.normal(size=(20, 3)))[:, :, None]
+    of_asked = (shift + np.cross(turn, asked) + 0.1)[:, :, None]
+    left = without_rigid_motion(asked, of_asked, (seen, of_seen))
+    assert np.abs(left - 0.1).max() < 5e-3
+    alone = without_rigid_motion(asked[[3]], of_asked[[3]], (seen, of_seen))
+    np.testing.assert_allclose(alone, left[[3]], atol=1e-13)
+
+
+def test_points_on_a_line_keep_what_no_rigid_motion_does():
+    """A stretch of the line is none; a turn about it cannot be told and is left alone."""
+    line = np.outer([0.0, 1.0], [0.3, 0.4, 0.0])
+    stretch = (line - line.mean(axis=0))[:, :, None]
+    np.testing.assert_allclose(without_rigid_motion(line, stretch), stretch, atol=1e-14)
+    off = np.array([[0.0, 0.0, 1.0]])
+    turned = np.cross([0.6, 0.8, 0.0], off)[:, :, None]
+    np.testing.assert_allclose(
+        without_rigid_motion(off, turned, (line, np.zeros((2, 3, 1)))), turned
+    )
+
+
+def test_a_motion_moves_points_as_a_body():
+    motion = np.array([[1.0, 0.0, 0.0, 0.0, 0.0, 2.0]]).T
+    moved = moved_by(motion, np.array([[0.0, 3.0, 0.0]]))
+    np.testing.assert_allclose(moved[0, :, 0], [-5.0, 0.0, 0.0])

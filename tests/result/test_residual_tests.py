@@ -1,0 +1,372 @@
+"""The tests of residuals: false alarms of clean tables, and what a real arm's errors leave that must be found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from calib.result.residual_tests import (
+    FALSE_ALARM,
+    Explained,
+    Stack,
+    drift,
+    even_factors,
+    f_test,
+    joint_patterns,
+    norms_of,
+    prediction_square,
+    range_of,
+    unpredicted,
+)
+from calib.robot.robot import Robot
+
+PRISMATIC = (False, False, False, False, False, True)
+
+
+def explained(A: np.ndarray, r: np.ndarray, Z: np.ndarray) -> Explained:
+    return f_test(range_of(A), r, Z, norms_of(Z))
+
+
+def deficient(rng: np.random.Generator, rows: int, rank: int, columns: int) -> np.ndarray:
+    """Regressors of lower rank than they have columns, in units of very different size."""
+    A = rng.normal(size=(rows, rank)) @ rng.normal(size=(rank, columns))
+    return A * 10.0 ** rng.uniform(-3, 3, columns)
+
+
+def ridge_residual(A: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """What a fit with priors leaves over."""
+    return y - A @ np.linalg.solve(A.T @ A + np.diag(np.sum(A**2, axis=0)), A.T @ y)
+
+
+def test_the_f_test_against_the_textbook():
+    """Two nested linear models of full rank, squares by numpy's least squares."""
+    rng = np.random.default_rng(0)
+    A, Z, y = rng.normal(size=(40, 5)), rng.normal(size=(40, 3)), rng.normal(size=40)
+    small = np.linalg.lstsq(A, y, rcond=None)[1][0]
+    large = np.linalg.lstsq(np.hstack([A, Z]), y, rcond=None)[1][0]
+    F = (small - large) / 3 / (large / 32)
+    test = explained(A, y, Z)
+    np.testing.assert_allclose(test.F, F, rtol=1e-10)
+    assert test.p == pytest.approx(stats.f.sf(F, 3, 32), rel=1e-9)
+    assert test.share == pytest.approx(1 - large / small, rel=1e-10)
+    assert (test.columns, test.freedom) == (3, 32)
+    assert test.chance == pytest.approx(3 / 35)
+
+
+def test_priors_and_lost_rank_do_not_matter():
+    rng = np.random.default_rng(1)
+    A, Z, y = deficient(rng, 60, 7, 12), rng.normal(size=(60, 4)), rng.normal(size=60)
+    full = explained(A, y, Z)
+    fitted = explained(A, ridge_residual(A, y), Z)
+    assert full.freedom == 60 - 7 - 4
+    np.testing.assert_allclose(fitted.F, full.F, rtol=1e-6)
+    base = range_of(A)
+    assert base.shape == (60, 7)
+    np.testing.assert_allclose(base @ (base.T @ A), A, atol=1e-9 * np.abs(A).max())
+
+
+def test_probabilities_are_uniform_under_noise():
+    rng = np.random.default_rng(2)
+    p = []
+    for _ in range(150):
+        A, Z = deficient(rng, 45, 20, 26), rng.normal(size=(45, 6))
+        p.append(explained(A, ridge_residual(A, rng.normal(size=45)), Z).p)
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+
+
+def test_what_the_fit_reaches_is_not_found_again():
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(50, 6))
+    Z = np.column_stack([A @ rng.normal(size=6), rng.normal(size=50), np.zeros(50)])
+    assert explained(A, rng.normal(size=50), Z).columns == 1
+    nothing = explained(A, rng.normal(size=50), A[:, :2])
+    assert (nothing.columns, nothing.p, nothing.F, nothing.share) == (0, 1.0, 0.0, 0.0)
+    assert explained(np.zeros((20, 0)), rng.normal(size=20), np.ones((20, 1))).freedom == 19
+
+
+@pytest.mark.parametrize(("rows", "freedom"), [(6, 0), (8, 0), (9, 0), (10, 1)])
+def test_too_few_rows_are_not_judged(rows, freedom):
+    rng = np.random.default_rng(4)
+    test = explained(rng.normal(size=(rows, 6)), rng.normal(size=rows), rng.normal(size=(rows, 3)))
+    assert (test.p < 1.0) == (freedom > 0)
+    assert test.columns == 3 * freedom
+
+
+def test_rounding_is_no_pattern_and_an_exact_one_is_certain():
+    rng = np.random.default_rng(5)
+    A, Z = rng.normal(size=(50, 6)), rng.normal(size=(50, 3))
+    assert explained(A, A @ rng.normal(size=6) + 1e-14 * Z[:, 0], Z).p == 1.0
+    assert explained(A, np.zeros(50), Z).p == 1.0
+    test = explained(A, Z[:, 1], Z)
+    assert test.p < 1e-100
+    assert test.share == pytest.approx(1.0)
+
+
+def test_components_are_brought_to_one_size():
+    rng = np.random.default_rng(8)
+    A, component = rng.normal(size=(1500, 20)), np.tile(np.arange(3), 500)
+    sizes = np.array([1.0, 3.0, 0.2])
+    y = sizes[component] * rng.normal(size=1500)
+    factors = even_factors(A, ridge_residual(A, y), component)
+    by_component = np.array([factors[component == c][0] for c in range(3)])
+    np.testing.assert_allclose(by_component * sizes, (by_component * sizes).mean(), rtol=0.1)
+
+
+def test_a_component_that_the_fit_takes_up_does_no_harm():
+    component = np.tile(np.arange(2), 30)
+    A = np.eye(60)[:, component == 1]
+    factors = even_factors(A, np.random.default_rng(9).normal(size=60), component)
+    assert np.all(np.isfinite(factors) & (factors > 0.0))
+    np.testing.assert_array_equal(even_factors(A, np.zeros(60), component), np.ones(60))
+
+
+class Table:
+    """Random regressors, joint values, and noise with what repeats of a pose share."""
+
+    def __init__(self, rng, poses, *, repeats=1, columns=33, sizes=(1.0, 1.0, 1.0), shared=0.0):
+        n, self.poses = poses * repeats, np.repeat(np.arange(poses), repeats)
+        self.joints = np.repeat(rng.uniform(-3, 3, (poses, 6)), repeats, axis=0)
+        A = rng.normal(size=(poses, 3, columns))
+        A[:, :, 0] = A[:, :, 1]
+        self.A = np.repeat(A, repeats, axis=0).reshape(3 * n, columns)
+        b, w = rng.normal(size=(poses, 3)), rng.normal(size=(n, 3))
+        self.noise = np.sqrt(shared) * np.repeat(b, repeats, axis=0) + np.sqrt(1 - shared) * w
+        self.noise *= sizes
+        self.along = [self.A[:, [2 * j % columns]] for j in range(6)]
+        self.order = np.linspace(0, 1, n)
+
+    def stack(self, pattern=0.0, scale=None):
+        y, A, n = (self.noise + pattern).ravel(), self.A, len(self.poses)
+        r = y - A @ np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ y)
+        scale = np.ones(3 * n) if scale is None else scale
+        return Stack(A, r, np.repeat(np.arange(n), 3), np.tile(np.arange(3), n), scale, self.poses)
+
+    def patterns(self, pattern=0.0, along=None, **options):
+        stack = self.stack(pattern, **options)
+        return joint_patterns(stack, self.joints, PRISMATIC, self.along if along is None else along)
+
+    def drift(self, pattern=0.0):
+        return drift(self.stack(pattern), self.order)
+
+
+AXES = [np.tile(np.eye(3), (60, 1))] * 6
+
+
+def alarms(find: Callable[[Table], object], count: int, **table) -> int:
+    """In how many clean tables something is found."""
+    rng = np.random.default_rng(7)
+    return sum(bool(find(Table(rng, **table))) for _ in range(count))
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"poses": 30},
+        {"poses": 12, "columns": 15},
+        {"poses": 30, "sizes": (1.0, 1.0, 6.0)},
+        {"poses": 15, "repeats": 4, "shared": 0.8},
+        {"poses": 15, "repeats": 4, "shared": 0.0, "sizes": (1.0, 3.0, 1.0)},
+    ],
+)
+def test_clean_tables_raise_no_more_than_one_alarm_in_a_hundred(table):
+    most = stats.binom.ppf(0.999, 60, FALSE_ALARM)
+    assert alarms(Table.patterns, 60, **table) <= most
+    assert alarms(Table.drift, 60, **table) <= most
+
+
+@pytest.mark.slow
+def test_the_probability_of_a_drift_is_right_with_repeats():
+    """Between and within poses combined: the share of clean tables that are told is the one asked for."""
+    rng = np.random.default_rng(11)
+    found = [Table(rng, 12, repeats=3, columns=10, shared=0.7).drift() for _ in range(800)]
+    told = sum(one is not None for one in found)
+    assert stats.binomtest(told, len(found), FALSE_ALARM).pvalue > 0.001
+
+
+def test_repeats_taken_for_poses_would_raise_false_alarms():
+    """Why the poses are asked for."""
+
+    def apart(t: Table) -> object:
+        t.poses = np.arange(len(t.poses))
+        return t.patterns(along=[np.tile(np.eye(3), (len(t.poses), 1))] * 6)
+
+    assert alarms(apart, 30, poses=20, repeats=5, shared=0.8) > 10
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_a_pattern_along_fixed_axes_is_found_and_named(joint):
+    table = Table(np.random.default_rng(joint), 60, columns=10)
+    q = table.joints[:, [joint]]
+    pattern = (0.4 * q**2 if PRISMATIC[joint] else np.sin(q)) * np.array([1.5, -1.0, 0.5])
+    found = table.patterns(pattern, along=AXES)
+    assert found[0][0] == joint
+    assert found[0][1].share > 0.3
+    assert [test.p for _, test in found] == sorted(test.p for _, test in found)
+
+
+def test_a_pattern_shared_by_repeats_is_found():
+    table = Table(np.random.default_rng(5), 60, repeats=3, columns=10, shared=0.5)
+    along = [np.tile(np.eye(3), (180, 1))] * 6
+    assert table.patterns(1.5 * np.sin(table.joints[:, [2]]), along)[0][0] == 2
+
+
+def test_a_constant_is_no_pattern():
+    """Neither of a joint that stands still nor of one that moves little."""
+    table = Table(np.random.default_rng(6), 60, columns=10)
+    table.joints[:, 3] = 0.7
+    assert 3 not in [i for i, _ in table.patterns(1.0, AXES)]
+    table.joints[:, 3] = 0.3 * np.random.default_rng(6).uniform(-3, 3, 60)
+    assert table.patterns(100.0, AXES) == []
+
+
+def test_the_size_of_each_row_s_noise_shapes_the_pattern():
+    """Half of the rows are measured ten times worse: a pattern of one size in metres is found by its whitened form."""
+    table = Table(np.random.default_rng(9), 60, columns=10)
+    table.A[:] = 0.0
+    sigma = np.tile([1.0, 10.0], 30)
+    scale = np.repeat(1.0 / sigma, 3)
+    pattern = np.sin(table.joints[:, [4]]) / sigma[:, None] * 1.2
+    sharp = table.patterns(pattern, [axes * scale[:, None] for axes in AXES], scale=scale)
+    blurred = table.patterns(pattern, AXES)
+    assert sharp[0][0] == 4
+    assert sharp[0][1].share > 1.2 * max((test.share for _, test in blurred), default=0.0)
+
+
+@pytest.mark.parametrize(
+    ("repeats", "shared", "size"), [(1, 0.0, 3.0), (4, 0.9, 3.0), (5, 0.99, 0.5)]
+)
+def test_a_drift_is_found(repeats, shared, size):
+    """In the last case within repeats, where poses differ far more."""
+    rng = np.random.default_rng(10)
+    table = Table(rng, 100 // repeats, repeats=repeats, columns=10, shared=shared)
+    # Cycles through the poses: each is repeated late and early.
+    table.order = rng.permutation(table.order)
+    found = table.drift(size * table.order[:, None] * np.array([1.0, 0.0, 0.5]))
+    assert found is not None
+    assert found.p < 1e-3
+
+
+def test_no_rows_no_findings():
+    none = np.zeros(0, dtype=int)
+    stack = Stack(np.zeros((0, 3)), np.zeros(0), none, none, np.zeros(0), np.arange(4))
+    assert joint_patterns(stack, np.zeros((4, 1)), (False,), [np.zeros((0, 1))]) == []
+    assert drift(stack, np.linspace(0, 1, 4)) is None
+
+
+def points(robot: Robot, q: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Where a target fixed to the tip lies in the base, (N, 3)."""
+    T = robot.poses(q)
+    return T[:, :3, 3] + T[:, :3, :3] @ target
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_eccentricity_of_an_encoder_of_a_ur3_is_found_at_its_joint(ur3, joint):
+    """3 mrad once per turn, 60 poses of a tracker of 0.12 mm, joint zeros and a target fitted."""
+    rng = np.random.default_rng(joint)
+    sigma, target, h = 1.2e-4, np.array([-0.07, 0.07, 0.0225]), 1e-6
+    q = rng.uniform(-3, 3, (60, 6))
+    wrong = q.copy()
+    wrong[:, joint] += 3e-3 * np.sin(q[:, joint] + 0.8)
+    axes = [  # what turning each joint a little does to the target, by differences
+        (points(ur3, q + step, target) - points(ur3, q - step, target)).reshape(-1, 1) / (2 * h)
+        for step in h * np.eye(6)
+    ]
+    A = np.hstack([*axes, ur3.poses(q)[:, :3, :3].reshape(180, 3)]) / sigma
+    error = points(ur3, wrong, target) - points(ur3, q, target)
+    r = (error / sigma + rng.normal(size=(60, 3))).ravel()
+    rows, poses = np.repeat(np.arange(60), 3), np.arange(60)
+    stack = Stack(A, r, rows, np.tile(np.arange(3), 60), np.ones(180), poses)
+    found = joint_patterns(stack, q, [False] * 6, [axis / sigma for axis in axes])
+    assert found[0][0] == joint
+
+
+def judged(rng, *, changed=0.0, poses=15, parameters=24, sigma=1.0):
+    """Four set-ups with a frame each, measured on one arm; the third with other parameters by so much.
+
+    Each is predicted from the three others, whose parameters and noise come from their own least squares fit.
+    """
+    rows = 3 * poses
+    A = rng.normal(size=(4, rows, parameters))
+    B = rng.normal(size=(4, rows, 6))
+    x = np.tile(rng.normal(size=parameters), (4, 1))
+    x[2] += changed * rng.normal(size=parameters)
+    y = [a @ v + b @ rng.normal(size=6) for a, b, v in zip(A, B, x, strict=True)]
+    y = np.array(y) + sigma * rng.normal(size=(4, rows))
+    told = np.zeros((4, 4))
+    for g in range(4):
+        others = [k for k in range(4) if k != g]
+        frames = np.zeros((3 * rows, 18))
+        for i, k in enumerate(others):
+            frames[i * rows : (i + 1) * rows, 6 * i : 6 * i + 6] = B[k]
+        full = np.hstack([np.vstack(A[others]), frames])
+        target = np.concatenate(y[others])
+        solution = np.linalg.lstsq(full, target, rcond=None)[0]
+        covariance = np.linalg.inv(full.T @ full)[:parameters, :parameters]
+        freedom = len(target) - full.shape[1]
+        noise = np.sum((target - full @ solution) ** 2) / freedom
+        r = y[g] - A[g] @ solution[:parameters]
+        told[g] = *prediction_square(r, A[g], covariance, B[g]), noise, freedom
+    return unpredicted(*told.T), told.T
+
+
+def test_the_ratio_of_alike_set_ups_is_fishers():
+    rng = np.random.default_rng(0)
+    p = []
+    for _ in range(70):
+        _, (squares, freedoms, noises, noise_freedoms) = judged(rng, sigma=0.3, poses=11)
+        F = squares[0] / freedoms[0] / noises[0]
+        p.append(stats.f.sf(F, freedoms[0], noise_freedoms[0]))
+    assert freedoms[0] == 33 - 6
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+
+
+def test_alike_set_ups_raise_no_alarms_and_the_one_that_differs_is_named_first():
+    rng = np.random.default_rng(1)
+    alarms = sum(bool(judged(rng, poses=8, parameters=12)[0]) for _ in range(80))
+    assert alarms <= stats.binom.ppf(0.999, 80, 0.01)
+    for _ in range(4):
+        (number, ratio), *_ = judged(rng, changed=1.0)[0]
+        assert number == 2
+        assert ratio > 1.5
+
+
+@pytest.mark.parametrize(
+    ("squares", "freedoms", "noises", "noise_freedoms", "found"),
+    [
+        # Certain but small differences do not matter,
+        ([1e5, 1.4**2 * 1e5, 1.6**2 * 1e5], [1e5] * 3, [1.0] * 3, [1e5] * 3, [2]),
+        # large but uncertain ones are chance,
+        ([20.0, 4.0], [4.0, 4.0], [1.0, 1.0], [3.0, 3.0], []),
+        # and what cannot be tested is not.
+        ([1e9, 1e9, 900.0], [0.0, 10.0, 10.0], [1.0, 0.0, 1.0], [50.0] * 3, [2]),
+    ],
+)
+def test_which_set_ups_are_named(squares, freedoms, noises, noise_freedoms, found):
+    told = unpredicted(*map(np.array, (squares, freedoms, noises, noise_freedoms)))
+    assert [number for number, _ in told] == found
+
+
+def test_the_nuisance_of_a_set_up_does_not_count():
+    """However wrong the frame is that was taken, and whatever columns it has twice."""
+    rng = np.random.default_rng(3)
+    A, B, r = rng.normal(size=(30, 4)), rng.normal(size=(30, 6)), rng.normal(size=30)
+    B = np.hstack([B, B[:, :2]])
+    square, freedom = prediction_square(r, A, 0.5 * np.eye(4), B)
+    moved, _ = prediction_square(r + B @ rng.normal(size=8) * 100.0, A, 0.5 * np.eye(4), B)
+    assert freedom == 24
+    assert moved == pytest.approx(square, rel=1e-8)
+
+
+def test_the_square_is_that_of_the_whole_covariance():
+    rng = np.random.default_rng(4)
+    A, nuisance, r = rng.normal(size=(50, 7)), rng.normal(size=(50, 3)), rng.normal(size=50)
+    root = rng.normal(size=(7, 5))  # a covariance that is singular
+    whole = np.eye(50) + A @ root @ root.T @ A.T
+    white = np.linalg.solve(np.linalg.cholesky(whole), np.column_stack([r, nuisance]))
+    left = white[:, 0] - white[:, 1:] @ np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
+    square, degrees = prediction_square(r, A, root @ root.T, nuisance)
+    assert square == pytest.approx(float(left @ left), rel=1e-10)
+    assert degrees == 47

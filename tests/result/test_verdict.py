@@ -1,0 +1,234 @@
+"""The verdict: each reason by the figures that cause it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from string import Formatter
+
+import numpy as np
+import pytest
+
+from calib.estimate.statistics import CrossValidation, Errors
+from calib.result.verdict import Evidence, Reason, Verdict, Why, verdict
+
+ROWS = 30
+
+
+def validated(size: float, seed: int = 0, spread: float = 0.3) -> CrossValidation:
+    """Left-out residuals of an rms near ``size``."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(ROWS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    residual = directions * size * (1.0 + spread * rng.normal(size=(ROWS, 1)))
+    errors = Errors.of(residual)
+    return CrossValidation("leave-one-out", ROWS, np.arange(ROWS), residual, errors, errors)
+
+
+def errors(rms: float, n: int = 5) -> Errors:
+    return Errors.of(np.full((n, 3), rms / np.sqrt(3)))
+
+
+GOOD = Evidence(
+    nominal=validated(2.5e-3),
+    calibrated=validated(0.2e-3, 1),
+    scales=np.full((ROWS, 3), 1e-4),
+    used=np.ones((ROWS, 3), dtype=bool),
+    repeats=np.arange(ROWS),
+    pairs=np.zeros(ROWS, dtype=bool),
+    outliers=np.arange(ROWS) < 2,
+    validation=(errors(2.7e-3), errors(0.25e-3), 0),
+    parameters=27,
+    largest=5e-3,
+    noise=1e-4,
+)
+LACKS = Reason.of(Why.MODEL_LACKS, model="dh", noise_m=1e-4, less_m=2e-5)
+STILL = Reason.of(Why.JOINTS_STILL, joints="'elbow_joint' (3 deg)")
+HINT = Reason.of(Why.OTHER_BASE, given_m=0.5, error_m=2e-3, link="base")
+
+
+def codes(found: Verdict) -> list[Why]:
+    return [reason.why for reason in found.reasons]
+
+
+def test_a_good_calibration_is_to_be_used_and_says_by_how_much():
+    result = verdict(replace(GOOD, validation=(errors(2.7e-3), errors(0.25e-3), 1)))
+    assert (result.use, codes(result)) == ("use", [Why.GAIN, Why.VALIDATION_GAIN])
+    gain, fresh = result.reasons
+    before, after = (v.errors_without_outliers.rms for v in (GOOD.nominal, GOOD.calibrated))
+    assert (gain.values["before_m"], gain.values["after_m"]) == (before, after)
+    assert gain.code == "gain"
+    assert str(gain) == (
+        f"On rows it did not see (leave-one-out, outliers aside) the error falls from {1e3 * before:.3f} to "
+        f"{1e3 * after:.3f} mm rms."
+    )
+    assert (
+        str(fresh) == "On the 5 validation rows (1 more aside) it falls from 2.700 to 0.250 mm rms."
+    )
+
+
+def test_every_code_has_a_sentence():
+    """And every number that it names; units are in the text."""
+    for why in Why:
+        names = {one[1].split(":")[0] for one in Formatter().parse(why.value) if one[1]}
+        values = dict.fromkeys(names - {"before", "after", "change", "chance_p"}, 0.5)
+        said = str(Reason(why, {"before_m": 2e-3, "after_m": 1e-3, "p": 1e-9} | values))
+        assert said.endswith((".", "?"))
+        assert "{" not in said
+
+
+@pytest.mark.parametrize(
+    ("change", "use", "why"),
+    [
+        ({"calibrated": validated(2.9e-3, 1)}, "do not use", Why.NO_BETTER),
+        ({"calibrated": GOOD.nominal}, "do not use", Why.NO_BETTER),
+        ({"validation": (errors(2.7e-3), errors(3e-3), 0)}, "do not use", Why.VALIDATION_NO_BETTER),
+        ({"noise": 0.05}, "do not use", Why.NOISE_ABSURD),
+        ({"noise": 0.05, "hint": HINT, "doubts": (STILL,)}, "do not use", Why.OTHER_BASE),
+        ({"nominal": validated(0.3), "largest": 0.4}, "do not use", Why.PARAMETER_ABSURD),
+        (
+            {"nominal": validated(0.61e-3, 2), "calibrated": validated(0.59e-3, 1)},
+            "use with care",
+            Why.MAY_BE_CHANCE,
+        ),
+        ({"nominal": validated(0.26)}, "use with care", Why.FAR_OFF_BEFORE),
+        ({"parameters": 60}, "use with care", Why.FEW_NUMBERS),
+        ({"doubts": (STILL, LACKS)}, "use with care", Why.JOINTS_STILL),
+        (
+            {"nominal": validated(1e-4, 2), "calibrated": validated(1e-4, 3)},
+            "do not use",
+            Why.NOTHING_TO_GAIN,
+        ),
+        (
+            {"nominal": validated(0.5), "calibrated": validated(0.05, 3)},
+            "do not use",
+            Why.STILL_FAR_OFF,
+        ),
+        (
+            {"nominal": validated(6e-4, 2), "calibrated": validated(5.8e-4, 5), "parameters": 60},
+            "do not use",
+            Why.TOO_FEW,
+        ),
+        ({"largest": 4.6}, "use with care", Why.PARAMETER_FAR),
+        ({"outliers": np.arange(ROWS) < 6}, "use with care", Why.MANY_OUTLIERS),
+        ({"validation": (errors(51e-3), errors(50e-3), 0)}, "use with care", Why.VALIDATION_UNLIKE),
+    ],
+)
+def test_each_doubt_is_said_first(change, use, why):
+    result = verdict(replace(GOOD, **change))
+    assert (result.use, result.reasons[0].why) == (use, why)
+    absurd = {Why.NOISE_ABSURD, Why.OTHER_BASE, Why.PARAMETER_ABSURD}
+    assert (len(result.reasons) == 1) == (why in absurd)
+    # A gain is said even where there are doubts.
+    assert Why.GAIN in codes(result) or use == "do not use"
+
+
+def test_outliers_do_not_decide():
+    worse = np.array(GOOD.calibrated.residual)
+    worse[:2] += 1.0
+    after = replace(GOOD.calibrated, residual=worse)
+    assert verdict(replace(GOOD, calibrated=after)).use == "use"
+
+
+def test_without_validation_rows_nothing_is_said_of_them():
+    result = verdict(replace(GOOD, validation=(errors(1.0, 0), errors(1.0, 0), 0)))
+    assert (result.use, codes(result)) == ("use", [Why.GAIN])
+
+
+def test_repeats_are_no_evidence_of_their_own():
+    """Ten repeats of three poses: a gain on one of them, as large as it is, says little."""
+    poses = np.repeat(np.arange(3), 10)
+    before, after = np.full((30, 3), 1e-3), np.full((30, 3), 1e-3)
+    before[:10] *= 3.0
+
+    def of(residual: np.ndarray, poses: np.ndarray) -> CrossValidation:
+        errors = Errors.of(residual)
+        return CrossValidation("leave-one-pose-out", 3, poses, residual, errors, errors)
+
+    few = replace(GOOD, outliers=np.zeros(30, dtype=bool), parameters=3)
+    rows = np.arange(30)
+    taken_singly = replace(few, nominal=of(before, rows), calibrated=of(after, rows))
+    together = replace(few, nominal=of(before, poses), calibrated=of(after, poses), repeats=poses)
+    assert verdict(taken_singly).use == "use"
+    assert verdict(together).use == "use with care"
+
+
+def test_chance_alone_is_seldom_taken_for_a_gain():
+    """Two robots of the same quality, the second by luck a little better or worse: 'use' is rare."""
+    used = sum(
+        verdict(
+            replace(GOOD, nominal=validated(1e-3, 2 * i), calibrated=validated(1e-3, 2 * i + 1))
+        ).use
+        == "use"
+        for i in range(300)
+    )
+    assert used < 0.06 * 300
+
+
+def test_a_model_that_explains_nothing_does_not_make_the_robot_right():
+    same = validated(2.5e-3)
+    noise = np.full((ROWS, 3), 1.5e-3)
+    change = {"nominal": same, "calibrated": same, "noise": 1.5e-3, "scales": noise}
+    assert codes(verdict(replace(GOOD, **change)))[0] == Why.NOTHING_TO_GAIN
+    assert codes(verdict(replace(GOOD, **change, doubts=(LACKS,))))[0] == Why.NO_BETTER
+
+
+def test_orientations_that_no_instrument_measures_are_a_wrong_set_up():
+    """Inverse orientations leave the positions as good as ever."""
+    turned = np.hstack([GOOD.calibrated.residual, np.full((ROWS, 3), 1.0)])
+    off = Errors.of(turned)
+    e = replace(
+        GOOD,
+        calibrated=replace(
+            GOOD.calibrated, residual=turned, errors=off, errors_without_outliers=off
+        ),
+    )
+    (reason,) = verdict(e).reasons
+    assert reason.why == Why.ORIENTATION_ABSURD
+    assert np.degrees(reason.values["after_rad"]) == pytest.approx(99.24, abs=0.01)
+
+
+def test_a_larger_model_and_rows_outside_are_said_last_and_decide_nothing():
+    notes = (
+        Reason.of(Why.LARGER_MODEL, model="dh+gain", after=errors(5e-5)),
+        Reason.of(Why.OUTSIDE, rows="row 7: 'j1' 20 deg beyond the measured range"),
+    )
+    result = verdict(replace(GOOD, notes=notes))
+    assert (result.use, result.reasons[-2:]) == ("use", notes)
+    assert str(notes[0]).startswith("With the larger model 'dh+gain' it would be 0.050 mm rms. ")
+
+
+def test_orientations_are_said_beside_positions():
+    def turned(size: float, angle: float, seed: int) -> CrossValidation:
+        both = np.hstack([validated(size, seed).residual, validated(angle, seed + 1).residual])
+        errors = Errors.of(both)
+        return CrossValidation("leave-one-out", ROWS, np.arange(ROWS), both, errors, errors)
+
+    scales = np.repeat([[1e-4, 1e-4]], ROWS, axis=0).repeat(3, axis=1)
+    before, after = turned(2e-3, 5e-3, 1), turned(2e-4, 4e-4, 3)
+    result = verdict(
+        replace(GOOD, nominal=before, calibrated=after, scales=scales, used=scales > 0)
+    )
+    assert result.use == "use"
+    old, new = before.errors, after.errors
+    assert (
+        f"falls from {1e3 * old.rms:.3f} mm and {np.degrees(old.rms_angle):.3f} deg to "
+        f"{1e3 * new.rms:.3f} mm and {np.degrees(new.rms_angle):.3f} deg rms."
+    ) in str(result.reasons[0])
+
+
+def test_scalars_that_were_not_measured_do_not_count():
+    """Lengths: one number a row. The same residuals as three numbers a row would be enough for 40 parameters."""
+    used = np.zeros((ROWS, 3), dtype=bool)
+    used[:, 0] = True
+
+    def poses(**change) -> str:
+        reason = verdict(replace(GOOD, used=used, parameters=40, **change)).reasons[0]
+        assert reason.why == Why.FEW_NUMBERS
+        return f"{reason.values['poses']}: {reason.values['numbers']}"
+
+    assert poses() == "30 poses: 30"
+    # Of pairs the second rows hold nothing.
+    used[ROWS // 2 :] = False
+    assert poses(pairs=np.arange(ROWS) < ROWS // 2) == "15 pairs of poses: 15"
+    assert poses(pairs=np.arange(ROWS) < 10) == "5 poses and 10 pairs of poses: 15"
+    assert verdict(replace(GOOD, parameters=40)).use == "use"

@@ -1,0 +1,404 @@
+from __future__ import annotations
+
+import importlib.metadata
+import io
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yourdfpy
+from hypothesis import event, given, settings, strategies as st
+
+from calib.errors import CalibError, UrdfError
+from calib.model.dh import dh_table
+from calib.robot.chain import farthest_link, full_configurations, full_model, link_frame
+from calib.robot.readback import check_written
+from calib.robot.robot import Robot
+from calib.robot.torques import Payload, gravity_load
+from calib.robot.urdf import Urdf, find_urdf
+
+LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+BAD = ("quadrotor_base.urdf", "ur3.urdf", "iris_simple.urdf")  # no joints, or none that moves
+FILES = [
+    path
+    for path in sorted(
+        Path(str(file.locate()))
+        for file in importlib.metadata.files("example-robot-data") or []
+        if file.suffix == ".urdf"
+    )
+    if path.name not in BAD
+]
+#: A few in each run, all of them in the slow one.
+SOME_AND_SLOWLY_ALL = [
+    pytest.param(
+        path,
+        marks=() if i % 12 == 0 else pytest.mark.slow,
+        id=f"{path.parents[1].name}/{path.name}",
+    )
+    for i, path in enumerate(FILES)
+]
+
+#: Two arms, arm and head, tip at the fork or above the base, and the columns that they have.
+TWO_BRANCHES = {
+    "tiago head to arm": ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link", 9),
+    "tiago arm to head": ("tiago_no_hand", "wrist_ft_tool_link", "xtion_rgb_optical_frame", 9),
+    "pr2 head to arm": ("pr2", "head_plate_frame", "l_gripper_tool_frame", 9),
+    "pr2 two arms": ("pr2", "r_gripper_tool_frame", "l_gripper_tool_frame", 14),
+    "baxter two arms": ("baxter", "right_gripper", "left_gripper", 14),
+    "talos head to arm": ("talos_full_v2", "rgbd_optical_frame", "wrist_left_ft_tool_link", 9),
+    "ur3 turned round": ("ur3", "tool0", "base", 6),
+    "panda turned round, tip on the way": ("panda", "panda_link8", "panda_link3", 4),
+    "kinova turned round": ("kinova", "j2s6s200_end_effector", "j2s6s200_link_base", 6),
+    "quadruped's legs": ("a1", "FL_foot", "RR_foot", 6),
+}
+
+
+def links_and_joints(links: str, *joints: str) -> Urdf:
+    text = "".join(f'<link name="{link}"/>' for link in links.split())
+    return Urdf.from_bytes(f'<robot name="r">{text}{"".join(joints)}</robot>'.encode(), "r.urdf")
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", axis: str = "0 0 1") -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0.1 0.2 0.3" rpy="0.1 0.3 0.2"/><axis xyz="{axis}"/>{LIMIT}</joint>'
+    )
+
+
+@pytest.fixture(scope="module")
+def fork() -> Urdf:
+    """A fork with an arm of three and a head of two joints, a fixed link at each end, one turning at every kind."""
+    return links_and_joints(
+        "root fork a1 a2 a3 hand h1 h2 camera lens",
+        joint("mast", "root", "fork"),
+        joint("shoulder", "fork", "a1", axis="0 1 0.3"),
+        joint("slide", "a1", "a2", "prismatic", "1 2 -1"),
+        joint("wrist", "a2", "a3", "continuous", "0.2 0 -1"),
+        joint("grip", "a3", "hand", "fixed"),
+        joint("pan", "fork", "h1"),
+        joint("tilt", "h1", "h2", "continuous", "0 -3 0"),
+        joint("mount", "h2", "camera", "fixed"),
+        joint("glass", "camera", "lens", "fixed"),
+    )
+
+
+def random_q(robot: Robot, count: int = 4, seed: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, (count, len(robot.joint_names)))
+
+
+def by_pinocchio(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """T_base_tip from the full model of the URDF, every joint of the path at its own value."""
+    model = pin.buildModelFromXML(robot.urdf.data.decode(robot.urdf.encoding))
+    data = model.createData()
+    ends = [model.getFrameId(link, pin.FrameType.BODY) for link in (robot.base, robot.tip)]
+    names = [joint.name for joint in robot.joints]
+    poses = []
+    for values in robot.chain_values(q):
+        v = np.zeros(model.nv)
+        for name, value in zip(names, values, strict=True):
+            v[model.idx_vs[model.getJointId(name)]] = value
+        pin.framesForwardKinematics(model, data, pin.integrate(model, pin.neutral(model), v))
+        poses.append((data.oMf[ends[0]].inverse() * data.oMf[ends[1]]).homogeneous)
+    return np.array(poses)
+
+
+def by_yourdfpy(robot: Robot, q: np.ndarray) -> np.ndarray:
+    model = yourdfpy.URDF.load(
+        io.BytesIO(robot.urdf.data), load_meshes=False, load_collision_meshes=False
+    )
+    names, poses = [joint.name for joint in robot.joints], []
+    scale = [
+        np.linalg.norm(model.joint_map[joint.name].axis) if joint.type == "prismatic" else 1.0
+        for joint in robot.joints
+    ]
+    for values in robot.chain_values(q) / scale:
+        model.update_cfg(dict(zip(names, values, strict=True)))
+        poses.append(
+            np.linalg.inv(model.get_transform(robot.base)) @ model.get_transform(robot.tip)
+        )
+    return np.array(poses)
+
+
+def displaced(robot: Robot, seed: int = 5, size: float = 5e-3) -> Robot:
+    """The robot with every placement that a URDF joint carries displaced."""
+    rng = np.random.default_rng(seed)
+    placements = robot.placements.copy()
+    for i, carrier in enumerate(robot.carriers):
+        if carrier is not None:
+            placements[i] = placements[i] @ pin.exp6(rng.normal(0, size, 6)).homogeneous
+    return robot.with_placements(placements)
+
+
+def assert_serial(robot: Robot, q: np.ndarray) -> None:
+    """The chain's text: T_root_base^-1 P_1 J_1 ... P_tip, with the joints' axes as they are listed."""
+    for values, pose in zip(robot.chain_values(q), robot.poses(q), strict=True):
+        T = np.linalg.inv(robot.T_root_base)
+        for placement, item, value in zip(robot.placements, robot.joints, values, strict=False):
+            twist = np.zeros(6)
+            twist[slice(0, 3) if item.type == "prismatic" else slice(3, 6)] = value * item.axis
+            T = T @ placement @ pin.exp6(twist).homogeneous
+        np.testing.assert_allclose(T @ robot.placements[-1], pose, rtol=0, atol=1e-12)
+
+
+def assert_round_trip(robot: Robot, q: np.ndarray, *, yourdf: bool = False) -> None:
+    """A corrected URDF says what the corrected robot says, and nothing but its origins differs."""
+    new = displaced(robot)
+    expected = new.poses(q)
+    again = robot.rebuilt(Urdf.from_bytes(new.urdf.data, "again.urdf"))
+    np.testing.assert_allclose(again.poses(q), expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(again.placements, new.placements, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(by_pinocchio(new, q), expected, rtol=0, atol=1e-12)
+    if yourdf:
+        np.testing.assert_allclose(by_yourdfpy(new, q), expected, rtol=0, atol=1e-12)
+    if any(robot.carriers):
+        assert np.abs(expected - robot.poses(q)).max() > 1e-4
+    changed = {
+        name.name
+        for name, was in zip(new.urdf.joints, robot.urdf.joints, strict=True)
+        if not np.array_equal(name.T_parent_joint, was.T_parent_joint)
+    }
+    assert changed == {carrier for carrier in robot.carriers if carrier is not None}
+
+
+# Two branches
+
+
+@pytest.mark.parametrize("case", TWO_BRANCHES)
+def test_chains_of_two_branches(case):
+    name, base, tip, columns = TWO_BRANCHES[case]
+    robot = Robot.load(name, base, tip)
+    q = random_q(robot)
+    assert robot.base_moves
+    assert len(robot.joint_names) == columns
+    np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(robot.poses(q), by_yourdfpy(robot, q), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(robot.T_root_base, np.eye(4))
+    assert_serial(robot, q)
+    assert_round_trip(robot, q, yourdf=True)
+
+
+def test_the_other_way_round_is_the_inverse():
+    there = Robot.load("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link")
+    back = Robot.load("tiago_no_hand", "wrist_ft_tool_link", "xtion_rgb_optical_frame")
+    assert back.joint_names == there.joint_names[::-1]
+    q = random_q(there)
+    np.testing.assert_allclose(
+        back.poses(q[:, ::-1]), np.linalg.inv(there.poses(q)), rtol=0, atol=1e-12
+    )
+
+
+def test_the_axes_of_the_base_s_side_are_turned_round(fork):
+    robot = Robot.from_urdf(fork, "lens", "hand")
+    assert robot.joint_names == ("tilt", "pan", "shoulder", "slide", "wrist")
+    for item in robot.joints:
+        sign = -1.0 if item.name in ("tilt", "pan") else 1.0
+        np.testing.assert_array_equal(item.axis, sign * fork.joint(item.name).axis + 0.0)
+        assert not item.axis.flags.writeable
+    assert robot.joint_types["tilt"] == "continuous"
+
+
+@pytest.mark.parametrize(
+    ("base", "tip", "carriers", "joints"),
+    [
+        ("lens", "hand", ("mount", "tilt", "shoulder", "slide", "wrist", "grip"), 5),
+        ("hand", "lens", ("grip", "wrist", "slide", "pan", "tilt", "mount"), 5),
+        ("h2", "a3", (None, "tilt", "shoulder", "slide", "wrist", None), 5),
+        ("lens", "fork", ("mount", "tilt", "pan"), 2),
+        ("fork", "lens", ("pan", "tilt", "mount"), 2),
+        ("lens", "root", ("mount", "tilt", "pan", "mast"), 3),
+        ("lens", "h1", ("mount", "tilt"), 1),
+        ("h1", "lens", ("tilt", "mount"), 1),
+        ("h2", "h1", (None, "tilt"), 1),
+        ("hand", "a2", ("grip", "wrist"), 1),
+        ("a2", "h1", (None, "slide", "pan", None), 3),
+    ],
+)
+def test_every_kind_of_path(fork, base, tip, carriers, joints):
+    robot = Robot.from_urdf(fork, base, tip)
+    assert len(robot.joints) == joints
+    assert robot.carriers == carriers
+    q = random_q(robot)
+    np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(robot.poses(q), by_yourdfpy(robot, q), rtol=0, atol=1e-13)
+    assert_serial(robot, q)
+    assert_round_trip(robot, q, yourdf=True)
+
+
+def test_a_base_that_the_first_joint_moves_takes_no_correction(fork):
+    robot = Robot.from_urdf(fork, "h2", "hand")
+    moved = robot.placements.copy()
+    moved[0, 0, 3] += 1e-3
+    with pytest.raises(UrdfError, match=r"base 'h2' of 'r' .*Choose a base link that is fixed"):
+        robot.with_placements(moved)
+    # the fixed link on it does
+    moved = Robot.from_urdf(fork, "camera", "hand").placements.copy()
+    moved[0, 0, 3] += 1e-3
+    assert Robot.from_urdf(fork, "camera", "hand").with_placements(moved).carriers[0] == "mount"
+
+
+# Every robot
+
+
+def random_pairs(urdf: Urdf, count: int) -> list[tuple[str, str]]:
+    rng = np.random.default_rng(zlib.crc32(urdf.source.encode()))
+    return [(str(a), str(b)) for a, b in rng.choice(urdf.links, (count, 2))]
+
+
+@pytest.mark.parametrize("path", SOME_AND_SLOWLY_ALL)
+def test_any_two_links_of_every_robot(path):
+    urdf = Urdf.read(path)
+    found = 0
+    for base, tip in random_pairs(urdf, 8):
+        try:
+            robot = Robot.from_urdf(urdf, base, tip)
+        except CalibError as error:
+            assert "no joint moves between" in str(error) or "does not exist" in str(error)  # noqa: PT017
+            continue
+        found += 1
+        q = random_q(robot, 2)
+        np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-12)
+        assert_serial(robot, q)
+        assert_round_trip(robot, q)
+    assert found > 0
+
+
+# The whole model
+
+
+def test_the_full_model_tells_links_from_joints():
+    urdf = links_and_joints("a 1 2", joint("1", "a", "1"), joint("2", "1", "2"))
+    model = full_model(urdf)
+    frames = [model.frames[link_frame(model, link)] for link in urdf.links]
+    assert [frame.type for frame in frames] == [pin.FrameType.BODY] * 3
+    assert [frame.parentJoint for frame in frames] == [0, 1, 2]
+
+
+def test_full_configurations_are_pinocchio_s():
+    model = full_model(Urdf.read(find_urdf("pr2")))
+    names = ["torso_lift_joint", "r_wrist_roll_joint", "r_shoulder_pan_joint"]
+    values = dict(zip(names, np.random.default_rng(0).uniform(-1, 1, (3, 4)), strict=True))
+    found = full_configurations(model, values)
+    for i, configuration in enumerate(found):
+        v = np.zeros(model.nv)
+        for name, column in values.items():
+            v[model.idx_vs[model.getJointId(name)]] = column[i]
+        expected = pin.integrate(model, pin.neutral(model), v)
+        np.testing.assert_allclose(configuration, expected, atol=1e-15)
+
+
+# Any tree
+
+numbers = st.integers(-1000, 1000).map(lambda k: k / 1000)
+triples = st.tuples(numbers, numbers, numbers)
+kinds = st.sampled_from(["revolute", "continuous", "prismatic", "fixed", "mimic"])
+
+
+@st.composite
+def trees(draw):
+    """A URDF of any shape, its joints of any type and axis, some mimicking an earlier one; and two of its links."""
+    count = draw(st.integers(2, 9))
+    links = [f"l{i}" for i in range(count)]
+    joints, drivers = [], []
+    for i in range(1, count):
+        parent, kind = links[draw(st.integers(0, i - 1))], draw(kinds)
+        mimic = ""
+        if kind == "mimic":
+            kind = draw(st.sampled_from(["revolute", "prismatic"]))
+            if drivers:
+                driver, factor, offset = (
+                    draw(st.sampled_from(drivers)),
+                    draw(numbers),
+                    draw(numbers),
+                )
+                mimic = f'<mimic joint="{driver}" multiplier="{factor}" offset="{offset}"/>'
+        if kind != "fixed":
+            drivers.append(f"j{i}")
+        axis = draw(triples.filter(lambda v: np.linalg.norm(v) > 0.1))
+        joints.append(
+            f'<joint name="j{i}" type="{kind}"><parent link="{parent}"/><child link="l{i}"/>'
+            f'<origin xyz="{_text(draw(triples))}" rpy="{_text(draw(triples))}"/>'
+            f'<axis xyz="{_text(axis)}"/>{LIMIT}{mimic}</joint>'
+        )
+    base, tip = draw(st.permutations(links))[:2]
+    return links_and_joints(" ".join(links), *joints), base, tip
+
+
+def _text(values) -> str:
+    return " ".join(repr(value) for value in values)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(trees())
+def test_any_tree_between_any_two_links(case):
+    urdf, base, tip = case
+    try:
+        robot = Robot.from_urdf(urdf, base, tip)
+    except UrdfError as error:
+        event(str(error).split(";")[0].split("'")[0])
+        assert "no joint moves between" in str(error) or "left to move" in str(error)  # noqa: PT017
+        return
+    event(f"base moves: {robot.base_moves}; followers: {len(robot.joints) > len(robot.inputs)}")
+    q = random_q(robot, 3)
+    np.testing.assert_allclose(robot.poses(q), by_pinocchio(robot, q), rtol=0, atol=1e-12)
+    assert_serial(robot, q)
+    table = dh_table(robot)
+    np.testing.assert_allclose(
+        table.poses(robot.chain_values(q)), robot.poses(q), rtol=0, atol=1e-11
+    )
+    new = displaced(robot)
+    check_written(new, new.poses(q), q)
+    again = robot.rebuilt(Urdf.from_bytes(new.urdf.data, "again.urdf"))
+    np.testing.assert_allclose(again.poses(q), new.poses(q), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(again.placements, new.placements, rtol=0, atol=1e-12)
+    load = gravity_load(robot, q, Payload(2.0, (0.1, 0.2, 0.3)))
+    assert load.shape == (3, len(robot.joints))
+
+
+# What a tip below the base is, is tested in test_robot.py.
+
+
+@pytest.fixture(scope="module")
+def tiago() -> Urdf:
+    return Urdf.read(find_urdf("tiago_no_hand"))
+
+
+ARM = [f"arm_{i}_joint" for i in range(1, 8)]
+
+
+def test_where_nothing_moves_below_the_base_the_way_leads_over_the_fork(tiago):
+    robot = Robot.from_urdf(tiago, "xtion_rgb_optical_frame")
+    names = ("head_2_joint", "head_1_joint", *ARM)
+    assert robot.joint_names[: len(names)] == names
+
+
+def test_measured_joints_lead_over_the_fork_too(tiago):
+    head = ["head_1_joint", "head_2_joint"]
+    robot = Robot.from_urdf(tiago, "xtion_rgb_optical_frame", measured=[*head, *ARM[:4]])
+    assert robot.joint_names == (*head[::-1], *ARM[:4])
+    # and without the head's no further than the arm's own mount, which does not move: all joints count then
+    robot = Robot.from_urdf(tiago, "xtion_rgb_optical_frame", measured=ARM)
+    assert set(ARM) < set(robot.joint_names)
+
+
+def test_a_tip_turned_round_has_the_base_at_its_end():
+    assert Robot.load("ur3", base="tool0").joint_names[-1] == "shoulder_pan_joint"
+
+
+def test_held_joints_lead_on_but_do_not_count(tiago):
+    measured = [*ARM, "head_1_joint"]
+    assert farthest_link(tiago, tiago.root, measured) in tiago.links
+    held = {"torso_lift_joint": 0.1}
+    tip = farthest_link(tiago, tiago.root, ARM[:1], held)
+    assert Robot.from_urdf(tiago, tip=tip, held=held).joint_names == ("arm_1_joint",)
+
+
+def test_a_robot_without_moving_joints_has_its_base_for_a_tip():
+    urdf = Urdf.read(find_urdf("iris_simple"))
+    assert farthest_link(urdf, urdf.root) in urdf.links
+
+
+def test_a_base_that_is_no_link(tiago):
+    with pytest.raises(UrdfError, match="no link 'xtion'"):
+        farthest_link(tiago, "xtion")

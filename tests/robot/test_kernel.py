@@ -1,0 +1,222 @@
+"""The arithmetic against Pinocchio: forward kinematics and placement regressor, one sample after the other."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from calib.errors import ModelError
+from calib.model.error_model import axis_twists, error_model
+from calib.model.kinematics import Kinematics, Samples, joint_displacements
+from calib.robot import kernel
+from calib.robot.kernel import one_blas_thread, over_blocks
+from calib.robot.robot import Robot, rigid_inverse
+from tests.model.test_kinematics import CHAINS, pose, robots  # noqa: F401
+
+Array = np.ndarray
+FAMILIES = "+gain+eccentricity+compliance"
+NAMES = ("ur3", "panda", "prismatic", "mimic", "tiago_held", *CHAINS)
+
+
+def seen(robot: Robot, model: str, seed: int, count: int = 150) -> tuple[Kinematics, Samples]:
+    """Two frames and two targets, each with an orientation, at random joint values."""
+    rng = np.random.default_rng(seed)
+    directions = ("x", "y", "z", "rx", "ry", "rz")
+    own = error_model(
+        robot,
+        model,
+        frame={"a": directions, "b": directions[1:4]},
+        target=("left", "right"),
+        targets=("left", "right"),
+        rotation=True,
+    )
+    kinematics = Kinematics(
+        robot, own, np.array([pose(1), pose(2)]), np.array([pose(3, 0.2), pose(4, 0.2)])
+    )
+    samples = Samples(
+        rng.uniform(-3.0, 3.0, (count, len(robot.joint_names))),
+        rng.integers(0, 2, count),
+        rng.integers(0, 2, count),
+        rng.normal(0.0, 20.0, (count, len(robot.joints))),
+    )
+    return kinematics, samples
+
+
+def by_pinocchio(kinematics: Kinematics, x: Array, samples: Samples) -> tuple[Array, Array]:
+    """T_frame_target and the target's twists, by Pinocchio's regressor and the action matrices of poses."""
+    robot, model = kinematics.robot, kinematics.model
+    D, S = model.displacements(x)
+    S = S.reshape(len(D), 6, -1)
+    frames, n = len(kinematics.T_frame_base), len(robot.joints)
+    chain = robot.chain_model(robot.placements[:n] @ D[frames : frames + n])
+    data = chain.createData()
+    terms = [model.terms[t] for t in model.joint_terms]
+    moved = joint_displacements(robot, terms, samples.q, samples.load)
+    moved = moved @ model.mixing[list(model.joint_terms)]
+    configurations = robot.chain_values(samples.q) + moved @ x
+    T_last_tip = robot.placements[n] @ D[frames + n]
+    poses = np.empty((len(samples), 4, 4))
+    twists = np.empty((len(samples), 6, len(model)))
+    for i, (f, t) in enumerate(zip(samples.frame, samples.target, strict=True)):
+        T_frame_base = kinematics.T_frame_base[f] @ D[f]
+        T_tip_target = kinematics.T_tip_target[t] @ D[frames + n + 1 + t]
+        pin.forwardKinematics(chain, data, configurations[i])
+        regressor = pin.computeJointKinematicRegressor(
+            chain, data, n, pin.LOCAL, pin.SE3(T_last_tip @ T_tip_target)
+        ).reshape(6, n, 6)
+        T_root_last = data.oMi[n].homogeneous
+        T_base_tip = rigid_inverse(robot.T_root_base) @ T_root_last @ T_last_tip
+        poses[i] = T_frame_base @ T_base_tip @ T_tip_target
+        in_target = np.einsum("dns,nsp->dp", regressor, S[frames : frames + n])
+        along = np.einsum("dns,ns->dn", regressor, axis_twists(robot))
+        in_target += along @ moved[i]
+        for T, local in (
+            (T_base_tip @ T_tip_target, S[f]),
+            (T_tip_target, S[frames + n]),
+            (np.eye(4), S[frames + n + 1 + t]),
+        ):
+            in_target += pin.SE3(T).toActionMatrixInverse() @ local
+        R = poses[i, :3, :3]
+        twists[i] = np.concatenate([R @ in_target[:3], R @ in_target[3:]])
+    return poses, twists
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("model", ["hayati", "placement"])
+def test_it_says_what_pinocchio_says(robots, name, model):  # noqa: F811
+    kinematics, samples = seen(robots[name], model + FAMILIES, len(name))
+    x = np.random.default_rng(5).normal(0.0, 1e-3, len(kinematics.model))
+    expected_poses, expected_twists = by_pinocchio(kinematics, x, samples)
+    poses, twists = kinematics.twists(x, samples)
+    np.testing.assert_allclose(poses, expected_poses, atol=2e-14)
+    np.testing.assert_allclose(twists, expected_twists, rtol=1e-12, atol=2e-12)
+    np.testing.assert_array_equal(kinematics.poses(x, samples), poses)
+    _, linear = kinematics.twists(x, samples, rotation=False)
+    np.testing.assert_array_equal(linear, twists[:, :3])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_poses_of_the_robot_itself(robots, name):  # noqa: F811
+    robot = robots[name]
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (20, len(robot.joint_names)))
+    model = error_model(robot, "frames", target=False)
+    kinematics = Kinematics(robot, model, np.eye(4), np.eye(4))
+    expected, _ = by_pinocchio(kinematics, np.zeros(0), Samples.at(q))
+    np.testing.assert_allclose(robot.poses(q), expected, atol=2e-14)
+
+
+def test_blocks_are_the_same_as_one(ur3, monkeypatch):
+    kinematics, samples = seen(ur3, "dh+gain", 0, 95)
+    x = np.full(len(kinematics.model), 1e-3)
+    poses, twists = kinematics.twists(x, samples)
+    monkeypatch.setattr(kernel, "BLOCK", 20)
+    again = kinematics.twists(x, samples)
+    np.testing.assert_allclose(again[0], poses, rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(again[1], twists, rtol=1e-13, atol=1e-15)
+
+
+def test_no_sample_at_all(ur3):
+    kinematics, samples = seen(ur3, "dh", 0)
+    poses, twists = kinematics.twists(np.zeros(len(kinematics.model)), samples.select(slice(0, 0)))
+    assert poses.shape == (0, 4, 4)
+    assert twists.shape == (0, 6, len(kinematics.model))
+
+
+def test_turns_take_z_to_any_axis():
+    axes = np.random.default_rng(0).normal(size=(50, 3))
+    axes = np.concatenate([axes, np.eye(3), -np.eye(3), [[1e-9, 0.0, -1.0]]])
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    turns = kernel.turns_to(axes)
+    np.testing.assert_allclose(
+        turns @ turns.transpose(0, 2, 1), np.tile(np.eye(3), (57, 1, 1)), atol=1e-14
+    )
+    np.testing.assert_allclose(turns[:, :, 2], axes, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(turns), 1.0, atol=1e-14)
+
+
+def test_joints_that_have_turned_very_far_round(ur3):
+    kinematics, samples = seen(ur3, "zeros+gain", 0, 40)
+    x = np.zeros(len(kinematics.model))
+    turned = Samples(samples.q + 2e6 * np.pi, samples.frame, samples.target)
+    # Adding the turns rounds the joint values by 1e-9.
+    expected = kinematics.poses(x, samples)
+    np.testing.assert_allclose(kinematics.poses(x, turned), expected, atol=1e-8)
+
+
+def test_a_compliance_needs_the_load(ur3):
+    kinematics, samples = seen(ur3, "zeros+compliance", 0, 20)
+    without = Samples(samples.q, samples.frame, samples.target)
+    with pytest.raises(ModelError, match="needs the load on the joints"):
+        kinematics.poses(np.zeros(len(kinematics.model)), without)
+
+
+def test_axes_next_to_minus_z_have_rotations_too():
+    rng = np.random.default_rng(1)
+    near = np.array([0.0, 0.0, -1.0]) + rng.normal(size=(40, 3)) * 10.0 ** rng.uniform(
+        -9, 0, (40, 1)
+    )
+    axes = np.concatenate([near, [[0, 0, -1], [0, 0, 1], [1, 0, 0]]])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    turns = kernel.turns_to(axes)
+    np.testing.assert_allclose(turns[:, :, 2], axes, atol=1e-15)
+    np.testing.assert_allclose(
+        turns @ turns.transpose(0, 2, 1), np.tile(np.eye(3), (43, 1, 1)), atol=1e-15
+    )
+    np.testing.assert_allclose(np.linalg.det(turns), 1.0, atol=1e-15)
+
+
+def threads() -> set[int]:
+    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+
+@pytest.fixture(autouse=True)
+def several():
+    """Whoever runs the tests may have said one thread."""
+    with threadpool_limits(limits=2, user_api="blas"):
+        if threads() != {2}:
+            pytest.fail("the linear algebra of this machine cannot have two threads")
+        yield
+
+
+def test_one_thread_within_and_as_before_after():
+    with one_blas_thread():
+        assert threads() == {1}
+        with one_blas_thread():
+            assert threads() == {1}
+        assert threads() == {1}
+    assert threads() == {2}
+
+
+def test_what_was_before_comes_back_after_an_error():
+    with pytest.raises(ZeroDivisionError), one_blas_thread():
+        _ = 1 / 0
+    assert threads() == {2}
+
+
+def test_blocks_of_several_threads_end_in_any_order():
+    inside, leave = threading.Event(), threading.Event()
+
+    def first() -> None:
+        with one_blas_thread():
+            inside.set()
+            leave.wait(10.0)
+
+    other = threading.Thread(target=first)
+    other.start()
+    inside.wait(10.0)
+    with one_blas_thread():
+        leave.set()
+        other.join()
+    assert threads() == {2}
+
+
+@pytest.mark.parametrize("count", [0, 1, 20, 21, 95])
+def test_blocks_come_back_in_their_order(monkeypatch, count):
+    monkeypatch.setattr("calib.robot.kernel.BLOCK", 20)
+    found = over_blocks(lambda own: (own.start, own.stop), count)
+    assert [a for a, _ in found] == list(range(0, count, 20))
+    assert [b for _, b in found] == [min(a + 20, count) for a, _ in found]

@@ -1,0 +1,191 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib.errors import UrdfError
+from calib.robot.readback import (
+    check_written,
+    column_ranges,
+    random_joint_values,
+    spread_between,
+    spread_poses,
+)
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
+
+
+def corrected(robot: Robot, size: float = 5e-3) -> Robot:
+    rng = np.random.default_rng(2)
+    moved = robot.placements.copy()
+    for i, carrier in enumerate(robot.carriers):
+        if carrier is not None:
+            moved[i] = moved[i] @ pin.exp6(rng.normal(0, size, 6)).homogeneous
+    return robot.with_placements(moved)
+
+
+@pytest.mark.parametrize(
+    ("name", "tip"),
+    [
+        ("ur3", "tool0"),
+        ("panda", "panda_link8"),
+        ("kinova", "j2s6s200_end_effector"),
+        ("pr2", "l_gripper_tool_frame"),
+        ("baxter", "left_gripper"),
+        ("b1-z1", "gripperMover"),
+    ],
+)
+def test_a_corrected_robot_passes(name, tip):
+    robot = corrected(Robot.load(name, tip=tip))
+    q = random_joint_values(robot)
+    check_written(robot, robot.poses(q), q)
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "tip", "held"),
+    [
+        ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link", {}),
+        ("tiago_no_hand", "xtion_rgb_optical_frame", "wrist_ft_tool_link", {"head_1_joint": 0.3}),
+        ("tiago_no_hand", None, "wrist_ft_tool_link", {"torso_lift_joint": 0.2}),
+        ("baxter", "right_gripper", "left_gripper", {}),
+        ("ur3", "tool0", "base", {"elbow_joint": -1.0}),
+        ("panda", "panda_link0", "panda_rightfinger", {}),
+        ("panda", "panda_leftfinger", "panda_rightfinger", {}),
+        ("panda", "panda_link0", "panda_rightfinger", {"panda_finger_joint1": 0.02}),
+        ("pr2", "head_plate_frame", "r_gripper_l_finger_tip_link", {}),
+        ("tiago_pro", "head_2_link", "gripper_right_fingertip_left_link", {}),
+    ],
+)
+def test_columns_that_move_several_joints_and_a_base_that_moves_pass(name, base, tip, held):
+    robot = Robot.load(name, base, tip, held=held)
+    q = random_joint_values(robot)
+    new = corrected(robot)
+    check_written(new, new.poses(q), q)
+    with pytest.raises(UrdfError, match=r"read back by Pinocchio, puts the tip .* It is not writt"):
+        check_written(new, robot.poses(q), q)
+
+
+@pytest.mark.parametrize("axis", [(0, 0.5, 2), (0, 0, -3), (0.1, 0, 0)])
+@pytest.mark.parametrize("kind", ["prismatic", "revolute", "continuous"])
+def test_axes_of_any_length_pass(serial_urdf, kind, axis):
+    joints = [(kind, (0.1, 0.2, 0.3), (0.3, 1.5, 0.1), axis)] * 2
+    robot = corrected(Robot.from_urdf(serial_urdf(joints)))
+    q = random_joint_values(robot)
+    check_written(robot, robot.poses(q), q)
+
+
+@pytest.mark.parametrize("joint", ["shoulder_pan_joint", "wrist_3_link-tool0_fixed_joint"])
+@pytest.mark.parametrize("twist", [(2e-9, 0, 0, 0, 0, 0), (0, 0, 0, 0, 2e-8, 0)])
+def test_an_origin_that_was_tampered_with_is_refused(ur3, joint, twist):
+    origin = ur3.urdf.joint(joint).T_parent_joint @ pin.exp6(np.array(twist)).homogeneous
+    tampered = dataclasses.replace(ur3, urdf=ur3.urdf.with_origins({joint: origin}))
+    q = random_joint_values(ur3)
+    with pytest.raises(
+        UrdfError, match=r"read back by Pinocchio, puts the tip .* rad away.*1e-09 is allowed"
+    ):
+        check_written(tampered, ur3.poses(q), q)
+
+
+def test_a_urdf_that_yourdfpy_cannot_read_is_refused(serial_urdf):
+    # Pinocchio does not look at the axis of a fixed joint; yourdfpy wants numbers there.
+    fixed = (
+        '<link name="d"/><joint name="f" type="fixed"><parent link="l0"/><child link="d"/>'
+        '<axis xyz="none"/></joint>'
+    )
+    joints = [("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1))]
+    robot = Robot.from_urdf(serial_urdf(joints, extra=fixed))
+    q = random_joint_values(robot)
+    with pytest.raises(
+        UrdfError, match="yourdfpy cannot read the corrected URDF of 'serial', so it is"
+    ):
+        check_written(robot, robot.poses(q), q)
+
+
+def limits(kind: str, limit: str) -> Robot:
+    text = (
+        '<robot name="r"><link name="a"/><link name="b"/>'
+        f'<joint name="j" type="{kind}"><parent link="a"/><child link="b"/>{limit}</joint></robot>'
+    )
+    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "limit", "low", "high"),
+    [
+        ("revolute", '<limit lower="-0.5" upper="1.5" effort="1" velocity="1"/>', -0.5, 1.5),
+        ("revolute", '<limit lower="-6.3" upper="6.3" effort="1" velocity="1"/>', -np.pi, np.pi),
+        ("revolute", '<limit effort="1" velocity="1"/>', -np.pi, np.pi),
+        ("continuous", "", -np.pi, np.pi),
+        ("prismatic", '<limit lower="-0.1" upper="5" effort="1" velocity="1"/>', -0.1, 1.0),
+        ("prismatic", '<limit lower="-9" upper="9" effort="1" velocity="1"/>', -1.0, 1.0),
+    ],
+)
+def test_random_joint_values_fill_the_limits(kind, limit, low, high):
+    q = random_joint_values(limits(kind, limit), 500)
+    assert q.shape == (500, 1)
+    assert low <= q.min() < low + 0.05 * (high - low)
+    assert high - 0.05 * (high - low) < q.max() <= high
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(4, 5), (-5, -4), (2, 2), (-7, -7)])
+def test_random_joint_values_stay_inside_limits_beyond_a_turn(lower, upper):
+    limit = f'<limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/>'
+    q = random_joint_values(limits("revolute", limit))
+    assert (q >= lower).all()
+    assert (q <= upper).all()
+
+
+def test_values_are_spread_evenly_between_bounds():
+    ranges = np.array([[-1.0, 3.0], [0.2, 0.3], [5.0, 5.5]])
+    values = spread_between(ranges, 255)
+    assert values.shape == (255, 3)
+    assert not values.flags.writeable
+    np.testing.assert_array_equal(values, spread_between(ranges, 255))
+    np.testing.assert_array_equal(values[:31], spread_between(ranges, 31))
+    share = (values - ranges[:, 0]) / (ranges[:, 1] - ranges[:, 0])
+    # The first 256 points of a Sobol sequence but the corner: a value of each column in each 256th of its range, and
+    # four of two columns in each of 8 by 8 bins.
+    whole = np.round(share * 256).astype(int)
+    for k in range(3):
+        assert sorted(whole[:, k]) == list(range(1, 256))
+    counts = np.zeros((8, 8), dtype=int)
+    np.add.at(counts, (whole[:, 0] // 32, whole[:, 1] // 32), 1)
+    assert counts[0, 0] == 3
+    assert np.count_nonzero(counts == 4) == 63
+
+
+# Columns that move several joints
+
+
+def mimic_pair(lower: float, upper: float, numbers: str) -> Robot:
+    limit = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
+    text = (
+        '<robot name="r"><link name="a"/><link name="b"/><link name="c"/>'
+        '<joint name="1" type="revolute"><parent link="a"/><child link="b"/>'
+        f"{limit.format(-1, 2)}</joint>"
+        '<joint name="2" type="revolute"><parent link="b"/><child link="c"/>'
+        f'{limit.format(lower, upper)}<mimic joint="1" {numbers}/></joint></robot>'
+    )
+    return Robot.from_urdf(Urdf.from_bytes(text.encode(), "r.urdf"), tip="c")
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "numbers", "expected"),
+    [
+        (-3, 3, "", (-1, 2)),
+        (-0.5, 3, "", (-0.5, 2)),
+        (-0.5, 0.25, 'multiplier="0.5"', (-1, 0.5)),
+        (-0.5, 1, 'multiplier="-1"', (-1, 0.5)),
+        (-0.5, 1, 'offset="0.5"', (-1, 0.5)),
+        (2.5, 3, "", (-1, 2)),  # the two cannot both be had: the column's own stay
+    ],
+)
+def test_a_column_keeps_within_the_limits_of_its_followers(lower, upper, numbers, expected):
+    robot = mimic_pair(lower, upper, numbers)
+    np.testing.assert_allclose(column_ranges(robot), [expected])
+    for q in (random_joint_values(robot), spread_poses(robot)):
+        assert q.min() >= expected[0]
+        assert q.max() <= expected[1]

@@ -1,0 +1,558 @@
+from __future__ import annotations
+
+import difflib
+import hashlib
+import importlib.metadata
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, strategies as st
+
+from calib.errors import FileError, UrdfError
+from calib.robot.urdf import Urdf, UrdfJoint
+
+DATA_FILES = [
+    Path(file.locate())
+    for file in importlib.metadata.files("example-robot-data") or []
+    if str(file).endswith(".urdf")
+]
+WITHOUT_JOINTS = {"quadrotor_base.urdf", "ur3.urdf"}  # one free body, and a file that only includes
+ROBOTS = [path for path in DATA_FILES if path.name not in WITHOUT_JOINTS]
+#: A few in each run, all of them in the slow one.
+SOME_AND_SLOWLY_ALL = [
+    pytest.param(
+        path,
+        marks=() if i % 12 == 0 else pytest.mark.slow,
+        id=f"{path.parents[1].name}/{path.name}",
+    )
+    for i, path in enumerate(ROBOTS)
+]
+EXAMPLE_UR3 = next(path for path in DATA_FILES if path.name == "ur3_robot.urdf")
+OUR_UR3 = Path(__file__).parents[2] / "urdf" / "ur3.urdf"
+
+TWO_LINKS = (
+    '<robot name="r">\n'
+    '  <link name="a"/>\n'
+    '  <link name="b"/>\n'
+    '  <joint name="j" type="revolute">\n'
+    '    <parent link="a"/>\n'
+    '    <child link="b"/>\n'
+    "    {origin}\n"
+    '    <axis xyz="0 0 2"/>\n'
+    '    <limit effort="1" velocity="1"/>\n'
+    "  </joint>\n"
+    "</robot>\n"
+)
+PLAIN = TWO_LINKS.format(origin='<origin xyz="1 2 3" rpy="0.1 0.2 0.3"/>')
+
+
+def parse(text: str | bytes) -> Urdf:
+    return Urdf.from_bytes(text.encode() if isinstance(text, str) else text, "r.urdf")
+
+
+def pose(xyz: object = (0, 0, 0), rpy: object = (0, 0, 0)) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = pin.rpy.rpyToMatrix(*np.asarray(rpy, dtype=float))
+    T[:3, 3] = xyz
+    return T
+
+
+def robot(*joints: str, links: str = "ab", root: str = '<robot name="r">') -> str:
+    tags = "".join(f'<link name="{link}"/>' for link in links)
+    return f"{root}{tags}{''.join(joints)}</robot>"
+
+
+def joint(
+    name: str = "j", parent: str = "a", child: str = "b", more: str = "", kind="fixed"
+) -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f"{more}</joint>"
+    )
+
+
+# --- reading -----------------------------------------------------------------------------------
+
+
+def test_reads_what_the_file_states():
+    urdf = parse(PLAIN)
+    (j,) = urdf.joints
+    assert (urdf.name, urdf.source, urdf.path, urdf.links, urdf.root) == (
+        "r",
+        "r.urdf",
+        None,
+        ("a", "b"),
+        "a",
+    )
+    assert (j.name, j.type, j.parent, j.child, j.mimic, j.lower, j.upper) == (
+        "j",
+        "revolute",
+        "a",
+        "b",
+        None,
+        None,
+        None,
+    )
+    np.testing.assert_array_equal(j.xyz, [1, 2, 3])
+    np.testing.assert_array_equal(j.rpy, [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(j.axis, [0, 0, 1])
+    np.testing.assert_allclose(j.T_parent_joint, pose([1, 2, 3], [0.1, 0.2, 0.3]), atol=0)
+    assert urdf.sha256 == hashlib.sha256(PLAIN.encode()).hexdigest()
+    assert urdf.joint("j") is j
+
+
+def test_absent_parts_have_the_defaults_of_urdf():
+    j = parse(robot(joint(kind="prismatic"))).joints[0]
+    for array, wanted in ((j.xyz, (0, 0, 0)), (j.rpy, (0, 0, 0)), (j.axis, (1, 0, 0))):
+        np.testing.assert_array_equal(array, wanted)
+        assert not array.flags.writeable
+    assert (j.lower, j.upper, j.mimic) == (None, None, None)
+    assert (j.mimic_multiplier, j.mimic_offset) == (1.0, 0.0)
+
+
+def test_numbers_in_every_form_of_xml():
+    more = '<origin rpy=" 1e-3\n +.5\t-2.E1 " xyz="1.0&#x20;0 -0"/><axis xyz="3 0 4"/>'
+    more += '<limit lower="-1" upper=" 2.5 " effort="e" velocity=""/><mimic joint="k"/>'
+    text = robot(joint(more=more, kind="revolute"), joint("k", "b", "c"), links="abc")
+    j = parse(text).joints[0]
+    np.testing.assert_array_equal(j.rpy, [1e-3, 0.5, -20])
+    np.testing.assert_array_equal(j.xyz, [1, 0, 0])
+    np.testing.assert_allclose(j.axis, [0.6, 0, 0.8], atol=1e-16)
+    assert (j.lower, j.upper, j.mimic) == (-1.0, 2.5, "k")
+    assert (j.mimic_multiplier, j.mimic_offset) == (1.0, 0.0)
+
+
+TREE = robot(
+    joint("j1", "w", "a"),
+    joint("j2", "a", "b"),
+    joint("j3", "a", "c"),
+    joint("j4", "c", "d"),
+    links="wabcd",
+)
+
+
+def test_chain_goes_through_the_nearest_common_ancestor():
+    urdf = parse(TREE)
+    assert urdf.root == "w"
+    assert urdf.chain("w", "d") == ((), ("j1", "j3", "j4"))
+    assert urdf.chain("d", "w") == (("j1", "j3", "j4"), ())
+    assert urdf.chain("b", "d") == (("j2",), ("j3", "j4"))
+    assert urdf.chain("d", "d") == ((), ())
+    assert urdf.chain("c", "d") == ((), ("j4",))
+
+
+def test_unknown_names_are_answered_with_the_known_ones():
+    urdf = Urdf.read(OUR_UR3)
+    with pytest.raises(UrdfError, match=r"ur3\.urdf has no link 'toolO' \(did you mean 'tool0'\?"):
+        urdf.chain("base", "toolO")
+    with pytest.raises(UrdfError, match=r"Its links: 'world', 'base_link', 'base'"):
+        urdf.chain("nothing", "tool0")
+    with pytest.raises(UrdfError, match="that is a joint, a link is wanted; the joint moves 'fore"):
+        urdf.chain("base", "elbow_joint")
+    with pytest.raises(UrdfError, match=r"no joint 'elbow_joit' \(did you mean 'elbow_joint'"):
+        urdf.with_origins({"elbow_joit": np.eye(4)})
+    with pytest.raises(UrdfError, match=r"no joint 'tool0': that is a link.* Its joints: 'world_"):
+        urdf.joint("tool0")
+
+
+# --- refusing ----------------------------------------------------------------------------------
+
+REFUSED = {
+    "empty": ("", "r.urdf is empty; a URDF is wanted"),
+    "csv": ("q1 [deg],q2 [deg],x [mm]\n1,2,3\n", "line 1, column 1; it starts with no"),
+    "unclosed": (
+        "<robot>\n <link></robot>",
+        "r.urdf is not XML: mismatched tag, line 2, column 10",
+    ),
+    "sdf": ("<sdf version='1.7'/>", "line 1: the outermost element is <sdf>, it looks like SDF"),
+    "xacro macro": (
+        robot('\n<xacro:macro name="m"/>', joint()),
+        "r.urdf, line 2: 'xacro:macro' belongs to xacro, not URDF; expand it first: xacro "
+        "robot.urdf.xacro > robot.urdf",
+    ),
+    "xacro prefix": (
+        robot("<x:if/>", joint(), root='<robot xmlns:x="http://www.ros.org/wiki/xacro">'),
+        "'x:if' belongs to xacro",
+    ),
+    "xacro number": (
+        robot(joint(more='<origin xyz="0 0 ${d1}"/>')),
+        "joint 'j': xyz of <origin> is '0 0 ${d1}', 3 finite numbers wanted; this is xacro, expand",
+    ),
+    "no joint": (robot(), "line 1: <robot> has no <joint>"),
+    "joint twice": (
+        robot(joint(), "\n" + joint(child="c"), links="abc"),
+        "line 2: a second joint 'j', the first is in line 1; rename one",
+    ),
+    "link twice": (robot(joint(), links="aba"), "a second link 'a', the first is in line 1"),
+    "no name": (robot('<joint type="fixed"/>'), 'a <joint> has no name; give it name="..."'),
+    "mimic by a word": (
+        robot(joint(more='<mimic joint="k" multiplier="half"/>')),
+        "joint 'j': multiplier of <mimic> is 'half', a finite number wanted",
+    ),
+    "two origins": (robot(joint(more="<origin/><origin/>")), "joint 'j' has 2 <origin>; keep one"),
+    "no such link": (
+        robot(joint(child="arm_lnk"), '<link name="arm_link"/>'),
+        "joint 'j' names the link 'arm_lnk', which does not exist (did you mean 'arm_link'?)",
+    ),
+    "closed loop": (
+        robot(joint(), joint("k", "a", "c"), joint("l", "c", "b"), links="abc"),
+        "link 'b' is the child of both 'j' and 'l'; a URDF is a tree",
+    ),
+    "ring": (robot(joint(), joint("k", "b", "a")), "the joints 'j', 'k' form a loop"),
+    "two roots": (robot(joint(), links="abc"), "r.urdf has 2 root links: 'a', 'c'; join them"),
+    "type": (
+        robot(joint(kind="hinge")),
+        "joint 'j' has the type 'hinge'; the types are 'revolute'",
+    ),
+    "word": (
+        robot("\n" + joint(more='\n<origin rpy="0 zero 0"/>')),
+        "r.urdf, line 3: joint 'j': rpy of <origin> is '0 zero 0', 3 finite numbers wanted",
+    ),
+    "comma": (robot(joint(more='<origin xyz="0,1 0 0"/>')), "is '0,1 0 0', 3 finite"),
+    "nan": (robot(joint(more='<origin xyz="nan 0 0"/>')), "is 'nan 0 0', 3 finite"),
+    "axis": (
+        robot(joint(kind="revolute", more='<axis xyz="0 0 0"/>')),
+        """joint 'j': the axis is zero; give its direction, xyz="0 0 1" for example""",
+    ),
+    "limit": (
+        robot(joint(kind="revolute", more='<limit lower="-pi" upper="1"/>')),
+        "lower of <limit> is '-pi', a finite number wanted",
+    ),
+    "encoding": (
+        '<?xml version="1.0" encoding="shift_jis"?><robot/>',
+        "cannot be used (multi-byte",
+    ),
+    "not latin": (
+        b"<robot>\xe9</robot>",
+        "line 1, column 8; mend the file there, and save it as UTF-8",
+    ),
+    "utf-16": (robot(joint()).encode("utf-16"), "r.urdf is in UTF-16 or UTF-32; save it as UTF-8"),
+}
+
+
+@pytest.mark.parametrize(("text", "wanted"), REFUSED.values(), ids=REFUSED)
+def test_refuses(text: str | bytes, wanted: str):
+    with pytest.raises(UrdfError, match=re.escape(wanted)):
+        parse(text)
+
+
+@given(st.binary(max_size=60) | st.text("<>/ab='\" \n&;!-[]?", max_size=60).map(str.encode))
+def test_nothing_but_a_urdf_error_comes_out_of_junk(data: bytes):
+    with pytest.raises(UrdfError):
+        parse(data)
+
+
+def test_file_errors(tmp_path: Path):
+    with pytest.raises(FileError, match=r"URDF '.*/none\.urdf' does not exist"):
+        Urdf.read(tmp_path / "none.urdf")
+
+
+# --- writing -----------------------------------------------------------------------------------
+
+ORIGINS = {
+    "plain": ('<origin xyz="1 2 3" rpy="0 0 0"/>', '<origin xyz="1.0 2.0 4.5" rpy="0 0 0"/>'),
+    "order": ("<origin rpy='0 0 0'  xyz='1 2 3' />", "<origin rpy='0 0 0'  xyz='1.0 2.0 4.5' />"),
+    "spaced": (
+        '<origin\n\txyz =\n "1 2 3"\n>\n</origin >',
+        '<origin\n\txyz =\n "1.0 2.0 4.5"\n>\n</origin >',
+    ),
+    "others": (
+        '<origin note="xyz=\'9\'" xyz="1 2 3" a:xyz="0 0 0" c=">/"/>',
+        '<origin note="xyz=\'9\'" xyz="1.0 2.0 4.5" a:xyz="0 0 0" c=">/"/>',
+    ),
+    "added": ('<origin rpy="0 0 0"/>', '<origin rpy="0 0 0" xyz="1.0 2.0 4.5"/>'),
+    "added last": (
+        "<origin\n   rpy='0 0 0'\n/>",
+        "<origin\n   rpy='0 0 0'\n   xyz='1.0 2.0 4.5'\n/>",
+    ),
+    "empty": ("<origin/>", '<origin xyz="1.0 2.0 4.5"/>'),
+    "empty pair": ("<origin  ></origin>", '<origin xyz="1.0 2.0 4.5"  ></origin>'),
+}
+
+
+@pytest.mark.parametrize(("before", "after"), ORIGINS.values(), ids=ORIGINS)
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+def test_only_the_value_changes(before: str, after: str, line_end: str):
+    template = TWO_LINKS.replace("<robot ", '<robot xmlns:a="urn:a" ')
+    old, new = (template.format(origin=o).replace("\n", line_end) for o in (before, after))
+    urdf = parse(old)
+    moved = urdf.with_origins({"j": pose([1, 2, 4.5])})
+    assert moved.data == new.encode()
+    np.testing.assert_array_equal(moved.joint("j").xyz, [1, 2, 4.5])
+    assert urdf.data == old.encode()
+    assert urdf.with_origins({"j": urdf.joint("j").T_parent_joint}) is urdf
+
+
+def test_translation_and_rotation_change_apart():
+    urdf = parse(PLAIN)
+    turned = urdf.with_origins({"j": pose([1, 2, 3], [0.1, 0.2, 0.5])}).data.decode()
+    assert 'xyz="1 2 3" rpy="' in turned
+    assert 'rpy="0.1 0.2 0.3"' not in turned
+    moved = urdf.with_origins({"j": pose([1, 2, 0], [0.1, 0.2, 0.3])}).data.decode()
+    assert '<origin xyz="1.0 2.0 0.0" rpy="0.1 0.2 0.3"/>' in moved
+
+
+def test_rounding_is_no_change_and_more_is():
+    urdf = parse(PLAIN)
+    T = urdf.joint("j").T_parent_joint
+    through_quaternion = T.copy()
+    through_quaternion[:3, :3] = pin.Quaternion(T[:3, :3]).toRotationMatrix()
+    assert urdf.with_origins({"j": through_quaternion}) is urdf
+    moved = T.copy()
+    moved[0, 3] += 1e-13
+    assert urdf.with_origins({"j": moved}).joint("j").xyz[0] == moved[0, 3]
+    assert b"-0.0" not in urdf.with_origins({"j": pose([-0.0, -0.0, -0.0])}).data
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+def test_a_missing_origin_is_added_in_the_style_of_the_file(line_end: str):
+    lines = '<robot>\n\t<link name="a"/><link name="b"/>\n\t<joint name="j" type="fixed">{}\n'
+    lines += '\t\t<parent link="a"/>\n\t\t<child link="b"/>\n\t</joint>\n</robot>'
+    lines = lines.replace("\n", line_end)
+    new = f'{line_end}\t\t<origin xyz="1.0 2.0 3.0" rpy="0.0 0.0 0.0"/>'
+    moved = parse(lines.format("")).with_origins({"j": pose([1, 2, 3])})
+    assert moved.data == lines.format(new).encode()
+    flat = robot(joint())
+    moved = parse(flat).with_origins({"j": pose([1, 2, 3])})
+    assert moved.data == flat.replace('d">', 'd">' + new.strip()).encode()
+
+
+@pytest.mark.parametrize(
+    "encoding", ["utf-8", "utf-8-sig", "iso-8859-1", "windows-1252", "iso-8859-5"]
+)
+def test_other_encodings_are_kept(encoding: str):
+    letters = "щж" if encoding == "iso-8859-5" else "é°ß"
+    declared = encoding.removesuffix("-sig")
+    head = f'<?xml version="1.0" encoding="{declared}"?>\n<!-- {letters * 9} -->\n'
+    text = (head + PLAIN).replace('"a"', f'"{letters}"').replace('"j"', f'"{letters}j"')
+    urdf = parse(text.encode(encoding))
+    assert urdf.links == (letters, "b")
+    assert urdf.data.decode(urdf.encoding) == text
+    moved = urdf.with_origins({f"{letters}j": pose([1, 2, 4], [0.1, 0.2, 0.3])})
+    assert moved.data == text.replace("1 2 3", "1.0 2.0 4.0").encode(encoding)
+    linked = moved.with_link("tool €ж", letters, np.eye(4))
+    assert linked.links == (letters, "b", "tool €ж")
+    assert linked.joints[-1].parent == letters
+
+
+BAD_POSES = {
+    "shape": np.eye(3),
+    "nan": np.full((4, 4), np.nan),
+    "scaled": np.diag([2.0, 2, 2, 1]),
+    "mirrored": np.diag([1.0, 1, -1, 1]),
+    "last row": np.diag([1.0, 1, 1, 2]),
+}
+
+
+@pytest.mark.parametrize("matrix", BAD_POSES.values(), ids=BAD_POSES)
+def test_a_matrix_that_is_no_pose(matrix: np.ndarray):
+    with pytest.raises(UrdfError, match=r"origin of joint 'j': .* is no pose"):
+        parse(PLAIN).with_origins({"j": matrix})
+    with pytest.raises(UrdfError, match=r"pose of link 't': .* is no pose"):
+        parse(PLAIN).with_link("t", "b", matrix)
+
+
+def test_rotations_near_gimbal_lock_survive_the_file():
+    rng = np.random.default_rng(1)
+    urdf = parse(PLAIN)
+    for k in range(400):
+        off = rng.normal() * 10.0 ** rng.integers(-17, 0) * (k % 5 > 0)
+        R = pin.rpy.rpyToMatrix(
+            *rng.uniform(-4, 4, 1), (-1) ** k * (np.pi / 2 + off), rng.uniform(-4, 4)
+        )
+        T = pose()
+        T[:3, :3] = R @ pin.exp3(rng.normal(size=3) * 10.0 ** rng.integers(-17, 0))
+        moved = urdf.with_origins({"j": T})
+        np.testing.assert_allclose(moved.joint("j").T_parent_joint, T, atol=4e-15, rtol=0)
+        if k < 40:
+            model = pin.buildModelFromXML(moved.data.decode())
+            np.testing.assert_allclose(model.jointPlacements[1].homogeneous, T, atol=4e-15, rtol=0)
+
+
+# --- adding a link -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+def test_a_link_is_added_in_the_style_of_the_file(line_end: str):
+    text = PLAIN.replace("\n", line_end)
+    linked = parse(text).with_link("calib_target", "b", pose([0.5, 0, 0]))
+    new = (
+        '  <link name="calib_target"/>\n'
+        '  <joint name="calib_target_joint" type="fixed">\n'
+        '    <parent link="b"/>\n'
+        '    <child link="calib_target"/>\n'
+        '    <origin xyz="0.5 0.0 0.0" rpy="0.0 0.0 0.0"/>\n'
+        "  </joint>\n"
+    ).replace("\n", line_end)
+    assert linked.data == text.replace("</robot>", new + "</robot>").encode()
+    assert linked.chain("a", "calib_target") == ((), ("j", "calib_target_joint"))
+    np.testing.assert_array_equal(linked.joint("calib_target_joint").xyz, [0.5, 0, 0])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        robot(joint()),
+        robot(joint()).replace("</robot>", "\n</robot>"),
+        PLAIN.replace("  ", "\t"),
+        PLAIN.replace("  ", ""),
+        PLAIN.replace("\n</robot>", "</robot>"),
+        PLAIN.replace("\n</robot>", "<!-- end -->\n\n   </robot ><!-- </robot> -->"),
+    ],
+)
+def test_a_link_fits_into_any_layout(text: str):
+    linked = parse(text).with_link('it\'s <"new"> & é', "a", pose(rpy=[1, 2, 3]))
+    assert linked.links == ("a", "b", 'it\'s <"new"> & é')
+    removed = [
+        step[2] for step in difflib.ndiff(text, linked.data.decode()) if step.startswith("-")
+    ]
+    assert removed == []
+    np.testing.assert_allclose(linked.joints[-1].T_parent_joint, pose(rpy=[1, 2, 3]), atol=1e-15)
+
+
+def test_a_link_needs_a_free_name_and_a_parent():
+    urdf = parse(PLAIN)
+    for name in ("", "a"):
+        with pytest.raises(UrdfError, match=f"no link can be added to r.urdf as '{name}'"):
+            urdf.with_link(name, "a", np.eye(4))
+    with pytest.raises(UrdfError, match="or the name of its joint, 'j_joint', is; choose another"):
+        parse(PLAIN.replace('"j"', '"j_joint"')).with_link("j", "a", np.eye(4))
+    with pytest.raises(UrdfError, match="has no link 'x'"):
+        urdf.with_link("t", "x", np.eye(4))
+
+
+# --- files -------------------------------------------------------------------------------------
+
+
+def test_write_and_read_again(tmp_path: Path):
+    urdf = Urdf.read(OUR_UR3)
+    assert (urdf.path, urdf.source) == (OUR_UR3, "ur3.urdf")
+    path = urdf.write(tmp_path / "copy.urdf")
+    assert path.read_bytes() == OUR_UR3.read_bytes()
+    assert Urdf.read(str(path)) == urdf
+    with pytest.raises(FileError, match="exists already"):
+        urdf.write(path)
+    urdf.write(path, overwrite=True)
+
+
+# --- the robots of example-robot-data ----------------------------------------------------------
+
+
+def masked(urdf: Urdf) -> bytes:
+    """The bytes without the robot's joint origins, found by other means than the parser's."""
+    name = "|".join(re.escape(joint.name) for joint in urdf.joints)
+    start = re.compile(
+        rf'<joint\b[^>]*\bname\s*=\s*"({name})"[^>]*>.*?</joint>'.encode(), re.DOTALL
+    )
+    tag = re.compile(rb"\s*<origin\b[^>]*?(/>|>\s*</origin>)")
+    return start.sub(lambda match: tag.sub(b"", match[0]), urdf.data)
+
+
+def read_independently(data: bytes) -> dict[str, list[float]]:
+    """xyz and rpy of every joint of the robot, by xml.etree."""
+    found = {}
+    for element in ET.fromstring(data).findall("joint"):
+        origin = element.find("origin")
+        values = {} if origin is None else origin.attrib
+        words = f"{values.get('xyz', '0 0 0')} {values.get('rpy', '0 0 0')}".split()
+        found[element.attrib["name"]] = [float(word) for word in words]
+    return found
+
+
+def test_the_wheel_holds_the_robots_expected():
+    assert len(ROBOTS) > 50
+    for path in DATA_FILES:
+        if path.name in WITHOUT_JOINTS:
+            with pytest.raises(UrdfError, match="<robot> has no <joint>"):
+                Urdf.read(path)
+
+
+@pytest.mark.parametrize("path", SOME_AND_SLOWLY_ALL)
+def test_every_robot(path: Path):
+    urdf = Urdf.read(path)
+    numbers = read_independently(urdf.data)
+    assert list(numbers) == [joint.name for joint in urdf.joints]
+    for j in urdf.joints:
+        np.testing.assert_array_equal([*j.xyz, *j.rpy], numbers[j.name])
+    assert urdf.with_origins({j.name: j.T_parent_joint for j in urdf.joints}) is urdf
+
+    rng = np.random.default_rng(len(urdf.data))
+    origins = {
+        j.name: j.T_parent_joint @ pin.exp6(rng.normal(size=6) * 1e-2).homogeneous
+        for j in urdf.joints
+    }
+    moved = urdf.with_origins(origins)
+    assert masked(moved) == masked(urdf)
+    written = read_independently(moved.data)
+    for name, T in origins.items():
+        values = written[name]
+        np.testing.assert_allclose(pose(values[:3], values[3:]), T, atol=1e-14, rtol=0)
+    check_in_pinocchio(moved, origins)
+
+
+def check_in_pinocchio(moved: Urdf, origins: dict[str, np.ndarray]) -> None:
+    """Every link stands in Pinocchio where the origins put it when all joints are at zero."""
+    model = pin.buildModelFromXML(moved.data.decode(moved.encoding))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    above: dict[str, UrdfJoint] = {joint.child: joint for joint in moved.joints}
+    T_root = {moved.root: np.eye(4)}
+
+    def place(link: str) -> np.ndarray:
+        if link not in T_root:
+            T_root[link] = place(above[link].parent) @ origins[above[link].name]
+        return T_root[link]
+
+    for link in moved.links:
+        index = model.getFrameId(link, pin.FrameType.BODY)
+        T = data.oMf[index].homogeneous
+        np.testing.assert_allclose(T, place(link), atol=1e-12, rtol=0)
+
+
+# --- the UR3 of the project --------------------------------------------------------------------
+
+UR3_JOINTS = [
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+]
+
+
+def dh_pose(q: np.ndarray) -> np.ndarray:
+    """Pose of tool0 in base by the standard DH product of Table 1, (4, 4)."""
+    a = (0, -0.24365, -0.21325, 0, 0, 0)
+    d = (0.1519, 0, 0, 0.11235, 0.08535, 0.0819)
+    alpha = np.deg2rad([90, 0, 0, 90, -90, 0])
+    T = np.eye(4)
+    for i in range(6):
+        T = T @ pose([0, 0, d[i]], [0, 0, q[i]]) @ pose([a[i], 0, 0], [alpha[i], 0, 0])
+    return T
+
+
+def pinocchio_pose(path: Path, q: np.ndarray, frame: str = "tool0") -> np.ndarray:
+    model = pin.buildModelFromUrdf(str(path))
+    assert list(model.names)[1:] == UR3_JOINTS
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    base, tip = (data.oMf[model.getFrameId(name)] for name in ("base", frame))
+    return (base.inverse() * tip).homogeneous
+
+
+def test_our_ur3_is_table_1_and_the_ur3_of_example_robot_data():
+    rng = np.random.default_rng(0)
+    frames = [*Urdf.read(OUR_UR3).links]
+    assert sorted(frames) == sorted(Urdf.read(EXAMPLE_UR3).links)
+    for q in rng.uniform(-np.pi, np.pi, (50, 6)):
+        T = pinocchio_pose(OUR_UR3, q)
+        np.testing.assert_allclose(T, dh_pose(q), atol=1e-12, rtol=0)
+        np.testing.assert_allclose(T, pinocchio_pose(EXAMPLE_UR3, q), atol=1e-10, rtol=0)
+    for frame in frames:
+        ours, theirs = (pinocchio_pose(path, q, frame) for path in (OUR_UR3, EXAMPLE_UR3))
+        np.testing.assert_allclose(ours, theirs, atol=1e-10, rtol=0, err_msg=frame)

@@ -1,0 +1,105 @@
+"""URDFs as people write them: encodings, line ends, names, comments; read, corrected and read again, bytes kept."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib.design.solids import read_solids
+from calib.errors import UrdfError
+from calib.robot.chain import _check_same
+from calib.robot.meshes import link_shapes
+from calib.robot.readback import check_written, random_joint_values
+from calib.robot.robot import Robot
+from calib.robot.urdf import Urdf
+
+PLAIN = """<?xml version="1.0"?>
+<robot name="r">
+  <link name="a"/>
+  <link name="b"><visual><geometry><box size="1 2 3"/></geometry></visual></link>
+  <link name="c"/>
+  <joint name="one" type="revolute">
+    <origin xyz="0 0 0.1" rpy="0 1.5707963267948966 0"/>
+    <parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/>
+  </joint>
+  <joint name="two" type="fixed"><parent link="b"/><child link="c"/></joint>
+</robot>
+"""
+LATIN = PLAIN.replace('version="1.0"', 'version="1.0" encoding="iso-8859-1"')
+FAKE = '<joint name="one"><origin xyz="9 9 9"/></joint>'
+
+READ: dict[str, bytes] = {
+    "plain": PLAIN.encode(),
+    "no declaration": PLAIN.partition("\n")[2].encode(),
+    "byte order mark": b"\xef\xbb\xbf" + PLAIN.encode(),
+    "CRLF": PLAIN.replace("\n", "\r\n").encode(),
+    "lone CR": PLAIN.replace("\n", "\r").encode(),
+    "mixed line ends": PLAIN.replace("\n", "\r\n", 5).encode(),
+    "one line": PLAIN.partition("\n")[2].replace("\n", " ").encode(),
+    "line break in a tag": PLAIN.replace(' rpy="', "\n\t\trpy = '").replace("66 0\"", "66 0'").encode(),
+    "latin-1": LATIN.replace('"one"', '"gelenk ä"').encode("latin-1"),
+    "windows-1252": LATIN.replace("iso-8859-1", "windows-1252").replace('"a"', '"€"').encode("cp1252"),
+    "us-ascii": LATIN.replace("iso-8859-1", "us-ascii").encode(),
+    "non-ASCII names": PLAIN.replace('"b"', '"手首 é"').replace('"one"', '"сустав 🤖"').encode(),
+    "spaces in names": PLAIN.replace('"b"', '" b  c "').replace('"one"', '"joint one"').encode(),
+    "entities in names": PLAIN.replace('"b"', '"&lt;b&gt; &amp; &quot;c&apos;&#233;"').encode(),
+    "signs of XML in names": PLAIN.replace('"b"', "'b > \"c\"'").encode(),
+    "entities in numbers": PLAIN.replace("0 0 0.1", "&#48; &#x30; 0&#46;1").encode(),
+    "comments": PLAIN.replace("<origin", f"<!-- {FAKE} > --><origin").encode(),
+    "CDATA": PLAIN.replace("<origin", f"<gazebo><![CDATA[{FAKE} ]] > ]]></gazebo><origin").encode(),
+    "instructions": PLAIN.replace("<robot", '<?x <origin xyz="9 9 9"/> ?><robot').encode(),
+    "a prefix": PLAIN.replace('"r">', '"r" xmlns:g="u"><g:joint name="one"/>').encode(),
+    "a namespace of its own": PLAIN.replace("<origin", '<x xmlns="y"><origin xyz="9 9 9"/></x><origin').encode(),
+    "text around": PLAIN.replace("<origin", "some text <origin").encode() + b"<!-- end -->\n",
+    "no origin": PLAIN.replace('<origin xyz="0 0 0.1" rpy="0 1.5707963267948966 0"/>', "").encode(),
+    "an open origin": PLAIN.replace('66 0"/>', '66 0" ><!-- > --></origin >').encode(),
+    "numbers of all kinds": PLAIN.replace("0 0 0.1", " +1e-1  -.5 0.").encode(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("data", READ.values(), ids=READ)
+def test_read_corrected_and_read_again(data: bytes):
+    urdf = Urdf.from_bytes(data, "r.urdf")
+    assert urdf.with_origins({j.name: j.T_parent_joint for j in urdf.joints}).data == data
+    assert [s.sizes for s in link_shapes(urdf, "visual")] == [(1.0, 2.0, 3.0)]
+    robot = Robot.from_urdf(urdf, tip=urdf.links[2])
+    rng = np.random.default_rng(len(data))
+    placements = np.array(robot.placements)
+    placements[:, :3, 3] += 1e-3 * rng.normal(size=(2, 3))
+    placements[:, :3, :3] = placements[:, :3, :3] @ pin.exp3(1e-2 * rng.normal(size=3))
+    moved = robot.with_placements(placements)
+    q = random_joint_values(robot, 3)
+    check_written(moved, moved.poses(q), q)
+    # Without the tags that were written, everything else is as it was, byte for byte.
+    tag = re.compile(rb"\s*<origin\s[^>]*>")
+
+    def others(text: bytes) -> bytes:
+        kept = re.sub(
+            rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?x.*?\?>|<x .*?</x>", b"", text, flags=re.DOTALL
+        )
+        return tag.sub(b"", kept)
+
+    assert others(moved.urdf.data) == others(data)
+    assert moved.urdf.data.count(b"9 9 9") == data.count(b"9 9 9")
+
+
+def test_a_prefix_that_is_not_declared():
+    """As ROS reads it."""
+    urdf = Urdf.from_bytes(PLAIN.replace("<link", "<sensor:camera/><link", 1).encode(), "r.urdf")
+    assert len(read_solids(urdf)[0]) == 1
+    robot = Robot.from_urdf(urdf)
+    q = random_joint_values(robot, 2)
+    check_written(robot, robot.poses(q), q)
+
+
+def test_a_urdf_that_pinocchio_reads_in_another_way():
+    """The comparison itself: the model of one file against the elements of another."""
+    urdf = Urdf.from_bytes(PLAIN.encode(), "r.urdf")
+    for other in (PLAIN.replace("0 0 0.1", "0 0 0.2"), PLAIN.replace('"b"', '"d"')):
+        with pytest.raises(UrdfError, match="reads the joints 'one'"):
+            _check_same(urdf, pin.buildModelFromXML(other))
+    _check_same(urdf, pin.buildModelFromXML(PLAIN))

@@ -1,0 +1,86 @@
+"""Scenarios: what a cell is to be like, and cells with errors of their own out of it."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell
+from calib.data.surroundings import Tracker, TrackerNoise
+from calib.errors import CalibError
+from calib.robot.readback import column_ranges
+from calib.robot.robot import Robot, rigid_inverse
+from calib.simulation.scenario import DEFAULT_TRACKER, Scenario, outside_limits
+
+TRACKER = Tracker(np.array([2.0, 1.0, 0.5]), noise=TrackerNoise(1e-5, 1e-6, 0.0))
+
+
+def test_each_seed_makes_another_robot_and_the_same_seed_the_same(ur3):
+    scenario = Scenario(ur3)
+    cells = [scenario.draw(seed) for seed in (1, 1, 2)]
+    assert (cells[0].truth.x == cells[1].truth.x).all()
+    assert not np.allclose(cells[0].truth.x, cells[2].truth.x)
+    assert cells[0].truth.nominal is ur3
+
+
+def test_the_tracker_stands_where_the_cell_says_or_at_its_frame_or_3_m_away(ur3):
+    def of(cell: Cell):
+        return Scenario(ur3, cell).tracker
+
+    assert (of(Cell()) == DEFAULT_TRACKER).all()
+    assert (of(Cell(tracker=TRACKER)) == TRACKER.position).all()
+    assert of(Cell(estimate_frame=True)) is None
+    assert of(Cell(T_frame_base=np.eye(4))) is None
+    assert of(Cell(frames={"a": np.eye(4)})) is None
+
+
+def test_the_anchor_of_distances_is_the_tracker_s_place(ur3):
+    cell = Scenario(ur3, Cell(kind="distance", tracker=TRACKER)).draw(1)
+    assert rigid_inverse(cell.truth.T_frame_base[0])[:3, 3] == pytest.approx(TRACKER.position)
+    q = np.zeros((2, 6))
+    made = cell.measure(q)
+    apart = cell.truth.tip_poses(q) @ cell.truth.T_tip_target[0]
+    expected = np.linalg.norm(apart[:, :3, 3] - TRACKER.position, axis=1)
+    assert made.measurements.distances == pytest.approx(expected, abs=2e-4)
+
+
+def test_random_poses_lie_inside_the_limits_or_the_cell_s_ranges(ur3):
+    low, high = column_ranges(ur3).T
+    scenario = Scenario(ur3)
+    q = scenario.random_poses(500, 1)
+    assert (q >= low).all()
+    assert (q <= high).all()
+    assert (np.ptp(q, axis=0) > 0.95 * (high - low)).all()
+    assert outside_limits(ur3, q) == ()
+    assert (scenario.random_poses(20, 1) == q[:20]).all()
+    assert not np.allclose(scenario.random_poses(20, 1, validation=True), q[:20])
+    q = Scenario(ur3, Cell(ranges={"elbow_joint": (0.1, 0.2)})).random_poses(100, 1)
+    assert ((q[:, 2] >= 0.1) & (q[:, 2] <= 0.2)).all()
+    with pytest.raises(CalibError, match="joint 'elbow', which does not move the chain"):
+        Scenario(ur3, Cell(ranges={"elbow": (0.1, 0.2)})).random_poses(3, 1)
+
+
+def test_poses_outside_the_limits_are_named(ur3):
+    q = np.zeros((4, 6))
+    q[2:, 2] = [3.5, -7.0]
+    said = outside_limits(ur3, q)
+    assert len(said) == 1
+    assert said[0].startswith("2 poses are outside the limits of 'elbow_joint', -180 to 180 deg: ")
+    assert said[0].endswith("first pose 3, 200.535 deg.")
+    slides = Robot.load("tiago", tip="arm_7_link")
+    q = np.zeros((1, len(slides.joint_names)))
+    q[0, slides.joint_names.index("torso_lift_joint")] = 0.5
+    said = outside_limits(slides, q)
+    assert (
+        "1 pose is outside the limits of 'torso_lift_joint', 0 to 350 mm: first pose 1, 500 mm."
+        in said
+    )
+
+
+def test_a_scenario_travels_to_another_process(ur3):
+    scenario = Scenario(ur3, Cell(tracker=TRACKER, ranges={"elbow_joint": (0.1, 0.2)}), "dh+gain")
+    again = pickle.loads(pickle.dumps(scenario))
+    q = scenario.random_poses(5, 1)
+    assert (again.random_poses(5, 1) == q).all()
+    ours, theirs = (s.draw(3).measure(q, 3).measurements.points for s in (scenario, again))
+    assert (ours == theirs).all()

@@ -1,0 +1,290 @@
+"""The virtual cell: what it measures, and that each disturbance is what it is said to be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.calibration import calibrate
+from calib.data.cell import Cell
+from calib.data.measurements import Measurements
+from calib.data.surroundings import TrackerNoise
+from calib.errors import CalibError, ModelError
+from calib.robot.readback import random_joint_values
+from calib.simulation.truth import Encoder, MovedTarget, Outliers, draw_truth, tracker_pose
+from tests.simulation.cells import changed, virtual
+
+MANY = "placement+gain+eccentricity+compliance"
+NOISE = TrackerNoise(1e-4, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def truth(ur3):
+    return draw_truth(ur3, "placement", seed=1)
+
+
+@pytest.fixture(scope="module")
+def q(ur3):
+    return random_joint_values(ur3, 40, seed=7)
+
+
+@pytest.fixture(scope="module")
+def plain(truth):
+    """A cell without any disturbance."""
+    return virtual(truth, noise=None)
+
+
+SETS = ("estimate",) * 30 + ("validate",) * 10
+
+
+def test_without_disturbances_the_table_is_the_truth(plain, truth, q):
+    made = plain.measure(q, sets=SETS)
+    table = made.measurements
+    assert (table.points == truth.points(q)).all()
+    assert (table.joints == q).all()
+    assert table.sets == SETS
+    assert (table.rows, set(table.targets), set(table.groups)) == (
+        tuple(range(1, 41)),
+        {"target"},
+        {""},
+    )
+    assert (made.points == truth.points(q)).all()
+    assert (made.sigma == 0.0).all()
+    assert made.outlier_rows == ()
+    assert not made.moved.any()
+
+
+@pytest.mark.parametrize(
+    "model", ["hayati", "zeros", "dh+gain+compliance", pytest.param(MANY, marks=pytest.mark.slow)]
+)
+def test_a_fit_of_the_same_model_finds_the_truth(ur3, model):
+    cell = Cell(estimate_frame=True)
+    true = draw_truth(ur3, model, seed=2, cell=cell)
+    q = random_joint_values(ur3, 60, seed=1)
+    made = virtual(true, noise=None).measure(q)
+    # Priors pull a little, where there is no noise to weigh them against.
+    free = replace(cell, priors=cell.priors.with_sizes("off"))
+    found = calibrate(ur3, made.measurements, cell=free, model=model, validate=False)
+    unseen = random_joint_values(ur3, 50, seed=9)
+    assert found.predict(unseen) == pytest.approx(true.points(unseen), abs=1e-9)
+    found = calibrate(ur3, made.measurements, cell=cell, model=model, validate=False)
+    assert found.predict(q) == pytest.approx(made.points, abs=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["point", "pose", "distance", "pair"])
+def test_every_kind_is_fitted_back_from_its_file(ur3, tmp_path, kind):
+    names = {"a": (0.05, 0.05, 0.05), "b": (-0.06, 0.03, 0.1)}
+    frames = {
+        "left": tracker_pose((2, 1, 0.3), np.random.default_rng(1)),
+        "right": tracker_pose((2, -1, 0.3), np.random.default_rng(2)),
+    }
+    cell = Cell(targets=names, frames=frames, estimate_target=True)
+    true = draw_truth(ur3, "placement", seed=3, cell=cell)
+    q = random_joint_values(ur3, 60, seed=3)
+    made = virtual(true, kind=kind, noise=None).measure(q)
+    made.measurements.write(tmp_path / "table.csv")
+    table = Measurements.read(tmp_path / "table.csv", ur3.joint_names, ur3.joint_types)
+    assert set(table.kinds) == {kind}
+    assert len(table) == 120
+    free = replace(cell, priors=cell.priors.with_sizes("off"))
+    found = calibrate(ur3, table, cell=free, model="placement", validate=False)
+    unseen = random_joint_values(ur3, 30, seed=9)
+    for name in names:
+        for group in frames:
+            ours = found.predict(unseen, target=name, group=group)
+            theirs = true.points(unseen, name, group)
+            # Lengths say nothing of where the base stands, or little: they themselves must be right.
+            if kind == "pair":
+                ours, theirs = (np.linalg.norm(p[1:] - p[:-1], axis=1) for p in (ours, theirs))
+            elif kind == "distance":
+                ours, theirs = (np.linalg.norm(p, axis=1) for p in (ours, theirs))
+            assert ours == pytest.approx(theirs, abs=1e-8)
+
+
+def test_the_noise_of_a_coordinate_has_its_sigma(truth, q):
+    cell = virtual(truth, noise=NOISE, visits=200)
+    made = cell.measure(q, 1)
+    off = made.measurements.points - made.points
+    count = off.size
+    assert count == 24_000
+    # The standard deviation of a sample of n is known to 1 / sqrt(2 n): four times that, and of the mean.
+    assert off.std() == pytest.approx(1e-4, rel=4 / np.sqrt(2 * count))
+    assert abs(off.mean()) < 4e-4 / np.sqrt(count)
+    assert (made.sigma == 1e-4).all()
+    # normal, and of rows and coordinates on their own
+    assert (np.abs(off) > 2e-4).mean() == pytest.approx(0.0455, abs=0.006)
+    assert np.corrcoef(off.T) == pytest.approx(np.eye(3), abs=0.05)
+    assert np.corrcoef(off[:-1, 0], off[1:, 0])[0, 1] == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize("away", [1.0, 3.0, 20.0])
+def test_noise_grows_with_the_distance_from_the_tracker(truth, q, away):
+    noise = TrackerNoise()
+    tracker = np.array([away, 0.0, 0.0])
+    made = virtual(truth, noise=noise, tracker=tracker, visits=100).measure(q, 2)
+    distance = np.linalg.norm(truth.points(q) - tracker, axis=1)
+    assert made.sigma[:40] == pytest.approx(noise.std(distance))
+    scaled = (made.measurements.points - made.points) / made.sigma[:, None]
+    assert scaled.std() == pytest.approx(1.0, rel=4 / np.sqrt(2 * scaled.size))
+
+
+def test_repeatability_is_the_robot_s_and_so_of_all_targets_of_a_stop(ur3, q):
+    cell = Cell(targets={"a": (0.1, 0, 0), "b": (0, 0.1, 0)})
+    truth = draw_truth(ur3, cell=cell)
+    made = virtual(truth, noise=TrackerNoise(0.0, 0.0, 2e-5), visits=2).measure(q, 1)
+    off = (made.measurements.points - made.points).reshape(2, 40, 2, 3)
+    assert off[:, :, 0] == pytest.approx(off[:, :, 1], abs=1e-15)
+    assert not np.allclose(off[0], off[1])
+    assert off.std() == pytest.approx(2e-5, rel=0.15)
+
+
+def test_orientations_are_turned_by_their_noise(truth, q):
+    made = virtual(truth, kind="pose", noise=None, sigma_angle=1e-3, visits=100).measure(q, 1)
+    turned = made.measurements.rotations @ made.T_frame_target[:, :3, :3].transpose(0, 2, 1)
+    angles = Rotation.from_matrix(turned).as_rotvec()
+    assert angles.std(axis=0) == pytest.approx(1e-3, rel=0.06)
+    assert (made.measurements.points == made.points).all()
+
+
+@pytest.mark.parametrize("kind", ["distance", "pair"])
+def test_the_noise_of_a_length(ur3, q, kind):
+    truth = draw_truth(ur3, cell=Cell(estimate_frame=True))
+    made = virtual(truth, kind=kind, noise=TrackerNoise(5e-5, 1e-5, 4e-5), visits=300).measure(q, 1)
+    if kind == "pair":
+        rows = made.measurements.pair_rows
+        true = np.linalg.norm(made.points[rows[:, 0]] - made.points[rows[:, 1]], axis=1)
+        off = made.measurements.distances[rows[:, 0]] - true
+        assert (
+            made.measurements.distances[rows[:, 0]] == made.measurements.distances[rows[:, 1]]
+        ).all()
+        sigma = np.hypot(5e-5 + 1e-5 * true, np.sqrt(2) * 4e-5)
+        assert made.sigma[rows[:, 0]] == pytest.approx(sigma)
+    else:
+        true = np.linalg.norm(made.points, axis=1)
+        off = made.measurements.distances - true
+        sigma = np.hypot(5e-5 + 1e-5 * true, 4e-5)
+        assert made.sigma == pytest.approx(sigma)
+    assert (off / sigma).std() == pytest.approx(1.0, rel=4 / np.sqrt(2 * len(off)))
+
+
+def test_the_table_holds_what_the_encoders_read_and_the_robot_stands_elsewhere(truth, q):
+    step = np.radians(0.01)
+    made = virtual(truth, noise=None, encoder=Encoder(angle=step)).measure(
+        np.round(q / step) * step, 1
+    )
+    off = made.measurements.joints - made.q
+    assert 0.45 * step < np.abs(off).max() <= 0.5 * step * (1 + 1e-9)
+    assert off.std() == pytest.approx(step / np.sqrt(12), rel=0.15)
+    assert (made.points == truth.points(made.q)).all()
+    shown = np.degrees(made.measurements.joints) / 0.01
+    assert shown == pytest.approx(np.round(shown), abs=1e-6)
+
+
+def test_outliers_leave_all_else_as_it_was(truth, q):
+    cell = virtual(truth, outliers=Outliers(count=4, size=7e-3))
+    with_them, without = cell.measure(q, 3, SETS), changed(cell, outliers=None).measure(q, 3, SETS)
+    apart = np.linalg.norm(with_them.measurements.points - without.measurements.points, axis=1)
+    hit = np.flatnonzero(apart)
+    assert tuple(hit + 1) == with_them.outlier_rows
+    assert apart[hit] == pytest.approx(7e-3)
+    assert len(hit) == 4
+    assert hit.max() < 30  # rows to validate with stay clean
+    assert (with_them.measurements.points[30:] == without.measurements.points[30:]).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fit_flags_the_outliers_and_no_other_rows(ur3, seed):
+    truth = draw_truth(ur3, "hayati", seed=seed)
+    q = random_joint_values(ur3, 60, seed)
+    made = virtual(truth, outliers=Outliers(count=3)).measure(q, seed)
+    found = calibrate(ur3, made.measurements, model="hayati", validate=False)
+    assert {outlier.row for outlier in found.outliers} == set(made.outlier_rows)
+
+
+@pytest.mark.parametrize("kind", ["distance", "pair"])
+def test_outliers_of_lengths(ur3, q, kind):
+    truth = draw_truth(ur3, cell=Cell(estimate_frame=True))
+    cell = virtual(truth, kind=kind, outliers=Outliers(count=3, size=4e-3))
+    made, clean = cell.measure(q, 1), changed(cell, outliers=None).measure(q, 1)
+    off = made.measurements.distances - clean.measurements.distances
+    assert np.abs(off[np.abs(off) > 1e-12]) == pytest.approx(4e-3)
+    assert np.count_nonzero(np.abs(off) > 1e-12) == (6 if kind == "pair" else 3)
+    rows = [row - 1 for row in made.outlier_rows]
+    assert off[rows] == pytest.approx(made.outliers[rows, 0])
+
+
+def test_a_moved_target_is_an_exact_step(plain, truth, q):
+    by = np.array([0.0, 3e-4, -4e-4])
+    made = changed(plain, moved=MovedTarget(26, by)).measure(q)
+    R = truth.tip_poses(q)[:, :3, :3]
+    step = made.measurements.points - plain.measure(q).measurements.points
+    assert (step[:25] == 0.0).all()
+    assert step[25:] == pytest.approx(R[25:] @ by, abs=1e-15)
+    assert made.moved.tolist() == [False] * 25 + [True] * 15
+    assert (made.points == made.measurements.points).all()
+
+
+def test_drift_is_linear_in_the_row(plain, q):
+    drift = np.array([1e-4, 0.0, -2e-4])
+    made = changed(plain, drift=drift).measure(q)
+    step = made.measurements.points - plain.measure(q).measurements.points
+    assert step == pytest.approx(np.arange(40)[:, None] / 39 * drift, abs=1e-15)
+
+
+def test_the_same_seed_gives_the_same_table_and_another_another(truth, q):
+    cell = virtual(
+        truth, "pose", sigma_angle=1e-4, encoder=Encoder(1e-5), outliers=Outliers(count=2)
+    )
+    one, same, other = (cell.measure(q, s).measurements for s in (5, 5, 6))
+    for name in ("joints", "points", "rotations"):
+        assert (getattr(one, name) == getattr(same, name)).all()
+        assert not np.allclose(getattr(one, name), getattr(other, name), rtol=0, atol=1e-9)
+
+
+def test_set_ups_are_dealt_out_in_turn_and_tours_repeat(ur3, q):
+    frames = {
+        n: tracker_pose((2, y, 0), np.random.default_rng(1))
+        for n, y in (("a", 1), ("b", -1), ("c", 0))
+    }
+    truth = draw_truth(ur3, cell=Cell(frames=frames))
+    table = virtual(truth, noise=None, visits=2).measure(q[:7]).measurements
+    assert table.groups == tuple("abcabca" * 2)
+    assert (table.joints[:7] == table.joints[7:]).all()
+    for name in frames:
+        rows = [i for i, group in enumerate(table.groups) if group == name]
+        assert table.points[rows] == pytest.approx(truth.points(table.joints[rows], group=name))
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"kind": "fixed"}, "kind 'fixed' cannot be simulated.*Choose one of 'point', 'pose'"),
+        ({"kind": "best"}, "'best' is not a kind"),
+        ({"sigma_angle": -1.0}, "noise of an angle is -1.0 rad"),
+        ({"visits": 0}, "visited 0 times"),
+        ({"drift": (1.0, 2.0)}, "it must be three finite numbers"),
+    ],
+)
+def test_what_a_cell_cannot_be(truth, values, said):
+    with pytest.raises(CalibError, match=said):
+        virtual(truth, **values)
+
+
+def test_what_cannot_be_measured(plain, truth, q):
+    with pytest.raises(CalibError, match="There are no poses to measure at"):
+        plain.measure(np.zeros((0, 6)))
+    with pytest.raises(ModelError, match=r"shape \(4, 3\) were given"):
+        plain.measure(np.zeros((4, 3)))
+    with pytest.raises(ModelError, match="finite"):
+        plain.measure(np.full((4, 6), np.nan))
+    with pytest.raises(CalibError, match="There are 40 poses and 3 words"):
+        plain.measure(q, sets=["estimate"] * 3)
+    with pytest.raises(CalibError, match="The seed is -1"):
+        plain.measure(q, -1)
+    with pytest.raises(CalibError, match="even number of poses; 3 are to 'estimate'"):
+        virtual(truth, "pair").measure(q[:3])
+    with pytest.raises(CalibError, match="before row 41; the table has the rows 1 to 40"):
+        changed(plain, moved=MovedTarget(41, (0, 0, 1e-3))).measure(q)
+    with pytest.raises(CalibError, match="31 outliers were asked for among 30 measurements"):
+        changed(plain, outliers=Outliers(count=31)).measure(q, sets=SETS)

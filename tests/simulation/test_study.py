@@ -1,0 +1,228 @@
+"""Studies: many virtual cells, each planned, measured, fitted and verified against its truth."""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, replace
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+
+from calib.data.cell import Cell
+from calib.data.surroundings import TrackerNoise
+from calib.errors import CalibError
+from calib.result.calibrate import calibrate
+from calib.robot.robot import Robot
+from calib.simulation.scenario import Scenario
+from calib.simulation.study import (
+    VERIFIED,
+    Trials,
+    one_trial,
+    study,
+    verification_poses,
+)
+from calib.simulation.truth import Outliers
+
+TARGET = np.array([-0.06997, 0.07020, 0.02252])
+
+
+@pytest.fixture(scope="module")
+def ur3():
+    return Robot.load("urdf/ur3.urdf", base="base", tip="tool0")
+
+
+def trials(robot, *, model="hayati", validate=False, **more):
+    cell = Cell(target=TARGET, model=model)
+    return Trials(Scenario(robot, cell=cell, model=model), cell, validate=validate, **more)
+
+
+def test_forty_calibrations_reach_what_was_forecast(ur3):
+    poses = Scenario(ur3).random_poses(30, 7)
+    found = study(trials(ur3, poses=poses, sets=("estimate",) * 30), 40)
+    assert found.failures == ()
+    assert found.forecast is not None
+    # Five standard errors of a mean over 40.
+    assert found.forecast.rms == pytest.approx(found.rms, abs=5.0 * found.rms_error)
+    assert found.forecast.rms == pytest.approx(found.rms, rel=0.15)
+    low, high = found.range("rms")
+    assert low < found.rms < high
+    assert found.forecast.rms_low == pytest.approx(low, rel=0.25)
+    assert found.forecast.rms_high == pytest.approx(high, rel=0.25)
+    # What the fits say of themselves is so too.
+    assert np.sqrt(np.mean(found.values("stated_rms") ** 2)) == pytest.approx(found.rms, rel=0.15)
+    assert 0.88 < found.values("covered").mean() <= 1.0
+    assert found.nominal_rms > 20 * found.rms
+
+
+def test_a_trial_is_what_a_person_would_do(ur3):
+    what = trials(ur3, count=30)
+    trial = one_trial(what, 11)
+    virtual = what.scenario.draw(11)
+    made = virtual.measure(what.scenario.random_poses(30, 11), 11)
+    result = calibrate(ur3, made.measurements, cell=what.cell, validate=False)
+    q = verification_poses(what.scenario)
+    assert q.shape == (VERIFIED, 6)
+    error = np.linalg.norm(result.predict(q) - virtual.truth.points(q), axis=1)
+    assert trial.rms == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
+    assert trial.max == pytest.approx(error.max(), rel=1e-12)
+    assert trial.nominal_rms == pytest.approx(
+        np.sqrt(np.mean(virtual.truth.nominal_errors(q) ** 2))
+    )
+    assert trial.sigma == result.sigma
+    assert (trial.model, trial.verdict, trial.seed) == ("hayati", "", 11)
+
+
+@pytest.mark.slow
+def test_planned_poses_beat_random_ones(ur3):
+    random = study(trials(ur3, count=20), 8)
+    planned = study(trials(ur3, count=20, planned=True), 8)
+    # 0.84 for 30 of 20,000 candidates in docs/planning.md; here with fewer of both.
+    assert planned.rms < 0.95 * random.rms
+    assert planned.nominal_rms == pytest.approx(random.nominal_rms)  # the same robots
+
+
+def test_without_noise_the_truth_is_found(ur3):
+    what = trials(ur3, count=30)
+    exact = replace(what, scenario=replace(what.scenario, noise=None))
+    found = study(exact, 3)
+    assert found.rms < 1e-8
+    assert found.forecast is None
+
+
+@pytest.mark.slow
+def test_the_same_seed_makes_the_same_study_in_any_executor(ur3):
+    what = trials(ur3, count=15)
+    here = study(what, 4, seed=3)
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
+        there = study(what, 4, seed=3, executor=executor)
+    assert [t.seed for t in here.trials] == [3, 4, 5, 6]
+    assert here.trials == there.trials
+    other = study(what, 4, seed=4)
+    assert other.trials[0] == here.trials[1]
+
+
+def test_outliers_models_and_verdicts_are_counted(ur3):
+    what = trials(ur3, model="auto", count=25, validate=True)
+    scenario = replace(what.scenario, model="dh", outliers=Outliers(count=2, size=5e-3))
+    found = study(replace(what, scenario=scenario), 2)
+    assert found.values("outliers").tolist() == [2.0, 2.0]
+    assert found.values("flagged").sum() >= 3
+    assert sum(found.counts("verdict").values()) == 2
+    assert set(found.counts("verdict")) <= {"use", "use with care", "do not use"}
+    assert all(
+        name in ("dh", "hayati", "placement", "zeros") or "+" in name
+        for name in found.counts("model")
+    )
+
+
+def test_progress_counts_the_trials(ur3):
+    seen = []
+    study(trials(ur3, count=15), 3, progress=lambda done, every: seen.append((done, every)))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+@pytest.mark.slow
+def test_of_distances_the_fits_say_and_the_forecast_says_what_is_reached(ur3):
+    T_anchor_base = np.eye(4)
+    T_anchor_base[:3, 3] = (1.5, 0.3, 0.2)
+    cell = Cell(target=TARGET, kind="distance", T_frame_base=T_anchor_base, model="dh")
+    scenario = Scenario(ur3, cell=cell, model="dh")
+    found = study(Trials(scenario, cell, count=60, validate=False), 25)
+    stated = np.sqrt(np.mean(found.values("stated_rms") ** 2))
+    # Where the base turned about the anchor counted, 36 times as much; with a tracker 3 m away in place of the anchor
+    # at 1.5 m, the forecast was 1.2 times as much.
+    assert stated == pytest.approx(found.rms, rel=0.15)
+    assert 0.85 < found.values("covered").mean() < 1.0
+    assert found.forecast is not None
+    assert found.forecast.rms == pytest.approx(found.rms, rel=0.12)
+
+
+def test_the_forecast_of_a_study_knows_its_noise_of_orientations(ur3):
+    cell = Cell(target=TARGET, kind="pose", model="dh")
+    scenario = Scenario(ur3, cell=cell, model="dh", sigma_angle=1.745e-4)
+    told = replace(cell, sigma_angle=1.745e-4)
+    one = study(Trials(scenario, cell, count=30, validate=False), 2).forecast
+    two = study(Trials(scenario, told, count=30, validate=False), 2).forecast
+    assert one is not None
+    assert two is not None
+    assert one.rms == two.rms
+
+
+@pytest.mark.slow
+def test_several_targets_of_a_stop_share_the_robots_repeatability(ur3):
+    targets = {
+        "a": TARGET,
+        "b": np.array([0.08, -0.02, 0.05]),
+        "c": np.array([0.0, -0.09, 0.03]),
+    }
+    cell = Cell(targets=targets, model="dh")
+    scenario = Scenario(ur3, cell=cell, model="dh", noise=TrackerNoise(10e-6, 0.0, 40e-6))
+    poses = scenario.random_poses(30, 7)
+    found = study(Trials(scenario, cell, poses=poses, sets=("estimate",) * 30, validate=False), 30)
+    assert found.forecast is not None
+    # As if they were measured at three stops, both were 0.70, and 72 % of positions inside the 95 % regions.
+    assert found.forecast.rms == pytest.approx(found.rms, rel=0.12)
+    stated = np.sqrt(np.mean(found.values("stated_rms") ** 2))
+    assert stated == pytest.approx(found.rms, rel=0.12)
+    assert 0.92 < found.values("covered").mean() < 0.985
+
+
+@pytest.mark.slow
+def test_where_poses_are_random_the_forecast_is_of_those_in_the_middle(ur3):
+    what = trials(ur3, count=12)
+    found = study(what, 3).forecast
+    assert found is not None
+    assert found.rms == np.median([_of_one(what, seed) for seed in range(3)])
+
+
+def _of_one(what: Trials, seed: int) -> float:
+    """The forecast for one trial's random poses."""
+    q = what.scenario.random_poses(what.count, seed)
+    found = study(replace(what, poses=q, sets=("estimate",) * len(q)), 2).forecast
+    assert found is not None
+    return found.rms
+
+
+def test_the_noise_is_that_of_the_fit_that_answers(ur3):
+    what = trials(ur3, model="dh+gain", count=30)
+    found = study(what, 3)
+    # Of the geometry alone, which cannot hold the gains, it was 0.23 mm.
+    assert found.values("sigma") == pytest.approx(0.039e-3, rel=0.25)
+
+
+@pytest.mark.parametrize(("count", "seed"), [(1, 0), (0, 0), (5, -1)])
+def test_too_few_trials_are_refused(ur3, count, seed):
+    with pytest.raises(CalibError, match="it takes 2 trials or more"):
+        study(trials(ur3), count, seed)
+
+
+def test_where_every_trial_fails_the_first_reason_is_told(ur3):
+    # The model has no parameter of this name, whatever is drawn.
+    cell = Cell(target=TARGET, model="hayati", frozen=("d17",))
+    what = replace(trials(ur3), cell=cell)
+    with pytest.raises(CalibError, match=r"None of the 2 trials came to an end.*'d17'"):
+        study(what, 2)
+
+
+@pytest.mark.parametrize(
+    "model", ["dh+gain", pytest.param("dh+compliance", marks=pytest.mark.slow)]
+)
+def test_without_validation_only_the_verdict_is_missing(ur3, model):
+    """The fits alone are made then, and what a trial says of them is the same."""
+    scenario = Scenario(ur3, outliers=Outliers(count=2), cell=Cell(estimate_frame=True))
+    trials = Trials(scenario, Cell(model=model, estimate_frame=True), count=40)
+    validated = one_trial(trials, 3)
+    alone = one_trial(replace(trials, validate=False), 3)
+    assert validated.verdict
+    assert alone.verdict == ""
+    ours, theirs = asdict(alone), asdict(validated)
+    assert ours.pop("model") == theirs.pop("model") == model
+    del ours["verdict"], theirs["verdict"]
+    assert ours == pytest.approx(theirs, rel=1e-12)
+    assert alone.outliers == 2
+
+
+def test_lengths_are_verified_by_shape(ur3):
+    scenario = Scenario(ur3, cell=Cell(kind="pair"))
+    trial = one_trial(Trials(scenario, Cell(model="dh", kind="pair"), count=60, validate=False), 0)
+    assert trial.rms < 0.5 * trial.nominal_rms
+    assert trial.rms == pytest.approx(trial.stated_rms, rel=0.9)

@@ -1,0 +1,329 @@
+"""Truth: drawn, given by name, or as a URDF; where it puts the target."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, strategies as st
+from scipy.spatial.transform import Rotation
+
+from calib.data.cell import Cell
+from calib.data.surroundings import Tracker
+from calib.errors import CalibError
+from calib.model.error_model import error_model
+from calib.model.families import FAMILIES
+from calib.robot.readback import random_joint_values
+from calib.robot.robot import Robot, rigid_inverse
+from calib.simulation.truth import (
+    STREAMS,
+    TARGET_ERROR,
+    Encoder,
+    MovedTarget,
+    Outliers,
+    draw_truth,
+    stream,
+    tracker_pose,
+)
+
+MANY = "placement+gain+eccentricity+compliance"
+
+
+def rng(seed: int = 1) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def test_the_true_robot_is_the_geometry_alone(ur3):
+    truth = draw_truth(ur3, MANY, seed=1)
+    plain = draw_truth(ur3, "placement", seed=1)
+    # Families come behind the set: the geometry is the same with and without them.
+    assert (truth.robot.placements == plain.robot.placements).all()
+    q = random_joint_values(ur3, 5)
+    assert plain.tip_poses(q) == pytest.approx(plain.robot.poses(q), abs=1e-14)
+    assert np.abs(truth.tip_poses(q) - truth.robot.poses(q))[:, :3, 3].max() > 1e-5
+
+
+@pytest.mark.parametrize("model", ["placement", "hayati"])
+def test_two_independent_readers_agree_with_the_true_urdf(ur3, model, tmp_path):
+    yourdfpy = pytest.importorskip("yourdfpy")
+    truth = draw_truth(ur3, model, seed=5)
+    path = truth.robot.urdf.write(tmp_path / "true.urdf")
+    model_of_file = pin.buildModelFromUrdf(str(path))
+    data = model_of_file.createData()
+    read = yourdfpy.URDF.load(str(path), load_meshes=False, build_collision_scene_graph=False)
+    for q in random_joint_values(ur3, 10, seed=2):
+        expected = truth.tip_poses(q)[0]
+        values = dict(zip(ur3.joint_names, q, strict=True))
+        configuration = pin.neutral(model_of_file)
+        for name, value in values.items():
+            joint = model_of_file.joints[model_of_file.getJointId(name)]
+            turn = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+            configuration[joint.idx_q : joint.idx_q + joint.nq] = turn
+        pin.framesForwardKinematics(model_of_file, data, configuration)
+        base, tip = (data.oMf[model_of_file.getFrameId(n)] for n in ("base", "tool0"))
+        assert (base.inverse() * tip).homogeneous == pytest.approx(expected, abs=1e-9)
+        read.update_cfg(values)
+        found = np.linalg.inv(read.get_transform("base")) @ read.get_transform("tool0")
+        assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_drawn_errors_have_the_sizes_of_their_families(ur3):
+    model = error_model(ur3, MANY, target=False)
+    x = np.array([draw_truth(ur3, MANY, seed=s).x for s in range(300)])
+    assert (np.abs(x.mean(axis=0)) < 5 * x.std(axis=0) / np.sqrt(300))[
+        ~model.family("compliance")
+    ].all()
+    for family in model.families:
+        rms = np.sqrt((x[:, model.family(family)] ** 2).mean())
+        assert rms == pytest.approx(FAMILIES[family].typical, rel=0.08)
+    assert (x[:, model.family("compliance")] > 0.0).all()
+
+
+def test_sizes_that_are_nothing_leave_the_robot_as_it_is(ur3):
+    nothing = draw_truth(ur3, "placement", None, seed=1)
+    assert nothing.robot.urdf == ur3.urdf
+    assert (nothing.x == 0.0).all()
+    turned = draw_truth(ur3, "placement", {"length": 0.0}, seed=1)
+    assert (turned.x[turned.model.family("length")] == 0.0).all()
+    assert (turned.x[turned.model.family("angle")] != 0.0).all()
+
+
+def test_single_errors_win_over_drawn_ones(ur3):
+    given = {"elbow_joint.rx": 2e-3, "wrist_1_joint.gain": 1e-3}
+    drawn = draw_truth(ur3, "placement+gain", seed=1)
+    truth = draw_truth(ur3, "placement+gain", seed=1, errors=given)
+    for name in truth.model.names:
+        assert truth.value(name) == given.get(name, drawn.value(name))
+    only = draw_truth(ur3, "placement", None, errors={"elbow_joint.rx": 2e-3})
+    turn = pin.exp6(np.array([0, 0, 0, 2e-3, 0, 0])).homogeneous
+    expected = ur3.placements.copy()
+    expected[2] = expected[2] @ turn
+    assert only.robot.placements == pytest.approx(expected, abs=1e-15)
+
+
+def test_what_a_cell_says_of_single_errors_holds(ur3):
+    cell = Cell(
+        frozen=("d2", "elbow_joint.x"),
+        ties={"a3": ("a2", -1.0)},
+        bounds={"d1": (-1e-6, 1e-6)},
+        parameter_priors={"d6": 1e-9},
+    )
+    values = [draw_truth(ur3, "dh", seed=s, cell=cell) for s in range(20)]
+    for truth in values:
+        terms = dict(
+            zip((t.name for t in truth.model.terms), truth.model.values(truth.x), strict=True)
+        )
+        assert "d2" not in terms
+        assert terms["a3"] == -terms["a2"]
+        assert abs(terms["d1"]) <= 1e-6
+        assert abs(terms["d6"]) < 1e-8
+    assert {abs(t.value("d1")) for t in values} >= {1e-6}
+
+
+def test_a_true_urdf_is_the_truth(ur3):
+    made = draw_truth(ur3, "placement+gain", seed=4)
+    truth = draw_truth(ur3, "zeros+gain", seed=4, true_robot=made.robot)
+    assert truth.model.name == "placement+gain"
+    assert truth.robot.placements == pytest.approx(made.robot.placements, abs=1e-15)
+    geometry = truth.model.family("length", "angle", "zero")
+    assert truth.x[geometry] == pytest.approx(made.x[geometry], abs=1e-15)
+    # Its errors of the joints' state are drawn, or given.
+    assert (truth.x[~geometry] != 0.0).all()
+    given = draw_truth(
+        ur3, "zeros+gain", None, true_robot=made.robot, errors={"elbow_joint.gain": 1e-3}
+    )
+    assert given.value("elbow_joint.gain") == 1e-3
+    assert np.count_nonzero(given.x[~geometry]) == 1
+
+
+def test_a_true_urdf_whose_tip_sits_elsewhere(ur3):
+    placements = ur3.placements.copy()
+    placements[-1] = placements[-1] @ pin.exp6(np.array([1e-3, 0, 0, 0, 2e-3, 0])).homogeneous
+    true = ur3.with_placements(placements)
+    truth = draw_truth(ur3, true_robot=true)
+    q = random_joint_values(ur3, 5)
+    assert truth.tip_poses(q) == pytest.approx(true.poses(q), abs=1e-14)
+    # The set of placements has no word for it: the error is the robot's all the same.
+    assert np.abs(truth.x).max() < 1e-14
+    assert truth.nominal_errors(q).min() > 5e-4
+
+
+def test_a_true_urdf_of_another_base(serial_urdf):
+    joints = [
+        ("revolute", (0, 0, 0.3), (0.1, 0, 0), (0, 0, 1)),
+        ("revolute", (0.3, 0, 0), (1.5, 0, 0), (0, 0, 1)),
+    ]
+    extra = (
+        '<link name="foot"/><joint name="jfoot" type="fixed"><parent link="l0"/><child link="foot"/>'
+        '<origin xyz="{} 0 0"/></joint>'
+    )
+    nominal = Robot.from_urdf(
+        serial_urdf(joints, extra=extra.format("0.1")), base="foot", tip="tip"
+    )
+    true = Robot.from_urdf(serial_urdf(joints, extra=extra.format("0.101")), base="foot", tip="tip")
+    truth = draw_truth(nominal, true_robot=true)
+    q = random_joint_values(nominal, 5)
+    assert truth.tip_poses(q) == pytest.approx(true.poses(q), abs=1e-14)
+    assert truth.nominal_errors(q) == pytest.approx(1e-3)
+
+
+def test_what_is_no_truth(ur3, panda):
+    data = ur3.urdf.data.replace(b'<axis xyz="0 1 0"/>', b'<axis xyz="0 1 0.001"/>', 1)
+    bent = ur3.rebuilt(type(ur3.urdf).from_bytes(data, "bent.urdf"))
+    for said, more in (
+        (
+            r"'elbow.rx' in the model 'placement' \(did you mean 'elbow_j",
+            {"errors": {"elbow.rx": 1.0}},
+        ),
+        ("is nan; it must be a finite number", {"errors": {"elbow_joint.rx": np.nan}}),
+        ("not an error but another robot", {"errors": {"elbow_joint.x": -1.1}}),
+        ("The size of errors in length is -1", {"sizes": {"length": -1.0}}),
+        ("The error of the target is -1", {"target_error": -1.0}),
+        ("they must be the same", {"true_robot": panda}),
+        (r"'bent.urdf' has another type or <axis>", {"true_robot": bent}),
+        ("the true robot states already", {"true_robot": ur3, "errors": {"elbow_joint.rx": 1e-3}}),
+    ):
+        with pytest.raises(CalibError, match=said):
+            draw_truth(ur3, "placement", **more)
+
+
+def test_the_target_is_drawn_about_where_it_is_said_to_be(ur3):
+    said = np.array([0.1, 0.0, 0.03])
+    cell = Cell(target=said, target_rotation=Rotation.from_euler("x", 0.3).as_matrix())
+    off = [
+        draw_truth(ur3, "frames", seed=s, cell=cell).T_tip_target[0, :3, 3] - said
+        for s in range(300)
+    ]
+    assert np.std(off) == pytest.approx(TARGET_ERROR, rel=0.1)
+    one = draw_truth(ur3, "frames", cell=cell)
+    assert (one.said_T_tip_target[0, :3, :3] == cell.target_rotation).all()
+    assert not np.allclose(one.T_tip_target[0, :3, :3], cell.target_rotation, atol=1e-4)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_known_target_and_one_without_an_error_are_where_they_are_said_to_be(ur3, known):
+    cell = Cell(targets={"a": (0.1, 0, 0), "b": (0, 0.1, 0)}, estimate_target=not known)
+    truth = draw_truth(ur3, cell=cell, target_error=1e-3 if known else 0.0)
+    assert truth.targets == ("a", "b")
+    assert truth.T_tip_target[:, :3, 3].tolist() == [[0.1, 0, 0], [0, 0.1, 0]]
+    q = random_joint_values(ur3, 3)
+    assert truth.points(q, "b") == pytest.approx((truth.tip_poses(q) @ (0, 0.1, 0, 1))[:, :3])
+
+
+def test_frames_are_the_cell_s_or_drawn_or_the_base(ur3):
+    own = tracker_pose((1.0, 2.0, 3.0), rng())
+    assert (draw_truth(ur3).T_frame_base[0] == np.eye(4)).all()
+    assert (draw_truth(ur3, cell=Cell(T_frame_base=own)).T_frame_base[0] == own).all()
+    drawn = draw_truth(ur3, cell=Cell(estimate_frame=True), seed=1).T_frame_base[0]
+    tracker = rigid_inverse(drawn)[:3, 3]
+    assert np.hypot(*tracker[:2]) == pytest.approx(3.0)
+    other = draw_truth(ur3, cell=Cell(estimate_frame=True), seed=2).T_frame_base[0]
+    assert not np.allclose(drawn, other)
+    cell = Cell(estimate_frame=True, tracker=Tracker(np.array([2.0, 0.5, 0.3])))
+    placed = draw_truth(ur3, cell=cell, seed=1).T_frame_base[0]
+    assert rigid_inverse(placed)[:3, 3] == pytest.approx([2.0, 0.5, 0.3])
+    # Levelled: the tracker's z is up to a few hundredths.
+    assert placed[2, 2] > np.cos(0.06)
+
+
+def test_the_nominal_robot_s_own_error(ur3):
+    truth = draw_truth(ur3, "zeros", None, errors={"shoulder_pan_joint.zero": 1e-3})
+    q = random_joint_values(ur3, 20)
+    radius = np.hypot(*truth.points(q)[:, :2].T)
+    assert truth.nominal_errors(q) == pytest.approx(2 * np.sin(5e-4) * radius)
+
+
+def test_gravity_the_other_way_bends_the_robot_the_other_way(ur3):
+    q = random_joint_values(ur3, 10)
+    sag = []
+    for g in (-9.81, 9.81):
+        cell = Cell(gravity=np.array([0.0, 0.0, g]))
+        truth = draw_truth(ur3, "frames+compliance", seed=1, cell=cell)
+        sag.append(truth.points(q) - draw_truth(ur3, "frames", seed=1).points(q))
+    assert np.abs(sag[0]).max() > 1e-5
+    assert sag[0] == pytest.approx(-sag[1], abs=1e-6)
+
+
+def test_a_chain_with_a_sliding_joint_a_mimic_joint_and_two_branches():
+    robot = Robot.load("tiago", tip="arm_7_link")
+    truth = draw_truth(robot, MANY, seed=2)
+    slides = [p for p in truth.model.parameters if p.unit == "m/N"]
+    assert slides
+    q = random_joint_values(robot, 5)
+    assert np.isfinite(truth.points(q)).all()
+    camera = Robot.load("tiago", base="xtion_rgb_optical_frame", tip="arm_7_link")
+    seen = draw_truth(camera, "dh", seed=2)
+    q = random_joint_values(camera, 5)
+    assert seen.tip_poses(q) == pytest.approx(seen.robot.poses(q), abs=1e-14)
+    assert seen.nominal_errors(q).min() > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("outliers", "among", "number"),
+    [
+        (Outliers(share=0.2), 30, 6),
+        (Outliers(share=0.001), 30, 1),
+        (Outliers(share=0.0), 30, 0),
+        (Outliers(share=1.0), 7, 7),
+        (Outliers(count=0), 30, 0),
+        (Outliers(count=3), 3, 3),
+    ],
+)
+def test_how_many(outliers, among, number):
+    chosen = outliers.choose(range(100, 100 + among), seed=1)
+    assert len(chosen) == len(set(chosen)) == number
+    assert chosen == sorted(chosen)
+    assert set(chosen) <= set(range(100, 100 + among))
+
+
+def test_more_outliers_are_those_of_fewer_and_others():
+    few = Outliers(count=3).choose(range(50), seed=4)
+    assert set(few) < set(Outliers(count=8).choose(range(50), seed=4))
+    assert few != Outliers(count=3).choose(range(50), seed=5)
+
+
+def test_a_target_is_moved_from_its_row_on():
+    rows = MovedTarget(3, (0, 0, 1e-3)).rows(["a", "b", "a", "b", "a"])
+    assert rows.tolist() == [False, False, True, True, True]
+    only = MovedTarget(3, (0, 0, 1e-3), "b").rows(["a", "b", "a", "b", "a"])
+    assert only.tolist() == [False, False, False, True, False]
+
+
+def test_a_moved_target_that_does_not_fit():
+    for row in (0, 6):
+        with pytest.raises(CalibError, match=f"before row {row}; the table has the rows 1 to 5"):
+            MovedTarget(row, (0, 0, 1e-3)).rows(["a"] * 5)
+    with pytest.raises(CalibError, match="'c' is to move; there are 'a', 'b'"):
+        MovedTarget(2, (0, 0, 1e-3), "c").rows(["a", "b"])
+
+
+@given(
+    st.lists(st.floats(-6.0, 6.0), min_size=1, max_size=8),
+    st.floats(1e-6, 0.1),
+    st.integers(0, 1000),
+)
+def test_what_is_read_is_at_most_half_a_step_from_where_the_robot_stands(values, step, seed):
+    q = np.array([values])
+    encoder = Encoder(angle=step)
+    slides = [False] * len(values)
+    stood, read = encoder.measure(q, slides, seed)
+    assert np.abs(stood - q).max() <= 0.5 * step * (1 + 1e-9)
+    assert np.abs(read - stood).max() <= 0.5 * step + 1e-12
+    assert np.abs(read / step - np.round(read / step)).max() < 1e-6
+
+
+def test_joints_that_slide_have_a_step_of_their_own():
+    q = np.full((1000, 3), 0.1234567)
+    slides = [False, True, False]
+    for encoder, moved in ((Encoder(1e-3, 0.0), [0, 2]), (Encoder(0.0, 1e-4), [1])):
+        off = encoder.measure(q, slides, 1)[0] - q
+        assert [k for k in range(3) if off[:, k].any()] == moved
+    # evenly within the step, so that its standard deviation is a step over the root of twelve
+    assert off[:, 1].std() == pytest.approx(1e-4 / np.sqrt(12), rel=0.05)
+
+
+def test_each_purpose_has_numbers_of_its_own():
+    drawn = [tuple(stream(1, purpose).normal(size=3)) for purpose in STREAMS]
+    assert len(set(drawn)) == len(STREAMS)
+    assert tuple(stream(1, STREAMS[0]).normal(size=3)) == drawn[0]
+    assert tuple(stream(2, STREAMS[0]).normal(size=3)) != drawn[0]
+    with pytest.raises(CalibError, match="The seed is -1"):
+        stream(-1, "errors")

@@ -1,0 +1,276 @@
+"""The pages in a real browser: what is seen, what the controls do, and that nothing runs or loads that should not."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from calib.report.label_rows import CALIBRATED, NOMINAL, OUTLIER, VALIDATION
+from calib.viewer.page import view_page
+from calib.viewer.view import view_of
+from tests.hard_cases import made
+
+HOSTILE = "<script>document.title='owned'</script>\"'& é漢"
+
+
+def near(picture: np.ndarray, colour: str, tolerance: float = 0.10) -> np.ndarray:
+    """Which pixels have the hue of a colour, lit or in the shade, shape (H, W)."""
+    wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
+    pixels = picture / 255.0
+    bright = np.linalg.norm(pixels, axis=-1)
+    chroma = pixels.max(axis=-1) - pixels.min(axis=-1)
+    along = (pixels @ wanted) / np.maximum(bright, 1e-9) / np.linalg.norm(wanted)
+    return (np.arccos(np.clip(along, -1, 1)) < tolerance) & (chroma > 0.12)
+
+
+def parts(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The left and the right half of the canvas, without the text above and below."""
+    height, width = picture.shape[:2]
+    middle = picture[int(0.17 * height) : int(0.78 * height)]
+    return middle[:, : width // 2], middle[:, width // 2 :]
+
+
+def amounts(picture: np.ndarray, colour: str) -> tuple[float, float]:
+    """The share of each half that has a colour."""
+    left, right = (float(near(half, colour).mean()) for half in parts(picture))
+    return left, right
+
+
+def printed(pdf: bytes, folder: Path) -> np.ndarray | None:
+    """The first page of a PDF, shape (H, W, 3); None where poppler is not installed."""
+    program = shutil.which("pdftoppm")
+    if program is None:
+        return None
+    (folder / "page.pdf").write_bytes(pdf)
+    command = [program, "-r", "40", "-png", "-singlefile", "page.pdf", "page"]
+    subprocess.run(command, cwd=folder, check=True)
+    with Image.open(folder / "page.png") as image:
+        return np.asarray(image.convert("RGB"))
+
+
+@pytest.fixture(scope="module")
+def demo_page(tmp_path_factory):
+    """The page of the paper's calibration, as the demo writes it."""
+    folder = tmp_path_factory.mktemp("demo")
+    return view_page(view_of(made("paper"))).write(folder / "view.html")
+
+
+@pytest.mark.slow
+def test_no_socket_no_process_and_nothing_printed(tmp_path):
+    program = f"""
+import os, sys
+seen = []
+sys.addaudithook(lambda event, _: seen.append(event))
+import numpy as np
+from calib import example
+from calib.robot.robot import Robot
+from calib.viewer.page import view_page
+from calib.viewer.view import View
+robot = Robot.load(example.paper_urdf(), base="base", tip="tool0")
+view_page(View(robot, robot, np.full((1, 6), 0.3))).write({str(tmp_path / "view.html")!r})
+bad = {{e for e in seen if e.startswith(("socket.bind", "socket.connect", "subprocess.", "os.posix_spawn", "os.fork"))}}
+assert not bad, bad
+if os.path.isdir("/proc/self/fd"):
+    links = []
+    for fd in os.listdir("/proc/self/fd"):
+        try:
+            links.append(os.readlink(f"/proc/self/fd/{{fd}}"))
+        except OSError:
+            pass
+    assert not [link for link in links[3:] if link.startswith("socket:")], links
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert (tmp_path / "view.html").stat().st_size > 1_000_000
+
+
+def choose(tab, name: str, value: int) -> None:
+    tab.evaluate(
+        f"(() => {{ const e = document.getElementById('{name}'); e.value = '{value}'; "
+        "e.dispatchEvent(new Event('change')); e.dispatchEvent(new Event('input')); })()"
+    )
+
+
+def node_matrix(tab, *path: str) -> np.ndarray:
+    """Where a node of the scene is, shape (4, 4)."""
+    names = ", ".join(f"'{name}'" for name in ("robots", *path))
+    script = (
+        f"(() => {{ const o = viewer.scene_tree.find([{names}]).object; o.updateMatrix(); "
+        "return o.matrix.toArray(); })()"
+    )
+    return np.array(tab.evaluate(script)).reshape(4, 4).T
+
+
+@pytest.mark.slow
+def test_chromium_shows_two_robots_with_arrows_and_calls_nobody(browser, demo_page):
+    with browser.open(demo_page.as_uri(), size=(1280, 720)) as tab:
+        picture = tab.screenshot()
+        left, right = amounts(picture, NOMINAL)
+        assert left > 0.06
+        assert right < 0.004
+        left, right = amounts(picture, CALIBRATED)
+        assert left < 0.004
+        assert right > 0.06
+        assert sum(amounts(picture, VALIDATION)) > 1e-4  # balls of rows held back
+        assert sum(amounts(picture, OUTLIER)) > 2e-5  # and of flagged ones
+        legend = tab.evaluate("document.querySelector('footer').innerText")
+        for word in (
+            "nominal",
+            "calibrated",
+            "measured, fitted (28)",
+            "held back (5)",
+            "flagged (2)",
+        ):
+            assert word in legend
+        said = tab.evaluate("document.querySelector('header').innerText")
+        assert "Verdict: use." in said
+        assert "Arrows from predicted towards measured, × 50. Robots true to scale." in said
+        assert "row 35, held back" in said
+        assert "nominal 3.61 mm" in said
+
+        # Without the arrows there is less of the dark blue that only they have.
+        tab.evaluate("document.querySelector('[data-show*=arrows]').click()")
+        without = tab.screenshot()
+        assert np.mean(np.any(picture != without, axis=-1)) > 0.002
+        tab.evaluate("document.querySelector('[data-show*=arrows]').click()")
+        np.testing.assert_array_equal(tab.screenshot(), picture)
+        # On paper both robots stand too.
+        paper = printed(tab.pdf(), demo_page.parent)
+        if paper is not None:
+            assert near(paper, NOMINAL).mean() > 0.01
+            assert near(paper, CALIBRATED).mean() > 0.01
+        assert tab.complaints == []  # no error, and nothing that the page's policy refused to load
+        assert tab.elsewhere == []
+
+
+@pytest.mark.slow
+def test_chromium_lays_one_robot_over_the_other_and_magnifies_the_difference(browser, demo_page):
+    with browser.open(demo_page.as_uri(), size=(1280, 720)) as tab:
+        tab.click("[data-mode=over]")
+        one = tab.screenshot()
+        assert "Overlaid" in tab.evaluate(
+            "[...document.querySelectorAll('.label')].filter(e => e.style.visibility == 'visible')"
+            ".map(e => e.innerText).join()"
+        )
+        # Laid over each other the two are one brown robot; magnified, blue and orange come apart.
+        apart = [near(one, colour).mean() for colour in (NOMINAL, CALIBRATED)]
+        choose(tab, "robots", 50)
+        many = tab.screenshot()
+        assert near(many, NOMINAL).mean() > apart[0] + 0.005
+        assert near(many, CALIBRATED).mean() > apart[1] + 0.002
+        said = tab.evaluate("document.getElementById('factors').innerText")
+        assert said == (
+            "Arrows from predicted towards measured, × 50. Differences from nominal drawn × 50."
+        )
+        choose(tab, "arrows", 1000)
+        assert "longer than the scene are cut" in tab.evaluate(
+            "document.getElementById('factors').innerText"
+        )
+        assert tab.complaints == []
+
+
+@pytest.mark.slow
+def test_the_slider_takes_both_robots_through_the_measured_poses(browser, demo_page):
+    """The tips and targets in the browser are where the robots' own forward kinematics put them, at every factor."""
+    view = view_of(made("paper"), cloud=False)
+    with browser.open(demo_page.as_uri(), size=(640, 360)) as tab:
+        movers = tab.evaluate(
+            "JSON.parse(document.getElementById('table').textContent).robots.nominal.movers"
+        )
+        target = f"{movers - 1:03d}"
+        for row in (0, 17):
+            choose(tab, "row", row)
+            for factor in (1, 20):
+                choose(tab, "robots", factor)
+                nominal, calibrated = view.predicted[:, row]
+                wanted = {
+                    "nominal": nominal,
+                    "calibrated": nominal + factor * (calibrated - nominal),
+                }
+                for who, place in wanted.items():
+                    at = node_matrix(tab, who, "robot", "links", target)[:3, 3]
+                    np.testing.assert_allclose(at, place, atol=2e-7 * factor)
+                if factor == 1:  # the links too, their turns included
+                    T = view.calibrated.poses(view.q[row])[0]
+                    wrist = node_matrix(tab, "calibrated", "robot", "links", target)
+                    np.testing.assert_allclose(wrist[:3, :3], T[:3, :3], atol=1e-6)
+        assert tab.evaluate("document.getElementById('which').value") == "row 18, fitted"
+        tab.evaluate("document.activeElement.blur()")
+        tab.key("ArrowLeft")
+        assert tab.evaluate("document.getElementById('which').value") == "row 17, fitted"
+        # Near a mark the mouse is told its row, and a click goes there.
+        x, y = tab.evaluate(
+            "(() => { const T = MeshCat.THREE, t = JSON.parse(document.getElementById('table').textContent);"
+            "const m = new Float32Array(Uint8Array.from(atob(t.measured), (c) => c.charCodeAt(0)).buffer);"
+            "const at = new T.Vector3().fromArray(m, 3 * 33);"
+            "viewer.scene_tree.find(['robots', 'nominal']).object.localToWorld(at).project(viewer.camera);"
+            "return [(0.5 + 0.5 * at.x) * innerWidth, (0.5 - 0.5 * at.y) * innerHeight]; })()"
+        )
+        tab.mouse(x, y)
+        assert tab.evaluate("document.getElementById('hint').textContent") == (
+            "row 34, held back: 3.49 mm → 0.266 mm"
+        )
+        tab.mouse(x, y, click=True)
+        assert tab.evaluate("document.getElementById('which').value") == "row 34, held back"
+        choose(tab, "row", 16)
+        tab.click("#play")
+        tab.wait_for("document.getElementById('which').value.startsWith('row 18')")
+        assert tab.complaints == []
+
+
+def test_chromium_keeps_hostile_names_as_text(browser, tmp_path):
+    """Whatever robot, joints, rows and files are called, nothing of it runs, and it is read whole."""
+    view = view_of(made("hostile_names"))
+    labels = tuple(f"{HOSTILE} {label}" for label in view.labels)
+    shown = replace(view, labels=labels, note=HOSTILE, title=HOSTILE * 5)
+    page = view_page(shown).write(tmp_path / "v.html")
+    with browser.open(page.as_uri()) as tab:
+        assert tab.evaluate("document.title") == HOSTILE * 5
+        said = tab.evaluate("document.querySelector('header').innerText")
+        assert said.count(HOSTILE) == 5 + 1 + 1
+        assert HOSTILE in tab.evaluate("document.getElementById('which').value")
+        assert tab.complaints == []
+        assert tab.elsewhere == []
+
+
+@pytest.mark.slow
+def test_the_address_says_what_is_shown_at_first(browser, demo_page):
+    address = demo_page.as_uri() + "#row=99&mode=%3Cb%3E&robots=3&arrows=x"
+    with browser.open(address, size=(320, 180)) as tab:
+        said = tab.evaluate("document.querySelector('header').innerText")
+        assert "row 35, held back." in said
+        assert "Arrows from predicted towards measured, × 50. Robots true to scale." in said
+        tab.evaluate("location.hash = 'row=12&mode=over&robots=20&arrows=5'")
+        tab.wait_for("document.body.dataset.mode == 'over'")
+        said = tab.evaluate("document.querySelector('header').innerText")
+        assert "row 12, fitted." in said
+        assert "measured, × 5. Differences from nominal drawn × 20." in said
+        assert tab.complaints == []
+
+
+@pytest.mark.slow
+def test_the_cloud_is_shown_on_request(browser, tmp_path):
+    view = view_of(made("two_joints"))
+    page = view_page(view).write(tmp_path / "view.html")
+    with browser.open(page.as_uri(), size=(640, 360)) as tab:
+        before = tab.screenshot()
+        tab.evaluate(
+            "document.querySelector('[data-show=\"calibrated/cloud-everywhere\"]').click()"
+        )
+        left, right = parts(np.any(tab.screenshot() != before, axis=-1).astype(float))
+        assert right.mean() > 0.01
+        assert left.mean() < right.mean() / 5
+        assert tab.complaints == []

@@ -1,0 +1,212 @@
+"""The live picture: served to this computer alone, robots where they were sent, what meshcat draws in every window."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+import webbrowser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from meshcat import geometry as mc
+
+import calib
+from calib import example
+from calib.errors import CalibError, ModelError
+from calib.viewer.live import Viewer
+from calib.viewer.view import View, translated
+from tests.hard_cases import made
+from tests.listening import listening
+
+TARGET = translated([0.1, 0.2, 0.3])
+
+#: The size of windows that need no more.
+SMALL = (640, 400)
+
+#: What was drawn by hand, on the page.
+OWN = 'viewer.scene_tree.find(["robots", "calibrated", "own"]).children'
+
+
+@pytest.fixture
+def view(gantry, disturb):
+    """Two robots of one page: no meshes, so that the page is small."""
+    q = np.array([[0.1, 0.2, 0.3], [0.3, -0.1, 1.0]])
+    return View(gantry, disturb(gantry), q, nominal_target=TARGET, calibrated_target=TARGET)
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="no /proc/net/tcp: not Linux")
+def test_nothing_listens_beyond_this_computer_and_nothing_is_left(view):
+    before = listening(os.getpid())
+    with Viewer(view) as viewer:
+        assert viewer.url == f"http://127.0.0.1:{viewer.port}/"
+        viewer.display([0.0, 0.0, 0.0])
+        viewer.visualizer["ball"].set_object(mc.Sphere(0.1))
+        opened = [one for one in listening(os.getpid()) if one not in before]
+        assert opened == [("127.0.0.1", viewer.port)]
+    assert listening(os.getpid()) == before
+    with socket.create_server(("127.0.0.1", viewer.port)):
+        pass
+
+
+def test_the_page_is_sent_to_those_who_ask_for_this_computer(view):
+    with Viewer(view) as viewer:
+        with urllib.request.urlopen(viewer.url, timeout=10) as answer:
+            assert b"data-live" in answer.read()
+        # A web site may let its own name point to 127.0.0.1.
+        request = urllib.request.Request(viewer.url, headers={"Host": "evil.example"})
+        with pytest.raises(urllib.error.HTTPError):
+            urllib.request.urlopen(request, timeout=10)
+
+
+@pytest.mark.parametrize("q", [[0.0, 0.0], [[0.0, 0.0, 0.0]], 1.0, [0.0, 0.0, np.nan]])
+def test_a_pose_that_is_none_is_refused(view, q):
+    with (
+        Viewer(view) as viewer,
+        pytest.raises(ModelError, match=r"a finite value for each joint.*'x', 'y', 'c'\."),
+    ):
+        viewer.display(q)
+
+
+def test_a_closed_viewer_says_so(gantry):
+    with Viewer(View(gantry, None, np.zeros((1, 3)))) as viewer:
+        assert repr(viewer) == f"<Viewer {viewer.url}>"
+    viewer.close()
+    assert repr(viewer) == "<Viewer closed>"
+    with pytest.raises(CalibError, match="was closed"):
+        viewer.display([0.0, 0.0, 0.0])
+    with pytest.raises(CalibError, match="was closed"):
+        viewer.visualizer.set_object(mc.Sphere(0.1))
+
+
+def test_a_port_that_is_taken_and_one_that_is_none(gantry):
+    view = View(gantry, None, np.zeros((1, 3)))
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(CalibError, match=f"Port {port} of 127.0.0.1 cannot be used"):
+            Viewer(view, port=port)
+    with pytest.raises(CalibError, match="from 1024 to 65535"):
+        Viewer(view, port=70000)
+
+
+def target_of(tab, who: str) -> list[float]:
+    """Where the page has the target of a robot, in its base [m]."""
+    return tab.evaluate(
+        f"""(() => {{
+            const links = viewer.scene_tree.find(["robots", "{who}", "robot", "links"]).children;
+            const target = links[Object.keys(links).sort().at(-1)].object;
+            const group = viewer.scene_tree.find(["robots", "{who}"]).object;
+            viewer.scene.updateMatrixWorld(true);
+            const inGroup = group.matrixWorld.clone().invert().multiply(target.matrixWorld);
+            return inGroup.elements.slice(12, 15);
+        }})()"""
+    )
+
+
+@pytest.mark.slow
+def test_robots_and_objects_are_the_same_in_every_window(browser, view):
+    robots = {"nominal": view.nominal, "calibrated": view.calibrated}
+    with Viewer(view) as viewer, browser.open(viewer.url, SMALL) as one:
+        ball = viewer.visualizer["ball"]
+        ball.set_object(mc.Sphere(0.2), mc.MeshLambertMaterial(color=0x00A000))
+        for q in ([-1.0, 0.4, 2.0], [1.5, 0.5, -1.0]):
+            viewer.display(q, f"at {q} <b>")
+            one.wait_for(f"document.getElementById('pose').textContent.includes('at {q} <b>')")
+            for who, robot in robots.items():
+                there = (robot.poses(q)[0] @ TARGET)[:3, 3]
+                np.testing.assert_allclose(target_of(one, who), there, atol=2e-6)
+        ball.set_transform(translated([0.3, 0.2, 0.1]))
+        viewer.visualizer["gone"].set_object(mc.Box([1, 1, 1]))
+        one.wait_for(f"'gone' in {OWN}")
+        viewer.visualizer["gone"].delete()
+        viewer.display([0.5, 0.5, 0.5], "last")
+        with browser.open(viewer.url, SMALL) as late:
+            for tab in (one, late):
+                tab.wait_for("document.getElementById('pose').textContent.includes('last')")
+                assert tab.evaluate(f"Object.keys({OWN})") == ["ball"]
+                assert tab.evaluate(f"{OWN}.ball.object.position.x") == 0.3
+                there = (view.nominal.poses([0.5, 0.5, 0.5])[0] @ TARGET)[:3, 3]
+                np.testing.assert_allclose(target_of(tab, "nominal"), there, atol=2e-6)
+                assert tab.console == []
+                assert tab.elsewhere == []
+            assert [url.split("/", 3)[-1] for url in late.requests] == ["", "live"]
+        viewer.close()
+        one.wait_for("document.body.textContent.includes('The server has stopped')")
+
+
+@pytest.mark.slow
+def test_the_document_s_example_runs_until_ctrl_c(tmp_path):
+    text = (Path(__file__).parents[2] / "docs" / "view.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    for name in ("robot.urdf", "corrected.urdf"):
+        urdf = example.paper_urdf().read_text(encoding="utf-8")
+        # Without meshes, which take their time.
+        plain = re.sub("<visual>.*?</visual>", "", urdf, flags=re.DOTALL)
+        (tmp_path / name).write_text(plain, encoding="utf-8")
+    (tmp_path / "browser.py").write_text("import sys; open('opened', 'w').write(sys.argv[1])")
+    code = code.replace("sleep(0.03)", "sleep(0.001)")
+    code = code.replace("    viewer.wait()", "    print('waits', flush=True)\n    viewer.wait()")
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "BROWSER": f"{sys.executable} browser.py %s"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    url = process.stdout.readline().strip()
+    assert process.stdout.readline() == "waits\n"
+    time.sleep(0.3)  # for it has said so before it does
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out, err) == (0, "", "")
+    assert (tmp_path / "opened").read_text() == url
+
+
+@pytest.fixture(scope="module")
+def result():
+    return made("paper")
+
+
+def test_show_opens_the_page_in_the_browser(result, monkeypatch):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    page = calib.view(result)
+    assert opened == [Path(page).as_uri()]
+    assert page.is_file()
+
+
+def test_show_can_serve_the_page_and_move_the_robots(result, monkeypatch):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    with calib.view(result, live=True) as viewer:
+        assert opened == [viewer.url]
+        viewer.display(np.zeros(6))
+        with urllib.request.urlopen(viewer.url, timeout=10) as answer:
+            assert b"data-live" in answer.read()
+
+
+def test_show_takes_robots_too(result, monkeypatch):
+    monkeypatch.setattr(webbrowser, "open", lambda _: True)
+    text = calib.view(result.nominal, result.robot).read_text(encoding="utf-8")
+    assert "<strong>First</strong>" in text
+    assert "ur3.urdf" in text
+    alone = calib.view(result.nominal).read_text(encoding="utf-8")
+    assert "<strong>" not in alone
+    with pytest.raises(
+        ModelError, match=r"show takes a Calibration, a Robot or two Robots; 'ur3' was"
+    ):
+        calib.view("ur3")
+    with pytest.raises(
+        ModelError, match="show takes a Calibration, a Robot or two Robots; None was"
+    ):
+        calib.view(None)
+    with pytest.raises(ModelError, match="show takes a Calibration"):
+        calib.view(result, result.robot)

@@ -1,0 +1,149 @@
+"""The page of a plan: targets, way, boxes and lines of sight where they are, and what Chromium makes of it."""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import umsgpack
+
+from calib import example
+from calib.data.cell import Cell
+from calib.data.surroundings import Box, Tracker
+from calib.design.plan import plan
+from calib.report.label_rows import BEAM
+from calib.robot.readback import random_joint_values
+from calib.viewer.design_view import plan_page
+
+
+@pytest.fixture(scope="module")
+def planned(ur3):
+    T_base_table = np.eye(4)
+    T_base_table[:3, 3] = (0.1, 0.0, -0.03)
+    cell = Cell(
+        target=np.array(example.PAPER_TARGET),
+        model="zeros",
+        tracker=Tracker(np.array([2.5, 1.0, 0.8])),
+        boxes=(Box("the <table>", np.array([1.2, 0.8, 0.04]), T_base_table),),
+    )
+    return plan(
+        ur3,
+        cell,
+        count=6,
+        validation=2,
+        candidates=200,
+        taken=random_joint_values(ur3, 3),
+        collisions=False,
+        ladder=(),
+    )
+
+
+@pytest.fixture(scope="module")
+def page(planned):
+    return plan_page(planned)
+
+
+def scene_of(page) -> dict:
+    text = re.search(rb'id="scene">([^<]*)<', page.html).group(1)
+    return umsgpack.unpackb(base64.b64decode(text))
+
+
+def moved(scene: dict, pattern: str) -> dict[str, np.ndarray]:
+    """The transforms of some nodes, shape (4, 4) each."""
+    return {
+        c["path"]: np.array(c["matrix"]).reshape(4, 4).T
+        for c in scene["commands"]
+        if c["type"] == "set_transform" and re.fullmatch(f"/robots/{pattern}", c["path"])
+    }
+
+
+def lines(scene: dict, node: str) -> np.ndarray:
+    """The ends of the lines at a node, shape (N, 2, 3)."""
+    (command,) = [
+        c for c in scene["commands"] if c["type"] == "set_object" and c["path"] == f"/robots/{node}"
+    ]
+    (name,) = command["object"]["geometries"]
+    packed = scene["geometries"][name]["data"]["attributes"]["position"]["array"]
+    return np.frombuffer(packed.data, dtype="<f4").reshape(-1, 2, 3)
+
+
+def test_targets_stand_where_the_nominal_robot_puts_them(planned, page):
+    scene = scene_of(page)
+    sets = np.array(planned.sets)
+    for word, count in (("estimate", 6), ("validate", 2)):
+        drawn = [T[:3, 3] for T in moved(scene, rf"{word}/\d+").values()]
+        assert len(drawn) == count
+        # The measurement frame is the base: what to expect is the same place.
+        np.testing.assert_allclose(drawn, planned.expected[sets == word][:, 0], atol=1e-12)
+    taken = [T[:3, 3] for T in moved(scene, r"taken/\d+").values()]
+    np.testing.assert_allclose(taken, planned.places(planned.taken)[:, 0], atol=1e-12)
+
+
+def test_way_sight_and_boxes(planned, page):
+    scene = scene_of(page)
+    places = planned.places(planned.joints)[:, 0]
+    np.testing.assert_allclose(lines(scene, "way")[:, 0], places[:-1], atol=1e-6)
+    np.testing.assert_allclose(lines(scene, "way")[:, 1], places[1:], atol=1e-6)
+    beams = lines(scene, "sight").astype(float)
+    np.testing.assert_allclose(beams[:, 0], places, atol=1e-6)
+    towards = planned.cell.tracker.position - places
+    along = beams[:, 1] - beams[:, 0]
+    cosine = (
+        np.sum(along * towards, axis=1)
+        / np.linalg.norm(along, axis=1)
+        / np.linalg.norm(towards, axis=1)
+    )
+    assert cosine == pytest.approx(np.ones(8), abs=1e-6)
+    (table,) = moved(scene, r"around/\d+").values()
+    np.testing.assert_allclose(table, planned.cell.boxes[0].T_base_box, atol=1e-12)
+
+
+def test_the_legend_hides_what_it_names(page):
+    text = page.html.decode()
+    shown = re.findall(r'data-show="([^"]*)"', text)
+    assert shown == ["nominal", "estimate", "validate", "taken", "way", "around", "sight"]
+    nodes = {c["path"].split("/")[2] for c in scene_of(page)["commands"] if "/robots/" in c["path"]}
+    assert set(shown) <= nodes
+    assert "the &lt;table&gt;" in text
+    assert "to estimate from, 6" in text
+    assert "Expected error of a predicted position after the calibration" in text
+
+
+def test_a_tracker_that_is_near_is_drawn_and_none_is_none(planned):
+    near = replace(planned, cell=replace(planned.cell, tracker=Tracker(np.array([0.5, 0.5, 0.5]))))
+    (at,) = moved(scene_of(plan_page(near)), r"tracker/\d+").values()
+    assert at[:3, 3] == pytest.approx([0.5, 0.5, 0.5])
+    alone = replace(planned, cell=Cell(), taken=planned.taken[:0])
+    shown = re.findall(r'data-show="([^"]*)"', plan_page(alone).html.decode())
+    assert shown == ["nominal", "estimate", "validate", "way"]
+
+
+@pytest.mark.parametrize("fixture", ["fingers", "head_and_arm"])
+def test_any_robot_is_drawn(request, fixture):
+    robot = request.getfixturevalue(fixture)
+    made = plan(
+        robot,
+        Cell(model="zeros"),
+        count=4,
+        validation=0,
+        candidates=100,
+        collisions=False,
+        ladder=(),
+    )
+    page = plan_page(made)
+    assert len(moved(scene_of(page), r"estimate/\d+")) == 4
+
+
+@pytest.mark.slow
+def test_chromium_draws_it_without_a_complaint(browser, planned, tmp_path):
+    path = plan_page(planned).write(tmp_path / "plan.html")
+    with browser.open(path.as_uri()) as tab:
+        pixels = tab.screenshot().reshape(-1, 3).astype(int)
+        assert tab.console == []
+        assert tab.elsewhere == []
+    beam = tuple(bytes.fromhex(BEAM[1:]))
+    for colour in ((0x9A, 0xAF, 0xC4), beam):  # the robot, lines of sight
+        assert np.sum(np.abs(pixels - colour).max(axis=1) < 40) > 30
