@@ -316,7 +316,7 @@ def of_starts(times: int) -> list[str]:
     """Whole processes, from nothing to the end."""
     calib = str(Path(sys.executable).with_name("calib"))
     with tempfile.TemporaryDirectory() as folder:
-        table = ROOT / "calib" / "data" / "ur3_leica.csv"
+        table = ROOT / "calib" / "example" / "ur3_leica.csv"
         fitting = [
             "fit",
             str(ROOT / "urdf" / "ur3.urdf"),

@@ -22,7 +22,7 @@ JOINTS = [
 def prepare(folder: Path, data: Path | None) -> None:
     """The paper's robot and table and what is made of them; the real data, if they were given."""
     shutil.copy(ROOT / "urdf" / "ur3.urdf", folder / "robot.urdf")
-    shutil.copy(ROOT / "calib" / "data" / "ur3_leica.csv", folder / "data.csv")
+    shutil.copy(ROOT / "calib" / "example" / "ur3_leica.csv", folder / "data.csv")
     blocks = re.split(
         r"(?m)^== (\S+)\n", CASES.read_text(encoding="utf-8").split("\n# Files\n")[1]
     )[1:]

@@ -85,7 +85,7 @@ def yardstick(candidates: int) -> list[str]:
     sensitivity = Sensitivity.of(robot, cell_of())
     pool = draw(robot, planning_ranges(robot, {}, 0.0), [], candidates, 0)
     workspace = Workspace.of(sensitivity, pool.workspace)
-    table = Measurements.read(ROOT / "calib" / "data" / "ur3_leica.csv", robot.joint_names)
+    table = Measurements.read(ROOT / "calib" / "example" / "ur3_leica.csv", robot.joint_names)
     rows = table.joints_for(robot.joint_names)[table.estimation]
     rng = np.random.default_rng(0)
     of_paper = Forecast.of(sensitivity, workspace, rows)

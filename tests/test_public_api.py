@@ -58,9 +58,9 @@ NAMES = [
     "profile_interval",
     "read_sweeps",
     "sample_workspace",
-    "show",
     "study",
     "survey",
+    "view",
     "workspace_uncertainty",
 ]
 

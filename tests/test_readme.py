@@ -41,7 +41,7 @@ def test_the_python_example_runs(tmp_path, monkeypatch, capsys):
     assert len([line for line in code.splitlines() if line and not line.startswith("import")]) == 5
     (tmp_path / "urdf").symlink_to(ROOT / "urdf")
     (tmp_path / "calib").mkdir()
-    (tmp_path / "calib" / "data").symlink_to(ROOT / "calib" / "data")
+    (tmp_path / "calib" / "example").symlink_to(ROOT / "calib" / "example")
     monkeypatch.chdir(tmp_path)
     exec(compile(code, "README.md", "exec"), {})
     assert "Verdict: use" in capsys.readouterr().out
@@ -140,7 +140,7 @@ def test_what_five_more_poses_are_worth_is_so():
         " ".join(page.split()),
     )
     robot = calib.Robot.load(ROOT / "urdf" / "ur3.urdf", base="base", tip="tool0")
-    table = calib.Measurements.read(ROOT / "calib" / "data" / "ur3_leica.csv", robot.joint_names)
+    table = calib.Measurements.read(ROOT / "calib" / "example" / "ur3_leica.csv", robot.joint_names)
     planned = calib.plan(
         robot,
         calib.Cell(target=[-0.06997, 0.07020, 0.02252], sigma=1e-4),

@@ -13,7 +13,7 @@ import calib
 from calib.data.measurements import Measurements
 from calib.errors import MeasurementError
 
-UR3 = Path(calib.__file__).parent / "data" / "ur3_leica.csv"
+UR3 = Path(calib.__file__).parent / "example" / "ur3_leica.csv"
 UR3_JOINTS = (
     "shoulder_pan_joint",
     "shoulder_lift_joint",

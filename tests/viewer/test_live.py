@@ -193,7 +193,7 @@ def test_show_can_serve_the_page_and_move_the_robots(result, monkeypatch):
             assert b"data-live" in answer.read()
 
 
-def test_show_takes_robots_too(result, monkeypatch):
+def test_view_takes_robots_too(result, monkeypatch):
     monkeypatch.setattr(webbrowser, "open", lambda _: True)
     text = calib.view(result.nominal, result.robot).read_text(encoding="utf-8")
     assert "<strong>First</strong>" in text
@@ -201,12 +201,12 @@ def test_show_takes_robots_too(result, monkeypatch):
     alone = calib.view(result.nominal).read_text(encoding="utf-8")
     assert "<strong>" not in alone
     with pytest.raises(
-        ModelError, match=r"show takes a Calibration, a Robot or two Robots; 'ur3' was"
+        ModelError, match=r"view takes a Calibration, a Robot or two Robots; 'ur3' was"
     ):
         calib.view("ur3")
     with pytest.raises(
-        ModelError, match="show takes a Calibration, a Robot or two Robots; None was"
+        ModelError, match="view takes a Calibration, a Robot or two Robots; None was"
     ):
         calib.view(None)
-    with pytest.raises(ModelError, match="show takes a Calibration"):
+    with pytest.raises(ModelError, match="view takes a Calibration"):
         calib.view(result, result.robot)
