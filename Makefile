@@ -1,5 +1,5 @@
 # make demo   calibrates the paper's UR3 from its real measurements, into demo/
-# make test   runs the tests that take minutes
+# make test   runs the tests
 # make verify   runs all tests, the slow studies too
 # make lint   ruff and mypy
 # make coverage   runs the tests and says which lines and branches none of them reaches
@@ -11,34 +11,39 @@ PYTHON ?= $(or $(shell for p in python3 python3.13 python3.12 python3.11 python3
   $$p -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null && echo $$p && break; done),python3)
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
+#: calib itself; and with it what tests, linters and the docs' site need.
+CALIB := $(VENV)/.calib
+TOOLS := $(VENV)/.tools
+#: uv installs several times faster than pip; where it cannot (an index that only pip is told of), pip does.
+PIP := $(BIN)/python -m pip install --disable-pip-version-check
+INSTALL = { $(BIN)/uv pip install --python $(BIN)/python $(1) || $(PIP) $(1); }
 
 .PHONY: demo test verify coverage lint docs clean
 
-demo: $(STAMP)
+demo: $(CALIB)
 	$(BIN)/calib demo --out demo --force
 
-test: $(STAMP)
+test: $(TOOLS)
 	@# One thread a worker: the matrices are small, and workers that each start a thread a core stand in each other's way.
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
-verify: $(STAMP)
+verify: $(TOOLS)
 	HYPOTHESIS_SEED=random OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "slow or not slow"
 
 # Tests start programs in folders of their own, and COVERAGE_FILE says where all of them count.
 coverage: export COVERAGE_FILE := $(CURDIR)/.coverage
-coverage: $(STAMP)
+coverage: $(TOOLS)
 	$(BIN)/coverage erase
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/coverage run -m pytest -n auto -m "slow or not slow"
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --skip-covered --show-missing
 
-lint: $(STAMP)
+lint: $(TOOLS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-docs: $(STAMP)
+docs: $(TOOLS)
 	@# A name that leads nowhere, and a page that loads anything from another place, are errors.
 	$(BIN)/sphinx-build --quiet -W --keep-going --nitpicky docs site
 	@! grep -rnoE '<(script|link|img|iframe)[^>]*(src|href)="(https?:)?//[^"]*"' site --include='*.html'
@@ -46,7 +51,7 @@ docs: $(STAMP)
 clean:
 	rm -rf $(VENV) demo .coverage .coverage.* site
 
-$(STAMP): pyproject.toml
+$(CALIB): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || { \
 	  echo "calib needs Python 3.10 or newer; '$(PYTHON)' is $$($(PYTHON) --version 2>/dev/null || echo missing)." >&2; \
 	  echo "Install one (Debian, Ubuntu: sudo apt install python3 python3-venv) or name it: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; \
@@ -54,9 +59,15 @@ $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
 	  echo "Python's venv module is missing. Install it (Debian, Ubuntu: sudo apt install python3-venv) and run make again." >&2; \
 	  exit 1; }
-	@echo "Setting up $(VENV) (once; a minute or two) ..."
+	@echo "Setting up $(VENV) (once; a minute or so) ..."
 	@rm -rf $(VENV)
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable . --group test --group lint --group docs
-	@touch $(STAMP)
+	@$(PIP) --quiet uv || true
+	@$(call INSTALL,--editable .)
+	@touch $(CALIB)
+
+$(TOOLS): $(CALIB)
+	@echo "Adding the tools of tests, linters and docs:"
+	@$(PIP) --quiet --upgrade "pip>=25.1"
+	@$(call INSTALL,--group test --group lint --group docs)
+	@touch $(TOOLS)
