@@ -13,6 +13,8 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -25,6 +27,9 @@ from calib.robot.readback import random_joint_values
 from calib.robot.robot import Robot
 
 Array = NDArray[np.float64]
+
+#: Where the progress is shown; tables go to stdout, each as soon as it is there.
+BARS = Console(stderr=True)
 
 #: What is registered to the rows, with what is known else.
 CELLS = {
@@ -61,7 +66,8 @@ def registering(robot: Robot, trials: int, rng: np.random.Generator) -> None:
             line = f"{what:<18}{count:>6}"
             for draw in errors.values():
                 shares = []
-                for _ in range(trials):
+                bar = track(range(trials), line.strip(), console=BARS, transient=True)
+                for _ in bar:
                     q = random_joint_values(robot, count, int(rng.integers(2**31)))
                     points = draw(q)
                     true = judged(robot, q, points, KNOWN).of("ap").max()
@@ -69,7 +75,7 @@ def registering(robot: Robot, trials: int, rng: np.random.Generator) -> None:
                     shares.append(np.array([1.0, found.factor]) * found.of("ap").max() / true)
                 bare, mended = np.mean(shares, axis=0)
                 line += f"{bare:>16.2f}{mended:>8.2f}"
-            print(line)
+            print(line, flush=True)
 
 
 def repeating(trials: int, rng: np.random.Generator) -> None:

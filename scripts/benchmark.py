@@ -29,6 +29,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
 from scipy.optimize import least_squares
 
 from calib.calibration import calibrate
@@ -50,6 +52,9 @@ PAGE = ROOT / "docs" / "performance.md"
 TARGET = np.array([0.05, 0.05, 0.05])
 SIZES = (30, 300, 3_000, 30_000, 300_000, 1_000_000)
 Array = NDArray[np.float64]
+
+#: Where the progress is shown; tables go to stdout, each as soon as it is there.
+BARS = Console(stderr=True)
 
 
 def main() -> None:
@@ -259,7 +264,7 @@ def of_fits(sizes: Sequence[int]) -> list[str]:
         "| rows | fit | memory | SciPy, Pinocchio's regressor in a loop | SciPy, finite differences |",
         "|---|---|---|---|---|",
     ]
-    for count in sizes:
+    for count in track(sizes, "fits", console=BARS, transient=True):
         own = alone("fit", count)
         plain = alone("plain", count) if count <= 3000 else {}
         others = [f"{plain[k]:.2f} s" if plain else "–" for k in ("regressor", "differences")]
@@ -275,7 +280,7 @@ def of_whole(sizes: Sequence[int]) -> list[str]:
         "| rows | `calibrate`, model given, not validated | cross-validated | `auto`, cross-validated | memory |",
         "|---|---|---|---|---|",
     ]
-    for count in sizes:
+    for count in track(sizes, "whole calibrations", console=BARS, transient=True):
         one = alone("calibration", count)
         times = " | ".join(amount(one[k]) for k in ("given", "checked", "chosen"))
         lines.append(f"| {count:,} | {times} | {one['megabytes']:.0f} MB |")
@@ -289,7 +294,8 @@ def of_studies(count: int) -> list[str]:
         f"| {count:,} simulated robots, 30 poses each | 1 process | {cores()} processes |",
         "|---|---|---|",
     ]
-    for model, validate in (("dh", False), ("dh", True), ("auto", True)):
+    kinds = (("dh", False), ("dh", True), ("auto", True))
+    for model, validate in track(kinds, "studies", console=BARS, transient=True):
         cell = Cell(model=model)
         trials = Trials(Scenario(robot), cell, count=30, validate=validate)
         fewer = count if model == "dh" else max(count // 10, 20)
@@ -333,7 +339,7 @@ def of_starts(times: int) -> list[str]:
             "`calib fit` on the paper's 35 rows": [calib, *fitting, *written],
         }
         lines = ["| a whole process | time |", "|---|---|"]
-        for name, command in commands.items():
+        for name, command in track(commands.items(), "starts", console=BARS, transient=True):
             seconds = best(partial(subprocess.run, command, stdout=subprocess.DEVNULL), times)
             lines.append(f"| {name} | {seconds:.2f} s |")
     return lines

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from rich.console import Console
+from rich.progress import track
 from scipy.spatial.transform import Rotation
 
 from calib.calibration import Calibration, calibrate
@@ -73,6 +75,9 @@ DRIFTED = (
     Case("theta3, 60 poses, no errors", rows=(60, 60), size=0.0, joint="theta3", drift=3e-4),
     Case("theta1, frame known", frame=False, joint="theta1", drift=3e-4),
 )
+#: Where the progress is shown; tables go to stdout, each as soon as it is there.
+BARS = Console(stderr=True)
+
 HEAD = ("drift", "untold", "p < 0.05", "chi2/k", "rms mm", "noise mm")
 
 
@@ -129,7 +134,8 @@ def main() -> None:
             print(f"{'':<44}" + "".join(f"{name:>11}" for name in HEAD))
             for case in cases:
                 trials = pool.map(partial(figures, case), range(given.trials), chunksize=5)
-                found = np.array(list(trials))
+                bar = track(trials, case.title, given.trials, console=BARS, transient=True)
+                found = np.array(list(bar))
                 p, chi, outcome, rms, noise = found.T
                 numbers = (
                     np.mean(outcome == 1),

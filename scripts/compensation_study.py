@@ -11,10 +11,13 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
 
 from calib.calibration import Calibration, calibrate
 from calib.compensation.commands import Commands, commands
@@ -45,12 +48,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     paper = paper_calibration()
-    panda = panda_calibration()
-    print(f"{arguments.poses} random joint values between the limits, poses of the tip")
-    for title, result in (("UR3, the paper's data", paper), ("Panda, simulated", panda)):
-        print_random(title, result, arguments.poses, arguments.seed)
-    print_paper(paper)
-    print_path(paper, arguments.points)
+    print(f"{arguments.poses} random joint values between the limits, poses of the tip", flush=True)
+    tables: list[Callable[[], None]] = [
+        lambda: print_random("UR3, the paper's data", paper, arguments.poses, arguments.seed),
+        lambda: print_random(
+            "Panda, simulated", panda_calibration(), arguments.poses, arguments.seed
+        ),
+        lambda: print_paper(paper),
+        lambda: print_path(paper, arguments.points),
+    ]
+    for table in track(tables, "tables", console=Console(stderr=True), transient=True):
+        table()
 
 
 def paper_calibration() -> Calibration:

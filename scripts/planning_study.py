@@ -13,13 +13,15 @@ import argparse
 import os
 import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
 
 from calib.data.cell import Cell
 from calib.data.measurements import Measurements
@@ -202,21 +204,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true")
     quick = parser.parse_args(arguments).quick
     candidates, count = (4000, 20) if quick else (20_000, 200)
-    for title, lines in (
-        (
-            "poses | rms error over the workspace, in noise of one measurement",
-            yardstick(candidates),
+    titled: dict[str, Callable[[], list[str]]] = {
+        "poses | rms error over the workspace, in noise of one measurement": lambda: yardstick(
+            candidates
         ),
-        ("criterion | mean, in rank/N | worst, in rank/N | time", criteria(candidates)),
-        ("limits, collisions, sight", obstacles(candidates)),
-        (
-            f"{count} calibrations each | rms error at unseen poses [mm] | over 30 random | forecast over reached | "
-            "inside 95 % regions",
-            comparison(count, candidates),
-        ),
-        ("many candidates", large(5 * candidates)),
-    ):
-        print(f"\n{title}", *lines, sep="\n", flush=True)
+        "criterion | mean, in rank/N | worst, in rank/N | time": lambda: criteria(candidates),
+        "limits, collisions, sight": lambda: obstacles(candidates),
+        f"{count} calibrations each | rms error at unseen poses [mm] | over 30 random | forecast over reached | "
+        "inside 95 % regions": lambda: comparison(count, candidates),
+        "many candidates": lambda: large(5 * candidates),
+    }
+    for title, lines in track(titled.items(), "tables", console=Console(stderr=True)):
+        print(f"\n{title}", *lines(), sep="\n", flush=True)
 
 
 if __name__ == "__main__":
